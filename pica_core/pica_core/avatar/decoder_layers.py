@@ -93,6 +93,26 @@ def decoder_layers(spec: AvatarSpec, decoder: str) -> list[Layer]:
     return layers
 
 
+def spec_tensor_shapes(spec: AvatarSpec) -> dict[str, tuple[int, ...]]:
+    """Name and shape of every tensor that the spec fixes: all but mesh and expression encoder."""
+    shapes: dict[str, tuple[int, ...]] = {}
+    if spec.geometry == "decoder":
+        shapes["geometry.mean"] = (spec.map_size, spec.map_size, 3)
+    for decoder in spec.decoder_channels:
+        for layer in decoder_layers(spec, decoder):
+            shapes.update(layer.tensor_shapes())
+    shapes |= spec.encoding_shapes
+    for prefix, width, outputs in (
+        ("xyz", 3, spec.xyz_channels),
+        ("pixel", spec.pixel_input_channels, spec.pixel_channels),
+    ):
+        for index, out in enumerate(outputs):
+            shapes[f"{prefix}.{index}.weight"] = (out, width)
+            shapes[f"{prefix}.{index}.bias"] = (out,)
+            width = out
+    return shapes
+
+
 def trunk_layers(spec: AvatarSpec, decoder: str, level: int) -> list[Layer]:
     """The layers of a decoder up to an early exit: those that lead to maps of `level` rows.
 

@@ -43,7 +43,7 @@ import safetensors.numpy
 
 from pica_core.avatar import level_tensors
 from pica_core.avatar.arkit import NUM_ARKIT
-from pica_core.avatar.decoder_layers import decoder_layers
+from pica_core.avatar.decoder_layers import spec_tensor_shapes
 from pica_core.avatar.level_tensors import PREFIX as LEVEL_PREFIX
 from pica_core.avatar.levels import LevelErrors
 from pica_core.avatar.linear import check_linear, linear_shapes, mean_vertices
@@ -150,6 +150,20 @@ class Avatar:
             return np.arange(len(self.tensors["mesh.vertex_uv"]), dtype=np.int32)
         return None
 
+    def sheet_places(self, level: int) -> IntArray:
+        """The vertex at each place of a sheet that bases make; the last one fills its last row.
+
+        Raises:
+            ValueError: The avatar does not have this level.
+        """
+        used = self.sheet_vertices(level)
+        assert used is not None  # of bases
+        if level == self.spec.map_size:  # what fills it stands in the file
+            return np.arange(self.position_rows(level) * level, dtype=np.int32)
+        places: IntArray = np.full(self.position_rows(level) * level, used[-1], np.int32)
+        places[: len(used)] = used
+        return places
+
     def vertices_of(self, position_map: FloatArray, level: int) -> FloatArray:
         """The vertices that a decode at a level made, ``[V, 3]``: all of the mesh, or those of
         `sheet_vertices`.
@@ -177,26 +191,6 @@ class Avatar:
     def stream_profile(self) -> StreamProfile | None:
         """The tables of its latent stream; None if it has none and only the plain format can be."""
         return StreamProfile.from_tensors(self.tensors)
-
-
-def spec_tensor_shapes(spec: AvatarSpec) -> dict[str, tuple[int, ...]]:
-    """Name and shape of every tensor that the spec fixes: all but mesh and expression encoder."""
-    shapes: dict[str, tuple[int, ...]] = {}
-    if spec.geometry == "decoder":
-        shapes["geometry.mean"] = (spec.map_size, spec.map_size, 3)
-    for decoder in spec.decoder_channels:
-        for layer in decoder_layers(spec, decoder):
-            shapes.update(layer.tensor_shapes())
-    shapes |= spec.encoding_shapes
-    for prefix, width, outputs in (
-        ("xyz", 3, spec.xyz_channels),
-        ("pixel", spec.pixel_input_channels, spec.pixel_channels),
-    ):
-        for index, out in enumerate(outputs):
-            shapes[f"{prefix}.{index}.weight"] = (out, width)
-            shapes[f"{prefix}.{index}.bias"] = (out,)
-            width = out
-    return shapes
 
 
 def avatar_id(source: Path | str | bytes) -> str:

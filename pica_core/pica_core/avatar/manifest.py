@@ -110,14 +110,12 @@ class Manifest:
             raise ValueError(
                 f"manifest.variant is {variant!r:.40}; known are {', '.join(DRAWN_VARIANTS)}"
             )
-        if spec.encoding != (wanted := VARIANTS[variant].encoding):
-            raise ValueError(
-                f"manifest.spec.encoding is {spec.encoding!r}; variant {variant} has {wanted!r}"
-            )
-        if spec.geometry != (geometry := VARIANTS[variant].geometry):
-            raise ValueError(
-                f"manifest.spec.geometry is {spec.geometry!r}; variant {variant} has {geometry!r}"
-            )
+        for part in ("encoding", "geometry"):
+            has, wanted = getattr(spec, part), getattr(VARIANTS[variant], part)
+            if has != wanted:
+                raise ValueError(
+                    f"manifest.spec.{part} is {has!r}; variant {variant} has {wanted!r}"
+                )
         corners = {
             name: _numbers(values, name, 3, -MAX_EXTENT_M, MAX_EXTENT_M)
             for name in ("bounds_min_m", "bounds_max_m")

@@ -79,12 +79,9 @@ class AvatarSpec:
     """Where vertices come from; one of `GEOMETRIES` (the paper has a decoder)."""
 
     def __post_init__(self) -> None:
-        if self.block not in BLOCKS:
-            raise ValueError(f"block is {self.block!r}; known are {', '.join(BLOCKS)}")
-        if self.encoding not in ENCODINGS:
-            raise ValueError(f"encoding is {self.encoding!r}; known are {', '.join(ENCODINGS)}")
-        if self.geometry not in GEOMETRIES:
-            raise ValueError(f"geometry is {self.geometry!r}; known are {', '.join(GEOMETRIES)}")
+        for name, known in (("block", BLOCKS), ("encoding", ENCODINGS), ("geometry", GEOMETRIES)):
+            if (value := getattr(self, name)) not in known:
+                raise ValueError(f"{name} is {value!r}; known are {', '.join(known)}")
         doublings = len(self.hidden_channels) + 1
         if self.map_size != LATENT_SIZE << doublings:
             raise ValueError(

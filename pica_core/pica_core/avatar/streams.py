@@ -4,58 +4,17 @@ A sender names its format in the track that it publishes: the hash of the avatar
 or nothing for the plain 8-bit format, which every avatar can be sent in.
 """
 
-from typing import Protocol
-
-import numpy.typing as npt
-
 from pica_core.avatar.file import Avatar
-from pica_core.codec.latent_sample import DecodedFrame, EncodedFrame, ReceivedFrame
 from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
 from pica_core.codec.plain_stream import LatentProfile, PlainDecoder, PlainEncoder
 from pica_core.errors import ProfileError
 
 PLAIN = ""
 """The name of the plain format."""
-
-
-class FaceEncoder(Protocol):
-    """The sending end of a stream, in either format; see `LatentEncoder`."""
-
-    def encode(
-        self,
-        latent: npt.ArrayLike,
-        rotation: npt.ArrayLike,
-        translation_m: npt.ArrayLike,
-        now_us: int,
-    ) -> EncodedFrame | None:
-        """The next frame to send, or None."""
-        ...
-
-    def request_keyframe(self) -> None:
-        """Somebody cannot decode."""
-        ...
-
-    def restart(self) -> None:
-        """Nothing that was encoded has arrived."""
-        ...
-
-
-class FaceDecoder(Protocol):
-    """The receiving end of a stream, in either format; see `LatentDecoder`."""
-
-    @property
-    def needs_keyframe(self) -> bool:
-        """Whether the stream can only go on with one."""
-        ...
-
-    @property
-    def num_unreferenced(self) -> int:
-        """Frames given up for want of their reference."""
-        ...
-
-    def receive(self, frame: ReceivedFrame) -> list[DecodedFrame]:
-        """What can be decoded now."""
-        ...
+FaceEncoder = LatentEncoder | PlainEncoder
+"""The sending end of a stream, in either format."""
+FaceDecoder = LatentDecoder | PlainDecoder
+"""The receiving end of a stream, in either format."""
 
 
 def open_encoder(

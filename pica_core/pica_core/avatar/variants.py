@@ -15,12 +15,11 @@ What the paper says of each, what it leaves open and what we chose: `docs/varian
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from math import prod
 from types import MappingProxyType
 from typing import Literal
 
-from pica_core.avatar.decoder_layers import decoder_layers
+from pica_core.avatar.decoder_layers import decoder_layers, spec_tensor_shapes
 from pica_core.avatar.spec import AvatarSpec
 
 TopologyName = Literal["dense", "tracked"]
@@ -76,16 +75,11 @@ class ModelCost:
 def pixel_codec_cost(spec: AvatarSpec) -> ModelCost:
     """The cost of a Pixel Codec Avatar: both decoders, the encoding, the two sine networks."""
     layers = [layer for name in spec.decoder_channels for layer in decoder_layers(spec, name)]
-    shapes = [shape for layer in layers for shape in layer.tensor_shapes().values()]
-    shapes += spec.encoding_shapes.values()
-    widths = ((3, *spec.xyz_channels), (spec.pixel_input_channels, *spec.pixel_channels))
-    per_pixel = 0
-    for network in widths:
-        for inputs, outputs in pairwise(network):
-            shapes += [(outputs, inputs), (outputs,)]
-            per_pixel += inputs * outputs
+    shapes = spec_tensor_shapes(spec)
+    shapes.pop("geometry.mean", None)  # it is measured, not trained
+    networks = [shape for name, shape in shapes.items() if name.startswith(("xyz.", "pixel."))]
     return ModelCost(
-        parameters=sum(map(prod, shapes)),
+        parameters=sum(map(prod, shapes.values())),
         per_object_multiply_adds=sum(layer.multiply_adds for layer in layers),
-        per_pixel_multiply_adds=per_pixel,
+        per_pixel_multiply_adds=sum(prod(shape) for shape in networks if len(shape) == 2),
     )

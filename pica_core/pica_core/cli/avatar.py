@@ -13,6 +13,7 @@ from pica_core.avatar.decoder_layers import decoder_layers
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar, avatar_id, load_avatar
 from pica_core.avatar.shipped import avatar_file
+from pica_core.avatar.variants import pixel_codec_cost
 from pica_core.codec.plain_stream import LatentProfile, decode_latent, encode_latent
 from pica_core.errors import AvatarFileError
 from pica_core.reference.pixel import count_parameters
@@ -97,11 +98,6 @@ def avatar_precision(options: AvatarPrecisionOptions) -> dict[str, Any]:
 
 def _describe(path: Path, avatar: Avatar) -> dict[str, Any]:
     manifest, spec = avatar.manifest, avatar.spec
-    multiply_adds = sum(
-        layer.multiply_adds
-        for decoder in spec.decoder_channels
-        for layer in decoder_layers(spec, decoder)
-    )
     return {
         "name": manifest.name,
         "identity": manifest.identity,
@@ -124,7 +120,7 @@ def _describe(path: Path, avatar: Avatar) -> dict[str, Any]:
         ),
         "encoding": spec.encoding,
         "encodings": sum(int(np.prod(shape)) for shape in spec.encoding_shapes.values()),
-        "decode_mmac": round(multiply_adds / 1e6, 2),
+        "decode_mmac": round(pixel_codec_cost(spec).per_object_multiply_adds / 1e6, 2),
         "latent_scale": list(manifest.latent_scale),
         "model_card": dict(manifest.model_card),
     }

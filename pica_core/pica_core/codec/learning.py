@@ -14,7 +14,7 @@ Nothing here needs torch or GL; the metric comes from outside (`pica_core.train.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -117,13 +117,8 @@ def learn_profile(
     empty = _without_tables(mean, forward, backward)
     counts = _count(empty, codes, rng)
     tables, index = _gather(counts.residuals, config.num_tables, rng)
-    arrays = {name.removeprefix("stream."): array for name, array in empty.to_tensors().items()}
-    arrays |= {
-        "tables": tables,
-        "table_index": index,
-        "header_tables": np.stack([_frequencies(row + 0.5) for row in counts.headers]),
-    }
-    return StreamProfile(**{name: np.array(array) for name, array in arrays.items()})
+    headers = np.stack([_frequencies(row + 0.5) for row in counts.headers])
+    return replace(empty, tables=tables, table_index=index, header_tables=headers)
 
 
 def _checked(

@@ -13,7 +13,7 @@ from pica_core.avatar.linear import PREFIX, RANK, REGION, components_of
 from pica_core.avatar.spec import POSITION_CHANNELS
 from pica_core.graphs.graph_builder import GraphBuilder
 from pica_core.latent import NUM_LATENT
-from pica_core.types import Array, IntArray
+from pica_core.types import Array
 
 STEP = 4
 """Ranks are filled up to multiples of this with directions that are 0."""
@@ -33,27 +33,17 @@ def bases_graph(graph: GraphBuilder, avatar: Avatar, size: int, *, plain: bool) 
     weight, bias = (graph.floats(tensors[f"{PREFIX}{part}"]) for part in ("weight", "bias"))
     weights = graph.add("Gemm", flat, weight, bias, transB=1)
     rows = avatar.position_rows(size)
-    is_full = size == avatar.spec.map_size
-    if is_full and not plain:
+    if size == avatar.spec.map_size and not plain:
         moved = _by_regions(graph, tensors, scale_m, weights)
         mean = tensors[f"{PREFIX}mean"]
     else:
-        places = np.arange(rows * REGION, dtype=np.int32) if is_full else sheet_places(avatar, size)
+        places = avatar.sheet_places(size)
         whole = components_of(tensors, scale_m, places)
         mean = tensors[f"{PREFIX}mean"].reshape(-1, POSITION_CHANNELS)[places]
         moved = graph.add("MatMul", weights, graph.floats(whole.reshape(len(whole), -1)))
     moved = graph.add("Reshape", moved, graph.sizes(rows, size, POSITION_CHANNELS))
     mean = mean.reshape(rows, size, POSITION_CHANNELS)
     graph.add("Add", moved, graph.floats(mean), output="position_map")
-
-
-def sheet_places(avatar: Avatar, size: int) -> IntArray:
-    """Vertex of each place of a coarser level's sheet; the last one fills what is left of a row."""
-    used = avatar.sheet_vertices(size)
-    assert used is not None
-    places: IntArray = np.full(avatar.position_rows(size) * size, used[-1], np.int32)
-    places[: len(used)] = used
-    return places
 
 
 def _by_regions(

@@ -95,12 +95,8 @@ def _sheet(avatar: Avatar, latent: Array, level: int | None) -> Array:
     sheet = np.stack(rows)
     if size == avatar.spec.map_size:
         return sheet
-    used = avatar.sheet_vertices(size)
-    assert used is not None
-    found: Array = sheet.reshape(-1, POSITION_CHANNELS)[used]
-    fill = avatar.position_rows(size) * size - len(used)
-    filled = np.concatenate([found, np.repeat(found[-1:], fill, axis=0)])
-    return filled.reshape(-1, size, POSITION_CHANNELS)
+    found: Array = sheet.reshape(-1, POSITION_CHANNELS)[avatar.sheet_places(size)]
+    return found.reshape(-1, size, POSITION_CHANNELS)
 
 
 def _decode(avatar: Avatar, decoder: str, grid: Array, level: int | None) -> tuple[Array, str]:

@@ -18,11 +18,9 @@ from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar, load_avatar, save_avatar
 from pica_core.avatar.storage import Precision, storage_of
 from pica_core.capture.stage.expressions import sentence
-from pica_core.reference.decoders import decode_expression_map, decode_position_map
+from pica_core.reference.decoders import FRONT, decode_expression_map, decode_position_map
 from pica_core.reference.pixel import decode_pixels, sample_bilinear
 from pica_core.types import Array
-
-FRONT = (0.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
