@@ -17,7 +17,12 @@ from scipy.sparse import csr_array
 from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.rig.features import Features
 from pica_core.capture.rig.mesh import RigMesh
-from pica_core.capture.triangles import face_neighbours, mean_of_neighbours
+from pica_core.capture.triangles import (
+    edges,
+    face_neighbours,
+    face_normals,
+    mean_of_neighbours,
+)
 from pica_core.types import BoolArray, Float64Array
 
 GUARD_M, GUARD_SOFT_M, GUARD_HARD_M = 0.001, 0.0001, 1e-6
@@ -119,7 +124,8 @@ class LidGuard:
 
 
 class LipGuard:
-    """Moves lips before the teeth that they lay on at rest, and skin around them along.
+    """Moves lips, vertices and sides of triangles, before the teeth that they lay on at rest, and
+    skin around them along.
 
     Args:
         mesh: Welded, at rest.
@@ -129,7 +135,7 @@ class LipGuard:
     def __init__(self, mesh: RigMesh, features: Features) -> None:
         part = features.part
         self._teeth = mesh.faces[part == MATERIALS.index("teeth")]
-        self._lips = np.zeros(0, np.int64)
+        self._lips = np.zeros((0, 2), np.int64)
         mouth, rest = features.mouth, mesh.rest_m
         if mouth is None or not len(self._teeth):
             return
@@ -138,7 +144,12 @@ class LipGuard:
         box = np.abs(rest[:, :2] - middle) < [mouth.half_m + 0.016, 0.03]
         near = box.all(1) & (rest[:, 2] > float(mouth.z.min()) - 0.03)
         lips = np.intersect1d(np.flatnonzero(near), skin_faces)
-        clear = rest[lips, 2] - self._front(rest, rest[lips])
+        between = edges(skin_faces[near[skin_faces].all(1)])  # a tooth goes through sides, too
+        lips = np.unique(
+            np.concatenate([np.stack([lips, lips], 1), np.sort(between, axis=1)]), axis=0
+        )
+        middle_m = rest[lips].mean(1)
+        clear = middle_m[:, 2] - self._front(rest, middle_m)
         self._lips = lips[clear > 0]
         self._room = np.minimum(clear[clear > 0] - LIP_CLOSER_M, LIP_ROOM_M)
         self._around = mean_of_neighbours(skin_faces, len(rest))
@@ -166,13 +177,13 @@ class LipGuard:
         """Move lips of posed vertices ``[V, 3]``, metres, in place."""
         if not len(self._lips):
             return
-        lips = points[self._lips].astype(np.float64)
+        lips = points[self._lips].mean(1, dtype=np.float64)
         lack = self._front(points, lips) + self._room - lips[:, 2]
         lack[(lack < 0) | (lack > LIP_DEEPEST_M)] = 0.0
         if not lack.any():
             return
         step = np.zeros(len(points))
-        step[self._lips] = lack
+        np.maximum.at(step, self._lips, lack[:, None])
         for _ in range(LIP_RINGS):
             step = np.maximum(step, LIP_BLEND * (self._around @ step))
         points[:, 2] += step
@@ -201,8 +212,7 @@ class FoldGuard:
             self._as_ever = self._folded(self._rest_m)[0]
 
     def _folded(self, points: Float64Array) -> tuple[BoolArray, BoolArray]:
-        a, b, c = (points[self._faces[:, k]] for k in range(3))
-        normal = np.cross(b - a, c - a)
+        normal = face_normals(points, self._faces)
         around = np.add.reduceat(normal[self._pairs], self._start, axis=0)
         normal = normal[self._order]
         size = np.linalg.norm(normal, axis=1)
