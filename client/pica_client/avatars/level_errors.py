@@ -82,7 +82,6 @@ def measure_levels(
     """Measure every level, and the full maps on every mesh, at all heights.
 
     Args:
-        avatar: Checked avatar.
         progress: Called with the share that is done, 0 to 1.
 
     Raises:

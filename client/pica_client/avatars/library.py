@@ -51,7 +51,6 @@ class AvatarLibrary:
         """Hash all files.
 
         Args:
-            files: Avatar files.
             folder: A folder whose ``*.pica`` files are known too.
             shipped: Instead of the package's own; for tests.
 

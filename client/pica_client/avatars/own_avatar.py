@@ -53,7 +53,6 @@ def choose_own_avatar(given: str | None, name: str, library: AvatarLibrary) -> O
 
     Args:
         given: A shipped one by its name, or a .pica file; None takes one by the name.
-        name: What its wearer is called in the call.
         library: The avatars of this machine, which knows the file afterwards.
 
     Raises:

@@ -31,9 +31,7 @@ def write_sheet(path: Path, cells: Sequence[Cell], columns: int = COLUMNS) -> No
     """Write the sheet as PNG: each picture above its difference, captions on top.
 
     Args:
-        path: Where to.
         cells: All of one size.
-        columns: Pictures in a row.
 
     Raises:
         OutputError: The file cannot be written.

@@ -54,9 +54,7 @@ def take_turns(
     """Let every case work once a round, and report progress on stderr.
 
     Args:
-        cases: What is compared.
         work: Does a case's work of a round, given its number: negative while warming up.
-        rounds: Rounds that count.
         warm_up: Rounds before them.
         seed: Of an order drawn anew for every round; without one it stays that of the cases.
 
@@ -93,7 +91,6 @@ def say_rows(rows: Sequence[Mapping[str, Any]], columns: str) -> None:
     """Tell the user some fields of the rows of a result, as a table.
 
     Args:
-        rows: One a line.
         columns: Names of fields, with spaces between.
     """
     names = columns.split()

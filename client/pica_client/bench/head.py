@@ -64,7 +64,6 @@ def front_camera(
     """A camera before the middle of a head.
 
     Args:
-        head: Whose.
         distance_cm: From the front of its bounding box.
         size: Columns and rows of the image, pixels.
         away: Look the other way.
@@ -94,7 +93,6 @@ def talk_frames(performance: str, start_s: float, warm_up: int, frames: int) -> 
     """Frames of a shipped performance, 30 a second.
 
     Args:
-        performance: Its name.
         start_s: Where in it the frames after the warm-up begin, seconds.
         warm_up: Frames that come before them.
         frames: How many to measure.
@@ -138,7 +136,6 @@ class FaceRenderer(Closing):
     renderer; belongs to one thread.
 
     Args:
-        avatar: Checked avatar.
         size_px: Rows and columns of each image.
         views: Names among the stage's evaluation views; by default the front and the left.
 

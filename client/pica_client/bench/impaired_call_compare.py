@@ -99,11 +99,8 @@ class CallComparison:
         """Prepare.
 
         Args:
-            url: Of the relay.
             impaired_url: The way to it through the bad network.
-            library: Avatars of the call.
             config: How the display plays.
-            secret_file: The room secret of an encrypted call.
         """
         link = LinkConfig(room=ROOM, connect_timeout_s=20.0, secret_file=secret_file)
         self._library = library

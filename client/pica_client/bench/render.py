@@ -245,9 +245,7 @@ def summarise(
     """The ratios that matter, per distance and level.
 
     Args:
-        rows: Of the table.
         lines: Of every level and the baseline.
-        weights: Those that the renderer chooses here.
     """
     own = [row for row in rows if row["weights"] in (weights, None)]
     full = max(row["level"] for row in own)

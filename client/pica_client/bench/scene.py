@@ -140,7 +140,6 @@ def run_scene_bench(config: SceneBenchConfig, avatars: Sequence[Avatar]) -> dict
     """Measure.
 
     Args:
-        config: What.
         avatars: Dealt to the heads in turn.
 
     Raises:

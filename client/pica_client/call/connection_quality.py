@@ -125,7 +125,6 @@ def own_quality(peers: Sequence[Quality], *, replaced_ratio: float | None = None
     in time says it, too.
 
     Args:
-        peers: Of the others' streams.
         replaced_ratio: Share of our own frames that the network did not take in time; None when we
             send nothing.
     """

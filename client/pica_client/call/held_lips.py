@@ -91,7 +91,6 @@ class HeldLips:
         """The face to show, and the moment that its lips are of.
 
         Args:
-            peer_id: Whose face.
             avatar: Whose codes it is of.
             latent: What the playout shows. float32 ``[8, 8, 4]``.
             shown_us: The moment that it is of, sender's clock.

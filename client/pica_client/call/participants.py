@@ -61,8 +61,6 @@ def list_participants(
     """Everybody in the room.
 
     Args:
-        own: Ourselves.
-        room: Who else is there.
         quality: Of the others' connections, by peer id; missing: unknown.
     """
     marks = mark_names((member.peer for member in room.members), own.name)

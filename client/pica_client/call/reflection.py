@@ -26,12 +26,7 @@ class Reflection:
     """
 
     def __init__(self, avatar: Avatar, track: Track) -> None:
-        """Begin before the first frame.
-
-        Args:
-            avatar: What one wears.
-            track: As it is published.
-        """
+        """Begin before the first frame."""
         self.call = Call(_OneAvatar(track.avatar, avatar))
         self._num_frames = 0
         peer = Peer(peer_id=SELF_ID, name="You", tracks=(replace(track, stream=_STREAM),))

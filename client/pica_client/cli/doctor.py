@@ -98,7 +98,6 @@ def examine(
     """Look at every extra, every device and the avatars.
 
     Args:
-        load: Imports a module by name; tests give another.
         has_display: Whether a window can be expected to open.
         wanted: Subjects to look at; None is all of them.
     """

@@ -25,14 +25,7 @@ _LOOK_S: Final = 0.1
 
 
 class SendKeys:
-    """What each key does.
-
-    Args:
-        desk: Steers the face.
-        voice: The voice that is sent, if any.
-        say: Tells a line to whoever sits at the terminal.
-        leave: Ends the sender.
-    """
+    """What each key does."""
 
     def __init__(
         self,
@@ -75,10 +68,6 @@ class SendKeys:
 @asynccontextmanager
 async def read_keys(keys: SendKeys, terminal: int) -> AsyncIterator[bool]:
     """Obey keys while the block runs.
-
-    Args:
-        keys: What they do.
-        terminal: File descriptor of standard input.
 
     Yields:
         Whether there are keys; the terminal is as before afterwards. Ctrl-C stays what it is.

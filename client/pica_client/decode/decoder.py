@@ -54,10 +54,7 @@ class ObjectDecoder(Protocol):
         """Decode one latent ``[8, 8, 4]`` as seen along the unit vector `view_direction` ``[3]``.
 
         Args:
-            latent: What to decode.
-            view_direction: From where it is looked at.
             level: Size of the maps; None is the full one.
-            parts: Which of them.
         """
         ...
 
@@ -99,7 +96,6 @@ def open_session(graph: bytes, options: OnnxOptions) -> Any:
     """An ONNX Runtime session that runs on the chosen provider.
 
     Args:
-        graph: Serialised model.
         options: Threads and provider.
 
     Returns:
@@ -214,7 +210,6 @@ class BaselineDecoder:
     """The paper's baseline: one network for vertices and the whole texture.
 
     Args:
-        avatar: Whose.
         options: Threads and provider.
 
     Raises:

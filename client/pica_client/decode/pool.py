@@ -65,7 +65,6 @@ class DecodePool(Closing):
     """Decodes the newest latent of every avatar on worker threads.
 
     Args:
-        options: Number of workers.
         make_decoder: Builds the decoder of an avatar; runs on a worker, for it may take long.
         clock: Seconds, monotonic.
 

@@ -35,7 +35,6 @@ class RegionDecoder:
     """The full level's vertices of one avatar whose spec says `bases`.
 
     Args:
-        avatar: Checked avatar.
         skip_m: Farthest that a vertex may be off; 0 makes every row that moves at all.
 
     Attributes:

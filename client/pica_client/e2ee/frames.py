@@ -99,9 +99,7 @@ def seal(payload: bytes, metadata: bytes, key: FrameKey, counter: int) -> bytes:
     """Encrypt a payload and authenticate it together with its metadata.
 
     Args:
-        payload: Anything.
         metadata: Authenticated, not carried; see `metadata_of`.
-        key: The sender's.
         counter: Never the same twice with one key: two payloads under one nonce give away their
             difference and, with AES-GCM, the means to forge.
     """

@@ -58,7 +58,6 @@ class Guard:
     whispers. One for each link. Pure but for its source of chance.
 
     Attributes:
-        counters: What it did.
         status: Who is verified and who is not, and the code to read aloud; a new object at each
             change, so any thread may read it. As of when we were last in the room.
     """

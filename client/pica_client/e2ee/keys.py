@@ -102,7 +102,6 @@ class KeyExchange:
         """Start outside any room.
 
         Args:
-            secret: What the members of the room share.
             random_bytes: Where keys come from.
             suite: What we seal with; we open what any suite we know has sealed.
             is_padded: Whether we pad our payloads; said with each key.

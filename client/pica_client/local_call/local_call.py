@@ -78,11 +78,6 @@ class LocalCall:
     """The processes of a call. Start it inside a `Children` block, which ends them.
 
     Attributes:
-        relay: Its process.
-        url: Where it listens.
-        senders: Their processes, by name.
-        secret_file: The room secret, if the call is encrypted.
-        secret_arguments: What senders and viewers are told of it.
         names: The senders, in order.
     """
 

@@ -50,7 +50,6 @@ class JitterEstimate:
 
         Args:
             arrived_s: Our clock.
-            media_s: The stream's time.
             transit_s: As the clock map believed it.
             clock: The map after it has seen the frame.
         """

@@ -100,7 +100,6 @@ class SenderClock:
         """Take a frame that arrived just now.
 
         Args:
-            frame: As it came off the wire.
             now: Our clock, seconds.
             is_backlog: Whether it was kept for us on its way.
 

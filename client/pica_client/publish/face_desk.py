@@ -65,13 +65,9 @@ class FaceDesk:
     """Steers one publisher. All methods are for one thread, which need not be the publisher's.
 
     Args:
-        publisher: Sends the face.
         person: Whose calibrations are meant.
         source: What plays the face, as `sources.open_source` took it.
         store: Where calibrations are kept; by default this user's place for them.
-
-    Attributes:
-        source: What plays it now.
     """
 
     def __init__(

@@ -46,10 +46,6 @@ def open_own_face(
     """Make ready what was chosen; None for who only watches.
 
     Args:
-        choice: Which face.
-        link: Where it goes, and under which name.
-        library: The avatars of this machine.
-        say: Takes a line on what became of the avatar's file.
         config: How it is sent.
 
     Raises:

@@ -77,16 +77,11 @@ class Publisher:
 
     Args:
         config: How fast and how long.
-        source: The face.
-        avatar: Whose face it becomes.
         avatar_identity: Hash of the avatar's file.
 
     Attributes:
-        track: What the link has to publish.
         is_muted_by_admin: Whether an admin has stopped the stream.
         mode: What becomes of the face, as far as its owner says.
-        source: What plays the face.
-        num_sent: Frames handed to the link.
         seen: The source's latest face, whether it is sent or not; None before the first.
         frame_log: Capture time and encoding time of each frame sent, both in microseconds; drops
             its oldest when full.

@@ -24,11 +24,7 @@ __all__ = ["Sender", "SenderConfig"]
 
 
 class Sender:
-    """One sender; `run` it, `stop` it.
-
-    Attributes:
-        publisher: Makes the frames of the face.
-    """
+    """One sender; `run` it, `stop` it."""
 
     def __init__(
         self,

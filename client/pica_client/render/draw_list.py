@@ -119,10 +119,8 @@ def count_draws(
     """What a frame drew.
 
     Args:
-        listed: The heads.
         counts: Coloured pixels of each decoded head.
         painted_counts: Of each textured one.
-        is_smooth: Edges were smoothed.
     """
     heads = [
         HeadStats(

@@ -121,8 +121,6 @@ def upload_avatar(
 
     Args:
         context: Of this thread.
-        mesh_programs: Of the surface pass.
-        avatar: Checked avatar.
         weights_place: See `RenderOptions`.
         filtered: Encodings are averaged over what a pixel covers.
         fades: It fades out towards its lower border.
@@ -248,7 +246,6 @@ def upload_mesh(
 
     Args:
         context: Of this thread.
-        programs: Of the surface pass.
         level: Name of the triangles.
         faces: ``[F, 3]``.
         vertex_uv: ``[V, 2]``.

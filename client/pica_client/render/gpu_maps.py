@@ -83,7 +83,6 @@ class MapSeries:
         """Upload a map that `check` has passed.
 
         Args:
-            array: The whole map.
             row_versions: ``[H]``, as `DecodedSheet` has them; rows that are there are left out.
         """
         level = array.shape[1]

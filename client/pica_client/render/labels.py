@@ -49,7 +49,6 @@ def place_labels(
 
     Args:
         heads: World from head, ``[4, 4]`` each.
-        camera: The viewer's.
         least_px: Columns and rows that the shortest name needs.
 
     Returns:

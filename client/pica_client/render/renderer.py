@@ -237,7 +237,6 @@ class Renderer:
             placements: Heads; unknown slots are left out. The order does not matter.
             cameras: World to image. Those of several eyes share its columns from left to right;
                 all see the same maps: one decode serves them.
-            room: What is behind them.
             count_pixels: Count shaded pixels; waits for the GPU.
         """
         passes, targets = self._passes, self._targets

@@ -134,7 +134,6 @@ def head_rect_px(camera: Camera, world_from_head: npt.ArrayLike) -> Rect | None:
     """The part of the picture that a head and its movements may cover.
 
     Args:
-        camera: The viewer's.
         world_from_head: Of the head, or of its seat, ``[4, 4]``.
 
     Returns:

@@ -164,11 +164,9 @@ def plan_seats(
     """Seats for `count` people, and the camera that shows them with their names.
 
     Args:
-        layout: See the module.
         count: Of people; the view for none is that for one.
         aspect: Columns divided by rows of the picture.
         pinned: Index of the one who fills the picture; beyond `count` nobody is.
-        free: What to keep free.
         shoulders_m: Width of the broadest shoulders, within `MIN_SHOULDERS_M` to
             `MAX_SHOULDERS_M`.
 

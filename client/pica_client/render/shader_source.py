@@ -89,7 +89,6 @@ def compose(
         dialect: Desktop GL or GL ES.
         choices: File for an ``#include NAME``.
         generated: Text for an ``#include NAME``, where the text comes from numbers.
-        defines: Further macros.
 
     Raises:
         ShaderError: A file or a name is unknown, or includes nest too deeply.

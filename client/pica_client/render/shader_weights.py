@@ -108,7 +108,6 @@ def pack_weights(spec: AvatarSpec, tensors: Mapping[str, Array]) -> bytes:
     """Lay both SIRENs out for the uniform block.
 
     Args:
-        spec: Sizes.
         tensors: ``xyz.{i}.weight/bias`` and ``pixel.{i}.weight/bias`` of an avatar.
     """
     num_matrices, num_biases = block_sizes(spec)
@@ -135,7 +134,6 @@ def siren_source(
     with constants 29).
 
     Args:
-        spec: Sizes.
         tensors: An avatar's weights, to write them as constants: a program for this avatar alone.
             Numbers have nine digits, which names a float32 exactly. None reads them from the block
             that `pack_weights` fills.

@@ -30,7 +30,6 @@ def draw_thumbnail(
     """Draw an avatar on its own.
 
     Args:
-        avatar: Checked avatar.
         size: Columns and rows, pixels.
         arkit: Expression, ``[52]``; the neutral face by default.
         view: From where; straight ahead by default.

@@ -93,7 +93,6 @@ def orbit_limits(plan: SeatPlan, spans: tuple[ViewSpan, ...]) -> OrbitLimits:
     which is torn there. A seat that is beyond that already may not get further.
 
     Args:
-        plan: Who sits where.
         spans: From where the avatar of each seat may be seen.
     """
     bounds = np.array([astuple(span) for span in spans], np.float64).reshape(len(spans), 2, 2)
@@ -129,8 +128,6 @@ def plan_camera(
     """The viewer's camera: that of the plan, turned and moved closer as the user wants.
 
     Args:
-        plan: Who sits where.
-        view: What the user wants.
         width: Columns of the picture.
         height: Rows.
         limits: How far it may turn; see `orbit_limits`.

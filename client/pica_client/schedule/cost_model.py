@@ -111,7 +111,6 @@ class CostModel:
         Args:
             model: Name of what has costs of its own, as a block or a spec.
             level: Texels per side of the maps.
-            parts: Which maps were made.
             seconds: Without waiting; nonsense is ignored.
         """
         if _is_plausible(seconds):

@@ -53,7 +53,6 @@ class FramePlanner:
             cameras: One, or both eyes'.
             size_px: Columns and rows of one eye's image.
             budget_s: For decoding, uploads and drawing, seconds.
-            now: The time.
         """
         if heads:
             _look(heads, cameras, size_px)

@@ -97,11 +97,7 @@ class Plan:
 
 
 class Scheduler:
-    """Plans frame after frame; see the module for how.
-
-    Attributes:
-        costs: What things cost here; the owner tells it what it measures.
-    """
+    """Plans frame after frame; see the module for how."""
 
     def __init__(self, options: SchedulerOptions | None = None) -> None:
         self.options = options or SchedulerOptions()
@@ -115,7 +111,6 @@ class Scheduler:
         Args:
             heads: Everybody in the call, in any order; slots are unique.
             budget_s: What decodes, uploads and drawing of this frame may take, seconds.
-            now: The time.
         """
         frame_s = min(now - self._now, FACE_S)
         self._now = now

@@ -32,7 +32,6 @@ def open_source(text: str, person: str = "") -> Source:
     """Open the source that a text describes; a tracker listens from then on until it is closed.
 
     Args:
-        text: What the user wrote.
         person: Whose calibration a tracker's samples are given, if there is one.
 
     Raises:

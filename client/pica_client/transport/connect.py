@@ -65,9 +65,7 @@ async def open_websocket(
     """Open a websocket to a relay with our settings, small buffers among them.
 
     Args:
-        url: Of the relay.
         ca_file: With wss://, certificates to trust instead of the system's.
-        subprotocol: What is to be spoken.
 
     Raises:
         OptionError: There are no certificates in the file.

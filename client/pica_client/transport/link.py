@@ -76,7 +76,6 @@ class Link:
     """A connection to the relay that comes back by itself.
 
     Attributes:
-        counters: What went over it.
         guard: What seals and opens frames, or None.
         last_closed: How the latest connection ended, or None.
     """
@@ -94,8 +93,6 @@ class Link:
         """Prepare; `run` does the work.
 
         Args:
-            config: Where to and as whom.
-            tracks: What we publish.
             on_event: Called on the event loop for every event of every session, if given.
             connector: Opens one websocket to an address; plain TCP or TLS by default.
             rng: Spreads reconnects; seeded by tests.

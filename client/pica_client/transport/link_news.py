@@ -14,7 +14,6 @@ class LinkNews:
 
     Args:
         joined: What to say once we are in the room.
-        say: Takes a line for the user.
     """
 
     def __init__(self, joined: str, say: Callable[[str], None]) -> None:

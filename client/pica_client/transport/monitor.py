@@ -10,11 +10,7 @@ from pica_protocol.invite import Invite, make_link
 
 
 class CallMonitor:
-    """Watches a receiver; keeps a quality meter for each peer.
-
-    Args:
-        receiver: Runs the call.
-    """
+    """Watches a receiver; keeps a quality meter for each peer."""
 
     def __init__(self, receiver: Receiver) -> None:
         self._receiver = receiver

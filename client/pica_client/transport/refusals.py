@@ -49,7 +49,6 @@ class Refusals:
 
         Args:
             error: What went wrong; with `OptionError`, one of our own files.
-            now: The time.
             is_last: Whether no other address is left to be tried at once.
         """
         if isinstance(error, RelayUnreachableError):

@@ -161,11 +161,8 @@ class AvatarPresenter:
     """Keeps the seats of a call.
 
     Args:
-        source: Who is there.
-        renderer: Where avatars and maps go.
         pool: Where they are decoded; its slots are peer ids.
         planner: Says what is decoded, and how finely it is drawn.
-        meter: Where durations go.
         levels: How loud each is who sends a voice, by peer id; see `VoiceMixer.levels`.
         on_decoded: Told of every decode that reached the GPU; its slot is the peer id.
         clock: Seconds, monotonic; see `viewer.Viewer`.
@@ -255,7 +252,6 @@ class AvatarPresenter:
         """Plan a frame: hand what is to be decoded to the pool, and say what is wanted of streams.
 
         Args:
-            scene: Who is where.
             cameras: From where it will be drawn: one, or two eyes.
             budget_s: What decoding and drawing it may take, seconds.
         """

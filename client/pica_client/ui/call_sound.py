@@ -49,8 +49,6 @@ class CallSound:
         """Do what the user wants; gives what has just gone wrong with a device, else nothing.
 
         Args:
-            wanted: By the user.
-            people: Who is there.
             now: Local time, seconds.
         """
         if self._own is not None:

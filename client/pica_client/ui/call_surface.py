@@ -58,12 +58,9 @@ class CallSurface:
     """Draws the surface of a call.
 
     Args:
-        context: Where it is painted.
         size: Columns and rows of the surface.
-        meter: Durations of the call.
         status: How the call stands, at a time in seconds.
         has_pointer: Whether there is somebody to steer: a window.
-        entered_as: As whom one is here.
         avatars: See `CallView.avatars`.
 
     Attributes:
@@ -120,7 +117,6 @@ class CallSurface:
             now: Local time, seconds.
             size: Columns and rows of the surface.
             content_scale: Pixels a point of the display.
-            events: What the user did.
             settings: How the surface is to look.
 
         Returns:

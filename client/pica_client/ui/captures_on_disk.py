@@ -62,7 +62,6 @@ class CapturesOnDisk(Closing):
 
     Args:
         folder: Where to; None is the system's folders for pictures and for videos.
-        begin_sound: The sound of recordings.
     """
 
     def __init__(self, folder: Path | None = None, begin_sound: BeginSound = lambda: None) -> None:

@@ -281,11 +281,7 @@ Picker = Callable[[float, float], int | None]
 
 
 class Controls:
-    """Turns input into what the user wants.
-
-    Attributes:
-        state: What is wanted now.
-    """
+    """Turns input into what the user wants."""
 
     def __init__(self, state: ControlState | None = None) -> None:
         self.state = state or ControlState()
@@ -304,9 +300,7 @@ class Controls:
         """Take one event that is not for the surface.
 
         Args:
-            event: What the user did.
             places: Of everybody who is there, from left to right: number keys pin them.
-            pick: Who is seen at a point of the picture.
         """
         match event:
             case events.KeyPressed():

@@ -21,7 +21,6 @@ class OwnFaceCorner:
 
     Args:
         context: Where to draw; current on this thread.
-        desk: Of the face that is sent.
         options: How avatars are drawn.
     """
 

@@ -24,7 +24,6 @@ class SelfView:
 
     Args:
         context: Where to draw; current on this thread.
-        reflection: Whom.
         options: How avatars are drawn.
     """
 

@@ -108,10 +108,6 @@ class View:
         """Check what can be checked before anybody is there.
 
         Args:
-            config: What to show, and how.
-            library: The avatars of this machine.
-            face: To be sent as well.
-            choice: What it was made of.
             window: To show it in, which stays open; by default a new one.
             waiting: Called again and again until we are in the room; False gives up.
             sound: Plays and captures, and goes on afterwards; by default a new one.

@@ -122,9 +122,6 @@ def look(
     """Stay in the room of the configuration.
 
     Args:
-        config: What to show, and how.
-        library: The avatars of this machine.
-        face: Which face of one's own to send.
         stopping: How signals end it.
         kept: Where preferences go afterwards.
 

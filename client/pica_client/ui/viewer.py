@@ -68,7 +68,6 @@ class Viewer(Closing):
     """Shows the faces of a source in a window or off the screen.
 
     Args:
-        source: Who is there.
         options: See `ViewerOptions`.
         status: How the call stands, at a time of `clock`; asked twice a second.
         on_decoded: Told of every decode that reached the GPU, on the drawing thread; its slot is

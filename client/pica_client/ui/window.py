@@ -59,7 +59,6 @@ class Window(Closing):
     """A glfw window with a GL 3.3 context.
 
     Args:
-        title: Of the window.
         size: Columns and rows to open with, in the screen's units; at least `MIN_SIZE`.
 
     Raises:

@@ -52,7 +52,6 @@ class VoicePublisher:
     """Sends one voice over a link, which somebody else runs.
 
     Attributes:
-        track: What the link has to publish.
         is_muted: Whether its owner has muted it; `set_muted` changes it.
         is_muted_by_admin: Whether an admin has stopped the stream.
         level: Of the last frame that was captured for sending, as `VoicePacket.level`; None: muted.
@@ -70,7 +69,6 @@ class VoicePublisher:
         """Prepare.
 
         Args:
-            source: The voice.
             bitrate: Bits a second while it speaks.
             is_sealed: Whether it is encrypted on its way: then every packet of speech has the same
                 size, as sizes that follow the sounds tell words (RFC 6562).

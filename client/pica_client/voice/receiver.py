@@ -27,7 +27,6 @@ class VoiceReceiver:
 
     Attributes:
         refused: Why a peer cannot be heard, in words, by peer id.
-        received: Packets that were handed on.
         errors: Payloads that were no packets.
     """
 

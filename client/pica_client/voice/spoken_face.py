@@ -23,11 +23,7 @@ STEP_S: Final = HOP / SAMPLE_RATE
 
 
 class SpokenMouth:
-    """How the mouth stands by a voice, for some time back.
-
-    Attributes:
-        spoke_s: When it was last open.
-    """
+    """How the mouth stands by a voice, for some time back."""
 
     def __init__(self) -> None:
         self._net = MouthFromVoice()

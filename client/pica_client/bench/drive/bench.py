@@ -224,7 +224,6 @@ def same_vertices(faces: IntArray, wanted: IntArray) -> IntArray | None:
 
     Args:
         faces: The avatar's triangles, int32 ``[F, 3]``, which use all of its vertices.
-        wanted: The truth's.
 
     Returns:
         int32 ``[V]``; None if they are not the same.

@@ -76,7 +76,6 @@ def live_values(
     Args:
         look: What the tracker says of a moment, seconds; asked in order.
         num_frames: How many frames.
-        calibration: What is known of the person.
         tracker_fps: How often it looks.
 
     Returns:
@@ -117,7 +116,6 @@ def shown_latents(avatar: Avatar, arkit: FloatArray, *, coded: bool) -> FloatArr
     """What a receiver decodes of values.
 
     Args:
-        avatar: Whose face it becomes.
         arkit: One row a frame. float32 ``[T, 52]``.
         coded: Through the avatar's latent stream.
 

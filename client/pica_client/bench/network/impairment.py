@@ -87,7 +87,6 @@ class Way:
     """One direction of one connection: when does what is sent now arrive?
 
     Attributes:
-        impairment: What it does now.
         free_s: When the next piece can leave, seconds.
     """
 

@@ -117,11 +117,8 @@ def deliver(
     """Send a face through a scenario and decode what comes.
 
     Args:
-        face: The true face.
         ends: Both ends of a codec, fresh.
         scenario: The trouble in the middle third.
-        schedule: Rates and duration.
-        seed: Of the network.
         voice: Packets of a voice that goes along, of `VOICE_STREAM`, each with the time when it is
             sent, in order.
     """
@@ -201,9 +198,7 @@ def play(delivery: Delivery, playout: Playout, schedule: Schedule) -> list[Tick]
     """Show what came on a display.
 
     Args:
-        delivery: What came, and when.
         playout: A fresh buffer.
-        schedule: That of the delivery.
 
     Returns:
         All refreshes of the run.

@@ -128,11 +128,7 @@ class Target:
 
 
 class Load:
-    """The swarms on one server: peers that come, send and count.
-
-    Attributes:
-        target: What is loaded.
-    """
+    """The swarms on one server: peers that come, send and count."""
 
     def __init__(self, config: RelayBenchConfig, target: Target, workers: Workers) -> None:
         """Start the processes; nobody has come yet."""

@@ -62,7 +62,6 @@ class SwarmPeer:
     """One connection, from the first byte to the last.
 
     Attributes:
-        sock: Its socket, to wait on.
         is_live: Whether it is in the room and media may flow.
         is_closed: Whether it is over.
     """

@@ -30,11 +30,7 @@ VOICE_PAYLOAD: Final = bytes(121)
 
 
 class Traffic:
-    """The frames of one track.
-
-    Attributes:
-        sequence: Of the next frame.
-    """
+    """The frames of one track."""
 
     def __init__(self, rng: random.Random) -> None:
         self.sequence = 0

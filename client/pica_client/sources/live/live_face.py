@@ -107,7 +107,6 @@ class LiveFace:
     """One person's face, fed by a tracker.
 
     Attributes:
-        counters: What became of the samples.
         calibration: What is done to each sample; may be replaced at any time.
         recent: The latest samples with a face as the tracker sent them, to calibrate by.
     """
@@ -131,7 +130,6 @@ class LiveFace:
         """Take a sample.
 
         Args:
-            sample: What the tracker says.
             arrived_s: When, on our clock.
         """
         seen_s = self._on_our_clock(sample.tracker_s, arrived_s)

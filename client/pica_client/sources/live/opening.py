@@ -53,7 +53,6 @@ def open_live(
     Args:
         kind: One of `TRACKER_KINDS`.
         rest: What the user wrote behind the kind, without the colon.
-        calibration: Whose face it is.
         tap: Sees what arrives.
 
     Raises:

@@ -26,7 +26,6 @@ class TrackReport:
     """Gathers samples; a `SampleTap`.
 
     Attributes:
-        source: The source, as the user wrote it.
         last: The newest sample; None before the first.
     """
 

@@ -21,7 +21,6 @@ class Tracker(ABC):
     """A live source; what reads it, in a thread of its own, is for those that inherit from this.
 
     Attributes:
-        face: What the samples become.
         refused: How often something came that is not the tracker's, by reason.
         subjects: How many samples each subject has sent.
     """

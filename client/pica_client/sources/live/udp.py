@@ -36,7 +36,6 @@ class UdpOptions:
         subject: Whose face to take; empty takes the first that comes.
         phone: Address of a phone that sends only when asked; empty for who sends by itself.
         request: How it is asked.
-        host: Address of ours to listen at.
     """
 
     kind: str

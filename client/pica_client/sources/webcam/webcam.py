@@ -23,11 +23,7 @@ PREVIEW_WIDTH = 320
 
 
 class Webcam(Tracker):
-    """A camera that is read from its making to `close`.
-
-    Attributes:
-        finder: Follows the face.
-    """
+    """A camera that is read from its making to `close`."""
 
     def __init__(
         self,
@@ -108,7 +104,6 @@ def open_webcam(
 
     Args:
         device: A camera's number or name, or a video file; empty takes the first camera.
-        calibration: Whose face it is.
         tap: Sees what is found.
 
     Raises:

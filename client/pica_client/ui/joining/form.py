@@ -79,7 +79,6 @@ class JoinForm:
     """Fields, and what is wrong with them.
 
     Attributes:
-        fields: What has been typed.
         trouble: What is wrong, for people; None when nothing is known to be.
         outcome: "asking" until the user wants to join or to leave.
     """

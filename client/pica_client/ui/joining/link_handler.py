@@ -29,11 +29,7 @@ Tool = Callable[[list[str]], None]
 
 
 def desktop_entry(python: str) -> str:
-    """The text of the .desktop file: which command opens a link.
-
-    Args:
-        python: The interpreter that has PiCA.
-    """
+    """The text of the .desktop file: which command opens a link."""
     quoted = python
     for sign in '\\"`$':  # (Desktop Entry Specification 1.5, "The Exec key")
         quoted = quoted.replace(sign, f"\\{sign}")

@@ -31,7 +31,6 @@ class Lobby(Closing):
 
     Args:
         window: Stays open; its context is as it was afterwards.
-        library: The avatars to choose from.
         sound: To be tried; None: there is none.
 
     Raises:

@@ -23,7 +23,6 @@ class Portraits:
     """Draws a picture of each avatar, one after the other, on a thread and a GL context of its own.
 
     Args:
-        library: Whose avatars.
         folder: Where pictures are kept; by default beside the avatars that can be fetched again.
     """
 

@@ -26,7 +26,6 @@ class Painter:
 
     Args:
         context: GL 3.3, current on this thread.
-        surface: Whose shapes.
     """
 
     def __init__(self, context: moderngl.Context, surface: Surface) -> None:
@@ -77,9 +76,7 @@ class Painter:
         """Blend the last frame over a framebuffer.
 
         Args:
-            target: Where to.
             region: The part of it that shows the surface; by default all.
-            background: Draw what is written on the picture.
             windows: Draw what stands before it.
         """
         data = self._surface.draw_data()

@@ -47,7 +47,6 @@ def card(
     Args:
         name: Unique among panels.
         place: Where its pivot is, pixels.
-        metrics: Of the picture.
         pivot: The point of the card at that place, 0 to 1 of its size.
         size: Pixels; a part that is 0 is as large as what is in it.
         scrolls: Whether what is too high can be scrolled.
@@ -155,9 +154,6 @@ def icon_button(
     Args:
         icon: Of `icons`.
         tooltip: What it does; unique within its panel.
-        metrics: Of the picture.
-        keys: The keys that do it, too.
-        is_on: Drawn as switched on.
         tone: "alert" for what ends or warns.
         size_pt: Its diameter.
     """

@@ -69,11 +69,7 @@ class Outbox:
 
 
 class SoundDesk:
-    """The sound of one call; its methods are for one thread.
-
-    Args:
-        outbox: Takes what the module says.
-    """
+    """The sound of one call; its methods are for one thread."""
 
     def __init__(self, outbox: Outbox) -> None:
         self._outbox = outbox

@@ -303,7 +303,6 @@ async def captured_frames(
 
     Args:
         listen: Is told who takes the frames, and at the end that nobody does.
-        stopping: Ends it.
     """
     loop = asyncio.get_running_loop()
     frames: asyncio.Queue[tuple[FloatArray, int]] = asyncio.Queue(MAX_CAPTURED)

@@ -15,12 +15,7 @@ WIDTH_RAD = 0.7
 
 
 class Hearing:
-    """Plays the voices of a call; faces are led by what leaves the loudspeaker.
-
-    Args:
-        call: Whose faces follow.
-        sound: Plays.
-    """
+    """Plays the voices of a call; faces are led by what leaves the loudspeaker."""
 
     def __init__(self, call: Call, sound: SoundProcess) -> None:
         self._sound = sound
