@@ -60,21 +60,19 @@ class RemoveOptions(RoomOptions):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class BarOptions(RoomOptions):
-    """An identity that is kept out of a room."""
-
-    identity: tyro.conf.Positional[str]
-    """Who, as their token names them."""
-    for_s: float = RULING_S
-    """Seconds for which it is kept out, also when the room has ended: 30 days at most."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
 class UnbarOptions(RoomOptions):
     """An identity that may come into a room again."""
 
     identity: tyro.conf.Positional[str]
     """Who, as their token names them."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BarOptions(UnbarOptions):
+    """An identity that is kept out of a room."""
+
+    for_s: float = RULING_S
+    """Seconds for which it is kept out, also when the room has ended: 30 days at most."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

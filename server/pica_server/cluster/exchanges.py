@@ -75,13 +75,13 @@ class ClusterExchanges:
 
         What is not taken stays, and is thinned like a slow reader's.
         """
-        for link in self._hub.forwarding.ready_links():
+        for link in list(self._hub.forwarding.ready_links):
             while (taken := link.take(now)) is not None:
                 data, num_frames = taken
                 self._stats.cluster["frames_out"] += num_frames
                 self._stats.cluster["media_out"] += 1
                 yield link.slot, link.room_key, data
-            self._hub.forwarding.done_with(link)
+            self._hub.forwarding.ready_links.pop(link, None)
 
     def announce(self, shared: SharedRoom, now: float) -> list[tuple[str, Interest]]:
         """Return what the other nodes of a room must be told is wanted of them, and which of

@@ -24,7 +24,7 @@ import logging
 import random
 import secrets
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from typing import Final
 from urllib.parse import urlsplit
@@ -146,7 +146,7 @@ class Cluster:
                 self._told.append(command)
         if self._told:
             self._has_told.set()
-        if self._hub.forwarding.has_ready_links:
+        if self._hub.forwarding.ready_links:
             self._has_media.set()
 
     async def _connect_patiently(self) -> tuple[Client, ClusterStore]:
@@ -219,14 +219,14 @@ class Cluster:
             (f"pica.node.{slot}", self._on_node_message, _NODE_LIMITS),
             (f"pica.media.{slot}.*", self._on_media, _MEDIA_LIMITS),
         ):
-            self._own.append(
-                await self._client.subscribe(
-                    subject,
-                    cb=callback,
-                    pending_msgs_limit=limits[0],
-                    pending_bytes_limit=limits[1],
-                )
-            )
+            self._own.append(await self._listen(subject, callback, limits))
+
+    async def _listen(
+        self, subject: str, callback: Callable[[Msg], Awaitable[None]], limits: tuple[int, int]
+    ) -> Subscription:
+        return await self._client.subscribe(
+            subject, cb=callback, pending_msgs_limit=limits[0], pending_bytes_limit=limits[1]
+        )
 
     # What NATS brings.
 
@@ -366,12 +366,7 @@ class Cluster:
                 self._requests.put_nowait(command)
 
     async def _follow(self, key: str) -> Subscription:
-        return await self._client.subscribe(
-            f"pica.record.{key}",
-            cb=self._on_record,
-            pending_msgs_limit=_RECORD_LIMITS[0],
-            pending_bytes_limit=_RECORD_LIMITS[1],
-        )
+        return await self._listen(f"pica.record.{key}", self._on_record, _RECORD_LIMITS)
 
     async def _work(self) -> None:
         """Make requests, one after the other."""
@@ -397,7 +392,7 @@ class Cluster:
                         break
             except (nats.errors.Error, TimeoutError, OSError):
                 self._hub.stats.cluster["unsent"] += 1
-            if self._hub.forwarding.has_ready_links:  # NATS is slow: not a turn later, but soon
+            if self._hub.forwarding.ready_links:  # NATS is slow: not a turn later, but soon
                 await asyncio.sleep(0.005)
                 self._has_media.set()
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from pica_protocol.errors import CloseCode
-from pica_protocol.messages import Join, Peer, Whisper
+from pica_protocol.messages import Join, Whisper
 from pica_server.auth.tokens import Admission
 from pica_server.cluster import messages
 from pica_server.cluster.exchanges import ClusterExchanges
@@ -32,7 +32,7 @@ from pica_server.cluster.room import (
 from pica_server.errors import ClusterMessageError
 from pica_server.room.connection import Connection
 from pica_server.room.hub import Hub
-from pica_server.room.room import Room
+from pica_server.room.room import Room, as_peer
 
 TICK_S: Final = 0.25
 """Between two looks at who lives."""
@@ -141,17 +141,8 @@ class ClusterNode:
         """Find a place for somebody; see `ClusterPeers`."""
         shared = self._room(join.room)
         tracks = tuple(replace(t, stream=self._new_stream(shared)) for t in join.tracks)
-        name = admission.name or join.name
         self._places[connection.peer_id] = _Place(connection, shared, admission)
-        peer = Peer(
-            peer_id=connection.peer_id,
-            name=name,
-            tracks=tracks,
-            metadata=join.metadata,
-            identity=admission.identity,
-            is_name_assured=bool(admission.name),
-        )
-        shared.join(peer, now)
+        shared.join(as_peer(connection.peer_id, join, admission, tracks), now)
         self._dirty[shared.key] = None
 
     def leave(self, connection: Connection, reason: str) -> None:

@@ -26,7 +26,7 @@ from websockets.exceptions import ConnectionClosed
 from pica_protocol import SUBPROTOCOL
 from pica_protocol.errors import CloseCode
 from pica_server.config.relay import RelayConfig
-from pica_server.net.socket import RelaySocket, websocket_message
+from pica_server.net.socket import RelaySocket, set_tcp_option, websocket_message
 from pica_server.room.connection import Connection
 from pica_server.room.hub import Hub
 from pica_server.room.outbox import OutboundMessage
@@ -99,7 +99,12 @@ class Pump:
 
     async def serve(self, websocket: RelaySocket) -> None:
         """Serve one websocket of a call until it has ended."""
-        _bound_kernel_buffer(websocket, _UNSENT_LIMIT_BYTES, self._config.send_buffer_bytes)
+        sock, num_bytes = (
+            websocket.transport.get_extra_info("socket"),
+            self._config.send_buffer_bytes,
+        )
+        set_tcp_option(sock, socket.SOL_SOCKET, socket.SO_SNDBUF, num_bytes)
+        _bound_unsent(websocket, _UNSENT_LIMIT_BYTES)
         began_s = self._now()
         connection = self._hub.connect(began_s, websocket.address)
         waker = self._wakers[connection] = _Waker(websocket)
@@ -345,21 +350,14 @@ class _Waker:
     def tighten(self) -> None:
         """Keep less in the kernel from now on: a voice behind it would come late."""
         self.is_tight = True
-        _bound_kernel_buffer(self.websocket, _VOICE_UNSENT_BYTES)
+        _bound_unsent(self.websocket, _VOICE_UNSENT_BYTES)
 
     def cancel_cut(self) -> None:
         if self._cut is not None:
             self._cut.cancel()
 
 
-def _bound_kernel_buffer(
-    websocket: ServerConnection, unsent_bytes: int, send_buffer_bytes: int | None = None
-) -> None:
-    sock = websocket.transport.get_extra_info("socket")
-    if sock is None or sock.family not in (socket.AF_INET, socket.AF_INET6):
-        return
-    with suppress(OSError):  # the peer may be gone already; the reader will find out
-        if send_buffer_bytes is not None:
-            sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, send_buffer_bytes)
-        if hasattr(socket, "TCP_NOTSENT_LOWAT"):
-            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, unsent_bytes)
+def _bound_unsent(websocket: ServerConnection, unsent_bytes: int) -> None:
+    if hasattr(socket, "TCP_NOTSENT_LOWAT"):
+        sock = websocket.transport.get_extra_info("socket")
+        set_tcp_option(sock, socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, unsent_bytes)

@@ -67,15 +67,20 @@ EXTRA_FRAMES_BURST: Final = 100.0
 """Pings, pongs and fragments, which no other limit sees (chosen: a ping a second is usual)."""
 
 
+def set_tcp_option(sock: socket.socket | None, level: int, option: int, value: int) -> None:
+    """Set an option of a socket, if that is one of TCP."""
+    if sock is not None and sock.family in (socket.AF_INET, socket.AF_INET6):
+        with suppress(OSError):  # the peer may be gone already; whoever reads will find out
+            sock.setsockopt(level, option, value)
+
+
 def bound_receive_buffer(sock: socket.socket | None, num_bytes: int) -> None:
     """Bound what the kernel holds for us of a connection, or of those that a listener will accept.
 
     Of a listener: a window that is made smaller after it was offered loses what comes into it, and
     senders find out by a timer that doubles.
     """
-    if sock is not None and sock.family in (socket.AF_INET, socket.AF_INET6):
-        with suppress(OSError):  # the peer may be gone already
-            sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, num_bytes)
+    set_tcp_option(sock, socket.SOL_SOCKET, socket.SO_RCVBUF, num_bytes)
 
 
 class _GoneTransport(asyncio.Transport):
@@ -86,24 +91,14 @@ class _GoneTransport(asyncio.Transport):
         """Say that it is."""
         return True
 
-    def abort(self) -> None:
-        """Do nothing more."""
-
-    def close(self) -> None:
-        """Do nothing more."""
-
-    def write(self, data: bytes | bytearray | memoryview) -> None:
-        """Drop the bytes."""
-
     def get_write_buffer_size(self) -> int:
         """Return that nothing waits."""
         return 0
 
-    def pause_reading(self) -> None:
+    def write(self, *_: object) -> None:
         """Do nothing more."""
 
-    def resume_reading(self) -> None:
-        """Do nothing more."""
+    abort = close = pause_reading = resume_reading = write
 
 
 class RelaySocket(ServerConnection):

@@ -30,10 +30,6 @@ SOFTWARE = "pica-relay"
 _KNOWN_CODES = frozenset(map(int, CloseCode))
 
 
-def _nothing_more(_connection: Connection, _now: float) -> None:
-    """Stand in for those who keep more about a connection."""
-
-
 class Connections:
     """The connections of one relay.
 
@@ -60,7 +56,7 @@ class Connections:
         self.ready: dict[Connection, None] = {}
         self.first: dict[Connection, None] = {}
         self.timers: list[tuple[float, int, Connection]] = []
-        self.on_over: Callable[[Connection, float], None] = _nothing_more
+        self.on_over: Callable[[Connection, float], None] = lambda connection, now: None
         self.brake = Brake()
         self.is_draining = False
         self.cluster_peers: ClusterPeers | None = None

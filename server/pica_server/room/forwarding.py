@@ -26,12 +26,16 @@ NOTHING_DECODABLE: Final = -1
 
 
 class Forwarding:
-    """What passes through one relay."""
+    """What passes through one relay.
+
+    Attributes:
+        ready_links: Links to other nodes with something to send; whoever empties one takes it out.
+    """
 
     def __init__(self, connections: Connections) -> None:
         self._connections = connections
         self._stats = connections.stats
-        self._ready_links: dict[NodeLink, None] = {}
+        self.ready_links: dict[NodeLink, None] = {}
 
     def forward(self, connection: Connection, media: Media, now: float) -> None:
         """Take frames from their publisher, who is in a room."""
@@ -91,7 +95,7 @@ class Forwarding:
             for link in room.links.values():
                 wanted = link.put(frame)
                 if wanted is not None and wanted is not _DROPPED:
-                    self._ready_links[link] = None
+                    self.ready_links[link] = None
                     if wanted is not _WAITS:
                         needed[number, wanted] = None
             stats.frames_in += 1
@@ -235,23 +239,10 @@ class Forwarding:
         connections.send(receiver, replace(whisper, peer_id=sender), now)
         stats.whispers += 1
 
-    @property
-    def has_ready_links(self) -> bool:
-        """Whether something waits to go to another node."""
-        return bool(self._ready_links)
-
-    def ready_links(self) -> list[NodeLink]:
-        """Return the links to other nodes with something to send."""
-        return list(self._ready_links)
-
-    def done_with(self, link: NodeLink) -> None:
-        """Note that nothing waits in a link any more."""
-        self._ready_links.pop(link, None)
-
     def drop_link(self, room: Room, node: str) -> None:
         """Forget another node that has left a room."""
         link = room.links.pop(node)
-        self._ready_links.pop(link, None)
+        self.ready_links.pop(link, None)
 
     def resume_link(self, room: Room, link: NodeLink, number: int, now: float) -> None:
         """Give another node what was kept of a stream that it begins to read."""
@@ -259,6 +250,6 @@ class Forwarding:
         if stream is None or not stream.chain:
             return
         link.outbox.resume(number, stream.chain, is_whole=stream.is_whole, now=now)
-        self._ready_links[link] = None
+        self.ready_links[link] = None
         if not stream.is_whole:
             self.ask_for_keyframe(room, number, Put.KEYLESS.value, now)

@@ -117,15 +117,7 @@ class Membership:
         self._make_place(join.room, now)
         room = self._room(join.room)
         try:
-            joined = room.join(
-                connection.peer_id,
-                admission.name or join.name,
-                join.tracks,
-                identity=admission.identity,
-                is_name_assured=bool(admission.name),
-                may_subscribe=admission.may_subscribe,
-                metadata=join.metadata,
-            )
+            joined = room.join(connection.peer_id, join, admission)
         except RoomFullError:
             self.refuse(connection, join.room, now)
             return

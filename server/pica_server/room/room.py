@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from pica_protocol.limits import MAX_LAYER, MAX_STREAM
 from pica_protocol.messages import Join, Joined, Metadata, Peer, Track
 from pica_protocol.stream_queue import MAX_CHAIN_BYTES, MAX_CHAIN_FRAMES
+from pica_server.auth.tokens import Admission
 from pica_server.cluster.media import NodeLink
 from pica_server.errors import RoomFullError
 
@@ -75,6 +76,18 @@ class Stream:
                 self.is_whole = False
 
 
+def as_peer(peer_id: str, join: Join, admission: Admission, tracks: tuple[Track, ...]) -> Peer:
+    """Return somebody who joins, as the others see them; their tracks have their streams."""
+    return Peer(
+        peer_id=peer_id,
+        name=admission.name or join.name,
+        tracks=tracks,
+        metadata=join.metadata,
+        identity=admission.identity,
+        is_name_assured=bool(admission.name),
+    )
+
+
 class Room:
     """One room and the subscriptions of its members.
 
@@ -125,43 +138,17 @@ class Room:
         """Return a stream, or None if it has ended or never was."""
         return self._streams.get(number)
 
-    def join(
-        self,
-        peer_id: str,
-        name: str,
-        tracks: tuple[Track, ...],
-        *,
-        identity: str = "",
-        is_name_assured: bool = False,
-        may_subscribe: bool = True,
-        metadata: Metadata = (),
-    ) -> Joined:
-        """Let a peer in, allot streams to its tracks, and return what to tell it.
-
-        Args:
-            peer_id: Unique in the room.
-            name: What the others are shown.
-            tracks: What it publishes.
-            identity: Who it is for sure, or empty.
-            is_name_assured: Whether the name is as sure.
-            may_subscribe: Whether it gets anybody's frames.
-            metadata: What it says of itself.
+    def join(self, peer_id: str, join: Join, admission: Admission) -> Joined:
+        """Let somebody in, allot streams to their tracks, and return what to tell them.
 
         Raises:
             RoomFullError: The room has no place left.
         """
         if self.is_full:
             raise RoomFullError(f"room {self.name} is full: {self._capacity} peers")
-        own = tuple(replace(track, stream=self._new_stream(peer_id, track)) for track in tracks)
-        peer = Peer(
-            peer_id=peer_id,
-            name=name,
-            tracks=own,
-            metadata=metadata,
-            identity=identity,
-            is_name_assured=is_name_assured,
-        )
-        return self.enter(peer, may_subscribe=may_subscribe)
+        own = tuple(replace(t, stream=self._new_stream(peer_id, t)) for t in join.tracks)
+        peer = as_peer(peer_id, join, admission, own)
+        return self.enter(peer, may_subscribe=admission.may_subscribe)
 
     def enter(self, peer: Peer, *, may_subscribe: bool = True) -> Joined:
         """Let a peer in whose tracks have their streams, and return what to tell it."""

@@ -14,7 +14,6 @@ import asyncio
 import logging
 import socket
 from collections import Counter
-from contextlib import suppress
 from email.utils import formatdate
 from http import HTTPStatus
 from typing import Final
@@ -24,7 +23,7 @@ from websockets.http11 import Request, Response
 
 from pica_protocol.store import AVATARS_PATH, is_avatar_id
 from pica_server.errors import BusyError
-from pica_server.net.socket import RelaySocket
+from pica_server.net.socket import RelaySocket, set_tcp_option
 from pica_server.store.http import METHODS, Answer, answer_for, refusal
 from pica_server.store.pacing import Slots
 from pica_server.store.store import AvatarStore
@@ -121,7 +120,8 @@ class Downloads:
         data = await store.read(identity, position, min(position + READ_BYTES, end))
         websocket.note_opened()  # its handshake is over, so to say
         transport = websocket.transport
-        _bound_send_buffer(transport)
+        sock = transport.get_extra_info("socket")
+        set_tcp_option(sock, socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
         self._stats["downloads"] += 1
         self._transfers.add(websocket)
         try:
@@ -166,10 +166,3 @@ class Downloads:
             headers["Access-Control-Expose-Headers"] = exposed
         body = b"" if request.method == "HEAD" else answer.text.encode()
         return Response(answer.status, answer.status.phrase, headers, body)
-
-
-def _bound_send_buffer(transport: asyncio.Transport) -> None:
-    sock = transport.get_extra_info("socket")
-    if sock is not None and sock.family in (socket.AF_INET, socket.AF_INET6):
-        with suppress(OSError):  # the peer may be gone already
-            sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)

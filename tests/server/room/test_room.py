@@ -3,7 +3,8 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from pica_protocol.messages import Peer, Track
+from pica_protocol.messages import Join, Joined, Peer, Track
+from pica_server.auth.tokens import Admission
 from pica_server.errors import RoomFullError
 from pica_server.room.room import Room, Stream
 
@@ -13,16 +14,20 @@ FACE = Track(kind="face")
 CAPACITY = 4
 
 
+def join(room: Room, peer_id: str, name: str, tracks: tuple[Track, ...]) -> Joined:
+    return room.join(peer_id, Join(room=room.name, name=name, tracks=tracks), Admission())
+
+
 def room_of(*names: str) -> Room:
     room = Room("lobby", capacity=8)
     for name in names:
-        room.join(name, name, (FACE,))
+        join(room, name, name, (FACE,))
     return room
 
 
 def test_a_newcomer_is_told_who_is_here_and_which_streams_are_its_own() -> None:
     room = room_of("ada")
-    joined = room.join("bob", "Bob", (FACE, FACE))
+    joined = join(room, "bob", "Bob", (FACE, FACE))
     assert joined.peers == (
         Peer(peer_id="ada", name="ada", tracks=(Track(kind="face", stream=1),)),
     )
@@ -31,24 +36,24 @@ def test_a_newcomer_is_told_who_is_here_and_which_streams_are_its_own() -> None:
 
 def test_a_room_takes_no_more_than_its_capacity() -> None:
     room = Room("lobby", capacity=1)
-    room.join("ada", "Ada", ())
+    join(room, "ada", "Ada", ())
     with pytest.raises(RoomFullError, match="room lobby is full: 1 peers"):
-        room.join("bob", "Bob", ())
+        join(room, "bob", "Bob", ())
     assert len(room) == 1
 
 
 def test_a_stream_is_not_used_again_right_after_its_owner_left() -> None:
     room = room_of("ada")
     room.leave("ada")
-    assert room.join("bob", "Bob", (FACE,)).tracks[0].stream == 2
+    assert join(room, "bob", "Bob", (FACE,)).tracks[0].stream == 2
 
 
 def test_streams_wrap_around_those_in_use() -> None:
     room = room_of("ada")  # holds stream 1
     for _ in range(65_534):
-        room.join("guest", "Guest", (FACE,))
+        join(room, "guest", "Guest", (FACE,))
         room.leave("guest")
-    assert room.join("bob", "Bob", (FACE,)).tracks[0].stream == 2
+    assert join(room, "bob", "Bob", (FACE,)).tracks[0].stream == 2
 
 
 def test_a_wish_limits_the_layers_of_one_stream_for_one_peer() -> None:
@@ -126,9 +131,9 @@ class RoomMachine(RuleBasedStateMachine):
         peer_id = f"p{self.num_joins}"
         if len(self.present) == CAPACITY:
             with pytest.raises(RoomFullError):
-                self.room.join(peer_id, "name", (FACE,) * num_tracks)
+                join(self.room, peer_id, "name", (FACE,) * num_tracks)
             return
-        joined = self.room.join(peer_id, "name", (FACE,) * num_tracks)
+        joined = join(self.room, peer_id, "name", (FACE,) * num_tracks)
         assert [peer.peer_id for peer in joined.peers] == list(self.present)
         taken = {stream for streams in self.present.values() for stream in streams}
         own = [track.stream for track in joined.tracks]
