@@ -16,10 +16,15 @@ def edges(faces: Array) -> Array:
     return faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
 
 
+def face_normals(points: Array, faces: Array) -> Array:
+    """Normals of triangles in space, as long as twice their area. ``[F, 3]``."""
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    return np.cross(b - a, c - a)
+
+
 def areas(points: Array, faces: Array) -> Array:
     """Areas of triangles in space. ``[F]``."""
-    a, b, c = (points[faces[:, k]] for k in range(3))
-    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    return 0.5 * np.linalg.norm(face_normals(points, faces), axis=1)
 
 
 def signed_areas(points: Array, faces: Array) -> Array:
@@ -31,8 +36,7 @@ def signed_areas(points: Array, faces: Array) -> Array:
 
 def vertex_normals(points: FloatArray, faces: IntArray) -> Float64Array:
     """Unit normals of vertices, area weighted; 0 where no face is. float64 ``[V, 3]``."""
-    a, b, c = (points[faces[:, k]].astype(np.float64) for k in range(3))
-    across = np.repeat(np.cross(b - a, c - a), 3, axis=0)
+    across = np.repeat(face_normals(points.astype(np.float64), faces), 3, axis=0)
     sums = [np.bincount(faces.ravel(), across[:, axis], len(points)) for axis in range(3)]
     total = np.stack(sums, 1)
     return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-20)
@@ -51,7 +55,7 @@ def spread_samples(count: Int64Array) -> tuple[Int64Array, Float64Array, Float64
     return which, np.where(fold, 1 - u, u), np.where(fold, 1 - v, v)
 
 
-def components(faces: IntArray, count: int) -> Int64Array:
+def components(faces: Array, count: int) -> Int64Array:
     """Label of each vertex's connected component. int64 ``[count]``."""
     start, end = edges(faces).T
     graph = coo_array((np.ones(len(start), np.bool_), (start, end)), (count, count))
@@ -95,12 +99,11 @@ def nearest(points: Array, others: Array) -> tuple[Int64Array, Float64Array]:
 def unfolded(rest: Float64Array, moved: Float64Array, faces: IntArray) -> Float64Array:
     """Places moved away from others ``[V, 3]``, but less far where triangles would turn over."""
     here = faces[np.abs(moved - rest)[faces].max((1, 2)) > 1e-6]
-    before = np.cross(rest[here[:, 1]] - rest[here[:, 0]], rest[here[:, 2]] - rest[here[:, 0]])
+    before = face_normals(rest, here)
     keep = np.ones(len(rest))
     for _ in range(UNFOLDING):
         points = rest + (moved - rest) * keep[:, None]
-        a, b, c = (points[here[:, k]] for k in range(3))
-        now = np.cross(b - a, c - a)
+        now = face_normals(points, here)
         lengths = np.linalg.norm(now, axis=1) * np.linalg.norm(before, axis=1)
         folds = here[(now * before).sum(1) < LEAST_COSINE * lengths]
         if not len(folds):
