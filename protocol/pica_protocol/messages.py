@@ -339,25 +339,20 @@ class Bye(Checked):
             raise ValueError(f"bye.code must be one a close frame may carry, got {self.code}")
 
 
-Message = (
-    Hello
-    | Welcome
-    | Join
-    | Joined
-    | PeerJoined
+RoomNews = (
+    PeerJoined
     | PeerLeft
     | PeerAway
     | PeerBack
     | PeerUpdated
     | StreamMuted
-    | UpdateMetadata
-    | Leave
-    | Want
     | KeyframeRequest
-    | Report
     | Whisper
-    | Bye
 )
+"""What a relay says to who is in a room."""
+FromMember = Want | KeyframeRequest | Report | Whisper | UpdateMetadata
+"""What who is in a room says to the relay, but for ``Leave``."""
+Message = Hello | Welcome | Join | Joined | Leave | Bye | RoomNews | FromMember
 
 MESSAGE_TYPES: Final = cast(
     "dict[str, type[Message]]", {wire_name(cls): cls for cls in get_args(Message)}

@@ -30,7 +30,7 @@ What may be received in which state, and where it leads, stands in the two table
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, get_args
 
 from pica_protocol import PROTOCOL_VERSION
 from pica_protocol.codec import CONTROL_KIND, encode_message
@@ -39,23 +39,14 @@ from pica_protocol.frames import MEDIA_KIND, Frame, FrameSpan
 from pica_protocol.limits import clipped_reason, quoted
 from pica_protocol.messages import (
     Bye,
+    FromMember,
     Hello,
     Join,
     Joined,
-    KeyframeRequest,
     Leave,
     Message,
-    PeerAway,
-    PeerBack,
-    PeerJoined,
-    PeerLeft,
-    PeerUpdated,
-    Report,
-    StreamMuted,
-    UpdateMetadata,
-    Want,
+    RoomNews,
     Welcome,
-    Whisper,
 )
 
 HANDSHAKE_TIMEOUT_S: Final = 5.0
@@ -94,27 +85,12 @@ class Closed:
     """Another relay to go to, if the other side named one."""
 
 
-ClientEvent = (
-    Joined
-    | PeerJoined
-    | PeerLeft
-    | PeerAway
-    | PeerBack
-    | PeerUpdated
-    | StreamMuted
-    | KeyframeRequest
-    | Whisper
-    | Frame
-    | Closed
-)
-ServerEvent = Join | Want | KeyframeRequest | Report | Whisper | UpdateMetadata | Media | Closed
+ClientEvent = Joined | RoomNews | Frame | Closed
+ServerEvent = Join | FromMember | Media | Closed
 
 _Table = Mapping[State, Mapping[type, State]]
 
-_OF_A_ROOM: Final[tuple[type, ...]] = (
-    *(PeerJoined, PeerLeft, PeerAway, PeerBack, PeerUpdated),
-    *(StreamMuted, KeyframeRequest, Whisper, Media),
-)
+_OF_A_ROOM: Final[tuple[type, ...]] = (*get_args(RoomNews), Media)
 
 CLIENT_TABLE: Final[_Table] = {
     State.GREETING: {Welcome: State.JOINING},
@@ -130,9 +106,7 @@ SERVER_TABLE: Final[_Table] = {
     State.JOINING: {Join: State.DECIDING, Leave: State.CLOSED},
     State.DECIDING: {Leave: State.CLOSED},
     State.JOINED: {
-        **dict.fromkeys(
-            (Want, KeyframeRequest, Report, Whisper, UpdateMetadata, Media), State.JOINED
-        ),
+        **dict.fromkeys((*get_args(FromMember), Media), State.JOINED),
         Leave: State.CLOSED,
     },
     State.CLOSED: {},
