@@ -27,7 +27,7 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any, Self
+from typing import Annotated, Any, Self, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
@@ -74,20 +74,6 @@ MAX_STEP = 1 << 14
 MAX_GAIN = 128
 MAX_SYNTHESIS_SHIFT = 24
 
-_TYPES: Mapping[str, type[np.integer[Any]]] = {
-    "mean": np.int32,
-    "analysis": np.int16,
-    "synthesis": np.int16,
-    "synthesis_shift": np.int32,
-    "steps": np.int32,
-    "gains": np.int32,
-    "tables": np.uint16,
-    "table_index": np.uint8,
-    "header_tables": np.uint16,
-    "distance_tables": np.uint16,
-    "quality_table": np.uint16,
-}
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StreamProfile:
@@ -98,17 +84,17 @@ class StreamProfile:
             out of range; names it.
     """
 
-    mean: Array
-    analysis: Array
-    synthesis: Array
-    synthesis_shift: Array
-    steps: Array
-    gains: Array
-    tables: Array
-    table_index: Array
-    header_tables: Array
-    distance_tables: Array
-    quality_table: Array
+    mean: Annotated[Array, np.int32]
+    analysis: Annotated[Array, np.int16]
+    synthesis: Annotated[Array, np.int16]
+    synthesis_shift: Annotated[Array, np.int32]
+    steps: Annotated[Array, np.int32]
+    gains: Annotated[Array, np.int32]
+    tables: Annotated[Array, np.uint16]
+    table_index: Annotated[Array, np.uint8]
+    header_tables: Annotated[Array, np.uint16]
+    distance_tables: Annotated[Array, np.uint16]
+    quality_table: Annotated[Array, np.uint16]
 
     def __post_init__(self) -> None:
         shapes = profile_shapes({name: getattr(self, name).shape for name in _TYPES})
@@ -245,6 +231,12 @@ class StreamProfile:
         # 21 bits at most: exact in float32.
         latent: npt.NDArray[np.float32] = (units / (1 << LATENT_BITS)).astype(np.float32)
         return latent
+
+
+_TYPES: Mapping[str, type[np.integer[Any]]] = {
+    name: hint.__metadata__[0]
+    for name, hint in get_type_hints(StreamProfile, include_extras=True).items()
+}
 
 
 def profile_shapes(found: Mapping[str, tuple[int, ...]]) -> dict[str, tuple[int, ...]]:
