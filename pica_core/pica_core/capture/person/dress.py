@@ -16,9 +16,9 @@ from pica_core.capture.rig.features import Features, find_features
 from pica_core.capture.rig.guards import PoseGuard
 from pica_core.capture.rig.mesh import RigMesh
 from pica_core.capture.rig.skin import Growth
-from pica_core.capture.triangles import nearest, unfolded, vertex_normals
+from pica_core.capture.triangles import face_normals, nearest, unfolded, vertex_normals
 from pica_core.errors import CaptureError
-from pica_core.types import Array, BoolArray, Float64Array, IntArray
+from pica_core.types import Array, BoolArray, Float64Array
 
 BEARDS: dict[str, tuple[float, float, float]] = {
     "none": (0.0, 0.0, 0.0), "stubble": (0.0, 0.0, 0.0), "moustache": (1.0, 0.0, 3.0),
@@ -56,7 +56,8 @@ def dress(mesh: RigMesh, person: Person) -> Dressed:
     skin = mesh.of_part("skin")
     rest, style = mesh.rest_m, STYLES[person.hair]
     skin_faces = mesh.faces[mesh.part == MATERIALS.index("skin")]
-    normals = _normals(rest, skin_faces)
+    normals = vertex_normals(rest.astype(np.float32), skin_faces)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     inside = replace(mesh, part=features.part).of_part("mouth_bag")
     if features.mouth is not None:  # what faces the mouth's cavity is its lining, too
         offset = rest - [0.0, float(np.mean(features.mouth.y)), CAVITY_Z]
@@ -98,11 +99,6 @@ def dress(mesh: RigMesh, person: Person) -> Dressed:
         growth=Growth(hairs=hairs.astype(np.float32), strand=strand.astype(np.float32)),
         notes=tuple(notes),
     )
-
-
-def _normals(points: Float64Array, faces: IntArray) -> Float64Array:
-    found = vertex_normals(points.astype(np.float32), faces)
-    return found / np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-12)
 
 
 def grow_beard(
@@ -148,15 +144,8 @@ def _longer(values: Float64Array, more: int) -> Float64Array:
 
 def _without(mesh: RigMesh, gone: BoolArray) -> RigMesh:
     """A mesh without some faces; vertices stay."""
-    assert mesh.uv_faces is not None
-    keep = ~gone
-    return replace(
-        mesh,
-        faces=mesh.faces[keep],
-        uv_faces=mesh.uv_faces[keep],
-        part=mesh.part[keep],
-        material=mesh.material[keep],
-    )
+    kept = {name: getattr(mesh, name)[~gone] for name in ("faces", "uv_faces", "part", "material")}
+    return replace(mesh, **kept)
 
 
 def _add(mesh: RigMesh, more: Garment | Sheet, part: str) -> RigMesh:
@@ -164,9 +153,8 @@ def _add(mesh: RigMesh, more: Garment | Sheet, part: str) -> RigMesh:
     assert mesh.uv is not None
     assert mesh.uv_faces is not None
     points, faces, uv, uv_faces = more.points, more.faces, more.uv, more.uv_faces
-    a, b, c = (points[faces[:, k]] for k in range(3))
     # Rings of a sheet enclose a volume; those of a garment are open, and face away from the neck.
-    if (np.cross(b - a, c - a) * (a - points.mean(0))).sum() < 0:
+    if (face_normals(points, faces) * (points[faces[:, 0]] - points.mean(0))).sum() < 0:
         faces, uv_faces = faces[:, ::-1], uv_faces[:, ::-1]
     motion = np.zeros((len(mesh.motion_m), len(points), 3), np.float32)
     if isinstance(more, Sheet):

@@ -233,10 +233,7 @@ class ProceduralHead:
         self, points: FloatArray, values: FloatArray, side: float, name: str
     ) -> FloatArray:
         """Turn an eyeball against its fixed skirt; returns its pitch ``[N, 1]``."""
-        out, inwards, up, down = (
-            self._shape(values, f"eyeLook{key}{name}") for key in ("Out", "In", "Up", "Down")
-        )
-        yaw, pitch = gaze(side, out=out, inwards=inwards, up=up, down=down)
+        yaw, pitch = (angle[:, None] for angle in gaze(side, values))
         span = self.charts[f"eye_{name.lower()}"].span
         centre = (self._eye_mm * [side, 1.0, 1.0]).astype(np.float32)
         local = self._rest[span].astype(np.float32) - centre

@@ -35,19 +35,15 @@ class DrawnRig(PosedMesh, Protocol):
     @property
     def mesh(self) -> RigMesh:
         """The welded mesh at rest."""
-        ...
 
     @property
     def names(self) -> NameMap:
         """Which shapes it has."""
-        ...
 
     @property
     def features(self) -> Features:
         """Mouth, eyes and regions of the welded mesh."""
-        ...
 
     @property
     def chart(self) -> PackedChart:
         """What is drawn."""
-        ...

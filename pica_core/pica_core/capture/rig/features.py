@@ -15,7 +15,7 @@ import numpy.typing as npt
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES, NUM_ARKIT
 from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.rig.mesh import RigMesh
-from pica_core.capture.rig.visibility import FrontView, front_view, visibility
+from pica_core.capture.rig.visibility import FRONT_CELL_M, FrontView, front_view, visibility
 from pica_core.capture.rig.zones import find_ears, find_neck, hair_coverage
 from pica_core.capture.triangles import components, nearest
 from pica_core.errors import ShapeError
@@ -136,7 +136,7 @@ def _eye_gaps(mesh: RigMesh, view: FrontView, part: IntArray) -> tuple[Float64Ar
     height, width = is_eye.shape
     around = sum(padded[i : i + height, j : j + width] for i in range(5) for j in range(5))
     rows, columns = np.nonzero(is_eye & (around >= 12))
-    opening = np.stack([columns, rows], 1) * view.cell_m + view.origin_m + 0.5 * view.cell_m
+    opening = np.stack([columns, rows], 1) * FRONT_CELL_M + view.origin_m + 0.5 * FRONT_CELL_M
     for eye in mesh.eyes:
         here = opening[np.abs(opening - eye.centre_m[:2]).max(1) < 1.3 * eye.radius_m]
         if not len(here):
@@ -146,7 +146,7 @@ def _eye_gaps(mesh: RigMesh, view: FrontView, part: IntArray) -> tuple[Float64Ar
             (np.abs(offset[:, :2]).max(1) < 2.2 * eye.radius_m) & (offset[:, 2] > 0)
         )
         _, distance = nearest(mesh.rest_m[near, :2], here)
-        gap[near] = np.minimum(gap[near], np.maximum(distance - view.cell_m, 0.0))
+        gap[near] = np.minimum(gap[near], np.maximum(distance - FRONT_CELL_M, 0.0))
         # The canthi lie on the line between lids: what is above is the upper lid.
         tilt = np.array([0, eye.centre_m[1]])
         if len(here) > 20:

@@ -163,23 +163,14 @@ class RigHead:
         values = self._limits.apply(arkit)
         points: FloatArray = self._rest + (values[self._shapes] @ self._motion).reshape(-1, 3)
         for eye in self._turns:
-            points[eye.vertices] = _turned(eye, values)
+            yaw, pitch = gaze(eye.side, values.astype(np.float64))
+            points[eye.vertices] = turn(eye.local, yaw, pitch) + eye.centre
         self._guard.apply(points)
         return points[self.chart.source]
 
     def normals(self, vertices: FloatArray) -> FloatArray:
         """Unit vertex normals, area weighted, smooth across seams of the chart. ``[V, 3]``."""
         return vertex_normals(vertices, self._welded_faces)[self._welded].astype(np.float32)
-
-
-def _turned(eye: _Turn, values: FloatArray) -> FloatArray:
-    """An eyeball's vertices at a gaze."""
-    name = "Left" if eye.side > 0 else "Right"
-    out, inwards, up, down = (
-        float(values[ARKIT_INDEX[f"eyeLook{key}{name}"]]) for key in ("Out", "In", "Up", "Down")
-    )
-    yaw, pitch = gaze(eye.side, out=out, inwards=inwards, up=up, down=down)
-    return (turn(eye.local, yaw, pitch) + eye.centre).astype(np.float32)
 
 
 def make_rig(source: RigSource, table: dict[str, str | None] | None = None) -> RigHead:

@@ -7,11 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pica_core.capture.triangles import areas, spread_samples
+from pica_core.capture.triangles import areas, face_normals, spread_samples
 from pica_core.types import Float64Array, Int64Array, IntArray
 
 CELL_M = 0.003
 """Cells of the depth maps for `visibility`."""
+FRONT_CELL_M = 0.0005
+"""Cells of `FrontView`."""
 SAMPLES_PER_CELL = 4.0
 TOLERANCE_M = 0.004
 """How far behind the nearest sample a triangle may lie and still count as seen."""
@@ -28,11 +30,10 @@ class FrontView:
     face: Int64Array
     depth_m: Float64Array
     origin_m: Float64Array
-    cell_m: float
 
     def nearest_z(self, points: Float64Array) -> Float64Array:
         """Height z of the surface that is seen at these x and y; -inf beside it. ``[n]``."""
-        cell = ((points[:, :2] - self.origin_m) / self.cell_m).astype(np.int64)
+        cell = ((points[:, :2] - self.origin_m) / FRONT_CELL_M).astype(np.int64)
         rows, columns = self.face.shape
         inside = ((cell >= 0) & (cell < [columns, rows])).all(1)
         cell = np.clip(cell, 0, [columns - 1, rows - 1])
@@ -49,16 +50,15 @@ def _samples(
     return which, np.stack([1 - u - v, u, v], 1)
 
 
-def front_view(points: Float64Array, faces: IntArray, cell_m: float = 0.0005) -> FrontView:
-    """Draw the mesh from straight ahead, orthographically, in cells of `cell_m`."""
+def front_view(points: Float64Array, faces: IntArray) -> FrontView:
+    """Draw the mesh from straight ahead, orthographically, in cells of `FRONT_CELL_M`."""
     # Coarse triangles need samples by area, hidden ones none: what faces away is left out.
-    a, b, c = (points[faces[:, k]] for k in range(3))
-    ahead = np.flatnonzero(np.cross(b - a, c - a)[:, 2] > 0)
-    which, weights = _samples(points, faces[ahead], cell_m / 1.6)
+    ahead = np.flatnonzero(face_normals(points, faces)[:, 2] > 0)
+    which, weights = _samples(points, faces[ahead], FRONT_CELL_M / 1.6)
     at = np.einsum("nk,nkc->nc", weights, points[faces[ahead[which]]])
-    origin = points[:, :2].min(0) - cell_m
-    size = np.ceil((points[:, :2].max(0) - origin) / cell_m).astype(np.int64) + 1
-    cell = ((at[:, :2] - origin) / cell_m).astype(np.int64)
+    origin = points[:, :2].min(0) - FRONT_CELL_M
+    size = np.ceil((points[:, :2].max(0) - origin) / FRONT_CELL_M).astype(np.int64) + 1
+    cell = ((at[:, :2] - origin) / FRONT_CELL_M).astype(np.int64)
     flat = cell[:, 1] * size[0] + cell[:, 0]
     order = np.argsort(at[:, 2], kind="stable")  # the nearest sample is written last
     face = np.full(size[0] * size[1], -1, np.int64)
@@ -66,9 +66,7 @@ def front_view(points: Float64Array, faces: IntArray, cell_m: float = 0.0005) ->
     face[flat[order]] = ahead[which[order]]
     depth[flat[order]] = at[order, 2]
     shape = (int(size[1]), int(size[0]))
-    return FrontView(
-        face=face.reshape(shape), depth_m=depth.reshape(shape), origin_m=origin, cell_m=cell_m
-    )
+    return FrontView(face=face.reshape(shape), depth_m=depth.reshape(shape), origin_m=origin)
 
 
 def _directions() -> Float64Array:
@@ -89,7 +87,7 @@ def visibility(poses: list[Float64Array], faces: IntArray) -> Float64Array:
     which, weights = _samples(poses[0], faces, spacing)
     for points in poses:
         corner = points[faces]
-        normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+        normal = face_normals(points, faces)
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-20)
         centre = corner.mean(1)
         at = np.einsum("nk,nkc->nc", weights, corner[which])

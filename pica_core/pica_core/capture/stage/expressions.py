@@ -239,6 +239,8 @@ def lids_and_gaze(random: Generator, frames: int) -> FloatArray:
 KINDS = (
     ("ROM", range_of_motion), ("SEN", sentence), ("EXP", combinations), ("ODD", crowded),
 )  # fmt: skip
+TEST_SHARE = 0.15
+"""Share of the frames that are in held-out takes."""
 EYE_SHARE = 1 / 6
 """Share of the frames that go to takes of the eyes alone."""
 TAKE_FRAMES = 40
@@ -250,14 +252,14 @@ HISTORY = 3
 FIRST_TEST_TAKE = 500
 
 
-def sample_takes(num_frames: int, seed: int, test_share: float = 0.15) -> list[Take]:
+def sample_takes(num_frames: int, seed: int) -> list[Take]:
     """Plan a capture: takes with `num_frames` (at least 4) captured frames in all.
 
     A sixth of the frames is for the eyes alone, the rest in about equal shares per kind. The first
-    frame of the first take is the neutral face; `test_share` of the frames are in held-out takes.
+    frame of the first take is the neutral face; `TEST_SHARE` of the frames are in held-out takes.
     """
     num_eyes = int(num_frames * EYE_SHARE)
-    num_test = max(round((num_frames - num_eyes) * test_share), 1)
+    num_test = max(round((num_frames - num_eyes) * TEST_SHARE), 1)
     quota = {"train": num_frames - num_eyes - num_test, "test": num_test}
     takes: list[Take] = []
     for split, total in quota.items():
@@ -267,7 +269,7 @@ def sample_takes(num_frames: int, seed: int, test_share: float = 0.15) -> list[T
         for (label, make), count in zip(kinds, per_kind, strict=True):
             takes += _takes(label, make, count, split, seed)
     takes[0].arkit[0] = takes[0].history[0] = 0.0
-    num_test_eyes = round(num_eyes * test_share)
+    num_test_eyes = round(num_eyes * TEST_SHARE)
     for split, count in (("train", num_eyes - num_test_eyes), ("test", num_test_eyes)):
         takes += _takes("EYE", lids_and_gaze, count, split, seed)
     return takes

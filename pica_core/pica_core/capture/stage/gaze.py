@@ -1,21 +1,22 @@
 """How eyeballs turn: what the ARKit look shapes mean in angles, for every kind of head."""
 
-from typing import TypeVar
-
 import numpy as np
 
+from pica_core.avatar.arkit import ARKIT_INDEX
 from pica_core.types import Array, FloatArray
-
-Value = TypeVar("Value", float, FloatArray)
 
 EYE_YAW, EYE_PITCH_UP, EYE_PITCH_DOWN = np.radians([35.0, 25.0, 28.0])
 """Gaze at a look shape of 1, radians."""
 
 
-def gaze(side: float, *, out: Value, inwards: Value, up: Value, down: Value) -> tuple[Value, Value]:
-    """Yaw and pitch of one eye, radians; `side` is 1 for the left eye, -1 for the right."""
-    yaw = side * EYE_YAW * (out - inwards)
-    return yaw, EYE_PITCH_UP * up - EYE_PITCH_DOWN * down
+def gaze(side: float, values: Array) -> tuple[Array, Array]:
+    """Yaw and pitch of one eye at ARKit values ``[..., 52]``, radians ``[...]``; `side` is 1 for
+    the left eye, -1 for the right."""
+    name = "Left" if side > 0 else "Right"
+    out, inwards, up, down = (
+        values[..., ARKIT_INDEX[f"eyeLook{way}{name}"]] for way in ("Out", "In", "Up", "Down")
+    )
+    return side * EYE_YAW * (out - inwards), EYE_PITCH_UP * up - EYE_PITCH_DOWN * down
 
 
 def turn(offsets: FloatArray, yaw: Array | float, pitch: Array | float) -> Array:

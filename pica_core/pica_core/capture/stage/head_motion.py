@@ -18,17 +18,15 @@ LIMIT = 2.0
 """Signals are held within so many standard deviations."""
 
 
-class HeadMotion:
-    """Head poses of one take of a capture, by the capture's seed and the take's number."""
+def head_to_world(seed: int, take: int, time_s: float) -> Float64Array:
+    """A head's pose in a take of a capture, by the capture's seed and the take's number.
 
-    def __init__(self, seed: int, take: int) -> None:
-        random = np.random.default_rng([seed, 0x4EAD, take])
-        self._signals = TimeWaves(random, 6, SCALE_S)
-
-    def head_to_world(self, time_s: float) -> Float64Array:
-        """Rotation and translation (metres) from head frame to world. float64 ``[3, 4]``."""
-        values = LIMIT * np.tanh(self._signals.at(time_s) / LIMIT)
-        rotation = Rotation.from_rotvec(np.radians(TURN_DEG) * values[:3]).as_matrix()
-        pivot = np.array(PIVOT_M)
-        shift = pivot - rotation @ pivot + SHIFT_M * values[3:]
-        return np.concatenate([rotation, shift[:, None]], axis=1)
+    Returns:
+        Rotation and translation (metres) from head frame to world. float64 ``[3, 4]``.
+    """
+    signals = TimeWaves(np.random.default_rng([seed, 0x4EAD, take]), 6, SCALE_S)
+    values = LIMIT * np.tanh(signals.at(time_s) / LIMIT)
+    rotation = Rotation.from_rotvec(np.radians(TURN_DEG) * values[:3]).as_matrix()
+    pivot = np.array(PIVOT_M)
+    shift = pivot - rotation @ pivot + SHIFT_M * values[3:]
+    return np.concatenate([rotation, shift[:, None]], axis=1)

@@ -9,14 +9,13 @@ import numpy as np
 
 from pica_core.avatar.arkit import ARKIT_NAMES, NUM_ARKIT
 from pica_core.capture.dataset.files import Take, read_bytes
+from pica_core.capture.stage.expressions import HISTORY
 from pica_core.errors import CaptureError
 from pica_core.types import Array, FloatArray
 
 MAX_ROWS = 1_000_000
 HIGHEST = 1.05
 """Largest value in seven real recordings; more is cut off."""
-HISTORY = 3
-"""How many moments before each one are kept, as `expressions.HISTORY`."""
 
 
 def read_own_take(path: Path) -> FloatArray:

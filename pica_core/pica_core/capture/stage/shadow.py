@@ -46,11 +46,9 @@ class PosedMesh(Protocol):
 
     def vertices(self, arkit: npt.ArrayLike) -> FloatArray:
         """Vertices of a pose, head frame, metres. float32 ``[V, 3]``."""
-        ...
 
     def normals(self, vertices: FloatArray) -> FloatArray:
         """Unit normals of posed vertices. float32 ``[V, 3]``."""
-        ...
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -29,7 +29,7 @@ from pica_core.capture.dataset.writer import (
 from pica_core.capture.stage.dome import EVALUATION_VIEWS, LENSES, dome_cameras
 from pica_core.capture.stage.expressions import RATE_HZ, STRIDE, blend, sample_takes
 from pica_core.capture.stage.gpu import View
-from pica_core.capture.stage.head_motion import HeadMotion
+from pica_core.capture.stage.head_motion import head_to_world
 from pica_core.capture.stage.mvs_depth import MvsErrors, find_depth
 from pica_core.capture.stage.own_take import own_take, read_own_take
 from pica_core.capture.stage.subject import Subject
@@ -162,7 +162,7 @@ class _Rendering:
         """Draw and write one frame; its tracked mesh comes last."""
         frame, time_s = f"{index:06d}", index * STRIDE / RATE_HZ
         lagged, exact = self._pose(take, index)
-        pose = HeadMotion(self.options.seed, number).head_to_world(time_s)
+        pose = head_to_world(self.options.seed, number, time_s)
         views = []
         for place, camera in enumerate(self.cameras):
             in_head = camera.in_head(pose)

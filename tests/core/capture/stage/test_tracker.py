@@ -9,7 +9,7 @@ from pica_core.camera import look_at
 from pica_core.capture.dataset.dataset import Topology
 from pica_core.capture.procedural.heads import ProceduralHead, make_head
 from pica_core.capture.stage.expressions import blend, sample_takes
-from pica_core.capture.stage.head_motion import HeadMotion
+from pica_core.capture.stage.head_motion import head_to_world
 from pica_core.capture.stage.mvs_depth import MvsErrors, find_depth
 from pica_core.capture.stage.tracked_topology import track_topology
 from pica_core.capture.stage.tracker import LIMIT_MM, SimulatedTracker, lagged_arkit
@@ -180,8 +180,7 @@ def test_the_stated_share_of_found_depth_is_far_off() -> None:
 
 
 def test_a_head_moves_a_little_and_smoothly() -> None:
-    motion = HeadMotion(0, 4)
-    poses = np.stack([motion.head_to_world(k / 30) for k in range(300)])
+    poses = np.stack([head_to_world(0, 4, k / 30) for k in range(300)])
     turns = poses[:, :, :3]
     np.testing.assert_allclose(
         turns @ turns.transpose(0, 2, 1), np.broadcast_to(np.eye(3), turns.shape), atol=1e-12
@@ -189,14 +188,14 @@ def test_a_head_moves_a_little_and_smoothly() -> None:
     nose = poses @ np.array([0, 0, 0.1, 1.0])
     assert 0.002 < nose.std(axis=0).max() < 0.03
     assert np.linalg.norm(np.diff(nose, axis=0), axis=1).max() < 0.006
-    assert not np.allclose(poses[0], HeadMotion(0, 5).head_to_world(0))
+    assert not np.allclose(poses[0], head_to_world(0, 5, 0))
 
 
 def test_a_camera_in_head_axes_sees_a_moved_head_as_the_world_does() -> None:
     camera = look_at(
         centre_m=(0.3, 0.1, 1), target_m=(0, 0, 0), vertical_fov=0.4, width=64, height=48
     )
-    pose = HeadMotion(1, 0).head_to_world(0.5)
+    pose = head_to_world(1, 0, 0.5)
     points = np.random.default_rng(0).uniform(-0.1, 0.1, (20, 3))
     in_world, _ = camera.project(points @ pose[:, :3].T + pose[:, 3])
     in_head, _ = camera.in_head(pose).project(points)
