@@ -105,9 +105,8 @@ def look_at(
     vertical_fov: float,
     width: int,
     height: int,
-    up: npt.ArrayLike = (0.0, 1.0, 0.0),
 ) -> Camera:
-    """A camera at `centre_m` that looks at `target_m`.
+    """A camera at `centre_m` that looks at `target_m`; the world's y points up in its image.
 
     Args:
         name: Camera name.
@@ -116,16 +115,14 @@ def look_at(
         vertical_fov: Full vertical field of view, radians.
         width: Image columns, pixels.
         height: Image rows, pixels.
-        up: World direction that points up in the image; must not be parallel to the viewing
-            direction.
 
     Raises:
-        ValueError: `centre_m` equals `target_m`, or the viewing direction is parallel to `up`.
+        ValueError: `centre_m` equals `target_m`, or the camera looks straight up or down.
     """
     centre = np.asarray(centre_m, np.float64)
     forward = np.asarray(target_m, np.float64) - centre
     distance = float(np.linalg.norm(forward))
-    right = np.cross(forward, np.asarray(up, np.float64))
+    right = np.cross(forward, (0.0, 1.0, 0.0))
     sideways = float(np.linalg.norm(right))
     if distance == 0 or sideways < 1e-9 * distance:
         raise ValueError(f"look_at from {centre} along {forward}: no direction is to the right")

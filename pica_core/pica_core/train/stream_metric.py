@@ -7,8 +7,6 @@ inner products, averaged over faces and views, the metric. Silhouettes count: wh
 background changes pixels too.
 """
 
-from dataclasses import dataclass, field
-
 import numpy as np
 import torch
 from torch import Tensor
@@ -16,7 +14,7 @@ from torch import Tensor
 from pica_core.camera import Camera
 from pica_core.capture.stage.dome import dome_cameras
 from pica_core.capture.stage.stream_training_faces import stream_training_performances
-from pica_core.codec.learning import LearningConfig, RenderMetric, learn_profile
+from pica_core.codec.learning import RenderMetric, learn_profile
 from pica_core.codec.profile import StreamProfile
 from pica_core.latent import LATENT_SHAPE, NUM_LATENT
 from pica_core.train.painter import ModelPainter
@@ -29,44 +27,30 @@ REACH = 0.5
 differences between frames go."""
 LEAST_REACH = 0.05
 """Below, pixels that change owner by chance drown what the direction does."""
+FACES = 12
+"""Faces that the metric is averaged over (chosen, as what follows)."""
+DIRECTIONS = 64
+"""Principal directions of the codes that it speaks of."""
+VIEWS = ("front", "left")
+"""Names of the stage's evaluation views that the pictures are drawn from."""
+IMAGE_SIZE = 192
+"""Rows and columns of the pictures."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class StreamOptions:
-    """How a stream's tables are made at export."""
-
-    faces: int = 12
-    """Faces that the metric is averaged over."""
-    directions: int = 64
-    """Principal directions of the codes that it speaks of."""
-    views: tuple[str, ...] = ("front", "left")
-    """Names of the stage's evaluation views that the pictures are drawn from."""
-    image_size: int = 192
-    """Rows and columns of the pictures."""
-    rounds: int = 36
-    """Performances of each kind to learn from."""
-    learning: LearningConfig = field(default_factory=LearningConfig)
-    seed: int = 0
-
-
-def make_stream_profile(
-    painter: ModelPainter, options: StreamOptions | None = None
-) -> StreamProfile:
+def make_stream_profile(painter: ModelPainter) -> StreamProfile:
     """Learn the stream of a trained avatar from codes as a live sender makes them.
 
     Args:
         painter: Draws the trained model, whose expression encoder makes the codes.
-        options: See `StreamOptions`.
     """
-    options = options or StreamOptions()
     with torch.no_grad():
         sequences = [
             painter.model.expression_encoder(torch.from_numpy(arkit)).permute(0, 2, 3, 1).numpy()
-            for arkit in stream_training_performances(options.rounds, seed=options.seed)
+            for arkit in stream_training_performances()
         ]
         codes = np.concatenate(sequences).reshape(-1, NUM_LATENT).astype(np.float64)
-        metric = _measure(painter, codes, options)
-    return learn_profile(sequences, metric, options.learning)
+        metric = _measure(painter, codes)
+    return learn_profile(sequences, metric)
 
 
 def _paint(painter: ModelPainter, code: Float64Array, cameras: list[Camera]) -> tuple[Tensor, int]:
@@ -81,21 +65,20 @@ def _paint(painter: ModelPainter, code: Float64Array, cameras: list[Camera]) -> 
     return torch.cat(values), covered
 
 
-def _measure(painter: ModelPainter, codes: Float64Array, options: StreamOptions) -> RenderMetric:
-    size = options.image_size
-    by_name = {camera.name: camera for camera in dome_cameras(5, size, size)}
-    cameras = [by_name[name] for name in options.views]
+def _measure(painter: ModelPainter, codes: Float64Array) -> RenderMetric:
+    by_name = {camera.name: camera for camera in dome_cameras(5, IMAGE_SIZE, IMAGE_SIZE)}
+    cameras = [by_name[name] for name in VIEWS]
 
     def paint(code: Float64Array) -> Tensor:
         return _paint(painter, code, cameras)[0]
 
-    rng = np.random.default_rng(options.seed)
+    rng = np.random.default_rng(0)
     variance, axes = np.linalg.eigh(np.cov(codes.T, bias=True))
-    largest = np.argsort(variance)[::-1][: options.directions]
+    largest = np.argsort(variance)[::-1][:DIRECTIONS]
     directions = axes.T[largest]
     reach = np.maximum(REACH * np.sqrt(np.maximum(variance[largest], 0)), LEAST_REACH)
     gram = np.zeros((len(directions), len(directions)))
-    for code in codes[rng.choice(len(codes), options.faces, replace=False)]:
+    for code in codes[rng.choice(len(codes), FACES, replace=False)]:
         covered = _paint(painter, code, cameras)[1]
         slopes = torch.stack(
             [
@@ -104,4 +87,4 @@ def _measure(painter: ModelPainter, codes: Float64Array, options: StreamOptions)
             ]
         )
         gram += (slopes @ slopes.T).numpy().astype(np.float64) / (3 * covered)
-    return RenderMetric(directions, gram / options.faces)
+    return RenderMetric(directions, gram / FACES)

@@ -1,7 +1,6 @@
 """The images of a capture behind a cache of bounded size, and the cameras that took them."""
 
-from dataclasses import replace
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 import torch
@@ -13,11 +12,12 @@ from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.dataset.reader import CaptureReader, Request
 from pica_core.errors import CaptureError
 from pica_core.model.encoder import resize_texture
-from pica_core.train.data.bounded import Bounded
 from pica_core.types import FloatArray, Image
 
 IMAGE_CACHE_BYTES = 4 << 30
 """Decoded images, depth and textures kept in memory; the least recently used go first."""
+MAX_TEXTURES = 2048
+"""The same of textures as tensors: 0.8 MB each at 256 x 256."""
 
 
 class ImageCache:
@@ -38,7 +38,7 @@ class ImageCache:
         named = capture.info.get("evaluation_views", [])
         views = [name for name in self.camera_names if name in named]
         self.evaluation_views = views or self.camera_names
-        self._textures: Bounded[tuple[int, int], Tensor] = Bounded(self._texture_of)
+        self._texture = lru_cache(MAX_TEXTURES)(self._texture_of)
         self._cameras_of: dict[int, tuple[str, ...]] = {}
         self._backgrounds: dict[str, FloatArray] = {}
         self._head_pose = cache(lambda frame: capture.head_to_world(capture.frames[frame]))
@@ -60,7 +60,7 @@ class ImageCache:
 
     def textures(self, frames: list[int], size: int) -> Tensor:
         """Average textures of frames, about [-1, 1], ``[N, 3, size, size]``."""
-        return torch.stack([self._textures[frame, size] for frame in frames])
+        return torch.stack([self._texture(frame, size) for frame in frames])
 
     def background(self, frame: int, camera: str) -> FloatArray:
         """Colour of what is not the head: the median over the mask's empty pixels, 0 to 1, ``[3]``.
@@ -104,12 +104,7 @@ class ImageCache:
 
     def camera(self, frame: int, name: str) -> Camera:
         """The camera of an image in the frame's head axes: head to camera."""
-        camera, pose = self._capture.camera(name), self._head_pose(frame)
-        return replace(
-            camera,
-            rotation=camera.rotation @ pose[:, :3],
-            translation_m=camera.rotation @ pose[:, 3] + camera.translation_m,
-        )
+        return self._capture.camera(name).in_head(self._head_pose(frame))
 
     def _has_depth(self, frame: int, camera: str) -> bool:
         return self._capture.has_depth and self._has("depth", frame, camera)
@@ -119,8 +114,7 @@ class ImageCache:
         path = multiface.image_path(kind, where.segment, camera, where.name)
         return (self._capture.path / path).is_file()
 
-    def _texture_of(self, key: tuple[int, int]) -> Tensor:
-        frame, size = key
+    def _texture_of(self, frame: int, size: int) -> Tensor:
         stored = torch.from_numpy(self.reader.read(Request("texture", frame)).copy())
         texture = stored.permute(2, 0, 1)[None].to(torch.float32) / 127.5 - 1
         return resize_texture(texture, size)[0]

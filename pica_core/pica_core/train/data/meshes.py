@@ -5,6 +5,7 @@ same. The best meshes there are: exact ones; without them the tracked ones, thro
 maps where they are of another topology.
 """
 
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -14,12 +15,13 @@ from torch import Tensor
 from pica_core.avatar.variants import TopologyName
 from pica_core.capture.dataset.dataset import Capture, Topology
 from pica_core.model.decoders import sample_map
-from pica_core.train.data.bounded import Bounded
 from pica_core.train.data.uv_raster import rasterise_uv
 from pica_core.types import BoolArray, FloatArray
 
 IMPORTANT_REGIONS = ("mouth", "lips", "eyes", "eyeballs", "lids", "teeth", "tongue")
 """Vertex regions of a capture's topology that are small on the map and large to the eye."""
+MAX_MAPS = 2048
+"""Maps of meshes kept in memory, 0.8 MB each; the least recently used go first."""
 MeshSource = Literal["truth", "tracked"]
 
 
@@ -64,7 +66,7 @@ class CaptureMeshes:
         self.position_scale_m = float(np.sqrt(np.square(train - self.dense_mean_m).mean()) * 2)
         self.source: MeshSource = "truth" if capture.has_truth else "tracked"
         self._true_tracked: dict[int, FloatArray] = {}
-        self._maps: Bounded[tuple[int, MeshSource], FloatArray] = Bounded(self._map_of)
+        self._map = lru_cache(MAX_MAPS)(self._map_of)
 
     def use(self, source: MeshSource) -> bool:
         """Choose what encoder and mesh loss are given: exact meshes or the tracker's.
@@ -145,11 +147,10 @@ class CaptureMeshes:
     def position_maps(self, frames: list[int]) -> Tensor:
         """What encoders see of a frame's shape: offsets from the mean, in position scales, as maps
         ``[N, 3, S, S]``; of the meshes that `source` names."""
-        maps = np.stack([self._maps[frame, self.source] for frame in frames])
+        maps = np.stack([self._map(frame, self.source) for frame in frames])
         return torch.from_numpy(maps).permute(0, 3, 1, 2).contiguous()
 
-    def _map_of(self, key: tuple[int, MeshSource]) -> FloatArray:
-        frame, source = key
+    def _map_of(self, frame: int, source: MeshSource) -> FloatArray:
         if source == "tracked":
             offset, raster = self.tracked_m[frame] - self.tracked_mean_m, self._tracked_raster
         else:
@@ -164,10 +165,7 @@ class CaptureMeshes:
 
 def important_vertices(topology: Topology) -> BoolArray:
     """Which vertices are of `IMPORTANT_REGIONS`. bool ``[V]``."""
-    important = np.zeros(len(topology.vertex_uv), bool)
-    for name in IMPORTANT_REGIONS:
-        if name in topology.regions:
-            important |= topology.regions[name]
+    important: BoolArray = np.logical_or.reduce([topology.region(n) for n in IMPORTANT_REGIONS])
     return important
 
 
@@ -176,8 +174,7 @@ def vertex_importance(
 ) -> FloatArray:
     """How much an error of each vertex counts: mouth and eyes above the rest, lids most. ``[V]``"""
     weights = np.where(important_vertices(topology), region_weight, 1.0).astype(np.float32)
-    if "lids" in topology.regions:
-        weights[topology.regions["lids"]] = lid_weight
+    weights[topology.region("lids")] = lid_weight
     return weights
 
 

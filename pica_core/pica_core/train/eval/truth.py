@@ -18,13 +18,13 @@ from typing import NamedTuple
 import numpy as np
 
 from pica_core.camera import Camera, look_at
-from pica_core.capture.dataset.dataset import Capture, Topology
+from pica_core.capture.dataset.dataset import Capture, CaptureFrame, Topology
 from pica_core.capture.procedural.heads import HEADS
 from pica_core.capture.procedural.subject import ProceduralSubject
 from pica_core.train.data.training import TrainingData
 from pica_core.train.eval.metrics import mse
 from pica_core.train.rasterise import Rasteriser
-from pica_core.types import ByteArray, Float64Array, FloatArray, Int64Array
+from pica_core.types import ByteArray, Float64Array, FloatArray, Int64Array, IntArray
 
 DEPTH_CAP_MM = 20.0
 REGIONS = ("mouth", "eyes", "rest")
@@ -86,9 +86,7 @@ def face_regions(topology: Topology) -> ByteArray:
     uint8 ``[F]``."""
     found = np.full(len(topology.faces), _REST, np.uint8)
     for index in range(_REST - 1, -1, -1):
-        mask = topology.regions.get(REGIONS[index])
-        if mask is not None:
-            found[mask[topology.faces].any(1)] = index
+        found[topology.region(REGIONS[index])[topology.faces].any(1)] = index
     return found
 
 
@@ -96,16 +94,8 @@ def true_views(data: TrainingData, frames: list[int]) -> dict[tuple[int, str], T
     """The true mesh of frames from the evaluation views. Makes and releases a GL context."""
     capture = data.capture
     region_of_face = np.append(face_regions(capture.topology), np.uint8(_NOTHING))
-    views: dict[tuple[int, str], TrueView] = {}
-    with Rasteriser.of(capture.topology) as rasteriser:
-        for frame in frames:
-            vertices_m = capture.true_vertices_m(capture.frames[frame])
-            for name in data.images.evaluation_views:
-                camera = data.images.camera(frame, name)
-                ids = rasteriser.triangle_ids(vertices_m, camera)
-                depth_m = rasteriser.batch_depths_m([camera])[0]
-                views[frame, name] = TrueView(region_of_face[ids], depth_m)
-    return views
+    drawn = _drawn(data, frames, capture.topology, capture.true_vertices_m)
+    return {place: TrueView(region_of_face[ids], depth_m) for place, ids, depth_m in drawn}
 
 
 def tracked_errors(
@@ -113,16 +103,26 @@ def tracked_errors(
 ) -> DepthErrors:
     """How far the tracked mesh itself lies from the truth. Makes and releases a GL context."""
     capture, errors = data.capture, DepthErrors()
-    with Rasteriser.of(capture.tracked_topology) as rasteriser:
+    for place, ids, depth_m in _drawn(data, frames, capture.tracked_topology, capture.vertices_m):
+        pixels = np.flatnonzero(ids >= 0)
+        errors.add(truth[place], pixels, depth_m.reshape(-1)[pixels])
+    return errors
+
+
+def _drawn(
+    data: TrainingData,
+    frames: list[int],
+    topology: Topology,
+    vertices_of: Callable[[CaptureFrame], FloatArray],
+) -> Iterator[tuple[tuple[int, str], IntArray, FloatArray]]:
+    """Meshes of frames from the evaluation views: frame and view, triangles, depths in metres."""
+    with Rasteriser.of(topology) as rasteriser:
         for frame in frames:
-            vertices_m = capture.vertices_m(capture.frames[frame])
+            vertices_m = vertices_of(data.capture.frames[frame])
             for name in data.images.evaluation_views:
                 camera = data.images.camera(frame, name)
                 ids = rasteriser.triangle_ids(vertices_m, camera)
-                pixels = np.flatnonzero(ids >= 0)
-                depth_m = rasteriser.batch_depths_m([camera])[0].reshape(-1)[pixels]
-                errors.add(truth[frame, name], pixels, depth_m)
-    return errors
+                yield (frame, name), ids, rasteriser.batch_depths_m([camera])[0]
 
 
 def near_camera(capture: Capture, vertices_m: FloatArray) -> Camera:

@@ -19,7 +19,7 @@ from pica_core.avatar.file import Avatar
 from pica_core.avatar.levels import JUDGED, NUM_DRAWINGS
 from pica_core.camera import Camera
 from pica_core.capture.stage.dome import NAMED_VIEWS, dome_cameras
-from pica_core.capture.triangles import nearest
+from pica_core.capture.triangles import components, nearest
 from pica_core.model.decoders import sample_map
 from pica_core.reference.face_errors import poking
 from pica_core.reference.pixel import decode_pixels
@@ -267,17 +267,8 @@ def _tensor(latents: Array) -> Tensor:
 
 def _pieces(vertices_m: Array, faces: Array) -> Array:
     """Which connected piece each vertex is of, from 1, the largest ones; 255 of all others."""
-    label = weld(vertices_m)
-    while True:
-        least = label[faces].min(1)
-        found = label.copy()
-        for corner in faces.T:
-            np.minimum.at(found, corner, least)
-        np.minimum.at(found, label, found.copy())
-        found = found[found]
-        if np.array_equal(found, label):
-            break
-        label = found
+    first = weld(vertices_m)
+    label = components(first[faces], len(first))[first]
     names, count = np.unique(label, return_counts=True)
     number = np.full(len(vertices_m), 255)
     for place, name in enumerate(names[np.argsort(-count, kind="stable")][:254]):

@@ -28,6 +28,7 @@ from pica_core.avatar.level_tensors import (
 from pica_core.avatar.levels import EXIT_DIVISORS, level_sizes
 from pica_core.avatar.linear import components_of, weights_of_latent
 from pica_core.capture.stage.stream_training_faces import stream_training_performances
+from pica_core.capture.triangles import areas, signed_areas
 from pica_core.errors import TrainingOptionError, check_ranges
 from pica_core.model.decoders import sample_map
 from pica_core.reference.decoders import FRONT
@@ -326,10 +327,8 @@ def _scatter(
 ) -> tuple[Tensor, Array]:
     """Random points of a mesh: their UVs ``[P, 2]`` and positions ``[P, 3]``."""
     corners, places = vertices_m[faces].astype(np.float64), vertex_uv[faces].astype(np.float64)
-    sides = corners[:, 1:] - corners[:, :1]
-    area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
-    across = places[:, 1:] - places[:, :1]
-    uv_area = np.abs(across[:, 0, 0] * across[:, 1, 1] - across[:, 0, 1] * across[:, 1, 0])
+    area = areas(vertices_m.astype(np.float64), faces)
+    uv_area = np.abs(signed_areas(vertex_uv.astype(np.float64), faces))
     chance = area / area.sum() + uv_area / uv_area.sum()
     chosen = rng.choice(len(faces), count, p=chance / chance.sum())
     share = rng.dirichlet(np.ones(3), count)[..., None]

@@ -20,6 +20,7 @@ import heapq
 import numpy as np
 import numpy.typing as npt
 
+from pica_core.capture.triangles import areas, edges
 from pica_core.reference.mesh import order_faces
 from pica_core.types import Array, BoolArray, Int64Array, IntArray
 
@@ -127,7 +128,7 @@ class Simplifier:
             points = self._shapes[:, shape]
             flat = points if shape else np.concatenate([points, UV_WEIGHT * self._uv], axis=1)
             corners = flat[triangles]
-            area = _area(points[triangles])
+            area = areas(points, triangles)
             weight = area + UV_AREA_WEIGHT * area.sum() * room / room.sum()
             weight *= self._importance[triangles].mean(1)
             matrix = _flat_quadrics(corners) * weight[:, None, None]
@@ -243,8 +244,8 @@ class Simplifier:
 
 def _alone(triangles: Array) -> BoolArray:
     """Whether no other triangle has the side, for each side of each triangle. ``[F, 3]``."""
-    edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    _, inverse, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
+    sides = np.sort(edges(triangles), axis=1)
+    _, inverse, count = np.unique(sides, axis=0, return_inverse=True, return_counts=True)
     alone: BoolArray = count[inverse.reshape(-1)].reshape(-1, 3) == 1
     return alone
 
@@ -261,12 +262,6 @@ def _normals(corners: Array) -> Array:
 def _uv_area(corners: Array) -> Array:
     sides = corners[:, 1:] - corners[:, :1]
     area: Array = sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]
-    return area
-
-
-def _area(corners: Array) -> Array:
-    sides = corners[:, 1:] - corners[:, :1]
-    area: Array = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) / 2
     return area
 
 
