@@ -109,7 +109,6 @@ def look_at(
     """A camera at `centre_m` that looks at `target_m`; the world's y points up in its image.
 
     Args:
-        name: Camera name.
         centre_m: Camera centre, world metres.
         target_m: Point that lands in the image centre, world metres.
         vertical_fov: Full vertical field of view, radians.

@@ -78,7 +78,6 @@ def check_ranges(
     """Refuse numbers that are out of range.
 
     Args:
-        owner: The object whose attributes are checked.
         error: What to raise: it names the attribute, its value and the range.
         ranges: The lowest and the highest value allowed, by attribute; None only where it is the
             field's default.

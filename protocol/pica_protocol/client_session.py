@@ -47,14 +47,12 @@ class ClientSession(session.Session):
     """The client's end: greets, joins one room, publishes frames, and keeps the list of peers.
 
     Attributes:
-        state: Where it stands.
         peer_id: Our own id, once joined.
         name: What we are called; once joined, what the others are shown.
         tracks: Our own tracks; with their streams, once joined.
         peers: Everybody else in the room by id, kept up to date.
         away: Ids of those among them who have lost their connection and may come back.
         muted: Streams that an admin has stopped, our own among them.
-        closed: How it ended, or None.
         drops: Frames that did not go out because the network was too slow, by reason.
     """
 
@@ -76,15 +74,9 @@ class ClientSession(session.Session):
         """Start on a websocket that is open: ``Hello`` and ``Join`` wait in ``messages_to_send``.
 
         Args:
-            room: Where to go.
-            name: What to be called.
-            tracks: What will be published.
             software: Name and version of this client, for the relay's logs.
-            now: The time.
             timeout_s: For the relay to let us in.
-            token: Proof that we may come in, where the relay wants one.
             seal: Makes the payload that travels out of a frame whose header is final.
-            metadata: What we say of ourselves.
             resumable: Whether we may come back with the `ticket` of this session.
             ticket: Of the last session, to come back to its place; if that is gone, we join anew.
 

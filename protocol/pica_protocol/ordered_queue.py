@@ -24,11 +24,7 @@ MAX_WAITING_BYTES: Final = 16_384
 
 
 class OrderedQueue:
-    """The bounded queue between one ordered stream and one reader.
-
-    Attributes:
-        num_bytes: Bytes that wait.
-    """
+    """The bounded queue between one ordered stream and one reader."""
 
     __slots__ = ("_deadline_s", "_drops", "_is_unwanted", "_waiting", "num_bytes")
 

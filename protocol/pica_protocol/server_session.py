@@ -8,12 +8,7 @@ from pica_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
 
 
 class ServerSession(session.Session):
-    """The relay's end: greets back, asks the relay to decide on the join, passes on what follows.
-
-    Attributes:
-        state: Where it stands.
-        closed: How it ended, or None.
-    """
+    """The relay's end: greets back, has the relay decide on the join, passes on what follows."""
 
     def __init__(
         self, *, software: str = "", now: float, timeout_s: float = session.HANDSHAKE_TIMEOUT_S

@@ -82,7 +82,6 @@ class StreamQueue:
 
     Attributes:
         is_cut: Whether nothing but a keyframe is let in.
-        num_bytes: Bytes that wait.
     """
 
     __slots__ = (
@@ -204,7 +203,6 @@ class StreamQueue:
             chain: The latest keyframe and base frames after it, header included.
             is_whole: Whether these are all base frames since; if not, the reader gets the keyframe
                 to look at, and what comes then is held back until the next one.
-            now: The time.
         """
         begin = next((i + 1 for i, frame in enumerate(chain) if frame is self._last_base), 0)
         if not is_whole and chain and chain[0] is self._last_keyframe:

@@ -69,7 +69,6 @@ class Relay:
         """Prepare to listen.
 
         Args:
-            config: Where, and the limits.
             unix_time: The clock that tokens are checked against.
         """
         self.config = config

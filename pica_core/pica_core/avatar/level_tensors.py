@@ -86,7 +86,6 @@ def exit_shapes(
     """Name and shape of the tensors that make an exit, its mesh excepted.
 
     Args:
-        spec: Sizes of the avatar.
         level: Columns of its sheet.
         rows: Rows of its sheet.
         num_texels: Texels of the trunk that a vertex is made of.
@@ -121,8 +120,6 @@ def wanted_shapes(
     """Shapes that the ``level.*`` tensors of a file must have, judged by which of them it has.
 
     Args:
-        spec: Sizes of the avatar.
-        shapes: Shape of every tensor of the file.
         max_faces: Most triangles of a mesh.
 
     Raises:

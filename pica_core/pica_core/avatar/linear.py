@@ -92,7 +92,6 @@ def components_of(
     """What a unit of each weight moves, regions put together again, metres.
 
     Args:
-        tensors: Of a checked avatar.
         scale_m: The manifest's `position_scale_m`.
         vertices: Numbers of the vertices that are wanted; None for all places of the sheet.
 

@@ -58,7 +58,6 @@ def storage_of(precision: Precision, names: Iterable[str]) -> dict[str, Storage]
         precision: mixed is `DEFAULT_STORAGE`. f32 rounds nothing. f16 and u8 store decoders,
             encodings and expression encoder so; positions and UVs stay at 16-bit integers, and the
             two small sine networks at float32: they are 343 numbers.
-        names: Names of the avatar's tensors.
     """
     if precision == "mixed":
         return dict(DEFAULT_STORAGE)
@@ -77,8 +76,6 @@ def to_storage(
     """A tensor as the file holds it.
 
     Args:
-        name: Name of the tensor.
-        array: Its values in memory.
         num_vertices: Vertices of the mesh: triangles of small meshes take half the bytes.
         kind: How to store it; None for fp16 or float32, as is usual for its name.
 
@@ -104,8 +101,6 @@ def to_memory(name: str, stored: Array, affine: Any) -> Array:
     """A tensor as it was before `to_storage`, but for rounding.
 
     Args:
-        name: Name of the tensor.
-        stored: What the file holds.
         affine: The file's tables by tensor, of any type: nothing is trusted.
 
     Raises:

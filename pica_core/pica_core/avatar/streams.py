@@ -23,8 +23,6 @@ def open_encoder(
     """The sending end, and the name of its format for the handshake.
 
     Args:
-        avatar: Whose latents are sent.
-        config: How.
         plain: Use 8 bits a value even if the avatar has a stream profile.
 
     Raises:
@@ -40,7 +38,6 @@ def open_decoder(avatar: Avatar, name: str) -> FaceDecoder:
     """The receiving end.
 
     Args:
-        avatar: Whose latents will come.
         name: The format, as the sender names it.
 
     Raises:

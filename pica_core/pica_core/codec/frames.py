@@ -133,14 +133,12 @@ def encode_frame(
     """Write one frame.
 
     Args:
-        profile: Shared by both ends.
         quantised: Residuals in steps, ``[C]``.
         sequence: Of this frame, above the reference's.
         layer: 0 to 2.
         quality: Row of the profile's steps.
         reference: An earlier frame of a lower layer (or of layer 0 for layer 0), at most
             `MAX_DISTANCE` back; None makes a keyframe.
-        is_still: Whether the sender falls silent after this frame.
 
     Raises:
         LatentError: A reference that the format does not allow, or values out of its range.
@@ -185,11 +183,7 @@ def decode_frame(
     """Read one frame.
 
     Args:
-        profile: Shared by both ends.
         payload: As `encode_frame` made it, or anything else.
-        sequence: Of this frame.
-        layer: From the frame's header.
-        is_keyframe: From the frame's header.
         references: Frames decoded before, by sequence.
 
     Returns:

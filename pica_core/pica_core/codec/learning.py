@@ -102,8 +102,6 @@ def learn_profile(
     Args:
         sequences: Latents of performances at about 30 frames a second, each ``[T, 8, 8, 4]`` or
             ``[T, 256]``, of several kinds and speeds: what they hold decides the tables.
-        metric: From the avatar that the latents belong to.
-        config: See `LearningConfig`.
 
     Raises:
         ShapeError: Sequences of another shape, or too short to learn from.

@@ -63,7 +63,6 @@ def encode_latent(
         latent: Expression code ``[8, 8, 4]``.
         rotation: Rotation vector, radians ``[3]``.
         translation_m: Offset from the seat, metres ``[3]``.
-        profile: The avatar's scales.
 
     Returns:
         269 bytes. Within range the error is at most half a unit of the table above.

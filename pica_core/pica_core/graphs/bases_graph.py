@@ -23,9 +23,6 @@ def bases_graph(graph: GraphBuilder, avatar: Avatar, size: int, *, plain: bool) 
     """Add the nodes that make ``position_map`` from ``latent``.
 
     Args:
-        graph: To add to.
-        avatar: Whose spec says `bases`.
-        size: One of its levels.
         plain: Use one product with all vertices, regions put together again.
     """
     tensors, scale_m = avatar.tensors, avatar.manifest.position_scale_m

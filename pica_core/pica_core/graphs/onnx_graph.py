@@ -54,9 +54,7 @@ def decoder_graph(
     """The per-object decoders as one ONNX model.
 
     Args:
-        avatar: Checked avatar of any block.
         level: One of `avatar.levels`; None for the full one.
-        parts: Which maps to make.
         plain: Write the layers as they stand, one operator each; the judge of the rearranged graph.
 
     Returns:

@@ -28,10 +28,6 @@ def baseline_like(avatar: Avatar, seed: int = 0) -> BaselineAvatar:
     Its mesh is the avatar's level whose number of triangles is nearest to the published 10,936. The
     last biases are the neutral mesh and the neutral texture as seen from the front; all weights are
     random, and small where they would show.
-
-    Args:
-        avatar: Whom to look like.
-        seed: Seed of the weights.
     """
     meshes = [avatar.level_faces(level) for level in avatar.levels]
     mesh = min(meshes, key=lambda faces: abs(len(faces) - 10_936))

@@ -27,7 +27,6 @@ def decode_position_map(avatar: Avatar, latent: npt.ArrayLike, level: int | None
     """Where the face is.
 
     Args:
-        avatar: Checked avatar.
         latent: ``[8, 8, 4]``.
         level: One of the avatar's levels; None for the full one.
 
@@ -51,7 +50,6 @@ def decode_expression_map(
     """What the pixel decoder is told about every place of the face, seen from one side.
 
     Args:
-        avatar: Checked avatar.
         latent: ``[8, 8, 4]``.
         view_direction: Camera centre seen from the head, unit length, head frame. ``[3]``.
         level: One of the avatar's levels; None for the full one.

@@ -63,12 +63,9 @@ def pixel_inputs(
     """The vector p of every pixel: ``[..., 16]`` in the paper's sizes.
 
     Args:
-        spec: Sizes.
-        tensors: An avatar's tensors.
         expression: Expression code z at the pixel. ``[..., 4]``.
         xyz_m: Head-frame position, metres. ``[..., 3]``.
         uv: Texture coordinates. ``[..., 2]``.
-        dtype: Type to compute in.
     """
     position = np.asarray(xyz_m, dtype)
     x = siren(tensors, "xyz", len(spec.xyz_channels), position, last_is_linear=False, dtype=dtype)

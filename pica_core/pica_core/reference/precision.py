@@ -44,7 +44,6 @@ def measure_precisions(avatar: Avatar, frames: int = 8, seed: int = 0) -> list[P
     Args:
         avatar: The truth; best one whose file was stored as float32.
         frames: How many consecutive frames, at 30 a second. Each takes seconds.
-        seed: Seed of the sentence.
     """
     arkit = sentence(np.random.default_rng(seed), frames)
     latents = ExpressionEncoder(avatar).encode(arkit)

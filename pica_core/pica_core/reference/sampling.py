@@ -19,7 +19,6 @@ def sample_bilinear(texture: npt.ArrayLike, uv: npt.ArrayLike, dtype: Dtype = np
     Args:
         texture: Map with row 0 at v = 0. ``[H, W, C]``.
         uv: Texture coordinates; outside [0, 1] the edge continues. ``[..., 2]``.
-        dtype: Type to compute in.
 
     Returns:
         Samples ``[..., C]``.

@@ -31,10 +31,7 @@ def encode_surface(spec: AvatarSpec, tensors: Tensors, uv: npt.ArrayLike, dtype:
     """The vector u of surface points.
 
     Args:
-        spec: Sizes, and which parts there are.
-        tensors: An avatar's tensors.
         uv: ``[..., 2]``.
-        dtype: Type to compute in.
 
     Returns:
         ``[..., C]``; C is 8 in the paper, 0 where the decoder is told nothing.

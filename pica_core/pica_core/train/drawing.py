@@ -40,8 +40,6 @@ class DrawnPixels(NamedTuple):
     """What interpolation finds at the pixels of a step.
 
     Attributes:
-        pixels: Those whose colour is asked for.
-        surface: Their surface points.
         depth_pixels: Those whose depth is asked for: the same and, with normals, neighbours.
         depth_m: Their depths; differentiable, ``[Q]``.
         depth_image: Which image they are of, int64 ``[Q]``.
@@ -102,9 +100,7 @@ class MeshDrawer:
 
     Args:
         rasteriser: Made for that topology; it stays its owner's.
-        topology: Faces and UVs.
         face_weights: How much more often than others a pixel of each triangle is drawn, ``[F]``.
-        device: Where the meshes will be.
     """
 
     def __init__(
@@ -127,7 +123,6 @@ class MeshDrawer:
 
         Args:
             vertices_m: ``[N, V, 3]``.
-            cameras: One for each.
         """
         meshes = vertices_m.detach().to("cpu", torch.float32).numpy()
         self._ids = self.rasteriser.batch_ids(meshes, cameras).reshape(len(cameras), -1)
@@ -146,10 +141,7 @@ class MeshDrawer:
 
         Args:
             vertices_m: As for `rasterise`; gradients flow there.
-            rngs: Source of choice for each image.
             pixels_per_image: About how many; 0 for all.
-            normals: Whether normals will be asked for.
-            detach_xyz: Give `Surface.xyz_m` no gradient.
         """
         size = self._ids.shape[1]
         parts = [

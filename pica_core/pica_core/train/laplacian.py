@@ -100,8 +100,6 @@ class MeshLaplacian:
     Args:
         vertices_m: The coarse neutral mesh at the vertices of the mesh that is drawn, ``[V, 3]``.
         faces: ``[F, 3]``.
-        device: Where `apply` will be called.
-        dtype: Of the tensors it will be applied to.
     """
 
     def __init__(
@@ -151,7 +149,6 @@ def laplacian_smoothness(
     """Root mean square of W_L L (S(G) - V_mu) of each mesh, averaged over meshes, millimetres.
 
     Args:
-        laplacian: Of the coarse neutral mesh.
         vertices_m: S(G), the decoded meshes, metres, ``[N, V, 3]``.
         mean_m: V_mu, metres, ``[V, 3]``; no gradient goes there.
         weights: W_L, ``[V]``.

@@ -41,7 +41,6 @@ def equal_shares(
         image: Which image each pixel is of, int64 ``[P]``.
         num_images: N.
         mask: Pixels that count, bool ``[P]``; all without it. An image without any adds up to 0.
-        dtype: Of the result.
 
     Returns:
         ``[P]``.

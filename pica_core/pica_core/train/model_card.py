@@ -15,7 +15,6 @@ def model_card(trainer: Trainer, run: Path) -> dict[str, str]:
     """Entries in words, for `pica avatar info` and whoever gets the file.
 
     Args:
-        trainer: The model with what it was trained on.
         run: Its folder; without an evaluation there nothing is said about errors.
     """
     model, data = trainer.config.model, trainer.data

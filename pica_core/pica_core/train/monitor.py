@@ -25,7 +25,6 @@ class Monitor:
     ``board/`` for TensorBoard.
 
     Args:
-        run_dir: The run's folder.
         is_silent: Write nothing: another process does.
     """
 

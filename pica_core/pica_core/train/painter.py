@@ -47,8 +47,6 @@ class ModelPainter:
     """Draws a model's pictures of latents.
 
     Args:
-        model: Trained, or not.
-        topology: Mesh that the model draws.
         rasteriser: Made for that topology; it stays its owner's.
         samples: Samples along each side of a pixel, odd; the paper draws with one.
     """

@@ -133,9 +133,6 @@ class Rasteriser:
     def batch_depths_m(self, cameras: Sequence[Camera]) -> FloatArray:
         """Depths along the cameras' axes of what `batch_ids` drew last, 0 where nothing is.
 
-        Args:
-            cameras: Those of that call.
-
         Returns:
             Metres, good to about 0.01 mm at 1 m; float32 ``[N, H, W]``.
         """
@@ -284,7 +281,6 @@ def hit_points(
     Args:
         seen_m: Meshes in camera axes (`Views.see`), metres, ``[N, V, 3]``; gradients flow there.
         faces: int64 ``[F, 3]``.
-        views: The images' cameras.
         image: Which image each pixel is of, int64 ``[P]``.
         pixels: Flat index within the image, int64 ``[P]``.
         triangles: From `Rasteriser`, int64 ``[P]``.
@@ -336,7 +332,6 @@ def interpolate(
         vertices_m: Head-frame metres, ``[V, 3]``; gradients flow back to it.
         vertex_uv: ``[V, 2]``.
         faces: int64 ``[F, 3]``.
-        camera: The image's camera.
         triangle_ids: From `Rasteriser.triangle_ids`, ``[H, W]``.
         pixels: Flat indices (row * W + column) of covered pixels, ``[P]``.
 

@@ -59,7 +59,6 @@ class Admin:
         """Prepare.
 
         Args:
-            hub: The rooms that are managed.
             authority: Takes a token and returns the room that it is for, or raises
                 `AdmissionError`; None: there are no tokens, who is on this machine may.
         """

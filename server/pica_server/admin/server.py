@@ -36,7 +36,6 @@ class AdminServer:
         """Prepare.
 
         Args:
-            admin: Who decides.
             after: Called after every request, which may have changed something.
         """
         self._admin = admin

@@ -124,7 +124,6 @@ def load_keys(path: Path, *, max_token_s: float = math.inf) -> KeyRing:
     """Read a key file.
 
     Args:
-        path: The file.
         max_token_s: The longest time that a token may hold to be taken.
 
     Raises:
@@ -149,9 +148,7 @@ def mint(
     """Return a token for one room, signed with the newest key.
 
     Args:
-        keys: The signing keys.
         room: Where it lets its owner in; ``*`` is the rooms that an admin may manage, all of them.
-        admission: As whom, and to do what.
         now: Seconds since 1970.
         lasts_s: Seconds from ``now`` until it ends.
         starts_s: Seconds from ``now`` until it begins.

@@ -36,10 +36,6 @@ class NodeLink:
     """Another node as a receiver of a room's frames.
 
     Attributes:
-        node: Its name.
-        slot: Its slot.
-        room_key: What stands for the room.
-        outbox: What waits for it.
         layers: What it wants: stream to highest layer.
         epoch: Of its subscriptions; -1 before the first ones.
     """
@@ -115,8 +111,6 @@ class Exchange:
         """Begin.
 
         Args:
-            room_key: What stands for the room.
-            me: This node's name.
             epoch: Higher than any that this node used for this room before.
         """
         self.is_lossy = False
@@ -174,11 +168,7 @@ class Exchange:
         """Return what must be told, and to which nodes.
 
         Args:
-            layers: What the peers of this node want together.
-            revision: Of the record that this node knows.
-            nodes: The others in the room.
             epoch: The next one, if one is due.
-            now: The time.
         """
         nodes = set(nodes)
         self._told &= nodes

@@ -70,11 +70,7 @@ _logger = logging.getLogger(__name__)
 
 
 class Cluster:
-    """The connection of one hub to the other nodes.
-
-    Attributes:
-        node: What decides.
-    """
+    """The connection of one hub to the other nodes."""
 
     node: ClusterNode
     _client: Client
@@ -85,7 +81,6 @@ class Cluster:
 
         Args:
             url: Of NATS; several of one NATS cluster with commas between.
-            hub: Whose cluster_peers the other nodes are to be.
             capacity: Peers in one room.
             on_news: Called on the loop when the hub may have got something to send.
         """

@@ -73,21 +73,13 @@ class _Place:
 
 
 class ClusterNode:
-    """The cluster as one hub's cluster_peers; see `pica_server.cluster.peers`.
-
-    Attributes:
-        liveness: Which nodes live.
-        standing: What this node is to the cluster.
-    """
+    """The cluster as one hub's cluster_peers; see `pica_server.cluster.peers`."""
 
     def __init__(self, hub: Hub, me: messages.NodeId, capacity: int, now: float) -> None:
         """Begin with a lease that was confirmed just now.
 
         Args:
-            hub: Whose cluster_peers these are.
-            me: This node.
             capacity: Peers in one room.
-            now: The time.
         """
         self.liveness = Liveness(now)
         self._hub = hub

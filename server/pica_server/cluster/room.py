@@ -155,13 +155,7 @@ SharedRoomEvent = Ruled | Admitted | Refused | Arrived | Changed | Departed | Re
 
 
 class SharedRoom:
-    """This node's view of one room.
-
-    Attributes:
-        name: As the peers know it.
-        key: As the other nodes know it.
-        revision: Of the record that is known.
-    """
+    """This node's view of one room."""
 
     def __init__(self, name: str, capacity: int, me: messages.NodeId, rulings: Rulings) -> None:
         self.name = name

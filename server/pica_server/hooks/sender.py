@@ -29,11 +29,7 @@ logging.getLogger("httpx").setLevel(logging.WARNING)  # else it has a line for e
 
 
 class WebhookSender:
-    """Delivers events until it is stopped.
-
-    Attributes:
-        queue: What waits.
-    """
+    """Delivers events until it is stopped."""
 
     def __init__(
         self,

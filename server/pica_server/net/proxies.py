@@ -31,9 +31,7 @@ def client_of(peer: str, headers: Sequence[str], trusted: Sequence[Network]) -> 
     """Return the address of the first one on the way back who is no trusted proxy.
 
     Args:
-        peer: Who connected to us.
         headers: All ``X-Forwarded-For`` of the request, in order.
-        trusted: The proxies.
     """
     nearest = peer
     hops = [hop for header in headers for hop in header.rsplit(",", _MOST_HOPS)]

@@ -317,8 +317,6 @@ class _Waker:
     """Wakes one writer, and cuts the socket of a peer that does not let us close it in time.
 
     Attributes:
-        websocket: What the writer writes to.
-        is_idle: Whether the writer has nothing to do.
         is_tight: Whether the kernel keeps no more than voices can wait for.
         under_way: Written by somebody else, and not taken by the kernel yet.
     """

@@ -105,8 +105,6 @@ class RelaySocket(ServerConnection):
     """A websocket that is counted from its first moment, and cut at once if it is one too many.
 
     Attributes:
-        guard: Counts the sockets.
-        stats: Where refused ones are noted.
         descriptors: Says whether there are enough; None: nobody looks.
         silent: Those of the relay that are admitted and have not asked for anything yet; it keeps
             itself in there.

@@ -51,8 +51,6 @@ def logging_to(
 
     Args:
         stream: Where to; nobody waits for it.
-        style: Of the lines.
-        level: The least that is logged.
         clock: Seconds, for the limit of lines.
 
     Yields:

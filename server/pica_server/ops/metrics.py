@@ -59,7 +59,6 @@ def metrics_text(stats: RelayStats, gauges: Mapping[str, tuple[str, float]]) -> 
     """Return the page.
 
     Args:
-        stats: The counters.
         gauges: What is so now: name without prefix to explanation and value.
     """
     registry = CollectorRegistry()

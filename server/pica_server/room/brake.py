@@ -47,7 +47,6 @@ class Brake:
     """How hard a relay brakes.
 
     Attributes:
-        level: Of the table.
         is_full: Whether the core has hardly a moment left, or the loop was late: what saves
             processor time is worth a delay.
         retry_after_s: When who is told to come later should.

@@ -34,8 +34,6 @@ class Connections:
     """The connections of one relay.
 
     Attributes:
-        config: The limits.
-        stats: What the relay has done so far.
         by_peer: Those that are not over, by the id of their peer; to be read only.
         ready: Those that have got something to send, or have closed.
         first: Those that have got a voice to send: they go before the rest of the turn.
@@ -43,7 +41,6 @@ class Connections:
             only.
         on_over: Told of every connection that is over, once or more, to clear up after it; it
             begins with ``wind_up``.
-        brake: What is given up as there is too much to do.
         is_draining: Whether everybody is being sent away, and nobody let in.
         cluster_peers: The other nodes of the cluster, or None.
         prefix: Begins the id of every peer; with a cluster it is different on each node.
@@ -71,7 +68,6 @@ class Connections:
         that was may be dead without anybody having noticed.
 
         Args:
-            now: The time.
             address: Whose it is, see ``limits.address_group``; empty is not limited.
         """
         config, limits = self.config, self.config.limits

@@ -55,9 +55,7 @@ class Forwarding:
         """Give frames to all who want them, here and on other nodes.
 
         Args:
-            room: Where.
             media: The frames, of streams that are there.
-            now: The time.
             num_here: Of the publisher: 1 if it is connected here, else 0.
         """
         needed: dict[tuple[int, Put], None] = {}

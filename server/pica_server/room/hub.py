@@ -47,14 +47,7 @@ class Hub:
     """The relay without its sockets.
 
     Attributes:
-        stats: What it has done so far.
-        connections: The peers that are here, and the other nodes of the cluster.
-        brake: What it gives up as it has too much to do.
         busy_ratio: How much of the time the event loop has worked lately, 0 to 1.
-        forwarding: What goes from peer to peer.
-        membership: Who is in which room.
-        rulings: What an admin has ruled that outlasts connections.
-        moderation: What an admin may do.
     """
 
     def __init__(
@@ -69,7 +62,6 @@ class Hub:
         """Begin empty.
 
         Args:
-            config: The limits.
             admit: Says what who joins may do, or raises `AdmissionError`; everybody may do
                 everything by default.
             new_secret: Makes secrets to come back with; without it no place is kept.
@@ -107,7 +99,6 @@ class Hub:
         """Be one node of a cluster from now on; nobody is here yet.
 
         Args:
-            cluster_peers: The other nodes.
             prefix: Begins the id of every peer of this node, and of no other one's.
         """
         self.connections.cluster_peers, self.connections.prefix = cluster_peers, prefix

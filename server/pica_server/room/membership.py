@@ -55,10 +55,6 @@ class Membership:
         """Begin empty, and clear up after the connections from now on.
 
         Args:
-            connections: Where everybody is connected.
-            forwarding: Gives them their frames.
-            tickets: The places that are kept.
-            rulings: What an admin has ruled.
             admit: Says what who joins may do, or raises `AdmissionError`.
             notify: Told at once what happens in rooms; it must neither block nor raise.
         """

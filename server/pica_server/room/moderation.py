@@ -54,9 +54,7 @@ class Moderation:
         Args:
             room_name: The room, which may be empty.
             identity: Who; nobody is barred by the empty one.
-            is_barred: Whether it is to stay out.
             lasts_s: For how long, seconds.
-            now: The time.
 
         Returns:
             Whether it holds: there are identities only where there are tokens.

@@ -66,11 +66,7 @@ class ArrivedFrame:
     """One frame as all its receivers share it.
 
     Attributes:
-        stream: The number of its stream.
-        data: The frame with its header.
-        layer: Its temporal layer.
         is_keyframe: Whether it can be decoded alone.
-        received_s: When it came to the relay.
         alone: The message that carries this frame and nothing else.
     """
 
@@ -86,11 +82,7 @@ class ArrivedFrame:
 
 
 class Outbox:
-    """The queue between the room and one receiver's socket.
-
-    Attributes:
-        waiting_control_bytes: Bytes of control messages that wait.
-    """
+    """The queue between the room and one receiver's socket."""
 
     def __init__(
         self,

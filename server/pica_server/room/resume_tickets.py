@@ -29,7 +29,6 @@ class ResumeTickets:
 
         Args:
             grace_s: How long a place is kept; 0: no place is ever kept.
-            new_secret: Makes a secret that nobody can guess.
         """
         self.grace_s = grace_s
         self._new_secret = new_secret

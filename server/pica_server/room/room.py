@@ -92,7 +92,6 @@ class Room:
     """One room and the subscriptions of its members.
 
     Attributes:
-        name: As the peers know it.
         links: The other nodes of the cluster with peers in this room, as receivers of frames.
     """
 

@@ -54,7 +54,6 @@ class Downloads:
 
         Args:
             store: The files; None: this relay keeps none.
-            stats: Where it counts what it does.
             transfers: Where sockets are as long as a file moves; the relay cuts them at its end.
             origins: Web pages whose scripts may read what they get.
         """

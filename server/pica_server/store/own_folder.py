@@ -21,11 +21,7 @@ _LOCK: Final = "alive"
 
 
 class OwnFolder:
-    """A temporary folder that is locked while its relay lives.
-
-    Attributes:
-        path: Where it is.
-    """
+    """A temporary folder that is locked while its relay lives."""
 
     def __init__(self) -> None:
         """Make it, readable for this user alone."""

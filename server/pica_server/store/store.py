@@ -45,7 +45,6 @@ class AvatarStore:
     """Files by id, within a quota.
 
     Attributes:
-        config: The limits.
         checks_fully: Whether uploads get the check that receivers make, or only one of structure.
     """
 

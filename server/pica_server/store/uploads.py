@@ -47,8 +47,6 @@ class Uploads:
 
         Args:
             store: The files; None: this relay keeps none.
-            may_upload: Who may give it some.
-            stats: Where it counts what it does.
             transfers: Where sockets are as long as a file moves; the relay cuts them at its end.
             offer_timeout_s: Seconds from the open websocket to the offer.
         """

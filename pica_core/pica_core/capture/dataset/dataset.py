@@ -53,14 +53,10 @@ class Capture:
     """An opened capture directory; make one with `open`.
 
     Attributes:
-        path: Its directory.
-        info, topology, tracked_topology, dense_vertex: As in `Description`.
         cameras: All cameras, in KRT order.
         frames: All frames that can be used, in `frame_list.txt` order.
-        left_out: What is wrong with the others.
         has_truth: Exact meshes and exact depth are there (synthetic captures).
         has_depth: At least one frame has depth.
-        has_masks: Masks are there.
         has_expressions: Frames come with their 52 values.
         is_published: A directory as published, without our additions.
         texture_size: Side of the average textures, texels.

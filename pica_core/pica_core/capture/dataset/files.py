@@ -86,7 +86,6 @@ class Description:
 
     Attributes:
         info: `capture.json` as read, or what stands in for it.
-        frames: All listed frames.
         arkit: Their 52 values, ``[T, 52]``, where the capture has expressions.
         topology: The mesh that models draw.
         tracked_topology: The tracked mesh; the same object where a capture has one mesh only.
@@ -141,7 +140,6 @@ def load_image(path: Path, mode: str, size: tuple[int, int] | None) -> Array:
     """Decode an image.
 
     Args:
-        path: The file.
         mode: ``RGB``, ``L``, or ``I;16`` for 16 bit.
         size: Columns and rows that it must have; None takes any.
     """

@@ -57,7 +57,6 @@ class FaceModel:
     """A rig of the mean face, and what each identity mode adds to its vertices.
 
     Attributes:
-        source: The mean face with its expressions.
         modes: In the source's units. float32 ``[100, V, 3]``.
     """
 

@@ -81,13 +81,11 @@ class ProceduralHead:
     """One built-in head, that is drawn as a rig.
 
     Attributes:
-        name: Which head.
         charts: Charts of the UV square, by name.
         vertex_uv: Texture coordinates on texel centres of the position map. float32 ``[V, 2]``.
         faces: Triangles, counter-clockwise from outside. int32 ``[F, 3]``.
         rest_m: Vertices at rest, metres. float32 ``[V, 3]``.
         features, regions: What `rig.features` says of it; its named vertex sets.
-        growth: Its hair and beard.
         paint: Colours and marks, as `appearance.frag` names them.
         landmarks: Lateral positions and heights of features, head frame, mm.
 

@@ -19,7 +19,6 @@ class PackedChart:
         faces: Triangles of the split vertices. int32 ``[F, 3]``.
         face_source: The triangle of the mesh that each triangle is, or copies. int64 ``[F]``.
         source: The welded vertex of each split vertex. int64 ``[V]``.
-        islands: Number of islands.
     """
 
     vertex_uv: FloatArray

@@ -67,11 +67,9 @@ class Features:
     """What was found on a rig. Arrays are per welded vertex.
 
     Attributes:
-        mouth: The mouth, or None.
         lips: How deep in the lips, as `Mouth.depth_in_lips`. ``[P]``.
         eye_gap_m: Distance in the front view to the nearest eye opening, 0 inside. ``[P]``.
         above_eye: True above the middle of the nearest eyeball. ``[P]``.
-        brow_y: Height of the brows.
         nose_tip: Foremost point between eyes and mouth. ``[3]``.
         part: Part of each face, with the mouth's lining and the tongue told apart. ``[F]``.
         regions: Named vertex sets. bool ``[P]`` each.

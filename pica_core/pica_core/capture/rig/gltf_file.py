@@ -42,12 +42,7 @@ def missing_wheel(where: str, extension: str) -> CaptureError:
 
 
 class GltfFile:
-    """One file and what lies beside it, with every access checked.
-
-    Attributes:
-        path: The file.
-        root: The JSON document.
-    """
+    """One file and what lies beside it, with every access checked."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

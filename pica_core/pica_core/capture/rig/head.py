@@ -89,13 +89,8 @@ class RigHead:
     """A rig that can be posed.
 
     Attributes:
-        name: What the rig is called.
-        mesh: The welded rig.
-        names: How its shapes were mapped.
-        features: What was found on it.
         chart: Its one chart; ``chart.source`` leads from split to welded vertices.
         mended: Triangles whose texture coordinates were made here.
-        topology: What models draw.
     """
 
     def __init__(self, mesh: RigMesh, names: NameMap, name: str) -> None:

@@ -70,8 +70,6 @@ class RigMesh:
         part: Index into `multiface.MATERIALS`. int32 ``[F]``.
         material: Index into the source's materials. int32 ``[F]``.
         eyes: Eyeballs found, left first.
-        frame: How the file's coordinates became ours.
-        dropped: Materials that were left out.
     """
 
     rest_m: Float64Array

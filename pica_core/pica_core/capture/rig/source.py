@@ -33,13 +33,11 @@ class RigSource:
     """A head with blendshapes, in the units and axes of its file.
 
     Attributes:
-        path: The file or directory.
         positions: Vertices of the neutral face. float64 ``[V, 3]``.
         faces: Triangles as indices into `positions`. int32 ``[F, 3]``.
         uv: Texture coordinates with v downwards, or None. Beyond [0, 1] images go on as their
             `wrap` says. float64 ``[T, 2]``.
         uv_faces: The same triangles as indices into `uv`, or None. int32 ``[F, 3]``.
-        materials: Names of materials.
         face_material: Index into `materials`. int32 ``[F]``.
         shapes: What each shape adds to `positions` at a value of 1. float32 ``[V, 3]`` each.
         split_at_seams: True when vertices are there twice where texture coordinates part.

@@ -79,7 +79,6 @@ class MeshRenderer(ABC):
     """Draws one head on the stage. One thread owns a renderer.
 
     Args:
-        head: Poses the mesh.
         faces: Triangles. int32 ``[F, 3]``.
         vertex_uv: In [0, 1]. float32 ``[V, 2]``.
         material: `multiface.MATERIALS` by vertex; the last vertex of a triangle counts. ``[V]``.

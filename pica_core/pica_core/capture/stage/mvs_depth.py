@@ -65,10 +65,6 @@ def find_depth(
     Args:
         depth_m: Exact depth along the camera axis, 0 where empty. ``[H, W]``.
         mask: What is seen; `materials` names its values. ``[H, W]``.
-        camera: Whose intrinsics are used.
-        materials: Names of the mask's values.
-        random: Source of chance.
-        errors: How good the method is.
     """
     e = errors or MvsErrors()
     side = min(depth_m.shape)

@@ -16,7 +16,6 @@ class Subject(ABC):
     """A head on the stage; one thread owns it. Its GL context is made with the first pose.
 
     Attributes:
-        name: What the subject is called, in files and messages.
         topology: The mesh that `pose` moves. A tracker cannot follow the regions that are named
             ``mouth_interior``; `render_subject` leaves them out of the tracked mesh.
     """

@@ -102,7 +102,6 @@ def render_subject(
     Args:
         make_subject: Makes who is to be rendered; what that raises is raised before a file is
             written. It is released at the end.
-        options: How to render.
         out: Directory to fill: new, empty, or an interrupted render of the same subject and
             options.
         progress: Called with frames done and frames in all.

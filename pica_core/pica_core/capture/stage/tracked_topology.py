@@ -49,7 +49,6 @@ def track_topology(
     """Choose the tracked mesh of a dense one, and the dense vertex of each of its vertices.
 
     Args:
-        topology: The dense mesh.
         shapes_m: It in a few expressions that open what is closed at rest, metres; the second opens
             the jaw. ``[K, V, 3]``.
         num_vertices: How many to aim at; a mesh that has no more stays whole.

@@ -74,8 +74,6 @@ class SimulatedTracker:
         Args:
             exact_m: The tracked vertices where they are, metres. ``[Vt, 3]``.
             lagged_m: Where they would be for `lagged_arkit`.
-            take: Number of the take.
-            time_s: Moment within the take.
         """
         random = np.random.default_rng([self._seed, 0x7AC5, take])
         drift = TimeWaves(random, 3 * self._field.waves, DRIFT_S).at(time_s)

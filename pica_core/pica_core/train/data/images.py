@@ -23,11 +23,7 @@ MAX_TEXTURES = 2048
 class ImageCache:
     """Images, depth, textures and backgrounds by frame and camera.
 
-    Args:
-        capture: The capture to read.
-
     Attributes:
-        reader: Decodes ahead and keeps what fits.
         evaluation_views: Cameras that errors are measured from; all where the capture names none.
     """
 

@@ -29,7 +29,6 @@ class CaptureMeshes:
     """All meshes of a capture, in memory; lengths in metres.
 
     Args:
-        capture: The capture to read.
         train_frames: Frames that means are taken over.
         map_size: Rows and columns of the position maps.
 
@@ -92,7 +91,6 @@ class CaptureMeshes:
         """The mesh of the training frame nearest to a neutral expression, as `source` says.
 
         Args:
-            name: On which topology.
             arkit: Expressions of all frames, ``[T, 52]``; where a capture has none the frame
                 nearest to the mean mesh is taken.
 

@@ -13,7 +13,6 @@ class FrameSampler:
     """Draws training frames.
 
     Args:
-        frames: The training frames.
         weights: How rare each of them is, ``[T]`` (`rarity`).
     """
 

@@ -19,15 +19,11 @@ class TrainingData:
     """The frames of a capture, ready for batches.
 
     Args:
-        capture: The capture to read.
         map_size: Rows and columns of the position map.
 
     Attributes:
         train_frames: Places in `Capture.frames` of those to train on.
         test_frames: The same of held-out ones.
-        meshes: All meshes, in memory.
-        images: Images and textures behind a cache, and cameras.
-        sampler: Draws frames to train on.
         arkit: Expressions of all frames, ``[T, 52]``; 0 where the capture has none.
 
     Raises:

@@ -69,8 +69,6 @@ def measure_views(
     """Draw frames from all evaluation views, and measure.
 
     Args:
-        evaluator: The model with its capture.
-        frames: Which frames.
         source: Whose latents: the model's own encoder's, as in the paper, or what a live sender
             makes of ARKit values.
 

@@ -15,8 +15,6 @@ class ModelEvaluator(ModelPainter):
     """Draws a model's pictures of a capture's frames.
 
     Args:
-        data: The capture.
-        model: Trained, or not.
         rasteriser: Made for the topology that the model draws; it stays its owner's.
         samples: Samples along each side of a pixel, odd; the paper draws with one.
     """

@@ -123,7 +123,6 @@ def open_run(folder: Path, capture: Path | None = None) -> Run:
     """Read a run's checkpoint and what it was trained on.
 
     Args:
-        folder: Of the run.
         capture: Its capture, if it moved or the run does not say.
 
     Raises:
@@ -201,9 +200,6 @@ def measure(
     """Measure a run by the paper's protocol, on its own encoder's latents.
 
     Args:
-        run: What to measure.
-        truth: Of its capture.
-        progress: Told what is being done.
         samples: Along each side of a pixel, odd; the paper draws with one.
     """
     data, model = truth.data, build(run, truth)

@@ -158,8 +158,6 @@ def near_field(
     """Draw the truth of some frames close to the mouth. Makes and releases a GL context.
 
     Args:
-        data: The capture.
-        frames: Which frames.
         make_subject: Makes a built-in head of a name; captures rendered with other than the usual
             settings need their own.
     """

@@ -62,7 +62,6 @@ class FrozenDecoder:
     """One of an avatar's decoders, rebuilt from its file: full maps and what exits find.
 
     Args:
-        avatar: Checked avatar.
         decoder: ``"geometry"`` or ``"expression"``.
     """
 
@@ -137,7 +136,6 @@ def fit_convolution(
 
     Args:
         decoder: Whose output to imitate, and whose trunk to do it from.
-        faces: To fit on.
         level: Rows of the exit's map.
         points: Where maps are read while the convolution is fitted, UV in [0, 1]. ``[P, 2]``.
         metric: How differences count, per point, ``[P, C', C']``.
@@ -146,7 +144,6 @@ def fit_convolution(
         still: The map that the exit's is added to, ``[C', S, S]``: what does not move keeps all of
             its detail, and what does is smooth.
         points_per_face: How many of the points are read in each face.
-        seed: Of the choice of points.
     """
     mean_trunk, mean_full = _means(decoder, faces, level)
     system = _System(mean_trunk.shape[0] * 9, mean_full.shape[0])
@@ -174,7 +171,6 @@ def fit_sheet(
 
     Args:
         decoder: Whose output to imitate, and whose trunk to do it from.
-        faces: To fit on.
         level: Rows of the trunk.
         vertex_uv: Where the vertices are in the full map, UV in [0, 1]. ``[V, 2]``.
         rest: Map to add to the decoder's output, ``[3, S, S]``; it goes into the rest.
@@ -252,7 +248,6 @@ def colour_metric(
     """How squared differences of colour follow from differences of expression codes, at points.
 
     Args:
-        avatar: Whose pixel decoder.
         codes: Codes at the points in some faces, ``[P, 4]`` each; the metric is their mean.
         xyz_m: Where the points are at rest, ``[P, 3]``.
         points: UV, ``[P, 2]``.

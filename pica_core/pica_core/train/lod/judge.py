@@ -74,7 +74,6 @@ def looked_at(avatar: Avatar, vertices_of: Callable[[FaceSet], Array]) -> tuple[
     """Which vertices are eyes, and which mouth, bool ``[V]`` each.
 
     Args:
-        avatar: Whose.
         vertices_of: The full level's vertices of faces, ``[N, V, 3]``.
     """
     names = np.array(ARKIT_NAMES)

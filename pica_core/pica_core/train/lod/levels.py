@@ -156,8 +156,6 @@ def add_levels(
 
     Args:
         avatar: Checked avatar; levels that it has are made anew, a table of errors is dropped.
-        options: See `LevelOptions`.
-        show: Told what is being done.
 
     Returns:
         The avatar with its levels, and how good they are.
