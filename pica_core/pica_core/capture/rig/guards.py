@@ -144,10 +144,9 @@ class LipGuard:
         box = np.abs(rest[:, :2] - middle) < [mouth.half_m + 0.016, 0.03]
         near = box.all(1) & (rest[:, 2] > float(mouth.z.min()) - 0.03)
         lips = np.intersect1d(np.flatnonzero(near), skin_faces)
-        between = edges(skin_faces[near[skin_faces].all(1)])  # a tooth goes through sides, too
-        lips = np.unique(
-            np.concatenate([np.stack([lips, lips], 1), np.sort(between, axis=1)]), axis=0
-        )
+        lips = lips[rest[lips, 2] > self._front(rest, rest[lips])]
+        sides = np.sort(edges(skin_faces[np.isin(skin_faces, lips).all(1)]), axis=1)
+        lips = np.unique(np.concatenate([np.stack([lips, lips], 1), sides]), axis=0)
         middle_m = rest[lips].mean(1)
         clear = middle_m[:, 2] - self._front(rest, middle_m)
         self._lips = lips[clear > 0]
