@@ -1,8 +1,10 @@
 """Keep what fits of a capture in memory and decode ahead what will be asked for.
 
     with CaptureReader(capture, max_bytes=2 << 30) as reader:
-        reader.ask(requests)                 # what will be needed
-        image = reader.read(requests[0])
+        for request, image in reader.stream(requests):   # in order, bad ones left out
+            ...
+
+or, where somebody else decides what comes next: `ask` for what will be needed, then `read` it.
 
 Threads decode into one cache of bounded size. What was asked for stays until it was read; of the
 rest the least recently used goes first; what does not fit waits its turn, and whoever reads it
@@ -11,10 +13,11 @@ before then decodes it. So memory depends on `max_bytes` alone, however large th
 
 import logging
 from collections import OrderedDict, deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 
@@ -27,6 +30,8 @@ log = logging.getLogger(__name__)
 MAX_BYTES = 2 << 30
 """Decoded arrays in memory unless said otherwise (chosen)."""
 THREADS = 2
+AHEAD = 64
+"""Requests that `stream` asks for before it needs them."""
 OF_CAMERAS = {"image": "image", "mask": "mask", "depth": "depth_m", "true_depth": "true_depth_m"}
 OF_FRAMES = {
     "texture": "average_texture", "vertices": "vertices_m", "true_vertices": "true_vertices_m",
@@ -115,6 +120,21 @@ class CaptureReader(AbstractContextManager["CaptureReader"]):
             raise
         finally:
             self._start_waiting()
+
+    def stream(
+        self, requests: Iterable[Request], ahead: int = AHEAD
+    ) -> Iterator[tuple[Request, Array]]:
+        """Arrays in order, decoded ahead; those that cannot be read are left out and counted."""
+        coming: deque[Request] = deque()
+        rest = iter(requests)
+        while True:
+            coming.extend(more := list(islice(rest, ahead + 1 - len(coming))))
+            self.ask(more)
+            if not coming:
+                return
+            request = coming.popleft()
+            with suppress(CaptureError):
+                yield request, self.read(request)
 
     def _check(self, request: Request) -> None:
         if request.kind not in READS or not 0 <= request.frame < len(self.capture.frames):

@@ -4,10 +4,6 @@ from __future__ import annotations
 
 import logging
 import shutil
-from collections import deque
-from collections.abc import Iterable, Iterator
-from contextlib import suppress
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +17,6 @@ from pica_core.capture.dataset.published import displayable
 from pica_core.capture.dataset.reader import CaptureReader, Request
 from pica_core.capture.dataset.sheet import write_sheet
 from pica_core.errors import CaptureError
-from pica_core.types import Array
 
 pytestmark = pytest.mark.unit
 
@@ -165,22 +160,6 @@ def test_a_published_directory_has_a_sheet_and_can_be_checked(
     assert [problem["where"] for problem in bad] == [f"images/{SEGMENTS[0]}/front/000000.png"]
 
 
-def stream(
-    reader: CaptureReader, requests: Iterable[Request], ahead: int = 64
-) -> Iterator[tuple[Request, Array]]:
-    """Arrays in order, asked for ahead; those that cannot be read are left out."""
-    coming: deque[Request] = deque()
-    rest = iter(requests)
-    while True:
-        coming.extend(more := list(islice(rest, ahead + 1 - len(coming))))
-        reader.ask(more)
-        if not coming:
-            return
-        request = coming.popleft()
-        with suppress(CaptureError):
-            yield request, reader.read(request)
-
-
 def requests_of(capture: Capture) -> list[Request]:
     return [
         Request("image", frame.index, camera)
@@ -196,7 +175,7 @@ def test_an_epoch_larger_than_the_cache_stays_within_it(original: Path) -> None:
     limit = len(requests) * image_bytes // 10
 
     with CaptureReader(capture, max_bytes=limit) as reader:
-        seen = [(request, array.copy()) for request, array in stream(reader, requests, ahead=8)]
+        seen = [(request, array.copy()) for request, array in reader.stream(requests, ahead=8)]
 
         assert [request for request, _ in seen] == requests
         for request, array in seen:
@@ -211,7 +190,7 @@ def test_what_fits_is_decoded_once(original: Path) -> None:
     requests = requests_of(capture)
     with CaptureReader(capture, max_bytes=1 << 24) as reader:
         for _ in range(3):
-            assert sum(1 for _ in stream(reader, requests)) == len(requests)
+            assert sum(1 for _ in reader.stream(requests)) == len(requests)
         assert reader.decoded == len(requests)
 
 
@@ -229,7 +208,7 @@ def test_what_is_asked_for_is_there_before_it_is_read(original: Path) -> None:
 def test_an_array_larger_than_the_cache_is_read_and_not_kept(original: Path) -> None:
     capture = Capture.open(original)
     with CaptureReader(capture, max_bytes=100) as reader:
-        assert sum(1 for _ in stream(reader, requests_of(capture))) == 36
+        assert sum(1 for _ in reader.stream(requests_of(capture))) == 36
         assert reader.peak_bytes == 0
 
 
@@ -241,7 +220,7 @@ def test_bad_images_of_a_stream_are_skipped_and_counted(
     Image.new("RGB", (WIDTH, WIDTH)).save(folder / "000002.png")
     capture = Capture.open(original)
     with CaptureReader(capture) as reader, caplog.at_level(logging.WARNING):
-        seen = [request for request, _ in stream(reader, requests_of(capture))]
+        seen = [request for request, _ in reader.stream(requests_of(capture))]
         assert len(seen) == 34
         assert len(reader.bad) == 2
         assert "2 so far" in caplog.text
