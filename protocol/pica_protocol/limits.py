@@ -6,6 +6,7 @@ made, so one written here is as well-formed as one that was read from a stranger
 
 import re
 import unicodedata
+from collections.abc import Sized
 
 MAX_FRAME_BYTES = 1200
 """Header and payload of one media frame: fits a datagram on any path (chosen: RFC 9000 14.1)."""
@@ -141,16 +142,10 @@ def check_url(field: str, value: str) -> None:
         )
 
 
-def check_count(field: str, items: tuple[object, ...], limit: int) -> None:
-    """Refuse a sequence with more than ``limit`` items."""
+def check_count(field: str, items: Sized, limit: int, what: str = "items") -> None:
+    """Refuse a sequence with more than ``limit`` items, or bytes."""
     if len(items) > limit:
-        raise ValueError(f"{field} must have at most {limit} items, got {len(items)}")
-
-
-def check_bytes(field: str, value: bytes, max_bytes: int) -> None:
-    """Refuse a byte string that is too long."""
-    if len(value) > max_bytes:
-        raise ValueError(f"{field} must have at most {max_bytes} bytes, got {len(value)}")
+        raise ValueError(f"{field} must have at most {limit} {what}, got {len(items)}")
 
 
 def quoted(value: object) -> str:

@@ -41,12 +41,8 @@ def _text(max_bytes: int) -> Check:
     return lambda name, value: limits.check_text(name, value, max_bytes)
 
 
-def _at_most(limit: int) -> Check:
-    return lambda name, items: limits.check_count(name, items, limit)
-
-
-def _bytes(max_bytes: int) -> Check:
-    return lambda name, value: limits.check_bytes(name, value, max_bytes)
+def _at_most(limit: int, what: str = "items") -> Check:
+    return lambda name, items: limits.check_count(name, items, limit, what)
 
 
 def _tracks(lowest: int, highest: int) -> Check:
@@ -302,7 +298,7 @@ class Whisper(Checked):
     """
 
     peer_id: Token
-    data: Annotated[bytes, _bytes(limits.MAX_WHISPER_BYTES)]
+    data: Annotated[bytes, _at_most(limits.MAX_WHISPER_BYTES, "bytes")]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

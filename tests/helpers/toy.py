@@ -7,9 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from pica_core.avatar.file import Avatar, Manifest, spec_tensor_shapes
+from pica_core.avatar.decoder_layers import spec_tensor_shapes
+from pica_core.avatar.file import Avatar
 from pica_core.avatar.level_tensors import error_tensors, exit_shapes, faces_name, sheet_rows
 from pica_core.avatar.levels import LevelErrors, level_sizes
+from pica_core.avatar.manifest import Manifest
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.avatar.variants import VARIANTS
 from pica_core.types import FloatArray

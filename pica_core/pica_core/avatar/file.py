@@ -47,7 +47,7 @@ from pica_core.avatar.decoder_layers import spec_tensor_shapes
 from pica_core.avatar.level_tensors import PREFIX as LEVEL_PREFIX
 from pica_core.avatar.levels import LevelErrors
 from pica_core.avatar.linear import check_linear, linear_shapes, mean_vertices
-from pica_core.avatar.manifest import SCHEMA_VERSION, Manifest
+from pica_core.avatar.manifest import Manifest
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.avatar.storage import (
     DEFAULT_STORAGE,
@@ -63,17 +63,6 @@ from pica_core.files import replacing
 from pica_core.latent import NUM_LATENT
 from pica_core.reference.mesh import sample_vertices
 from pica_core.types import Array, FloatArray, IntArray
-
-__all__ = [
-    "SCHEMA_VERSION",
-    "Avatar",
-    "Manifest",
-    "avatar_id",
-    "load_avatar",
-    "save_avatar",
-    "spec_tensor_shapes",
-]
-
 
 MAX_FILE_BYTES = 64 * 2**20
 MAX_HEADER_BYTES = 256 * 2**10

@@ -11,7 +11,8 @@ from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import POSITION_CHANNELS, RGB_CHANNELS
 from pica_core.reference.decoders import decode_expression_map
-from pica_core.reference.pixel import decode_pixels, sample_bilinear
+from pica_core.reference.pixel import decode_pixels
+from pica_core.reference.sampling import sample_bilinear
 from pica_core.types import Array, FloatArray
 
 MESH_SPREAD_M = 2e-4

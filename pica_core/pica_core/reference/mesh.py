@@ -5,7 +5,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_core.errors import ShapeError
-from pica_core.reference.pixel import sample_bilinear
+from pica_core.reference.sampling import sample_bilinear
 from pica_core.types import Array, IntArray
 
 

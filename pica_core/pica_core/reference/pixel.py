@@ -18,18 +18,9 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_core.avatar.spec import AvatarSpec
-from pica_core.reference.sampling import Dtype, sample_bilinear, sample_linear
+from pica_core.reference.sampling import Dtype
 from pica_core.reference.surface_encoding import encode_surface
 from pica_core.types import Array
-
-__all__ = [
-    "count_parameters",
-    "decode_pixels",
-    "pixel_inputs",
-    "sample_bilinear",
-    "sample_linear",
-    "siren",
-]
 
 
 def siren(

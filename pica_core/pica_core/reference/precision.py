@@ -19,7 +19,8 @@ from pica_core.avatar.file import Avatar, load_avatar, save_avatar
 from pica_core.avatar.storage import Precision, storage_of
 from pica_core.capture.stage.expressions import sentence
 from pica_core.reference.decoders import FRONT, decode_expression_map, decode_position_map
-from pica_core.reference.pixel import decode_pixels, sample_bilinear
+from pica_core.reference.pixel import decode_pixels
+from pica_core.reference.sampling import sample_bilinear
 from pica_core.types import Array
 
 

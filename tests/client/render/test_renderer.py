@@ -35,7 +35,8 @@ from pica_core.camera import Camera, look_at
 from pica_core.errors import ShapeError
 from pica_core.gl import create_context
 from pica_core.reference.mesh import sample_vertices
-from pica_core.reference.pixel import decode_pixels, sample_bilinear
+from pica_core.reference.pixel import decode_pixels
+from pica_core.reference.sampling import sample_bilinear
 
 pytestmark = pytest.mark.render
 

@@ -18,12 +18,12 @@ from hypothesis import strategies as st
 from helpers.stream_toy import toy_profile
 from helpers.toy import PAPER_SPEC, make_toy_avatar
 from pica_core.avatar import file as avatar_file
+from pica_core.avatar.decoder_layers import spec_tensor_shapes
 from pica_core.avatar.file import (
     Avatar,
     avatar_id,
     load_avatar,
     save_avatar,
-    spec_tensor_shapes,
 )
 from pica_core.avatar.manifest import MAX_DECODE_MULTIPLY_ADDS, MAX_PIXEL_MULTIPLY_ADDS
 from pica_core.avatar.spec import BLOCKS, AvatarSpec

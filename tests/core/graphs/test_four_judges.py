@@ -15,12 +15,14 @@ from helpers.tolerances import EXPRESSION_ONNX, MAP_TORCH_M, PIXEL_FLOAT32, PIXE
 from helpers.toy import grid_faces, with_toy_levels
 from helpers.trainable import grid_uv, toy_prior
 from pica_client.decode.onnx_runtime import onnxruntime
-from pica_core.avatar.file import Avatar, Manifest
+from pica_core.avatar.file import Avatar
+from pica_core.avatar.manifest import Manifest
 from pica_core.avatar.spec import BLOCKS, AvatarSpec
 from pica_core.graphs.onnx_graph import decoder_graph
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.interface import Surface
-from pica_core.reference.pixel import count_parameters, decode_pixels, sample_bilinear
+from pica_core.reference.pixel import count_parameters, decode_pixels
+from pica_core.reference.sampling import sample_bilinear
 from pica_core.train.export import avatar_tensors
 from pica_core.train.lod.exits import FaceSet, FrozenDecoder, MapExit, SheetExit
 

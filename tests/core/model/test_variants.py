@@ -15,8 +15,8 @@ from helpers.toy import PAPER_SPEC, grid_faces
 from helpers.trainable import grid_uv, toy_prior
 from pica_client.decode.onnx_runtime import onnxruntime
 from pica_core.avatar.arkit import ARKIT_INDEX
-from pica_core.avatar.file import Avatar, Manifest, load_avatar, save_avatar
-from pica_core.avatar.manifest import DRAWN_VARIANTS
+from pica_core.avatar.file import Avatar, load_avatar, save_avatar
+from pica_core.avatar.manifest import DRAWN_VARIANTS, Manifest
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.avatar.variants import FULL, TABLE_1, TABLE_2
 from pica_core.errors import AvatarFileError

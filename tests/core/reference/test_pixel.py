@@ -13,9 +13,8 @@ from pica_core.reference.pixel import (
     count_parameters,
     decode_pixels,
     pixel_inputs,
-    sample_bilinear,
-    sample_linear,
 )
+from pica_core.reference.sampling import sample_bilinear, sample_linear
 
 pytestmark = pytest.mark.unit
 

@@ -4,7 +4,6 @@ All take values on 0-255, and judge the pixels that a mesh covers, as the paper'
 Squared Error between rendered image and original image on rasterized pixels", section 6).
 """
 
-
 import numpy as np
 import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view

@@ -14,7 +14,7 @@ from pica_core.capture.procedural.subject import ProceduralSubject, StageOptions
 from pica_core.capture.stage.dome import dome_cameras
 from pica_core.capture.stage.expressions import blend
 from pica_core.gl import create_context, link_program
-from pica_core.reference.pixel import sample_bilinear
+from pica_core.reference.sampling import sample_bilinear
 
 pytestmark = pytest.mark.render
 

@@ -20,7 +20,8 @@ from pica_core.errors import AvatarFileError, TrainingOptionError
 from pica_core.model.decoders import sample_map
 from pica_core.reference.decoders import decode_expression_map, decode_position_map
 from pica_core.reference.mesh import sample_vertices
-from pica_core.reference.pixel import decode_pixels, sample_bilinear
+from pica_core.reference.pixel import decode_pixels
+from pica_core.reference.sampling import sample_bilinear
 from pica_core.train.cli.levels import AvatarLevelsOptions, avatar_levels
 from pica_core.train.lod.exits import fit_map
 from pica_core.train.lod.judge import PokeFinder, seen_vertices
