@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pica_client.voice.dominant import VoiceActivity, dominant
-from pica_client.voice.jitter_buffer import Decoder, JitterBuffer, JitterBufferConfig
+from pica_client.voice.jitter_buffer import Decoder, JitterBuffer
 from pica_client.voice.level import level_of
 from pica_client.voice.packet import FRAME_SAMPLES, MAX_LEVEL, VoicePacket
 from pica_client.voice.sound.settings import MAX_VOLUME, Moment
@@ -27,10 +26,9 @@ LIMIT_FROM = 0.7
 class _Voice:
     """One person's voice at this end."""
 
-    def __init__(self, decoder: Decoder, config: JitterBufferConfig) -> None:
-        self.buffer = JitterBuffer(decoder, config)
+    def __init__(self, decoder: Decoder) -> None:
+        self.buffer = JitterBuffer(decoder)
         self.placed = Placed()
-        self.activity = VoiceActivity()
         self.level = 127
 
 
@@ -46,20 +44,16 @@ class VoiceMixer:
             recording. float32 ``[FRAME_SAMPLES, 2]``.
     """
 
-    def __init__(
-        self, make_decoder: Callable[[], Decoder], config: JitterBufferConfig | None = None
-    ) -> None:
+    def __init__(self, make_decoder: Callable[[], Decoder]) -> None:
         self.volume, self.level = 1.0, MAX_LEVEL
         self.is_spatial = True
         self.refused = 0
         self.on_mixed: Callable[[FloatArray, float], None] | None = None
         self._make_decoder = make_decoder
-        self._config = config or JitterBufferConfig()
         self._lock = threading.Lock()
         self._voices: dict[str, _Voice] = {}  # at most MAX_VOICES
         self._volumes: dict[str, float] = {}
         self._azimuths: dict[str, float] = {}
-        self._dominant: str | None = None
 
     def receive(self, peer_id: str, packet: VoicePacket, arrived_s: float) -> None:
         """Take a packet of somebody's voice."""
@@ -69,7 +63,7 @@ class VoiceMixer:
                 if len(self._voices) >= MAX_VOICES:
                     self.refused += 1
                     return
-                voice = self._voices[peer_id] = _Voice(self._make_decoder(), self._config)
+                voice = self._voices[peer_id] = _Voice(self._make_decoder())
             voice.buffer.receive(packet, arrived_s)
 
     def keep(self, peer_ids: Iterable[str]) -> None:
@@ -104,12 +98,9 @@ class VoiceMixer:
             for peer_id, voice in self._voices.items():
                 sound = voice.buffer.pull(now, latency_s)
                 voice.level = level_of(sound)
-                voice.activity.add(voice.level)
                 azimuth = self._azimuths.get(peer_id, 0.0) if self.is_spatial else 0.0
                 volume = self._volumes.get(peer_id, 1.0)
                 mixed += volume * voice.placed.place(sound, azimuth)
-            activities = {peer_id: voice.activity for peer_id, voice in self._voices.items()}
-            self._dominant = dominant(activities, self._dominant)
         limited = limit(self.volume * mixed).astype(np.float32)
         self.level = level_of(limited)
         if self.on_mixed is not None:
@@ -132,13 +123,6 @@ class VoiceMixer:
         """How loud each voice was in the last 20 ms: decibels below full scale, 0 to 127."""
         with self._lock:
             return {peer_id: voice.level for peer_id, voice in self._voices.items()}
-
-    def speaker(self) -> str | None:
-        """Who speaks most, by peer id; None while nobody does."""
-        with self._lock:
-            voice = self._voices.get(self._dominant or "")
-            is_spoken = voice is not None and voice.activity.scores[1] > 0
-            return self._dominant if is_spoken else None
 
     def stats(self) -> dict[str, dict[str, Any]]:
         """How each voice came in, by peer id."""

@@ -29,7 +29,8 @@ from pica_core.types import FloatArray
 from pica_protocol.messages import Joined, StreamMuted
 from pica_protocol.session import ClientEvent
 
-DEFAULT_BITRATE_BPS: Final = 24_000
+BITRATE_BPS: Final = 24_000
+"""Bits a second while somebody speaks."""
 PREROLL_FRAMES: Final = 6
 """What is sent of the time before a key was pressed to talk: 120 ms (chosen: three pictures)."""
 _NOTHING: Final = np.zeros(FRAME_SAMPLES, np.float32)
@@ -59,22 +60,15 @@ class VoicePublisher:
         keeps_preroll: Whether a mute is the key of push-to-talk, which was not pressed yet.
     """
 
-    def __init__(
-        self,
-        source: VoiceSource,
-        *,
-        bitrate: int = DEFAULT_BITRATE_BPS,
-        is_sealed: bool = False,
-    ) -> None:
+    def __init__(self, source: VoiceSource, *, is_sealed: bool = False) -> None:
         """Prepare.
 
         Args:
-            bitrate: Bits a second while it speaks.
             is_sealed: Whether it is encrypted on its way: then every packet of speech has the same
                 size, as sizes that follow the sounds tell words (RFC 6562).
 
         Raises:
-            VoiceError: There is no libopus, or the bitrate is out of range.
+            VoiceError: There is no libopus.
         """
         self.track = voice_track()
         self.is_muted = self.is_muted_by_admin = False
@@ -83,7 +77,7 @@ class VoicePublisher:
         self.keeps_preroll = False
         self._preroll: deque[tuple[FloatArray, int]] = deque(maxlen=PREROLL_FRAMES)
         self._source = source
-        self._encoder = OpusEncoder(bitrate, is_constant=is_sealed)
+        self._encoder = OpusEncoder(BITRATE_BPS, is_constant=is_sealed)
         self._stream = 0
         self._told = ""
         self._was_muted = False

@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 
 from helpers.spoken import SpokenDecoder, hum, packet, usual_arrival_s
-from pica_client.voice.dominant import VoiceActivity, dominant
 from pica_client.voice.mixer import MAX_VOICES, VoiceMixer, limit
 from pica_client.voice.packet import FRAME_SAMPLES, SAMPLE_RATE_HZ
 from pica_client.voice.spatial import Placed, delay_s, ear_taps
@@ -104,30 +103,6 @@ def test_the_mix_is_handed_on_as_it_leaves_the_loudspeaker():
     sound = mixer.mix(1.0, 0.05)
     assert frames[0][0] is sound
     assert frames[0][1] == pytest.approx(1.05)
-
-
-def spoken(levels: dict[str, list[int]]) -> list[str | None]:
-    """Who speaks most after each 20 ms."""
-    voices = {who: VoiceActivity() for who in levels}
-    current: str | None = None
-    said = []
-    for frame in zip(*levels.values(), strict=True):
-        for voice, level in zip(voices.values(), frame, strict=True):
-            voice.add(level)
-        current = dominant(voices, current)
-        said.append(current)
-    return said
-
-
-def test_who_takes_over_a_conversation_is_dominant_within_a_second():
-    said = spoken({"ann": [20] * 100 + [80] * 100, "ben": [80] * 100 + [20] * 100})
-    assert said[99] == "ann"
-    assert said[160] == "ben"
-
-
-def test_a_cough_and_a_noisy_room_take_nothing_over():
-    said = spoken({"ann": [20] * 200, "ben": [80] * 100 + [10] * 6 + [80] * 94, "eva": [52] * 200})
-    assert set(said[20:]) == {"ann"}
 
 
 def test_an_echo_of_what_is_played_is_taken_out_of_the_microphone():

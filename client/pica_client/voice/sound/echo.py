@@ -25,7 +25,7 @@ class EchoCanceller:
         VoiceError: The extra is missing; names the line that installs it.
     """
 
-    def __init__(self, *, noise_suppression: bool = True, gain_control: bool = True) -> None:
+    def __init__(self, *, gain_control: bool = True) -> None:
         try:
             from livekit import rtc
         except ImportError as error:
@@ -35,7 +35,7 @@ class EchoCanceller:
         self._frame: Any = rtc.AudioFrame
         self._apm: Any = rtc.AudioProcessingModule(
             echo_cancellation=True,
-            noise_suppression=noise_suppression,
+            noise_suppression=True,
             high_pass_filter=True,
             auto_gain_control=gain_control,
         )
