@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pica_client.render.scene import NEAR_M, Rect, overlap
+from pica_client.render.scene import NEAR_M, Rect, common_px, overlap
 from pica_core.camera import Camera
 from pica_core.types import FloatArray
 
@@ -101,16 +101,9 @@ def _look(heads: Sequence[FloatArray], camera: Camera) -> list[_Seen | None]:
 def _is_seen(face: Rect, nearer: Sequence[Rect], camera: Camera) -> bool:
     """Whether enough of a face is on the picture and not behind others."""
     area = (face[2] - face[0]) * (face[3] - face[1])
-    hidden = area - _common(face, (0.0, 0.0, float(camera.width), float(camera.height)))
-    hidden = max([hidden, *(_common(face, other) for other in nearer)])
+    hidden = area - common_px(face, (0.0, 0.0, float(camera.width), float(camera.height)))
+    hidden = max([hidden, *(common_px(face, other) for other in nearer)])
     return hidden < HIDDEN_SHARE * area
-
-
-def _common(first: Rect, second: Rect) -> float:
-    """The area that two rectangles share."""
-    width = min(first[2], second[2]) - max(first[0], second[0])
-    height = min(first[3], second[3]) - max(first[1], second[1])
-    return max(width, 0.0) * max(height, 0.0)
 
 
 def _room(

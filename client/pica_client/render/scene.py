@@ -159,6 +159,13 @@ def overlap(first: Rect, second: Rect) -> bool:
     )
 
 
+def common_px(first: Rect, second: Rect) -> float:
+    """The area that two rectangles share."""
+    width = min(first[2], second[2]) - max(first[0], second[0])
+    height = min(first[3], second[3]) - max(first[1], second[1])
+    return max(width, 0.0) * max(height, 0.0)
+
+
 def pick_head(
     placements: Sequence[Placement], camera: Camera, x_px: float, y_px: float
 ) -> str | None:

@@ -12,7 +12,7 @@ import moderngl
 from pica_client.call.participants import Participant, notices
 from pica_client.call.status import CallStatus, PeerStatus
 from pica_client.render.labels import place_labels
-from pica_client.render.scene import Rect, head_rect_px
+from pica_client.render.scene import Rect, common_px, head_rect_px
 from pica_client.render.seats import MAX_FREE, FreeShares
 from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter
 from pica_client.ui.call_view import NOTHING, CallView, OwnFaceView, Panel, PersonView
@@ -226,7 +226,6 @@ class CallSurface:
                     is_speaking=found is not None and found.is_speaking,
                     is_voice_muted=peer_id in muted,
                     quality=stream.quality,
-                    is_pinned=face.place == state.pinned,
                     label_px=label_px,
                     figures=found,
                     stream=stream,
@@ -258,17 +257,9 @@ def draw_shares_ms(
         size: Columns and rows of the picture.
         draw_ms: Of the whole picture.
     """
-    areas = {peer_id: _area_px(rect, size) for peer_id, rect in rects.items()}
+    picture = (0.0, 0.0, *size)
+    areas = {peer_id: common_px(rect, picture) if rect else 0.0 for peer_id, rect in rects.items()}
     total = sum(areas.values())
     if draw_ms is None or total <= 0:
         return {}
     return {peer_id: draw_ms * area / total for peer_id, area in areas.items()}
-
-
-def _area_px(rect: Rect | None, size: tuple[int, int]) -> float:
-    """Pixels of a rectangle that are on the picture."""
-    if rect is None:
-        return 0.0
-    width = min(rect[2], size[0]) - max(rect[0], 0.0)
-    height = min(rect[3], size[1]) - max(rect[1], 0.0)
-    return max(width, 0.0) * max(height, 0.0)

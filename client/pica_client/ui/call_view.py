@@ -37,7 +37,6 @@ class PersonView:
     is_speaking: bool = False
     is_voice_muted: bool = False
     quality: Quality = "unknown"
-    is_pinned: bool = False
     label_px: Rect | None = None
     """The part of the picture that the name may fill, from its upper edge on; None for nowhere."""
     figures: AvatarFigures | None = None

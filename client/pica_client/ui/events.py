@@ -2,6 +2,10 @@
 
 from dataclasses import dataclass
 
+NAMED_KEYS = ("Escape", "Enter", "Tab", "Space", "Backspace", "Delete", "Home", "End")
+ARROW_KEYS = ("Left", "Right", "Up", "Down")
+"""Keys that have names; letters, digits and F1 to F12 are called as they are."""
+
 
 @dataclass(frozen=True, slots=True)
 class KeyPressed:

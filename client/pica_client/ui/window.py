@@ -35,19 +35,11 @@ KEY_NAMES: dict[int, str] = {
     **{getattr(glfw, f"KEY_{letter}"): letter for letter in "ABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789"},
     **{getattr(glfw, f"KEY_KP_{digit}"): digit for digit in "0123456789"},
     **{getattr(glfw, f"KEY_F{number}"): f"F{number}" for number in range(1, 13)},
-    glfw.KEY_ESCAPE: "Escape",
-    glfw.KEY_ENTER: "Enter",
+    **{
+        getattr(glfw, f"KEY_{name.upper()}"): name
+        for name in (*events.NAMED_KEYS, *events.ARROW_KEYS)
+    },
     glfw.KEY_KP_ENTER: "Enter",
-    glfw.KEY_TAB: "Tab",
-    glfw.KEY_SPACE: "Space",
-    glfw.KEY_DELETE: "Delete",
-    glfw.KEY_HOME: "Home",
-    glfw.KEY_END: "End",
-    glfw.KEY_BACKSPACE: "Backspace",
-    glfw.KEY_LEFT: "Left",
-    glfw.KEY_RIGHT: "Right",
-    glfw.KEY_UP: "Up",
-    glfw.KEY_DOWN: "Down",
     glfw.KEY_EQUAL: "=",
     glfw.KEY_KP_ADD: "+",
     glfw.KEY_MINUS: "-",

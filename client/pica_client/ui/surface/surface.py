@@ -34,18 +34,8 @@ KEYS = {
     **{letter: getattr(imgui.Key, letter.lower()) for letter in "ABCDEFGHIJKLMNOPQRSTUVWXYZ"},
     **{digit: getattr(imgui.Key, f"_{digit}") for digit in "0123456789"},
     **{f"F{number}": getattr(imgui.Key, f"f{number}") for number in range(1, 13)},
-    "Escape": imgui.Key.escape,
-    "Enter": imgui.Key.enter,
-    "Tab": imgui.Key.tab,
-    "Space": imgui.Key.space,
-    "Backspace": imgui.Key.backspace,
-    "Delete": imgui.Key.delete,
-    "Home": imgui.Key.home,
-    "End": imgui.Key.end,
-    "Left": imgui.Key.left_arrow,
-    "Right": imgui.Key.right_arrow,
-    "Up": imgui.Key.up_arrow,
-    "Down": imgui.Key.down_arrow,
+    **{name: getattr(imgui.Key, name.lower()) for name in events.NAMED_KEYS},
+    **{name: getattr(imgui.Key, f"{name.lower()}_arrow") for name in events.ARROW_KEYS},
 }
 
 

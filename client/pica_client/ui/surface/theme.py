@@ -148,46 +148,25 @@ def apply_theme(style: imgui.Style, metrics: Metrics) -> None:
     style.disabled_alpha = 0.45
     # Half a pixel off the circle: on software GL the bar's buttons cost as much as their triangles.
     style.circle_tessellation_max_error = 0.5
-    colours: dict[str, Colour] = {
-        "text": palette.ink,
-        "text_disabled": palette.faint,
-        "window_bg": palette.card,
-        "popup_bg": palette.card,
-        "child_bg": (0, 0, 0, 0),
-        "border": palette.line,
-        "frame_bg": palette.field,
-        "frame_bg_hovered": palette.field_hovered,
-        "frame_bg_active": palette.field_hovered,
-        "button": palette.field,
-        "button_hovered": palette.field_hovered,
-        "button_active": palette.accent,
-        "header": palette.field,
-        "header_hovered": palette.field_hovered,
-        "header_active": palette.accent,
-        "check_mark": palette.accent,
-        "checkbox_selected_bg": palette.field,
-        "slider_grab": palette.accent,
-        "slider_grab_active": palette.accent,
-        "tab": (0, 0, 0, 0),
-        "tab_hovered": palette.field_hovered,
-        "tab_selected": palette.field,
-        "tab_selected_overline": (0, 0, 0, 0),
-        "tab_dimmed": (0, 0, 0, 0),
-        "tab_dimmed_selected": palette.field,
-        "tab_dimmed_selected_overline": (0, 0, 0, 0),
-        "separator": palette.line,
-        "scrollbar_bg": (0, 0, 0, 0),
-        "scrollbar_grab": palette.field_hovered,
-        "scrollbar_grab_hovered": palette.faint,
-        "scrollbar_grab_active": palette.faint,
-        "table_row_bg_alt": (*palette.ink[:3], 0.03),
-        "table_border_light": palette.line,
-        "text_selected_bg": (*palette.accent[:3], 0.45),
-        "nav_cursor": palette.accent,
-        "modal_window_dim_bg": (0, 0, 0, 0.45),
-        "input_text_cursor": palette.ink,
-        "text_link": palette.accent,
-    }
+    clear = (0.0, 0.0, 0.0, 0.0)
+    colours: tuple[tuple[Colour, str], ...] = (
+        (palette.ink, "text input_text_cursor"),
+        (palette.faint, "text_disabled scrollbar_grab_hovered scrollbar_grab_active"),
+        (palette.card, "window_bg popup_bg"),
+        (clear, "child_bg scrollbar_bg tab tab_dimmed"),
+        (clear, "tab_selected_overline tab_dimmed_selected_overline"),
+        (palette.line, "border separator table_border_light"),
+        (palette.field, "frame_bg button header checkbox_selected_bg"),
+        (palette.field, "tab_selected tab_dimmed_selected"),
+        (palette.field_hovered, "frame_bg_hovered frame_bg_active button_hovered"),
+        (palette.field_hovered, "header_hovered tab_hovered scrollbar_grab"),
+        (palette.accent, "button_active header_active check_mark slider_grab"),
+        (palette.accent, "slider_grab_active nav_cursor text_link"),
+        ((*palette.ink[:3], 0.03), "table_row_bg_alt"),
+        ((*palette.accent[:3], 0.45), "text_selected_bg"),
+        ((0.0, 0.0, 0.0, 0.45), "modal_window_dim_bg"),
+    )
     members: Any = imgui.Col_
-    for name, colour in colours.items():
-        style.set_color_(getattr(members, name), imgui.ImVec4(*colour))
+    for colour, names in colours:
+        for name in names.split():
+            style.set_color_(getattr(members, name), imgui.ImVec4(*colour))

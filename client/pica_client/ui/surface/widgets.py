@@ -305,7 +305,7 @@ def shortened(text: str, width_px: float, points: float) -> str:
 
 
 @lru_cache(maxsize=256)
-def ink(colour: theme.Colour, alpha: float = 1.0) -> int:
+def ink(colour: theme.Colour) -> int:
     """A colour as draw lists take it."""
-    red, green, blue, opacity = (round(255 * part) for part in (*colour[:3], colour[3] * alpha))
+    red, green, blue, opacity = (round(255 * part) for part in colour)
     return red | green << 8 | blue << 16 | opacity << 24
