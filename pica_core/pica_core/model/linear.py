@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from pica_core.avatar.linear import components_of
 from pica_core.latent import LATENT_SIZE, NUM_LATENT
+from pica_core.model.bases import Bases
 from pica_core.model.interface import LatentEncoder, LinearPrior, flat_latent
 from pica_core.types import FloatArray
 
@@ -65,6 +66,14 @@ class LinearGeometry(nn.Module):
         weights = flat_latent(latent) @ self.weight.T
         dense = self._mean_m + torch.tensordot(weights, self._dense_components(), 1)
         return dense, self.tracked_mean + torch.tensordot(weights, self.tracked, 1)
+
+    def bases(self, vertex_weights: FloatArray) -> Bases:
+        """The same as bases of the dense mesh; an error of each vertex counts so much, ``[V]``."""
+        return Bases(
+            mean_m=self._mean_m.cpu().numpy(),
+            components_m=self._dense_components().cpu().numpy(),
+            vertex_weights=vertex_weights,
+        )
 
     def named_tensors(self) -> dict[str, Tensor]:
         """The tensors under their names in the avatar file; vertices by places of the sheet."""

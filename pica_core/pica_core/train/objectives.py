@@ -10,11 +10,12 @@ import torch
 from torch import Tensor
 from torch.profiler import record_function
 
-from pica_core.avatar.arkit import NUM_ARKIT
+from pica_core.capture.stage.poses import read_poses
 from pica_core.capture.stage.tracked_topology import COVER
 from pica_core.errors import CaptureError
 from pica_core.model.encoder import hold_log_variance, reparameterise
 from pica_core.model.interface import AvatarModel, DecodedMesh, flat_latent
+from pica_core.model.linear import LinearGeometry
 from pica_core.train.config import TrainConfig
 from pica_core.train.data.images import view_direction
 from pica_core.train.data.meshes import important_vertices, vertex_importance
@@ -27,6 +28,7 @@ from pica_core.train.laplacian import (
     laplacian_smoothness,
     smoothness_weights,
 )
+from pica_core.train.live import GEOMETRY, regress, regress_geometry
 from pica_core.train.losses import (
     depth_loss,
     depth_mask,
@@ -40,9 +42,6 @@ from pica_core.train.losses import (
 from pica_core.train.parallel import Ranks
 from pica_core.train.rasterise import Rasteriser
 
-DRIVER_RIDGE, BEND_RIDGE = 1e-5, 3e-4
-"""Strength of the regression that a live encoder begins as, in squared tracker values, for them
-and for what bends (chosen: a shape that is never shown stays without effect)."""
 DRIVER_MESHES = 8
 """A step of the driver phase decodes the mesh of every eighth frame of its batch."""
 MASKED_REGION = "mouth"
@@ -220,19 +219,19 @@ class Objectives:
 
     def start_driver(self) -> None:
         """Begin the live encoder as the ridge regression from expressions, and what of them bends,
-        to the model's codes."""
+        to the model's codes; geometry from poses without pictures, where the capture has some."""
         codes, _ = self._model_codes()
         frames = self.data.train_frames
-        wanted = flat_latent(torch.stack([codes[frame] for frame in frames])).double().cpu()
-        encoder = self.model.expression_encoder
-        given = encoder.lifted(self.data.arkit[frames].double())
-        mean, rest = given.mean(0), wanted.mean(0)
-        offsets = given - mean
-        ridge = torch.full_like(mean, BEND_RIDGE)
-        ridge[:NUM_ARKIT] = DRIVER_RIDGE
-        products = offsets.T @ offsets + len(frames) * torch.diag(ridge)
-        matrix = torch.linalg.solve(products, offsets.T @ (wanted - rest)).T
-        encoder.start_from(matrix.float(), (rest - matrix @ mean).float())
+        wanted = flat_latent(torch.stack([codes[frame] for frame in frames])).cpu()
+        matrix, offset = regress(self.data.arkit[frames], wanted)
+        topology = self.data.capture.topology
+        poses = read_poses(self.data.capture.path, len(topology.vertex_uv))
+        geometry = getattr(self.model, "geometry", None)
+        if poses is not None and isinstance(geometry, LinearGeometry):
+            bases = geometry.bases(vertex_importance(topology))
+            weight = geometry.weight.cpu().numpy()
+            matrix[GEOMETRY], offset[GEOMETRY] = regress_geometry(poses, bases, weight)
+        self.model.expression_encoder.start_from(matrix.float(), offset.float())
 
     def colours(self, images: Images, pixels: PixelList) -> Tensor:
         """What the capture shows at pixels, 0 to 1, ``[P, 3]``."""

@@ -19,6 +19,7 @@ What is missing, damaged or cannot be written is a `CaptureError` that names the
     tracked_topology.npz                  the same of the tracked mesh, where that is another one
     truth_mesh/SEG/FRAME.bin              exact mesh, float32 [V, 3], head frame, mm (no real ones)
     depth_truth/SEG/CAM/FRAME.png         exact depth, as depth/
+    poses.npz                             meshes alone, of other expressions (no real ones)
 
 Layout source: the published description of the Multiface dataset (Wuu et al. 2022, arXiv
 2207.11243).

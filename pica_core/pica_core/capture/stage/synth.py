@@ -32,6 +32,7 @@ from pica_core.capture.stage.gpu import View
 from pica_core.capture.stage.head_motion import head_to_world
 from pica_core.capture.stage.mvs_depth import MvsErrors, find_depth
 from pica_core.capture.stage.own_take import own_take, read_own_take
+from pica_core.capture.stage.poses import POSES_PER_FRAME, pose, write_poses
 from pica_core.capture.stage.subject import Subject
 from pica_core.capture.stage.tracked_topology import NUM_VERTICES, track_topology
 from pica_core.capture.stage.tracker import SimulatedTracker, lagged_arkit
@@ -127,6 +128,8 @@ def render_subject(
             raise CaptureError(f"{out}: {_USED}")
         multiface.write_aside(marker, fingerprint.encode())
         counts = _render(subject, options, takes, out, progress)
+        posed = pose(subject.pose, POSES_PER_FRAME * options.frames, options.seed)
+        write_poses(out, posed)
     finally:
         subject.release()
     marker.unlink(missing_ok=True)
