@@ -2,6 +2,7 @@
 
     python scripts/make_avatars.py --facekit ICT-FaceKit --work work                # all six
     python scripts/make_avatars.py --facekit ICT-FaceKit --work work --names nora   # one of them
+    python scripts/make_avatars.py --facekit ICT-FaceKit --work work --fit-size     # size alone
 
 About twenty minutes each on a core. What is done is left alone and what was stopped goes on, so
 several processes can share the work. Who they are stands in `scripts/people`.
@@ -12,14 +13,19 @@ from __future__ import annotations
 import argparse
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from claims import give_back, take
+
+from pica_core.avatar.file import load_avatar, save_avatar
 
 HERE = Path(__file__).resolve().parent
 PEOPLE = {file.stem: file for file in sorted((HERE / "people").glob("*.json"))}
 FOLDER = HERE.parent / "pica_core" / "pica_core" / "avatars"
 STAGE = "--frames 320 --cameras 10 --size 384x384"
+MOST_BYTES = 4_000_000
 TRAINING = "--variant linear --preset long --threads 1"
 LICENCE = "Apache-2.0; face model ICT-FaceKit: MIT, (c) 2020 USC ICT"
 
@@ -30,8 +36,12 @@ def main() -> None:
     parser.add_argument("--facekit", type=Path, required=True, help="clone of ICT-FaceKit")
     parser.add_argument("--work", type=Path, required=True, help="captures and runs")
     parser.add_argument("--names", nargs="*", default=list(PEOPLE), choices=list(PEOPLE))
+    parser.add_argument("--fit-size", action="store_true", help="bring files to their size alone")
     options = parser.parse_args()
     for name in options.names:
+        if options.fit_size:
+            fit_size(FOLDER / f"{name}.pica")
+            continue
         place = options.work / name
         if (place / "done").exists() or not take(place):
             continue
@@ -52,8 +62,25 @@ def make(name: str, facekit: Path, place: Path) -> None:
         pica("train", *of, str(run), *TRAINING.split(), *more)
     words = ["--run", str(run), *of, file, "--licence", LICENCE, "--threads", "1"]
     pica("export", *words, "--name", name.title())
+    fit_size(Path(file))
     pica("avatar", "measure", file, "--out", file)
     pica("avatar", "verify", file)
+
+
+def fit_size(file: Path) -> None:
+    """Leave out the directions of bases that move their region least, until a file is small."""
+    while (excess := file.stat().st_size - MOST_BYTES) > 0:
+        avatar = load_avatar(file)
+        tensors = dict(avatar.tensors)
+        mix, basis, rank = (tensors[f"linear.{name}"] for name in ("mix", "basis", "rank"))
+        moved = np.square(mix).sum(1) * np.square(basis).sum((1, 2))
+        bytes_each = basis[0].size + 2 * mix.shape[1]
+        kept = np.sort(np.argsort(moved)[-(-excess // bytes_each) :])
+        region = np.repeat(np.arange(len(rank)), rank)[kept]
+        tensors["linear.mix"], tensors["linear.basis"] = mix[kept], basis[kept]
+        tensors["linear.rank"] = np.bincount(region, minlength=len(rank)).astype(np.int32)
+        print(f"{file}: {len(mix) - len(kept)} of {len(mix)} directions left out", file=sys.stderr)
+        save_avatar(file, replace(avatar, tensors=tensors), like=file)
 
 
 def pica(*words: str) -> None:

@@ -20,6 +20,10 @@ def test_a_name_is_a_shipped_file_whatever_its_case_and_a_file_is_itself(tmp_pat
         avatar_file(Path("nobody"))
 
 
+def test_no_file_that_ships_has_more_than_four_million_bytes() -> None:
+    assert all(path.stat().st_size <= 4_000_000 for path in shipped_avatar_files())
+
+
 def test_names_of_avatars_that_shipped_before_mean_their_successors() -> None:
     library = AvatarLibrary()
     for former, name in FORMER.items():
