@@ -50,7 +50,7 @@ def test_offenders_get_their_close_codes_and_healthy_rooms_their_frames() -> Non
         load.connect(config.rooms)
         before = memory_bytes(target.pid) or 0
         offenders = {
-            kind: workers.start(OFFENDERS, kind, target.url, load.first_room, str(OFFENCE_S))
+            kind: workers.start(OFFENDERS, kind, target.url, load.room(0), str(OFFENCE_S))
             for kind in kinds
         }
         beside = load.measure(config.rooms, config.seconds)
@@ -76,7 +76,7 @@ def test_a_slow_reader_stays_while_it_reads_and_costs_nobody_else_a_frame() -> N
     with Workers() as workers, Children() as children, relay_target(config, children) as target:
         load = Load(config, target, workers)
         load.connect(config.rooms)
-        slow = workers.start(OFFENDERS, "slow-reader", target.url, load.first_room, "4")
+        slow = workers.start(OFFENDERS, "slow-reader", target.url, load.room(0), "4")
         beside = load.measure(config.rooms, config.seconds)
         report = slow.answer(30.0)
         load.leave()

@@ -85,7 +85,7 @@ def _beside(
     duration_s = seconds + EXTRA_S
     offender = workers.start(
         Path(clients.__file__),
-        *(kind, target.url, load.first_room, f"{duration_s:g}"),
+        *(kind, target.url, load.room(0), f"{duration_s:g}"),
         core=cores[-1],
     )
     beside = load.measure(rooms, seconds)

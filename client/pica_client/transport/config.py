@@ -41,7 +41,7 @@ class LinkConfig:
 
     def __post_init__(self) -> None:
         for url in self.urls or ("",):
-            _check_address(url)
+            check_address(url)
         if self.ca_file is not None and not any(url.startswith("wss://") for url in self.urls):
             raise OptionError(f"ca-file says whom to trust with wss://; url is {self.url}")
         if self.short_tags and self.secret_file is None:
@@ -63,7 +63,12 @@ class LinkConfig:
         return tuple(dict.fromkeys(filter(None, map(str.strip, self.url.split(",")))))
 
 
-def _check_address(url: str) -> None:
+def check_address(url: str) -> None:
+    """Refuse what is no address of a relay.
+
+    Raises:
+        OptionError: It is not of the form ws://HOST:PORT, or wss://.
+    """
     try:
         parts = urlsplit(url)
         usable = parts.scheme in ("ws", "wss") and bool(parts.hostname) and parts.port != 0

@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from typing import Annotated, Any, Final
-from urllib.parse import urlsplit
 
 import tyro
 
@@ -39,10 +38,11 @@ from pica_client.bench.relay.processes import (
     summed,
 )
 from pica_client.bench.relay.swarm import DRAIN_S, SwarmConfig
-from pica_client.errors import CallProcessError, OptionError, check_ranges
+from pica_client.errors import CallProcessError, check_ranges
 from pica_client.local_call.processes import Child, Children
 from pica_client.output import say
 from pica_client.stats import describe_machine
+from pica_client.transport.config import check_address
 
 SETTLE_S: Final = 1.5
 """Between the first frame and the first that counts: queues and windows find their size."""
@@ -98,23 +98,12 @@ class RelayBenchConfig:
         check_ranges(self, processes=(1, min(64, self.rooms)), max_rooms=(1, 10_000))
         check_ranges(self, bar_ms=(0.1, 10_000), joins_per_s=(0.1, 10_000))
         if self.url is not None:
-            check_url(self.url)
+            check_address(self.url)
 
     @property
     def most_rooms(self) -> int:
         """Rooms that may be needed."""
         return max(self.max_rooms, self.rooms) if self.capacity else self.rooms
-
-
-def check_url(url: str) -> None:
-    """Refuse what is no relay address."""
-    try:
-        parts = urlsplit(url)
-        is_usable = parts.scheme in ("ws", "wss") and bool(parts.hostname) and parts.port != 0
-    except ValueError:
-        is_usable = False
-    if not is_usable:
-        raise OptionError(f"url {url!r} is no relay address; write ws://HOST:PORT")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -139,7 +128,7 @@ class Load:
         _, cores = share_cores()
         rate = config.joins_per_s or (40.0 if target.pid is None else OWN_JOINS_PER_S)
         self._rate = rate
-        names = [self._room(index) for index in range(config.most_rooms)]
+        names = [self.room(index) for index in range(config.most_rooms)]
         self._swarms = [
             workers.start(
                 "swarm",
@@ -163,14 +152,13 @@ class Load:
         self._idle_bytes = None if target.pid is None else memory_bytes(target.pid)
 
     @property
-    def first_room(self) -> str:
-        """The name of the first room."""
-        return self._room(0)
-
-    @property
     def num_connections(self) -> int:
         """Peers that are there."""
         return self._connected * self._config.peers
+
+    def room(self, index: int) -> str:
+        """The name of a room, by its number from 0."""
+        return f"load-{self._config.seed}-{index}"
 
     def connect(self, rooms: int) -> None:
         """Fill the first so many rooms.
@@ -301,9 +289,6 @@ class Load:
         for swarm, part in zip(self._swarms, self._parts(rooms), strict=True):
             swarm.order(**order(part))
         return [swarm.answer(timeout_s + PATIENCE_S) for swarm in self._swarms]
-
-    def _room(self, index: int) -> str:
-        return f"load-{self._config.seed}-{index}"
 
     def _parts(self, rooms: int) -> list[int]:
         """How many rooms of each swarm are the first so many of all."""

@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
-from pica_client.bench.relay.swarm import STEP_US
+from pica_client.bench.relay.tally import STEP_US
 
 
 def describe(row: dict[str, Any]) -> str:

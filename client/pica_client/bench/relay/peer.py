@@ -15,13 +15,14 @@ import random
 import socket
 import ssl
 import struct
-from typing import Final, Protocol
+from typing import Final
 from urllib.parse import urlsplit
 
 from websockets.client import ClientProtocol
 from websockets.typing import Subprotocol
 from websockets.uri import parse_uri
 
+from pica_client.bench.relay.tally import Tally
 from pica_client.bench.relay.traffic import LARGEST_FACE_BYTES, VOICE_PAYLOAD, Traffic
 from pica_client.errors import RelayUnreachableError
 from pica_client.transport.connect import MAX_UNSENT_BYTES
@@ -40,22 +41,6 @@ _IN = struct.Struct(">HHBBHQ")
 _BINARY, _CLOSE, _PING, _PONG = 2, 8, 9, 10
 _FIN = 0x80
 _MASK = 0x80
-
-
-class Tally(Protocol):
-    """Who counts what the peers of one process receive."""
-
-    def received(self, captured_us: int) -> None:
-        """Take note of one frame that has come in."""
-
-    def received_voice(self, captured_us: int) -> None:
-        """Take note of one packet of a voice that has come in."""
-
-    def heard(self, num_bytes: int) -> None:
-        """Take note of bytes that have come in."""
-
-    def closed(self, code: int) -> None:
-        """Take note that the relay closed a connection, with a websocket close code."""
 
 
 class SwarmPeer:
@@ -253,7 +238,7 @@ class SwarmPeer:
 
     def _end(self, code: int) -> None:
         if not self.is_closed:
-            self._tally.closed(code)
+            self._tally.codes[code] += 1
             self.close()
 
 

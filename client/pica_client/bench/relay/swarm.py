@@ -19,19 +19,15 @@ import random
 import select
 import sys
 import time
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final
 
 from pica_client.bench.relay.peer import SwarmPeer
+from pica_client.bench.relay.tally import Tally, add_step
 from pica_client.errors import ClientError
 
-STEP_US: Final = 10
-"""Width of the latency buckets."""
-NUM_STEPS: Final = 200_000
-"""Latencies up to 2 s; later frames count as that late."""
 NAP_S: Final = 0.0002
 """Between two looks at the sockets under load: adds as much to the latencies at most (chosen)."""
 TURN_US: Final = 2_000_000
@@ -57,55 +53,6 @@ class SwarmConfig:
     voices: bool
     """Whether the peers of a room speak in turn."""
     seed: str
-
-
-class Window:
-    """What came of the frames captured between two moments."""
-
-    def __init__(self, begin_us: int, end_us: int) -> None:
-        self.begin_us, self.end_us = begin_us, end_us
-        self.sent = self.num_received = self.blocked = 0
-        self.voices_sent = self.voices_received = 0
-        self.bytes_in = self.reads = 0
-        self.latencies = [0] * NUM_STEPS
-        self.voice_latencies = [0] * NUM_STEPS
-        self.turns = [0] * NUM_STEPS
-        self._now_us = 0
-
-    def received(self, captured_us: int) -> None:
-        """Count one frame as of the last read."""
-        if self.begin_us <= captured_us < self.end_us:
-            self.num_received += 1
-            step = (self._now_us - captured_us) // STEP_US
-            self.latencies[step if step < NUM_STEPS else -1] += 1
-
-    def received_voice(self, captured_us: int) -> None:
-        """Count one packet of a voice as of the last read."""
-        if self.begin_us <= captured_us < self.end_us:
-            self.voices_received += 1
-            step = (self._now_us - captured_us) // STEP_US
-            self.voice_latencies[step if step < NUM_STEPS else -1] += 1
-
-    def heard(self, num_bytes: int) -> None:
-        """Count the bytes of one read."""
-        self.bytes_in += num_bytes
-        self.reads += 1
-        self._now_us = time.monotonic_ns() // 1000
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return it as JSON: of the buckets only those with something in them."""
-        return {
-            "sent": self.sent,
-            "blocked": self.blocked,
-            "received": self.num_received,
-            "voices_sent": self.voices_sent,
-            "voices_received": self.voices_received,
-            "voice_latency": {i: n for i, n in enumerate(self.voice_latencies) if n},
-            "bytes_in": self.bytes_in,
-            "reads": self.reads,
-            "latency": {i: n for i, n in enumerate(self.latencies) if n},
-            "turn": {i: n for i, n in enumerate(self.turns) if n},
-        }
 
 
 class _Schedule:
@@ -152,28 +99,10 @@ class Swarm:
         self._by_fd: dict[int, SwarmPeer] = {}
         self._rooms: list[list[SwarmPeer]] = [[] for _ in config.rooms]
         self._schedules: list[_Schedule] = []  # of faces; of voices, one a room
-        self._window = Window(0, 0)
-        self._codes: Counter[int] = Counter()
+        self._tally = Tally()
         self._input = b""
         self._is_over = False
         self._poller.register(sys.stdin.fileno(), select.POLLIN)
-
-    # The window is exchanged between measurements; peers keep counting into the newest.
-    def received(self, captured_us: int) -> None:
-        """Count one frame in the newest window."""
-        self._window.received(captured_us)
-
-    def received_voice(self, captured_us: int) -> None:
-        """Count one packet of a voice in the newest window."""
-        self._window.received_voice(captured_us)
-
-    def heard(self, num_bytes: int) -> None:
-        """Count the bytes of one read in the newest window."""
-        self._window.heard(num_bytes)
-
-    def closed(self, code: int) -> None:
-        """Count a connection that the relay ended."""
-        self._codes[code] += 1
 
     def run(self) -> None:
         """Obey until the input ends."""
@@ -209,7 +138,7 @@ class Swarm:
                 config.rooms[index],
                 f"load-{seat}",
                 self._rng,
-                self,
+                self._tally,
                 time.monotonic(),
                 timeout_s=10.0,
                 has_voice=config.voices,
@@ -224,12 +153,13 @@ class Swarm:
                 break
             self._turn(time.monotonic() + 0.05)
         live = sum(peer.is_live for room in self._rooms for peer in room)
-        _answer({"live": live, "closed": dict(self._codes)})
+        _answer({"live": live, "closed": dict(self._tally.codes)})
 
     def _measure(self, rooms: int, begin_s: float, end_s: float) -> None:
         """Let the first so many rooms send until the end, and count from the beginning."""
         self._start_sending(rooms)
-        window = self._window = Window(int(begin_s * 1e6), int(end_s * 1e6))
+        tally = self._tally
+        tally.begin(int(begin_s * 1e6), int(end_s * 1e6))
         cpu_s = 0.0
         has_begun = False
         while (now := time.monotonic()) < end_s and not self._is_over:
@@ -240,19 +170,19 @@ class Swarm:
         drained_s = end_s + DRAIN_S
         others = self._config.peers - 1
         while time.monotonic() < drained_s and (
-            window.num_received < window.sent * others
-            or window.voices_received < window.voices_sent * others
+            tally.num_received < tally.sent * others
+            or tally.voices_received < tally.voices_sent * others
         ):
             self._turn(time.monotonic() + 0.1)
         cpu_ratio = cpu_s / max(end_s - begin_s, 1e-9)
-        _answer({**window.as_dict(), "closed": dict(self._codes), "cpu_ratio": cpu_ratio})
+        _answer({**tally.as_dict(), "closed": dict(tally.codes), "cpu_ratio": cpu_ratio})
 
     def _wait_for_the_end(self, timeout_s: float) -> None:
         """Go on until the relay has closed everybody; tell with which codes."""
         deadline = time.monotonic() + timeout_s
         while self._by_fd and time.monotonic() < deadline and not self._is_over:
             self._turn(time.monotonic() + 0.1)
-        _answer({"live": len(self._by_fd), "closed": dict(self._codes)})
+        _answer({"live": len(self._by_fd), "closed": dict(self._tally.codes)})
 
     def _start_sending(self, rooms: int) -> None:
         """Let the peers of the first so many rooms send."""
@@ -268,19 +198,19 @@ class Swarm:
 
     def _send_face(self, peer: SwarmPeer, now_us: int) -> None:
         if peer.is_live:
-            window, is_sent = self._window, peer.send_frame(now_us)
-            if window.begin_us <= now_us < window.end_us:
-                window.sent += is_sent
-                window.blocked += not is_sent
+            tally, is_sent = self._tally, peer.send_frame(now_us)
+            if tally.covers(now_us):
+                tally.sent += is_sent
+                tally.blocked += not is_sent
 
     def _send_voice(self, room: Sequence[SwarmPeer], now_us: int) -> None:
         """Let speak whose turn it is."""
         peer = room[now_us // TURN_US % len(room)]
         if peer.is_live:
-            window, is_sent = self._window, peer.send_voice(now_us)
-            if window.begin_us <= now_us < window.end_us:
-                window.voices_sent += is_sent
-                window.blocked += not is_sent
+            tally, is_sent = self._tally, peer.send_voice(now_us)
+            if tally.covers(now_us):
+                tally.voices_sent += is_sent
+                tally.blocked += not is_sent
 
     def _turn(self, until_s: float) -> None:
         """Send what is due, wait for something to read or for the next frame, and read."""
@@ -309,8 +239,7 @@ class Swarm:
                 del self._by_fd[fd]
                 with contextlib.suppress(OSError, KeyError):  # epoll has forgotten it already
                     self._poller.unregister(fd)
-        step = (time.monotonic_ns() - begin_ns) // (1000 * STEP_US)
-        self._window.turns[step if step < NUM_STEPS else -1] += 1
+        add_step(self._tally.turns, (time.monotonic_ns() - begin_ns) // 1000)
 
     def _leave(self) -> None:
         for room in self._rooms:
