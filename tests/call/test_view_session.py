@@ -33,7 +33,7 @@ from pica_client.ui.events import (
 from pica_client.ui.joining.form import Fields, JoinForm
 from pica_client.ui.preferences import Preferences, PreferencesFile
 from pica_client.ui.view import ViewConfig
-from pica_client.ui.view_session import Destination, ask_and_look, look
+from pica_client.ui.view_session import ask_and_look, first_fields, link_without_form, look
 from pica_client.ui.viewer_options import ViewerOptions
 from pica_core.gl import create_context
 
@@ -198,7 +198,9 @@ def test_who_joins_by_the_form_is_in_the_call_and_found_again_next_time(
         "grid",
     )
     assert "a-secret" not in kept.path.read_text()
-    assert Destination().fields(found) == Fields(url=relay_url, room="standup", name="Ada")
+    assert first_fields(Fields(voice=""), found) == Fields(
+        url=relay_url, room="standup", name="Ada"
+    )
 
 
 def test_an_address_on_the_command_line_needs_no_form(
@@ -235,6 +237,8 @@ def test_who_records_from_the_command_line_is_seen_to_by_those_in_the_room(
 
 def test_what_the_command_line_says_comes_before_what_was_kept() -> None:
     kept = Preferences(url="ws://old", room="old", name="Old", voice="none")
-    assert Destination(room="new").fields(kept) == Fields(url="ws://old", room="new", name="Old")
-    assert Destination(voice="speech").fields(kept).voice == "speech"
-    assert Destination(room="new").link(LinkConfig()).room == "new"
+    assert first_fields(Fields(room="new", voice=""), kept) == Fields(
+        url="ws://old", room="new", name="Old"
+    )
+    assert first_fields(Fields(voice="speech"), kept).voice == "speech"
+    assert link_without_form(Fields(room="new"), LinkConfig()).room == "new"

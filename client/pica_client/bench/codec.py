@@ -5,7 +5,6 @@ playout`), and people: the avatars are synthetic, and only the recording is of a
 bits and of the pixels that change owner at edges is in every `mse`: about 0.2.
 """
 
-import struct
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -317,11 +316,8 @@ def _code_frames(
     return coded
 
 
-_HALVES = struct.Struct("<262e")
-
-
 def _to_halves(sample: LatentSample) -> bytes:
-    return _HALVES.pack(*sample.latent.reshape(-1).tolist(), *_pose(sample).tolist())
+    return np.concatenate((sample.latent.reshape(-1), _pose(sample))).astype("<f2").tobytes()
 
 
 def _from_halves(payload: bytes) -> LatentSample:

@@ -45,7 +45,7 @@ from pica_client.bench.network.stream_trial import (
     Schedule,
     deliver,
 )
-from pica_client.bench.option_types import Words
+from pica_client.bench.option_types import Words, check_names
 from pica_client.bench.playout import open_ends, true_face
 from pica_client.call.held_lips import HeldLips
 from pica_client.errors import OptionError, check_ranges
@@ -95,9 +95,7 @@ class BenchVoiceConfig:
     """Seed of the network and of the room's noise."""
 
     def __post_init__(self) -> None:
-        for name in self.scenarios:
-            if name not in BY_NAME:
-                raise OptionError(f"scenario {name!r} is unknown; known are {', '.join(BY_NAME)}")
+        check_names("scenario", self.scenarios, BY_NAME)
         for rate in self.kbps:
             if not rate.isdecimal() or not 6 <= int(rate) <= 128:
                 raise OptionError(f"kbps has {rate!r}; whole numbers from 6 to 128 are allowed")

@@ -126,33 +126,35 @@ def view(options: ViewOptions) -> dict[str, Any]:
         return {"registered": str(path)}
     from pica_client.call.call import CallConfig
     from pica_client.render.views import EYE_DISTANCE_M
-    from pica_client.ui.joining.form import JoinForm
+    from pica_client.ui.joining.form import Fields, JoinForm
     from pica_client.ui.preferences import Preferences, PreferencesFile
     from pica_client.ui.view import ViewConfig
     from pica_client.ui.view_session import (
-        Destination,
         ask_and_look,
+        first_fields,
+        invited,
         keep_folder,
+        link_without_form,
         look,
     )
     from pica_client.ui.viewer_options import ViewerOptions
 
     kept = PreferencesFile() if options.preferences and not options.headless else None
     preferences = Preferences() if kept is None else kept.load()
-    going = Destination.invited(options.link) if options.link else Destination()
+    going = invited(options.link) if options.link else Fields()
     asks = not options.headless and bool(options.link or not options.url) and has_display()
     face = _face(options, asks=asks)
     voice, sound = _sound(options, preferences.sound)
     going = replace(
         going,
-        url=going.url or options.url,
-        room=going.room or options.room,
-        name=options.name,
+        url=going.url or options.url or "",
+        room=going.room or options.room or "",
+        name=options.name or "",
         ca_file=str(options.ca_file or ""),
         secret_file=str(options.secret_file or ""),
         avatar=options.own_avatar or "",
         source=face.source,
-        voice=voice,
+        voice=voice or "",
         sound=sound,
     )
     base = LinkConfig(
@@ -161,7 +163,7 @@ def view(options: ViewOptions) -> dict[str, Any]:
         token_file=options.token_file,
     )
     # Until the form is filled the address is not known to be wss://.
-    link = base if asks else replace(going.link(base), ca_file=options.ca_file)
+    link = base if asks else replace(link_without_form(going, base), ca_file=options.ca_file)
     config = ViewConfig(
         link=link,
         call=CallConfig(playout=playout_with_floor(options.playout_floor_ms)),
@@ -194,7 +196,7 @@ def view(options: ViewOptions) -> dict[str, Any]:
             if name:
                 library.load(library.find(name))
         if asks:
-            form = JoinForm(going.fields(preferences), base=base)
+            form = JoinForm(first_fields(going, preferences), base=base)
             result = ask_and_look(config, library, face, on_stop_signal, kept=kept, form=form)
         else:
             result = look(config, library, face, on_stop_signal, kept=kept)

@@ -189,10 +189,7 @@ class Link:
         Returns:
             False if it could not be told: not joined, or the network takes nothing.
         """
-        session = self._session_for_control()
-        if session is not None:
-            session.want(stream, layer)
-        return session is not None
+        return self._control(lambda session: session.want(stream, layer))
 
     def request_keyframe(self, stream: int) -> bool:
         """Ask the publisher of a stream for a keyframe.
@@ -200,10 +197,7 @@ class Link:
         Returns:
             As ``want``.
         """
-        session = self._session_for_control()
-        if session is not None:
-            session.request_keyframe(stream)
-        return session is not None
+        return self._control(lambda session: session.request_keyframe(stream))
 
     def whisper(self, peer_id: str, data: bytes) -> bool:
         """Send opaque bytes to one peer in the room; it gets a ``Whisper`` with our peer id.
@@ -217,10 +211,7 @@ class Link:
         Raises:
             ValueError: More than ``MAX_WHISPER_BYTES``, or no peer id.
         """
-        session = self._session_for_control()
-        if session is not None:
-            session.whisper(peer_id, data)
-        return session is not None
+        return self._control(lambda session: session.whisper(peer_id, data))
 
     def describe(self, key: str, value: str) -> None:
         """Say something of ourselves to the others under a key, now and after each join; "" says
@@ -234,17 +225,16 @@ class Link:
 
     def report(self, report: Report) -> None:
         """Tell the relay how streams arrived, if it is there."""
-        session = self._session_for_control()
-        if session is not None:
-            session.report(report)
+        self._control(lambda session: session.report(report))
 
-    def _session_for_control(self) -> ClientSession | None:
-        """Return the session if it takes one more message, and let the writer look."""
+    def _control(self, tell: Callable[[ClientSession], object]) -> bool:
+        """Have the session take one more message, if it can, and let the writer look."""
         session = self._session
         if session is None or not session.can_queue:
-            return None
+            return False
         self._wake.set()
-        return session
+        tell(session)
+        return True
 
     def leave(self) -> None:
         """Make `run` go in good order and return."""

@@ -6,7 +6,7 @@
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, ExitStack, closing
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -21,9 +21,7 @@ from pica_client.ui.preferences import Preferences, PreferencesFile
 from pica_client.ui.view import NOTHING_SHOWN, View, ViewConfig
 from pica_client.voice.opus import available
 from pica_client.voice.sound.process import SoundProcess
-from pica_client.voice.sound.settings import SoundSettings
 from pica_core.errors import AvatarFileError
-from pica_protocol.invite import parse_link
 
 DEFAULT_URL = "ws://127.0.0.1:8765"
 DEFAULT_ROOM = "lobby"
@@ -39,64 +37,46 @@ Stopping = Callable[[Callable[[], None]], AbstractContextManager[None]]
 """Makes a signal call what it is given, for the length of a block."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Destination:
-    """Where to go, as far as the command line says."""
+def invited(link: str) -> Fields:
+    """Where an invite link leads.
 
-    url: str | None = None
-    room: str | None = None
-    name: str | None = None
-    token: str = field(default="", repr=False)
-    ca_file: str = ""
-    secret_file: str = ""
-    avatar: str = ""
-    source: str = ""
-    voice: str | None = None
-    sound: SoundSettings = field(default_factory=SoundSettings)
+    Raises:
+        OptionError: It is none.
+    """
+    try:
+        return Fields(url=link, voice="").invited()
+    except ValueError as error:
+        raise OptionError(f"link: {error}") from error
 
-    @classmethod
-    def invited(cls, link: str) -> "Destination":
-        """Where an invite link leads.
 
-        Raises:
-            OptionError: It is none.
-        """
-        try:
-            invite = parse_link(link)
-        except ValueError as error:
-            raise OptionError(f"link: {error}") from error
-        return cls(url=invite.url, room=invite.room, token=invite.token)
+def first_fields(given: Fields, preferences: Preferences) -> Fields:
+    """What stands in the form at first: what the command line gives, else what was kept."""
+    kept = {
+        name: getattr(given, name) or getattr(preferences, name)
+        for name in ("url", "room", "name", "ca_file", "secret_file", "avatar")
+    }
+    return replace(
+        given,
+        **kept | {"url": kept["url"] or DEFAULT_URL, "room": kept["room"] or DEFAULT_ROOM},
+        source=given.source if preferences.source is None else preferences.source,
+        voice=given.voice or _usual_voice(preferences.voice),
+    )
 
-    def fields(self, preferences: Preferences) -> Fields:
-        """What stands in the form at first."""
-        return Fields(
-            url=self.url or preferences.url or DEFAULT_URL,
-            room=self.room or preferences.room or DEFAULT_ROOM,
-            name=self.name or preferences.name,
-            token=self.token,
-            **{
-                name: getattr(self, name) or getattr(preferences, name)
-                for name in ("ca_file", "secret_file", "avatar")
-            },
-            source=self.source if preferences.source is None else preferences.source,
-            voice=self.voice or _usual_voice(preferences.voice),
-            sound=self.sound,
-        )
 
-    def link(self, base: LinkConfig) -> LinkConfig:
-        """The connection without a form.
+def link_without_form(given: Fields, base: LinkConfig) -> LinkConfig:
+    """The connection, where no form asks.
 
-        Raises:
-            OptionError: A part of it cannot be right.
-        """
-        return replace(
-            base,
-            url=self.url or DEFAULT_URL,
-            room=self.room or DEFAULT_ROOM,
-            name=self.name or DEFAULT_NAME,
-            token=self.token,
-            token_file=None if self.token else base.token_file,
-        )
+    Raises:
+        OptionError: A part of it cannot be right.
+    """
+    return replace(
+        base,
+        url=given.url or DEFAULT_URL,
+        room=given.room or DEFAULT_ROOM,
+        name=given.name or DEFAULT_NAME,
+        token=given.token,
+        token_file=None if given.token else base.token_file,
+    )
 
 
 def _usual_voice(kept: str | None) -> str:
