@@ -30,7 +30,7 @@ def nora() -> Avatar:
 def posed(arkit: FloatArray) -> FloatArray:
     """A mesh of three vertices; the second follows the jaw, and stops half-way."""
     jaw = arkit[ARKIT_INDEX["jawOpen"]]
-    return np.array([(0, 0, 0), (0, -min(jaw, 0.5), 0), (1, 0, 0)], np.float32) / 10
+    return np.array([(0, 0, 0), (0, -min(jaw, 0.5) / 10, 0), (0.1, 0, 0)], np.float32)
 
 
 def expressions(count: int) -> FloatArray:
