@@ -19,7 +19,7 @@ FILE = "poses.npz"
 POSES_PER_FRAME = 2
 """Poses of a capture for each of its frames (measured: `docs/results/linear`)."""
 SEED_STEP = 101
-"""From a capture's seed to that of its poses, so that they are of other takes."""
+"""Added to a capture's seed for its poses, so that they are of other takes."""
 
 
 class Poses(NamedTuple):

@@ -12,8 +12,8 @@ from pica_core.cli.rig import RigOptions, rig
 from pica_core.errors import CaptureError, CheckpointError, TrainingOptionError, check_ranges
 from pica_core.train.checkpoint import read_checkpoint
 from pica_core.train.cli.train import TrainOptions, VariantName, train
+from pica_core.train.eval.model_card import EVALUATION_FILE
 from pica_core.train.eval.run import RUN_FILE
-from pica_core.train.model_card import EVALUATION_FILE
 
 OURS, THEIRS = "linear", "baseline"
 """What is claimed to lie below what."""

@@ -28,12 +28,12 @@ from pica_core.train.cli.levels import describe
 from pica_core.train.config import PRESETS, TrainConfig
 from pica_core.train.data.training import TrainingData
 from pica_core.train.eval.evaluate import evaluate, mean_mse
+from pica_core.train.eval.model_card import EVALUATION_FILE, model_card
 from pica_core.train.eval.model_evaluator import ModelEvaluator
 from pica_core.train.eval.run import RUN_FILE
 from pica_core.train.export import make_avatar, make_baseline
 from pica_core.train.lod.levels import LevelReport, add_levels
 from pica_core.train.loop import Losses, Trainer, open_trainer
-from pica_core.train.model_card import EVALUATION_FILE, model_card
 from pica_core.train.parallel import Ranks, open_ranks
 from pica_core.train.stream_metric import make_stream_profile
 
