@@ -51,8 +51,8 @@ def main() -> None:
         loudest = min(loudest, mixer.levels().get("ann", 127))
         heard_us = mixer.heard_us("ann", now)
         if heard_us is not None and tick % 50 == 0:
-            speaks = "speaks" if mixer.speaker() == "ann" else "is silent"
-            print(f"{now:4.1f} s: what was said {now - heard_us / 1e6:.3f} s ago; ann {speaks}")
+            level = mixer.levels().get("ann", 127)
+            print(f"{now:4.1f} s: said {now - heard_us / 1e6:.3f} s ago; ann at -{level} dB")
     print(f"{sent_bytes * 8 / SECONDS / 1e3:.1f} kbit/s, at most -{loudest} dB")
     print(mixer.stats()["ann"])
 
