@@ -4,7 +4,9 @@ A run has three phases, in this order (reasons: `docs/training.md`):
 
     geometry    encoder and geometry decoder on tracked meshes alone; no rendering
     joint       everything on images, meshes and KL, as in the paper
-    driver      the expression encoder (52 ARKit values to the latent) on the model's own codes
+    driver      the expression encoder (52 ARKit values to the latent) on the model's own codes;
+                of models with bases: a regression, then joint steps in turn with steps on
+                pictures of poses, which teach it and the decoders what other expressions show
 """
 
 from __future__ import annotations
@@ -130,6 +132,9 @@ class ScheduleConfig:
     """Steps of the joint phase."""
     driver_steps: int = 1000
     """Steps of the driver phase."""
+    live_steps: int = 1000
+    """Steps of the joint phase that are done after the regression, every other on pictures of
+    poses; of models with bases, on captures that have such pictures."""
     geometry_batch: int = 2
     """Frames per step of the geometry phase: small batches and many steps learn fastest."""
     joint_batch: int = 2
@@ -193,6 +198,7 @@ class TrainConfig:
             TrainingOptionError,
             frame_balance=(0, 2),
             **dict.fromkeys(("geometry_steps", "joint_steps", "driver_steps"), any_size),
+            live_steps=any_size,
             **dict.fromkeys(("geometry_batch", "joint_batch", "driver_batch"), many),
             pixels_per_image=any_size,
             clip_norm=(0, _FINITE),
@@ -259,13 +265,19 @@ PRESETS: dict[str, TrainConfig] = {
         model={"uv_encoding_size": 64, "axis_encoding_size": 256, "texture_size": 128},
         schedule={
             **dict.fromkeys(("geometry_steps", "joint_steps", "driver_steps"), 60),
+            "live_steps": 30,
             "geometry_batch": 4,
             "pixels_per_image": 2048,
         },
     ),
     "small": TrainConfig(),
     "long": TrainConfig().changed(
-        schedule={"geometry_steps": 4800, "joint_steps": 4000, "driver_steps": 2000}
+        schedule={
+            "geometry_steps": 4800,
+            "joint_steps": 4000,
+            "driver_steps": 2000,
+            "live_steps": 2600,
+        }
     ),
     "paper": TrainConfig(
         model=ModelConfig(

@@ -97,17 +97,23 @@ class Trainer:
         data.meshes.use(config.mesh_source)
         prior = face_prior(data, config.model.variant)
         self.model = config.model.build(prior).to(self.device)
-        geometry, joint, driver = config.schedule.steps
-        if self.model.spec.geometry == "bases":  # nothing to descend: the steps go to colours
-            geometry, joint = 0, joint + geometry // JOINT_COST
-            driver = min(driver, 1)  # a regression, which a descent from it only makes worse
-        self._steps = geometry, joint, driver if data.capture.has_expressions else 0
         self.step = 0
         self.rollbacks = 0
         self.seconds = 0.0
         self._rate_scale = 1.0
         self.rasteriser = rasteriser
         self.objectives = Objectives(data, config, self.model, rasteriser, self.ranks, self.device)
+        geometry, joint, driver = config.schedule.steps
+        driver = driver if data.capture.has_expressions else 0
+        self._has_live_steps = False
+        if self.model.spec.geometry == "bases":  # nothing to descend: the steps go to colours
+            geometry, joint = 0, joint + geometry // JOINT_COST
+            live = min(config.schedule.live_steps, joint)
+            self._has_live_steps = driver * live > 1 and self.objectives.has_pictures_of_poses
+            # Without pictures a regression, which a descent from it only makes worse.
+            driver = live if self._has_live_steps else min(driver, 1)
+            joint -= live if self._has_live_steps else 0
+        self._steps = geometry, joint, driver
         if prior.linear is not None and prior.linear.unexplained_m > BENT_M:
             self.objectives.notes.append(
                 f"bases of three in four training meshes leave "
@@ -120,8 +126,11 @@ class Trainer:
                 f"{len(prior.linear.left_out)} meshes are unlike all others and made no bases: "
                 f"{named}"
             )
+        trains = dict(zip(PHASES, PHASES, strict=True))
+        trains |= {"driver": "live"} if self._has_live_steps else {}
         self._optimisers = {
-            phase: make_optimiser(self.model, config.schedule, phase) for phase in PHASES
+            phase: make_optimiser(self.model, config.schedule, what)
+            for phase, what in trains.items()
         }
 
     @property
@@ -203,19 +212,20 @@ class Trainer:
         phase, index, length = self.phase_of(self.step)
         if phase == "driver" and index == 0 and self.model.spec.geometry == "bases":
             self.objectives.start_driver()
-            self._optimisers[phase].param_groups[0]["peak"] = 0.0
+            if not self._has_live_steps:
+                self._optimisers[phase].param_groups[0]["peak"] = 0.0
         schedule = self.config.schedule
         rng = np.random.default_rng([self.config.seed, self.step])
         noise = torch.Generator().manual_seed(self.config.seed * 1_000_003 + self.step)
-        optimiser = self._optimisers[phase]
+        optimiser, kind = self._optimisers[phase], self._kind_of(self.step)
         ratio = 1.0 if schedule.constant_rate else rate_ratio(index, length)
         set_rates(optimiser, self._rate_scale * ratio)
         optimiser.zero_grad(set_to_none=True)
         after = self.step + 1
-        if after < self.total_steps and self.phase_of(after)[0] == "joint":
+        if after < self.total_steps and self._kind_of(after) == "joint":
             self.objectives.expect(np.random.default_rng([self.config.seed, after]))
         try:
-            losses = self._losses(phase, rng, noise)
+            losses = self._losses(kind, rng, noise)
             with record_function("backward"):
                 total = sum(losses.values(), torch.zeros((), device=self.device))
                 total.backward()  # type: ignore[no-untyped-call]
@@ -226,24 +236,34 @@ class Trainer:
         except (MemoryError, RuntimeError) as error:
             if isinstance(error, PicaCoreError) or not _is_out_of_memory(error):
                 raise
-            batch = getattr(schedule, f"{phase}_batch")
+            name = {"live": "joint"}.get(kind, kind)
+            batch = getattr(schedule, f"{name}_batch")
             pixels = schedule.pixels_per_image or "all"
             raise TrainingMemoryError(
                 f"step {self.step} ({phase}): a batch of {batch} with {pixels} pixels an image "
-                f"does not fit into memory; lower {phase}_batch or pixels_per_image"
+                f"does not fit into memory; lower {name}_batch or pixels_per_image"
             ) from error
         self.step += 1
         values = torch.stack([value.detach() for value in losses.values()]).to("cpu")
         return dict(zip(losses, self.ranks.average(values).tolist(), strict=True))
 
+    def _kind_of(self, step: int) -> str:
+        """A step's phase; in a driver phase with pictures "joint" and "live" in turn."""
+        phase, index, _ = self.phase_of(step)
+        if phase != "driver" or not self._has_live_steps:
+            return phase
+        return "live" if index % 2 else "joint"
+
     def _losses(
-        self, phase: str, rng: np.random.Generator, noise: torch.Generator
+        self, kind: str, rng: np.random.Generator, noise: torch.Generator
     ) -> dict[str, Tensor]:
-        match phase:
+        match kind:
             case "geometry":
                 return self.objectives.geometry(rng, noise)
             case "joint":
                 return self.objectives.joint(rng, noise, [self.config.seed, self.step])
+            case "live":
+                return self.objectives.live(rng, [self.config.seed, self.step])
             case _:
                 return self.objectives.driver(rng)
 

@@ -3,14 +3,18 @@
 geometry    mesh, KL, smoothness
 joint       image, depth, normal, mesh, smoothness, KL
 driver      code, mesh
+live        image, of poses by the live encoder
 """
+
+from functools import lru_cache
 
 import numpy as np
 import torch
 from torch import Tensor
 from torch.profiler import record_function
 
-from pica_core.capture.stage.poses import read_poses
+from pica_core.camera import Camera
+from pica_core.capture.stage.poses import read_picture, read_poses
 from pica_core.capture.stage.tracked_topology import COVER
 from pica_core.errors import CaptureError
 from pica_core.model.encoder import hold_log_variance, reparameterise
@@ -46,6 +50,8 @@ DRIVER_MESHES = 8
 """A step of the driver phase decodes the mesh of every eighth frame of its batch."""
 MASKED_REGION = "mouth"
 """Where a tracked mesh teaches nothing (paper 5, W_M)."""
+MAX_PICTURES = 1024
+"""Pictures of poses that are kept in memory."""
 Image = tuple[int, str]
 Images = list[Image]
 """Frame and camera of each image of a batch."""
@@ -105,6 +111,16 @@ class Objectives:
             rough = smoothness_weights(topology.regions, len(topology.vertex_uv))
             self._rough = torch.from_numpy(rough).to(device)
         self._codes: tuple[dict[int, Tensor], Tensor] | None = None
+        self._poses = None
+        if isinstance(getattr(model, "geometry", None), LinearGeometry):
+            self._poses = read_poses(data.capture.path, len(data.capture.topology.vertex_uv))
+        folder = data.capture.path
+        self._picture = lru_cache(MAX_PICTURES)(lambda number: read_picture(folder, number))
+
+    @property
+    def has_pictures_of_poses(self) -> bool:
+        """Whether `live` has something to learn from."""
+        return self._poses is not None and bool(self._poses.cameras)
 
     def forget_codes(self) -> None:
         """The model changed: encode the training frames anew when they are needed."""
@@ -151,15 +167,7 @@ class Objectives:
         with record_function("decode"):
             mesh = self.model.decode_mesh(latent)
             appearance = self.model.appearance(latent, view.to(self.device))
-        with record_function("raster"):
-            self.drawer.rasterise(mesh.vertices_m, cameras)
-            drawn = self.drawer.draw(
-                mesh.vertices_m,
-                rngs,
-                pixels_per_image=config.schedule.pixels_per_image,
-                normals=weights.normal > 0 and self._wants_depth,
-                detach_xyz=config.detach_pixel_xyz,
-            )
+        drawn = self._drawn(mesh, cameras, rngs, normals=weights.normal > 0 and self._wants_depth)
         with record_function("data"):
             observed = self.colours(images, drawn.pixels)
         with record_function("pixel"):
@@ -176,6 +184,36 @@ class Objectives:
             with record_function("raster"):
                 losses["edge"] = self._edges(images, mesh.vertices_m, appearance, rngs)
         return losses
+
+    def live(self, rng: np.random.Generator, pixel_seed: list[int]) -> dict[str, Tensor]:
+        """Losses of the live encoder and the decoders on pictures of poses; geometry stays.
+
+        Args: as for `joint`.
+        """
+        assert self._poses is not None
+        weights, count = self.config.losses, self.config.schedule.joint_batch * self.ranks.count
+        poses = self.ranks.mine(rng.integers(len(self._poses.arkit), size=count).tolist())
+        rngs = [np.random.default_rng([*pixel_seed, n]) for n in self.ranks.mine([*range(count)])]
+        cameras = [self.data.capture.camera(self._poses.cameras[pose]) for pose in poses]
+        view = torch.from_numpy(np.stack([view_direction(camera) for camera in cameras]))
+        with record_function("data"):
+            pictures = np.stack([self._picture(pose) for pose in poses])
+        with record_function("decode"):
+            arkit = torch.from_numpy(self._poses.arkit[poses]).to(self.device)
+            latent = self.model.expression_encoder(arkit)
+            latent = torch.cat([latent[:, :1].detach(), latent[:, 1:]], 1)
+            mesh = self.model.decode_mesh(latent)
+            appearance = self.model.appearance(latent, view.to(self.device))
+        drawn = self._drawn(mesh, cameras, rngs)
+        with record_function("pixel"):
+            colours = self.model.shade(appearance, drawn.surface)
+        with record_function("loss"):
+            image, pixel = drawn.pixels
+            observed = torch.from_numpy(pictures.reshape(len(poses), -1, 3)[image, pixel])
+            observed = observed.to(self.device, torch.float32) / 255
+            share = equal_shares(drawn.surface.image, len(poses))
+            loss = image_loss(colours, observed, share, weights.chroma)
+            return {"live": weights.image * loss}
 
     def expect(self, rng: np.random.Generator) -> None:
         """Have the images decoded that a joint step with this `rng` will need."""
@@ -219,19 +257,36 @@ class Objectives:
 
     def start_driver(self) -> None:
         """Begin the live encoder as the ridge regression from expressions, and what of them bends,
-        to the model's codes; geometry from poses without pictures, where the capture has some."""
+        to the model's codes; geometry from poses beside the frames, where the capture has some."""
         codes, _ = self._model_codes()
         frames = self.data.train_frames
         wanted = flat_latent(torch.stack([codes[frame] for frame in frames])).cpu()
         matrix, offset = regress(self.data.arkit[frames], wanted)
-        topology = self.data.capture.topology
-        poses = read_poses(self.data.capture.path, len(topology.vertex_uv))
         geometry = getattr(self.model, "geometry", None)
-        if poses is not None and isinstance(geometry, LinearGeometry):
-            bases = geometry.bases(vertex_importance(topology))
+        if self._poses is not None and isinstance(geometry, LinearGeometry):
+            bases = geometry.bases(vertex_importance(self.data.capture.topology))
             weight = geometry.weight.cpu().numpy()
-            matrix[GEOMETRY], offset[GEOMETRY] = regress_geometry(poses, bases, weight)
+            matrix[GEOMETRY], offset[GEOMETRY] = regress_geometry(self._poses, bases, weight)
         self.model.expression_encoder.start_from(matrix.float(), offset.float())
+
+    def _drawn(
+        self,
+        mesh: DecodedMesh,
+        cameras: list[Camera],
+        rngs: list[np.random.Generator],
+        *,
+        normals: bool = False,
+    ) -> DrawnPixels:
+        """Pixels of meshes through cameras, a generator's choice in each image."""
+        with record_function("raster"):
+            self.drawer.rasterise(mesh.vertices_m, cameras)
+            return self.drawer.draw(
+                mesh.vertices_m,
+                rngs,
+                pixels_per_image=self.config.schedule.pixels_per_image,
+                normals=normals,
+                detach_xyz=self.config.detach_pixel_xyz,
+            )
 
     def colours(self, images: Images, pixels: PixelList) -> Tensor:
         """What the capture shows at pixels, 0 to 1, ``[P, 3]``."""

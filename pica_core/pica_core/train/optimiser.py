@@ -14,18 +14,30 @@ FINAL_RATE_RATIO = 0.02
 """Learning rate at the end of a phase, against its peak; between them half a cosine."""
 
 
+LIVE_RATE_RATIO = 0.5
+"""Rates on pictures of poses, when all is learned but for what they add, against the joint ones."""
+
+
 def make_optimiser(model: AvatarModel, schedule: ScheduleConfig, phase: str) -> torch.optim.Adam:
-    """Adam over the parameters of a phase; each group keeps its peak rate as ``"peak"``."""
+    """Adam over the parameters of a phase; each group keeps its peak rate as ``"peak"``.
+
+    Args:
+        phase: One of `PHASES`, or "live": a driver phase with pictures of poses.
+    """
     of = model.parameter_groups()
     match phase:
         case "geometry":
             groups = [(of["shape"], schedule.geometry_rate)]
-        case "joint":
+        case "joint" | "live":
             groups = [
                 ([*of["shape"], *of["appearance"]], schedule.joint_rate),
                 (of["pixel"], schedule.pixel_rate),
                 (of["encoding"], schedule.encoding_rate),
             ]
+            if phase == "live":
+                last = model.expression_encoder.layers[-1].parameters()
+                groups = [(params, LIVE_RATE_RATIO * rate) for params, rate in groups]
+                groups.append((list(last), schedule.driver_rate))
         case _:
             groups = [(list(model.expression_encoder.parameters()), schedule.driver_rate)]
     return torch.optim.Adam(

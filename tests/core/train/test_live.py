@@ -1,22 +1,29 @@
-"""The live encoder in closed form: what bends is found, and geometry follows poses."""
+"""The live encoder: what bends is found, geometry follows poses, colours their pictures."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.avatar.file import Avatar, load_avatar
 from pica_core.avatar.linear import components_of, mean_vertices
 from pica_core.avatar.shipped import avatar_file
+from pica_core.capture.dataset.dataset import Capture
+from pica_core.capture.procedural.subject import StageOptions, render_capture
 from pica_core.capture.stage.expressions import sample_takes
-from pica_core.capture.stage.poses import pose, read_poses, write_poses
+from pica_core.capture.stage.poses import picture_path, pose, read_picture, read_poses, write_poses
 from pica_core.errors import CaptureError
 from pica_core.latent import NUM_LATENT
 from pica_core.model.bases import Bases
 from pica_core.model.interface import ExpressionEncoder as TrainedEncoder
+from pica_core.train.config import PRESETS
+from pica_core.train.data.training import TrainingData
 from pica_core.train.live import GEOMETRY, regress, regress_geometry
+from pica_core.train.loop import Trainer, open_trainer
 from pica_core.types import FloatArray
 
 pytestmark = pytest.mark.train
@@ -85,4 +92,91 @@ def test_poses_come_back_from_a_capture_within_a_hundredth_of_a_millimetre(tmp_p
 def test_a_damaged_file_of_poses_is_named(tmp_path: Path) -> None:
     (tmp_path / "poses.npz").write_bytes(b"PK no archive")
     with pytest.raises(CaptureError, match=r"poses.npz: is damaged"):
+        read_poses(tmp_path, 3)
+
+
+@pytest.fixture(scope="module")
+def captured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("live") / "capture"
+    options = StageOptions(frames=12, cameras=2, width=96, height=96, texture_size=64)
+    render_capture(options, folder)
+    return folder
+
+
+def live_loss(trainer: Trainer) -> float:
+    """On the same pictures and pixels whenever it is asked for."""
+    with torch.no_grad():
+        parts = [
+            trainer.objectives.live(np.random.default_rng(seed), [seed])["live"]
+            for seed in range(8)
+        ]
+    return float(torch.stack(parts).mean())
+
+
+def test_a_capture_shows_every_pose_by_one_of_its_cameras(captured: Path) -> None:
+    capture = Capture.open(captured)
+    poses = read_poses(captured, len(capture.topology.vertex_uv))
+    assert poses is not None
+    assert len(poses.cameras) == len(poses.arkit) == 24
+    assert set(poses.cameras) == {camera.name for camera in capture.cameras}
+    pictures = [read_picture(captured, number) for number in range(24)]
+    assert {picture.shape for picture in pictures} == {(96, 96, 3)}
+    assert min(picture.std() for picture in pictures) > 10  # a head, each
+
+
+@pytest.mark.usefixtures("one_thread")
+def test_live_colours_are_learned_from_pictures_of_poses_and_geometry_stays(
+    captured: Path, tmp_path: Path
+) -> None:
+    data = TrainingData(Capture.open(captured), 256)
+    config = PRESETS["tiny"].changed(
+        model={"variant": "linear"}, schedule={"joint_steps": 80, "live_steps": 60}
+    )
+    with open_trainer(data, config, tmp_path) as trainer:
+        trainer.run(lambda step, phase, losses: trainer.total_steps - step > 59)
+        at_start, weight = live_loss(trainer), live_weight(trainer)
+        trainer.run()
+        assert live_loss(trainer) < 0.8 * at_start
+        after = live_weight(trainer)
+    changed = (after != weight).reshape(-1, 4, after.shape[1]).any(2).any(0)
+    assert changed.tolist() == [False, True, True, True]
+
+
+def live_weight(trainer: Trainer) -> torch.Tensor:
+    last = trainer.model.expression_encoder.layers[-1]
+    assert isinstance(last, torch.nn.Linear)
+    return last.weight.detach().clone()
+
+
+@pytest.mark.usefixtures("one_thread")
+def test_without_pictures_the_live_encoder_is_the_regression(
+    captured: Path, tmp_path: Path
+) -> None:
+    poses = read_poses(captured, len(Capture.open(captured).topology.vertex_uv))
+    assert poses is not None
+    copy = tmp_path / "capture"
+    shutil.copytree(captured, copy)
+    write_poses(copy, poses._replace(cameras=()))
+    with open_trainer(
+        TrainingData(Capture.open(copy), 256),
+        PRESETS["tiny"].changed(model={"variant": "linear"}),
+        tmp_path / "run",
+    ) as trainer:
+        assert trainer.phase_of(trainer.total_steps - 1) == ("driver", 0, 1)
+
+
+def test_a_picture_that_is_missing_or_damaged_is_named(tmp_path: Path) -> None:
+    with pytest.raises(CaptureError, match=r"000003.png: cannot be read"):
+        read_picture(tmp_path, 3)
+    path = picture_path(tmp_path, 3)
+    path.parent.mkdir()
+    Image.new("RGB", (8, 8)).save(path)
+    path.write_bytes(path.read_bytes()[:40])
+    with pytest.raises(CaptureError, match=r"000003.png: cannot be read"):
+        read_picture(tmp_path, 3)
+
+
+def test_poses_of_which_only_some_have_pictures_are_refused(tmp_path: Path) -> None:
+    write_poses(tmp_path, pose(posed, 12, 0)._replace(cameras=("front",)))
+    with pytest.raises(CaptureError, match=r"poses.npz: 1 pictures of 12 poses"):
         read_poses(tmp_path, 3)

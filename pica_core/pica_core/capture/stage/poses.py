@@ -1,7 +1,8 @@
-"""Poses without pictures: meshes of a subject at many more expressions than a capture has frames.
+"""Poses beside the frames: a subject at many more expressions than a capture has frames.
 
-A picture takes ten times as long as a mesh, and the live encoder's geometry needs meshes alone. A
-capture holds them in one file, which may be absent: real people cannot be posed.
+The live encoder learns from them: its geometry from their meshes, its colours from one picture of
+each. A frame is drawn by every camera and takes ten times as long. A capture may be without them:
+real people cannot be posed.
 """
 
 from collections.abc import Callable
@@ -9,13 +10,16 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from PIL import Image as Pillow
 
 from pica_core.capture.stage.expressions import sample_takes
 from pica_core.errors import CaptureError
 from pica_core.files import replacing
-from pica_core.types import FloatArray
+from pica_core.types import FloatArray, Image
 
 FILE = "poses.npz"
+PICTURES = "poses"
+"""Folder of their pictures."""
 POSES_PER_FRAME = 2
 """Poses of a capture for each of its frames (measured: `docs/results/linear`)."""
 SEED_STEP = 101
@@ -23,22 +27,59 @@ SEED_STEP = 101
 
 
 class Poses(NamedTuple):
-    """Expressions ``[P, 52]`` and their meshes, head frame, metres ``[P, V, 3]``; float32 both."""
+    """Expressions and what they look like.
+
+    Attributes:
+        arkit: float32 ``[P, 52]``.
+        vertices_m: Their meshes, head frame, metres, float32 ``[P, V, 3]``.
+        cameras: Name of the camera of each pose's picture; empty where there are no pictures.
+    """
 
     arkit: FloatArray
     vertices_m: FloatArray
+    cameras: tuple[str, ...] = ()
 
 
-def pose(vertices: Callable[[FloatArray], FloatArray], count: int, seed: int) -> Poses:
+def pose(
+    vertices: Callable[[FloatArray], FloatArray],
+    count: int,
+    seed: int,
+    draw: Callable[[int], str] | None = None,
+) -> Poses:
     """Pose a subject at `count` expressions of takes that a capture of this seed has not.
 
     Args:
         vertices: Expression ``[52]`` to mesh ``[V, 3]``.
         count: How many, at least 4.
         seed: The capture's.
+        draw: Keeps a picture of the pose of this number, the current one; returns its camera.
     """
     arkit = np.concatenate([take.arkit for take in sample_takes(count, seed + SEED_STEP)])
-    return Poses(arkit, np.stack([vertices(values) for values in arkit]).astype(np.float32))
+    meshes, cameras = [], []
+    for number, values in enumerate(arkit):
+        meshes.append(vertices(values))
+        if draw is not None:
+            cameras.append(draw(number))
+    return Poses(arkit, np.stack(meshes).astype(np.float32), tuple(cameras))
+
+
+def picture_path(folder: Path, number: int) -> Path:
+    """Where a capture keeps the picture of a pose."""
+    return folder / PICTURES / f"{number:06d}.png"
+
+
+def read_picture(folder: Path, number: int) -> Image:
+    """The picture of a pose, uint8 ``[H, W, 3]``.
+
+    Raises:
+        CaptureError: It is missing or damaged.
+    """
+    path = picture_path(folder, number)
+    try:
+        with Pillow.open(path) as picture:
+            return np.asarray(picture.convert("RGB"))
+    except (OSError, SyntaxError, ValueError) as error:
+        raise CaptureError(f"{path}: cannot be read ({error}); capture anew") from error
 
 
 def write_poses(folder: Path, poses: Poses) -> None:
@@ -51,7 +92,9 @@ def write_poses(folder: Path, poses: Poses) -> None:
     try:
         with replacing(folder / FILE) as unfinished, unfinished.open("wb") as file:
             offsets_mm = ((poses.vertices_m - first) * 1000).astype(np.float16)
-            np.savez(file, arkit=poses.arkit, rest_m=first, offsets_mm=offsets_mm)
+            cameras = np.array(poses.cameras, np.str_)
+            kept = {"arkit": poses.arkit, "rest_m": first, "offsets_mm": offsets_mm}
+            np.savez(file, cameras=cameras, **kept)
     except OSError as error:
         raise CaptureError(f"{folder / FILE}: cannot be written: {error.strerror}") from error
 
@@ -68,9 +111,12 @@ def read_poses(folder: Path, num_vertices: int) -> Poses | None:
     try:
         with np.load(path) as found:
             arkit, rest_m = found["arkit"], found["rest_m"]
+            cameras = tuple(found["cameras"].tolist()) if "cameras" in found else ()
             vertices_m = rest_m + found["offsets_mm"].astype(np.float32) / np.float32(1000)
     except (OSError, ValueError, KeyError, EOFError) as error:
         raise CaptureError(f"{path}: is damaged ({error}); remove it, or capture anew") from error
     if vertices_m.shape != (len(arkit), num_vertices, 3):
         raise CaptureError(f"{path}: meshes are {vertices_m.shape[1:]}; {num_vertices} are needed")
-    return Poses(arkit, vertices_m)
+    if cameras and len(cameras) != len(arkit):
+        raise CaptureError(f"{path}: {len(cameras)} pictures of {len(arkit)} poses; capture anew")
+    return Poses(arkit, vertices_m, cameras)

@@ -32,7 +32,7 @@ from pica_core.capture.stage.gpu import View
 from pica_core.capture.stage.head_motion import head_to_world
 from pica_core.capture.stage.mvs_depth import MvsErrors, find_depth
 from pica_core.capture.stage.own_take import own_take, read_own_take
-from pica_core.capture.stage.poses import POSES_PER_FRAME, pose, write_poses
+from pica_core.capture.stage.poses import POSES_PER_FRAME, picture_path, pose, write_poses
 from pica_core.capture.stage.subject import Subject
 from pica_core.capture.stage.tracked_topology import NUM_VERTICES, track_topology
 from pica_core.capture.stage.tracker import SimulatedTracker, lagged_arkit
@@ -128,8 +128,7 @@ def render_subject(
             raise CaptureError(f"{out}: {_USED}")
         multiface.write_aside(marker, fingerprint.encode())
         counts = _render(subject, options, takes, out, progress)
-        posed = pose(subject.pose, POSES_PER_FRAME * options.frames, options.seed)
-        write_poses(out, posed)
+        _pose(subject, options, out)
     finally:
         subject.release()
     marker.unlink(missing_ok=True)
@@ -265,6 +264,25 @@ def _render(
         "test": num_test,
         "resumed": resumed,
     }
+
+
+def _pose(subject: Subject, options: RenderOptions, out: Path) -> None:
+    """Write poses beside the frames, with a picture of each from some camera."""
+    cameras = dome_cameras(options.cameras, options.width, options.height, options.lenses)
+    count = POSES_PER_FRAME * options.frames
+    places = np.random.default_rng([options.seed, 0x905E]).integers(len(cameras), size=count)
+    with BackgroundWriter() as writer:
+
+        def draw(number: int) -> str:
+            camera, path = cameras[places[number]], picture_path(out, number)
+            if not path.is_file():
+                image = subject.draw(camera).image
+                writer.image(path, lambda: image)
+            return camera.name
+
+        poses = pose(subject.pose, count, options.seed, draw)
+        writer.finish()
+    write_poses(out, poses)
 
 
 def _describe(
