@@ -132,8 +132,8 @@ class ScheduleConfig:
     """Steps of the joint phase."""
     driver_steps: int = 1000
     """Steps of the driver phase."""
-    live_steps: int = 1000
-    """Steps of the joint phase that are done after the regression, every other on pictures of
+    live_steps: int = 1200
+    """Steps of the joint phase that are done after the regression, three of four on pictures of
     poses; of models with bases, on captures that have such pictures."""
     geometry_batch: int = 2
     """Frames per step of the geometry phase: small batches and many steps learn fastest."""
@@ -141,6 +141,8 @@ class ScheduleConfig:
     """Images per step of the joint phase (paper 4)."""
     driver_batch: int = 32
     """Frames per step of the driver phase."""
+    live_batch: int = 4
+    """Pictures of poses per step, with half of `pixels_per_image` each."""
     pixels_per_image: int = 8192
     """Covered pixels drawn from each image; 0 takes all, as the paper does."""
     geometry_rate: float = 4e-3
@@ -199,7 +201,7 @@ class TrainConfig:
             frame_balance=(0, 2),
             **dict.fromkeys(("geometry_steps", "joint_steps", "driver_steps"), any_size),
             live_steps=any_size,
-            **dict.fromkeys(("geometry_batch", "joint_batch", "driver_batch"), many),
+            **dict.fromkeys(("geometry_batch", "joint_batch", "driver_batch", "live_batch"), many),
             pixels_per_image=any_size,
             clip_norm=(0, _FINITE),
         )
@@ -274,9 +276,9 @@ PRESETS: dict[str, TrainConfig] = {
     "long": TrainConfig().changed(
         schedule={
             "geometry_steps": 4800,
-            "joint_steps": 4000,
+            "joint_steps": 6000,
             "driver_steps": 2000,
-            "live_steps": 2600,
+            "live_steps": 5200,
         }
     ),
     "paper": TrainConfig(

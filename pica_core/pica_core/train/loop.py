@@ -52,6 +52,8 @@ SCALE_TOLERANCE = 1e-5
 JOINT_COST = 4
 """Steps of the geometry phase that take as long as one joint step (measured: 42 and 11 a second on
 one thread)."""
+LIVE_TURN = 4
+"""Of so many steps on pictures of poses one is on frames instead: they keep what they taught."""
 METRICS_EVERY = 50
 """Steps between lines of metrics."""
 ROLLBACK_RATE = 0.5
@@ -236,23 +238,22 @@ class Trainer:
         except (MemoryError, RuntimeError) as error:
             if isinstance(error, PicaCoreError) or not _is_out_of_memory(error):
                 raise
-            name = {"live": "joint"}.get(kind, kind)
-            batch = getattr(schedule, f"{name}_batch")
+            batch = getattr(schedule, f"{kind}_batch")
             pixels = schedule.pixels_per_image or "all"
             raise TrainingMemoryError(
                 f"step {self.step} ({phase}): a batch of {batch} with {pixels} pixels an image "
-                f"does not fit into memory; lower {name}_batch or pixels_per_image"
+                f"does not fit into memory; lower {kind}_batch or pixels_per_image"
             ) from error
         self.step += 1
         values = torch.stack([value.detach() for value in losses.values()]).to("cpu")
         return dict(zip(losses, self.ranks.average(values).tolist(), strict=True))
 
     def _kind_of(self, step: int) -> str:
-        """A step's phase; in a driver phase with pictures "joint" and "live" in turn."""
+        """A step's phase; in one with pictures of poses every fourth "joint", the others "live"."""
         phase, index, _ = self.phase_of(step)
         if phase != "driver" or not self._has_live_steps:
             return phase
-        return "live" if index % 2 else "joint"
+        return "live" if index % LIVE_TURN else "joint"
 
     def _losses(
         self, kind: str, rng: np.random.Generator, noise: torch.Generator

@@ -191,7 +191,7 @@ class Objectives:
         Args: as for `joint`.
         """
         assert self._poses is not None
-        weights, count = self.config.losses, self.config.schedule.joint_batch * self.ranks.count
+        weights, count = self.config.losses, self.config.schedule.live_batch * self.ranks.count
         poses = self.ranks.mine(rng.integers(len(self._poses.arkit), size=count).tolist())
         rngs = [np.random.default_rng([*pixel_seed, n]) for n in self.ranks.mine([*range(count)])]
         cameras = [self.data.capture.camera(self._poses.cameras[pose]) for pose in poses]
@@ -204,7 +204,7 @@ class Objectives:
             latent = torch.cat([latent[:, :1].detach(), latent[:, 1:]], 1)
             mesh = self.model.decode_mesh(latent)
             appearance = self.model.appearance(latent, view.to(self.device))
-        drawn = self._drawn(mesh, cameras, rngs)
+        drawn = self._drawn(mesh, cameras, rngs, share=2)
         with record_function("pixel"):
             colours = self.model.shade(appearance, drawn.surface)
         with record_function("loss"):
@@ -276,14 +276,16 @@ class Objectives:
         rngs: list[np.random.Generator],
         *,
         normals: bool = False,
+        share: int = 1,
     ) -> DrawnPixels:
-        """Pixels of meshes through cameras, a generator's choice in each image."""
+        """Pixels of meshes through cameras, a generator's choice in each image: 1 / `share` of the
+        usual number."""
         with record_function("raster"):
             self.drawer.rasterise(mesh.vertices_m, cameras)
             return self.drawer.draw(
                 mesh.vertices_m,
                 rngs,
-                pixels_per_image=self.config.schedule.pixels_per_image,
+                pixels_per_image=self.config.schedule.pixels_per_image // share,
                 normals=normals,
                 detach_xyz=self.config.detach_pixel_xyz,
             )
