@@ -1,6 +1,6 @@
 """Short trainings on one capture, compared: recipes, runs spoilt on purpose, and a step's time.
 
-    python scripts/training_trials.py recipes  --capture captures/S1 [--names as_is silhouettes]
+    python scripts/training_trials.py recipes  --capture captures/S1 [--names as_is block_C]
     python scripts/training_trials.py failures --capture captures/S1 --seeds 3
     python scripts/training_trials.py steps    --capture captures/S1 --preset small --threads 2
 
@@ -81,7 +81,6 @@ RECIPES: dict[str, Recipe] = {
         losses={name: getattr(PAPER_LOSSES, name) for name in ("depth", "normal", "smooth")}
     ),
     "kl_4_times": lambda config: config.changed(losses={"kl": 4 * config.losses.kl}),
-    "silhouettes": _change(losses={"edge": 1.0}),
     "all_pixels": _change(schedule={"pixels_per_image": 0}),
     "tracked_meshes": lambda config: replace(config, mesh_source="tracked"),
     **{name: _change(model={"variant": name}) for name in ("linear", "baseline")},
@@ -223,8 +222,6 @@ class StepOptions:
     """Whose joint phase to measure."""
     six_losses: bool = False
     """Measure with all six losses of the paper, whatever the preset has."""
-    edges: bool = False
-    """Measure with the gradient of silhouettes, too."""
     steps: int = 20
     """Steps to measure, after five to warm up."""
     threads: int = 2
@@ -236,7 +233,6 @@ def steps(options: StepOptions) -> dict[str, Any]:
     torch.set_num_threads(options.threads)
     config = PRESETS[options.preset]
     losses = PAPER_LOSSES if options.six_losses else config.losses
-    losses = replace(losses, edge=1.0 if options.edges else losses.edge)
     schedule = replace(config.schedule, geometry_steps=0, joint_steps=options.steps + 10)
     config = replace(config, losses=losses, schedule=schedule)
     data = TrainingData(Capture.open(options.capture), config.model.spec().map_size)

@@ -108,9 +108,6 @@ class LossConfig:
     """Weight of the mesh Laplacian within smoothness (paper A.2, lambda_l)."""
     kl: float = 0.001
     """Weight of the KL divergence (paper 0.001)."""
-    edge: float = 0.0
-    """Weight of what boundaries add to the image loss's gradient (`edge_gradient`); 1 is the
-    gradient as it is, 0 leaves silhouettes to the other losses."""
     region_weight: float = 4.0
     """Importance of a vertex at mouth or eyes in the mesh loss, against 1 elsewhere; also how much
     more often a pixel there is drawn."""
@@ -247,9 +244,9 @@ class TrainConfig:
         """
         try:
             parts = {
-                # Runs of before say whether a decoder adds to bases; those with one do not fit.
+                # Runs of before say whether a decoder adds to bases, and what silhouettes weigh.
                 "model": ModelConfig(**{k: v for k, v in values["model"].items() if k != "rest"}),
-                "losses": LossConfig(**values["losses"]),
+                "losses": LossConfig(**{k: v for k, v in values["losses"].items() if k != "edge"}),
                 "schedule": ScheduleConfig(**values["schedule"]),
             }
             return cls(**{**values, **parts})

@@ -13,15 +13,12 @@ from torch import Tensor
 from pica_core.camera import Camera
 from pica_core.capture.dataset.dataset import Topology
 from pica_core.model.interface import Surface
-from pica_core.train.edge_gradient import Edges, find_edges, screen_positions
 from pica_core.train.losses import screen_normals
 from pica_core.train.rasterise import Hits, Rasteriser, Views, hit_points
 from pica_core.types import FloatArray, Int64Array, IntArray
 
 NORMAL_SHARE = 4
 """Where pixels are drawn, every fourth has a normal: it needs the depth of two neighbours."""
-EDGE_PAIRS = 2048
-"""Most pairs of pixels at boundaries that a step looks at in one image."""
 
 
 class PixelList(NamedTuple):
@@ -66,33 +63,6 @@ class DrawnPixels(NamedTuple):
             for places in (self.centre, self.right, self.below)
         ]
         return screen_normals(*corners)
-
-
-class EdgePixels(NamedTuple):
-    """Pairs of pixels at boundaries, and the covered pixels among them.
-
-    Attributes:
-        pixels: The covered ones, each once.
-        surface: Their surface points, without gradient.
-        image: Which image each pair is of, int64 ``[E]``.
-        front: The pairs' covering pixels, as indices into `pixels`, int64 ``[E]``.
-        back: The covered ones, or -1 for the background, int64 ``[E]``.
-        back_pixel: The same as flat indices within the image.
-        along: Screen coordinate of the covering points along the pair's axis; differentiable, px.
-        sign: As `Edges.sign`, ``[E]``.
-        scale: How many pairs each stands for, over the number of images and of the image's covered
-            pixels, ``[E]``.
-    """
-
-    pixels: PixelList
-    surface: Surface
-    image: Tensor
-    front: Tensor
-    back: Tensor
-    back_pixel: Int64Array
-    along: Tensor
-    sign: Tensor
-    scale: Tensor
 
 
 class MeshDrawer:
@@ -171,52 +141,6 @@ class MeshDrawer:
         surface = self._surface(vertices_m, hits, triangles, own, detach_xyz=detach_xyz)
         return DrawnPixels(
             pixels, surface, self._list(wanted), hits.depth_m, hits.image, hits.rays, *at
-        )
-
-    def edges(self, vertices_m: Tensor, rngs: list[np.random.Generator]) -> EdgePixels:
-        """Boundaries of the images that `rasterise` saw; arguments as for `draw`."""
-        size = self._ids.shape[1]
-        parts: list[tuple[int, Edges, FloatArray]] = []
-        depths_m = self.rasteriser.batch_depths_m(self._cameras)
-        for index in range(len(depths_m)):
-            pairs = find_edges(depths_m[index])
-            found = len(pairs.front)
-            if found > EDGE_PAIRS:
-                pairs = pairs.chosen(np.sort(rngs[index].choice(found, EDGE_PAIRS, replace=False)))
-            covered = max(1, int((self._ids[index] >= 0).sum()))
-            each = found / max(1, len(pairs.front)) / (covered * len(self._cameras))
-            parts.append((index * size, pairs, np.full(len(pairs.front), each, np.float32)))
-        front = np.concatenate([offset + pairs.front for offset, pairs, _ in parts])
-        back = np.concatenate([offset + pairs.back for offset, pairs, _ in parts])
-        flat_ids = self._ids.reshape(-1)
-        covered_back = flat_ids[back] >= 0
-        wanted = np.unique(np.concatenate([front, back[covered_back]]))
-        with torch.no_grad():
-            hits, triangles = self._hits(vertices_m, wanted)
-            surface = self._surface(vertices_m, hits, triangles, None, detach_xyz=True)
-        device = vertices_m.device
-        at_front = torch.from_numpy(np.searchsorted(wanted, front)).to(device)
-        at_back = np.where(covered_back, np.searchsorted(wanted, back), -1)
-        views = Views.of(self._cameras, vertices_m)
-        image = hits.image[at_front]
-        positions = screen_positions(
-            views.see(vertices_m).reshape(-1, 3),
-            hits.corners[at_front],
-            hits.weights[at_front],
-            views.intrinsics[image],
-        )
-        axis = np.concatenate([pairs.axis for _, pairs, _ in parts])
-        sign = np.concatenate([pairs.sign for _, pairs, _ in parts])
-        return EdgePixels(
-            pixels=self._list(wanted),
-            surface=surface,
-            image=image,
-            front=at_front,
-            back=torch.from_numpy(at_back).to(device),
-            back_pixel=back % size,
-            along=positions.gather(1, torch.from_numpy(axis).to(device)[:, None])[:, 0],
-            sign=torch.from_numpy(sign).to(vertices_m),
-            scale=torch.from_numpy(np.concatenate([each for _, _, each in parts])).to(vertices_m),
         )
 
     def _hits(self, vertices_m: Tensor, wanted: Int64Array) -> tuple[Hits, Tensor]:

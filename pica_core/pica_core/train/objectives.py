@@ -25,7 +25,6 @@ from pica_core.train.data.images import view_direction
 from pica_core.train.data.meshes import important_vertices, vertex_importance
 from pica_core.train.data.training import TrainingData
 from pica_core.train.drawing import DrawnPixels, MeshDrawer, PixelList
-from pica_core.train.edge_gradient import edge_term
 from pica_core.train.laplacian import (
     MeshLaplacian,
     follow_mean,
@@ -180,9 +179,6 @@ class Objectives:
             losses |= self._depth(images, drawn)
             losses["mesh"] = self._mesh(mesh, frames)
             losses |= self._priors(mesh, kl)
-        if weights.edge:
-            with record_function("raster"):
-                losses["edge"] = self._edges(images, mesh.vertices_m, appearance, rngs)
         return losses
 
     def live(self, rng: np.random.Generator, pixel_seed: list[int]) -> dict[str, Tensor]:
@@ -377,35 +373,6 @@ class Objectives:
             predicted, observed = drawn.normals(drawn.depth_m), drawn.normals(observed_m)
             losses["normal"] = weights.normal * normal_loss(predicted, observed, share)
         return losses
-
-    def _edges(
-        self,
-        images: Images,
-        vertices_m: Tensor,
-        appearance: Tensor,
-        rngs: list[np.random.Generator],
-    ) -> Tensor:
-        """What boundaries add to the image loss's gradient; its value is 0."""
-        edges = self.drawer.edges(vertices_m, rngs)
-        observed = self.colours(images, edges.pixels)
-        with torch.no_grad():
-            shown = self.model.shade(appearance.detach(), edges.surface)
-        plain = np.stack([self.data.images.background(frame, name) for frame, name in images])
-        background = torch.from_numpy(plain).to(self.device)[edges.image]
-        places = PixelList(edges.image.cpu().numpy(), edges.back_pixel)
-        is_covered = (edges.back >= 0)[:, None]
-        back = torch.where(is_covered, shown[edges.back.clamp_min(0)], background)
-        front = shown[edges.front]
-        # d/dC of the image loss over every covered pixel: 2/3 (C - I), by the pair's share.
-        scale = self.config.losses.edge * self.config.losses.image * 2 / 3 * edges.scale[:, None]
-        return edge_term(
-            front,
-            back,
-            scale * (front - observed[edges.front]),
-            scale * (back - self.colours(images, places)),
-            edges.along,
-            edges.sign,
-        )
 
     def _model_codes(self) -> tuple[dict[int, Tensor], Tensor]:
         """The encoder's mean of each training frame, and the overall deviation of all."""

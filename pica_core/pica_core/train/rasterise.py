@@ -11,7 +11,7 @@ in camera axes and the ray d, the hit point is w0 p0 + w1 p1 + w2 p2 with
 
 which is perspective-correct by construction and needs no division but the last. What a corner has
 along d does not change the volumes, so they are made of what it lies beside the ray: small numbers,
-whose differences keep their digits. Coverage itself has no gradient here; `edge_gradient` has it.
+whose differences keep their digits. Coverage itself has no gradient.
 
 Ids come back to the CPU once an image, as GL gives them; everything after is torch and follows the
 device of the vertices.

@@ -42,7 +42,7 @@ def config(batch: int) -> TrainConfig:
         driver_batch=8 * batch,
         pixels_per_image=512,
     )
-    return replace(tiny, schedule=schedule, losses=replace(PAPER_LOSSES, depth=0.0, edge=1.0))
+    return replace(tiny, schedule=schedule, losses=replace(PAPER_LOSSES, depth=0.0))
 
 
 def test_two_processes_train_as_one_with_the_doubled_batch(tmp_path: Path) -> None:

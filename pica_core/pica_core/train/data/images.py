@@ -36,7 +36,6 @@ class ImageCache:
         self.evaluation_views = views or self.camera_names
         self._texture = lru_cache(MAX_TEXTURES)(self._texture_of)
         self._cameras_of: dict[int, tuple[str, ...]] = {}
-        self._backgrounds: dict[str, FloatArray] = {}
         self._head_pose = cache(lambda frame: capture.head_to_world(capture.frames[frame]))
 
     def image(self, frame: int, camera: str) -> Image:
@@ -57,20 +56,6 @@ class ImageCache:
     def textures(self, frames: list[int], size: int) -> Tensor:
         """Average textures of frames, about [-1, 1], ``[N, 3, size, size]``."""
         return torch.stack([self._texture(frame, size) for frame in frames])
-
-    def background(self, frame: int, camera: str) -> FloatArray:
-        """Colour of what is not the head: the median over the mask's empty pixels, 0 to 1, ``[3]``.
-
-        Only a plain background is known so; a capture without masks gives black.
-        """
-        if camera not in self._backgrounds:
-            colour = np.zeros(3, np.float32)
-            if self._has("mask", frame, camera):
-                empty = self._capture.mask(self._capture.frames[frame], camera) == 0
-                if empty.any():
-                    colour = np.median(self.image(frame, camera)[empty], axis=0) / 255
-            self._backgrounds[camera] = colour.astype(np.float32)
-        return self._backgrounds[camera]
 
     def cameras_of(self, frame: int) -> tuple[str, ...]:
         """Cameras that have an image of a frame, of those that can be read as far as is known."""
