@@ -44,6 +44,7 @@ from pica_client.bench.network.stream_trial import (
     Delivery,
     Schedule,
     deliver,
+    receive_arrival,
 )
 from pica_client.bench.option_types import Words, check_names
 from pica_client.bench.playout import open_ends, true_face
@@ -213,7 +214,7 @@ def _listen(
     heard = _Heard(
         sound=np.zeros(0, np.float32), moments=moments, times=[], skews=[], counted=[], cpu_s=0.0
     )
-    position = 0
+    position, samples = 0, delivery.samples()
     for now, is_sound in sorted(events):
         begin_s = time.process_time()
         while position < len(arrivals) and arrivals[position][0] <= now:
@@ -225,7 +226,7 @@ def _listen(
                 buffer.receive(packet, arrived_s)
                 lips.receive("", packet)
             else:
-                _receive_face(playout, arrival)
+                receive_arrival(playout, arrival, samples)
         if not is_sound:
             heard_us = buffer.heard_us(now)
             face = playout.sample_at(now, heard_us)
@@ -247,17 +248,6 @@ def _listen(
         heard.counted.append((now, report.played, report.concealed, report.stretched))
     heard.sound = np.concatenate(sounds)
     return heard
-
-
-def _receive_face(playout: Playout, arrival: Any) -> None:
-    frame = Frame(
-        stream=1,
-        sequence=arrival.number % SEQUENCE_MODULUS,
-        captured_us=arrival.captured_us,
-        payload=b"",
-    )
-    for received in playout.sender.receive(frame, arrival.arrived_s):
-        playout.receive_frame(received.decoded(arrival.sample))
 
 
 def _quality(sound: FloatArray, heard: _Heard, schedule: Schedule) -> dict[str, Any]:

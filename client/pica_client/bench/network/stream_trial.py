@@ -17,7 +17,7 @@ not used (no peer joins late); the receiver asks for no other layers when the ra
 """
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,6 +86,10 @@ class Delivery:
     """The fastest way through the network."""
     voices: tuple[tuple[float, Frame], ...] = ()
     """Voice packets that came, each with its time of arrival."""
+
+    def samples(self) -> dict[int, LatentSample]:
+        """The face of each capture time, microseconds of the sender's clock."""
+        return {arrival.captured_us: arrival.sample for arrival in self.arrivals}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -203,18 +207,28 @@ def play(delivery: Delivery, playout: Playout, schedule: Schedule) -> list[Tick]
     Returns:
         All refreshes of the run.
     """
-    samples = {arrival.captured_us: arrival.sample for arrival in delivery.arrivals}
+    samples = delivery.samples()
     ticks: list[Tick] = []
     position = 0
     for index in range(int(schedule.seconds * schedule.display_hz)):
         now = (index + DISPLAY_PHASE) / schedule.display_hz
         while position < len(delivery.arrivals) and delivery.arrivals[position].arrived_s <= now:
-            arrival = delivery.arrivals[position]
-            sequence = arrival.number % SEQUENCE_MODULUS
-            frame = Frame(stream=1, sequence=sequence, captured_us=arrival.captured_us, payload=b"")
-            for received in playout.sender.receive(frame, arrival.arrived_s):
-                playout.receive_frame(received.decoded(samples[received.captured_us]))
+            receive_arrival(playout, delivery.arrivals[position], samples)
             position += 1
         played = playout.sample_at(now)
         ticks.append(Tick(now_s=now, played=played, report=playout.report()))
     return ticks
+
+
+def receive_arrival(
+    playout: Playout, arrival: DecodedFrame, samples: Mapping[int, LatentSample]
+) -> None:
+    """Give a face that came to a playout, and those that it had held back, if any.
+
+    Args:
+        samples: As from `Delivery.samples`.
+    """
+    sequence = arrival.number % SEQUENCE_MODULUS
+    frame = Frame(stream=1, sequence=sequence, captured_us=arrival.captured_us, payload=b"")
+    for received in playout.sender.receive(frame, arrival.arrived_s):
+        playout.receive_frame(received.decoded(samples[received.captured_us]))
