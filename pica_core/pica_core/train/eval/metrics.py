@@ -6,9 +6,9 @@ Squared Error between rendered image and original image on rasterized pixels", s
 
 import numpy as np
 import numpy.typing as npt
-from numpy.lib.stride_tricks import sliding_window_view
+from scipy.ndimage import gaussian_filter
 
-from pica_core.types import BoolArray
+from pica_core.types import BoolArray, Float64Array
 
 FloatArray = npt.NDArray[np.floating]
 Image = FloatArray | npt.NDArray[np.uint8]
@@ -103,13 +103,9 @@ def bootstrap_interval(values: npt.ArrayLike, seed: int = 0) -> tuple[float, flo
     return float(low), float(high)
 
 
-def _blur(image: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _blur(image: Float64Array) -> Float64Array:
     """Gaussian means; beyond the border the last pixel goes on."""
-    place = np.arange(-SSIM_REACH_PX, SSIM_REACH_PX + 1)
-    weights = np.exp(-0.5 * (place / SSIM_SIGMA_PX) ** 2)
-    weights /= weights.sum()
-    edge = ((SSIM_REACH_PX, SSIM_REACH_PX),)
-    padded = np.pad(image, (*edge, *edge, (0, 0)), mode="edge")
-    for axis in (0, 1):
-        padded = sliding_window_view(padded, len(weights), axis=axis) @ weights
-    return padded
+    means: Float64Array = gaussian_filter(
+        image, SSIM_SIGMA_PX, mode="nearest", radius=SSIM_REACH_PX, axes=(0, 1)
+    )
+    return means
