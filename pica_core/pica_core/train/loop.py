@@ -53,7 +53,7 @@ JOINT_COST = 4
 """Steps of the geometry phase that take as long as one joint step (measured: 42 and 11 a second on
 one thread)."""
 LIVE_TURN = 4
-"""Of so many steps on pictures of poses one is on frames instead: they keep what they taught."""
+"""One of so many steps on pictures of poses is on frames instead, which keep what they taught."""
 METRICS_EVERY = 50
 """Steps between lines of metrics."""
 ROLLBACK_RATE = 0.5
