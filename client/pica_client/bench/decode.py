@@ -38,7 +38,7 @@ from pica_client.stats import describe_machine, percentile
 from pica_core.avatar.decoder_layers import decoder_layers
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
-from pica_core.avatar.level_tensors import exit_shapes, is_index
+from pica_core.avatar.level_tensors import exit_shapes, is_index, local_name, local_shape
 from pica_core.avatar.spec import BLOCKS
 from pica_core.graphs.onnx_graph import decoder_graph
 from pica_core.reference.baseline import baseline_like
@@ -183,6 +183,8 @@ def random_decoders(avatar: Avatar, block: str, seed: int) -> Avatar:
     for level in avatar.levels[:-1]:
         texel = avatar.tensors.get(f"level.{level}.geometry.texel", np.zeros(1))
         shapes |= exit_shapes(spec, level, avatar.position_rows(level), texel.shape[-1])
+        if local_name(level) in avatar.tensors:
+            shapes[local_name(level)] = local_shape(spec, level)
     rng = np.random.default_rng(seed)
     tensors: dict[str, npt.NDArray[Any]] = {
         name: array

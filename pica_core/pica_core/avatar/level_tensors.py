@@ -9,6 +9,9 @@ channels of the trunk there, R the rows that hold the vertices of its mesh, T is
     level.{S}.geometry.weight    [R, S, 3 * C * T]: of x, of its first channel, of the first texel
     level.{S}.expression.weight  [4, C, 3, 3]
     level.{S}.expression.bias    [4, S, S]
+    level.{S}.expression.local   [S / 2, S / 2, 4 * C]: for each block of 2 x 2 texels, weights of
+                                 its own over the trunk's channels there, added to the convolution;
+                                 of the first code, of the first channel; may be absent alone
     level.still                  [8, 8, 4]: the latent whose full expression map, seen from the
                                  front, is added to what levels below the full one make
     level.head_px                [K] heights of the head on screen, pixels, ascending
@@ -43,6 +46,8 @@ MAX_HEIGHTS = 64
 """Entries of an error table along the height of the head."""
 MAX_TEXELS = 4
 """Most texels of the trunk that a vertex is made of."""
+LOCAL_TEXELS = 2
+"""Side of a block of texels with weights of its own (measured: docs/levels.md)."""
 JUDGED_NAME = PREFIX + "judged"
 STILL_NAME = PREFIX + "still"
 _TABLE = ("head_px", "errors", "sensitivity")
@@ -78,6 +83,17 @@ def sheet_uv(num_vertices: int, level: int) -> FloatArray:
 def faces_name(level: int) -> str:
     """Name of a level's own triangles."""
     return f"{PREFIX}{level}.faces"
+
+
+def local_name(level: int) -> str:
+    """Name of the weights that each block of texels of a level's map has of its own."""
+    return f"{PREFIX}{level}.expression.local"
+
+
+def local_shape(spec: AvatarSpec, level: int) -> tuple[int, int, int]:
+    """Shape of those weights."""
+    side = level // LOCAL_TEXELS
+    return side, side, spec.expression_channels * trunk_channels(spec, level)
 
 
 def exit_shapes(
@@ -145,6 +161,8 @@ def wanted_shapes(
                 num_rows = rows(f"{sheet}.mean", sheet_rows(3 * max_faces, size))
             wanted |= exit_shapes(spec, size, num_rows, num_texels)
             wanted[faces] = (rows(faces, max_faces), 3)
+            if local_name(size) in shapes:
+                wanted[local_name(size)] = local_shape(spec, size)
     head_px, errors, sensitivity = (PREFIX + name for name in _TABLE)
     if shapes.keys() & {head_px, errors, sensitivity}:
         heights = rows(head_px, MAX_HEIGHTS)

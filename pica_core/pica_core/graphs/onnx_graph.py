@@ -36,6 +36,7 @@ import numpy as np
 
 from pica_core.avatar.decoder_layers import Layer, decoder_layers, trunk_layers
 from pica_core.avatar.file import Avatar
+from pica_core.avatar.level_tensors import LOCAL_TEXELS, local_name
 from pica_core.avatar.spec import LEAKY_SLOPE, POSITION_CHANNELS, VIEW_CHANNELS
 from pica_core.graphs.bases_graph import bases_graph
 from pica_core.graphs.graph_builder import GraphBuilder, Shape
@@ -82,9 +83,12 @@ def decoder_graph(
         inputs["view_direction"] = [1, VIEW_CHANNELS]
         view = graph.add("Reshape", "view_direction", graph.sizes(1, VIEW_CHANNELS, 1, 1))
         tiled = graph.add("Expand", view, graph.sizes(1, VIEW_CHANNELS, LATENT_SIZE, LATENT_SIZE))
-        layers, tensors = _expression(avatar, size)
-        value = arrange(graph, layers, tensors, graph.add("Concat", grid, tiled, axis=1))
-        channels = layers[-1].out_channels
+        trunk, last, tensors = _expression(avatar, size)
+        found = arrange(graph, trunk, tensors, graph.add("Concat", grid, tiled, axis=1))
+        value = arrange(graph, last, tensors, found)
+        if local_name(size) in tensors:
+            value = graph.add("Add", value, _weigh_per_block(graph, avatar, size, found))
+        channels = avatar.spec.expression_channels
         _channel_last(graph, value, size, channels, output="expression_map")
         outputs["expression_map"] = [size, size, channels]
     return graph.serialise(inputs, outputs)
@@ -133,17 +137,26 @@ def _geometry(avatar: Avatar, size: int, *, fold: bool) -> tuple[list[Layer], di
     return layers, tensors
 
 
-def _expression(avatar: Avatar, size: int) -> tuple[list[Layer], dict[str, Array]]:
-    """Layers of the expression decoder at a level, and its tensors."""
+def _expression(avatar: Avatar, size: int) -> tuple[list[Layer], list[Layer], dict[str, Array]]:
+    """Layers of the expression decoder at a level and of its exit there, and their tensors."""
     tensors = dict(avatar.tensors)
     if size == avatar.spec.map_size:
-        return decoder_layers(avatar.spec, "expression"), tensors
+        return decoder_layers(avatar.spec, "expression"), [], tensors
     name = f"level.{size}.expression"
     out_channels, in_channels = tensors[f"{name}.weight"].shape[:2]
     last = Layer("conv3", name, in_channels, out_channels, size)
     bias = Layer("untied_bias", f"{name}.untied", out_channels, out_channels, size)
     tensors[f"{bias.name}.weight"] = tensors[f"{name}.bias"]
-    return [*trunk_layers(avatar.spec, "expression", size), last, bias], tensors
+    return trunk_layers(avatar.spec, "expression", size), [last, bias], tensors
+
+
+def _weigh_per_block(graph: GraphBuilder, avatar: Avatar, size: int, trunk: str) -> str:
+    """What each block of texels adds to an exit's map by weights of its own, ``[4, S, S]``."""
+    local = avatar.tensors[local_name(size)]
+    own = local.repeat(LOCAL_TEXELS, axis=0).repeat(LOCAL_TEXELS, axis=1)
+    own = own.reshape(size, size, avatar.spec.expression_channels, -1).transpose(2, 3, 0, 1)
+    weighed = graph.add("Mul", trunk, graph.floats(own))
+    return graph.add("ReduceSum", weighed, graph.sizes(1), keepdims=0)
 
 
 def _weigh_per_vertex(
@@ -199,7 +212,7 @@ def _plain(graph: GraphBuilder, layers: list[Layer], tensors: dict[str, Array], 
 
 
 def _fast(graph: GraphBuilder, layers: list[Layer], tensors: dict[str, Array], value: str) -> str:
-    for layer, following in zip(layers, [*layers[1:], None], strict=True):
+    for layer, following in zip(layers, [*layers, None][1:], strict=True):
         weights = [tensors[name] for name in layer.tensor_shapes()]
         match layer.kind:
             case "conv3" if (

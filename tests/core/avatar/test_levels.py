@@ -21,6 +21,8 @@ from pica_core.avatar.level_tensors import (
     error_tensors,
     exit_shapes,
     faces_name,
+    local_name,
+    local_shape,
     sheet_rows,
     sheet_uv,
 )
@@ -184,6 +186,50 @@ def test_a_mean_keeps_sixteen_bits_and_convolutions_all_of_theirs(toy_bytes: byt
     texel = "level.64.geometry.texel"
     np.testing.assert_array_equal(loaded.tensors[texel], TOY.tensors[texel])
     np.testing.assert_array_equal(loaded.tensors[weight], TOY.tensors[weight])
+
+
+def with_local(array: Array | None = None) -> Avatar:
+    """The toy with weights of each block of texels on its coarsest level."""
+    if array is None:
+        random = np.random.default_rng(3)
+        array = random.standard_normal(local_shape(SPEC, 64)).astype(np.float32)
+    return changed(local_name(64), array)
+
+
+def test_weights_of_blocks_come_back_in_eight_bits_and_are_added(tmp_path: Path) -> None:
+    avatar = with_local()
+    save_avatar(tmp_path / "a.pica", avatar)
+    loaded, local = load_avatar(tmp_path / "a.pica"), avatar.tensors[local_name(64)]
+    off = np.abs(loaded.tensors[local_name(64)] - local).max((0, 1))
+    assert np.all(off <= 0.51 / 255 * np.ptp(local, (0, 1)))
+    assert loaded.levels == TOY.levels
+
+    latent = np.random.default_rng(4).standard_normal((8, 8, 4))
+    maps = [decode_expression_map(which, latent, FRONT, 64) for which in (avatar, TOY)]
+    halved = decode_expression_map(with_local(local / 2), latent, FRONT, 64)
+    assert np.abs(maps[0] - maps[1]).max() > 0.01
+    np.testing.assert_allclose(halved, (maps[0] + maps[1]) / 2, atol=1e-6)
+    both = [decode_expression_map(which, latent, FRONT, 128) for which in (avatar, TOY)]
+    np.testing.assert_array_equal(*both)
+
+
+@pytest.mark.parametrize(
+    "array",
+    [
+        np.zeros((64, 64, 64), np.float32),
+        np.zeros((32, 32), np.float32),
+        np.full(local_shape(SPEC, 64), np.nan, np.float32),
+    ],
+)
+def test_weights_of_blocks_that_do_not_fit_are_refused(tmp_path: Path, array: Array) -> None:
+    with pytest.raises(AvatarFileError, match=r"level\.64\.expression\.local"):
+        save_avatar(tmp_path / "bad.pica", with_local(array))
+
+
+def test_weights_of_blocks_without_their_level_are_refused(tmp_path: Path) -> None:
+    local = {local_name(64): np.zeros(local_shape(SPEC, 64), np.float32)}
+    with pytest.raises(AvatarFileError, match="local"):
+        save_avatar(tmp_path / "bad.pica", Avatar(PLAIN.manifest, {**PLAIN.tensors, **local}))
 
 
 def test_the_face_of_the_still_map_comes_back_from_a_file(tmp_path: Path) -> None:

@@ -16,11 +16,13 @@ from helpers.toy import grid_faces, with_toy_levels
 from helpers.trainable import grid_uv, toy_prior
 from pica_client.decode.onnx_runtime import onnxruntime
 from pica_core.avatar.file import Avatar
+from pica_core.avatar.level_tensors import local_name, local_shape
 from pica_core.avatar.manifest import Manifest
 from pica_core.avatar.spec import BLOCKS, AvatarSpec
 from pica_core.graphs.onnx_graph import decoder_graph
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.interface import Surface
+from pica_core.reference.decoders import decode_expression_map
 from pica_core.reference.pixel import count_parameters, decode_pixels
 from pica_core.reference.sampling import sample_bilinear
 from pica_core.train.export import avatar_tensors
@@ -97,6 +99,10 @@ def test_torch_and_onnx_decode_the_same_maps(block: str) -> None:
 @pytest.mark.parametrize("block", BLOCKS)
 def test_torch_and_onnx_leave_by_the_same_exit(block: str, level: int, plain: bool) -> None:
     avatar = with_toy_levels(exported(trained_looking_model(block)))
+    if level == 64:
+        spread = np.random.default_rng(5).standard_normal(local_shape(avatar.spec, level)) / 8
+        local = {local_name(level): spread.astype(np.float32)}
+        avatar = Avatar(avatar.manifest, {**avatar.tensors, **local})
     torch.manual_seed(4)
     faces = FaceSet(torch.randn(1, 4, 8, 8), torch.nn.functional.normalize(torch.randn(1, 3)))
     tensors = {
@@ -112,7 +118,13 @@ def test_torch_and_onnx_leave_by_the_same_exit(block: str, level: int, plain: bo
         rest=tensors["geometry.mean"].flatten(0, 1),
     )
     ((seen, _),) = FrozenDecoder(avatar, "expression").run(faces, level)
-    codes = MapExit(tensors["expression.weight"], tensors["expression.bias"])(seen)
+    local = tensors.get("expression.local")
+    if local is not None:
+        local = local.unflatten(2, (avatar.spec.expression_channels, -1))
+    codes = MapExit(tensors["expression.weight"], tensors["expression.bias"], local)(seen)
+    told = decode_expression_map(
+        avatar, faces.latents[0].permute(1, 2, 0).numpy(), faces.views[0].numpy(), level
+    )
     maps = {
         "geometry": sheet(trunk)[0].reshape(tensors["geometry.mean"].shape),
         "expression": codes[0].permute(1, 2, 0),
@@ -126,6 +138,7 @@ def test_torch_and_onnx_leave_by_the_same_exit(block: str, level: int, plain: bo
     assert np.ptp(position - avatar.tensors[f"level.{level}.geometry.mean"]) > 100 * MAP_TORCH_M
     assert np.abs(position - maps["geometry"].numpy()).max() <= MAP_TORCH_M
     assert np.abs(expression - maps["expression"].numpy()).max() <= EXPRESSION_ONNX
+    assert np.abs(expression - told).max() <= EXPRESSION_ONNX
 
 
 @pytest.fixture(scope="module")

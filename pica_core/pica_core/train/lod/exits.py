@@ -11,7 +11,8 @@ What is asked for:
 - *Expression*: at points of the surface, codes of the small map and of a still full one together
   give the colours of the full one: differences of codes are weighed by the pixel decoder's own
   slope there. The map is only ever read at points inside charts; texels that no point reads keep an
-  average of the full map. So a texel that two charts share is fitted to both.
+  average of the full map. So a texel that two charts share is fitted to both. What one convolution
+  leaves, blocks of texels learn with weights of their own, on the coarsest level (`fit_local`).
 """
 
 from collections.abc import Iterator
@@ -24,6 +25,7 @@ from torch.nn import functional
 
 from pica_core.avatar.decoder_layers import trunk_layers
 from pica_core.avatar.file import Avatar
+from pica_core.avatar.level_tensors import LOCAL_TEXELS
 from pica_core.model.decoders import MapDecoder, sample_map, tile_view_direction
 from pica_core.reference.pixel import decode_pixels
 from pica_core.types import Float64Array
@@ -34,6 +36,8 @@ RIDGE = 1e-6
 """Added to the diagonal of a system, as a share of its mean: keeps idle features quiet."""
 VERTEX_RIDGE = 1e-3
 """The same for the weights of a vertex, as a share of the mean over all."""
+BLOCK_RIDGE = 1e-3
+"""The same for the weights of a block of texels (1e-2 leaves 4 % more on one head)."""
 PRIOR = 1e-3
 """Weight of the start in a map, where a point's weight is 1."""
 MAP_STEPS = 100
@@ -91,14 +95,22 @@ class FrozenDecoder:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapExit:
-    """A fitted convolution ``[C', C, 3, 3]`` and bias ``[C', level, level]``."""
+    """A fitted convolution, a bias, and what each block of texels adds.
+
+    Attributes:
+        weight: ``[C', C, 3, 3]``.
+        bias: ``[C', level, level]``.
+        local: ``[level / 2, level / 2, C', C]``; None where the convolution is all.
+    """
 
     weight: Tensor
     bias: Tensor
+    local: Tensor | None = None
 
     def __call__(self, trunk: Tensor) -> Tensor:
         """Maps ``[N, C', level, level]`` from trunks ``[N, C, level, level]``."""
-        return functional.conv2d(trunk, self.weight, padding=1) + self.bias
+        maps = functional.conv2d(trunk, self.weight, padding=1) + self.bias
+        return maps if self.local is None else maps + _weighed(self.local, trunk)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,6 +169,48 @@ def fit_convolution(
     weight = system.solve().reshape(mean_full.shape[0], mean_trunk.shape[0], 3, 3).float()
     at_rest = functional.conv2d(mean_trunk[None], weight, padding=1)[0]
     return MapExit(weight, _fit_rest(bias_points, mean_full - still, at_rest))
+
+
+def fit_local(decoder: FrozenDecoder, faces: FaceSet, level: int, exit_: MapExit) -> MapExit:
+    """Give each block of texels weights of its own for what a convolution leaves of the output.
+
+    One convolution for all texels takes a cheek and a lid for alike. Blocks are fitted one by one,
+    and the map of the mean face stays as it is.
+
+    Args:
+        decoder: Whose output to imitate, and whose trunk to do it from.
+        exit_: The convolution.
+    """
+    mean_trunk, mean_full = _means(decoder, faces, level)
+    inputs, outputs, side = len(mean_trunk), len(mean_full), level // LOCAL_TEXELS
+    grams = torch.zeros(side * side, inputs, inputs, dtype=torch.float64)
+    rights = torch.zeros(side * side, inputs, outputs, dtype=torch.float64)
+    for trunk, full in decoder.run(faces, level):
+        wanted = functional.adaptive_avg_pool2d(full - mean_full, level)
+        moved = trunk - mean_trunk
+        left = wanted - functional.conv2d(moved, exit_.weight, padding=1)
+        read, left = _blocks(moved).double(), _blocks(left).double()
+        grams += read.transpose(1, 2) @ read
+        rights += read.transpose(1, 2) @ left
+    floor = BLOCK_RIDGE * grams.diagonal(dim1=1, dim2=2).mean()
+    weights = torch.linalg.solve(grams + floor * torch.eye(inputs, dtype=torch.float64), rights)
+    local = weights.transpose(1, 2).reshape(side, side, outputs, inputs).float()
+    at_rest = _weighed(local, mean_trunk[None])[0]
+    return replace(exit_, local=local, bias=exit_.bias - at_rest)
+
+
+def _blocks(maps: Tensor) -> Tensor:
+    """Blocks of texels of all maps, ``[blocks, N * texels, C]``, of ``[N, C, level, level]``."""
+    count, channels, level, _ = maps.shape
+    side = level // LOCAL_TEXELS
+    parts = maps.reshape(count, channels, side, LOCAL_TEXELS, side, LOCAL_TEXELS)
+    return parts.permute(2, 4, 0, 3, 5, 1).reshape(side * side, -1, channels)
+
+
+def _weighed(local: Tensor, trunk: Tensor) -> Tensor:
+    """Trunks ``[N, C, S, S]`` weighed by each block's weights, ``[N, C', S, S]``."""
+    own = local.repeat_interleave(LOCAL_TEXELS, 0).repeat_interleave(LOCAL_TEXELS, 1)
+    return torch.einsum("ncyx,yxdc->ndyx", trunk, own)
 
 
 def fit_sheet(

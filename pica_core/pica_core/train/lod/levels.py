@@ -23,6 +23,7 @@ from pica_core.avatar.level_tensors import (
     PREFIX,
     STILL_NAME,
     faces_name,
+    local_name,
     sheet_rows,
 )
 from pica_core.avatar.levels import EXIT_DIVISORS, level_sizes
@@ -40,6 +41,7 @@ from pica_core.train.lod.exits import (
     SheetExit,
     colour_metric,
     fit_convolution,
+    fit_local,
     fit_sheet,
 )
 from pica_core.train.lod.judge import (
@@ -202,6 +204,8 @@ def add_levels(
             still,
             seed=options.seed,
         )
+        if level == levels[0]:  # finer ones leave little, and their weights are four times as many
+            expression = fit_local(decoders["expression"], faces, level, expression)
         tensors |= _exit_tensors(avatar, level, geometry, expression) | {faces_name(level): mesh}
         runs = list(decoders["expression"].run(seen, level))
         own = None
@@ -375,6 +379,8 @@ def _exit_tensors(
         f"{PREFIX}{level}.expression.{name}": np.ascontiguousarray(values.numpy(), np.float32)
         for name, values in (("weight", expression.weight), ("bias", expression.bias))
     }
+    if expression.local is not None:
+        exits[local_name(level)] = expression.local.flatten(2).numpy().copy()
     if geometry is None:
         return exits
     num_slots = level * sheet_rows(len(geometry.rest), level)

@@ -23,7 +23,13 @@ from pica_core.reference.mesh import sample_vertices
 from pica_core.reference.pixel import decode_pixels
 from pica_core.reference.sampling import sample_bilinear
 from pica_core.train.cli.levels import AvatarLevelsOptions, avatar_levels
-from pica_core.train.lod.exits import fit_map
+from pica_core.train.lod.exits import (
+    FaceSet,
+    FrozenDecoder,
+    fit_convolution,
+    fit_local,
+    fit_map,
+)
 from pica_core.train.lod.judge import PokeFinder, seen_vertices
 from pica_core.train.lod.levels import LevelOptions, LevelReport, add_levels
 from pica_core.train.lod.simplify import Simplifier, weld
@@ -116,6 +122,27 @@ def test_vertices_of_no_or_too_many_texels_are_refused(texels: tuple[int, ...]) 
 
 
 # Maps that are read at points
+
+
+def test_blocks_learn_what_a_convolution_leaves_and_keep_the_mean_face() -> None:
+    decoder, generator = FrozenDecoder(TOY, "expression"), torch.Generator().manual_seed(0)
+    latents = torch.randn(64, 4, 8, 8, generator=generator)
+    faces = FaceSet(latents, torch.nn.functional.normalize(torch.ones(64, 3)))
+    size = TOY.spec.map_size
+    trunk, full = (torch.cat(maps) for maps in zip(*decoder.run(faces, 64), strict=True))
+    points = torch.rand(4000, 2, generator=generator)
+    metric = torch.eye(4).expand(len(points), 4, 4)
+    shared = fit_convolution(decoder, faces, 64, points, metric, points, torch.zeros(4, size, size))
+
+    own = fit_local(decoder, faces, 64, shared)
+
+    assert own.local is not None
+    assert own.local.shape[:3] == (32, 32, 4)
+    mean = trunk.mean(0, keepdim=True)
+    assert (own(mean) - shared(mean)).abs().max() < 1e-4
+    wanted = torch.nn.functional.adaptive_avg_pool2d(full - full.mean(0), 64)
+    left = [(made(trunk) - made(mean) - wanted).square().mean() for made in (own, shared)]
+    assert left[0] < 0.9 * left[1]
 
 
 def test_a_fitted_map_gives_its_values_back_at_its_points() -> None:
