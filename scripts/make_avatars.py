@@ -62,8 +62,8 @@ def make(name: str, facekit: Path, place: Path) -> None:
         pica("train", *of, str(run), *TRAINING.split(), *more)
     words = ["--run", str(run), *of, file, "--licence", LICENCE, "--threads", "1"]
     pica("export", *words, "--name", name.title())
-    fit_size(Path(file))
     pica("avatar", "measure", file, "--out", file)
+    fit_size(Path(file))
     pica("avatar", "verify", file)
 
 
