@@ -96,6 +96,12 @@ def local_shape(spec: AvatarSpec, level: int) -> tuple[int, int, int]:
     return side, side, spec.expression_channels * trunk_channels(spec, level)
 
 
+def spread_local(local: Array, num_codes: int) -> Array:
+    """Those weights for every texel, ``[num_codes, C, S, S]``."""
+    own = local.repeat(LOCAL_TEXELS, axis=0).repeat(LOCAL_TEXELS, axis=1)
+    return own.reshape(*own.shape[:2], num_codes, -1).transpose(2, 3, 0, 1)
+
+
 def exit_shapes(
     spec: AvatarSpec, level: int, rows: int, num_texels: int
 ) -> dict[str, tuple[int, ...]]:

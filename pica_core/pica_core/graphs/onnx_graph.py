@@ -36,7 +36,7 @@ import numpy as np
 
 from pica_core.avatar.decoder_layers import Layer, decoder_layers, trunk_layers
 from pica_core.avatar.file import Avatar
-from pica_core.avatar.level_tensors import LOCAL_TEXELS, local_name
+from pica_core.avatar.level_tensors import local_name, spread_local
 from pica_core.avatar.spec import LEAKY_SLOPE, POSITION_CHANNELS, VIEW_CHANNELS
 from pica_core.graphs.bases_graph import bases_graph
 from pica_core.graphs.graph_builder import GraphBuilder, Shape
@@ -152,9 +152,7 @@ def _expression(avatar: Avatar, size: int) -> tuple[list[Layer], list[Layer], di
 
 def _weigh_per_block(graph: GraphBuilder, avatar: Avatar, size: int, trunk: str) -> str:
     """What each block of texels adds to an exit's map by weights of its own, ``[4, S, S]``."""
-    local = avatar.tensors[local_name(size)]
-    own = local.repeat(LOCAL_TEXELS, axis=0).repeat(LOCAL_TEXELS, axis=1)
-    own = own.reshape(size, size, avatar.spec.expression_channels, -1).transpose(2, 3, 0, 1)
+    own = spread_local(avatar.tensors[local_name(size)], avatar.spec.expression_channels)
     weighed = graph.add("Mul", trunk, graph.floats(own))
     return graph.add("ReduceSum", weighed, graph.sizes(1), keepdims=0)
 

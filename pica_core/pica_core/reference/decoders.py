@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from pica_core.avatar.decoder_layers import Layer, decoder_layers, trunk_layers
 from pica_core.avatar.file import Avatar
-from pica_core.avatar.level_tensors import LOCAL_TEXELS, STILL_NAME
+from pica_core.avatar.level_tensors import STILL_NAME, spread_local
 from pica_core.avatar.linear import weights_of_latent
 from pica_core.avatar.spec import LEAKY_SLOPE, POSITION_CHANNELS
 from pica_core.latent import LATENT_SIZE
@@ -115,9 +115,7 @@ def _decode(avatar: Avatar, decoder: str, grid: Array, level: int | None) -> tup
         codes = _convolve(value, weight)
         local = avatar.tensors.get(f"{prefix}expression.local")
         if local is not None:
-            own = local.repeat(LOCAL_TEXELS, axis=0).repeat(LOCAL_TEXELS, axis=1)
-            own = own.reshape(*own.shape[:2], len(codes), len(value)).astype(np.float64)
-            codes = codes + np.einsum("yxdc,cyx->dyx", own, value)
+            codes = codes + (spread_local(local, len(codes)) * value).sum(1)
         return codes, prefix
     read = value.reshape(len(value), -1)[:, avatar.tensors[f"{prefix}geometry.texel"]]
     per_vertex = weight.astype(np.float64).reshape(
