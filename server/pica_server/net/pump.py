@@ -4,7 +4,9 @@ What the websockets receive in one turn of the event loop is fed to the hub toge
 whoever has got something is sent it, so frames that arrive in one turn leave in one message. While
 the kernel takes what is sent, that is all. Each websocket also has a reader, for the messages that
 do not come the short way (see `pica_server.net.socket`), and a writer, which waits for a peer that
-reads slowly and sends the goodbye. A slow peer blocks nobody: what it has not taken yet stays in
+reads slowly and sends the goodbye. While the core is busy, faces of a room are not fed to the hub
+at once: they gather for `Brake.gather_s`, or until a voice or anything else comes in that room, and
+so share their messages. A slow peer blocks nobody: what it has not taken yet stays in
 its outbox, where newer frames replace older ones. One timer serves all deadlines.
 
 The buffers behind an outbox are kept small, because what they hold can be neither replaced nor
@@ -18,7 +20,7 @@ import socket
 import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
@@ -30,6 +32,7 @@ from pica_server.net.socket import RelaySocket, set_tcp_option, websocket_messag
 from pica_server.room.connection import Connection
 from pica_server.room.hub import Hub
 from pica_server.room.outbox import OutboundMessage
+from pica_server.room.room import Room
 
 if TYPE_CHECKING:
     from pica_server.cluster.nats import Cluster
@@ -43,6 +46,12 @@ _VOICE_UNSENT_BYTES = 512
 _MOST_AT_ONCE = 8
 """Messages of one peer that are passed on in one turn of the loop (chosen: a quarter of a second of
 a face that came late)."""
+
+GATHER_SLACK_S: Final = 0.001
+"""Rooms whose time to gather ends so soon go on together (chosen: fewer turns of the loop)."""
+
+_Received = tuple[bytes, float]
+"""A message, and when it came."""
 
 _logger = logging.getLogger(__name__)
 
@@ -65,11 +74,14 @@ class Pump:
         self._timer: asyncio.TimerHandle | None = None
         self._timer_s: float | None = None
         # What was received in this turn of the loop from whom, and when; the hub gets it soon.
-        self._inbox: dict[Connection, list[tuple[bytes, float]]] = {}
+        self._inbox: dict[Connection, list[_Received]] = {}
         # Who sent so much of it that no more is read of them for now; as many as connections.
         self._unread: dict[Connection, asyncio.Transport] = {}
         self._now: Callable[[], float] = time.monotonic
         self._soon: asyncio.Handle | None = None
+        # Of each room what came from whom and gathers, and until when; in the order of their ends.
+        self._gathering: dict[Room, tuple[float, dict[Connection, list[_Received]]]] = {}
+        self._gather_timer: asyncio.TimerHandle | None = None
 
     def start(self) -> None:
         """Take the time from the running loop from now on."""
@@ -77,7 +89,7 @@ class Pump:
 
     def stop(self) -> None:
         """Do nothing more; all websockets have ended."""
-        for handle in (self._timer, self._soon):
+        for handle in (self._timer, self._soon, self._gather_timer):
             if handle is not None:
                 handle.cancel()
 
@@ -144,15 +156,59 @@ class Pump:
         _logger.log(level, "connection closed", extra=fields)
 
     def _on_message(self, connection: Connection, data: bytes) -> None:
-        """Keep a message that came the short way until all sockets have been read in this turn."""
+        """Keep a message that came the short way until all sockets have been read in this turn, or
+        until what gathers in its room goes on."""
         now = self._now()
         waiting = self._inbox.get(connection)
         if waiting is not None:
             waiting.append((data, now))
-            return
-        if not self._hub.drop_late(connection, data, now):
-            self._inbox[connection] = [(data, now)]
+        elif not self._gather(connection, data, now):
+            self.after_turn_soon()
+            self._release(connection.room)
+            waiting = self._inbox.get(connection)
+            if waiting is not None:
+                waiting.append((data, now))
+            elif not self._hub.drop_late(connection, data, now):
+                self._inbox[connection] = [(data, now)]
+
+    def _gather(self, connection: Connection, data: bytes, now: float) -> bool:
+        """Let a message wait for others of its room, if it may; return whether it does."""
+        gather_s, room = self._hub.brake.gather_s, connection.room
+        if not gather_s or room is None or not self._hub.forwarding.may_gather(connection, data):
+            return False
+        _, gathered = self._gathering.get(room, (0.0, None))
+        if gathered is None:
+            ends_s, gathered = now + gather_s, {}
+            self._gathering[room] = ends_s, gathered
+            if self._gather_timer is None:
+                loop = asyncio.get_running_loop()
+                self._gather_timer = loop.call_at(ends_s, self._on_gathered)
+        waiting = gathered.setdefault(connection, [])
+        if len(waiting) == _MOST_AT_ONCE:
+            return False
+        waiting.append((data, now))
+        return True
+
+    def _on_gathered(self) -> None:
+        """Let the rooms go on whose time to gather is over."""
+        late_s = self._now() + GATHER_SLACK_S
+        while self._gathering:
+            room, (ends_s, _) = next(iter(self._gathering.items()))
+            if ends_s > late_s:
+                loop = asyncio.get_running_loop()
+                self._gather_timer = loop.call_at(ends_s, self._on_gathered)
+                break
+            self._release(room)
+        else:
+            self._gather_timer = None
         self.after_turn_soon()
+
+    def _release(self, room: Room | None) -> None:
+        """Move what has gathered in a room to what is fed to the hub in this turn."""
+        if room in self._gathering:
+            _, gathered = self._gathering.pop(room)
+            for connection, messages in gathered.items():
+                self._inbox[connection] = messages + self._inbox.get(connection, [])
 
     def after_turn_soon(self) -> None:
         """See to it that what has come in this turn is dealt with when it is over."""
@@ -204,6 +260,9 @@ class Pump:
         try:
             while True:
                 data = await websocket.recv()
+                if connection.room in self._gathering:  # what came before goes first
+                    self._release(connection.room)
+                    self._after_turn()
                 self._hub.receive(connection, data, self._now())
                 self.after_events()
                 # recv() does not yield while messages are queued. The writers get their turn first:
@@ -271,19 +330,19 @@ class Pump:
             waker = wakers.get(connection)
             if waker is None:
                 continue
-            websocket, outbox = waker.websocket, connection.outbox
+            outbox = connection.outbox
             if outbox.has_voices and not waker.is_tight:
                 waker.tighten()
             is_over = connection.closed is not None
-            if not is_over and (due_s := outbox.due_s(now)) > now:
+            if outbox.ride_ends_s > now and not is_over and (due_s := outbox.due_s(now)) > now:
                 self._hub.hold(connection, due_s)
                 continue
-            if waker.is_idle and not is_over and websocket.is_writable and self._writes_at_once:
+            if waker.is_idle and not is_over and self._writes_at_once:
                 message = outbox.take(now)
                 if message is not None:
                     if message is not last:  # many get the very same
                         last, framed = message, websocket_message(message.data)
-                    if websocket.write(framed):
+                    if waker.websocket.write(framed):
                         written.append(message)
                     else:
                         self._hub.is_sending(connection, now)

@@ -130,7 +130,7 @@ class RelaySocket(ServerConnection):
     _counted_as = ""
     handshake_timeout_s: float
     _deadline: asyncio.TimerHandle | None = None
-    _is_admitted = _is_opened = False
+    _is_admitted = _is_opened = _is_open = False
     _on_message: Callable[[bytes], None] | None = None
     _uses_recv = False
     _is_between_frames = False
@@ -262,6 +262,7 @@ class RelaySocket(ServerConnection):
         if self._deadline is not None:
             self._deadline.cancel()
         self._is_opened = True
+        self._is_open = self.protocol.state is State.OPEN
         self.guard.opened()
 
     def hand_to(self, on_message: Callable[[bytes], None]) -> None:
@@ -321,6 +322,7 @@ class RelaySocket(ServerConnection):
     def send_data(self) -> None:
         """Write what the library has to say in one go: a hundred pongs are one write, and one line
         in the log of asyncio if the socket has died."""
+        self._is_open = self.protocol.state is State.OPEN  # to close, it has something to say
         writes = self.protocol.data_to_send()
         if not writes or self.transport.is_closing():
             return
@@ -362,22 +364,13 @@ class RelaySocket(ServerConnection):
             step = inner
         return bool(step.gi_code is StreamReader.at_eof.__code__)
 
-    @property
-    def is_writable(self) -> bool:
-        """Whether `write` may be called: the kernel has taken all that was written before, and the
-        last write has not failed. More of them before the loop tells us of the end would put a line
-        each into the log of asyncio."""
-        transport = self.transport
-        return (
-            self.protocol.state is State.OPEN
-            and not transport.get_write_buffer_size()
-            and not transport.is_closing()
-        )
-
     def write(self, framed: bytes) -> bool:
-        """Write what `websocket_message` made; return whether the kernel took it whole. If not, or
-        if the socket has died of it, ``drain``."""
+        """Write what `websocket_message` made, if the websocket is open; return whether the kernel
+        took it whole. If not, or if the socket has died, ``drain``."""
         transport = self.transport
+        # More writes before the loop tells us of the end would put a line each into its log.
+        if not self._is_open or transport.is_closing():
+            return False
         transport.write(framed)
         return not transport.get_write_buffer_size() and not transport.is_closing()
 
