@@ -2,7 +2,7 @@
 
 naive, naive-uvloop   read a message and broadcast it, with the same library
 echo                  what the load generator can do at most
-short-read, direct-write, flow, ride
+short-read, direct-write, flow, gather, ride
                       the relay without this part of its fast path
 """
 
@@ -19,7 +19,7 @@ from pica_client.local_call.processes import Children
 from pica_client.stats import describe_machine
 
 RIVALS: Final = ("naive", "naive-uvloop", "echo")
-PARTS: Final = ("short-read", "direct-write", "flow", "ride")
+PARTS: Final = ("short-read", "direct-write", "flow", "gather", "ride")
 HERE: Final = Path(__file__).parent
 
 

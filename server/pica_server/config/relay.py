@@ -147,8 +147,8 @@ class RelayConfig:
     max_control_bytes: Annotated[int, Range(65_536, 16_777_216)] = 262_144
     """Bytes of control messages that may wait for one peer before it is closed."""
     without: tuple[str, ...] = ()
-    """Parts of the fast path to leave out, `short-read`, `direct-write`, `flow` and `ride`, to
-    measure what each is worth."""
+    """Parts of the fast path to leave out, `short-read`, `direct-write`, `flow`, `gather` and
+    `ride`, to measure what each is worth."""
     resume_grace_s: Annotated[float, Range(0, 600)] = 10.0
     """Seconds for which the place of a peer is kept whose connection broke; 0 keeps none."""
     drain_s: Annotated[float, Range(0, 3600)] = 20.0

@@ -5,8 +5,8 @@ whoever has got something is sent it, so frames that arrive in one turn leave in
 the kernel takes what is sent, that is all. Each websocket also has a reader, for the messages that
 do not come the short way (see `pica_server.net.socket`), and a writer, which waits for a peer that
 reads slowly and sends the goodbye. While the core is busy, faces of a room are not fed to the hub
-at once: they gather for `Brake.gather_s`, or until a voice or anything else comes in that room, and
-so share their messages. A slow peer blocks nobody: what it has not taken yet stays in
+at once: they gather for `GATHER_S`, or until a voice or anything else comes in that room, and so
+share their messages. A slow peer blocks nobody: what it has not taken yet stays in
 its outbox, where newer frames replace older ones. One timer serves all deadlines.
 
 The buffers behind an outbox are kept small, because what they hold can be neither replaced nor
@@ -27,8 +27,10 @@ from websockets.exceptions import ConnectionClosed
 
 from pica_protocol import SUBPROTOCOL
 from pica_protocol.errors import CloseCode
+from pica_protocol.frames import MEDIA_PREFIX
 from pica_server.config.relay import RelayConfig
 from pica_server.net.socket import RelaySocket, set_tcp_option, websocket_message
+from pica_server.room.brake import GATHER_S
 from pica_server.room.connection import Connection
 from pica_server.room.hub import Hub
 from pica_server.room.outbox import OutboundMessage
@@ -47,11 +49,11 @@ _MOST_AT_ONCE = 8
 """Messages of one peer that are passed on in one turn of the loop (chosen: a quarter of a second of
 a face that came late)."""
 
-GATHER_SLACK_S: Final = 0.001
+_GATHER_SLACK_S: Final = 0.001
 """Rooms whose time to gather ends so soon go on together (chosen: fewer turns of the loop)."""
 
-_Received = tuple[bytes, float]
-"""A message, and when it came."""
+_Inbox = dict[Connection, list[tuple[bytes, float]]]
+"""Messages by who sent them, each with when it came."""
 
 _logger = logging.getLogger(__name__)
 
@@ -67,6 +69,7 @@ class Pump:
         self.cluster: Cluster | None = None
         self._hub = hub
         self._config = config
+        self._gathers = "gather" not in config.without
         self._writes_at_once = "direct-write" not in config.without
         self._all_gone = asyncio.Event()
         self._drain_ends_s: float | None = None
@@ -74,13 +77,13 @@ class Pump:
         self._timer: asyncio.TimerHandle | None = None
         self._timer_s: float | None = None
         # What was received in this turn of the loop from whom, and when; the hub gets it soon.
-        self._inbox: dict[Connection, list[_Received]] = {}
+        self._inbox: _Inbox = {}
         # Who sent so much of it that no more is read of them for now; as many as connections.
         self._unread: dict[Connection, asyncio.Transport] = {}
         self._now: Callable[[], float] = time.monotonic
         self._soon: asyncio.Handle | None = None
         # Of each room what came from whom and gathers, and until when; in the order of their ends.
-        self._gathering: dict[Room, tuple[float, dict[Connection, list[_Received]]]] = {}
+        self._gathering: dict[Room, tuple[float, _Inbox]] = {}
         self._gather_timer: asyncio.TimerHandle | None = None
 
     def start(self) -> None:
@@ -163,52 +166,54 @@ class Pump:
         if waiting is not None:
             waiting.append((data, now))
         elif not self._gather(connection, data, now):
-            self.after_turn_soon()
-            self._release(connection.room)
-            waiting = self._inbox.get(connection)
-            if waiting is not None:
-                waiting.append((data, now))
-            elif not self._hub.drop_late(connection, data, now):
+            # A voice takes along what gathers in its room; all else goes after it.
+            self._release(connection.room, sends=data[:1] != MEDIA_PREFIX)
+            if not self._hub.drop_late(connection, data, now):
                 self._inbox[connection] = [(data, now)]
+            self.after_turn_soon()
 
     def _gather(self, connection: Connection, data: bytes, now: float) -> bool:
         """Let a message wait for others of its room, if it may; return whether it does."""
-        gather_s, room = self._hub.brake.gather_s, connection.room
-        if not gather_s or room is None or not self._hub.forwarding.may_gather(connection, data):
+        hub, room = self._hub, connection.room
+        if not self._gathers or not hub.brake.is_gathering or room is None:
             return False
-        _, gathered = self._gathering.get(room, (0.0, None))
-        if gathered is None:
-            ends_s, gathered = now + gather_s, {}
-            self._gathering[room] = ends_s, gathered
+        if not hub.forwarding.may_gather(room, data):
+            return False
+        if room not in self._gathering:
+            ends_s = now + GATHER_S
+            self._gathering[room] = ends_s, {}
             if self._gather_timer is None:
                 loop = asyncio.get_running_loop()
                 self._gather_timer = loop.call_at(ends_s, self._on_gathered)
-        waiting = gathered.setdefault(connection, [])
+        waiting = self._gathering[room][1].setdefault(connection, [])
         if len(waiting) == _MOST_AT_ONCE:
+            self._release(room, sends=True)
             return False
         waiting.append((data, now))
         return True
 
     def _on_gathered(self) -> None:
         """Let the rooms go on whose time to gather is over."""
-        late_s = self._now() + GATHER_SLACK_S
+        late_s = self._now() + _GATHER_SLACK_S
         while self._gathering:
             room, (ends_s, _) = next(iter(self._gathering.items()))
             if ends_s > late_s:
                 loop = asyncio.get_running_loop()
                 self._gather_timer = loop.call_at(ends_s, self._on_gathered)
                 break
-            self._release(room)
+            self._release(room, sends=False)
         else:
             self._gather_timer = None
         self.after_turn_soon()
 
-    def _release(self, room: Room | None) -> None:
-        """Move what has gathered in a room to what is fed to the hub in this turn."""
+    def _release(self, room: Room | None, *, sends: bool) -> None:
+        """Feed the hub with what has gathered in a room, and send what comes of it: now, or when the
+        turn ends."""
         if room in self._gathering:
             _, gathered = self._gathering.pop(room)
-            for connection, messages in gathered.items():
-                self._inbox[connection] = messages + self._inbox.get(connection, [])
+            self._feed(gathered)
+            if sends:
+                self.after_events()
 
     def after_turn_soon(self) -> None:
         """See to it that what has come in this turn is dealt with when it is over."""
@@ -216,17 +221,30 @@ class Pump:
             self._soon = asyncio.get_running_loop().call_soon(self._after_turn)
 
     def _after_turn(self) -> None:
-        """Feed the hub with what has come in this turn.
+        """Feed the hub with what has come in this turn, and send what comes of it.
+
+        Who sends more than `_MOST_AT_ONCE` waits for the next turn with the rest, and is not read
+        meanwhile: a flood costs its own peer time.
+        """
+        self._soon = None
+        inbox, self._inbox = self._inbox, {}
+        inbox = self._feed(inbox)
+        # Also when nothing has come: the cluster may have asked for this turn.
+        self.after_events()
+        if inbox or self._unread:
+            self._read_later({each: some[_MOST_AT_ONCE:] for each, some in inbox.items()})
+
+    def _feed(self, inbox: _Inbox) -> _Inbox:
+        """Feed the hub; return whose messages are too many for now.
 
         What a peer sends in one go, as after a stall, is passed on one by one: two of its frames
         must not replace each other although their receivers are not slow. So first goes the first
         message of everybody, then the second: a relay that is late finds two of each, and frames of
-        different peers then still share their messages. Who sends more than `_MOST_AT_ONCE` waits
-        for the next turn with the rest, and is not read meanwhile: a flood costs its own peer time.
+        different peers then still share their messages.
         """
-        self._soon = None
-        inbox, self._inbox = self._inbox, {}
         for place in range(_MOST_AT_ONCE):
+            if place:
+                self.after_events()
             for connection, messages in inbox.items():
                 data, now = messages[place]
                 try:
@@ -234,13 +252,10 @@ class Pump:
                 except Exception:  # a fault of ours; it must not cost anybody else anything
                     _logger.exception("connection failed", extra={"connection": connection.serial})
                     self._hub.close(connection, CloseCode.INTERNAL_ERROR, "relay fault", now)
-            # Also when nothing has come: the cluster may have asked for this turn.
-            self.after_events()
             inbox = {each: some for each, some in inbox.items() if len(some) > place + 1}
             if not inbox:
                 break
-        if inbox or self._unread:
-            self._read_later({each: some[_MOST_AT_ONCE:] for each, some in inbox.items()})
+        return inbox
 
     def _read_later(self, rest: dict[Connection, list[tuple[bytes, float]]]) -> None:
         """Keep what is left of a turn for the next one, and read no more of those who sent it."""
@@ -260,9 +275,7 @@ class Pump:
         try:
             while True:
                 data = await websocket.recv()
-                if connection.room in self._gathering:  # what came before goes first
-                    self._release(connection.room)
-                    self._after_turn()
+                self._release(connection.room, sends=True)
                 self._hub.receive(connection, data, self._now())
                 self.after_events()
                 # recv() does not yield while messages are queued. The writers get their turn first:

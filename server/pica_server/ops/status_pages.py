@@ -111,6 +111,10 @@ class StatusPages:
                     "0 all is forwarded, 1 layers 0 and 1, 2 layer 0, 3 keyframes.",
                     hub.brake.level,
                 ),
+                "gathering": (
+                    "1 while the faces of a room wait for each other.",
+                    float(hub.brake.is_gathering),
+                ),
                 "loop_busy_ratio": ("How much of the time the event loop works.", hub.busy_ratio),
                 "loop_lateness_seconds": (
                     "Worst delay of the event loop in ten seconds.",

@@ -14,8 +14,8 @@ what gets better needs no more; to 3, which hurts, only when it was very late. I
 nothing was late for a while; each time that proves too soon, the while doubles. A loop with time to
 spare need not wait as long.
 
-Before any of that, a core that is busy saves what messages cost: faces gather for a few
-milliseconds, and leave together (`Brake.gather_s`).
+Before any of that, a core that is busy saves what messages cost: the faces of a room gather for a
+few milliseconds, and leave together.
 """
 
 import math
@@ -41,15 +41,15 @@ AMPLE_BUSY_RATIO: Final = 0.75
 FULL_LATE_S: Final = 0.02
 """A turn that is so late says so, too: others may have the core (chosen: half a packet of a
 voice)."""
-GATHER_STEPS_S: Final = (0.0, 0.008, 0.016, 0.032)
-"""How long faces of a room gather (chosen: up to what lies between two pictures of a face)."""
+GATHER_S: Final = 0.02
+"""How long the faces of a room gather (measured: longer saves nothing more, as then two of one face
+come, and 0.016 s saves a third less)."""
 GATHER_BUSY_RATIO: Final = 0.7
-GATHER_SPARE_RATIO: Final = 0.5
-"""A loop that works for the first part of the time takes the next step, and one that works for less
-than the second the step before (chosen: a step saves a fifth of the time or less, so neither undoes
-the other)."""
-GATHER_PERIOD_S: Final = 0.5
-"""Between two steps (chosen: by then what one saves has been counted)."""
+GATHER_SPARE_RATIO: Final = 0.45
+"""Faces gather once a loop works for the first part of the time, until it works for less than the
+second (measured: 0.8 of a core becomes 0.5)."""
+GATHER_SURE_S: Final = 0.5
+"""It must have been so for that long (chosen: two measurements)."""
 _HIGHEST_LAYERS: Final = (MAX_LAYER, 1, 0, -1)
 _LATE_ENOUGH_S: Final = (LATE_S, LATE_S, 5 * LATE_S)
 """How late a turn must be for the step up from each level."""
@@ -61,7 +61,7 @@ class Brake:
     Attributes:
         is_full: Whether the core has hardly a moment left, or the loop was late: what saves
             processor time is worth a delay.
-        gather_s: How long faces of a room wait for each other.
+        is_gathering: Whether the faces of a room wait for each other, `GATHER_S` at most.
         retry_after_s: When who is told to come later should.
         highest_layer: Of frames that are forwarded; -1: keyframes alone are.
     """
@@ -70,8 +70,8 @@ class Brake:
         self.level = 0
         self.is_full = False
         self.highest_layer = MAX_LAYER
-        self.gather_s = 0.0
-        self._gather_changed_s = float("-inf")
+        self.is_gathering = False
+        self._gather_differs_s = math.inf
         self._late_s = 0.0
         self._has_fallen = False
         self.retry_after_s = CALM_S
@@ -100,16 +100,14 @@ class Brake:
             self.retry_after_s = CALM_S
 
     def _note_busy(self, busy_ratio: float, now: float) -> None:
-        """Let faces gather for longer, or for less long."""
-        if now - self._gather_changed_s < GATHER_PERIOD_S:
+        """Let faces gather, or no more, once that has been better for a while."""
+        ratio = GATHER_SPARE_RATIO if self.is_gathering else GATHER_BUSY_RATIO
+        if (self.is_full or busy_ratio >= ratio) == self.is_gathering:
+            self._gather_differs_s = math.inf
             return
-        step = GATHER_STEPS_S.index(self.gather_s)
-        if self.is_full or busy_ratio >= GATHER_BUSY_RATIO:
-            step = min(step + 1, len(GATHER_STEPS_S) - 1)
-        elif busy_ratio < GATHER_SPARE_RATIO:
-            step = max(step - 1, 0)
-        if GATHER_STEPS_S[step] != self.gather_s:
-            self.gather_s, self._gather_changed_s = GATHER_STEPS_S[step], now
+        self._gather_differs_s = min(self._gather_differs_s, now)
+        if now - self._gather_differs_s >= GATHER_SURE_S:
+            self.is_gathering, self._gather_differs_s = not self.is_gathering, math.inf
 
     def _set(self, level: int, now: float) -> None:
         self._has_fallen = level < self.level

@@ -118,20 +118,20 @@ class Forwarding:
         assert stream is not None  # it is theirs
         return self._is_dropped_late(room, number, stream, layer, flags, now)
 
-    def may_gather(self, connection: Connection, data: bytes) -> bool:
+    @staticmethod
+    def may_gather(room: Room, data: bytes) -> bool:
         """Say whether a message holds frames alone, none of them of a voice, so that it may wait
         for others of its room. It was not looked at before, and what is wrong with it shows
         later."""
-        room, size = connection.room, len(data)
-        if room is None or data[:1] != MEDIA_PREFIX:
+        at, size = 1, len(data)
+        if data[:1] != MEDIA_PREFIX:
             return False
-        at = 1
         while at + HEADER_BYTES <= size:
             stream = room.stream(int.from_bytes(data[at : at + 2], "big"))
             if stream is None or stream.deadline_s is not None:
                 return False
             at += HEADER_BYTES + int.from_bytes(data[at + 6 : at + 8], "big")
-        return True
+        return at > 1
 
     def _is_dropped_late(
         self, room: Room, number: int, stream: Stream, layer: int, flags: int, now: float

@@ -67,10 +67,9 @@ class ArrivedFrame:
 
     Attributes:
         is_keyframe: Whether it can be decoded alone.
-        alone: The message that carries this frame and nothing else.
     """
 
-    __slots__ = ("alone", "data", "is_keyframe", "layer", "received_s", "stream")
+    __slots__ = ("_alone", "data", "is_keyframe", "layer", "received_s", "stream")
 
     def __init__(self, stream: int, data: bytes, layer: int, flags: int, received_s: float) -> None:
         self.stream = stream
@@ -78,7 +77,14 @@ class ArrivedFrame:
         self.layer = layer
         self.is_keyframe = layer == 0 and bool(flags & FLAG_KEYFRAME)
         self.received_s = received_s
-        self.alone = OutboundMessage(media_message((data,)), (received_s,))
+        self._alone: OutboundMessage | None = None
+
+    @property
+    def alone(self) -> OutboundMessage:
+        """The message that carries this frame and nothing else."""
+        if self._alone is None:
+            self._alone = OutboundMessage(media_message((self.data,)), (self.received_s,))
+        return self._alone
 
 
 class Outbox:
@@ -274,8 +280,11 @@ class Outbox:
         for frame in flow:
             if frame.layer == 0:
                 self._flowing[frame.stream].note_sent(frame.data, frame.is_keyframe)
-        if len(flow) == 1 and not self._line and not voices:
-            return flow[0].alone
+        if not self._line and not voices:
+            if len(flow) == 1:
+                return flow[0].alone
+            message = media_message([frame.data for frame in flow])
+            return OutboundMessage(message, tuple([frame.received_s for frame in flow]))
         frames = [item.frame for item in voices] + [frame.data for frame in flow]
         received_s = [item.received_s for item in voices] + [frame.received_s for frame in flow]
         if self._line:

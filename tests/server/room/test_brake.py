@@ -16,6 +16,9 @@ from pica_server.room.brake import (
     CALM_S,
     FULL_BUSY_RATIO,
     FULL_LATE_S,
+    GATHER_BUSY_RATIO,
+    GATHER_SPARE_RATIO,
+    GATHER_SURE_S,
     LATE_S,
     LONGEST_CALM_S,
     SPARE_CALM_S,
@@ -43,6 +46,27 @@ def test_a_pause_is_no_overload() -> None:
     brake.note_turn(0.3, BUSY, now=13.4)
     turns(brake, 13.4, 1.0, 0.0)
     assert brake.level == 0
+
+
+def test_faces_gather_once_the_loop_has_been_busy_for_a_while() -> None:
+    brake = Brake()
+    turns(brake, 0.0, GATHER_SURE_S - 0.1, 0.0, GATHER_BUSY_RATIO)
+    turns(brake, GATHER_SURE_S - 0.1, 0.2, 0.0, GATHER_BUSY_RATIO - 0.01)
+    assert not brake.is_gathering  # a moment is not enough
+    turns(brake, 10.0, GATHER_SURE_S + 0.1, 0.0, GATHER_BUSY_RATIO)
+    assert brake.is_gathering
+    assert brake.level == 0
+
+
+def test_faces_gather_no_more_once_there_has_been_time_to_spare_for_a_while() -> None:
+    brake = Brake()
+    now = turns(brake, 0.0, GATHER_SURE_S + 0.1, 0.0, GATHER_BUSY_RATIO)
+    now = turns(brake, now, 10.0, 0.0, GATHER_SPARE_RATIO)
+    assert brake.is_gathering  # what gathering saves must not end it
+    now = turns(brake, now, GATHER_SURE_S - 0.1, 0.0, GATHER_SPARE_RATIO - 0.01)
+    assert brake.is_gathering
+    turns(brake, now, 0.2, 0.0, GATHER_SPARE_RATIO - 0.01)
+    assert not brake.is_gathering
 
 
 def test_the_level_rises_while_turns_are_late_and_stays_when_they_get_better() -> None:
