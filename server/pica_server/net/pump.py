@@ -21,6 +21,7 @@ import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Final
+from zlib import crc32
 
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
@@ -49,8 +50,8 @@ _MOST_AT_ONCE = 8
 """Messages of one peer that are passed on in one turn of the loop (chosen: a quarter of a second of
 a face that came late)."""
 
-_GATHER_SLACK_S: Final = 0.001
-"""Rooms whose time to gather ends so soon go on together (chosen: fewer turns of the loop)."""
+_GATHER_STEP_S: Final = 0.002
+"""Between two looks for rooms whose time to gather is over (chosen)."""
 
 _Inbox = dict[Connection, list[tuple[bytes, float]]]
 """Messages by who sent them, each with when it came."""
@@ -82,7 +83,7 @@ class Pump:
         self._unread: dict[Connection, asyncio.Transport] = {}
         self._now: Callable[[], float] = time.monotonic
         self._soon: asyncio.Handle | None = None
-        # Of each room what came from whom and gathers, and until when; in the order of their ends.
+        # Of each room until when it gathers, and what has come from whom.
         self._gathering: dict[Room, tuple[float, _Inbox]] = {}
         self._gather_timer: asyncio.TimerHandle | None = None
 
@@ -180,11 +181,10 @@ class Pump:
         if not hub.forwarding.may_gather(room, data):
             return False
         if room not in self._gathering:
-            ends_s = now + GATHER_S
-            self._gathering[room] = ends_s, {}
-            if self._gather_timer is None:
-                loop = asyncio.get_running_loop()
-                self._gather_timer = loop.call_at(ends_s, self._on_gathered)
+            # Every room at moments of its own: else all leave at once after the first late turn.
+            phase_s = crc32(room.name.encode()) / 2**32 * GATHER_S
+            self._gathering[room] = now + GATHER_S - (now + phase_s) % GATHER_S, {}
+            self._set_gather_timer(now)
         waiting = self._gathering[room][1].setdefault(connection, [])
         if len(waiting) == _MOST_AT_ONCE:
             self._release(room, sends=True)
@@ -192,22 +192,23 @@ class Pump:
         waiting.append((data, now))
         return True
 
+    def _set_gather_timer(self, now: float) -> None:
+        if self._gather_timer is None:
+            loop = asyncio.get_running_loop()
+            self._gather_timer = loop.call_at(now + _GATHER_STEP_S, self._on_gathered)
+
     def _on_gathered(self) -> None:
         """Let the rooms go on whose time to gather is over."""
-        late_s = self._now() + _GATHER_SLACK_S
-        while self._gathering:
-            room, (ends_s, _) = next(iter(self._gathering.items()))
-            if ends_s > late_s:
-                loop = asyncio.get_running_loop()
-                self._gather_timer = loop.call_at(ends_s, self._on_gathered)
-                break
+        now = self._now()
+        self._gather_timer = None
+        for room in [room for room, (ends_s, _) in self._gathering.items() if ends_s <= now]:
             self._release(room, sends=False)
-        else:
-            self._gather_timer = None
         self.after_turn_soon()
+        if self._gathering:
+            self._set_gather_timer(now)
 
     def _release(self, room: Room | None, *, sends: bool) -> None:
-        """Feed the hub with what has gathered in a room, and send what comes of it: now, or when the
+        """Feed the hub with what has gathered in a room; what comes of it is sent now, or when the
         turn ends."""
         if room in self._gathering:
             _, gathered = self._gathering.pop(room)
