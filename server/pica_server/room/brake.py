@@ -44,10 +44,10 @@ voice)."""
 GATHER_S: Final = 0.025
 """How long the faces of a room gather at most (measured: 0.02 s saves a quarter of the time, this a
 third; chosen to be less than what lies between two pictures of a face)."""
-GATHER_BUSY_RATIO: Final = 0.7
-GATHER_SPARE_RATIO: Final = 0.45
+GATHER_BUSY_RATIO: Final = 0.6
+GATHER_SPARE_RATIO: Final = 0.4
 """Faces gather once a loop works for the first part of the time, until it works for less than the
-second (measured: 0.8 of a core becomes 0.55)."""
+second (measured: 0.8 of a core becomes 0.55, and 0.7 0.5)."""
 GATHER_SURE_S: Final = 0.5
 """It must have been so for that long (chosen: two measurements)."""
 _HIGHEST_LAYERS: Final = (MAX_LAYER, 1, 0, -1)
