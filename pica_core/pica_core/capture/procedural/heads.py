@@ -22,10 +22,10 @@ from pica_core.capture.dataset.files import MAP_SIZE, Topology
 from pica_core.capture.rig.drawn import PackedChart
 from pica_core.capture.rig.features import Features, Mouth
 from pica_core.capture.rig.frame import RigFrame
+from pica_core.capture.rig.gaze import gaze, turn
 from pica_core.capture.rig.mesh import Eyeball, RigMesh
 from pica_core.capture.rig.names import map_names
 from pica_core.capture.rig.skin import Growth
-from pica_core.capture.stage.gaze import gaze, turn
 from pica_core.capture.triangles import vertex_normals
 from pica_core.errors import CaptureError, ShapeError
 from pica_core.types import Array, Float64Array, FloatArray, Int64Array

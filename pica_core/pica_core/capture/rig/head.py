@@ -15,6 +15,7 @@ from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.rig.chart import make_islands, mend_islands, pack
 from pica_core.capture.rig.drawn import PackedChart
 from pica_core.capture.rig.features import Features, Limits, find_features
+from pica_core.capture.rig.gaze import gaze, turn
 from pica_core.capture.rig.gltf import read_glb
 from pica_core.capture.rig.guards import PoseGuard
 from pica_core.capture.rig.mesh import RigMesh, build_mesh
@@ -22,7 +23,6 @@ from pica_core.capture.rig.names import NameMap, map_names
 from pica_core.capture.rig.obj import read_obj_folder
 from pica_core.capture.rig.source import RigSource
 from pica_core.capture.rig.visibility import visibility
-from pica_core.capture.stage.gaze import gaze, turn
 from pica_core.capture.triangles import areas, vertex_normals
 from pica_core.errors import CaptureError
 from pica_core.types import Float64Array, FloatArray, Int64Array
