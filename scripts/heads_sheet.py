@@ -22,7 +22,7 @@ from PIL import Image
 from pica_core.avatar.arkit import ARKIT_NAMES, NUM_ARKIT
 from pica_core.camera import Camera, look_at
 from pica_core.capture.procedural.heads import HEADS, make_head
-from pica_core.capture.procedural.subject import draw_head
+from pica_core.capture.procedural.subject import ProceduralSubject
 from pica_core.capture.stage.expressions import blend, sample_takes
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -58,12 +58,12 @@ def draw_sheet() -> bytes:
     """One row per head; PNG with at most 256 colours."""
     rows = []
     for name in HEADS:
-        renderer = draw_head(make_head(name))
+        subject = ProceduralSubject(name)
         tiles = []
         for azimuth, arkit in VIEWS:
-            renderer.pose(arkit)
-            tiles.append(renderer.draw_image(camera(azimuth, TILE_PX)))
-        renderer.release()
+            subject.pose(arkit)
+            tiles.append(subject.draw(camera(azimuth, TILE_PX)).image)
+        subject.release()
         rows.append(np.concatenate(tiles, 1))
     half = (len(rows) + 1) // 2
     page = np.concatenate([np.concatenate(rows[:half]), np.concatenate(rows[half:])], 1)
@@ -109,10 +109,10 @@ def count_faults(combinations: int, worst: Path | None) -> list[str]:
         if closest is None or min(room) < closest[0]:
             closest = (min(room), name, part[int(np.argmin(room))])
     if worst is not None and closest is not None:
-        renderer = draw_head(make_head(closest[1]))
-        renderer.pose(closest[2])
-        tiles = [renderer.draw_image(camera(azimuth, 640, 0.2)) for azimuth in (0.0, 30.0)]
-        renderer.release()
+        subject = ProceduralSubject(closest[1])
+        subject.pose(closest[2])
+        tiles = [subject.draw(camera(azimuth, 640, 0.2)).image for azimuth in (0.0, 30.0)]
+        subject.release()
         Image.fromarray(np.concatenate(tiles, 1)).save(worst)
     return lines
 

@@ -42,7 +42,7 @@ class BentHead(ProceduralHead):
         def of(name: str) -> float:
             return float(values[ARKIT_INDEX[name]])
 
-        mark, skin, hair = self.landmarks, self.charts["skin"].span, self.charts["hair"].span
+        mark, skin, hair = self.landmarks, self.charts["skin"], self.charts["hair"]
         x, y, z = self._rest[skin].astype(np.float32).T
         front = np.clip(z / 40, 0, 1)
         bent, on_skin = points.copy(), points[skin].copy()

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pica_core.capture.dataset.files import MAP_SIZE
 from pica_core.capture.procedural.heads import ProceduralHead
 from pica_core.capture.triangles import edge_neighbours
 from pica_core.types import Float64Array, Int64Array
@@ -42,6 +43,12 @@ class HeadFaults:
         return self.folded + self.eyes + self.teeth
 
 
+def grid_lines(head: ProceduralHead, chart: str) -> tuple[Int64Array, Int64Array]:
+    """Rows and columns of the UV square, in texels, whose crossings are a chart's vertices."""
+    texels = np.rint(head.vertex_uv[head.charts[chart]] * MAP_SIZE - 0.5).astype(np.int64)
+    return np.unique(texels[:, 1]), np.unique(texels[:, 0])
+
+
 class HeadChecks:
     """Checks of one head; what never changes is prepared once.
 
@@ -52,7 +59,7 @@ class HeadChecks:
     def __init__(self, head: ProceduralHead) -> None:
         self.head = head
         skin = head.charts["skin"]
-        on_skin = ((head.faces >= skin.span.start) & (head.faces < skin.span.stop)).all(1)
+        on_skin = ((head.faces >= skin.start) & (head.faces < skin.stop)).all(1)
         self._skin = head.faces[on_skin].astype(np.int64)
         self._pairs = edge_neighbours(self._skin)
         rest = head.vertices(np.zeros(52)).astype(np.float64) * 1000.0
@@ -66,7 +73,7 @@ class HeadChecks:
         self._around_mouth = self._skin[(z > 40) & (np.abs(y - mouth_y) < 42)]
         teeth = np.flatnonzero(head.regions["teeth"])
         rows = np.concatenate(
-            [np.repeat(np.linspace(0, 1, 17), head.charts[n].shape[1]) for n in _ARCHES]
+            [np.repeat(np.linspace(0, 1, 17), len(grid_lines(head, n)[1])) for n in _ARCHES]
         )
         front = np.zeros(head.num_vertices, np.bool_)
         front[teeth[rows < 0.8]] = True

@@ -83,7 +83,7 @@ def vertex_zones(head: ProceduralHead) -> npt.NDArray[np.int64]:
     brow_from = 0.5 * (EYE_Y + marks["brow_y"])
     zone = np.full(head.num_vertices, ZONES.index("rest"))
     skin = np.zeros(head.num_vertices, np.bool_)
-    skin[head.charts["skin"].span] = True
+    skin[head.charts["skin"]] = True
     face = skin & (z > -2.0)
 
     def claim(name: str, where: npt.NDArray[np.bool_]) -> None:
@@ -102,7 +102,7 @@ def vertex_zones(head: ProceduralHead) -> npt.NDArray[np.int64]:
         ("tongue", ("tongue",)),
     ):
         for chart in charts:
-            zone[head.charts[chart].span] = ZONES.index(name)
+            zone[head.charts[chart]] = ZONES.index(name)
     return zone
 
 

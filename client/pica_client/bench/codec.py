@@ -27,8 +27,8 @@ from pica_client.sources import open_source
 from pica_client.stats import describe_machine, wire_bytes
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
-from pica_core.capture.procedural.heads import HEADS, make_head
-from pica_core.capture.procedural.subject import draw_head
+from pica_core.capture.procedural.heads import HEADS
+from pica_core.capture.procedural.subject import ProceduralSubject
 from pica_core.capture.stage.stream_training_faces import stream_training_performances
 from pica_core.codec.latent_sample import LatentSample, ReceivedFrame
 from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
@@ -166,13 +166,13 @@ def _draw_truth(
     if avatar.manifest.identity not in HEADS:
         return None
     # One GL context at a time on this thread: the stage's is gone before the renderer's comes.
-    stage = draw_head(make_head(avatar.manifest.identity))
+    stage = ProceduralSubject(avatar.manifest.identity)
     try:
         images = []
         for moment in moments:
             stage.pose(arkit[moment])
             cameras = evaluation_cameras(VIEWS, config.image_size)
-            images.append(np.stack([stage.draw_image(camera) for camera in cameras]))
+            images.append(np.stack([stage.draw(camera).image for camera in cameras]))
         return images
     finally:
         stage.release()

@@ -7,8 +7,8 @@ from typing import Any
 
 from rich.console import Console
 
-from pica_core.capture.rig.subject import RigSubject
 from pica_core.capture.stage.progress import rendering_bar
+from pica_core.capture.stage.rig import RigSubject
 from pica_core.capture.stage.synth import RenderOptions, render_subject
 from pica_core.cli.capture import RenderArguments, baked_side
 

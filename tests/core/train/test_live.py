@@ -15,7 +15,14 @@ from pica_core.avatar.shipped import avatar_file
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.procedural.subject import StageOptions, render_capture
 from pica_core.capture.stage.expressions import sample_takes
-from pica_core.capture.stage.poses import picture_path, pose, read_picture, read_poses, write_poses
+from pica_core.capture.stage.poses import (
+    Poses,
+    picture_path,
+    pose_expressions,
+    read_picture,
+    read_poses,
+    write_poses,
+)
 from pica_core.errors import CaptureError
 from pica_core.latent import NUM_LATENT
 from pica_core.model.bases import Bases
@@ -38,6 +45,11 @@ def posed(arkit: FloatArray) -> FloatArray:
     """A mesh of three vertices; the second follows the jaw, and stops half-way."""
     jaw = arkit[ARKIT_INDEX["jawOpen"]]
     return np.array([(0, 0, 0), (0, -min(jaw, 0.5) / 10, 0), (0.1, 0, 0)], np.float32)
+
+
+def some_poses() -> Poses:
+    arkit = pose_expressions(12, 0)
+    return Poses(arkit, np.stack([posed(values) for values in arkit]))
 
 
 def expressions(count: int) -> FloatArray:
@@ -64,7 +76,9 @@ def test_geometry_follows_poses_whatever_the_frames_are(nora: Avatar) -> None:
         mean_m=mean_m, components_m=components_m, vertex_weights=np.ones(count, np.float32)
     )
     jaw, weight = ARKIT_INDEX["jawOpen"], nora.tensors["linear.weight"]
-    poses = pose(lambda arkit: mean_m + 3 * arkit[jaw] * components_m[0], 100, 0)
+    arkit = pose_expressions(100, 0)
+    posed_m = mean_m + 3 * arkit[:, jaw, None, None] * components_m[0]
+    poses = Poses(arkit, posed_m.astype(np.float32))
 
     matrix, offset = regress_geometry(poses, bases, weight)
 
@@ -79,7 +93,7 @@ def test_geometry_follows_poses_whatever_the_frames_are(nora: Avatar) -> None:
 
 def test_poses_come_back_from_a_capture_within_a_hundredth_of_a_millimetre(tmp_path: Path) -> None:
     assert read_poses(tmp_path, 3) is None
-    poses = pose(posed, 12, 0)
+    poses = some_poses()
     write_poses(tmp_path, poses)
     found = read_poses(tmp_path, 3)
     assert found is not None
@@ -177,6 +191,6 @@ def test_a_picture_that_is_missing_or_damaged_is_named(tmp_path: Path) -> None:
 
 
 def test_poses_of_which_only_some_have_pictures_are_refused(tmp_path: Path) -> None:
-    write_poses(tmp_path, pose(posed, 12, 0)._replace(cameras=("front",)))
+    write_poses(tmp_path, some_poses()._replace(cameras=("front",)))
     with pytest.raises(CaptureError, match=r"poses.npz: 1 pictures of 12 poses"):
         read_poses(tmp_path, 3)

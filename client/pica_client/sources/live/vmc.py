@@ -18,7 +18,7 @@ from pythonosc.osc_packet import OscPacket
 
 from pica_client.playout.rotation import rotation_vector_from_quaternion, turned
 from pica_client.sources.live import sample
-from pica_core.capture.stage.gaze import EYE_PITCH_DOWN, EYE_PITCH_UP, EYE_YAW
+from pica_core.capture.rig.gaze import EYE_PITCH_DOWN, EYE_PITCH_UP, EYE_YAW
 from pica_core.types import FloatArray
 
 # The library writes a line to the root logger for each damaged datagram, with what stood in it:

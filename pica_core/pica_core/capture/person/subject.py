@@ -17,8 +17,9 @@ from pica_core.capture.person.model import RIGHTS, FaceModel
 from pica_core.capture.rig.head import RigHead
 from pica_core.capture.rig.mesh import build_mesh
 from pica_core.capture.rig.names import map_names
-from pica_core.capture.rig.subject import RigSubject
 from pica_core.capture.stage.gpu import BAKE_SIZE
+from pica_core.capture.stage.rig import describe_rig
+from pica_core.capture.stage.subject import Subject
 
 GREY = np.array((0.28, 0.27, 0.26))
 
@@ -47,7 +48,7 @@ def paint(person: Person) -> dict[str, Any]:
     }  # fmt: skip
 
 
-class PersonSubject(RigSubject):
+class PersonSubject(Subject):
     """A person on the stage.
 
     Raises:
@@ -66,12 +67,16 @@ class PersonSubject(RigSubject):
         names = map_names(list(source.shapes))
         dressed = dress(build_mesh(source, names), person)
         self.person, self.notes = person, dressed.notes
-        name = f"{person.sex}, {person.age}"
-        self._stand(
-            RigHead(dressed.mesh, names, name), {}, bake_size=bake_size, self_shadow=self_shadow
+        head = RigHead(dressed.mesh, names, f"{person.sex}, {person.age}")
+        super().__init__(
+            head,
+            describe_rig(Path(model.source.path.name), source, head, {}),
+            look=paint(person),
+            growth=dressed.growth,
+            bake_size=bake_size,
+            self_shadow=self_shadow,
         )
-        self._look = paint(person), dressed.growth
-        self._about = self._describe(Path(model.source.path.name), source) | {
+        self._about |= {
             "source": "synthetic: a person of ICT-FaceKit Light's modes; nobody's likeness",
             "licence": RIGHTS,
             "person": {name: getattr(person, name) for name in person.__slots__},

@@ -10,7 +10,6 @@ and millimetres inside. Of `heads.npz`, docs/heads.md says how it was made.
 
 import functools
 import json
-from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
 
@@ -22,10 +21,10 @@ from pica_core.capture.dataset.files import MAP_SIZE, Topology
 from pica_core.capture.rig.drawn import PackedChart
 from pica_core.capture.rig.features import Features, Mouth
 from pica_core.capture.rig.frame import RigFrame
+from pica_core.capture.rig.gaze import gaze, turn
 from pica_core.capture.rig.mesh import Eyeball, RigMesh
 from pica_core.capture.rig.names import map_names
 from pica_core.capture.rig.skin import Growth
-from pica_core.capture.stage.gaze import gaze, turn
 from pica_core.capture.triangles import vertex_normals
 from pica_core.errors import CaptureError, ShapeError
 from pica_core.types import Array, Float64Array, FloatArray, Int64Array
@@ -48,30 +47,6 @@ LID_SHIFTS_MM = -18.0, 0.5
 """Least shift in the table of a lid's depths, and its step."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Chart:
-    """A rectangle of the UV square; its vertices are the crossings of texel rows and columns.
-
-    Attributes:
-        rows, columns: Texels of the grid lines, ascending. int64 ``[R]`` and ``[C]``.
-        first: Index of the chart's first vertex.
-    """
-
-    rows: Int64Array
-    columns: Int64Array
-    first: int
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Grid lines along rows and columns."""
-        return len(self.rows), len(self.columns)
-
-    @property
-    def span(self) -> slice:
-        """The chart's vertices in the head's vertex arrays."""
-        return slice(self.first, self.first + len(self.rows) * len(self.columns))
-
-
 def _sum(changes: Array, step: float) -> Float64Array:
     """Undo differences along the last axis."""
     return step * np.cumsum(changes, axis=-1, dtype=np.int64).astype(np.float64)
@@ -81,7 +56,8 @@ class ProceduralHead:
     """One built-in head, that is drawn as a rig.
 
     Attributes:
-        charts: Charts of the UV square, by name.
+        charts: Vertices of each chart, by name: the crossings of texel rows and columns of a
+            rectangle of the UV square.
         vertex_uv: Texture coordinates on texel centres of the position map. float32 ``[V, 2]``.
         faces: Triangles, counter-clockwise from outside. int32 ``[F, 3]``.
         rest_m: Vertices at rest, metres. float32 ``[V, 3]``.
@@ -105,12 +81,11 @@ class ProceduralHead:
                 if key.startswith(f"{name}.") or "." not in key
             }
         own: dict[str, Any] = about[name]
-        self.charts: dict[str, Chart] = {}
+        self.charts: dict[str, slice] = {}
         texels, first = [], 0
         for chart, lines in about["charts"].items():
-            rows, columns = np.array(lines["rows"]), np.array(lines["columns"])
-            self.charts[chart] = Chart(rows=rows, columns=columns, first=first)
-            texels.append(np.stack(np.meshgrid(columns, rows), -1).reshape(-1, 2))
+            texels.append(np.stack(np.meshgrid(lines["columns"], lines["rows"]), -1).reshape(-1, 2))
+            self.charts[chart] = slice(first, first + len(texels[-1]))
             first += len(texels[-1])
         self.vertex_uv = ((np.concatenate(texels) + 0.5) / MAP_SIZE).astype(np.float32)
         self.faces = _sum(mine["faces"], 1).T.astype(np.int32)
@@ -122,7 +97,7 @@ class ProceduralHead:
         self._jaw, self._jaw_closed = _sum(mine["jaw"], SHARE).astype(np.float32)
         self._uv = _sum(mine["uv"], UV_M).T
         self._eye_turns: FloatArray = mine["turns"]
-        self._lid_index = self.charts["skin"].first + mine["lid_index"].astype(np.int64)
+        self._lid_index = self.charts["skin"].start + mine["lid_index"].astype(np.int64)
         self._lid_is_upper, self._lid = mine["lid_upper"], mine["lid_numbers"].astype(np.float64)
         self._lid_depth = _sum(mine["lid_depth"], REST_MM)
         self._eye_mm, self._lip_z = np.array(own["eye_mm"]), own["lip_z"]
@@ -170,7 +145,7 @@ class ProceduralHead:
                     side=side,
                     centre_m=0.001 * self._eye_mm * [side, 1.0, 1.0],
                     radius_m=EYE_RADIUS_M,
-                    vertices=np.arange(*self.charts[name].span.indices(self.num_vertices)),
+                    vertices=np.arange(self.charts[name].start, self.charts[name].stop),
                     turned=True,
                 )
                 for side, name in ((1.0, "eye_left"), (-1.0, "eye_right"))
@@ -190,10 +165,7 @@ class ProceduralHead:
         Raises:
             ShapeError: `arkit` does not have 52 values.
         """
-        values = np.asarray(arkit, np.float32)
-        if values.shape != (NUM_ARKIT,):
-            raise ShapeError(f"arkit is {values.shape}; [{NUM_ARKIT}] is needed")
-        return self.vertices_batch(values[None])[0]
+        return self.vertices_batch(np.asarray(arkit, np.float32)[None])[0]
 
     def vertices_batch(self, arkit: npt.ArrayLike) -> FloatArray:
         """Pose the head several times: arkit ``[N, 52]`` to float32 ``[N, V, 3]``, metres.
@@ -203,14 +175,14 @@ class ProceduralHead:
         """
         values = np.asarray(arkit, np.float32)
         if values.ndim != 2 or values.shape[1] != NUM_ARKIT:
-            raise ShapeError(f"arkit is {values.shape}; [N, {NUM_ARKIT}] is needed")
+            raise ShapeError(f"arkit is {values.shape[1:]} a pose; [{NUM_ARKIT}] is needed")
         count = len(values)
         points = np.broadcast_to(self._rest.astype(np.float32), (count, *self._rest.shape)).copy()
         # What the skin adds to an opening jaw (a raised upper lip) is taken back as the lips close
         # over it.
         strokes = values.copy()
         strokes[:, ARKIT_INDEX["jawOpen"]] *= 1.0 - self._closing(values)
-        points[:, self.charts["skin"].span] += (strokes @ self._motion).reshape(count, -1, 3)
+        points[:, self.charts["skin"]] += (strokes @ self._motion).reshape(count, -1, 3)
         for eye, side, name in ((0, 1.0, "Left"), (1, -1.0, "Right")):
             pitch = self._turn_eye(points, values, side, name)
             self._slide_lids(points, values, self._lid_index[eye], name, pitch)
@@ -232,7 +204,7 @@ class ProceduralHead:
     ) -> FloatArray:
         """Turn an eyeball against its fixed skirt; returns its pitch ``[N, 1]``."""
         yaw, pitch = (angle[:, None] for angle in gaze(side, values))
-        span = self.charts[f"eye_{name.lower()}"].span
+        span = self.charts[f"eye_{name.lower()}"]
         centre = (self._eye_mm * [side, 1.0, 1.0]).astype(np.float32)
         local = self._rest[span].astype(np.float32) - centre
         points[:, span] = turn(local, yaw * self._eye_turns, pitch * self._eye_turns) + centre
@@ -274,7 +246,7 @@ class ProceduralHead:
         points[:, index] += weight[:, None] * (slid - points[:, index])
 
     def _move_tongue(self, points: FloatArray, values: FloatArray) -> None:
-        span = self.charts["tongue"].span
+        span = self.charts["tongue"]
         out = self._shape(values, "tongueOut")
         rest = self._rest[span]
         t = np.clip((rest[:, 2] - rest[:, 2].min() - 8) / (np.ptp(rest[:, 2]) - 8), 0.0, 1.0)

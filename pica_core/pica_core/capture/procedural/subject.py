@@ -1,23 +1,23 @@
-"""A built-in head on the stage: what a render asks of it, and what `capture.json` says of it."""
+"""A built-in head on the stage."""
 
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pica_core.capture.dataset.files import MAP_SIZE
-from pica_core.capture.dataset.multiface import describe_masks
 from pica_core.capture.procedural.heads import ProceduralHead, make_head
-from pica_core.capture.rig.gpu import RigRenderer
 from pica_core.capture.stage.gpu import BAKE_SIZE
 from pica_core.capture.stage.subject import Subject
 from pica_core.capture.stage.synth import Progress, RenderOptions, render_subject
 from pica_core.errors import CaptureError, check_ranges
 
+ABOUT = {
+    "source": "synthetic: a built-in head of PiCA Telepresence; an invented person",
+    "licence": "Apache-2.0",
+}
+
 
 class ProceduralSubject(Subject):
-    """A built-in head on the stage, drawn as rigs are.
-
-    `self_shadow` False leaves out shadow of the face on itself, which takes seconds to measure.
+    """A built-in head on the stage, by its name if it is not made yet.
 
     Raises:
         CaptureError: No such head.
@@ -26,29 +26,11 @@ class ProceduralSubject(Subject):
     def __init__(
         self, head: str | ProceduralHead, *, bake_size: int = BAKE_SIZE, self_shadow: bool = True
     ) -> None:
-        self.head = make_head(head) if isinstance(head, str) else head
-        self._bake_size, self._self_shadow = bake_size, self_shadow
-        self.name, self.topology = self.head.name, self.head.topology
-
-    def describe(self) -> dict[str, Any]:
-        """Source, licence and materials."""
-        return {
-            "head": self.name,
-            "source": "synthetic: a built-in head of PiCA Telepresence; an invented person",
-            "licence": "Apache-2.0",
-            "position_map_size": MAP_SIZE,
-            "mask": describe_masks(),
-        }
-
-    def _make_renderer(self) -> RigRenderer:
-        return draw_head(self.head, bake_size=self._bake_size, occlusion=self._self_shadow)
-
-
-def draw_head(
-    head: ProceduralHead, *, bake_size: int = BAKE_SIZE, occlusion: bool = True
-) -> RigRenderer:
-    """Open a context and put a built-in head into it."""
-    return RigRenderer(head, {}, head.paint, head.growth, bake_size=bake_size, occlusion=occlusion)
+        head = make_head(head) if isinstance(head, str) else head
+        super().__init__(
+            head, ABOUT, look=head.paint, growth=head.growth, bake_size=bake_size,
+            self_shadow=self_shadow,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -109,42 +109,36 @@ def equalise(uv: Float64Array, faces: IntArray, need: Float64Array) -> Float64Ar
     Source: Gastner & Newman, "Diffusion-based method for producing density-equalizing maps", PNAS
         101(20), 2004.
     """
-    for _ in range(FLOW_ROUNDS):
-        uv = _flow(uv, faces, need)
-    return uv
-
-
-def _flow(uv: Float64Array, faces: IntArray, need: Float64Array) -> Float64Array:
-    """One round of `equalise`."""
-    low, high = uv.min(0), uv.max(0)
-    span = float((high - low).max()) * (1 + 2 * FLOW_MARGIN)
-    start = 0.5 * (low + high) - 0.5 * span
     size = next(cells for least, cells in FLOW_GRIDS if len(faces) >= least)
-    points = (uv - start) / span * size
-    density = _need_density(points, faces, need, size)
     cosine, sine, squares = _density_modes(size)
-    waves = cosine @ density @ cosine.T
-    moved = points.copy()
     # Steps grow with time: detail settles first, the large scale last.
     times = np.concatenate([[0.0], np.geomspace(0.05, 0.6 * size * size, FLOW_STEPS)])
-    for before, after in itertools.pairwise(times.tolist()):
-        fade = np.exp(-np.add.outer(squares, squares) * 0.5 * (before + after))
-        now = waves * fade
-        rho = cosine.T @ now @ cosine
-        slope = np.stack([cosine.T @ now @ sine, sine.T @ now @ cosine], -1)
-        velocity = -slope / np.maximum(rho, 1e-9)[..., None]
-        half = moved + 0.5 * (after - before) * _bilinear(velocity, moved)
-        moved = moved + (after - before) * _bilinear(velocity, half)
-    sign = np.sign(signed_areas(points, faces).sum())
-    blend = 1.0
-    while blend > 1e-3:
-        mixed = points + blend * (moved - points)
-        if (signed_areas(mixed, faces) * sign > 0).all():
-            break
-        blend *= 0.9
-    else:
-        mixed = points
-    return mixed * span / size + start
+    for _ in range(FLOW_ROUNDS):
+        low, high = uv.min(0), uv.max(0)
+        span = float((high - low).max()) * (1 + 2 * FLOW_MARGIN)
+        start = 0.5 * (low + high) - 0.5 * span
+        points = (uv - start) / span * size
+        waves = cosine @ _need_density(points, faces, need, size) @ cosine.T
+        moved = points.copy()
+        for before, after in itertools.pairwise(times.tolist()):
+            fade = np.exp(-np.add.outer(squares, squares) * 0.5 * (before + after))
+            now = waves * fade
+            rho = cosine.T @ now @ cosine
+            slope = np.stack([cosine.T @ now @ sine, sine.T @ now @ cosine], -1)
+            velocity = -slope / np.maximum(rho, 1e-9)[..., None]
+            half = moved + 0.5 * (after - before) * _bilinear(velocity, moved)
+            moved = moved + (after - before) * _bilinear(velocity, half)
+        sign = np.sign(signed_areas(points, faces).sum())
+        blend = 1.0
+        while blend > 1e-3:
+            mixed = points + blend * (moved - points)
+            if (signed_areas(mixed, faces) * sign > 0).all():
+                break
+            blend *= 0.9
+        else:
+            mixed = points
+        uv = mixed * span / size + start
+    return uv
 
 
 def _need_density(
@@ -158,14 +152,9 @@ def _need_density(
     at = corner[0] + a[:, None] * (corner[1] - corner[0]) + b[:, None] * (corner[2] - corner[0])
     cell = np.clip(at.astype(np.int64), 0, size - 1)
     flat = cell[:, 1] * size + cell[:, 0]
-    wanted, covered = (
-        np.bincount(flat, (value / count)[which], size * size)
-        .reshape(size, size)
-        .astype(np.float64)
-        for value in (need, area)
-    )
+    sums = [np.bincount(flat, (value / count)[which], size * size) for value in (need, area)]
     # Both are spread a little, so that their ratio is smooth where triangles are larger than cells.
-    wanted, covered = (gaussian_filter(field, 1.0, mode="nearest") for field in (wanted, covered))
+    wanted, covered = (gaussian_filter(s.reshape(size, size), 1.0, mode="nearest") for s in sums)
     mean = need.sum() / area.sum()
     density = (wanted + 0.02 * mean) / (covered + 0.02)
     return np.clip(density / mean, 1 / FLOW_CONTRAST, FLOW_CONTRAST)
@@ -175,10 +164,10 @@ def pack(
     uv: Float64Array,
     uv_faces: IntArray,
     faces: IntArray,
-    need: Float64Array | None,
+    need: Float64Array,
     *,
-    rest: Float64Array | None = None,
-    seen: BoolArray | None = None,
+    rest: Float64Array,
+    seen: BoolArray,
 ) -> PackedChart:
     """Put all islands into one square.
 
@@ -186,8 +175,8 @@ def pack(
         uv: Texture coordinates; islands may lie in different tiles or over each other. ``[T, 2]``.
         uv_faces: Triangles in `uv`. ``[F, 3]``.
         faces: The same triangles in welded vertices. ``[F, 3]``.
-        need: Wanted share of each triangle; None keeps the areas that the file gives. ``[F]``.
-        rest: Welded vertices in space, for gutters; None makes none. ``[P, 3]``.
+        need: Wanted share of each triangle. ``[F]``.
+        rest: Welded vertices in space. ``[P, 3]``.
         seen: Triangles whose seams need gutters. bool ``[F]``.
 
     Raises:
@@ -210,27 +199,19 @@ def pack(
         if signed.sum() < 0:
             island[:, 0] *= -1
             signed = -signed
-        if need is not None:
-            if (signed > 0).all() and len(mine) >= MIN_FLOW_FACES:
-                island = equalise(island, local, need[mine])
-                signed = signed_areas(island, local)
-            island *= np.sqrt(need[mine].sum() / max(np.abs(signed).sum(), floor))
-        points[used] = island
-    source = pairs[:, 1]
-    face_source = np.arange(len(faces))
-    if rest is not None and seen is not None:
-        texel = np.sqrt(np.abs(signed_areas(points, split)).sum() / USUAL_FILL) / MAP_SIZE
-        tips, gutters, far, copied = add_gutters(
-            points, split, rest, faces, seen, MAX_GUTTER_TEXELS * texel
-        )
-        points, split = np.concatenate([points, tips]), np.concatenate([split, gutters])
-        source = np.concatenate([source, far])
-        face_source = np.concatenate([face_source, copied])
+        if (signed > 0).all() and len(mine) >= MIN_FLOW_FACES:
+            island = equalise(island, local, need[mine])
+            signed = signed_areas(island, local)
+        points[used] = island * np.sqrt(need[mine].sum() / max(np.abs(signed).sum(), floor))
+    texel = np.sqrt(np.abs(signed_areas(points, split)).sum() / USUAL_FILL) / MAP_SIZE
+    reach = MAX_GUTTER_TEXELS * texel
+    tips, gutters, far, copied = add_gutters(points, split, rest, faces, seen, reach)
+    split = np.concatenate([split, gutters])
     return PackedChart(
-        vertex_uv=_place(points, split).astype(np.float32),
+        vertex_uv=_place(np.concatenate([points, tips]), split).astype(np.float32),
         faces=split,
-        face_source=face_source,
-        source=source,
+        face_source=np.concatenate([np.arange(len(faces)), copied]),
+        source=np.concatenate([pairs[:, 1], far]),
         islands=len(names),
     )
 
@@ -284,9 +265,8 @@ def map_error_m(vertex_uv: FloatArray, poses_m: FloatArray, size: int = MAP_SIZE
     the chart alone.
 
     Args:
-        vertex_uv: Texture coordinates in [0, 1]. float32 ``[V, 2]``.
+        vertex_uv: In [0, 1]. float32 ``[V, 2]``.
         poses_m: Meshes, metres. float32 ``[N, V, 3]``.
-        size: Rows and columns of the map.
 
     Returns:
         float64 ``[N, V]``.
@@ -295,10 +275,8 @@ def map_error_m(vertex_uv: FloatArray, poses_m: FloatArray, size: int = MAP_SIZE
     q = np.clip(vertex_uv.astype(np.float64) * size - 0.5, 0, size - 1)
     low = np.minimum(q.astype(np.int64), size - 2)
     t = q - low
-    columns = np.stack([low[:, 0], low[:, 0] + 1, low[:, 0], low[:, 0] + 1], 1)
-    rows = np.stack([low[:, 1], low[:, 1], low[:, 1] + 1, low[:, 1] + 1], 1)
-    flat = rows * size + columns
-    tx, ty = t[:, 0], t[:, 1]
+    flat = (low @ [1, size])[:, None] + [0, 1, size, size + 1]
+    tx, ty = t.T
     weight = np.stack([(1 - tx) * (1 - ty), tx * (1 - ty), (1 - tx) * ty, tx * ty], 1)
     vertex = np.repeat(np.arange(count), 4)
     read = csc_array((weight.ravel(), (vertex, flat.ravel())), (count, size * size))

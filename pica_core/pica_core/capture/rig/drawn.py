@@ -3,10 +3,12 @@
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy.typing as npt
+
+from pica_core.capture.dataset.files import Topology
 from pica_core.capture.rig.features import Features
 from pica_core.capture.rig.mesh import RigMesh
 from pica_core.capture.rig.names import NameMap
-from pica_core.capture.stage.shadow import PosedMesh
 from pica_core.types import FloatArray, Int64Array, IntArray
 
 
@@ -28,21 +30,28 @@ class PackedChart:
     islands: int
 
 
-class DrawnRig(PosedMesh, Protocol):
-    """A head that can be painted and posed: a rig, or one that is made to be drawn as a rig."""
+class DrawnRig(Protocol):
+    """A head that can be painted and posed: a rig, or one that is made to be drawn as a rig.
+
+    Attributes:
+        names: Which shapes it has.
+        features: Mouth, eyes and regions of the welded mesh.
+        chart: What is drawn.
+        topology: The same with its regions.
+    """
+
+    name: str
+    names: NameMap
+    features: Features
+    chart: PackedChart
+    topology: Topology
 
     @property
     def mesh(self) -> RigMesh:
         """The welded mesh at rest."""
 
-    @property
-    def names(self) -> NameMap:
-        """Which shapes it has."""
+    def vertices(self, arkit: npt.ArrayLike) -> FloatArray:
+        """Vertices of a pose, head frame, metres. float32 ``[V, 3]``."""
 
-    @property
-    def features(self) -> Features:
-        """Mouth, eyes and regions of the welded mesh."""
-
-    @property
-    def chart(self) -> PackedChart:
-        """What is drawn."""
+    def normals(self, vertices: FloatArray) -> FloatArray:
+        """Unit normals of posed vertices. float32 ``[V, 3]``."""

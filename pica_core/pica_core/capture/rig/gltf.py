@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from pica_core.capture.rig.gltf_file import DRACO, MAX_ELEMENTS, GltfFile, missing_wheel
+from pica_core.capture.rig.gltf_file import DRACO, MAX_ELEMENTS, GltfFile, child, missing_wheel
 from pica_core.capture.rig.images import open_image, see_through
 from pica_core.capture.rig.source import RigImage, RigSource, check_counts, check_source
 from pica_core.errors import CaptureError
@@ -91,8 +91,7 @@ def _bind_place(
     Quantised skinned meshes hide what undoes it in their inverse bind matrices.
     """
     for primitive in file.entries(file.item("meshes", node["mesh"]), "primitives"):
-        attributes = primitive.get("attributes") if isinstance(primitive, dict) else None
-        at = attributes.get("POSITION") if isinstance(attributes, dict) else None
+        at = child(primitive, "attributes").get("POSITION")
         if file.item("accessors", at).get("componentType") != FLOAT:
             skin = file.item("skins", node["skin"])
             joints = file.entries(skin, "joints")
@@ -107,8 +106,7 @@ def _target_names(
     file: GltfFile, mesh: dict[str, Any], primitive: dict[str, Any], count: int
 ) -> list[str]:
     for owner in (mesh, primitive):
-        extras = owner.get("extras")
-        names = extras.get("targetNames") if isinstance(extras, dict) else None
+        names = child(owner, "extras").get("targetNames")
         if isinstance(names, list) and len(names) == count:
             return [str(name) for name in names]
     if file.extension(file.root, *VRM)[0]:  # its expressions name what they need
@@ -148,11 +146,9 @@ def _is_real(value: Any) -> bool:
 
 def _material(file: GltfFile, index: int) -> _Material:
     entry = file.item("materials", index)
-    pbr = entry.get("pbrMetallicRoughness")
-    pbr = pbr if isinstance(pbr, dict) else {}
+    pbr = child(entry, "pbrMetallicRoughness")
     _, old = file.extension(entry, "KHR_materials_pbrSpecularGlossiness")
-    texture = pbr.get("baseColorTexture", old.get("diffuseTexture"))
-    texture = texture if isinstance(texture, dict) else {}
+    texture = child(pbr, "baseColorTexture") or child(old, "diffuseTexture")
     _, move = file.extension(texture, "KHR_texture_transform")
     turn = move.get("rotation", 0.0)
     if not _is_real(turn):
@@ -201,8 +197,7 @@ class _Target:
     span: slice
     name: str
     delta: FloatArray
-    mesh: int
-    node: int
+    placed: _Placed
     number: int
 
 
@@ -226,8 +221,8 @@ class _Builder:
         file = self.file
         if primitive.get("mode", TRIANGLES) != TRIANGLES:
             return
-        attributes = primitive.get("attributes")
-        if not isinstance(attributes, dict) or "POSITION" not in attributes:
+        attributes = child(primitive, "attributes")
+        if "POSITION" not in attributes:
             raise CaptureError(f"{file.path}: a primitive has no attribute POSITION")
         number = primitive.get("material")
         if number is not None:
@@ -304,11 +299,8 @@ class _Builder:
                 )
             moved = (delta @ linear).astype(np.float32)
             self.targets.append(
-                _Target(
-                    span=span, name=name, delta=moved, mesh=placed.mesh, node=placed.node,
-                    number=number,
-                )
-            )  # fmt: skip
+                _Target(span=span, name=name, delta=moved, placed=placed, number=number)
+            )
         return span
 
 
@@ -344,26 +336,23 @@ def _expressions(file: GltfFile, targets: list[_Target]) -> dict[str, list[tuple
     version, vrm = file.extension(file.root, *VRM)
     found: list[tuple[Any, Any, str, float]] = []
     if version == "VRM":
-        master = vrm.get("blendShapeMaster")
-        groups = file.entries(master, "blendShapeGroups") if isinstance(master, dict) else []
+        groups = file.entries(child(vrm, "blendShapeMaster"), "blendShapeGroups")
         for group in filter(_is_object, groups):
             preset = group.get("presetName")
             name = preset if preset not in ("", "unknown", None) else group.get("name")
             found.append((name, group.get("binds"), "mesh", 0.01))
     elif version:
-        sets = vrm.get("expressions")
         for part in ("preset", "custom"):
-            some = sets.get(part) if isinstance(sets, dict) else None
-            for name, entry in some.items() if isinstance(some, dict) else ():
-                binds = entry.get("morphTargetBinds") if isinstance(entry, dict) else None
-                found.append((name, binds, "node", 1.0))
+            some = child(child(vrm, "expressions"), part)
+            for name in some:
+                found.append((name, child(some, name).get("morphTargetBinds"), "node", 1.0))
     result: dict[str, list[tuple[_Target, float]]] = {}
     for name, binds, owner, scale in found:
         for bind in filter(_is_object, binds if isinstance(binds, list) else ()):
             weight = bind.get("weight", 1 / scale)
             place = bind.get(owner), bind.get("index")
             for target in targets:
-                if _is_real(weight) and place == (getattr(target, owner), target.number):
+                if _is_real(weight) and place == (getattr(target.placed, owner), target.number):
                     result.setdefault(str(name), []).append((target, weight * scale))
     return result
 
@@ -403,7 +392,6 @@ def _read(file: GltfFile) -> RigSource:
     for name, target, weight in parts:
         whole = shapes.setdefault(name, np.zeros((builder.count, 3), np.float32))
         whole[target.span] += np.float32(weight) * target.delta
-    asset = file.root.get("asset")
     faces = np.concatenate(builder.faces)
     material = np.concatenate(builder.material)
     names = [look.name for look in builder.materials]
@@ -424,7 +412,7 @@ def _read(file: GltfFile) -> RigSource:
         face_material=material,
         shapes=shapes,
         split_at_seams=True,
-        copyright=str(asset.get("copyright", ""))[:500] if isinstance(asset, dict) else "",
+        copyright=str(child(file.root, "asset").get("copyright", ""))[:500],
         images={k: m.image for k, m in enumerate(builder.materials) if m.image is not None},
         see_through=_see_through(file, builder.materials, faces, material, uv),
     )

@@ -41,6 +41,12 @@ def missing_wheel(where: str, extension: str) -> CaptureError:
     return CaptureError(f"{where}: {extension} needs pip install 'pica-telepresence[rigs]'")
 
 
+def child(owner: Any, name: str) -> dict[str, Any]:
+    """An object inside another; empty where either is missing or is none."""
+    value = owner.get(name) if isinstance(owner, dict) else None
+    return value if isinstance(value, dict) else {}
+
+
 class GltfFile:
     """One file and what lies beside it, with every access checked."""
 
@@ -109,9 +115,9 @@ class GltfFile:
 
     def extension(self, owner: dict[str, Any], *names: str) -> tuple[str, dict[str, Any]]:
         """Name and content of the first of these extensions that an entry has, or two blanks."""
-        found = owner.get("extensions")
+        found = child(owner, "extensions")
         for name in names:
-            if isinstance(found, dict) and isinstance(found.get(name), dict):
+            if isinstance(found.get(name), dict):
                 return name, found[name]
         return "", {}
 
@@ -234,8 +240,8 @@ class GltfFile:
         few = self.number(sparse, "count")
         if few == 0:
             return
-        places, numbers = sparse.get("indices"), sparse.get("values")
-        if not isinstance(places, dict) or not isinstance(numbers, dict) or few > len(values):
+        places, numbers = child(sparse, "indices"), child(sparse, "values")
+        if not places or not numbers or few > len(values):
             raise CaptureError(f"{self.path}: accessors {index}: field 'sparse' cannot be read")
         place_type = _component(places)
         if place_type not in ("<u1", "<u2", "<u4"):

@@ -3,7 +3,6 @@
 read -> names -> mesh (units, axes, parts) -> features -> chart -> pose
 """
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +14,7 @@ from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.rig.chart import make_islands, mend_islands, pack
 from pica_core.capture.rig.drawn import PackedChart
 from pica_core.capture.rig.features import Features, Limits, find_features
+from pica_core.capture.rig.gaze import gaze, turn
 from pica_core.capture.rig.gltf import read_glb
 from pica_core.capture.rig.guards import PoseGuard
 from pica_core.capture.rig.mesh import RigMesh, build_mesh
@@ -22,10 +22,9 @@ from pica_core.capture.rig.names import NameMap, map_names
 from pica_core.capture.rig.obj import read_obj_folder
 from pica_core.capture.rig.source import RigSource
 from pica_core.capture.rig.visibility import visibility
-from pica_core.capture.stage.gaze import gaze, turn
 from pica_core.capture.triangles import areas, vertex_normals
 from pica_core.errors import CaptureError
-from pica_core.types import Float64Array, FloatArray, Int64Array
+from pica_core.types import Float64Array, FloatArray
 
 SEEN_FULLY = 0.27
 """Visibility of skin that faces the dome (measured on one head)."""
@@ -73,24 +72,14 @@ def _revealing_poses(mesh: RigMesh) -> list[Float64Array]:
     return poses
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Turn:
-    """An eyeball that this importer turns."""
-
-    vertices: Int64Array
-    """Its vertices among the split ones."""
-    local: FloatArray
-    """Their offsets from the centre at rest."""
-    centre: FloatArray
-    side: float
-
-
 class RigHead:
     """A rig that can be posed.
 
     Attributes:
         chart: Its one chart; ``chart.source`` leads from split to welded vertices.
         mended: Triangles whose texture coordinates were made here.
+        corrective_close: True when mouthClose takes back a part of jawOpen, as ARKit's does.
+        eyes_turned_here: How many eyeballs are turned here, since the rig's shapes do not.
     """
 
     def __init__(self, mesh: RigMesh, names: NameMap, name: str) -> None:
@@ -122,32 +111,18 @@ class RigHead:
         self._motion = mesh.motion_m[self._shapes].reshape(len(self._shapes), -1)
         self._limits = Limits(mesh, self.features)
         self._guard = PoseGuard(mesh, self.features)
-        self._turns = self._find_turns()
+        self.corrective_close = self._limits.corrective_close
+        self._turns = [
+            (eye, self._rest[eye.vertices] - eye.centre_m.astype(np.float32))
+            for eye in mesh.eyes
+            if not eye.turned
+        ]
+        self.eyes_turned_here = len(self._turns)
 
     @property
     def num_vertices(self) -> int:
         """Number of split vertices, V."""
         return len(self.chart.source)
-
-    def _find_turns(self) -> tuple[_Turn, ...]:
-        turns = []
-        for eye in self.mesh.eyes:
-            if eye.turned:
-                continue
-            centre = eye.centre_m.astype(np.float32)
-            local = self._rest[eye.vertices] - centre
-            turns.append(_Turn(vertices=eye.vertices, local=local, centre=centre, side=eye.side))
-        return tuple(turns)
-
-    @property
-    def corrective_close(self) -> bool:
-        """True when mouthClose takes back a part of jawOpen, as ARKit's does."""
-        return self._limits.corrective_close
-
-    @property
-    def eyes_turned_here(self) -> int:
-        """How many eyeballs this importer turns, since the rig's shapes do not."""
-        return len(self._turns)
 
     def vertices(self, arkit: npt.ArrayLike) -> FloatArray:
         """Split vertices at the 52 shapes ``[52]``, metres, head frame. float32 ``[V, 3]``.
@@ -157,9 +132,9 @@ class RigHead:
         """
         values = self._limits.apply(arkit)
         points: FloatArray = self._rest + (values[self._shapes] @ self._motion).reshape(-1, 3)
-        for eye in self._turns:
+        for eye, offsets in self._turns:
             yaw, pitch = gaze(eye.side, values.astype(np.float64))
-            points[eye.vertices] = turn(eye.local, yaw, pitch) + eye.centre
+            points[eye.vertices] = turn(offsets, yaw, pitch) + eye.centre_m.astype(np.float32)
         self._guard.apply(points)
         return points[self.chart.source]
 

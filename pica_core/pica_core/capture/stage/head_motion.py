@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pica_core.capture.stage.waves import TimeWaves
+from pica_core.capture.stage.waves import smooth_signals
 from pica_core.types import Float64Array
 
 TURN_DEG = (2.5, 3.5, 1.5)
@@ -24,8 +24,8 @@ def head_to_world(seed: int, take: int, time_s: float) -> Float64Array:
     Returns:
         Rotation and translation (metres) from head frame to world. float64 ``[3, 4]``.
     """
-    signals = TimeWaves(np.random.default_rng([seed, 0x4EAD, take]), 6, SCALE_S)
-    values = LIMIT * np.tanh(signals.at(time_s) / LIMIT)
+    random = np.random.default_rng([seed, 0x4EAD, take])
+    values = LIMIT * np.tanh(smooth_signals(random, 6, SCALE_S, time_s) / LIMIT)
     rotation = Rotation.from_rotvec(np.radians(TURN_DEG) * values[:3]).as_matrix()
     pivot = np.array(PIVOT_M)
     shift = pivot - rotation @ pivot + SHIFT_M * values[3:]

@@ -5,7 +5,6 @@ each. A frame is drawn by every camera and takes ten times as long. A capture ma
 real people cannot be posed.
 """
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -40,27 +39,9 @@ class Poses(NamedTuple):
     cameras: tuple[str, ...] = ()
 
 
-def pose(
-    vertices: Callable[[FloatArray], FloatArray],
-    count: int,
-    seed: int,
-    draw: Callable[[int], str] | None = None,
-) -> Poses:
-    """Pose a subject at `count` expressions of takes that a capture of this seed has not.
-
-    Args:
-        vertices: Expression ``[52]`` to mesh ``[V, 3]``.
-        count: How many, at least 4.
-        seed: The capture's.
-        draw: Keeps a picture of the pose of this number, the current one; returns its camera.
-    """
-    arkit = np.concatenate([take.arkit for take in sample_takes(count, seed + SEED_STEP)])
-    meshes, cameras = [], []
-    for number, values in enumerate(arkit):
-        meshes.append(vertices(values))
-        if draw is not None:
-            cameras.append(draw(number))
-    return Poses(arkit, np.stack(meshes).astype(np.float32), tuple(cameras))
+def pose_expressions(count: int, seed: int) -> FloatArray:
+    """Expressions, at least 4, of takes that a capture of this seed has not. ``[P, 52]``."""
+    return np.concatenate([take.arkit for take in sample_takes(count, seed + SEED_STEP)])
 
 
 def picture_path(folder: Path, number: int) -> Path:

@@ -5,17 +5,15 @@ a pose takes a mix of them. So soft shadow of nose, brows, hair and lips moves w
 cost per frame. What it does not know: shadow of combinations that no single expression has.
 """
 
-from collections.abc import Callable, Container
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse import coo_array
 
-from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES, NUM_ARKIT
+from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
+from pica_core.capture.rig.drawn import DrawnRig
 from pica_core.capture.triangles import edges
-from pica_core.types import BoolArray, Float64Array, FloatArray, IntArray
+from pica_core.types import BoolArray, Float64Array, FloatArray
 
 DrawDepth = Callable[[FloatArray, FloatArray, int], FloatArray]
 """Draws a depth map of vertices along a clip matrix, so many texels wide."""
@@ -26,7 +24,11 @@ KEY_SPREAD = 0.22
 """Half angle of the key light, radians: a softbox, so shadows have soft edges."""
 SOFTENED = 2
 """How often a vertex takes half of its neighbours' light: no shadow is a saw of triangles."""
+DOME_DIRECTIONS, KEY_DIRECTIONS = 28, 6
+"""Directions of the dome's light, and within the key light's disc."""
 DEPTH_MAP_SIZE = 192
+SPAN_M = 0.42
+"""Width of the depth maps, at least."""
 BIAS_M, LIFT_M = 0.0022, 0.0015
 POSES: tuple[tuple[str, ...], ...] = (
     ("jawOpen",),
@@ -41,43 +43,22 @@ POSES: tuple[tuple[str, ...], ...] = (
 """Expressions whose shadow is measured; each is set to 1 as a whole."""
 
 
-class PosedMesh(Protocol):
-    """A head that 52 ARKit values move."""
-
-    def vertices(self, arkit: npt.ArrayLike) -> FloatArray:
-        """Vertices of a pose, head frame, metres. float32 ``[V, 3]``."""
-
-    def normals(self, vertices: FloatArray) -> FloatArray:
-        """Unit normals of posed vertices. float32 ``[V, 3]``."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class ShadowPlan:
-    """How finely a head's shadow is measured."""
-
-    dome_directions: int
-    """Directions of the dome's light."""
-    key_directions: int
-    """Directions within the key light's disc."""
-    span_m: float
-    """Width of the depth maps, metres."""
-    centre_m: tuple[float, float, float]
-    """What the depth maps are aimed at, head frame, metres."""
-    drivers: Container[str] = ARKIT_NAMES
-    """Shapes that the head has; expressions of others are not measured."""
-
-
 class Occlusion:
-    """Shadow of one head as a function of its expression."""
+    """Shadow of one head as a function of its expression.
 
-    def __init__(
-        self, head: PosedMesh, faces: IntArray, draw_depth: DrawDepth, plan: ShadowPlan
-    ) -> None:
-        self._head, self._draw_depth, self._plan = head, draw_depth, plan
-        ends = edges(faces).T
+    Args:
+        draw_depth: Draws it for this.
+        centre_y_m: Height that the depth maps are aimed at, head frame.
+    """
+
+    def __init__(self, head: DrawnRig, draw_depth: DrawDepth, centre_y_m: float) -> None:
+        self._head, self._draw_depth = head, draw_depth
+        self._span_m = max(SPAN_M, float(np.ptp(head.mesh.rest_m, axis=0).max()) + 0.05)
+        self._centre_m = np.array([0.0, centre_y_m, 0.0])
+        ends = edges(head.chart.faces).T
         self._neighbours = coo_array((np.ones(ends.shape[1]), tuple(ends))).tocsr()
         self._neighbours += self._neighbours.T
-        self._poses = [p for p in POSES if all(name in plan.drivers for name in p)]
+        self._poses = [p for p in POSES if all(name in head.names.drivers for name in p)]
         self._rest = self._measure(())
         changes = [self._measure(names) - self._rest for names in self._poses]
         self._changes = np.array(changes, np.float32).reshape(len(changes), self._rest.size)
@@ -88,12 +69,12 @@ class Occlusion:
         vertices = self._head.vertices(arkit)
         normals = self._head.normals(vertices)
         sky, weight = np.zeros(len(vertices)), np.full(len(vertices), 1e-6)
-        for direction in _sphere(self._plan.dome_directions):
+        for direction in _sphere(DOME_DIRECTIONS):
             # Light from above counts more: a dome, not a fog.
             facing = np.maximum(normals @ direction, 0.0) * (0.65 + 0.35 * direction[1])
             sky += facing * self._lit(vertices, normals, direction)
             weight += facing
-        disc = _softbox(self._plan.key_directions)
+        disc = _softbox(KEY_DIRECTIONS)
         key = np.mean([self._lit(vertices, normals, direction) for direction in disc], axis=0)
         light = np.stack([sky / weight, key], 1)
         count = np.maximum(self._neighbours.sum(1), 1)[:, None]
@@ -107,16 +88,16 @@ class Occlusion:
         right = np.cross(up, direction)
         right /= np.linalg.norm(right)
         axes = np.stack([right, np.cross(direction, right), -direction])
-        axes /= 0.5 * self._plan.span_m
+        axes /= 0.5 * self._span_m
         clip = np.eye(4, dtype=np.float32)
         clip[:3, :3] = axes
-        clip[:3, 3] = -axes @ np.array(self._plan.centre_m)
+        clip[:3, 3] = -axes @ self._centre_m
         depth = self._draw_depth(vertices, clip, DEPTH_MAP_SIZE)
         lifted = vertices + LIFT_M * normals
         seen = lifted @ clip[:3, :3].T + clip[:3, 3]
         texel = ((seen[:, :2] * 0.5 + 0.5) * DEPTH_MAP_SIZE).astype(int)
         column, row = np.clip(texel, 0, DEPTH_MAP_SIZE - 1).T
-        return 0.5 + 0.5 * seen[:, 2] <= depth[row, column] + BIAS_M / self._plan.span_m
+        return 0.5 + 0.5 * seen[:, 2] <= depth[row, column] + BIAS_M / self._span_m
 
     def at(self, arkit: FloatArray) -> FloatArray:
         """Share of dome and key light that reaches each vertex. float32 ``[V, 2]``."""

@@ -9,11 +9,11 @@ driver.
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image
 
 from pica_core.capture.dataset import multiface
@@ -32,12 +32,18 @@ from pica_core.capture.stage.gpu import View
 from pica_core.capture.stage.head_motion import head_to_world
 from pica_core.capture.stage.mvs_depth import MvsErrors, find_depth
 from pica_core.capture.stage.own_take import own_take, read_own_take
-from pica_core.capture.stage.poses import POSES_PER_FRAME, picture_path, pose, write_poses
+from pica_core.capture.stage.poses import (
+    POSES_PER_FRAME,
+    Poses,
+    picture_path,
+    pose_expressions,
+    write_poses,
+)
 from pica_core.capture.stage.subject import Subject
 from pica_core.capture.stage.tracked_topology import NUM_VERTICES, track_topology
 from pica_core.capture.stage.tracker import SimulatedTracker, lagged_arkit
 from pica_core.errors import CaptureError, check_ranges
-from pica_core.types import FloatArray
+from pica_core.types import Array, FloatArray
 
 Progress = Callable[[int, int], None]
 
@@ -196,21 +202,22 @@ class _Rendering:
         return (exact if lagged is None else lagged), exact
 
     def _write_view(self, take: Take, number: int, index: int, place: int, view: View) -> None:
-        camera, frame = self.cameras[place], f"{index:06d}"
+        camera = self.cameras[place]
+        segment, frame = take.segment, f"{index:06d}"
 
-        def path(kind: str) -> Path:
-            return self.out / multiface.image_path(kind, take.segment, camera.name, frame)
+        def write(kind: str, make: Callable[[], Array]) -> None:
+            path = multiface.image_path(kind, segment, camera.name, frame)
+            self.writer.image(self.out / path, make)
 
-        def found() -> npt.NDArray[np.uint16]:
+        def found() -> Array:
             random = np.random.default_rng([self.options.seed, 0x3D3B, number, index, place])
-            depth_m = find_depth(view.depth_m, view.mask, camera, self.materials, random)
-            return depth_units(depth_m)
+            return depth_units(find_depth(view.depth_m, view.mask, camera, self.materials, random))
 
-        self.writer.image(path("images"), lambda: view.image)
-        self.writer.image(path("mask"), lambda: view.mask)
-        self.writer.image(path(multiface.TRUTH_DEPTH), lambda: depth_units(view.depth_m))
+        write("images", lambda: view.image)
+        write("mask", lambda: view.mask)
+        write(multiface.TRUTH_DEPTH, lambda: depth_units(view.depth_m))
         if index % self.options.depth_every == 0:
-            self.writer.image(path("depth"), found)
+            write("depth", found)
 
 
 def _millimetres(vertices_m: FloatArray) -> FloatArray:
@@ -269,20 +276,18 @@ def _render(
 def _pose(subject: Subject, options: RenderOptions, out: Path) -> None:
     """Write poses beside the frames, with a picture of each from some camera."""
     cameras = dome_cameras(options.cameras, options.width, options.height, options.lenses)
-    count = POSES_PER_FRAME * options.frames
-    places = np.random.default_rng([options.seed, 0x905E]).integers(len(cameras), size=count)
+    arkit = pose_expressions(POSES_PER_FRAME * options.frames, options.seed)
+    random = np.random.default_rng([options.seed, 0x905E])
+    views = [cameras[place] for place in random.integers(len(cameras), size=len(arkit))]
+    meshes = []
     with BackgroundWriter() as writer:
-
-        def draw(number: int) -> str:
-            camera, path = cameras[places[number]], picture_path(out, number)
+        for number, (values, camera) in enumerate(zip(arkit, views, strict=True)):
+            meshes.append(subject.pose(values))
+            path = picture_path(out, number)
             if not path.is_file():
-                image = subject.draw(camera).image
-                writer.image(path, lambda: image)
-            return camera.name
-
-        poses = pose(subject.pose, count, options.seed, draw)
+                writer.image(path, partial(np.asarray, subject.draw(camera).image))
         writer.finish()
-    write_poses(out, poses)
+    write_poses(out, Poses(arkit, np.stack(meshes), tuple(camera.name for camera in views)))
 
 
 def _describe(

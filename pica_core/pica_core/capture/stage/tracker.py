@@ -12,7 +12,7 @@ states what came of them, and `docs/capture.md` shows it.
 import numpy as np
 
 from pica_core.capture.dataset.files import Topology
-from pica_core.capture.stage.waves import SpaceTimeWaves, TimeWaves
+from pica_core.capture.stage.waves import FIELD_WAVES, smooth_field, smooth_signals
 from pica_core.capture.triangles import nearest, vertex_normals
 from pica_core.types import Float64Array, FloatArray, Int64Array
 
@@ -58,8 +58,8 @@ class SimulatedTracker:
     ) -> None:
         random = np.random.default_rng([seed, 0x7AC4])
         self._seed = seed
-        self._field = SpaceTimeWaves(random, rest_m, FIELD_SCALE_M)
-        self._lasting = random.normal(size=3 * self._field.waves)
+        self._field = smooth_field(random, rest_m, FIELD_SCALE_M)
+        self._lasting = random.normal(size=3 * FIELD_WAVES)
         self._faces = topology.faces
         _, first, number = np.unique(places, return_index=True, return_inverse=True)
         self._one_point = first[number.reshape(-1)]
@@ -76,9 +76,9 @@ class SimulatedTracker:
             lagged_m: Where they would be for `lagged_arkit`.
         """
         random = np.random.default_rng([self._seed, 0x7AC5, take])
-        drift = TimeWaves(random, 3 * self._field.waves, DRIFT_S).at(time_s)
+        drift = smooth_signals(random, 3 * FIELD_WAVES, DRIFT_S, time_s)
         strengths = np.sqrt(LASTING_SHARE) * self._lasting + np.sqrt(1 - LASTING_SHARE) * drift
-        error = self._field.mix(strengths) * self._spread_m
+        error = self._field @ strengths.reshape(-1, 3) * self._spread_m
         normals = vertex_normals(exact_m, self._faces)
         error -= (1 - ACROSS) * (error * normals).sum(axis=1, keepdims=True) * normals
         error += self.lag_weight[:, None] * (lagged_m.astype(np.float64) - exact_m)

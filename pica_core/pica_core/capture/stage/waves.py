@@ -9,37 +9,25 @@ import numpy.typing as npt
 
 from pica_core.types import Float64Array
 
-
-class TimeWaves:
-    """Independent smooth signals of about unit variance, which change over `scale_s` seconds.
-
-    One wave per signal is a sine, many are near a Gaussian process.
-    """
-
-    def __init__(
-        self, random: np.random.Generator, count: int, scale_s: float, waves: int = 3
-    ) -> None:
-        self._frequency = random.normal(0.0, 1.0 / scale_s, (waves, count))
-        self._phase = random.uniform(0.0, 2 * np.pi, (waves, count))
-
-    def at(self, time_s: float) -> Float64Array:
-        """The signals at a moment. float64 ``[count]``."""
-        waves = np.cos(self._frequency * time_s + self._phase)
-        return waves.sum(axis=0) * np.sqrt(2.0 / len(waves))
+WAVES = 3
+"""Waves in a signal: one is a sine, many are near a Gaussian process."""
+FIELD_WAVES = 48
 
 
-class SpaceTimeWaves:
-    """A smooth vector field on points ``[V, 3]`` that changes over `scale_m` and with time."""
+def smooth_signals(
+    random: np.random.Generator, count: int, scale_s: float, time_s: float
+) -> Float64Array:
+    """Signals of about unit variance, which change over `scale_s`, at a moment. ``[count]``."""
+    frequency = random.normal(0.0, 1.0 / scale_s, (WAVES, count))
+    phase = random.uniform(0.0, 2 * np.pi, (WAVES, count))
+    return np.cos(frequency * time_s + phase).sum(axis=0) * np.sqrt(2.0 / WAVES)
 
-    def __init__(
-        self, random: np.random.Generator, points_m: npt.ArrayLike, scale_m: float, waves: int = 48
-    ) -> None:
-        points = np.asarray(points_m, np.float64)
-        direction = random.normal(0.0, 1.0 / scale_m, (3, waves))
-        phase = random.uniform(0.0, 2 * np.pi, waves)
-        self._basis = np.sqrt(2.0 / waves) * np.cos(points @ direction + phase)
-        self.waves = waves
 
-    def mix(self, strengths: Float64Array) -> Float64Array:
-        """The field for given strengths ``[waves * 3]`` of unit variance. float64 ``[V, 3]``."""
-        return self._basis @ strengths.reshape(self.waves, 3)
+def smooth_field(
+    random: np.random.Generator, points_m: npt.NDArray[np.floating], scale_m: float
+) -> Float64Array:
+    """Weights at points ``[V, 3]`` of `FIELD_WAVES` strengths of unit variance, whose sum changes
+    over `scale_m`. float64 ``[V, 48]``."""
+    direction = random.normal(0.0, 1.0 / scale_m, (3, FIELD_WAVES))
+    phase = random.uniform(0.0, 2 * np.pi, FIELD_WAVES)
+    return np.sqrt(2.0 / FIELD_WAVES) * np.cos(points_m.astype(np.float64) @ direction + phase)

@@ -5,6 +5,7 @@ import functools
 import numpy as np
 import pytest
 
+from helpers.head_checks import grid_lines
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES
 from pica_core.capture.dataset.files import MAP_SIZE
 from pica_core.capture.procedural.heads import HEADS, ProceduralHead, make_head
@@ -35,9 +36,9 @@ def posed_mm(head: ProceduralHead, **shapes: float) -> np.ndarray:
 
 
 def skin_row(head: ProceduralHead, vertices: np.ndarray, row: int) -> np.ndarray:
-    chart = head.charts["skin"]
-    grid = vertices[chart.span].reshape(*chart.shape, 3)
-    return grid[int(np.flatnonzero(chart.rows == row)[0])]
+    rows, columns = grid_lines(head, "skin")
+    grid = vertices[head.charts["skin"]].reshape(len(rows), len(columns), 3)
+    return grid[int(np.flatnonzero(rows == row)[0])]
 
 
 def eye_columns(head: ProceduralHead) -> np.ndarray:
@@ -60,12 +61,12 @@ def test_faces_point_at_vertices_that_exist_and_use_all_of_them(head: Procedural
 
 def test_charts_keep_two_texels_between_each_other() -> None:
     taken = np.zeros((MAP_SIZE, MAP_SIZE), int)
-    for index, chart in enumerate(head_of("S1").charts.values(), start=1):
-        rows = slice(max(chart.rows[0] - 2, 0), chart.rows[-1] + 3)
-        columns = slice(max(chart.columns[0] - 2, 0), chart.columns[-1] + 3)
-        around = taken[rows, columns]
-        assert not around.any(), f"{chart.name} comes too near to chart {around.max()}"
-        taken[chart.rows[0] : chart.rows[-1] + 1, chart.columns[0] : chart.columns[-1] + 1] = index
+    for index, chart in enumerate(head_of("S1").charts, start=1):
+        rows, columns = grid_lines(head_of("S1"), chart)
+        top, left = max(rows[0] - 2, 0), max(columns[0] - 2, 0)
+        around = taken[top : rows[-1] + 3, left : columns[-1] + 3]
+        assert not around.any(), f"{chart} comes too near to chart {around.max()}"
+        taken[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] = index
 
 
 def test_no_face_is_degenerate_at_rest(head: ProceduralHead) -> None:
@@ -103,18 +104,18 @@ def test_lids_stay_outside_the_eyeball(head: ProceduralHead, blink: float) -> No
 def test_looks_turn_both_eyes_to_the_same_side(head: ProceduralHead) -> None:
     vertices = posed_mm(head, eyeLookOutLeft=1.0, eyeLookInRight=1.0) - posed_mm(head)
     for name in ("eye_left", "eye_right"):
-        chart = head.charts[name]
-        middle = chart.first + chart.shape[0] * chart.shape[1] // 2 + chart.shape[1] // 2
+        rows, columns = grid_lines(head, name)
+        middle = head.charts[name].start + len(rows) * len(columns) // 2 + len(columns) // 2
         assert vertices[middle, 0] > 3.0  # the subject's left is +x
 
 
 def test_jaw_open_takes_chin_and_lower_teeth_down_and_leaves_the_nose(head: ProceduralHead) -> None:
     moved = posed_mm(head, jawOpen=1.0) - posed_mm(head)
-    teeth = moved[head.charts["teeth_lower"].span]
+    teeth = moved[head.charts["teeth_lower"]]
     assert teeth[:, 1].min() < -25.0
     chin = skin_row(head, moved, 146)  # the front of the chin; row 150 lies under it
     assert chin[len(chin) // 2, 1] < -18.0
-    assert np.abs(moved[head.charts["teeth_upper"].span]).max() == 0.0
+    assert np.abs(moved[head.charts["teeth_upper"]]).max() == 0.0
     nose = np.abs(skin_row(head, posed_mm(head), 92)[:, 0]) < 20.0
     assert np.abs(skin_row(head, moved, 92)[nose]).max() < 1.5
 
@@ -160,9 +161,9 @@ def test_every_shape_moves_something_and_spares_cranium_and_hair(name: str) -> N
 def test_mirrored_expressions_make_mirrored_skin() -> None:
     head = head_of("S1")
     chart = head.charts["skin"]
-    shape = (*chart.shape, 3)
-    left = head.vertices(blend(mouthSmileLeft=1.0, eyeBlinkLeft=1.0))[chart.span].reshape(shape)
-    right = head.vertices(blend(mouthSmileRight=1.0, eyeBlinkRight=1.0))[chart.span].reshape(shape)
+    shape = (*map(len, grid_lines(head, "skin")), 3)
+    left = head.vertices(blend(mouthSmileLeft=1.0, eyeBlinkLeft=1.0))[chart].reshape(shape)
+    right = head.vertices(blend(mouthSmileRight=1.0, eyeBlinkRight=1.0))[chart].reshape(shape)
     np.testing.assert_allclose(left[:, ::-1] * [-1, 1, 1], right, atol=2e-6)
 
 
@@ -184,8 +185,7 @@ def test_real_like_combinations_stay_finite_and_near_the_head(head: ProceduralHe
 def test_normals_are_unit_and_agree_across_the_seam(head: ProceduralHead) -> None:
     normals = head.normals(head.vertices(np.zeros(52)))
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-4)
-    chart = head.charts["skin"]
-    grid = normals[chart.span].reshape(*chart.shape, 3)
+    grid = normals[head.charts["skin"]].reshape(*map(len, grid_lines(head, "skin")), 3)
     np.testing.assert_array_equal(grid[:, 0], grid[:, -1])
 
 

@@ -14,9 +14,9 @@ from pica_command.main import main
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.rig.skin import open_albedo
-from pica_core.capture.rig.subject import RigSubject
 from pica_core.capture.stage.dome import dome_cameras
 from pica_core.capture.stage.expressions import blend
+from pica_core.capture.stage.rig import RigSubject
 from pica_core.capture.stage.synth import RenderOptions, render_subject
 from pica_core.errors import CaptureError
 

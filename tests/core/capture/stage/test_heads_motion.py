@@ -5,7 +5,7 @@ import functools
 import numpy as np
 import pytest
 
-from helpers.head_checks import HeadChecks, front_depth
+from helpers.head_checks import HeadChecks, front_depth, grid_lines
 from helpers.head_zones import (
     LEAST_SHARE,
     MOST_ELSEWHERE_MM,
@@ -104,10 +104,10 @@ def test_an_eyeball_or_a_tooth_out_of_place_is_found() -> None:
 
 def test_a_vertex_pulled_over_its_neighbours_is_a_fold() -> None:
     checks = checks_of("S1")
-    chart = checks.head.charts["skin"]
-    row = int(np.flatnonzero(chart.rows == 54)[0])
-    vertices = checks.rest.copy()
-    vertices[chart.first + row * chart.shape[1] + chart.shape[1] // 2] += [7.0, 7.0, 0.0]
+    rows, columns = grid_lines(checks.head, "skin")
+    row, vertices = int(np.flatnonzero(rows == 54)[0]), checks.rest.copy()
+    middle = row * len(columns) + len(columns) // 2
+    vertices[checks.head.charts["skin"].start + middle] += [7.0, 7.0, 0.0]
     assert len(checks.folded(vertices)) > 0
 
 

@@ -13,8 +13,7 @@ from pica_core.capture.dataset.multiface import MATERIALS, krt_text, read_krt
 from pica_core.capture.dataset.sheet import write_sheet
 from pica_core.capture.dataset.writer import BackgroundWriter
 from pica_core.capture.procedural.heads import make_head
-from pica_core.capture.procedural.subject import StageOptions, draw_head, render_capture
-from pica_core.capture.rig.gpu import RigRenderer
+from pica_core.capture.procedural.subject import ProceduralSubject, StageOptions, render_capture
 from pica_core.capture.stage.dome import EVALUATION_VIEWS, dome_cameras
 from pica_core.capture.stage.expressions import blend
 from pica_core.capture.stage.gpu import DEPTH_TOLERANCE_M
@@ -38,8 +37,8 @@ OPTIONS = StageOptions(
 
 
 @pytest.fixture(scope="module")
-def renderer() -> RigRenderer:
-    return draw_head(make_head("S1"), bake_size=256, occlusion=False)
+def subject() -> ProceduralSubject:
+    return ProceduralSubject("S1", bake_size=256, self_shadow=False)
 
 
 @pytest.fixture(scope="module")
@@ -69,18 +68,18 @@ def files_of(root: Path) -> dict[str, bytes]:
     }
 
 
-def test_projected_vertices_meet_the_rendered_depth(renderer: RigRenderer) -> None:
+def test_projected_vertices_meet_the_rendered_depth(subject: ProceduralSubject) -> None:
     camera = dome_cameras(1, 256, 256)[0]
-    vertices = renderer.pose(blend(jawOpen=0.3))
-    view = renderer.draw(camera)
+    vertices = subject.pose(blend(jawOpen=0.3))
+    view = subject.draw(camera)
     depth, mask = view.depth_m, view.mask
     pixels, distance = camera.project(vertices)
-    normals = renderer.head.normals(vertices)
+    normals = subject.head.normals(vertices)
     towards = camera.centre_m - vertices
     facing = (normals * towards).sum(1) / np.linalg.norm(towards, axis=1)
     column, row = np.floor(pixels).astype(int).T
-    head = renderer.head
-    shown = head.regions["face"] | head.regions["hair"] | head.regions["neck"]
+    regions = subject.topology.regions
+    shown = regions["face"] | regions["hair"] | regions["neck"]
     inside = shown & (facing > 0.7) & (row >= 0) & (row < 256) & (column >= 0) & (column < 256)
     seen = inside.copy()
     seen[inside] = mask[row[inside], column[inside]] > 0
@@ -92,34 +91,34 @@ def test_projected_vertices_meet_the_rendered_depth(renderer: RigRenderer) -> No
     assert (off > -0.003).mean() > 0.995
 
 
-def test_closed_lids_hide_the_eyes(renderer: RigRenderer) -> None:
+def test_closed_lids_hide_the_eyes(subject: ProceduralSubject) -> None:
     camera = dome_cameras(1, 384, 384)[0]
     eye = MATERIALS.index("eye") + 1
-    renderer.pose(blend())
-    open_mask = renderer.draw(camera).mask
-    renderer.pose(blend(eyeBlink=1.0))
-    closed_mask = renderer.draw(camera).mask
+    subject.pose(blend())
+    open_mask = subject.draw(camera).mask
+    subject.pose(blend(eyeBlink=1.0))
+    closed_mask = subject.draw(camera).mask
     assert (open_mask == eye).sum() > 100
     assert (closed_mask == eye).sum() <= 6
 
 
-def test_teeth_show_when_the_mouth_opens_and_not_at_rest(renderer: RigRenderer) -> None:
+def test_teeth_show_when_the_mouth_opens_and_not_at_rest(subject: ProceduralSubject) -> None:
     camera = dome_cameras(1, 384, 384)[0]
     teeth = MATERIALS.index("teeth") + 1
-    renderer.pose(blend())
-    closed = renderer.draw(camera).mask
-    renderer.pose(blend(jawOpen=0.7))
-    opened = renderer.draw(camera).mask
+    subject.pose(blend())
+    closed = subject.draw(camera).mask
+    subject.pose(blend(jawOpen=0.7))
+    opened = subject.draw(camera).mask
     assert (closed == teeth).sum() <= 4
     assert (opened == teeth).sum() > 20
 
 
 def test_an_unwrapped_texture_covers_the_face_and_matches_the_image(
-    renderer: RigRenderer,
+    subject: ProceduralSubject,
 ) -> None:
     cameras = dome_cameras(5, 192, 192)
-    renderer.pose(blend())
-    texture, seen = renderer.unwrap([(camera, renderer.draw(camera)) for camera in cameras], 128)
+    subject.pose(blend())
+    texture, seen = subject.unwrap([(camera, subject.draw(camera)) for camera in cameras], 128)
     assert seen[30:75, 40:88].mean() > 0.85  # brows to chin
     assert texture[~seen].max() == 0
     assert texture[seen].mean() > 40
