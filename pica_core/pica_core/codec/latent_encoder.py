@@ -82,13 +82,8 @@ class StreamConfig:
 
 def rounding_by_type(num_components: int) -> Int64Array:
     """What is added before residuals are cut off, in 64ths of a step. int64 ``[types, C]``."""
-    return np.array(
-        [
-            [latent] * num_components + [pose] * NUM_POSE
-            for latent, pose in zip(ROUNDING, POSE_ROUNDING, strict=True)
-        ],
-        np.int64,
-    )
+    by_part = np.array([ROUNDING, POSE_ROUNDING], np.int64).T
+    return np.repeat(by_part, (num_components, NUM_POSE), axis=1)
 
 
 class LatentEncoder:
