@@ -160,8 +160,7 @@ def _compact(folder: Path, path: Path) -> tuple[RigSource, FloatArray]:
 
 def _grid(points_cm: Float64Array) -> list[list[int]]:
     """Places in steps of 5 micrometres."""
-    table: list[list[int]] = np.rint(points_cm * 2000).astype(np.int64).tolist()
-    return table
+    return np.rint(points_cm * 2000).astype(np.int64).tolist()
 
 
 def _check_vertices(path: Path, count: int) -> None:
