@@ -173,8 +173,7 @@ def _changes(coefficients: Float64Array) -> Float64Array:
     """Differences between frames and their references, as the layers of a stream have them."""
     back = np.array([{0: 4, 1: 2, 2: 1}[layer] for layer in LAYER_PATTERNS[3]])
     times = np.arange(len(back), len(coefficients))
-    changes: Float64Array = coefficients[times] - coefficients[times - back[times % len(back)]]
-    return changes
+    return coefficients[times] - coefficients[times - back[times % len(back)]]
 
 
 def _sparse_turn(changes: Float64Array, sweeps: int, step: float) -> Float64Array:
@@ -327,8 +326,7 @@ def _wandering_pose(length: int, rng: np.random.Generator) -> npt.NDArray[np.int
         pose += strength * np.sin(2 * np.pi * times / period_s + phase)
     pose *= np.array([0.05] * 3 + [0.006] * 3) * rng.choice([0.0, 0.3, 1.0])
     noise = rng.normal(0, [0.0005] * 3 + [0.0001] * 3, (length, NUM_POSE)) * rng.choice([0.0, 1.0])
-    units: npt.NDArray[np.int64] = np.rint((pose + noise) * (1 << POSE_BITS)).astype(np.int64)
-    return units
+    return np.rint((pose + noise) * (1 << POSE_BITS)).astype(np.int64)
 
 
 def _gather(
@@ -371,5 +369,4 @@ def _frequencies(weights: Float64Array) -> npt.NDArray[np.uint16]:
     floors = np.floor(exact).astype(np.int64)
     order = np.argsort(-(exact - floors), kind="stable")
     floors[order[: spare - int(floors.sum())]] += 1
-    frequencies: npt.NDArray[np.uint16] = (floors + 1).astype(np.uint16)
-    return frequencies
+    return (floors + 1).astype(np.uint16)

@@ -65,8 +65,7 @@ def poking(shown: ByteArray, truth: ByteArray) -> BoolArray:
     side = 2 * REACH_PX + 1
     around = sliding_window_view(np.pad(truth, REACH_PX), (side, side))
     elsewhere = (around != shown[..., None, None]).all(axis=(-2, -1))
-    found: BoolArray = elsewhere & (shown > 0) & (truth > 0)
-    return found
+    return elsewhere & (shown > 0) & (truth > 0)
 
 
 def poke_ratio(shown: ByteArray, truth: ByteArray) -> float:

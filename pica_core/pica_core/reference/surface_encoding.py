@@ -53,8 +53,7 @@ def _axes(tensors: Tensors, uv: Array, dtype: Dtype) -> Array:
 
 
 def _uv(tensors: Tensors, uv: Array, dtype: Dtype) -> Array:
-    centred: Array = 2 * uv - dtype(1)
-    return centred
+    return 2 * uv - dtype(1)
 
 
 def _sinusoids(tensors: Tensors, uv: Array, dtype: Dtype) -> Array:
