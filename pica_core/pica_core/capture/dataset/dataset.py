@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Collection
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -101,10 +102,7 @@ class Capture:
                 self.path, len(self.left_out), len(listed), self.left_out[0],
             )  # fmt: skip
         self._arkit = None if arkit is None else arkit[[frame.index for frame in kept]]
-        self.frames = tuple(
-            CaptureFrame(index=index, segment=frame.segment, name=frame.name, split=frame.split)
-            for index, frame in enumerate(kept)
-        )
+        self.frames = tuple(replace(frame, index=index) for index, frame in enumerate(kept))
 
     def _incomplete(self, frame: CaptureFrame) -> str | None:
         """Why a frame cannot be used, from names and sizes alone; None if it can."""
