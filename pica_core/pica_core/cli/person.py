@@ -1,6 +1,5 @@
 """`pica capture person`."""
 
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,6 @@ from pica_core.capture.person.choices import (
 )
 from pica_core.capture.person.model import FaceModel, read_model
 from pica_core.capture.person.subject import PersonSubject
-from pica_core.capture.stage.progress import rendering_bar
 from pica_core.capture.stage.synth import RenderOptions, render_subject
 from pica_core.cli.capture import RenderArguments, baked_side
 from pica_core.errors import CaptureError
@@ -76,7 +74,6 @@ class PersonOptions(RenderArguments):
 def person(options: PersonOptions) -> dict[str, Any]:
     """Render a person of the ICT-FaceKit face model into a capture directory."""
     stage = RenderOptions(**options.values())
-    started = time.monotonic()
     console = Console(stderr=True, highlight=False)
     model = read_model(options.facekit)
     who, clipped = options.choose(model)
@@ -95,13 +92,11 @@ def person(options: PersonOptions) -> dict[str, Any]:
         notes.extend(subject.notes)
         return subject
 
-    with rendering_bar(console, options.frames) as show:
-        counts = render_subject(make, stage, options.out, show)
+    made = options.render(console, lambda show: render_subject(make, stage, options.out, show))
     write_aside(options.out / FILE, who.as_json().encode())
-    seconds = time.monotonic() - started
-    console.print(f"{counts['images']} images in {options.out}, {seconds:.1f} s")
-    limits = float(np.abs(who.coefficients).max())
-    return {
-        "out": str(options.out), "seconds": round(seconds, 3), **counts, "notes": notes,
-        "clipped": clipped, "largest_coefficient": limits, "person": str(options.out / FILE),
-    }  # fmt: skip
+    return made | {
+        "notes": notes,
+        "clipped": clipped,
+        "largest_coefficient": float(np.abs(who.coefficients).max()),
+        "person": str(options.out / FILE),
+    }
