@@ -36,6 +36,12 @@ QUIET_ROUNDING = 22
 """The same for telling whether a face is still: what no frame would say must not keep it awake, so
 no more than any of a base frame's."""
 DEFAULT_QUALITY = 3
+KEYFRAME_PAUSE_S = 0.25
+"""Shortest time between two keyframes; requests in between are answered together."""
+STILL_AFTER_US = 250_000
+"""A face that has not changed for so long falls silent."""
+HEARTBEAT_US = 1_000_000
+"""Time between two frames of a silent face."""
 MAX_POSE = np.repeat((np.pi, 1.0), 3)
 """Rotation vectors (radians) and offsets (metres) are clamped to this: half a turn, an arm's length
 about the chair."""
@@ -56,16 +62,9 @@ class StreamConfig:
     """1 to 3 temporal layers; None chooses by `fps`."""
     keyframe_interval_s: float = 10.0
     """A keyframe at least this often, for whoever could not ask for one."""
-    keyframe_pause_s: float = 0.25
-    """Shortest time between two keyframes; requests in between are answered together."""
-    still_after_s: float = 0.25
-    """A face that has not changed for so long falls silent."""
-    heartbeat_s: float = 1.0
-    """Time between two frames of a silent face."""
 
     def __post_init__(self) -> None:
         check_ranges(self, fps=(0.1, 1000), num_layers=(1, 3), keyframe_interval_s=(0.1, 3600))
-        check_ranges(self, keyframe_pause_s=(0, 60), still_after_s=(0, 60), heartbeat_s=(0.1, 60))
         check_ranges(self, quality=(0, 15), target_bps=(100, 1e7))
 
     @property
@@ -161,7 +160,7 @@ class LatentEncoder:
             self._is_silent &= is_quiet
             return self._send(wanted, 0, None, now_us, is_still=self._is_silent)
         if self._is_silent:
-            if is_quiet and now_us - self._sent_us < self.config.heartbeat_s * 1e6:
+            if is_quiet and now_us - self._sent_us < HEARTBEAT_US:
                 return None
             self._is_silent = is_quiet
             self._phase = 0
@@ -171,8 +170,7 @@ class LatentEncoder:
         layer = self._pattern[self._phase]
         if layer == 0:
             is_still = (
-                self._quiet_since_us is not None
-                and now_us - self._quiet_since_us >= self.config.still_after_s * 1e6
+                self._quiet_since_us is not None and now_us - self._quiet_since_us >= STILL_AFTER_US
             )
             self._is_silent = is_still
             return self._send(wanted, 0, base, now_us, is_still=is_still)
@@ -182,7 +180,7 @@ class LatentEncoder:
         if self._keyframe_us is None:
             return True
         since_s = (now_us - self._keyframe_us) / 1e6
-        if self._is_keyframe_wanted and since_s >= self.config.keyframe_pause_s:
+        if self._is_keyframe_wanted and since_s >= KEYFRAME_PAUSE_S:
             return True
         return since_s >= self.config.keyframe_interval_s
 
