@@ -219,10 +219,8 @@ def read_arrays(path: Path) -> dict[str, Array]:
             return {name: archive[name] for name in archive.files}
     except FileNotFoundError:
         raise CaptureError(f"{path}: the file is missing") from None
-    except (OSError, ValueError, EOFError) as error:
-        raise CaptureError(f"{path}: not a complete archive ({error})") from error
     except Exception as error:  # zipfile and zlib have error classes of their own
-        raise CaptureError(f"{path}: damaged archive ({error})") from error
+        raise CaptureError(f"{path}: not a complete archive ({error})") from error
 
 
 def read_topology(path: Path) -> Topology:

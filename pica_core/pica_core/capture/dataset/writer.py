@@ -105,8 +105,7 @@ class TrainingSums:
     def add(self, vertices_mm: FloatArray, texture: ByteArray) -> None:
         """Count one frame."""
         self._count += 1
-        for k, array in enumerate((vertices_mm, texture)):
-            values = array.astype(np.float64)
+        for k, values in enumerate((vertices_mm.astype(np.float64), texture.astype(np.float64))):
             self._sums[k] = self._sums[k] + values
             self._squares[k] = self._squares[k] + values * values
 
