@@ -10,6 +10,7 @@ from rich.console import Console
 from pica_core.capture.dataset.multiface import write_aside
 from pica_core.capture.person.choices import (
     CLIP,
+    NAMED,
     Person,
     draw_person,
     read_coefficients,
@@ -55,10 +56,7 @@ class PersonOptions(RenderArguments):
 
     def choose(self, model: FaceModel) -> tuple[Person, int]:
         """The person that is meant, and how many coefficients were clipped."""
-        names = (
-            "sex", "age", "skin", "hair", "hair_colour", "beard", "eyes", "clothes",
-            "clothes_colour",
-        )  # fmt: skip
+        names = (*NAMED, "age", "skin")
         chosen = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
         if self.person is not None:
             if chosen or self.coefficients is not None:

@@ -6,7 +6,7 @@ or a tail is a closed sheet of rings, laid outside of head, ears, neck and cloth
 painted along both. Lengths are metres in the head frame; azimuth 0 is the front.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -161,11 +161,8 @@ def lumps(points: Float64Array, size_m: float, seed: int) -> Float64Array:
     return np.sin(points @ waves.T + phase).sum(1) / np.sqrt(12)
 
 
-def flow(
-    points: Float64Array, normals: Float64Array, style: Style, curl: float | None = None
-) -> Float64Array:
+def flow(points: Float64Array, normals: Float64Array, style: Style) -> Float64Array:
     """Direction of strands over the head, unit length, along the surface. ``[P, 3]``."""
-    curl = style.curl if curl is None else curl
     way = np.broadcast_to(np.array(style.flow), points.shape).copy()
     if style.tail:
         way = tie(points) - points
@@ -176,7 +173,7 @@ def flow(
         way = points - [0.0, 0.13, -0.02]
     way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
     way -= normals * (way * normals).sum(1, keepdims=True)
-    amount, size = (0.6, 0.012) if curl else (0.12, 0.03)  # curls break the highlight
+    amount, size = (0.6, 0.012) if style.curl else (0.12, 0.03)  # curls break the highlight
     way += amount * np.stack([lumps(points, size, k) for k in range(3)], 1)
     return way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
 
@@ -191,7 +188,7 @@ def raise_cap(
     fore = smooth((points[:, 2] - 0.02) / 0.06) * smooth((points[:, 1] - 0.06) / 0.04)
     thick = thick * top + style.quiff / 1000 * fore * smooth(coverage / style.rise)
     # Clumps run along the strands: noise that is drawn out along them.
-    way = flow(points, normals, style, curl=0.0)
+    way = flow(points, normals, replace(style, curl=0.0))
     drawn = sum(lumps(points + way * k, 0.011, seed) for k in (-0.012, -0.006, 0.0, 0.006, 0.012))
     thick = thick * (1 + 0.055 * style.clumps * drawn)
     if style.parting is not None:
