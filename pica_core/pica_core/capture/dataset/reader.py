@@ -19,8 +19,6 @@ from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from itertools import islice
 
-import numpy as np
-
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.errors import CaptureError
 from pica_core.types import Array
@@ -180,6 +178,6 @@ def _sizes(capture: Capture) -> dict[str, int]:
         "depth": 4 * pixels,
         "true_depth": 4 * pixels,
         "texture": 3 * capture.texture_size**2,
-        "vertices": np.dtype(np.float32).itemsize * 3 * len(capture.tracked_topology.vertex_uv),
-        "true_vertices": np.dtype(np.float32).itemsize * 3 * capture.num_vertices,
+        "vertices": 12 * len(capture.tracked_topology.vertex_uv),
+        "true_vertices": 12 * len(capture.topology.vertex_uv),
     }
