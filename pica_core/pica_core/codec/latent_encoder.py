@@ -208,13 +208,6 @@ class LatentEncoder:
         steps = self.profile.steps[self._quality]
         return not frames.quantise(wanted - base.coefficients, steps, QUIET_ROUNDING).any()
 
-    def _residual(
-        self, wanted: Int64Array, reference: frames.FrameState | None, kind: int, quality: int
-    ) -> Int64Array:
-        """Quantised difference from what a frame type predicts."""
-        expected = frames.predict(self.profile, kind, reference)
-        return frames.quantise(wanted - expected, self.profile.steps[quality], self._rounding[kind])
-
     @property
     def _quality(self) -> int:
         return self.config.quality if self._controller is None else self._controller.quality
@@ -232,16 +225,20 @@ class LatentEncoder:
         sequence = self._sequence + 1
         if reference is not None and sequence - reference.sequence > MAX_DISTANCE:
             layer, reference = 0, None
-        kind = frames.frame_type(layer, reference)
         controller, now_s = self._controller, now_us / 1e6
         quality = self._quality if controller is None else controller.propose(layer)
         quality = min(quality + is_still, self.profile.num_qualities - 1)
         while True:
-            residual = self._residual(wanted, reference, kind, quality)
+            kind = frames.frame_type(layer, reference)
+            residual = frames.quantise(
+                wanted - frames.predict(self.profile, kind, reference),
+                self.profile.steps[quality],
+                self._rounding[kind],
+            )
             if reference is not None and np.abs(residual).max() > frames.MAX_RESIDUAL:
                 # A leap that no face makes, as when a tracker takes one side for the other.
-                layer, reference, kind = 0, None, frames.frame_type(0, None)
-                residual = self._residual(wanted, None, kind, quality)
+                layer, reference = 0, None
+                continue
             payload, state = frames.encode_frame(
                 self.profile,
                 np.clip(residual, -frames.MAX_RESIDUAL, frames.MAX_RESIDUAL),
