@@ -6,7 +6,7 @@ or nothing for the plain 8-bit format, which every avatar can be sent in.
 
 from pica_core.avatar.file import Avatar
 from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
-from pica_core.codec.plain_stream import LatentProfile, PlainDecoder, PlainEncoder
+from pica_core.codec.plain_stream import PlainDecoder, PlainEncoder
 from pica_core.errors import ProfileError
 
 PLAIN = ""
@@ -30,7 +30,7 @@ def open_encoder(
     """
     profile = None if plain else avatar.stream_profile()
     if profile is None:
-        return PlainEncoder(LatentProfile(latent_scale=avatar.manifest.latent_scale)), PLAIN
+        return PlainEncoder(avatar.manifest.latent_scale), PLAIN
     return LatentEncoder(profile, config), profile.hash
 
 
@@ -44,7 +44,7 @@ def open_decoder(avatar: Avatar, name: str) -> FaceDecoder:
         ProfileError: The sender uses tables that this avatar file does not hold.
     """
     if name == PLAIN:
-        return PlainDecoder(LatentProfile(latent_scale=avatar.manifest.latent_scale))
+        return PlainDecoder(avatar.manifest.latent_scale)
     profile = avatar.stream_profile()
     if profile is None or profile.hash != name:
         raise ProfileError(
