@@ -88,34 +88,23 @@ class PixelCodecAvatar(interface.AvatarModel):
             self.pixel_decoder.start_from(texture, texture_contrast, xyz_m, uv)
         self.expression_encoder = interface.ExpressionEncoder()
 
-    def decode_geometry(self, latent: Tensor) -> Tensor:
-        """Latents ``[N, 4, 8, 8]`` to position maps in metres ``[N, 3, 256, 256]``."""
-        offset: Tensor = self.geometry(latent)
-        return self.position_mean + self.position_scale_m * offset
-
-    def decode_expression(self, latent: Tensor, view_direction: Tensor) -> Tensor:
-        """Latents ``[N, 4, 8, 8]`` and view directions ``[N, 3]`` to ``[N, 4, 256, 256]``."""
-        grid = torch.cat([latent, tile_view_direction(view_direction)], 1)
-        codes: Tensor = self.expression(grid)
-        return codes
-
     def decode_mesh(self, latent: Tensor) -> interface.DecodedMesh:
         """The position map of each latent and what the vertices find in it, or the vertices that
         its bases make."""
         if isinstance(self.geometry, LinearGeometry):
             dense_m, tracked_m = self.geometry(latent)
             return interface.DecodedMesh(dense_m, tracked_m, None)
-        position_map = self.decode_geometry(latent)
-        vertices_m = sample_map(position_map, self._drawn_uv)
-        if self._draws_tracked:
-            return interface.DecodedMesh(vertices_m, vertices_m, position_map)
-        return interface.DecodedMesh(
-            vertices_m, sample_map(position_map, self._tracked_uv), position_map
-        )
+        position_map = self.position_mean + self.position_scale_m * self.geometry(latent)
+        drawn_m = tracked_m = sample_map(position_map, self._drawn_uv)
+        if not self._draws_tracked:
+            tracked_m = sample_map(position_map, self._tracked_uv)
+        return interface.DecodedMesh(drawn_m, tracked_m, position_map)
 
     def appearance(self, latent: Tensor, view_direction: Tensor) -> Tensor:
         """Expression maps, ``[N, 4, 256, 256]``."""
-        return self.decode_expression(latent, view_direction)
+        grid = torch.cat([latent, tile_view_direction(view_direction)], 1)
+        codes: Tensor = self.expression(grid)
+        return codes
 
     def shade(
         self, appearance: Tensor, surface: interface.Surface, *, detach_xyz: bool = True

@@ -97,9 +97,7 @@ class AxisTables(SurfaceEncoding):
 class RawUv(SurfaceEncoding):
     """The coordinates in [-1, 1]; no weights."""
 
-    def __init__(self, spec: AvatarSpec, amplitude: float) -> None:
-        super().__init__()
-        self.channels = 2
+    channels = 2
 
     def forward(self, uv: Tensor) -> Tensor:
         """2 uv - 1."""
@@ -110,9 +108,7 @@ class RawUv(SurfaceEncoding):
 class Sinusoids(SurfaceEncoding):
     """Ten octaves of sines and cosines; no weights."""
 
-    def __init__(self, spec: AvatarSpec, amplitude: float) -> None:
-        super().__init__()
-        self.channels = 4 * NUM_FREQUENCIES
+    channels = 4 * NUM_FREQUENCIES
 
     def forward(self, uv: Tensor) -> Tensor:
         """Whole turns are taken off first, which is exact in any precision."""
@@ -151,8 +147,8 @@ class SideBySide(SurfaceEncoding):
 PARTS: dict[str, Callable[[AvatarSpec, float], SurfaceEncoding]] = {
     "joint": JointMap,
     "axes": AxisTables,
-    "uv": RawUv,
-    "sinusoids": Sinusoids,
+    "uv": lambda spec, amplitude: RawUv(),
+    "sinusoids": lambda spec, amplitude: Sinusoids(),
 }
 
 

@@ -264,10 +264,6 @@ class AvatarModel(nn.Module, ABC):
         """Vertices to draw, metres, ``[N, V, 3]``."""
         return self.decode_mesh(latent).vertices_m
 
-    def tracked_vertices(self, latent: Tensor) -> Tensor:
-        """Vertices of the tracked topology, metres, ``[N, Vt, 3]``, for the mesh loss."""
-        return self.decode_mesh(latent).tracked_m
-
 
 def grid_of_latent(values: Tensor) -> Tensor:
     """Flat latents ``[N, 256]``, ordered row, column, channel, as ``[N, 4, 8, 8]``."""

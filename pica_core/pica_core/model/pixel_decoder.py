@@ -64,10 +64,8 @@ class Siren(nn.Module):
 
     def forward(self, values: Tensor) -> Tensor:
         """``[P, in]`` to ``[P, out]``."""
-        if not self.linear_output:
-            return torch.sin(self.last(self.hidden(values)))
         output: Tensor = self.last(self.hidden(values))
-        return output
+        return output if self.linear_output else torch.sin(output)
 
     @property
     def last(self) -> nn.Linear:

@@ -72,8 +72,9 @@ def decoded(model: PixelCodecAvatar) -> tuple[torch.Tensor, ...]:
     latent = torch.randn(1, 4, 8, 8)
     view = torch.nn.functional.normalize(torch.randn(1, 3))
     with torch.no_grad():
-        position = model.decode_geometry(latent)
-        return latent, view, position, model.decode_expression(latent, view)
+        position = model.decode_mesh(latent).position_map_m
+        assert position is not None
+        return latent, view, position, model.appearance(latent, view)
 
 
 @pytest.mark.parametrize("block", BLOCKS)
