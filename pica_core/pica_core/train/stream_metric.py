@@ -17,7 +17,7 @@ from pica_core.capture.stage.stream_training_faces import stream_training_perfor
 from pica_core.codec.learning import RenderMetric, learn_profile
 from pica_core.codec.profile import StreamProfile
 from pica_core.latent import LATENT_SHAPE, NUM_LATENT
-from pica_core.train.painter import ModelPainter
+from pica_core.train.eval.model_evaluator import ModelEvaluator
 from pica_core.types import Float64Array
 
 BACKGROUND = 0.25
@@ -37,7 +37,7 @@ IMAGE_SIZE = 192
 """Rows and columns of the pictures."""
 
 
-def make_stream_profile(painter: ModelPainter) -> StreamProfile:
+def make_stream_profile(painter: ModelEvaluator) -> StreamProfile:
     """Learn the stream of a trained avatar from codes as a live sender makes them.
 
     Args:
@@ -53,7 +53,9 @@ def make_stream_profile(painter: ModelPainter) -> StreamProfile:
     return learn_profile(sequences, metric)
 
 
-def _paint(painter: ModelPainter, code: Float64Array, cameras: list[Camera]) -> tuple[Tensor, int]:
+def _paint(
+    painter: ModelEvaluator, code: Float64Array, cameras: list[Camera]
+) -> tuple[Tensor, int]:
     """Pictures of a latent ``[256]`` behind each other, 0-255, and how many pixels are covered."""
     grid = torch.from_numpy(code.astype(np.float32)).view(1, *LATENT_SHAPE).permute(0, 3, 1, 2)
     vertices_m, values, covered = painter.vertices_m(grid), [], 0
@@ -65,7 +67,7 @@ def _paint(painter: ModelPainter, code: Float64Array, cameras: list[Camera]) -> 
     return torch.cat(values), covered
 
 
-def _measure(painter: ModelPainter, codes: Float64Array) -> RenderMetric:
+def _measure(painter: ModelEvaluator, codes: Float64Array) -> RenderMetric:
     by_name = {camera.name: camera for camera in dome_cameras(5, IMAGE_SIZE, IMAGE_SIZE)}
     cameras = [by_name[name] for name in VIEWS]
 

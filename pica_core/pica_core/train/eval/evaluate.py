@@ -17,9 +17,8 @@ from torch import Tensor
 from pica_core.train.data.sampler import spaced
 from pica_core.train.data.training import TrainingData
 from pica_core.train.eval.metrics import bootstrap_interval, change_mse, mse, psnr_db, ssim
-from pica_core.train.eval.model_evaluator import ModelEvaluator
+from pica_core.train.eval.model_evaluator import ModelEvaluator, Picture
 from pica_core.train.loop import Trainer
-from pica_core.train.painter import Picture
 from pica_core.types import FloatArray
 
 Source = Literal["encoder", "driver"]
@@ -64,13 +63,14 @@ def successor(data: TrainingData, frame: int) -> int | None:
 
 
 def measure_views(
-    evaluator: ModelEvaluator, frames: list[int], source: Source = "encoder"
+    evaluator: ModelEvaluator, frames: list[int], source: Source = "encoder", *, samples: int = 1
 ) -> dict[str, ViewErrors]:
     """Draw frames from all evaluation views, and measure.
 
     Args:
         source: Whose latents: the model's own encoder's, as in the paper, or what a live sender
             makes of ARKit values.
+        samples: Along each side of a pixel, odd; the paper draws with one.
 
     Returns:
         Errors by view, of those views that have an image of any of the frames.
@@ -86,13 +86,14 @@ def measure_views(
                 continue
             errors = found[view]
             camera, image = data.images.camera(frame, view), data.images.image(frame, view)
-            picture = evaluator.draw(latent, camera)
+            picture = evaluator.draw(latent, camera, samples=samples)
             seen = evaluator.seen(picture, frame, view)
             errors.mse.append(mse(picture.colours, seen))
             laid = picture.on(image)
             errors.ssim.append(ssim(laid, image, picture.covered(camera)))
             if after is not None and later is not None and view in data.images.cameras_of(after):
-                second = evaluator.draw(later, data.images.camera(after, view))
+                second_camera = data.images.camera(after, view)
+                second = evaluator.draw(later, second_camera, samples=samples)
                 errors.change_mse.append(
                     _change(picture, second, seen, evaluator.seen(second, after, view))
                 )

@@ -206,13 +206,13 @@ def measure(
     data.meshes.use(run.config.mesh_source)
     cost = model.cost
     with Rasteriser.of(data.meshes.topology(model.topology)) as rasteriser:
-        evaluator = ModelEvaluator(data, model, rasteriser, samples=samples)
+        evaluator = ModelEvaluator(data, model, rasteriser)
         progress("views")
-        found = measure_views(evaluator, truth.frames)
+        found = measure_views(evaluator, truth.frames, samples=samples)
         progress("geometry")
         depth = _depth_errors(evaluator, truth)
         progress("near field")
-        near, pictures = _near(evaluator, truth.near)
+        near, pictures = _near(evaluator, truth.near, samples)
     shared = {"identity": truth.identity, "variant": run.variant, "block": run.block}
     costs = {
         "parameters": cost.parameters,
@@ -238,18 +238,20 @@ def _depth_errors(evaluator: ModelEvaluator, truth: CaptureTruth) -> dict[str, f
     errors = DepthErrors()
     for (frame, view), true in truth.views.items():
         camera = truth.data.images.camera(frame, view)
-        picture = evaluator.draw(evaluator.encode(frame), camera, samples=1)
+        picture = evaluator.draw(evaluator.encode(frame), camera)
         errors.add(true, picture.pixels, picture.depth_m)
     return errors.means_mm() if truth.views else {}
 
 
-def _near(evaluator: ModelEvaluator, near: NearField) -> tuple[dict[str, Any], list[ByteArray]]:
+def _near(
+    evaluator: ModelEvaluator, near: NearField, samples: int
+) -> tuple[dict[str, Any], list[ByteArray]]:
     if near.skipped is not None:
         return {"skipped": near.skipped}, []
     errors: list[float] = []
     pictures: list[ByteArray] = []
     for frame, (camera, image) in near.images.items():
-        picture = evaluator.draw(evaluator.encode(frame), camera)
+        picture = evaluator.draw(evaluator.encode(frame), camera, samples=samples)
         seen = image.reshape(-1, 3)[picture.pixels].astype(np.float32)
         errors.append(mse(picture.colours, seen))
         shown = picture.on(np.full_like(image, 128)).round().astype(np.uint8)
