@@ -73,11 +73,9 @@ def spoil(data: TrainingData, failure: Failure) -> Iterator[None]:
     images = data.images
     true_depth_m, true_camera = images.depth_m, images.camera
 
-    def depth_m(frame: int, camera: str) -> FloatArray | None:
+    def depth_m(frame: int, camera: str) -> FloatArray:
         """Depth with outliers, the same ones each time."""
         depth_m = true_depth_m(frame, camera)
-        if depth_m is None:
-            return None
         rng = np.random.default_rng([frame, *camera.encode()])
         wrong = (depth_m > 0) & (rng.random(depth_m.shape) < OUTLIER_RATIO)
         return np.where(wrong, depth_m + np.float32(OUTLIER_M), depth_m)
@@ -147,10 +145,10 @@ def _run(data: TrainingData, config: TrainConfig, run: Path, failure: Failure) -
         row["mse"], _ = draw_held_out(trainer.objectives)
         with torch.no_grad():
             frames = data.test_frames
-            latent, _ = trainer.encode(frames)
+            latent, _ = trainer.objectives.encode(frames)
             offset = trainer.model.vertices(latent) - data.meshes.dense(frames)
             row["vertex_error_mm"] = float(offset.norm(dim=2).mean()) * 1000
-            codes, _ = trainer.encode(data.train_frames)
+            codes, _ = trainer.objectives.encode(data.train_frames)
             row["code_deviation"] = float(codes.std())
         for sigma in SIGMAS:
             reach_mm = far_codes_reach_mm(trainer.model.vertices, codes, sigma)

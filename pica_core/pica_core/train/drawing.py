@@ -14,7 +14,7 @@ from pica_core.camera import Camera
 from pica_core.capture.dataset.dataset import Topology
 from pica_core.model.interface import Surface
 from pica_core.train.losses import screen_normals
-from pica_core.train.rasterise import Hits, Rasteriser, Views, hit_points
+from pica_core.train.rasterise import Rasteriser, Views, hit_points
 from pica_core.types import FloatArray, Int64Array, IntArray
 
 NORMAL_SHARE = 4
@@ -105,7 +105,6 @@ class MeshDrawer:
         *,
         pixels_per_image: int,
         normals: bool,
-        detach_xyz: bool,
     ) -> DrawnPixels:
         """Draw covered pixels of the images that `rasterise` saw, and interpolate there.
 
@@ -130,46 +129,25 @@ class MeshDrawer:
                 mark[places] = True
             wanted = np.flatnonzero(mark)
             place = np.cumsum(mark) - 1
-        hits, triangles = self._hits(vertices_m, wanted)
-        pixels = self._list(chosen)
-        own, at = None, [hits.image[:0]] * 3
+        views, listed = Views.of(self._cameras, vertices_m), self._list(wanted)
+        triangle = self._ids.reshape(-1)[wanted].astype(np.int64)
+        image, pixel, triangles = (
+            torch.from_numpy(values).to(vertices_m.device) for values in (*listed, triangle)
+        )
+        hits = hit_points(views.see(vertices_m), self._faces, views, image, pixel, triangles)
+        points, at = [*hits, triangles], [image[:0]] * 3
         if normals:
             own, *at = (
-                torch.from_numpy(place[places]).to(hits.image.device)
+                torch.from_numpy(place[places]).to(image.device)
                 for places in (chosen, centre, centre + 1, centre + width)
             )
-        surface = self._surface(vertices_m, hits, triangles, own, detach_xyz=detach_xyz)
-        return DrawnPixels(
-            pixels, surface, self._list(wanted), hits.depth_m, hits.image, hits.rays, *at
-        )
-
-    def _hits(self, vertices_m: Tensor, wanted: Int64Array) -> tuple[Hits, Tensor]:
-        pixels, device = self._list(wanted), vertices_m.device
-        triangles = torch.from_numpy(self._ids.reshape(-1)[wanted].astype(np.int64)).to(device)
-        views = Views.of(self._cameras, vertices_m)
-        image, pixel = (torch.from_numpy(values).to(device) for values in pixels)
-        hits = hit_points(views.see(vertices_m), self._faces, views, image, pixel, triangles)
-        return hits, triangles
-
-    def _surface(
-        self,
-        vertices_m: Tensor,
-        hits: Hits,
-        triangles: Tensor,
-        own: Tensor | None,
-        *,
-        detach_xyz: bool,
-    ) -> Surface:
-        """Surface points of all hits, or of some by their indices."""
-        weights, depth_m, rays, image = hits.weights, hits.depth_m, hits.rays, hits.image
-        if own is not None:
-            weights, depth_m = weights.index_select(0, own), depth_m.index_select(0, own)
-            rays, image, triangles = rays[own], image[own], triangles[own]
+            points = [values.index_select(0, own) for values in points]
+        image, weights, depth_m, rays, triangles = points
         uv = (weights[:, :, None] * self._face_uv.index_select(0, triangles)).sum(1)
-        if detach_xyz:
-            depth_m = depth_m.detach()
-        xyz_m = Views.of(self._cameras, vertices_m).to_head(image, rays * depth_m[:, None])
-        return Surface(image, uv, xyz_m)
+        surface = Surface(image, uv, views.to_head(image, rays * depth_m[:, None]))
+        return DrawnPixels(
+            self._list(chosen), surface, listed, hits.depth_m, hits.image, hits.rays, *at
+        )
 
     def _list(self, flat: Int64Array) -> PixelList:
         image = flat // self._ids.shape[1]

@@ -268,10 +268,6 @@ class Trainer:
             case _:
                 return self.objectives.driver(rng)
 
-    def encode(self, frames: list[int]) -> tuple[Tensor, Tensor]:
-        """The encoder's mean and log-variance of frames, ``[N, 4, 8, 8]`` each."""
-        return self.objectives.encode(frames)
-
     def save(self) -> Path:
         """Write the checkpoint aside, then move it into place; the first process does it for all.
 

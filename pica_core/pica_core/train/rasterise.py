@@ -260,14 +260,12 @@ class Hits(NamedTuple):
 
     Attributes:
         image: Which of the N images, int64 ``[P]``.
-        corners: Vertices of the triangle, as indices into all ``[N * V]``, int64 ``[P, 3]``.
-        weights: Of those vertices, summing to 1, ``[P, 3]``; differentiable.
+        weights: Of the triangle's vertices, summing to 1, ``[P, 3]``; differentiable.
         depth_m: Along the camera's axis, ``[P]``; differentiable.
         rays: Directions in camera axes with z = 1, ``[P, 3]``.
     """
 
     image: Tensor
-    corners: Tensor
     weights: Tensor
     depth_m: Tensor
     rays: Tensor
@@ -289,7 +287,7 @@ def hit_points(
     rays = views.rays(image, pixels)
     points = seen_m.reshape(-1, 3).index_select(0, corners.view(-1)).view(-1, 3, 3)
     weights, depth_m = interpolation_weights(points, rays)
-    return Hits(image, corners, weights, depth_m, rays)
+    return Hits(image, weights, depth_m, rays)
 
 
 def interpolation_weights(corners: Tensor, rays: Tensor) -> tuple[Tensor, Tensor]:

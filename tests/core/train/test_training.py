@@ -74,7 +74,7 @@ def trained(data: TrainingData, tmp_path_factory: pytest.TempPathFactory) -> Tra
         trainer.run()
         after = evaluate(trainer, max_frames=1)
         with torch.no_grad():
-            codes, _ = trainer.encode(data.train_frames)
+            codes, _ = trainer.objectives.encode(data.train_frames)
         views = {name: view_error(trainer, name) for name in data.images.camera_names}
         with FAILURES.spoil(data, FAILURES.Failure(wrong_camera=True)):
             spoilt = {name: view_error(trainer, name) for name in data.images.camera_names}
