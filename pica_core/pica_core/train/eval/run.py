@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -91,32 +91,17 @@ class CaptureTruth:
     frames: list[int]
     views: dict[tuple[int, str], TrueView]
     """True depth, empty where it is unknown or not asked for."""
-    near: NearField
+    near: NearField | str
+    """Pictures from close to the mouth, or why there are none."""
     tracked_mm: dict[str, float | None]
     """Depth error of the tracked mesh itself, by region; empty as `views`."""
     one_sample_mse: float | None
-    """`eval_truth.one_sample_mse`; None if not asked for, too."""
+    """`truth.one_sample_mse`; None if not asked for, too."""
 
     @property
     def identity(self) -> str:
         """Who was captured."""
         return str(self.data.capture.info.get("head", self.data.capture.path.name))
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class RunResult:
-    """Everything that was measured of a run."""
-
-    rows: list[dict[str, Any]]
-    """One for each view, as the tables need them."""
-    distribution: list[dict[str, Any]]
-    """MSE of each frame, mean over views: {frame, mse}."""
-    geometry: dict[str, float | None]
-    """Mean depth error by region, millimetres; empty where the truth is unknown."""
-    near: dict[str, Any]
-    """{mse, psnr_db, frames}, or {skipped} with the reason."""
-    near_images: list[ByteArray] = field(default_factory=list)
-    """Truth and prediction side by side, one for each frame."""
 
 
 def open_run(folder: Path, capture: Path | None = None) -> Run:
@@ -161,7 +146,7 @@ def prepare(capture: Path, map_size: int, limits: EvalLimits) -> CaptureTruth:
     if some and data.capture.has_truth:
         views = true_views(data, some)
         tracked = tracked_errors(data, some, views).means_mm()
-    near = NearField(skipped=NOT_ASKED)
+    near: NearField | str = NOT_ASKED
     if limits.near_frames:
         near = near_field(data, spaced(frames, limits.near_frames))
     floor = None
@@ -193,25 +178,30 @@ def build(run: Run, truth: CaptureTruth) -> AvatarModel:
 def measure(
     run: Run,
     truth: CaptureTruth,
-    progress: Callable[[str], None] = lambda text: None,
+    progress: Callable[[str], None],
     *,
     samples: int = 1,
-) -> RunResult:
+) -> tuple[list[dict[str, Any]], dict[str, Any], list[ByteArray]]:
     """Measure a run by the paper's protocol, on its own encoder's latents.
 
     Args:
         samples: Along each side of a pixel, odd; the paper draws with one.
+
+    Returns:
+        Rows of the tables, one for each view; what is known of the run: "distribution" {frame, mse}
+        with means over views, "geometry" the mean depth error by region in millimetres, empty where
+        the truth is unknown, "near" {mse, psnr_db, frames} or {skipped} with the reason; and truth
+        and prediction side by side from close to the mouth, one picture for each frame.
     """
     data, model = truth.data, build(run, truth)
-    data.meshes.use(run.config.mesh_source)
     cost = model.cost
     with Rasteriser.of(data.meshes.topology(model.topology)) as rasteriser:
         evaluator = ModelEvaluator(data, model, rasteriser)
-        progress("views")
+        progress(f"{run.folder}: views")
         found = measure_views(evaluator, truth.frames, samples=samples)
-        progress("geometry")
+        progress(f"{run.folder}: geometry")
         depth = _depth_errors(evaluator, truth)
-        progress("near field")
+        progress(f"{run.folder}: near field")
         near, pictures = _near(evaluator, truth.near, samples)
     shared = {"identity": truth.identity, "variant": run.variant, "block": run.block}
     costs = {
@@ -225,13 +215,19 @@ def measure(
     rows = [{**shared, "view": view, **errors.row(), **costs} for view, errors in found.items()]
     per_frame = np.mean([errors.mse for errors in found.values()], axis=0)
     names = [data.capture.frames[frame] for frame in truth.frames]
-    distribution = [
-        {"frame": f"{frame.segment}/{frame.name}", "mse": float(value)}
-        for frame, value in zip(names, per_frame, strict=True)
-    ]
-    return RunResult(
-        rows=rows, distribution=distribution, geometry=depth, near=near, near_images=pictures
-    )
+    result = {
+        "run": str(run.folder),
+        **shared,
+        "seed": run.config.seed,
+        "source": str(data.capture.info.get("source", run.capture.name)),
+        "distribution": [
+            {"frame": f"{frame.segment}/{frame.name}", "mse": float(value)}
+            for frame, value in zip(names, per_frame, strict=True)
+        ],
+        "geometry": depth,
+        "near": near,
+    }
+    return rows, result, pictures
 
 
 def _depth_errors(evaluator: ModelEvaluator, truth: CaptureTruth) -> dict[str, float | None]:
@@ -244,13 +240,13 @@ def _depth_errors(evaluator: ModelEvaluator, truth: CaptureTruth) -> dict[str, f
 
 
 def _near(
-    evaluator: ModelEvaluator, near: NearField, samples: int
+    evaluator: ModelEvaluator, near: NearField | str, samples: int
 ) -> tuple[dict[str, Any], list[ByteArray]]:
-    if near.skipped is not None:
-        return {"skipped": near.skipped}, []
+    if isinstance(near, str):
+        return {"skipped": near}, []
     errors: list[float] = []
     pictures: list[ByteArray] = []
-    for frame, (camera, image) in near.images.items():
+    for frame, (camera, image) in near.items():
         picture = evaluator.draw(evaluator.encode(frame), camera, samples=samples)
         seen = image.reshape(-1, 3)[picture.pixels].astype(np.float32)
         errors.append(mse(picture.colours, seen))
