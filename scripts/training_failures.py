@@ -5,6 +5,7 @@ data. `run_failures` trains them all alike and gives rows to compare with the fi
 spoils.
 """
 
+import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -20,7 +21,7 @@ from pica_core.train.config import PAPER_LOSSES, TrainConfig
 from pica_core.train.data.training import TrainingData
 from pica_core.train.held_out import draw_held_out
 from pica_core.train.loop import open_trainer
-from pica_core.train.monitor import curve
+from pica_core.train.monitor import METRICS
 from pica_core.types import FloatArray
 
 OUTLIER_RATIO = 0.3
@@ -154,6 +155,16 @@ def _run(data: TrainingData, config: TrainConfig, run: Path, failure: Failure) -
             reach_mm = far_codes_reach_mm(trainer.model.vertices, codes, sigma)
             row[f"reach_{sigma:g}_sigma_mm"] = reach_mm
     return row
+
+
+def curve(run_dir: Path) -> list[dict[str, Any]]:
+    """What the looks at held-out frames found, {step, seconds, mse}, oldest first."""
+    rows = [json.loads(line) for line in (run_dir / METRICS).read_text().splitlines()]
+    return [
+        {key: row[key] for key in ("step", "seconds", "mse")}
+        for row in rows
+        if row["kind"] == "held_out"
+    ]
 
 
 @torch.no_grad()

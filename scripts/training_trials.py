@@ -23,14 +23,13 @@ import numpy as np
 import torch
 import tyro
 from torch.profiler import ProfilerActivity, profile
-from training_failures import FAILURES, run_failures
+from training_failures import FAILURES, curve, run_failures
 
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.errors import TrainingOptionError, check_ranges
 from pica_core.train.config import PAPER_LOSSES, PRESETS, TrainConfig
 from pica_core.train.data.training import TrainingData
 from pica_core.train.loop import Trainer, open_trainer
-from pica_core.train.monitor import curve
 
 PARTS = ("data", "encode", "decode", "raster", "pixel", "loss", "backward", "optimiser")
 """Parts of a step as training names them to the profiler. "raster" holds ids, choice of pixels and
