@@ -5,8 +5,7 @@ same. The best meshes there are: exact ones; without them the tracked ones, thro
 maps where they are of another topology.
 """
 
-from functools import lru_cache
-from typing import Literal
+from functools import cache, lru_cache
 
 import numpy as np
 import torch
@@ -15,6 +14,7 @@ from torch import Tensor
 from pica_core.avatar.variants import TopologyName
 from pica_core.capture.dataset.dataset import Capture, Topology
 from pica_core.model.decoders import sample_map
+from pica_core.train.config import MeshSource
 from pica_core.train.data.uv_raster import rasterise_uv
 from pica_core.types import BoolArray, FloatArray
 
@@ -22,7 +22,6 @@ IMPORTANT_REGIONS = ("mouth", "lips", "eyes", "eyeballs", "lids", "teeth", "tong
 """Vertex regions of a capture's topology that are small on the map and large to the eye."""
 MAX_MAPS = 2048
 """Maps of meshes kept in memory, 0.8 MB each; the least recently used go first."""
-MeshSource = Literal["truth", "tracked"]
 
 
 class CaptureMeshes:
@@ -64,7 +63,7 @@ class CaptureMeshes:
         self.position_mean = self.uv_raster.position_map(self.dense_mean_m)
         self.position_scale_m = float(np.sqrt(np.square(train - self.dense_mean_m).mean()) * 2)
         self.source: MeshSource = "truth" if capture.has_truth else "tracked"
-        self._true_tracked: dict[int, FloatArray] = {}
+        self._true_tracked = cache(self._tracked_of_dense)
         self._map = lru_cache(MAX_MAPS)(self._map_of)
 
     def use(self, source: MeshSource) -> bool:
@@ -108,14 +107,10 @@ class CaptureMeshes:
     def true_at_tracked(self, frame: int) -> FloatArray:
         """The best mesh at the vertices of the tracked topology, ``[Vt, 3]``."""
         index = self._capture.dense_vertex
-        if self._one_mesh or index is not None:
-            mesh: FloatArray = self.dense_m[frame]
-            return mesh if index is None else mesh[index]
-        if frame not in self._true_tracked:
-            values = self.uv_raster.position_map(self.dense_m[frame])
-            uv = self._capture.tracked_topology.vertex_uv
-            self._true_tracked[frame] = _look_up(values, uv)
-        return self._true_tracked[frame]
+        if not self._one_mesh and index is None:
+            return self._true_tracked(frame)
+        mesh: FloatArray = self.dense_m[frame]
+        return mesh if index is None else mesh[index]
 
     def best_dense(self, frame: int) -> FloatArray:
         """The mesh of the dense topology that `source` has, ``[V, 3]``."""
@@ -138,9 +133,7 @@ class CaptureMeshes:
     def tracked(self, frames: list[int]) -> Tensor:
         """Meshes of the tracked topology, ``[N, Vt, 3]``: as the tracker found them, or the best
         surface there is at its vertices, as `source` says."""
-        if self.source == "tracked":
-            return torch.from_numpy(self.tracked_m[frames])
-        return torch.from_numpy(np.stack([self.true_at_tracked(frame) for frame in frames]))
+        return torch.from_numpy(np.stack([self.best_tracked(frame) for frame in frames]))
 
     def position_maps(self, frames: list[int]) -> Tensor:
         """What encoders see of a frame's shape: offsets from the mean, in position scales, as maps
@@ -159,6 +152,10 @@ class CaptureMeshes:
         """The tracked mesh at the vertices of the dense topology, through its position map."""
         values = self._tracked_raster.position_map(self.tracked_m[frame])
         return _look_up(values, self._capture.topology.vertex_uv)
+
+    def _tracked_of_dense(self, frame: int) -> FloatArray:
+        values = self.uv_raster.position_map(self.dense_m[frame])
+        return _look_up(values, self._capture.tracked_topology.vertex_uv)
 
 
 def important_vertices(topology: Topology) -> BoolArray:

@@ -22,7 +22,6 @@ from pica_core.train.loop import Trainer
 from pica_core.types import FloatArray
 
 Source = Literal["encoder", "driver"]
-Split = Literal["train", "test"]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -46,12 +45,6 @@ class ViewErrors:
             "temporal_mse": float(np.mean(self.change_mse)) if self.change_mse else None,
             "frames": len(self.mse),
         }
-
-
-def spaced_frames(data: TrainingData, max_frames: int, split: Split = "test") -> list[int]:
-    """At most so many frames of a split, evenly spaced."""
-    frames = {"test": data.test_frames, "train": data.train_frames}[split]
-    return spaced(frames, max_frames)
 
 
 def successor(data: TrainingData, frame: int) -> int | None:
@@ -112,7 +105,7 @@ def evaluate(trainer: Trainer, *, max_frames: int = 25) -> list[dict[str, Any]]:
     """
     data = trainer.data
     evaluator = ModelEvaluator(data, trainer.model, trainer.rasteriser)
-    frames = spaced_frames(data, max_frames)
+    frames = spaced(data.test_frames, max_frames)
     sources: tuple[Source, ...] = ("encoder",)
     if data.capture.has_expressions:
         sources = ("encoder", "driver")

@@ -4,7 +4,7 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from pica_core.train.checkpoint import read_checkpoint
 from pica_core.train.config import TrainConfig
 from pica_core.train.data.sampler import spaced
 from pica_core.train.data.training import TrainingData
-from pica_core.train.eval.evaluate import Split, measure_views, spaced_frames
+from pica_core.train.eval.evaluate import measure_views
 from pica_core.train.eval.metrics import mse, psnr_db
 from pica_core.train.eval.model_evaluator import ModelEvaluator
 from pica_core.train.eval.truth import (
@@ -65,7 +65,7 @@ class Run:
 class EvalLimits:
     """How much to measure."""
 
-    split: Split = "test"
+    split: Literal["train", "test"] = "test"
     """Held-out frames, or for comparison those that were trained on."""
     frames: int = 25
     """How many of them, evenly spaced."""
@@ -139,7 +139,8 @@ def prepare(capture: Path, map_size: int, limits: EvalLimits) -> CaptureTruth:
         CaptureError: It cannot be read, or has no test frames.
     """
     data = TrainingData(Capture.open(capture), map_size)
-    frames = spaced_frames(data, limits.frames, limits.split)
+    whole = data.test_frames if limits.split == "test" else data.train_frames
+    frames = spaced(whole, limits.frames)
     views: dict[tuple[int, str], TrueView] = {}
     tracked: dict[str, float | None] = {}
     some = spaced(frames, limits.geometry_frames)
