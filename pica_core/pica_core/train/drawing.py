@@ -85,52 +85,40 @@ class MeshDrawer:
         self._faces = torch.from_numpy(faces).to(device)
         self._face_uv = torch.from_numpy(np.float32(topology.vertex_uv[faces])).to(device)
         self._face_weights = np.append(face_weights, 0).astype(np.float32)
-        self._ids = np.zeros((0, 0), np.int32)
-        self._cameras: list[Camera] = []
-
-    def rasterise(self, vertices_m: Tensor, cameras: list[Camera]) -> None:
-        """Find the triangle of every pixel of N images.
-
-        Args:
-            vertices_m: ``[N, V, 3]``.
-        """
-        meshes = vertices_m.detach().to("cpu", torch.float32).numpy()
-        self._ids = self.rasteriser.batch_ids(meshes, cameras).reshape(len(cameras), -1)
-        self._cameras = cameras
 
     def draw(
         self,
         vertices_m: Tensor,
+        cameras: list[Camera],
         rngs: list[np.random.Generator],
         *,
         pixels_per_image: int,
-        normals: bool,
+        normals: bool = False,
     ) -> DrawnPixels:
-        """Draw covered pixels of the images that `rasterise` saw, and interpolate there.
+        """Find the triangle of every pixel of N images, draw covered ones, and interpolate there.
 
         Args:
-            vertices_m: As for `rasterise`; gradients flow there.
+            vertices_m: ``[N, V, 3]``; gradients flow there.
             pixels_per_image: About how many; 0 for all.
         """
-        size = self._ids.shape[1]
+        meshes = vertices_m.detach().to("cpu", torch.float32).numpy()
+        ids = self.rasteriser.batch_ids(meshes, cameras)
+        size, width = ids[0].size, cameras[0].width
         parts = [
-            index * size + self._choose(ids, rng, pixels_per_image)
-            for index, (ids, rng) in enumerate(zip(self._ids, rngs, strict=True))
+            index * size + self._choose(own.reshape(-1), rng, pixels_per_image)
+            for index, (own, rng) in enumerate(zip(ids, rngs, strict=True))
         ]
-        chosen = np.concatenate(parts)
-        centre = np.zeros(0, np.int64)
-        width = self._cameras[0].width
-        wanted = chosen
+        wanted = chosen = np.concatenate(parts)
         if normals:
             every = 1 if pixels_per_image == 0 else NORMAL_SHARE
-            centre = self._with_neighbours(np.concatenate([part[::every] for part in parts]))
-            mark = np.zeros(self._ids.size, bool)
+            centre = _with_neighbours(ids, np.concatenate([part[::every] for part in parts]))
+            mark = np.zeros(ids.size, bool)
             for places in (chosen, centre + 1, centre + width):
                 mark[places] = True
             wanted = np.flatnonzero(mark)
             place = np.cumsum(mark) - 1
-        views, listed = Views.of(self._cameras, vertices_m), self._list(wanted)
-        triangle = self._ids.reshape(-1)[wanted].astype(np.int64)
+        views, listed = Views.of(cameras, vertices_m), PixelList(*np.divmod(wanted, size))
+        triangle = ids.reshape(-1)[wanted].astype(np.int64)
         image, pixel, triangles = (
             torch.from_numpy(values).to(vertices_m.device) for values in (*listed, triangle)
         )
@@ -145,13 +133,8 @@ class MeshDrawer:
         image, weights, depth_m, rays, triangles = points
         uv = (weights[:, :, None] * self._face_uv.index_select(0, triangles)).sum(1)
         surface = Surface(image, uv, views.to_head(image, rays * depth_m[:, None]))
-        return DrawnPixels(
-            self._list(chosen), surface, listed, hits.depth_m, hits.image, hits.rays, *at
-        )
-
-    def _list(self, flat: Int64Array) -> PixelList:
-        image = flat // self._ids.shape[1]
-        return PixelList(image, flat - image * self._ids.shape[1])
+        pixels = PixelList(*np.divmod(chosen, size))
+        return DrawnPixels(pixels, surface, listed, hits.depth_m, hits.image, hits.rays, *at)
 
     def _choose(self, ids: IntArray, rng: np.random.Generator, wanted: int) -> Int64Array:
         """Covered pixels of an image, each with its chance, so that about `wanted` come."""
@@ -163,12 +146,11 @@ class MeshDrawer:
         chosen: Int64Array = covered[drawn]
         return chosen
 
-    def _with_neighbours(self, places: Int64Array) -> Int64Array:
-        """Those of some pixels whose right and lower neighbours are covered, too."""
-        camera = self._cameras[0]
-        column = places % camera.width
-        row = places // camera.width % camera.height
-        places = places[(column + 1 < camera.width) & (row + 1 < camera.height)]
-        flat = self._ids.reshape(-1)
-        kept: Int64Array = places[(flat[places + 1] >= 0) & (flat[places + camera.width] >= 0)]
-        return kept
+
+def _with_neighbours(ids: IntArray, places: Int64Array) -> Int64Array:
+    """Those of some covered pixels whose right and lower neighbours are covered, too."""
+    covered = ids >= 0
+    both = np.zeros_like(covered)
+    both[:, :-1, :-1] = covered[:, :-1, 1:] & covered[:, 1:, :-1]
+    kept: Int64Array = places[both.reshape(-1)[places]]
+    return kept

@@ -274,10 +274,12 @@ class Objectives:
         with record_function("decode"):
             appearance = self.model.appearance(latent, view.to(self.device))
         with record_function("raster"):
-            self.drawer.rasterise(mesh.vertices_m, cameras)
-            pixels_per_image = self.config.schedule.pixels_per_image // share
             drawn = self.drawer.draw(
-                mesh.vertices_m, rngs, pixels_per_image=pixels_per_image, normals=normals
+                mesh.vertices_m,
+                cameras,
+                rngs,
+                pixels_per_image=self.config.schedule.pixels_per_image // share,
+                normals=normals,
             )
         with record_function("pixel"):
             return drawn, self.model.shade(appearance, drawn.surface, detach_xyz=detach_xyz)
