@@ -97,9 +97,6 @@ class Rasteriser:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.release()
-
-    def release(self) -> None:
         """Give the context back; the rasteriser is useless afterwards."""
         self._target = None
         self._meshes.clear()
@@ -158,7 +155,10 @@ class Rasteriser:
         target.use()
         target.clear(0.0, 0.0, 0.0, 0.0)
         while len(self._meshes) < len(cameras):
-            self._meshes.append(self._mesh())
+            positions = self._context.buffer(reserve=self.num_vertices * 12, dynamic=True)
+            content = [(positions, "3f", "position_m")]
+            mesh = self._context.vertex_array(self._program, content, index_buffer=self._indices)
+            self._meshes.append((positions, mesh))
         for index, camera in enumerate(cameras):
             positions, vertex_array = self._meshes[index]
             positions.write(np.ascontiguousarray(vertices_m[index], np.float32))
@@ -168,13 +168,6 @@ class Rasteriser:
             vertex_array.render()
         target.viewport = (0, 0, width, height * len(cameras))
         return target
-
-    def _mesh(self) -> tuple[moderngl.Buffer, moderngl.VertexArray]:
-        positions = self._context.buffer(reserve=self.num_vertices * 12, dynamic=True)
-        vertex_array = self._context.vertex_array(
-            self._program, [(positions, "3f", "position_m")], index_buffer=self._indices
-        )
-        return positions, vertex_array
 
     def _images(self, values: FloatArray, cameras: Sequence[Camera]) -> FloatArray:
         """What a framebuffer read gives as ``[N, H, W]`` with row 0 on top."""
