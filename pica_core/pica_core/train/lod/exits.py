@@ -168,7 +168,11 @@ def fit_convolution(
             system.add(features, targets, metric[chosen])
     weight = system.solve().reshape(mean_full.shape[0], mean_trunk.shape[0], 3, 3).float()
     at_rest = functional.conv2d(mean_trunk[None], weight, padding=1)[0]
-    return MapExit(weight, _fit_rest(bias_points, mean_full - still, at_rest))
+    # The bias takes the exit from what it says of the mean face to the mean of the output.
+    moving = (mean_full - still)[None]
+    start = functional.adaptive_avg_pool2d(moving, level)[0] - at_rest
+    left = sample_map(moving, bias_points)[0] - sample_map(at_rest[None], bias_points)[0]
+    return MapExit(weight, fit_map(bias_points, left, start))
 
 
 def fit_local(decoder: FrozenDecoder, faces: FaceSet, level: int, exit_: MapExit) -> MapExit:
@@ -250,13 +254,6 @@ def fit_sheet(
     weight = torch.linalg.solve(grams + floor, rights).transpose(1, 2).contiguous()
     at_rest = torch.einsum("vf,vdf->vd", found.read(mean_trunk[None])[0], weight)
     return replace(found, weight=weight, rest=found.rest - at_rest)
-
-
-def _fit_rest(points: Tensor, full: Tensor, at_rest: Tensor) -> Tensor:
-    """The bias that takes an exit from what it says of the mean face to the mean of the output."""
-    start = functional.adaptive_avg_pool2d(full[None], at_rest.shape[-1])[0] - at_rest
-    left = sample_map(full[None], points)[0] - sample_map(at_rest[None], points)[0]
-    return fit_map(points, left, start)
 
 
 def fit_map(points: Tensor, values: Tensor, start: Tensor) -> Tensor:
