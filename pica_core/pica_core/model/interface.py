@@ -71,8 +71,7 @@ class LinearPrior(NamedTuple):
         texels: Texels of the position map that the encoder reads, row * S + column, ``[P]``.
         projection: From their three coordinates to the weights, in position scales, ``[K, 3 P]``.
         deviation_m: Root mean square movement of each basis, ``[K]``.
-        left_out: Names of training frames whose meshes were not used.
-        unexplained_m: What bases do not explain (`unexplained_m` of `model.bases`), metres.
+        notes: What is wrong with the meshes, in words.
     """
 
     tracked: Bases
@@ -80,8 +79,7 @@ class LinearPrior(NamedTuple):
     texels: IntArray
     projection: FloatArray
     deviation_m: FloatArray
-    left_out: tuple[str, ...] = ()
-    unexplained_m: float = 0.0
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -28,7 +28,6 @@ from pica_core.errors import (
     TrainingDivergedError,
     TrainingMemoryError,
 )
-from pica_core.model.bases import BENT_M
 from pica_core.train.checkpoint import NAME, read_checkpoint, write_checkpoint
 from pica_core.train.config import PHASES, TrainConfig
 from pica_core.train.data.training import TrainingData
@@ -116,18 +115,8 @@ class Trainer:
             driver = live if self._has_live_steps else min(driver, 1)
             joint -= live if self._has_live_steps else 0
         self._steps = geometry, joint, driver
-        if prior.linear is not None and prior.linear.unexplained_m > BENT_M:
-            self.objectives.notes.append(
-                f"bases of three in four training meshes leave "
-                f"{1e3 * prior.linear.unexplained_m:.2f} mm in the worst region of the others: "
-                "the face bends much, or more frames are needed"
-            )
-        if prior.linear is not None and prior.linear.left_out:
-            named = ", ".join(prior.linear.left_out[:8])
-            self.objectives.notes.append(
-                f"{len(prior.linear.left_out)} meshes are unlike all others and made no bases: "
-                f"{named}"
-            )
+        if prior.linear is not None:
+            self.objectives.notes += prior.linear.notes
         trains = dict(zip(PHASES, PHASES, strict=True))
         trains |= {"driver": "live"} if self._has_live_steps else {}
         self._optimisers = {
@@ -200,8 +189,8 @@ class Trainer:
                 self.save()
                 saved_at = self.step
             goes_on = on_step is None or on_step(self.step, phase, losses)
-            if not self._all_go_on(goes_on):
-                break
+            if self.ranks.average(torch.tensor(float(goes_on))) < 1:
+                break  # all processes stop if one does
         if saved_at != self.step:
             self.save()
 
@@ -363,11 +352,6 @@ class Trainer:
         with torch.no_grad():
             sums = torch.stack([p.sum() for p in self.model.parameters()])
         return bool(torch.isfinite(sums).all())
-
-    def _all_go_on(self, goes_on: bool) -> bool:
-        if self.ranks.count == 1:
-            return goes_on
-        return float(self.ranks.average(torch.tensor(float(goes_on)))) == 1.0
 
     def _watch(self, monitor: Monitor) -> None:
         if self.ranks.is_first:
