@@ -61,12 +61,8 @@ class Objectives:
     """Losses of one model on one capture.
 
     Args:
-        data: The capture.
-        config: Weights and batch sizes.
-        model: The model, on `device`.
         rasteriser: Made for the mesh that the model draws; it stays its owner's.
         ranks: Which part of every batch is this process's.
-        device: Where models and batches are.
 
     Attributes:
         drawer: Draws the model's mesh.
@@ -302,7 +298,7 @@ class Objectives:
     def _draw(self, count: int, rng: np.random.Generator) -> tuple[list[int], list[int]]:
         """This process's frames of a batch, and their numbers in the whole batch."""
         balance = self.config.schedule.frame_balance
-        frames = self.data.sampler.draw(count * self.ranks.count, balance, rng)
+        frames = self.data.draw(count * self.ranks.count, balance, rng)
         return self.ranks.mine(frames), self.ranks.mine(list(range(len(frames))))
 
     def _latent(self, frames: list[int], noise: torch.Generator) -> tuple[Tensor, Tensor]:

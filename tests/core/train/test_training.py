@@ -224,12 +224,12 @@ def test_a_run_does_not_start_from_another_model(data: TrainingData, tmp_path: P
 
 def test_frames_far_from_the_mean_are_drawn_more_often(data: TrainingData) -> None:
     rng = np.random.default_rng(0)
-    rarest = data.train_frames[int(np.argmax(data.sampler.weights))]
+    rarest = data.train_frames[int(np.argmax(data.rarity))]
 
-    balanced = data.sampler.draw(4000, 1.0, rng).count(rarest)
-    alike = data.sampler.draw(4000, 0.0, rng).count(rarest)
+    balanced = data.draw(4000, 1.0, rng).count(rarest)
+    alike = data.draw(4000, 0.0, rng).count(rarest)
 
-    ratio = data.sampler.weights.max() / data.sampler.weights.mean()
+    ratio = data.rarity.max() / data.rarity.mean()
     assert ratio > 1.2
     assert balanced / alike == pytest.approx(ratio, rel=0.2)
 
