@@ -23,7 +23,6 @@ from pica_core.avatar.level_tensors import (
     PREFIX,
     STILL_NAME,
     faces_name,
-    local_name,
     sheet_rows,
 )
 from pica_core.avatar.levels import EXIT_DIVISORS, level_sizes
@@ -363,36 +362,25 @@ def _simplify(level: _FullLevel, regions: tuple[Array, ...], options: LevelOptio
 def _exit_tensors(
     avatar: Avatar, level: int, geometry: SheetExit | None, expression: MapExit
 ) -> dict[str, Array]:
-    exits = {
-        f"{PREFIX}{level}.expression.{name}": np.ascontiguousarray(values.numpy(), np.float32)
-        for name, values in (("weight", expression.weight), ("bias", expression.bias))
-    }
+    exits = {"expression.weight": expression.weight, "expression.bias": expression.bias}
     if expression.local is not None:
-        exits[local_name(level)] = expression.local.flatten(2).numpy().copy()
-    if geometry is None:
-        return exits
-    num_slots = level * sheet_rows(len(geometry.rest), level)
+        exits["expression.local"] = expression.local.flatten(2)
+    if geometry is not None:
+        num_slots = level * sheet_rows(len(geometry.rest), level)
 
-    def sheet(values: Tensor) -> Array:
-        filled = torch.zeros(num_slots, values[0].numel(), dtype=values.dtype)
-        filled[: len(values)] = values.flatten(1)
-        return filled.reshape(-1, level, filled.shape[1]).numpy()
+        def sheet(values: Tensor) -> Tensor:
+            filled = torch.zeros(num_slots, values[0].numel(), dtype=values.dtype)
+            filled[: len(values)] = values.flatten(1)
+            return filled.reshape(-1, level, filled.shape[1])
 
-    mean_m = geometry.rest * avatar.manifest.position_scale_m
-    # Slots without a vertex repeat one: numbers far from the others would cost the
-    # rounding of all.
-    mean_m = torch.cat([mean_m, mean_m[-1:].expand(num_slots - len(mean_m), -1)])
-    found = {
-        "geometry.weight": sheet(geometry.weight),
-        "geometry.mean": sheet(mean_m),
-        "geometry.texel": sheet(geometry.texel).astype(np.int32),
-    }
-    return exits | {
-        f"{PREFIX}{level}.{name}": np.ascontiguousarray(
-            values, np.int32 if name.endswith("texel") else np.float32
-        )
-        for name, values in found.items()
-    }
+        mean_m = geometry.rest * avatar.manifest.position_scale_m
+        # Slots without a vertex repeat one: numbers far from the others would cost the
+        # rounding of all.
+        mean_m = torch.cat([mean_m, mean_m[-1:].expand(num_slots - len(mean_m), -1)])
+        exits["geometry.weight"] = sheet(geometry.weight)
+        exits["geometry.mean"] = sheet(mean_m)
+        exits["geometry.texel"] = sheet(geometry.texel).int()
+    return {f"{PREFIX}{level}.{name}": values.numpy().copy() for name, values in exits.items()}
 
 
 def _report(
