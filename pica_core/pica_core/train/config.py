@@ -168,11 +168,8 @@ class TrainConfig:
     """A whole run."""
 
     model: ModelConfig = field(default_factory=ModelConfig)
-    """What is built."""
     losses: LossConfig = field(default_factory=LossConfig)
-    """What is minimised."""
     schedule: ScheduleConfig = field(default_factory=ScheduleConfig)
-    """How long and how fast."""
     detach_pixel_xyz: bool = True
     """No gradient to the geometry through the pixel decoder's xyz input (paper A.3)."""
     mesh_source: MeshSource = "truth"

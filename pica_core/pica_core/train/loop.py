@@ -12,7 +12,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -66,11 +66,8 @@ class Trainer:
     """Trains one avatar on one capture.
 
     Args:
-        data: The capture as tensors.
-        config: Options of the run.
         run_dir: Where ``checkpoint.pt`` and ``metrics.jsonl`` go; made if missing.
         rasteriser: Made for the mesh that the model draws; it stays its owner's.
-        device: Where to compute.
         ranks: This process among those that train together.
 
     Attributes:
@@ -150,13 +147,10 @@ class Trainer:
             TrainingMemoryError: A batch does not fit.
             CheckpointError: A checkpoint cannot be written. The one before stays.
         """
-        monitor = Monitor(self.run_dir, is_silent=not self.ranks.is_first)
-        try:
+        with closing(Monitor(self.run_dir, is_silent=not self.ranks.is_first)) as monitor:
             for note in self.objectives.notes:
                 monitor.note(self.step, note)
             self._run(monitor, on_step)
-        finally:
-            monitor.close()
 
     def _run(self, monitor: Monitor, on_step: Callable[[int, str, Losses], bool] | None) -> None:
         guard = DivergenceGuard()

@@ -82,20 +82,14 @@ class DepthErrors:
         }
 
 
-def face_regions(topology: Topology) -> ByteArray:
-    """Index into `REGIONS` of each triangle: one of whose corners lies there, the mouth first.
-    uint8 ``[F]``."""
-    found = np.full(len(topology.faces), _REST, np.uint8)
-    for index in range(_REST - 1, -1, -1):
-        found[topology.region(REGIONS[index])[topology.faces].any(1)] = index
-    return found
-
-
 def true_views(data: TrainingData, frames: list[int]) -> dict[tuple[int, str], TrueView]:
     """The true mesh of frames from the evaluation views. Makes and releases a GL context."""
-    capture = data.capture
-    region_of_face = np.append(face_regions(capture.topology), np.uint8(_NOTHING))
-    drawn = _drawn(data, frames, capture.topology, capture.true_vertices_m)
+    capture, topology = data.capture, data.capture.topology
+    region_of_face = np.full(len(topology.faces) + 1, _REST, np.uint8)
+    for index in range(_REST - 1, -1, -1):  # a triangle is where one of its corners lies
+        region_of_face[:-1][topology.region(REGIONS[index])[topology.faces].any(1)] = index
+    region_of_face[-1] = _NOTHING
+    drawn = _drawn(data, frames, topology, capture.true_vertices_m)
     return {place: TrueView(region_of_face[ids], depth_m) for place, ids, depth_m in drawn}
 
 
