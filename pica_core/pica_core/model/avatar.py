@@ -24,7 +24,8 @@ from pica_core.model.decoders import (
 )
 from pica_core.model.encoder import make_encoder
 from pica_core.model.linear import LinearEncoder, LinearGeometry
-from pica_core.model.pixel_decoder import FIRST_FREQUENCY, PixelDecoder
+from pica_core.model.options import ModelOptions
+from pica_core.model.pixel_decoder import PixelDecoder
 
 
 class PixelCodecAvatar(interface.AvatarModel):
@@ -34,11 +35,6 @@ class PixelCodecAvatar(interface.AvatarModel):
         spec: Sizes and block.
         prior: Mean map, scale of offsets and meshes of the person.
         topology: Which mesh to draw.
-        encoder: "paper" or "light".
-        encoding_amplitude: Half-width of the encodings' uniform start (paper: 1).
-        first_frequency: Scale of the first sine layers.
-        texture_contrast: Begin m_uv with the mean texture, of this contrast; 0 for a uniform start,
-            as the paper.
     """
 
     position_mean: Tensor
@@ -49,12 +45,9 @@ class PixelCodecAvatar(interface.AvatarModel):
         self,
         spec: AvatarSpec,
         prior: interface.FacePrior,
+        options: ModelOptions,
         *,
         topology: TopologyName = "dense",
-        encoder: str = "light",
-        encoding_amplitude: float = 1.0,
-        first_frequency: float = FIRST_FREQUENCY,
-        texture_contrast: float = 0.0,
     ) -> None:
         super().__init__()
         self.spec = spec
@@ -69,7 +62,7 @@ class PixelCodecAvatar(interface.AvatarModel):
         self.register_buffer("_drawn_uv", interface.uv_buffer(drawn), persistent=False)
         self.register_buffer("_tracked_uv", interface.uv_buffer(prior.tracked_uv), persistent=False)
         self._draws_tracked = drawn is prior.tracked_uv
-        self.encoder: interface.LatentEncoder = make_encoder(encoder)
+        self.encoder: interface.LatentEncoder = make_encoder(options.encoder)
         self.geometry: MapDecoder | LinearGeometry
         if spec.geometry == "bases":
             assert prior.linear is not None  # whoever makes the prior asks the variant
@@ -79,13 +72,15 @@ class PixelCodecAvatar(interface.AvatarModel):
             self.geometry = MapDecoder(spec, "geometry")
         self.expression = MapDecoder(spec, "expression")
         self.pixel_decoder = PixelDecoder(
-            spec, encoding_amplitude=encoding_amplitude, first_frequency=first_frequency
+            spec,
+            encoding_amplitude=options.encoding_amplitude,
+            first_frequency=options.first_frequency,
         )
-        if texture_contrast:
+        if options.texture_contrast:
             texture = torch.as_tensor(prior.texture_mean, dtype=torch.float32).permute(2, 0, 1)
             xyz_m = sample_map(self.position_mean[None], self._drawn_uv)[0]
             uv = torch.from_numpy(np.ascontiguousarray(drawn, np.float32))
-            self.pixel_decoder.start_from(texture, texture_contrast, xyz_m, uv)
+            self.pixel_decoder.start_from(texture, options.texture_contrast, xyz_m, uv)
         self.expression_encoder = interface.ExpressionEncoder()
 
     def decode_mesh(self, latent: Tensor) -> interface.DecodedMesh:

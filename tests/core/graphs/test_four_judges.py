@@ -22,6 +22,7 @@ from pica_core.avatar.spec import BLOCKS, AvatarSpec
 from pica_core.graphs.onnx_graph import decoder_graph
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.interface import Surface
+from pica_core.model.options import ModelOptions
 from pica_core.reference.decoders import decode_expression_map
 from pica_core.reference.pixel import count_parameters, decode_pixels
 from pica_core.reference.sampling import sample_bilinear
@@ -37,7 +38,9 @@ def trained_looking_model(block: str) -> PixelCodecAvatar:
     """Random weights as large as trained ones: every path carries signal."""
     torch.manual_seed(3)
     spec = AvatarSpec(block=block, uv_encoding_size=64)
-    model = PixelCodecAvatar(spec, toy_prior())
+    model = PixelCodecAvatar(
+        spec, toy_prior(), ModelOptions(encoding_amplitude=1.0, texture_contrast=0.0)
+    )
     with torch.no_grad():
         for decoder in (model.geometry, model.expression):
             for name, values in decoder.named_tensors().items():

@@ -14,11 +14,13 @@ from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.decoders import MapDecoder, sample_map
 from pica_core.model.encoder import LightEncoder, PaperEncoder
 from pica_core.model.interface import Surface, flat_latent, grid_of_latent
+from pica_core.model.options import ModelOptions
 from pica_core.model.pixel_decoder import PixelDecoder
 
 pytestmark = pytest.mark.train
 
 SMALL = AvatarSpec(uv_encoding_size=32, axis_encoding_size=64)
+UNIFORM = ModelOptions(encoding_amplitude=1.0, texture_contrast=0.0)
 
 
 def count(module: nn.Module) -> int:
@@ -27,7 +29,7 @@ def count(module: nn.Module) -> int:
 
 def small_avatar() -> PixelCodecAvatar:
     torch.manual_seed(0)
-    return PixelCodecAvatar(SMALL, toy_prior(scale_m=0.01))
+    return PixelCodecAvatar(SMALL, toy_prior(scale_m=0.01), UNIFORM)
 
 
 def test_the_pixel_decoder_mlp_has_307_parameters() -> None:
@@ -160,9 +162,9 @@ def test_the_drawn_and_the_tracked_mesh_are_samples_of_one_map() -> None:
     prior = toy_prior()
     latent = torch.randn(2, 4, 8, 8)
     torch.manual_seed(0)
-    dense = PixelCodecAvatar(SMALL, prior)
+    dense = PixelCodecAvatar(SMALL, prior, UNIFORM)
     torch.manual_seed(0)
-    coarse = PixelCodecAvatar(SMALL, prior, topology="tracked")
+    coarse = PixelCodecAvatar(SMALL, prior, UNIFORM, topology="tracked")
 
     with torch.no_grad():
         fine, rough = dense.decode_mesh(latent), coarse.decode_mesh(latent)
