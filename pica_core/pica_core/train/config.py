@@ -170,9 +170,8 @@ class TrainConfig:
             schedule,
             TrainingOptionError,
             frame_balance=(0, 2),
-            **dict.fromkeys(("geometry_steps", "joint_steps", "driver_steps"), any_size),
-            live_steps=any_size,
-            **dict.fromkeys(("geometry_batch", "joint_batch", "driver_batch", "live_batch"), many),
+            **{f"{kind}_steps": any_size for kind in (*PHASES, "live")},
+            **{f"{kind}_batch": many for kind in (*PHASES, "live")},
             pixels_per_image=any_size,
             clip_norm=(0, _FINITE),
         )

@@ -35,13 +35,7 @@ from pica_core.train.guard import DivergenceGuard
 from pica_core.train.held_out import draw_held_out
 from pica_core.train.monitor import Monitor
 from pica_core.train.objectives import Objectives
-from pica_core.train.optimiser import (
-    clip_groups,
-    make_optimiser,
-    parameters_of,
-    rate_ratio,
-    set_rates,
-)
+from pica_core.train.optimiser import clip_groups, make_optimiser, rate_ratio
 from pica_core.train.parallel import Ranks
 from pica_core.train.prior import face_prior
 from pica_core.train.rasterise import Rasteriser
@@ -204,7 +198,9 @@ class Trainer:
         noise = torch.Generator().manual_seed(self.config.seed * 1_000_003 + self.step)
         optimiser, kind = self._optimisers[phase], self._kind_of(self.step)
         ratio = 1.0 if schedule.constant_rate else rate_ratio(index, length)
-        set_rates(optimiser, self._rate_scale * ratio)
+        groups = optimiser.param_groups
+        for group in groups:
+            group["lr"] = group["peak"] * (self._rate_scale * ratio)
         optimiser.zero_grad(set_to_none=True)
         after = self.step + 1
         if after < self.total_steps and self._kind_of(after) == "joint":
@@ -214,7 +210,7 @@ class Trainer:
             with record_function("backward"):
                 total = sum(losses.values(), torch.zeros((), device=self.device))
                 total.backward()  # type: ignore[no-untyped-call]
-                self.ranks.average_gradients(parameters_of(optimiser))
+                self.ranks.average_gradients(p for group in groups for p in group["params"])
             with record_function("optimiser"):
                 clip_groups(optimiser, schedule.clip_norm)
                 optimiser.step()

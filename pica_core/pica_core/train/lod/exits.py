@@ -38,6 +38,8 @@ VERTEX_RIDGE = 1e-3
 """The same for the weights of a vertex, as a share of the mean over all."""
 BLOCK_RIDGE = 1e-3
 """The same for the weights of a block of texels (1e-2 leaves 4 % more on one head)."""
+POINTS_PER_FACE = 1000
+"""Points that are read in each face while a convolution is fitted."""
 PRIOR = 1e-3
 """Weight of the start in a map, where a point's weight is 1."""
 MAP_STEPS = 100
@@ -141,7 +143,6 @@ def fit_convolution(
     metric: Tensor,
     bias_points: Tensor,
     still: Tensor,
-    points_per_face: int = 1000,
     seed: int = 0,
 ) -> MapExit:
     """Fit one convolution for all texels, so that its map is like the decoder's own output.
@@ -155,14 +156,13 @@ def fit_convolution(
             unknowns as texels, and with too few points for each, single texels go wrong.
         still: The map that the exit's is added to, ``[C', S, S]``: what does not move keeps all of
             its detail, and what does is smooth.
-        points_per_face: How many of the points are read in each face.
     """
     mean_trunk, mean_full = _means(decoder, faces, level)
     system = _System(mean_trunk.shape[0] * 9, mean_full.shape[0])
     generator = torch.Generator().manual_seed(seed)
     for trunk, full in decoder.run(faces, level):
         for moved, wanted in zip(trunk - mean_trunk, full - mean_full, strict=True):
-            chosen = torch.randint(len(points), (points_per_face,), generator=generator)
+            chosen = torch.randint(len(points), (POINTS_PER_FACE,), generator=generator)
             features = _features(moved[None], points[chosen])
             targets = sample_map(wanted[None], points[chosen])[0]
             system.add(features, targets, metric[chosen])
@@ -182,7 +182,6 @@ def fit_local(decoder: FrozenDecoder, faces: FaceSet, level: int, exit_: MapExit
     and the map of the mean face stays as it is.
 
     Args:
-        decoder: Whose output to imitate, and whose trunk to do it from.
         exit_: The convolution.
     """
     mean_trunk, mean_full = _means(decoder, faces, level)
@@ -228,7 +227,6 @@ def fit_sheet(
     """Fit every vertex by itself to where the decoder's own output has it.
 
     Args:
-        decoder: Whose output to imitate, and whose trunk to do it from.
         level: Rows of the trunk.
         vertex_uv: Where the vertices are in the full map, UV in [0, 1]. ``[V, 2]``.
         rest: Map to add to the decoder's output, ``[3, S, S]``; it goes into the rest.
