@@ -36,7 +36,7 @@ def main() -> None:
         sys.exit(__doc__)
     run = open_run(Path(sys.argv[1]))
     limits = EvalLimits(frames=COLUMNS, geometry_frames=0, near_frames=COLUMNS // 2)
-    truth = prepare(run.capture, run.config.model.spec().map_size, limits)
+    truth = prepare(run.capture, limits)
     data, model = truth.data, build(run, truth)
     with Rasteriser.of(data.meshes.topology(model.topology)) as rasteriser:
         evaluator = ModelEvaluator(data, model, rasteriser)

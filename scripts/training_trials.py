@@ -194,7 +194,7 @@ def _trial(
     names, config = options.chosen(known), options.config()
     torch.set_num_threads(options.threads)
     capture = Capture.open(options.capture)
-    data = TrainingData(capture, config.model.spec().map_size)
+    data = TrainingData(capture)
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         for row in run(data, config, options.out or Path(folder), names, range(options.seeds)):
@@ -234,7 +234,7 @@ def steps(options: StepOptions) -> dict[str, Any]:
     losses = PAPER_LOSSES if options.six_losses else config.losses
     schedule = replace(config.schedule, geometry_steps=0, joint_steps=options.steps + 10)
     config = replace(config, losses=losses, schedule=schedule)
-    data = TrainingData(Capture.open(options.capture), config.model.spec().map_size)
+    data = TrainingData(Capture.open(options.capture))
     with (
         tempfile.TemporaryDirectory() as folder,
         open_trainer(data, config, Path(folder)) as trainer,

@@ -44,7 +44,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> TrainingData:
     folder = tmp_path_factory.mktemp("capture")
     options = StageOptions(frames=12, cameras=2, width=128, height=128, texture_size=64)
     render_capture(options, folder)
-    return TrainingData(Capture.open(folder), 256)
+    return TrainingData(Capture.open(folder))
 
 
 def short(geometry: int, joint: int, driver: int) -> TrainConfig:

@@ -68,12 +68,11 @@ def _measure(runs: Sequence[Run], options: EvalOptions) -> dict[str, Any]:
     tracked: dict[str, dict[str, float | None]] = {}
     floor: dict[str, float | None] = {}
     for capture in dict.fromkeys(run.capture for run in runs):
-        own = [run for run in runs if run.capture == capture]
         _say(f"{capture}: drawing the truth")
-        truth = prepare(capture, own[0].config.model.spec().map_size, options)
+        truth = prepare(capture, options)
         tracked[truth.identity] = truth.tracked_mm
         floor[truth.identity] = truth.one_sample_mse
-        for run in own:
+        for run in [run for run in runs if run.capture == capture]:
             own_rows, result, pictures = measure(run, truth, _say, samples=options.samples)
             rows += own_rows
             found.append(result)

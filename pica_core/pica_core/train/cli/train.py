@@ -120,7 +120,7 @@ def train(options: TrainOptions) -> dict[str, Any]:
             f"{options.out}: cannot be made: {error.strerror or error}"
         ) from error
     torch.set_num_threads(options.threads)
-    data = TrainingData(Capture.open(options.capture), config.model.spec().map_size)
+    data = TrainingData(Capture.open(options.capture))
     if not options.resume and (options.out / "checkpoint.pt").exists():
         raise CheckpointError(f"{options.out}: a run is there already; --resume goes on with it")
     for before in [options.out] if options.resume else [options.start_from]:
@@ -163,7 +163,7 @@ def export(options: ExportOptions) -> dict[str, Any]:
     state = read_checkpoint(options.run / "checkpoint.pt")
     config = TrainConfig.from_json(json.loads(state["config"]))
     torch.set_num_threads(options.threads)
-    data = TrainingData(Capture.open(options.capture), config.model.spec().map_size)
+    data = TrainingData(Capture.open(options.capture))
     if not data.capture.has_expressions:
         raise CaptureError(
             f"{options.capture}: no expressions, so nothing could drive the avatar; a capture with "

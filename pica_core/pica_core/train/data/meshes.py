@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from pica_core.avatar.spec import AvatarSpec
 from pica_core.avatar.variants import TopologyName
 from pica_core.capture.dataset.dataset import Capture, Topology
 from pica_core.model.decoders import sample_map
@@ -29,7 +30,6 @@ class CaptureMeshes:
 
     Args:
         train_frames: Frames that means are taken over.
-        map_size: Rows and columns of the position maps.
 
     Attributes:
         source: What encoder and mesh loss are given: exact meshes, or the tracker's.
@@ -41,8 +41,8 @@ class CaptureMeshes:
         position_scale_m: Unit of offsets from the mean: twice their root mean square.
     """
 
-    def __init__(self, capture: Capture, train_frames: list[int], map_size: int) -> None:
-        self._capture = capture
+    def __init__(self, capture: Capture, train_frames: list[int]) -> None:
+        self._capture, map_size = capture, AvatarSpec().map_size
         self._train_frames = train_frames
         dense, tracked = capture.topology, capture.tracked_topology
         self._one_mesh = tracked is dense

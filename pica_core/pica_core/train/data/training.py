@@ -18,9 +18,6 @@ from pica_core.train.data.sampler import rarity
 class TrainingData:
     """The frames of a capture, ready for batches.
 
-    Args:
-        map_size: Rows and columns of the position map.
-
     Attributes:
         train_frames: Places in `Capture.frames` of those to train on.
         test_frames: The same of held-out ones.
@@ -31,7 +28,7 @@ class TrainingData:
         CaptureError: No training or no test frames.
     """
 
-    def __init__(self, capture: Capture, map_size: int) -> None:
+    def __init__(self, capture: Capture) -> None:
         self.capture = capture
         self.train_frames = [i for i, f in enumerate(capture.frames) if f.split == "train"]
         self.test_frames = [i for i, f in enumerate(capture.frames) if f.split == "test"]
@@ -40,7 +37,7 @@ class TrainingData:
                 f"{capture.path}: {len(self.train_frames)} training and {len(self.test_frames)} "
                 "test frames; at least one of each is needed"
             )
-        self.meshes = CaptureMeshes(capture, self.train_frames, map_size)
+        self.meshes = CaptureMeshes(capture, self.train_frames)
         self.images = ImageCache(capture)
         offsets_m = self.meshes.dense_m[self.train_frames] - self.meshes.dense_mean_m
         self.rarity = rarity(offsets_m, capture.topology.regions)

@@ -132,13 +132,13 @@ def open_run(folder: Path, capture: Path | None = None) -> Run:
     )
 
 
-def prepare(capture: Path, map_size: int, limits: EvalLimits) -> CaptureTruth:
+def prepare(capture: Path, limits: EvalLimits) -> CaptureTruth:
     """Open a capture and draw its truth. GL contexts are released before it returns.
 
     Raises:
         CaptureError: It cannot be read, or has no test frames.
     """
-    data = TrainingData(Capture.open(capture), map_size)
+    data = TrainingData(Capture.open(capture))
     whole = data.test_frames if limits.split == "test" else data.train_frames
     frames = spaced(whole, limits.frames)
     views: dict[tuple[int, str], TrueView] = {}

@@ -70,7 +70,7 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def data(capture: Path) -> TrainingData:
-    return TrainingData(Capture.open(capture), 256)
+    return TrainingData(Capture.open(capture))
 
 
 def config_of(variant: str) -> TrainConfig:
