@@ -86,9 +86,12 @@ def decoder_graph(
         trunk, last, tensors = _expression(avatar, size)
         found = arrange(graph, trunk, tensors, graph.add("Concat", grid, tiled, axis=1))
         value = arrange(graph, last, tensors, found)
-        if local_name(size) in tensors:
-            value = graph.add("Add", value, _weigh_per_block(graph, avatar, size, found))
         channels = avatar.spec.expression_channels
+        if local_name(size) in tensors:  # what each block of texels adds by weights of its own
+            own = graph.floats(spread_local(tensors[local_name(size)], channels))
+            weighed = graph.add("Mul", found, own)
+            added = graph.add("ReduceSum", weighed, graph.sizes(1), keepdims=0)
+            value = graph.add("Add", value, added)
         _channel_last(graph, value, size, channels, output="expression_map")
         outputs["expression_map"] = [size, size, channels]
     return graph.serialise(inputs, outputs)
@@ -135,13 +138,6 @@ def _expression(avatar: Avatar, size: int) -> tuple[list[Layer], list[Layer], di
     bias = Layer("untied_bias", f"{name}.untied", out_channels, out_channels, size)
     tensors[f"{bias.name}.weight"] = tensors[f"{name}.bias"]
     return trunk_layers(avatar.spec, "expression", size), [last, bias], tensors
-
-
-def _weigh_per_block(graph: GraphBuilder, avatar: Avatar, size: int, trunk: str) -> str:
-    """What each block of texels adds to an exit's map by weights of its own, ``[4, S, S]``."""
-    own = spread_local(avatar.tensors[local_name(size)], avatar.spec.expression_channels)
-    weighed = graph.add("Mul", trunk, graph.floats(own))
-    return graph.add("ReduceSum", weighed, graph.sizes(1), keepdims=0)
 
 
 def _weigh_per_vertex(

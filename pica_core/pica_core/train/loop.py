@@ -108,11 +108,10 @@ class Trainer:
         self._steps = geometry, joint, driver
         if prior.linear is not None:
             self.objectives.notes += prior.linear.notes
-        trains = dict(zip(PHASES, PHASES, strict=True))
-        trains |= {"driver": "live"} if self._has_live_steps else {}
+        last = "live" if self._has_live_steps else "driver"
         self._optimisers = {
             phase: make_optimiser(self.model, config.schedule, what)
-            for phase, what in trains.items()
+            for phase, what in zip(PHASES, (*PHASES[:-1], last), strict=True)
         }
 
     @property
@@ -215,7 +214,8 @@ class Trainer:
                 clip_groups(optimiser, schedule.clip_norm)
                 optimiser.step()
         except (MemoryError, RuntimeError) as error:
-            if isinstance(error, PicaCoreError) or not _is_out_of_memory(error):
+            told = isinstance(error, MemoryError) or any(text in str(error) for text in _NO_MEMORY)
+            if isinstance(error, PicaCoreError) or not told:
                 raise
             batch = getattr(schedule, f"{kind}_batch")
             pixels = schedule.pixels_per_image or "all"
@@ -349,10 +349,6 @@ class Trainer:
             monitor.row(self.step, "held_out", {"seconds": round(self.seconds, 2), "mse": mse})
             monitor.picture(self.step, picture)
         self.ranks.wait()
-
-
-def _is_out_of_memory(error: BaseException) -> bool:
-    return isinstance(error, MemoryError) or any(text in str(error) for text in _NO_MEMORY)
 
 
 @contextmanager

@@ -16,7 +16,7 @@ from pica_core.avatar.variants import TopologyName
 from pica_core.capture.dataset.dataset import Capture, Topology
 from pica_core.model.decoders import sample_map
 from pica_core.train.config import MeshSource
-from pica_core.train.data.uv_raster import rasterise_uv
+from pica_core.train.data.uv_raster import UvRaster, rasterise_uv
 from pica_core.types import BoolArray, FloatArray
 
 IMPORTANT_REGIONS = ("mouth", "lips", "eyes", "eyeballs", "lids", "teeth", "tongue")
@@ -63,7 +63,8 @@ class CaptureMeshes:
         self.position_mean = self.uv_raster.position_map(self.dense_mean_m)
         self.position_scale_m = float(np.sqrt(np.square(train - self.dense_mean_m).mean()) * 2)
         self.source: MeshSource = "truth" if capture.has_truth else "tracked"
-        self._true_tracked = cache(self._tracked_of_dense)
+        uv = tracked.vertex_uv
+        self._true_tracked = cache(lambda i: _resampled(self.uv_raster, self.dense_m[i], uv))
         self._map = lru_cache(MAX_MAPS)(self._map_of)
 
     def use(self, source: MeshSource) -> bool:
@@ -150,12 +151,8 @@ class CaptureMeshes:
 
     def _dense_of_tracked(self, frame: int) -> FloatArray:
         """The tracked mesh at the vertices of the dense topology, through its position map."""
-        values = self._tracked_raster.position_map(self.tracked_m[frame])
-        return _look_up(values, self._capture.topology.vertex_uv)
-
-    def _tracked_of_dense(self, frame: int) -> FloatArray:
-        values = self.uv_raster.position_map(self.dense_m[frame])
-        return _look_up(values, self._capture.tracked_topology.vertex_uv)
+        uv = self._capture.topology.vertex_uv
+        return _resampled(self._tracked_raster, self.tracked_m[frame], uv)
 
 
 def important_vertices(topology: Topology) -> BoolArray:
@@ -173,9 +170,9 @@ def vertex_importance(
     return weights
 
 
-def _look_up(position_map: FloatArray, uv: FloatArray) -> FloatArray:
-    """A map ``[S, S, 3]`` at UVs ``[V, 2]``, bilinear."""
-    values = torch.from_numpy(position_map).permute(2, 0, 1)[None]
+def _resampled(raster: UvRaster, vertices_m: FloatArray, uv: FloatArray) -> FloatArray:
+    """What lies at UVs ``[V, 2]`` of a mesh's position map, bilinear."""
+    values = torch.from_numpy(raster.position_map(vertices_m)).permute(2, 0, 1)[None]
     found = sample_map(values, torch.from_numpy(np.ascontiguousarray(uv, np.float32)))[0]
     vertices: FloatArray = found.contiguous().numpy()
     return vertices

@@ -201,7 +201,10 @@ def measure(
         progress(f"{run.folder}: views")
         found = measure_views(evaluator, truth.frames, samples=samples)
         progress(f"{run.folder}: geometry")
-        depth = _depth_errors(evaluator, truth)
+        depth = DepthErrors()
+        for (frame, view), true in truth.views.items():
+            picture = evaluator.draw(evaluator.encode(frame), data.images.camera(frame, view))
+            depth.add(true, picture.pixels, picture.depth_m)
         progress(f"{run.folder}: near field")
         near, pictures = _near(evaluator, truth.near, samples)
     shared = {"identity": truth.identity, "variant": run.variant, "block": run.block}
@@ -225,19 +228,10 @@ def measure(
             {"frame": f"{frame.segment}/{frame.name}", "mse": float(value)}
             for frame, value in zip(names, per_frame, strict=True)
         ],
-        "geometry": depth,
+        "geometry": depth.means_mm() if truth.views else {},
         "near": near,
     }
     return rows, result, pictures
-
-
-def _depth_errors(evaluator: ModelEvaluator, truth: CaptureTruth) -> dict[str, float | None]:
-    errors = DepthErrors()
-    for (frame, view), true in truth.views.items():
-        camera = truth.data.images.camera(frame, view)
-        picture = evaluator.draw(evaluator.encode(frame), camera)
-        errors.add(true, picture.pixels, picture.depth_m)
-    return errors.means_mm() if truth.views else {}
 
 
 def _near(
