@@ -104,8 +104,7 @@ class Objectives:
         self._laplacian: MeshLaplacian | None = None
         if losses.smooth and losses.laplacian:
             self._laplacian = MeshLaplacian(neutral_m, topology.faces, device=device)
-            rough = smoothness_weights(topology.regions, len(topology.vertex_uv))
-            self._rough = torch.from_numpy(rough).to(device)
+            self._rough = torch.from_numpy(smoothness_weights(topology)).to(device)
         self._codes: tuple[dict[int, Tensor], Tensor] | None = None
         self._poses = None
         if isinstance(getattr(model, "geometry", None), LinearGeometry):
@@ -312,18 +311,13 @@ class Objectives:
     def _mesh_weights(self) -> Tensor:
         """Importance of vertices in the mesh loss."""
         losses, data = self.config.losses, self.data
-        if data.meshes.source == "tracked":
-            regions = data.meshes.topology("tracked").regions
-            weights = np.ones(len(data.meshes.topology("tracked").vertex_uv), np.float32)
-            if MASKED_REGION in regions:
-                weights[regions[MASKED_REGION]] = 0
-            if self.model.topology == "tracked" and COVER in regions:
-                weights[regions[COVER]] = 1
-            return torch.from_numpy(weights)
         topology = data.meshes.topology(self.model.topology)
-        return torch.from_numpy(
-            vertex_importance(topology, losses.region_weight, losses.lid_weight)
-        )
+        weights = vertex_importance(topology, losses.region_weight, losses.lid_weight)
+        if data.meshes.source == "tracked":
+            covered = {COVER: 1.0} if self.model.topology == "tracked" else {}
+            tracked = data.meshes.topology("tracked")
+            weights = tracked.by_region({MASKED_REGION: 0.0, **covered}, 1.0).astype(np.float32)
+        return torch.from_numpy(weights)
 
     def _mesh(self, mesh: DecodedMesh, frames: list[int]) -> Tensor:
         if self.data.meshes.source == "truth" and self.model.topology == "dense":

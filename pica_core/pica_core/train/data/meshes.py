@@ -165,9 +165,8 @@ def vertex_importance(
     topology: Topology, region_weight: float = 4.0, lid_weight: float = 16.0
 ) -> FloatArray:
     """How much an error of each vertex counts: mouth and eyes above the rest, lids most. ``[V]``"""
-    weights = np.where(important_vertices(topology), region_weight, 1.0).astype(np.float32)
-    weights[topology.region("lids")] = lid_weight
-    return weights
+    weights = {**dict.fromkeys(IMPORTANT_REGIONS, region_weight), "lids": lid_weight}
+    return topology.by_region(weights, 1.0).astype(np.float32)
 
 
 def _resampled(raster: UvRaster, vertices_m: FloatArray, uv: FloatArray) -> FloatArray:
