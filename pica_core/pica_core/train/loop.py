@@ -160,7 +160,7 @@ class Trainer:
                 problem = "weights not finite"
             if problem is not None:
                 self._go_back(monitor, phase, problem)
-                guard.forget()
+                guard = DivergenceGuard()
                 first, first_s = self.step, self.seconds
                 continue
             if self.step % METRICS_EVERY == 0:
