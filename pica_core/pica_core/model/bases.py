@@ -179,8 +179,7 @@ def split_bases(bases: Bases, vertex_uv: FloatArray) -> SplitBases:
     """Cut bases along the chart, prune each region, and round to what a file holds.
 
     Args:
-        bases: Of the whole mesh.
-        vertex_uv: Where its vertices lie in the chart, ``[V, 2]``.
+        vertex_uv: Where vertices lie in the chart, ``[V, 2]``.
     """
     count = len(bases.components_m)
     regions = _cut(vertex_uv, np.arange(len(vertex_uv), dtype=np.int32))

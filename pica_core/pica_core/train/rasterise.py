@@ -114,25 +114,19 @@ class Rasteriser:
         return ids
 
     def batch_ids(self, vertices_m: FloatArray, cameras: Sequence[Camera]) -> IntArray:
-        """`triangle_ids` of N meshes, each through its camera, read back at once.
+        """`triangle_ids` of N meshes, each through its camera, read back at once: ``[N, H, W]``.
 
         Args:
             vertices_m: Head-frame metres, float32 ``[N, V, 3]``.
             cameras: One for each mesh, all of one image size.
-
-        Returns:
-            int32 ``[N, H, W]``.
         """
         target = self._draw(vertices_m, cameras)
         ids = np.frombuffer(target.read(components=1, dtype="f4"), np.float32)
         return self._images(ids, cameras).astype(np.int32) - 1
 
     def batch_depths_m(self, cameras: Sequence[Camera]) -> FloatArray:
-        """Depths along the cameras' axes of what `batch_ids` drew last, 0 where nothing is.
-
-        Returns:
-            Metres, good to about 0.01 mm at 1 m; float32 ``[N, H, W]``.
-        """
+        """Depths along the cameras' axes of what `batch_ids` drew last, 0 where nothing is: metres,
+        good to about 0.01 mm at 1 m, float32 ``[N, H, W]``."""
         assert self._target is not None
         window = np.frombuffer(
             self._target.read(components=1, attachment=-1, dtype="f4"), np.float32
@@ -227,14 +221,11 @@ class Views(NamedTuple):
         return vertices_m @ self.rotation.mT + self.translation_m[:, None]
 
     def rays(self, image: Tensor, pixels: Tensor) -> Tensor:
-        """Directions through pixel centres in camera axes, z = 1.
+        """Directions through pixel centres in camera axes, z = 1, ``[P, 3]``.
 
         Args:
             image: Which camera, int64 ``[P]``.
             pixels: Flat index (row * W + column), int64 ``[P]``.
-
-        Returns:
-            ``[P, 3]``.
         """
         dtype = self.inverse.dtype
         rows = torch.div(pixels, self.width, rounding_mode="floor")

@@ -68,11 +68,8 @@ class CaptureMeshes:
         self._map = lru_cache(MAX_MAPS)(self._map_of)
 
     def use(self, source: MeshSource) -> bool:
-        """Choose what encoder and mesh loss are given: exact meshes or the tracker's.
-
-        Returns:
-            Whether the capture has them; without exact meshes it stays at the tracked ones.
-        """
+        """Choose what encoder and mesh loss are given: exact meshes or the tracker's. Says whether
+        the capture has them; without exact meshes it stays at the tracked ones."""
         self.source = source if self._capture.has_truth else "tracked"
         return self.source == source
 
@@ -88,14 +85,12 @@ class CaptureMeshes:
         return self._tracked_raster.position_map(mean)
 
     def neutral_m(self, name: TopologyName, arkit: Tensor) -> FloatArray:
-        """The mesh of the training frame nearest to a neutral expression, as `source` says.
+        """The mesh of the training frame nearest to a neutral expression, as `source` says:
+        ``[V, 3]``.
 
         Args:
             arkit: Expressions of all frames, ``[T, 52]``; where a capture has none the frame
                 nearest to the mean mesh is taken.
-
-        Returns:
-            ``[V, 3]``.
         """
         if self._capture.has_expressions:
             away = arkit[self._train_frames].square().sum(1).numpy()

@@ -44,10 +44,7 @@ def ssim(predicted: Image, observed: Image, covered: BoolArray) -> float:
         predicted: ``[H, W, 3]``; outside the covered pixels it should hold what `observed` holds,
             so that windows across the rim compare like with like.
         observed: ``[H, W, 3]``.
-        covered: Which pixels count, ``[H, W]``.
-
-    Returns:
-        1 for the same picture; 1 where nothing is covered.
+        covered: Which pixels count, ``[H, W]``; 1 where none does.
     """
     if not covered.any():
         return 1.0

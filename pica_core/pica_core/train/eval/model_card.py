@@ -10,11 +10,8 @@ EVALUATION_FILE = "evaluation.json"
 
 
 def model_card(trainer: Trainer, run: Path) -> dict[str, str]:
-    """Entries in words, for `pica avatar info` and whoever gets the file.
-
-    Args:
-        run: Its folder; without an evaluation there nothing is said about errors.
-    """
+    """Entries in words, for `pica avatar info` and whoever gets the file; nothing of errors where
+    the run's folder has no evaluation."""
     model, data = trainer.config.model, trainer.data
     camera = data.capture.cameras[0]
     seconds = f", {trainer.seconds / 60:.0f} minutes" if trainer.seconds >= 60 else ""

@@ -105,10 +105,7 @@ class CaptureTruth:
 
 
 def open_run(folder: Path, capture: Path | None = None) -> Run:
-    """Read a run's checkpoint and what it was trained on.
-
-    Args:
-        capture: Its capture, if it moved or the run does not say.
+    """Read a run's checkpoint and what it was trained on; `capture` if it moved or nothing says it.
 
     Raises:
         CheckpointError: No checkpoint, a damaged one, one of another version, or no word of the

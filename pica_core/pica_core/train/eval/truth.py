@@ -137,11 +137,8 @@ def near_camera(capture: Capture, vertices_m: FloatArray) -> Camera:
 
 
 def near_field(data: TrainingData, frames: list[int]) -> NearField | str:
-    """Draw the truth of some frames close to the mouth. Makes and releases a GL context.
-
-    Returns:
-        The pictures, or why there are none.
-    """
+    """Draw the truth of some frames close to the mouth, or say why nobody can. Makes and releases a
+    GL context."""
     capture = data.capture
     if not {"lips", "mouth"} & set(capture.topology.regions):
         return "the capture's topology names no lips"

@@ -65,11 +65,8 @@ class FaceSet:
 
 
 class FrozenDecoder:
-    """One of an avatar's decoders, rebuilt from its file: full maps and what exits find.
-
-    Args:
-        decoder: ``"geometry"`` or ``"expression"``.
-    """
+    """One of an avatar's decoders, ``"geometry"`` or ``"expression"``, rebuilt from its file: full
+    maps and what exits find."""
 
     def __init__(self, avatar: Avatar, decoder: str) -> None:
         self._decoder = decoder
@@ -180,9 +177,6 @@ def fit_local(decoder: FrozenDecoder, faces: FaceSet, level: int, exit_: MapExit
 
     One convolution for all texels takes a cheek and a lid for alike. Blocks are fitted one by one,
     and the map of the mean face stays as it is.
-
-    Args:
-        exit_: The convolution.
     """
     mean_trunk, mean_full = _means(decoder, faces, level)
     inputs, outputs, side = len(mean_trunk), len(mean_full), level // LOCAL_TEXELS
@@ -255,15 +249,12 @@ def fit_sheet(
 
 
 def fit_map(points: Tensor, values: Tensor, start: Tensor) -> Tensor:
-    """The map whose bilinear lookups at points are nearest to values there.
+    """The map, float32 ``[C, S, S]``, whose bilinear lookups at points are nearest to values there.
 
     Args:
         points: UV in [0, 1], ``[P, 2]``.
         values: ``[P, C]``.
         start: Map to begin with and to keep where no point reads, ``[C, S, S]``.
-
-    Returns:
-        float32 ``[C, S, S]``.
     """
     size = start.shape[-1]
     index, share = _taps(points.double(), size)
@@ -294,15 +285,13 @@ def fit_map(points: Tensor, values: Tensor, start: Tensor) -> Tensor:
 def colour_metric(
     avatar: Avatar, codes: list[Float64Array], xyz_m: Float64Array, points: Float64Array
 ) -> Float64Array:
-    """How squared differences of colour follow from differences of expression codes, at points.
+    """How squared differences of colour follow from differences of expression codes, at points:
+    inner products of the slopes of RGB (1.0 is white), ``[P, 4, 4]``.
 
     Args:
         codes: Codes at the points in some faces, ``[P, 4]`` each; the metric is their mean.
         xyz_m: Where the points are at rest, ``[P, 3]``.
         points: UV, ``[P, 2]``.
-
-    Returns:
-        Inner products of the slopes of RGB (1.0 is white), ``[P, 4, 4]``.
     """
     spec, tensors = avatar.spec, avatar.tensors
     metric = np.zeros((len(points), spec.expression_channels, spec.expression_channels))

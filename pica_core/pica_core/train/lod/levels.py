@@ -153,14 +153,8 @@ def add_levels(
     options: LevelOptions | None = None,
     show: Callable[[str], None] = lambda _: None,
 ) -> tuple[Avatar, list[LevelReport]]:
-    """Fit exits and simplify meshes for every level below the full one.
-
-    Args:
-        avatar: Checked avatar; levels that it has are made anew, a table of errors is dropped.
-
-    Returns:
-        The avatar with its levels, and how good they are.
-    """
+    """Fit exits and simplify meshes for every level below the full one: the avatar with its levels,
+    and how good they are. Levels that it has are made anew, a table of errors is dropped."""
     options = options or LevelOptions()
     tensors = {name: a for name, a in avatar.tensors.items() if not name.startswith(PREFIX)}
     bare = Avatar(avatar.manifest, tensors)

@@ -306,14 +306,8 @@ def _pack_outer(vectors: Array) -> Array:
 
 
 def weld(vertices_m: npt.ArrayLike) -> Int64Array:
-    """For every vertex the first of those that lie in the same place.
-
-    Args:
-        vertices_m: ``[V, 3]``.
-
-    Returns:
-        Indices of vertices, ``[V]``; `WELD_M` is as far as two of one place may lie apart.
-    """
+    """For every vertex ``[V, 3]`` the first of those that lie in the same place, no further than
+    `WELD_M` from each other: indices of vertices, ``[V]``."""
     vertices = np.asarray(vertices_m, np.float64)
     pairs = KDTree(vertices).query_pairs(WELD_M, output_type="ndarray")
     place = components(pairs[:, [0, 1, 1]], len(vertices))
