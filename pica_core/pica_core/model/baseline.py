@@ -33,6 +33,7 @@ from pica_core.latent import NUM_LATENT
 from pica_core.model import interface
 from pica_core.model.decoders import UntiedBias, sample_map, sample_per_image
 from pica_core.model.encoder import resize_texture
+from pica_core.model.options import ModelOptions
 
 TEXTURE_SCALE = 0.25
 """Unit of the texture decoder's output, where 1.0 is white (chosen: about the deviation of a
@@ -188,8 +189,6 @@ class DeepAppearanceModel(interface.AvatarModel):
     Args:
         spec: Sizes that all models share; the texture has its own.
         prior: Mean mesh, its unit, UVs and mean texture of the person.
-        encoder: "paper" or "light".
-        texture_size: Rows and columns of the texture, texels.
 
     Raises:
         ValueError: An unknown encoder, or a texture that no number of layers makes.
@@ -198,30 +197,24 @@ class DeepAppearanceModel(interface.AvatarModel):
     topology = "tracked"
     tracked_mean_m: Tensor
 
-    def __init__(
-        self,
-        spec: AvatarSpec,
-        prior: interface.FacePrior,
-        *,
-        encoder: str = "light",
-        texture_size: int = 1024,
-    ) -> None:
+    def __init__(self, spec: AvatarSpec, prior: interface.FacePrior, options: ModelOptions) -> None:
         super().__init__()
         self.spec = spec
         self.baseline_spec = BaselineSpec(
-            num_vertices=len(prior.tracked_uv), channels=baseline_channels(texture_size)
+            num_vertices=len(prior.tracked_uv), channels=baseline_channels(options.texture_size)
         )
         self.position_scale_m = prior.position_scale_m
         mean = torch.as_tensor(prior.tracked_mean_m, dtype=torch.float32)
         self.register_buffer("tracked_mean_m", mean.clone())
-        self.encoder = DeepAppearanceEncoder(encoder, prior)
+        self.encoder = DeepAppearanceEncoder(options.encoder, prior)
         code = self.baseline_spec.num_latent
         self.latent = Connected(code, code)
         self.mesh = Connected(code, 3 * self.baseline_spec.num_vertices, gain=0.1)
         self.view = Connected(VIEW_CHANNELS, VIEW_FEATURES)
         self.texture = TextureDecoder(self.baseline_spec)
         texture = torch.as_tensor(prior.texture_mean, dtype=torch.float32).permute(2, 0, 1)[None]
-        self._texel_bias.data.copy_(resize_texture(texture, texture_size)[0] / TEXTURE_SCALE)
+        resized = resize_texture(texture, options.texture_size)[0]
+        self._texel_bias.data.copy_(resized / TEXTURE_SCALE)
         self.expression_encoder = interface.ExpressionEncoder()
 
     def decode_mesh(self, latent: Tensor) -> interface.DecodedMesh:

@@ -101,14 +101,12 @@ def tile_view_direction(view_direction: Tensor) -> Tensor:
 
 
 def sample_map(values: Tensor, uv: Tensor) -> Tensor:
-    """Look maps up at UV points, bilinear, texel centres at (i + 0.5) / W, clamped at the edge.
+    """Look maps up at UV points, bilinear, texel centres at (i + 0.5) / W, clamped at the edge:
+    ``[N, P, C]``.
 
     Args:
         values: ``[N, C, H, W]``.
         uv: Points in [0, 1], ``[N, P, 2]``, or ``[P, 2]`` for the same points in every map.
-
-    Returns:
-        ``[N, P, C]``.
     """
     if uv.ndim == 2:
         uv = uv.expand(len(values), -1, -1)
@@ -119,14 +117,9 @@ def sample_map(values: Tensor, uv: Tensor) -> Tensor:
 
 
 def sample_per_image(maps: Tensor, surface: Surface) -> Tensor:
-    """Look every pixel up in the map of its own image.
+    """Look every pixel of a surface, sorted by image, up in the map of its own image.
 
-    Args:
-        maps: One for each image, ``[N, C, H, W]``.
-        surface: Pixels sorted by image.
-
-    Returns:
-        ``[P, C]``.
+    Maps are ``[N, C, H, W]``, what is found ``[P, C]``.
     """
     counts = torch.bincount(surface.image, minlength=len(maps))
     parts = torch.split(surface.uv, counts.tolist())

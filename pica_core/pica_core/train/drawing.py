@@ -14,7 +14,7 @@ from pica_core.camera import Camera
 from pica_core.capture.dataset.dataset import Topology
 from pica_core.model.interface import Surface
 from pica_core.train.losses import screen_normals
-from pica_core.train.rasterise import Hits, Rasteriser, Views, hit_points
+from pica_core.train.rasterise import Rasteriser, Views, hit_points
 from pica_core.types import FloatArray, Int64Array, IntArray
 
 NORMAL_SHARE = 4
@@ -85,95 +85,56 @@ class MeshDrawer:
         self._faces = torch.from_numpy(faces).to(device)
         self._face_uv = torch.from_numpy(np.float32(topology.vertex_uv[faces])).to(device)
         self._face_weights = np.append(face_weights, 0).astype(np.float32)
-        self._ids = np.zeros((0, 0), np.int32)
-        self._cameras: list[Camera] = []
-
-    def rasterise(self, vertices_m: Tensor, cameras: list[Camera]) -> None:
-        """Find the triangle of every pixel of N images.
-
-        Args:
-            vertices_m: ``[N, V, 3]``.
-        """
-        meshes = vertices_m.detach().to("cpu", torch.float32).numpy()
-        self._ids = self.rasteriser.batch_ids(meshes, cameras).reshape(len(cameras), -1)
-        self._cameras = cameras
 
     def draw(
         self,
         vertices_m: Tensor,
+        cameras: list[Camera],
         rngs: list[np.random.Generator],
         *,
         pixels_per_image: int,
-        normals: bool,
-        detach_xyz: bool,
+        normals: bool = False,
     ) -> DrawnPixels:
-        """Draw covered pixels of the images that `rasterise` saw, and interpolate there.
+        """Find the triangle of every pixel of N images, draw covered ones, and interpolate there.
 
         Args:
-            vertices_m: As for `rasterise`; gradients flow there.
+            vertices_m: ``[N, V, 3]``; gradients flow there.
             pixels_per_image: About how many; 0 for all.
         """
-        size = self._ids.shape[1]
+        meshes = vertices_m.detach().to("cpu", torch.float32).numpy()
+        ids = self.rasteriser.batch_ids(meshes, cameras)
+        size, width = ids[0].size, cameras[0].width
         parts = [
-            index * size + self._choose(ids, rng, pixels_per_image)
-            for index, (ids, rng) in enumerate(zip(self._ids, rngs, strict=True))
+            index * size + self._choose(own.reshape(-1), rng, pixels_per_image)
+            for index, (own, rng) in enumerate(zip(ids, rngs, strict=True))
         ]
-        chosen = np.concatenate(parts)
-        centre = np.zeros(0, np.int64)
-        width = self._cameras[0].width
-        wanted = chosen
+        wanted = chosen = np.concatenate(parts)
         if normals:
             every = 1 if pixels_per_image == 0 else NORMAL_SHARE
-            centre = self._with_neighbours(np.concatenate([part[::every] for part in parts]))
-            mark = np.zeros(self._ids.size, bool)
+            centre = _with_neighbours(ids, np.concatenate([part[::every] for part in parts]))
+            mark = np.zeros(ids.size, bool)
             for places in (chosen, centre + 1, centre + width):
                 mark[places] = True
             wanted = np.flatnonzero(mark)
             place = np.cumsum(mark) - 1
-        hits, triangles = self._hits(vertices_m, wanted)
-        pixels = self._list(chosen)
-        own, at = None, [hits.image[:0]] * 3
+        views, listed = Views.of(cameras, vertices_m), PixelList(*np.divmod(wanted, size))
+        triangle = ids.reshape(-1)[wanted].astype(np.int64)
+        image, pixel, triangles = (
+            torch.from_numpy(values).to(vertices_m.device) for values in (*listed, triangle)
+        )
+        hits = hit_points(views.see(vertices_m), self._faces, views, image, pixel, triangles)
+        points, at = [*hits, triangles], [image[:0]] * 3
         if normals:
             own, *at = (
-                torch.from_numpy(place[places]).to(hits.image.device)
+                torch.from_numpy(place[places]).to(image.device)
                 for places in (chosen, centre, centre + 1, centre + width)
             )
-        surface = self._surface(vertices_m, hits, triangles, own, detach_xyz=detach_xyz)
-        return DrawnPixels(
-            pixels, surface, self._list(wanted), hits.depth_m, hits.image, hits.rays, *at
-        )
-
-    def _hits(self, vertices_m: Tensor, wanted: Int64Array) -> tuple[Hits, Tensor]:
-        pixels, device = self._list(wanted), vertices_m.device
-        triangles = torch.from_numpy(self._ids.reshape(-1)[wanted].astype(np.int64)).to(device)
-        views = Views.of(self._cameras, vertices_m)
-        image, pixel = (torch.from_numpy(values).to(device) for values in pixels)
-        hits = hit_points(views.see(vertices_m), self._faces, views, image, pixel, triangles)
-        return hits, triangles
-
-    def _surface(
-        self,
-        vertices_m: Tensor,
-        hits: Hits,
-        triangles: Tensor,
-        own: Tensor | None,
-        *,
-        detach_xyz: bool,
-    ) -> Surface:
-        """Surface points of all hits, or of some by their indices."""
-        weights, depth_m, rays, image = hits.weights, hits.depth_m, hits.rays, hits.image
-        if own is not None:
-            weights, depth_m = weights.index_select(0, own), depth_m.index_select(0, own)
-            rays, image, triangles = rays[own], image[own], triangles[own]
+            points = [values.index_select(0, own) for values in points]
+        image, weights, depth_m, rays, triangles = points
         uv = (weights[:, :, None] * self._face_uv.index_select(0, triangles)).sum(1)
-        if detach_xyz:
-            depth_m = depth_m.detach()
-        xyz_m = Views.of(self._cameras, vertices_m).to_head(image, rays * depth_m[:, None])
-        return Surface(image, uv, xyz_m)
-
-    def _list(self, flat: Int64Array) -> PixelList:
-        image = flat // self._ids.shape[1]
-        return PixelList(image, flat - image * self._ids.shape[1])
+        surface = Surface(image, uv, views.to_head(image, rays * depth_m[:, None]))
+        pixels = PixelList(*np.divmod(chosen, size))
+        return DrawnPixels(pixels, surface, listed, hits.depth_m, hits.image, hits.rays, *at)
 
     def _choose(self, ids: IntArray, rng: np.random.Generator, wanted: int) -> Int64Array:
         """Covered pixels of an image, each with its chance, so that about `wanted` come."""
@@ -185,12 +146,11 @@ class MeshDrawer:
         chosen: Int64Array = covered[drawn]
         return chosen
 
-    def _with_neighbours(self, places: Int64Array) -> Int64Array:
-        """Those of some pixels whose right and lower neighbours are covered, too."""
-        camera = self._cameras[0]
-        column = places % camera.width
-        row = places // camera.width % camera.height
-        places = places[(column + 1 < camera.width) & (row + 1 < camera.height)]
-        flat = self._ids.reshape(-1)
-        kept: Int64Array = places[(flat[places + 1] >= 0) & (flat[places + camera.width] >= 0)]
-        return kept
+
+def _with_neighbours(ids: IntArray, places: Int64Array) -> Int64Array:
+    """Those of some covered pixels whose right and lower neighbours are covered, too."""
+    covered = ids >= 0
+    both = np.zeros_like(covered)
+    both[:, :-1, :-1] = covered[:, :-1, 1:] & covered[:, 1:, :-1]
+    kept: Int64Array = places[both.reshape(-1)[places]]
+    return kept

@@ -35,15 +35,12 @@ def equal_shares(
     *,
     dtype: torch.dtype = torch.float32,
 ) -> Tensor:
-    """Weights of pixels by which each image's pixels add up to 1 / N.
+    """Weights of pixels, ``[P]``, by which each image's pixels add up to 1 / N.
 
     Args:
         image: Which image each pixel is of, int64 ``[P]``.
         num_images: N.
         mask: Pixels that count, bool ``[P]``; all without it. An image without any adds up to 0.
-
-    Returns:
-        ``[P]``.
     """
     counted = torch.ones_like(image, dtype=dtype) if mask is None else mask.to(dtype)
     counts = counted.new_zeros(num_images).index_add(0, image, counted)
@@ -94,15 +91,13 @@ def depth_loss(predicted_m: Tensor, observed_m: Tensor, mask: Tensor, share: Ten
 
 
 def screen_normals(points: Tensor, right: Tensor, below: Tensor) -> Tensor:
-    """Unit normals of a depth image by forward differences, towards the camera.
+    """Unit normals of a depth image by forward differences, towards the camera, ``[P, 3]``; the
+    zero vector where the three points lie on a line.
 
     Args:
         points: Surface points of P pixels in camera axes (x right, y down, z forward), ``[P, 3]``.
         right: The same of each pixel's right neighbour, ``[P, 3]``.
         below: The same of the neighbour below, ``[P, 3]``.
-
-    Returns:
-        ``[P, 3]``; the zero vector where the three points lie on a line.
     """
     normals = torch.linalg.cross(below - points, right - points)
     # Points are metres apart by fractions of a millimetre: keep the smallest useful area.
@@ -142,12 +137,10 @@ def mean_norm(values: Tensor) -> Tensor:
 
 
 def gradient_smoothness(position_map_m: Tensor) -> Tensor:
-    """Differences of neighbouring texels along rows and along columns: RMS of each, added, mm.
+    """Differences of neighbouring texels of position maps G (metres, ``[N, 3, H, W]``) along rows
+    and along columns: RMS of each, added, mm.
 
     Source: appendix A.2, "Gradient Smoothness".
-
-    Args:
-        position_map_m: Decoded position maps G, metres, ``[N, 3, H, W]``.
     """
     map_mm = position_map_m * MILLIMETRES
     along_x = map_mm[..., :, 1:] - map_mm[..., :, :-1]

@@ -97,9 +97,6 @@ class Rasteriser:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.release()
-
-    def release(self) -> None:
         """Give the context back; the rasteriser is useless afterwards."""
         self._target = None
         self._meshes.clear()
@@ -117,25 +114,19 @@ class Rasteriser:
         return ids
 
     def batch_ids(self, vertices_m: FloatArray, cameras: Sequence[Camera]) -> IntArray:
-        """`triangle_ids` of N meshes, each through its camera, read back at once.
+        """`triangle_ids` of N meshes, each through its camera, read back at once: ``[N, H, W]``.
 
         Args:
             vertices_m: Head-frame metres, float32 ``[N, V, 3]``.
             cameras: One for each mesh, all of one image size.
-
-        Returns:
-            int32 ``[N, H, W]``.
         """
         target = self._draw(vertices_m, cameras)
         ids = np.frombuffer(target.read(components=1, dtype="f4"), np.float32)
         return self._images(ids, cameras).astype(np.int32) - 1
 
     def batch_depths_m(self, cameras: Sequence[Camera]) -> FloatArray:
-        """Depths along the cameras' axes of what `batch_ids` drew last, 0 where nothing is.
-
-        Returns:
-            Metres, good to about 0.01 mm at 1 m; float32 ``[N, H, W]``.
-        """
+        """Depths along the cameras' axes of what `batch_ids` drew last, 0 where nothing is: metres,
+        good to about 0.01 mm at 1 m, float32 ``[N, H, W]``."""
         assert self._target is not None
         window = np.frombuffer(
             self._target.read(components=1, attachment=-1, dtype="f4"), np.float32
@@ -158,7 +149,10 @@ class Rasteriser:
         target.use()
         target.clear(0.0, 0.0, 0.0, 0.0)
         while len(self._meshes) < len(cameras):
-            self._meshes.append(self._mesh())
+            positions = self._context.buffer(reserve=self.num_vertices * 12, dynamic=True)
+            content = [(positions, "3f", "position_m")]
+            mesh = self._context.vertex_array(self._program, content, index_buffer=self._indices)
+            self._meshes.append((positions, mesh))
         for index, camera in enumerate(cameras):
             positions, vertex_array = self._meshes[index]
             positions.write(np.ascontiguousarray(vertices_m[index], np.float32))
@@ -168,13 +162,6 @@ class Rasteriser:
             vertex_array.render()
         target.viewport = (0, 0, width, height * len(cameras))
         return target
-
-    def _mesh(self) -> tuple[moderngl.Buffer, moderngl.VertexArray]:
-        positions = self._context.buffer(reserve=self.num_vertices * 12, dynamic=True)
-        vertex_array = self._context.vertex_array(
-            self._program, [(positions, "3f", "position_m")], index_buffer=self._indices
-        )
-        return positions, vertex_array
 
     def _images(self, values: FloatArray, cameras: Sequence[Camera]) -> FloatArray:
         """What a framebuffer read gives as ``[N, H, W]`` with row 0 on top."""
@@ -234,14 +221,11 @@ class Views(NamedTuple):
         return vertices_m @ self.rotation.mT + self.translation_m[:, None]
 
     def rays(self, image: Tensor, pixels: Tensor) -> Tensor:
-        """Directions through pixel centres in camera axes, z = 1.
+        """Directions through pixel centres in camera axes, z = 1, ``[P, 3]``.
 
         Args:
             image: Which camera, int64 ``[P]``.
             pixels: Flat index (row * W + column), int64 ``[P]``.
-
-        Returns:
-            ``[P, 3]``.
         """
         dtype = self.inverse.dtype
         rows = torch.div(pixels, self.width, rounding_mode="floor")
@@ -260,14 +244,12 @@ class Hits(NamedTuple):
 
     Attributes:
         image: Which of the N images, int64 ``[P]``.
-        corners: Vertices of the triangle, as indices into all ``[N * V]``, int64 ``[P, 3]``.
-        weights: Of those vertices, summing to 1, ``[P, 3]``; differentiable.
+        weights: Of the triangle's vertices, summing to 1, ``[P, 3]``; differentiable.
         depth_m: Along the camera's axis, ``[P]``; differentiable.
         rays: Directions in camera axes with z = 1, ``[P, 3]``.
     """
 
     image: Tensor
-    corners: Tensor
     weights: Tensor
     depth_m: Tensor
     rays: Tensor
@@ -289,7 +271,7 @@ def hit_points(
     rays = views.rays(image, pixels)
     points = seen_m.reshape(-1, 3).index_select(0, corners.view(-1)).view(-1, 3, 3)
     weights, depth_m = interpolation_weights(points, rays)
-    return Hits(image, corners, weights, depth_m, rays)
+    return Hits(image, weights, depth_m, rays)
 
 
 def interpolation_weights(corners: Tensor, rays: Tensor) -> tuple[Tensor, Tensor]:

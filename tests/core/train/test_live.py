@@ -142,7 +142,7 @@ def test_a_capture_shows_every_pose_by_one_of_its_cameras(captured: Path) -> Non
 def test_live_colours_are_learned_from_pictures_of_poses_and_geometry_stays(
     captured: Path, tmp_path: Path
 ) -> None:
-    data = TrainingData(Capture.open(captured), 256)
+    data = TrainingData(Capture.open(captured))
     config = PRESETS["tiny"].changed(
         model={"variant": "linear"}, schedule={"joint_steps": 80, "live_steps": 60}
     )
@@ -172,7 +172,7 @@ def test_without_pictures_the_live_encoder_is_the_regression(
     shutil.copytree(captured, copy)
     write_poses(copy, poses._replace(cameras=()))
     with open_trainer(
-        TrainingData(Capture.open(copy), 256),
+        TrainingData(Capture.open(copy)),
         PRESETS["tiny"].changed(model={"variant": "linear"}),
         tmp_path / "run",
     ) as trainer:

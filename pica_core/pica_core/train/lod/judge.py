@@ -71,11 +71,8 @@ def shown_faces(avatar: Avatar) -> FaceSet:
 
 
 def looked_at(avatar: Avatar, vertices_of: Callable[[FaceSet], Array]) -> tuple[Array, ...]:
-    """Which vertices are eyes, and which mouth, bool ``[V]`` each.
-
-    Args:
-        vertices_of: The full level's vertices of faces, ``[N, V, 3]``.
-    """
+    """Which vertices are eyes, and which mouth, bool ``[V]`` each, by the full level's vertices of
+    faces, ``[N, V, 3]``."""
     names = np.array(ARKIT_NAMES)
     latents = _tensor(ExpressionEncoder(avatar).encode(np.eye(NUM_ARKIT, dtype=np.float32)))
     rest = _tensor(ExpressionEncoder(avatar).encode(np.zeros((1, NUM_ARKIT), np.float32)))
@@ -190,15 +187,13 @@ class Judge:
         self._shown = [_pieces_of(self._piece, faces, ids) for _, ids in self._truth]
 
     def compare(self, mesh: Array, vertices_m: Array | None, maps: Tensor | None) -> Array:
-        """What a drawing leaves: MSE 0-255 of eyes, mouth and the rest, and the ratio that pokes.
+        """What a drawing leaves, as `JUDGED` names it: MSE 0-255 of eyes, mouth and the rest, and
+        the ratio that pokes, ``[4]``.
 
         Args:
             mesh: Triangles, ``[F, 3]``.
             vertices_m: As `full_vertices_m`, right where the mesh uses them; None for those.
             maps: Changes of the still map, of any size; None for the full maps.
-
-        Returns:
-            As `JUDGED` names them, ``[4]``.
         """
         vertices_m = self._vertices_m if vertices_m is None else vertices_m
         maps = self._maps if maps is None else maps
