@@ -6,8 +6,6 @@
 
 An avatar is decoded to one of its levels, both maps or the expression map alone. Each of these is a
 session of its own, built when it is first needed: a graph holds just what its outputs need.
-`decode_pool` runs decoders off the drawing thread; `BaselineDecoder` is the paper's baseline, for
-comparison.
 
 Who computes is a setting: an execution provider by its name, with options that go to it as they
 are. ONNX Runtime itself falls back to the CPU when a provider does not load; here that is an error,
@@ -18,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 from pica_client.decode.onnx_runtime import onnxruntime
 from pica_client.decode.regions import SKIP_M, RegionDecoder
@@ -31,32 +29,6 @@ from pica_core.graphs.onnx_graph import decoder_graph
 from pica_core.types import FloatArray
 
 CPU_PROVIDER = "CPUExecutionProvider"
-
-
-class ObjectDecoder(Protocol):
-    """The per-object half of an avatar."""
-
-    def prepare(self, level: int | None = None, parts: Parts = "both") -> None:
-        """Get ready for such decodes; may take long, once.
-
-        Raises:
-            OptionError: They cannot be had here.
-        """
-        ...
-
-    def decode(
-        self,
-        latent: FloatArray,
-        view_direction: FloatArray,
-        level: int | None = None,
-        parts: Parts = "both",
-    ) -> DecodedMaps:
-        """Decode one latent ``[8, 8, 4]`` as seen along the unit vector `view_direction` ``[3]``.
-
-        Args:
-            level: Size of the maps; None is the full one.
-        """
-        ...
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -95,9 +67,6 @@ class OnnxOptions:
 def open_session(graph: bytes, options: OnnxOptions) -> Any:
     """An ONNX Runtime session that runs on the chosen provider.
 
-    Args:
-        options: Threads and provider.
-
     Returns:
         The ``onnxruntime.InferenceSession``.
 
@@ -132,11 +101,7 @@ def open_session(graph: bytes, options: OnnxOptions) -> Any:
 
 
 class OnnxDecoder:
-    """One avatar's decoders.
-
-    Args:
-        avatar: Checked avatar; the graphs are built here.
-        options: Threads and provider.
+    """The per-object half of one avatar.
 
     Attributes:
         regions: What makes the full level's vertices where bases do, on the CPU; else None.
@@ -155,7 +120,11 @@ class OnnxDecoder:
         self.prepare()
 
     def prepare(self, level: int | None = None, parts: Parts = "both") -> None:
-        """Build the session of a level if it is not there; see `ObjectDecoder`."""
+        """Get ready for such decodes; may take long, once.
+
+        Raises:
+            OptionError: They cannot be had here.
+        """
         self._session(level, parts)
 
     def decode(
@@ -165,26 +134,29 @@ class OnnxDecoder:
         level: int | None = None,
         parts: Parts = "both",
     ) -> DecodedMaps:
-        """Decode one latent; see `ObjectDecoder`."""
+        """Decode one latent ``[8, 8, 4]`` as seen along the unit vector `view_direction` ``[3]``.
+
+        Args:
+            level: Size of the maps; None is the full one.
+        """
         session = self._session(level, parts)
         feeds = {"latent": latent[None], "view_direction": view_direction[None]}
-        by_regions = parts == "both" and self._is_by_regions(level)
-        if parts == "expression" or by_regions:
-            (expression_map,) = session.run(["expression_map"], feeds)
-            if by_regions:
-                assert self.regions is not None
-                sheet, versions = self.regions.decode(latent)
-                return DecodedMaps(sheet, expression_map, len(expression_map), versions)
-            return DecodedMaps(None, expression_map, len(expression_map))
-        position_map, expression_map = session.run(["position_map", "expression_map"], feeds)
-        return DecodedMaps(position_map, expression_map, len(expression_map))
+        regions = self._regions_of(level)
+        if parts == "both" and regions is None:
+            position_map, expression_map = session.run(["position_map", "expression_map"], feeds)
+            return DecodedMaps(position_map, expression_map, len(expression_map))
+        (expression_map,) = session.run(["expression_map"], feeds)
+        sheet = versions = None
+        if parts == "both" and regions is not None:
+            sheet, versions = regions.decode(latent)
+        return DecodedMaps(sheet, expression_map, len(expression_map), versions)
 
-    def _is_by_regions(self, level: int | None) -> bool:
-        return self.regions is not None and level in (None, self._avatar.spec.map_size)
+    def _regions_of(self, level: int | None) -> RegionDecoder | None:
+        return self.regions if level in (None, self._avatar.spec.map_size) else None
 
     def _session(self, level: int | None, parts: Parts) -> Any:
         size = self._avatar.spec.map_size if level is None else level
-        if self._is_by_regions(level):
+        if self._regions_of(level) is not None:
             parts = "expression"
         session = self._sessions.get((size, parts))
         if session is None:
@@ -207,10 +179,7 @@ class DecodedBaseline:
 
 
 class BaselineDecoder:
-    """The paper's baseline: one network for vertices and the whole texture.
-
-    Args:
-        options: Threads and provider.
+    """The paper's baseline, for comparison: one network for vertices and the whole texture.
 
     Raises:
         OptionError: As `OnnxDecoder`.

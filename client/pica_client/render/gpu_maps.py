@@ -83,7 +83,7 @@ class MapSeries:
         """Upload a map that `check` has passed.
 
         Args:
-            row_versions: ``[H]``, as `DecodedSheet` has them; rows that are there are left out.
+            row_versions: ``[H]``, as `DecodedMaps` has them; rows that are there are left out.
         """
         level = array.shape[1]
         if level != self.level:

@@ -193,7 +193,7 @@ class Renderer:
             position_map: Metres, float32 ``[S, S, 3]`` at the full level, the sheet of a coarser
                 one's vertices ``[R, S, 3]``. None keeps the one that is there.
             expression_map: float32 ``[S, S, C]``, or None.
-            row_versions: Of the position map, as `DecodedSheet` has them: rows that are there
+            row_versions: Of the position map, as `DecodedMaps` has them: rows that are there
                 already are not uploaded again. None uploads all.
 
         Raises:
