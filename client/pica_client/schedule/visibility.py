@@ -23,6 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pica_client.render.scene import NEAR_M
 from pica_core.types import Float64Array, FloatArray
 
 NUM_POINTS = 64
@@ -67,27 +68,24 @@ class Sight(NamedTuple):
 NOTHING = Sight(is_visible=False)
 
 
-def look(
-    heads: Sequence[PlacedHead], size_px: tuple[int, int], near_m: float = 0.02
-) -> list[Sight]:
+def look(heads: Sequence[PlacedHead], size_px: tuple[int, int]) -> list[Sight]:
     """Look at heads through one camera.
 
     Args:
         heads: Any number, in any order.
         size_px: Columns and rows of the image.
-        near_m: Distance of the near plane.
 
     Returns:
         What can be seen of each; a head whose matrix or box is not finite cannot be seen.
     """
     width, height = size_px
     outlines = [_outline(head) for head in heads]
-    whole = [each for each in outlines if each is not None and each.depth - each.reach > near_m]
+    whole = [each for each in outlines if each is not None and each.depth - each.reach > NEAR_M]
     sights = []
     for outline in outlines:
-        if outline is None or outline.depth + outline.reach <= near_m:
+        if outline is None or outline.depth + outline.reach <= NEAR_M:
             sights.append(NOTHING)
-        elif outline.depth - outline.reach > near_m:
+        elif outline.depth - outline.reach > NEAR_M:
             nearer = [other for other in whole if other.depth < outline.depth]
             sights.append(_sight(outline, nearer, size_px))
         else:
