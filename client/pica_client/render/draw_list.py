@@ -62,12 +62,8 @@ class RenderSlot:
     textured: TexturedHead | None = None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class View:
-    """A camera and the part of the image that it fills."""
-
-    camera: Camera
-    rect: PixelRect
+View = tuple[Camera, PixelRect]
+"""A camera and the part of the image that it fills."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,15 +158,16 @@ def _arrange(
     position, expression = entry.position, entry.expression
     has_maps = position and expression and position.level and expression.level
     body = entry.body if entry.body and has_maps else placeholder
-    matrix = clip_from_head(view.camera, placement.world_from_head)
+    camera, part = view
+    matrix = clip_from_head(camera, placement.world_from_head)
     bounds = textured or body
     covered = screen_rect(matrix, bounds.low_m, bounds.high_m)
     if covered is None:
         return []
     place = Place(
         matrix=matrix,
-        view=view.rect,
-        rect=rect_in_view(covered, view.rect),
+        view=part,
+        rect=rect_in_view(covered, part),
         shown=(*bounds.fade_m, 1 - min(max(placement.fade, 0.0), 1.0) * MAX_FADE),
     )
     if textured is not None:
@@ -193,7 +190,7 @@ def _arrange(
     before = (position.level_before, position.before, expression.before)
     if placement.is_same_maps:
         before = newest
-    elif not (position.has_before or expression.has_before):
+    elif before == newest:
         blend = 1.0
     layers = (
         (*newest, placement.mesh_level, (0.0, blend)),

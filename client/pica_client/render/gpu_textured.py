@@ -10,6 +10,7 @@ import moderngl
 import numpy as np
 import numpy.typing as npt
 
+from pica_client.render.gpu_program import clamp
 from pica_core.avatar.bust import WHOLE_M, fade_heights_m
 from pica_core.errors import ShapeError
 from pica_core.reference.mesh import order_faces
@@ -35,9 +36,7 @@ class TexturedHead:
     """A textured head on the GPU.
 
     Args:
-        context: Of this thread.
         program: ``textured.vert`` and ``textured.frag``.
-        mesh: See `TexturedMesh`.
         fades: It fades out above the lower end of its box.
     """
 
@@ -61,8 +60,7 @@ class TexturedHead:
             [(self._positions, "3f", "vertex_xyz_m"), (corners, "2f", "vertex_uv")],
             index_buffer=context.buffer(np.ascontiguousarray(faces, np.int32).tobytes()),
         )
-        self.texture = context.texture((mesh.texture_size, mesh.texture_size), 4)
-        self.texture.repeat_x = self.texture.repeat_y = False
+        self.texture = clamp(context.texture((mesh.texture_size, mesh.texture_size), 4))
         self._rgba = np.full((mesh.texture_size, mesh.texture_size, 4), 255, np.uint8)
         self.has_maps = False
 

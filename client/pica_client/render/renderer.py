@@ -34,7 +34,6 @@ from pica_client.render.draw_list import (
     DrawStats,
     HeadStats,
     RenderSlot,
-    View,
     count_draws,
     list_heads,
 )
@@ -45,7 +44,7 @@ from pica_client.render.gpu_textured import TexturedHead, TexturedMesh
 from pica_client.render.passes import DrawPasses
 from pica_client.render.room import EMPTY_ROOM, STILL, Room, lens_of
 from pica_client.render.scene import Placement
-from pica_client.render.targets import make_targets
+from pica_client.render.targets import RenderTargets
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import POSITION_CHANNELS
 from pica_core.camera import Camera
@@ -120,7 +119,7 @@ class Renderer:
         if not all(1 <= side <= MAX_SIDE_PX for side in size):
             raise OptionError(f"size is {size[0]}x{size[1]}; each side may be 1 to {MAX_SIDE_PX}")
         self.size = size
-        self._targets = make_targets(self._context, size)
+        self._targets = RenderTargets(self._context, size)
         self._drawn_room: object = None
         self._context.gc()
 
@@ -145,19 +144,13 @@ class Renderer:
                 fades=self._options.fade_busts,
                 program=self._program_for(avatar),
             )
-        square = {level: level for level in avatar.levels}
+        rows = {level: avatar.position_rows(level) for level in avatar.levels}
+        square, codes = {level: level for level in rows}, avatar.spec.expression_channels
         self._slots[slot] = RenderSlot(
             avatar=avatar,
             body=body,
-            position=MapSeries(
-                self._context,
-                {level: avatar.position_rows(level) for level in avatar.levels},
-                POSITION_CHANNELS,
-                moderngl.NEAREST,
-            ),
-            expression=MapSeries(
-                self._context, square, avatar.spec.expression_channels, moderngl.LINEAR
-            ),
+            position=MapSeries(self._context, rows, POSITION_CHANNELS, moderngl.NEAREST),
+            expression=MapSeries(self._context, square, codes, moderngl.LINEAR),
         )
 
     def add_textured(self, slot: str, mesh: TexturedMesh) -> None:
@@ -243,17 +236,15 @@ class Renderer:
         (width, height), count = self.size, len(cameras)
         edges = [width * number // count for number in range(count + 1)]
         views = [
-            View(camera, (left, 0, right, height))
+            (camera, (left, 0, right, height))
             for camera, (left, right) in zip(cameras, pairwise(edges), strict=True)
         ]
-        seen = [(view.camera if room != EMPTY_ROOM else STILL, view.rect) for view in views]
-        drawn = (
-            room,
-            [
-                (lens_of(eye), eye.rotation.tobytes(), eye.translation_m.tobytes(), rect)
-                for eye, rect in seen
-            ],
-        )
+        seen = [(camera if room != EMPTY_ROOM else STILL, rect) for camera, rect in views]
+        eyes = [
+            (lens_of(eye), eye.rotation.tobytes(), eye.translation_m.tobytes(), rect)
+            for eye, rect in seen
+        ]
+        drawn = (room, eyes)
         if drawn != self._drawn_room:  # only when it looks different; else it is copied
             self._drawn_room = drawn
             passes.draw_room(targets, seen, room)
@@ -275,8 +266,8 @@ class Renderer:
     ) -> None:
         """Work through the vertices of a frame and nothing else; see `DrawPasses.vertices`. The
         next frame is drawn as if this had not been."""
-        view = View(camera, (0, 0, *self.size))
-        heads = list_heads(self._slots, placements, [view], self._passes.placeholder)
+        views = [(camera, (0, 0, *self.size))]
+        heads = list_heads(self._slots, placements, views, self._passes.placeholder)
         self._passes.vertices(self._targets, heads.decoded, heads.painted, times)
 
     def read_image(self) -> Image:
