@@ -150,17 +150,15 @@ def _block(block: str, prefix: str, c_in: int, c_out: int, size: int) -> list[La
             Layer("leaky_relu", f"{prefix}.up_act", c_out, c_out, size * 2),
             Layer("conv3", f"{prefix}.conv", c_out, c_out, size * 2, has_bias=True),
         ]
-    if block == "H2":
-        return [
-            Layer("conv3", f"{prefix}.first", c_in, c_out, size),
-            Layer("untied_bias", f"{prefix}.first_bias", c_out, c_out, size),
-            Layer("leaky_relu", f"{prefix}.first_act", c_out, c_out, size),
-            *_block("B", prefix, c_out, c_out, size),
-        ]
-    return [
+    first = [
         Layer("conv3", f"{prefix}.first", c_in, c_out, size),
         Layer("untied_bias", f"{prefix}.first_bias", c_out, c_out, size),
         Layer("leaky_relu", f"{prefix}.first_act", c_out, c_out, size),
+    ]
+    if block == "H2":
+        return [*first, *_block("B", prefix, c_out, c_out, size)]
+    return [
+        *first,
         Layer("conv1", f"{prefix}.expand", c_out, 4 * c_out, size, has_bias=True),
         Layer("pixel_shuffle", f"{prefix}.shuffle", 4 * c_out, c_out, size * 2),
     ]

@@ -46,7 +46,7 @@ from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.avatar.decoder_layers import spec_tensor_shapes
 from pica_core.avatar.level_tensors import PREFIX as LEVEL_PREFIX
 from pica_core.avatar.levels import LevelErrors
-from pica_core.avatar.linear import check_linear, linear_shapes, mean_vertices
+from pica_core.avatar.linear import check_linear, linear_shapes
 from pica_core.avatar.manifest import Manifest
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.avatar.storage import (
@@ -121,7 +121,8 @@ class Avatar:
         """The mesh at rest, float32 ``[V, 3]``."""
         uv = self.tensors["mesh.vertex_uv"]
         if self.spec.geometry == "bases":
-            return mean_vertices(self.tensors, len(uv))
+            mean: FloatArray = self.tensors["linear.mean"].reshape(-1, 3)[: len(uv)]
+            return mean
         return sample_vertices(self.tensors["geometry.mean"], uv)
 
     def sheet_vertices(self, level: int) -> IntArray | None:
@@ -386,22 +387,7 @@ def _check_header(spec: AvatarSpec, header: Mapping[str, Any]) -> None:
 
 
 def _check_shapes(spec: AvatarSpec, shapes: Mapping[str, tuple[int, ...]]) -> None:
-    wanted = spec_tensor_shapes(spec)
-    num_layers = sum(name.startswith("encoder.") and name.endswith(".weight") for name in shapes)
-    if not 1 <= num_layers <= MAX_ENCODER_LAYERS:
-        raise ValueError(f"encoder has {num_layers} layers; allowed are 1 to {MAX_ENCODER_LAYERS}")
-    width = NUM_ARKIT
-    for index in range(num_layers):
-        rows = (*shapes.get(f"encoder.{index}.weight", ()), 0)[0]
-        out = NUM_LATENT if index + 1 == num_layers else rows
-        if not 1 <= out <= MAX_ENCODER_WIDTH:
-            raise ValueError(
-                f"tensor encoder.{index}.weight is missing or has {out} outputs; "
-                f"allowed are 1 to {MAX_ENCODER_WIDTH}"
-            )
-        wanted[f"encoder.{index}.weight"] = (out, width)
-        wanted[f"encoder.{index}.bias"] = (out,)
-        width = out
+    wanted = spec_tensor_shapes(spec) | encoder_shapes(shapes)
     for name, columns, limit in (("mesh.vertex_uv", 2, MAX_VERTICES), ("mesh.faces", 3, MAX_FACES)):
         rows = (*shapes.get(name, ()), 0)[0]
         if rows > limit:
@@ -417,6 +403,42 @@ def _check_shapes(spec: AvatarSpec, shapes: Mapping[str, tuple[int, ...]]) -> No
     }
     if stream:
         wanted |= {STREAM_PREFIX + name: shape for name, shape in profile_shapes(stream).items()}
+    check_shapes(shapes, wanted)
+
+
+def encoder_shapes(shapes: Mapping[str, tuple[int, ...]]) -> dict[str, tuple[int, ...]]:
+    """Shapes that the expression encoder of a file must have, by those of all its tensors.
+
+    Raises:
+        ValueError: A number of layers or outputs is out of its limits.
+    """
+    wanted: dict[str, tuple[int, ...]] = {}
+    num_layers = sum(name.startswith("encoder.") and name.endswith(".weight") for name in shapes)
+    if not 1 <= num_layers <= MAX_ENCODER_LAYERS:
+        raise ValueError(f"encoder has {num_layers} layers; allowed are 1 to {MAX_ENCODER_LAYERS}")
+    width = NUM_ARKIT
+    for index in range(num_layers):
+        rows = (*shapes.get(f"encoder.{index}.weight", ()), 0)[0]
+        out = NUM_LATENT if index + 1 == num_layers else rows
+        if not 1 <= out <= MAX_ENCODER_WIDTH:
+            raise ValueError(
+                f"tensor encoder.{index}.weight is missing or has {out} outputs; "
+                f"allowed are 1 to {MAX_ENCODER_WIDTH}"
+            )
+        wanted[f"encoder.{index}.weight"] = (out, width)
+        wanted[f"encoder.{index}.bias"] = (out,)
+        width = out
+    return wanted
+
+
+def check_shapes(
+    shapes: Mapping[str, tuple[int, ...]], wanted: Mapping[str, tuple[int, ...]]
+) -> None:
+    """Refuse tensors that are missing, unknown or of another shape.
+
+    Raises:
+        ValueError: Names one of them.
+    """
     if missing := sorted(set(wanted) - set(shapes)):
         raise ValueError(f"tensor {missing[0]} is missing ({len(missing)} in total)")
     if unknown := sorted(set(shapes) - set(wanted)):

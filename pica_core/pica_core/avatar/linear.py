@@ -73,12 +73,6 @@ def check_linear(tensors: Mapping[str, Array]) -> None:
         raise ValueError(f"tensor {RANK} adds up to {total}; linear.mix has {directions} rows")
 
 
-def mean_vertices(tensors: Mapping[str, Array], num_vertices: int) -> FloatArray:
-    """The mean mesh, metres, ``[V, 3]``."""
-    mean: FloatArray = tensors[f"{PREFIX}mean"].reshape(-1, POSITION_CHANNELS)[:num_vertices]
-    return mean
-
-
 def weights_of_latent(tensors: Mapping[str, Array], latent: Array) -> Array:
     """Latents ``[..., 8, 8, 4]`` to the weights of the whole ``[..., K]``, float64."""
     flat = np.asarray(latent, np.float64).reshape(*latent.shape[:-3], NUM_LATENT)

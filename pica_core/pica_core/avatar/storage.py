@@ -41,12 +41,8 @@ texels in 8 bits, its bias in fp16, the rest of it in float32.
 and over a UV 1/64 of a texel, where fp16 would be 60 micrometres and half a texel.
 """
 
-
 Precision = Literal["mixed", "f32", "f16", "u8"]
 """Ways to store a whole avatar: see `storage_of`."""
-_ALWAYS: Mapping[str, Storage] = MappingProxyType(
-    {"geometry.mean": "u16", "mesh.vertex_uv": "u16", "linear.mean": "u16", "linear.basis": "s8"}
-)
 SIGNED_STEP = float(np.float32(1 / 127))
 """Step of "s8": values from -1 to 1 in 8 bits, 0 exactly."""
 
@@ -66,8 +62,9 @@ def storage_of(precision: Precision, names: Iterable[str]) -> dict[str, Storage]
     if precision == "f32":
         return dict.fromkeys(own, "f32")
     weights = [name for name in own if not name.startswith(("xyz.", "pixel."))]
-    stored = {**dict.fromkeys(weights, precision), **_ALWAYS}
-    return {name: kind for name, kind in stored.items() if name in own}
+    always = ("geometry.mean", "mesh.vertex_uv", "linear.mean", "linear.basis")
+    stored = dict.fromkeys(weights, precision)
+    return stored | {name: DEFAULT_STORAGE[name] for name in always if name in own}
 
 
 def to_storage(
