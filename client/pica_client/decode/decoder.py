@@ -21,7 +21,7 @@ from typing import Any
 from pica_client.decode.onnx_runtime import onnxruntime
 from pica_client.decode.regions import SKIP_M, RegionDecoder
 from pica_client.decode.request import DecodedMaps, Parts
-from pica_client.errors import OptionError
+from pica_client.errors import OptionError, check_ranges
 from pica_core.avatar.baseline import BaselineAvatar
 from pica_core.avatar.file import Avatar
 from pica_core.graphs.baseline_graph import baseline_graph
@@ -46,8 +46,7 @@ class OnnxOptions:
     """Farthest that vertices of a region that is not made anew may be off, metres."""
 
     def __post_init__(self) -> None:
-        if not 1 <= self.threads <= 64:
-            raise OptionError(f"threads is {self.threads}; allowed are 1 to 64")
+        check_ranges(self, threads=(1, 64))
 
     @classmethod
     def for_provider(cls, text: str, threads: int = 1) -> OnnxOptions:

@@ -50,7 +50,7 @@ class TexturedHead:
     ) -> None:
         self.low_m, self.high_m = mesh.low_m, mesh.high_m
         self.fade_m = fade_heights_m(mesh.low_m[1]) if fades else WHOLE_M
-        self.num_triangles = len(mesh.faces)
+        self.level, self.num_triangles = 0, len(mesh.faces)
         self._num_vertices = len(mesh.vertex_uv)
         self._positions = context.buffer(reserve=12 * self._num_vertices, dynamic=True)
         corners = context.buffer(np.ascontiguousarray(mesh.vertex_uv, np.float32).tobytes())

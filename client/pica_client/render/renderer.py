@@ -32,7 +32,6 @@ import numpy.typing as npt
 from pica_client.errors import OptionError
 from pica_client.render.draw_list import (
     DrawStats,
-    HeadStats,
     RenderSlot,
     count_draws,
     list_heads,
@@ -52,8 +51,7 @@ from pica_core.errors import GraphicsError
 from pica_core.gl import GL_VERSION, wait_for_gpu
 from pica_core.types import FloatArray, Image, Int64Array
 
-__all__ = ["DrawStats", "HeadStats", "RenderOptions", "Renderer"]
-
+__all__ = ["DrawStats", "RenderOptions", "Renderer"]
 
 MAX_SIDE_PX = 8192
 
@@ -82,7 +80,6 @@ class Renderer:
     Args:
         context: GL 3.3 or newer, current on this thread.
         size: Columns and rows, pixels.
-        options: See `RenderOptions`.
 
     Raises:
         OptionError: A size that is not between 1 and 8192.
@@ -149,8 +146,10 @@ class Renderer:
         self._slots[slot] = RenderSlot(
             avatar=avatar,
             body=body,
-            position=MapSeries(self._context, rows, POSITION_CHANNELS, moderngl.NEAREST),
-            expression=MapSeries(self._context, square, codes, moderngl.LINEAR),
+            maps=(
+                MapSeries(self._context, rows, POSITION_CHANNELS, moderngl.NEAREST),
+                MapSeries(self._context, square, codes, moderngl.LINEAR),
+            ),
         )
 
     def add_textured(self, slot: str, mesh: TexturedMesh) -> None:
@@ -193,23 +192,20 @@ class Renderer:
             ShapeError: Maps of another size than the avatar's levels. Nothing is changed.
         """
         entry = self._slots.get(slot)
-        if entry is None or entry.position is None or entry.expression is None:
+        if entry is None or entry.maps is None:
             return
-        pairs = ((entry.position, position_map), (entry.expression, expression_map))
-        for series, array in pairs:
+        arrays, versions = (position_map, expression_map), (row_versions, None)
+        for series, array in zip(entry.maps, arrays, strict=True):
             if array is not None:
                 series.check(array)
-        if position_map is not None:
-            entry.position.write(position_map, row_versions)
-        if expression_map is not None:
-            entry.expression.write(expression_map)
+        for series, array, version in zip(entry.maps, arrays, versions, strict=True):
+            if array is not None:
+                series.write(array, version)
 
     def bytes_uploaded(self, slot: str) -> int:
         """Bytes of maps that went to the GPU for a slot; 0 where there is no avatar."""
         entry = self._slots.get(slot)
-        if entry is None or entry.position is None or entry.expression is None:
-            return 0
-        return entry.position.bytes_written + entry.expression.bytes_written
+        return sum(series.bytes_written for series in (entry and entry.maps) or ())
 
     def update_textured(self, slot: str, vertices_m: FloatArray, texture: FloatArray) -> None:
         """Upload what a baseline's decoder made; see `TexturedHead.update`."""
@@ -258,7 +254,7 @@ class Renderer:
         self._context.copy_framebuffer(targets.final, targets.shaded)
         is_smooth = self._options.smooth_edges
         if is_smooth:
-            passes.smooth(targets, heads.places)
+            passes.smooth(targets, [head.place for head in heads.heads])
         return count_draws(heads, counts, painted_counts, is_smooth=is_smooth)
 
     def draw_vertices(

@@ -49,6 +49,12 @@ class RenderTargets:
         """What a view of the room is enlarged from."""
 
 
+def viewport(rect: PixelRect) -> tuple[int, int, int, int]:
+    """A rectangle as GL wants it: left, bottom, width, height."""
+    left, bottom, right, top = rect
+    return left, bottom, right - left, top - bottom
+
+
 def clip_rect(rect: PixelRect, size: tuple[int, int]) -> tuple[float, float, float, float]:
     """A rectangle of pixels in clip space."""
     left, bottom, right, top = rect
@@ -62,8 +68,7 @@ def clip_rect(rect: PixelRect, size: tuple[int, int]) -> tuple[float, float, flo
 
 def rect_in_view(clip: tuple[float, float, float, float], view: PixelRect) -> PixelRect:
     """The whole pixels of a view that touch a rectangle of its clip space."""
-    left, bottom, right, top = view
-    width, height = right - left, top - bottom
+    left, bottom, width, height = viewport(view)
     return (
         left + math.floor((clip[0] + 1) / 2 * width),
         bottom + math.floor((clip[1] + 1) / 2 * height),

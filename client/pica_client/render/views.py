@@ -128,8 +128,6 @@ def plan_camera(
     """The viewer's camera: that of the plan, turned and moved closer as the user wants.
 
     Args:
-        width: Columns of the picture.
-        height: Rows.
         limits: How far it may turn; see `orbit_limits`.
     """
     limits = limits or OrbitLimits()

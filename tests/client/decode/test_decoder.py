@@ -152,7 +152,7 @@ def test_a_provider_written_otherwise_is_refused(text: str) -> None:
 
 
 def test_no_threads_are_refused() -> None:
-    with pytest.raises(OptionError, match="threads is 0; allowed are 1 to 64"):
+    with pytest.raises(OptionError, match="threads is 0; 1 to 64 is allowed"):
         OnnxOptions(threads=0)
 
 
