@@ -1,9 +1,5 @@
 """Latent -> position map and expression map, by ONNX Runtime.
 
-    decoder = OnnxDecoder(avatar, OnnxOptions(threads=1))
-    maps = decoder.decode(latent, view_direction)                       # both maps, full size
-    maps = decoder.decode(latent, view_direction, 64, "expression")     # one, a quarter the size
-
 An avatar is decoded to one of its levels, both maps or the expression map alone. Each of these is a
 session of its own, built when it is first needed: a graph holds just what its outputs need.
 

@@ -1,8 +1,5 @@
 """Vertices by bases, region by region: those that have not moved are neither made nor uploaded.
 
-    decoder = RegionDecoder(avatar)
-    position_map, row_versions = decoder.decode(latent)     # whole, and which rows are as before
-
 A region is a row of the sheet (`pica_core.avatar.linear`), a linear function of a few numbers of
 its own. It keeps the vertices that it has until those numbers may have moved one of them by more
 than `SKIP_M`, counted from the moment at which the row was made: what is skipped adds up to no more

@@ -1,10 +1,5 @@
 """The passes of a frame: the programs they use, and the order of GL calls.
 
-    surfaces    what is visible where, of all avatars
-    shade       the pixel decoder on the pixels that an avatar won
-    texture     textured heads, in one pass, against the depth of the others
-    smooth      stair-steps
-
 All rectangles are of the whole image, so that several views can share it.
 """
 

@@ -1,13 +1,6 @@
 """Heads on their seats, and where on the picture they are: pure geometry, no GPU.
 
 World: metres, +y up; `seats` says who sits where.
-
-    plan = plan_seats("line", len(faces), width / height)
-    placement = Placement(
-        slot=..., world_from_head=head_matrix(plan.seats[0], rotation, translation_m)
-    )
-    camera = plan_camera(plan, ViewState(), width, height)
-    direction = view_direction(placement.world_from_head, camera.centre_m)
 """
 
 import math
@@ -17,10 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pica_client.render.seats import (
-    HEAD_HALF_HEIGHT_M,
-    HEAD_HALF_WIDTH_M,
-)
+from pica_client.render.seats import HEAD_HALF_HEIGHT_M, HEAD_HALF_WIDTH_M
 from pica_core.camera import Camera
 from pica_core.types import Float64Array, FloatArray
 
@@ -99,15 +89,11 @@ def clip_from_head(camera: Camera, world_from_head: FloatArray) -> FloatArray:
     return matrix
 
 
-def screen_rect(
-    matrix: FloatArray, low_m: npt.ArrayLike, high_m: npt.ArrayLike
-) -> tuple[float, float, float, float] | None:
+def screen_rect(matrix: FloatArray, low_m: npt.ArrayLike, high_m: npt.ArrayLike) -> Rect | None:
     """The part of the screen that a box may cover.
 
     Args:
         matrix: Clip space from the box's frame, ``[4, 4]``.
-        low_m: Lower corner ``[3]``.
-        high_m: Upper corner ``[3]``.
 
     Returns:
         Left, bottom, right, top in clip space, within [-1, 1]; None if nothing is on the screen. A

@@ -13,8 +13,6 @@ all the same, as on a narrow picture, the grid is taken.
 
 In each of them one participant may be pinned: that one stands large in the middle, and the others
 look on from a strip at the side.
-
-    plan = plan_seats("table", 5, aspect=16 / 9)
 """
 
 from __future__ import annotations

@@ -4,11 +4,7 @@ point at our files.
 Pure text work; no GPU is needed to test it. The same files come out as desktop GLSL 3.30 and as
 GLSL ES 3.00, the dialect of a browser.
 
-    source = compose(
-        "pixel_decoder.frag",
-        spec,
-        generated={"SIREN": siren_source(spec)},
-    )
+    source = compose("pixel_decoder.frag", spec, generated={"SIREN": siren_source(spec)})
     link_program(context, vertex=..., fragment=source.text)
 
 ``#include "file"`` takes a file, ``#include NAME`` the text generated for that name. A file is

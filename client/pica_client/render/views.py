@@ -1,11 +1,5 @@
 """The viewer's cameras: turned and moved closer by hand, one or one for each eye. Pure geometry.
 
-    plan = plan_seats("table", 5, aspect=16 / 9)
-    limits = orbit_limits(plan, (USUAL_SPAN,) * 5)
-    view = ViewState().orbited(right_px=40, down_px=0, limits=limits)
-    camera = plan_camera(plan, view, 1280, 720, limits=limits)
-    left, right = stereo_cameras(camera, EYE_DISTANCE_M, screen_distance_m=1.2)
-
 The two eyes' cameras look the same way, half an eye distance to the left and to the right of the
 one in the middle, with their pictures shifted so that what lies as far away as the seats is at the
 same place in both: it appears at the depth of the screen, and nothing is turned inwards (which

@@ -89,13 +89,8 @@ class CostModel:
         return self._fit.cost
 
     def observe_decode(self, model: str, level: int, parts: Parts, seconds: float) -> None:
-        """Take the computing time of one decode into account.
-
-        Args:
-            model: Name of what has costs of its own, as a block or a spec.
-            level: Texels per side of the maps.
-            seconds: Without waiting; nonsense is ignored.
-        """
+        """Take the computing time of one decode into account, without waiting; nonsense is ignored.
+        `model` names what has costs of its own."""
         if _is_plausible(seconds):
             if (model, level, parts) not in self._decodes and len(self._decodes) >= MAX_MODELS:
                 del self._decodes[next(iter(self._decodes))]

@@ -114,9 +114,7 @@ def spec_tensor_shapes(spec: AvatarSpec) -> dict[str, tuple[int, ...]]:
 
 
 def trunk_layers(spec: AvatarSpec, decoder: str, level: int) -> list[Layer]:
-    """The layers of a decoder up to an early exit: those that lead to maps of `level` rows.
-
-    The last one is the LeakyReLU after the block that makes them.
+    """The layers of a decoder that lead to maps of `level` rows, up to the LeakyReLU after them.
 
     Raises:
         ValueError: No block but the last makes maps of that size.

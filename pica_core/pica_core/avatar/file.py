@@ -5,9 +5,6 @@ graph, no shader, no pickle. Whoever reads one rebuilds graphs and shaders from 
 stranger's file can look ugly but cannot run. Everything is checked here, once; code behind
 `load_avatar` trusts what it gets.
 
-    avatar = load_avatar(Path("ada.pica"))
-    avatar.manifest.name, avatar.tensors["uv_encoding"].shape
-
 Tensors, float32 in memory unless stated:
 
     {decoder layers}      as `decoder_layers(spec, "geometry" | "expression")` names and shapes them
@@ -24,8 +21,7 @@ Tensors, float32 in memory unless stated:
     stream.*              tables of the latent bitstream, integers (`stream_profile`); may be absent
     level.*               levels of detail (`level_tensors`); may be absent
 
-In the file big maps may be smaller than in memory: fp16, or 8 or 16 bit integers q with value =
-offset + scale * q per last-axis channel, the two tables standing in the metadata key ``storage``.
+In the file big maps may be smaller than in memory: see `storage`.
 """
 
 import hashlib
@@ -78,7 +74,10 @@ _STREAM_TYPES = {"I32", "I16", "U16", "U8"}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Avatar:
-    """A checked avatar. Arrays are read-only."""
+    """A checked avatar. Arrays are read-only.
+
+    What takes a level raises ValueError where the avatar does not have it.
+    """
 
     manifest: Manifest
     tensors: Mapping[str, Array]
@@ -94,11 +93,7 @@ class Avatar:
         return level_tensors.levels_of(self.spec, self.tensors)
 
     def level_faces(self, level: int) -> IntArray:
-        """Triangles to draw at a level, int32 ``[F, 3]``.
-
-        Raises:
-            ValueError: The avatar does not have this level.
-        """
+        """Triangles to draw at a level, int32 ``[F, 3]``."""
         if level not in self.levels:
             known = ", ".join(map(str, self.levels))
             raise ValueError(f"level is {level}; this avatar has {known}")
@@ -108,11 +103,7 @@ class Avatar:
 
     def position_rows(self, level: int) -> int:
         """Rows of what the geometry decoder makes at a level: of the position map at the full one,
-        of a sheet of vertices below it. Both have as many columns as the level has texels.
-
-        Raises:
-            ValueError: The avatar does not have this level.
-        """
+        of a sheet of vertices below it. Both have as many columns as the level has texels."""
         used = self.sheet_vertices(level)
         return level if used is None else level_tensors.sheet_rows(len(used), level)
 
@@ -127,11 +118,7 @@ class Avatar:
 
     def sheet_vertices(self, level: int) -> IntArray | None:
         """The vertices whose positions a decode at a level makes, by their numbers, in the order
-        of its sheet; None where it makes a map.
-
-        Raises:
-            ValueError: The avatar does not have this level.
-        """
+        of its sheet; None where it makes a map."""
         faces = self.level_faces(level)
         if level != self.spec.map_size:
             used: IntArray = np.unique(faces)
@@ -141,11 +128,7 @@ class Avatar:
         return None
 
     def sheet_places(self, level: int) -> IntArray:
-        """The vertex at each place of a sheet that bases make; the last one fills its last row.
-
-        Raises:
-            ValueError: The avatar does not have this level.
-        """
+        """The vertex at each place of a sheet that bases make; the last one fills its last row."""
         used = self.sheet_vertices(level)
         assert used is not None  # of bases
         if level == self.spec.map_size:  # what fills it stands in the file
@@ -156,11 +139,7 @@ class Avatar:
 
     def vertices_of(self, position_map: FloatArray, level: int) -> FloatArray:
         """The vertices that a decode at a level made, ``[V, 3]``: all of the mesh, or those of
-        `sheet_vertices`.
-
-        Raises:
-            ValueError: The avatar does not have this level.
-        """
+        `sheet_vertices`."""
         used = self.sheet_vertices(level)
         if used is None:
             return sample_vertices(position_map, self.tensors["mesh.vertex_uv"])
@@ -202,8 +181,7 @@ def save_avatar(
     """Write an avatar file, after the same checks as when one is read.
 
     Args:
-        path: Where to; replaced if it exists.
-        avatar: Manifest and tensors in their in-memory form.
+        path: Replaced if it exists.
         storage: How to store a tensor, by name. Unnamed ones: fp16 for decoders and expression
             encoder, else float32.
         like: An avatar file that this avatar was made from. Tensors that have not changed are

@@ -60,11 +60,8 @@ def is_faces(name: str) -> bool:
 
 def is_index(name: str) -> bool:
     """Whether a tensor of an avatar holds whole numbers: triangles, texels of a trunk, or ranks."""
-    return (
-        name == RANK
-        or is_faces(name)
-        or (name.startswith(PREFIX) and name.endswith(".geometry.texel"))
-    )
+    is_texel = name.startswith(PREFIX) and name.endswith(".geometry.texel")
+    return name == RANK or is_faces(name) or is_texel
 
 
 def sheet_rows(num_vertices: int, level: int) -> int:
@@ -105,13 +102,8 @@ def spread_local(local: Array, num_codes: int) -> Array:
 def exit_shapes(
     spec: AvatarSpec, level: int, rows: int, num_texels: int
 ) -> dict[str, tuple[int, ...]]:
-    """Name and shape of the tensors that make an exit, its mesh excepted.
-
-    Args:
-        level: Columns of its sheet.
-        rows: Rows of its sheet.
-        num_texels: Texels of the trunk that a vertex is made of.
-    """
+    """Name and shape of the tensors that make an exit, its mesh excepted: of the rows of its sheet,
+    and with so many texels of the trunk to a vertex."""
     channels, prefix = trunk_channels(spec, level), f"{PREFIX}{level}"
     codes = spec.expression_channels
     expression: dict[str, tuple[int, ...]] = {
@@ -140,9 +132,6 @@ def wanted_shapes(
     spec: AvatarSpec, shapes: Mapping[str, tuple[int, ...]], max_faces: int
 ) -> dict[str, tuple[int, ...]]:
     """Shapes that the ``level.*`` tensors of a file must have, judged by which of them it has.
-
-    Args:
-        max_faces: Most triangles of a mesh.
 
     Raises:
         ValueError: A number of triangles or heights is out of its limits. Unknown names are left to

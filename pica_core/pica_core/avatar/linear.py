@@ -86,7 +86,6 @@ def components_of(
     """What a unit of each weight moves, regions put together again, metres.
 
     Args:
-        scale_m: The manifest's `position_scale_m`.
         vertices: Numbers of the vertices that are wanted; None for all places of the sheet.
 
     Returns:

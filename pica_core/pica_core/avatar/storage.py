@@ -1,7 +1,7 @@
 """How an avatar's tensors are made small in its file, and large again in memory.
 
 fp16, or 8 or 16 bit integers q with value = offset + scale * q per last-axis channel; the two
-tables stand in the file's metadata. Integers that are integers anyway stay so.
+tables stand in the file's metadata key ``storage``. Integers that are integers anyway stay so.
 """
 
 from collections.abc import Iterable, Mapping
