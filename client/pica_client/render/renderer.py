@@ -39,11 +39,12 @@ from pica_client.render.draw_list import (
 from pica_client.render.gpu_avatar import WeightsPlace, upload_avatar
 from pica_client.render.gpu_maps import MapSeries
 from pica_client.render.gpu_program import UNIT_VISIBLE_UV, UNIT_VISIBLE_XYZ
-from pica_client.render.gpu_textured import TexturedHead, TexturedMesh
+from pica_client.render.gpu_textured import TexturedHead
 from pica_client.render.passes import DrawPasses
 from pica_client.render.room import EMPTY_ROOM, STILL, Room, lens_of
 from pica_client.render.scene import Placement
 from pica_client.render.targets import RenderTargets
+from pica_core.avatar.baseline import BaselineAvatar
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import POSITION_CHANNELS
 from pica_core.camera import Camera
@@ -152,12 +153,11 @@ class Renderer:
             ),
         )
 
-    def add_textured(self, slot: str, mesh: TexturedMesh) -> None:
-        """Put a textured head into a slot: the baseline. Drawn as a placeholder until its first
-        `update_textured`."""
+    def add_textured(self, slot: str, avatar: BaselineAvatar) -> None:
+        """Put a baseline into a slot. Drawn as a placeholder until its first `update_textured`."""
         self.add_placeholder(slot)
         head = TexturedHead(
-            self._context, self._passes.textured_program, mesh, fades=self._options.fade_busts
+            self._context, self._passes.textured_program, avatar, fades=self._options.fade_busts
         )
         self._slots[slot] = RenderSlot(textured=head)
 

@@ -171,20 +171,9 @@ def stereo_cameras(
         camera: Between the eyes; of one eye's picture.
         eye_distance_m: Between the eyes, metres; 0 gives the same camera twice.
         screen_distance_m: How far before the camera things appear at the depth of the screen.
-
-    Raises:
-        ValueError: A distance is out of range.
     """
-    if not 0 <= eye_distance_m <= MAX_EYE_DISTANCE_M:
-        raise ValueError(
-            f"eye distance is {eye_distance_m:g} m; 0 to {MAX_EYE_DISTANCE_M:g} is allowed"
-        )
-    if not (np.isfinite(screen_distance_m) and screen_distance_m > 0):
-        raise ValueError(f"screen distance is {screen_distance_m:g} m; it must be above 0")
-    return (
-        _moved(camera, -eye_distance_m / 2, screen_distance_m),
-        _moved(camera, eye_distance_m / 2, screen_distance_m),
-    )
+    left, right = (_moved(camera, side * eye_distance_m / 2, screen_distance_m) for side in (-1, 1))
+    return left, right
 
 
 def _towards_limit(value: float, step: float, low: float, high: float) -> float:

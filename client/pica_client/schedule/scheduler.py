@@ -86,11 +86,6 @@ class Plan:
     shaded_px: float
     """Pixels that the pixel decoder runs on, as far as one can tell without counting them."""
 
-    @property
-    def limited(self) -> tuple[str, ...]:
-        """Slots from which the budget kept something."""
-        return tuple(slot for slot, choice in self.choices.items() if choice.is_limited)
-
 
 class Scheduler:
     """Plans frame after frame; see the module for how."""
