@@ -60,10 +60,7 @@ class OnnxOptions:
 
 
 def open_session(graph: bytes, options: OnnxOptions) -> Any:
-    """An ONNX Runtime session that runs on the chosen provider.
-
-    Returns:
-        The ``onnxruntime.InferenceSession``.
+    """An ``onnxruntime.InferenceSession`` that runs on the chosen provider.
 
     Raises:
         OptionError: The provider is not in this build of ONNX Runtime, does not load, or does not
@@ -115,11 +112,7 @@ class OnnxDecoder:
         self.prepare()
 
     def prepare(self, level: int | None = None, parts: Parts = "both") -> None:
-        """Get ready for such decodes; may take long, once.
-
-        Raises:
-            OptionError: They cannot be had here.
-        """
+        """Get ready for such decodes; may take long, once. OptionError if they cannot be had."""
         self._session(level, parts)
 
     def decode(
@@ -129,11 +122,8 @@ class OnnxDecoder:
         level: int | None = None,
         parts: Parts = "both",
     ) -> DecodedMaps:
-        """Decode one latent ``[8, 8, 4]`` as seen along the unit vector `view_direction` ``[3]``.
-
-        Args:
-            level: Size of the maps; None is the full one.
-        """
+        """Decode one latent ``[8, 8, 4]`` as seen along the unit vector `view_direction` ``[3]`` to
+        maps of a level; None is the full one."""
         session = self._session(level, parts)
         feeds = {"latent": latent[None], "view_direction": view_direction[None]}
         regions = self._regions_of(level)
@@ -174,11 +164,7 @@ class DecodedBaseline:
 
 
 class BaselineDecoder:
-    """The paper's baseline, for comparison: one network for vertices and the whole texture.
-
-    Raises:
-        OptionError: As `OnnxDecoder`.
-    """
+    """The paper's baseline, for comparison: one network for vertices and the whole texture."""
 
     def __init__(self, avatar: BaselineAvatar, options: OnnxOptions | None = None) -> None:
         self._session = open_session(baseline_graph(avatar), options or OnnxOptions())

@@ -112,12 +112,7 @@ def count_draws(
     *,
     is_smooth: bool,
 ) -> DrawStats:
-    """What a frame drew.
-
-    Args:
-        counts: Coloured pixels of each decoded head.
-        painted_counts: Of each textured one.
-    """
+    """What a frame drew, with the coloured pixels of each decoded head and of each textured one."""
     heads = [
         HeadStats(
             slot=head.slot,

@@ -71,8 +71,7 @@ class Mesh:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Body:
-    """What all seats with the same avatar share. Made by `upload_avatar` and
-    `upload_placeholder`."""
+    """What all seats with the same avatar share."""
 
     meshes: dict[tuple[int, int], Mesh]
     """Meshes keyed by the levels of the positions and of the triangles; a placeholder has one."""
@@ -90,12 +89,8 @@ class Body:
     """Heights below which nothing and above which all of it is seen, head frame."""
 
     def mesh(self, position_level: int, mesh_level: int | None) -> Mesh:
-        """The triangles to draw with positions of a level.
-
-        Args:
-            position_level: Of what the decoder made.
-            mesh_level: Asked for; the positions' own serves where there is no such mesh.
-        """
+        """The triangles to draw with positions of a level; the positions' own serve where there is
+        no such mesh."""
         own = self.meshes[position_level, position_level]
         return self.meshes.get((position_level, mesh_level or position_level), own)
 
@@ -231,13 +226,8 @@ def upload_mesh(
     vertex_uv: npt.NDArray[Any],
     places: npt.NDArray[Any],
 ) -> Mesh:
-    """Put triangles on the GPU.
-
-    Args:
-        faces: ``[F, 3]``.
-        vertex_uv: ``[V, 2]``.
-        places: Where the vertices' positions are looked up, ``[V, 2]``.
-    """
+    """Put triangles ``[F, 3]`` on the GPU, with the places ``[V, 2]`` at which positions of their
+    vertices are looked up."""
     indices = context.buffer(np.ascontiguousarray(faces, np.int32).tobytes())
     both = np.concatenate([places, vertex_uv], axis=1)
     corners = context.buffer(np.ascontiguousarray(both, np.float32).tobytes())

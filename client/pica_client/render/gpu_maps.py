@@ -56,22 +56,14 @@ class MapSeries:
         return self._textures[self.level_before]
 
     def check(self, array: FloatArray) -> None:
-        """Refuse what cannot be written.
-
-        Raises:
-            ShapeError: Not float32, or of no level's shape.
-        """
+        """Raise a ShapeError for what is not float32, or of no level's shape."""
         shapes = [(t.height, t.width, self._components) for t in self._textures.values()]
         if array.shape not in shapes or array.dtype != np.float32:
             known = ", ".join(map(str, shapes))
             raise ShapeError(f"map is {array.dtype} {array.shape}; float32 {known} is needed")
 
     def write(self, array: FloatArray, row_versions: Int64Array | None = None) -> None:
-        """Upload a map that `check` has passed.
-
-        Args:
-            row_versions: ``[H]``, as `DecodedMaps` has them; rows that are there are left out.
-        """
+        """Upload a map that `check` has passed, but for rows whose versions are there already."""
         level = array.shape[1]
         if level != self.level:
             self.level, self.level_before = level, self.level or level

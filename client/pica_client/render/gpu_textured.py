@@ -16,12 +16,7 @@ from pica_core.types import FloatArray
 
 
 class TexturedHead:
-    """A textured head on the GPU.
-
-    Args:
-        program: ``textured.vert`` and ``textured.frag``.
-        fades: It fades out above the lower end of its box.
-    """
+    """A textured head on the GPU; one that `fades` does so above the lower end of its box."""
 
     def __init__(
         self,

@@ -23,7 +23,7 @@ from pica_client.render.gpu_program import (
     set_values,
 )
 from pica_client.render.gpu_textured import TexturedHead
-from pica_client.render.room import Room, lens_of, world_from_view
+from pica_client.render.room import Room, lens_of
 from pica_client.render.shader_source import compose
 from pica_client.render.targets import (
     PixelRect,
@@ -124,8 +124,9 @@ class DrawPasses:
             row[:] = (*place, speaking)
         members["seats"].write(seats.tobytes())
         for camera, rect in views:
-            turned = np.ascontiguousarray(world_from_view(camera).T, np.float32)
-            members["world_from_view"].write(turned.tobytes())
+            # Right, up and forward of the camera are the columns.
+            turned = np.array([[1.0], [-1.0], [1.0]]) * camera.rotation
+            members["world_from_view"].write(turned.astype(np.float32).tobytes())
             set_values(
                 program,
                 lens=lens_of(camera),
@@ -201,12 +202,8 @@ class DrawPasses:
     def shade(
         self, targets: RenderTargets, heads: Sequence[DecodedHead], *, count: bool
     ) -> list[int | None]:
-        """Colour the pixels of each head over the room.
-
-        Returns:
-            Pixels that each head's program coloured; None unless they are to be counted, which
-            waits for the GPU.
-        """
+        """Colour the pixels of each head over the room, and say how many they were; None unless
+        they are to be counted, which waits for the GPU."""
         context = self._context
         context.copy_framebuffer(targets.shaded, targets.room)
         context.disable(moderngl.CULL_FACE)
@@ -232,11 +229,8 @@ class DrawPasses:
         count: bool = False,
         times: int = 1,
     ) -> list[int | None]:
-        """Draw textured heads over the shaded image, behind what is nearer.
-
-        Returns:
-            As `shade`; a pixel that is drawn over counts again.
-        """
+        """Draw textured heads over the shaded image, behind what is nearer; counts as `shade`, a
+        pixel that is drawn over again."""
         if not heads:
             return []
         targets.room_image.use(UNIT_ROOM)

@@ -54,11 +54,8 @@ class LayerBlock:
 
 
 def layer_blocks(spec: AvatarSpec) -> list[LayerBlock]:
-    """The layers in the order of the block: the xyz SIREN, then the pixel decoder.
-
-    Raises:
-        ShaderError: Sizes that the shader's fixed input vectors do not hold.
-    """
+    """The layers in the order of the block: the xyz SIREN, then the pixel decoder; ShaderError if
+    the shader's fixed input vectors do not hold them."""
     for name, value in (
         ("expression_channels", spec.expression_channels),
         ("the last of xyz_channels", spec.xyz_channels[-1]),
@@ -102,11 +99,7 @@ def block_sizes(spec: AvatarSpec) -> tuple[int, int]:
 
 
 def pack_weights(spec: AvatarSpec, tensors: Mapping[str, Array]) -> bytes:
-    """Lay both SIRENs out for the uniform block.
-
-    Args:
-        tensors: ``xyz.{i}.weight/bias`` and ``pixel.{i}.weight/bias`` of an avatar.
-    """
+    """Lay both SIRENs of an avatar out for the uniform block."""
     num_matrices, num_biases = block_sizes(spec)
     matrices = np.zeros((num_matrices, VECTOR, VECTOR), np.float32)
     biases = np.zeros((num_biases, VECTOR), np.float32)

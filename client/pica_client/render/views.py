@@ -84,11 +84,8 @@ class ViewState:
 @lru_cache(maxsize=8)
 def orbit_limits(plan: SeatPlan, spans: tuple[ViewSpan, ...]) -> OrbitLimits:
     """How far the view may turn before somebody is seen from where their avatar was not trained,
-    which is torn there. A seat that is beyond that already may not get further.
-
-    Args:
-        spans: From where the avatar of each seat may be seen.
-    """
+    which is torn there: of each seat `spans` says from where. One that is beyond that already may
+    not get further."""
     bounds = np.array([astuple(span) for span in spans], np.float64).reshape(len(spans), 2, 2)
     bounds += [KEPT_DEGREES, -KEPT_DEGREES]
 
@@ -119,11 +116,7 @@ def orbit_limits(plan: SeatPlan, spans: tuple[ViewSpan, ...]) -> OrbitLimits:
 def plan_camera(
     plan: SeatPlan, view: ViewState, width: int, height: int, limits: OrbitLimits | None = None
 ) -> Camera:
-    """The viewer's camera: that of the plan, turned and moved closer as the user wants.
-
-    Args:
-        limits: How far it may turn; see `orbit_limits`.
-    """
+    """The viewer's camera: that of the plan, turned and moved closer as the user wants."""
     limits = limits or OrbitLimits()
     kept = replace(
         view,

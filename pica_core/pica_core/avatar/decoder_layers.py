@@ -114,22 +114,16 @@ def spec_tensor_shapes(spec: AvatarSpec) -> dict[str, tuple[int, ...]]:
 
 
 def trunk_layers(spec: AvatarSpec, decoder: str, level: int) -> list[Layer]:
-    """The layers of a decoder that lead to maps of `level` rows, up to the LeakyReLU after them.
-
-    Raises:
-        ValueError: No block but the last makes maps of that size.
-    """
+    """The layers of a decoder that lead to maps of `level` rows, up to the LeakyReLU after them;
+    ValueError if no block but the last makes such maps."""
     name = f"{decoder}.{_block_of(spec, level)}.out"
     layers = decoder_layers(spec, decoder)
     return layers[: [layer.name for layer in layers].index(name) + 1]
 
 
 def trunk_channels(spec: AvatarSpec, level: int) -> int:
-    """Channels that an early exit at `level` rows finds, the same in both decoders.
-
-    Raises:
-        ValueError: No block but the last makes maps of that size.
-    """
+    """Channels that an early exit at `level` rows finds, the same in both decoders; ValueError as
+    `trunk_layers`."""
     return spec.hidden_channels[_block_of(spec, level)]
 
 

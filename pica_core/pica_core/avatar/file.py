@@ -247,11 +247,7 @@ def load_avatar(source: Path | str | bytes, name: str | None = None) -> Avatar:
 
 
 def read_bytes(path: Path | str, limit: int) -> bytes:
-    """The content of a file that is not larger than a limit.
-
-    Raises:
-        AvatarFileError: It cannot be read, or it is larger.
-    """
+    """The content of a file; AvatarFileError if it cannot be read, or is larger than a limit."""
     try:
         with Path(path).open("rb") as file:
             data = file.read(limit + 1)
@@ -263,11 +259,7 @@ def read_bytes(path: Path | str, limit: int) -> bytes:
 
 
 def write_bytes(path: Path | str, data: bytes) -> None:
-    """Write a file, whole or not at all.
-
-    Raises:
-        AvatarFileError: It cannot be written.
-    """
+    """Write a file, whole or not at all; AvatarFileError if it cannot be written."""
     try:
         with replacing(Path(path)) as unfinished:
             unfinished.write_bytes(data)
@@ -277,11 +269,7 @@ def write_bytes(path: Path | str, data: bytes) -> None:
 
 @contextmanager
 def naming(where: Path | str) -> Iterator[None]:
-    """Turn what is wrong with a file's content into an error that names the file.
-
-    Raises:
-        AvatarFileError: In place of each ValueError.
-    """
+    """Turn each ValueError about a file's content into an AvatarFileError that names the file."""
     try:
         yield
     except ValueError as error:
@@ -385,11 +373,8 @@ def _check_shapes(spec: AvatarSpec, shapes: Mapping[str, tuple[int, ...]]) -> No
 
 
 def encoder_shapes(shapes: Mapping[str, tuple[int, ...]]) -> dict[str, tuple[int, ...]]:
-    """Shapes that the expression encoder of a file must have, by those of all its tensors.
-
-    Raises:
-        ValueError: A number of layers or outputs is out of its limits.
-    """
+    """Shapes that the expression encoder of a file must have, by those of all its tensors;
+    ValueError if a number of layers or outputs is out of its limits."""
     wanted: dict[str, tuple[int, ...]] = {}
     num_layers = sum(name.startswith("encoder.") and name.endswith(".weight") for name in shapes)
     if not 1 <= num_layers <= MAX_ENCODER_LAYERS:
@@ -412,11 +397,7 @@ def encoder_shapes(shapes: Mapping[str, tuple[int, ...]]) -> dict[str, tuple[int
 def check_shapes(
     shapes: Mapping[str, tuple[int, ...]], wanted: Mapping[str, tuple[int, ...]]
 ) -> None:
-    """Refuse tensors that are missing, unknown or of another shape.
-
-    Raises:
-        ValueError: Names one of them.
-    """
+    """Raise a ValueError that names a tensor which is missing, unknown or of another shape."""
     if missing := sorted(set(wanted) - set(shapes)):
         raise ValueError(f"tensor {missing[0]} is missing ({len(missing)} in total)")
     if unknown := sorted(set(shapes) - set(wanted)):

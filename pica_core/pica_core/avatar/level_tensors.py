@@ -131,12 +131,9 @@ def levels_of(spec: AvatarSpec, names: Iterable[str]) -> tuple[int, ...]:
 def wanted_shapes(
     spec: AvatarSpec, shapes: Mapping[str, tuple[int, ...]], max_faces: int
 ) -> dict[str, tuple[int, ...]]:
-    """Shapes that the ``level.*`` tensors of a file must have, judged by which of them it has.
-
-    Raises:
-        ValueError: A number of triangles or heights is out of its limits. Unknown names are left to
-            the caller, who compares names.
-    """
+    """Shapes that the ``level.*`` tensors of a file must have, judged by which of them it has;
+    ValueError if a number of triangles or heights is out of its limits. Unknown names are left to
+    the caller."""
 
     def rows(name: str, limit: int) -> int:
         count = (*shapes.get(name, (1,)), 0)[0]
@@ -173,11 +170,8 @@ def wanted_shapes(
 
 def check_sheets(spec: AvatarSpec, tensors: Mapping[str, Array]) -> None:
     """Compare the sheets of an avatar's levels with their meshes; names and shapes fit already.
-
-    Raises:
-        ValueError: A sheet has more or fewer rows than its vertices need, or a vertex is made of a
-            texel that is not there.
-    """
+    ValueError if a sheet has more or fewer rows than its vertices need, or a vertex is made of a
+    texel that is not there."""
     exits = levels_of(spec, tensors)[:-1] if spec.geometry == "decoder" else ()
     for level in exits:
         mean, texel = (f"{PREFIX}{level}.geometry.{name}" for name in ("mean", "texel"))
@@ -192,11 +186,7 @@ def check_sheets(spec: AvatarSpec, tensors: Mapping[str, Array]) -> None:
 
 
 def check_indices(name: str, indices: Array, count: int, what: str) -> None:
-    """Refuse indices that do not lie below a count.
-
-    Raises:
-        ValueError: Names the tensor, its lowest and highest index and the limit.
-    """
+    """Raise a ValueError that names the tensor whose indices do not all lie below a count."""
     low, high = indices.min(), indices.max()
     if low < 0 or high >= count:
         raise ValueError(

@@ -165,11 +165,7 @@ def _number(name: str, value: Any, low: float, high: float) -> float:
 def read_numbers(
     values: Mapping[str, Any], name: str, count: int, low: float, high: float
 ) -> tuple[Any, ...]:
-    """So many numbers of a manifest's field, each within a range.
-
-    Raises:
-        ValueError: It is no such list.
-    """
+    """So many numbers of a manifest's field, each within a range; ValueError if it is other."""
     found = values[name]
     if not isinstance(found, list) or len(found) != count:
         raise ValueError(f"manifest.{name} must be {count} numbers")

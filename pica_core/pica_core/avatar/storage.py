@@ -144,11 +144,7 @@ def round_signed(array: Array) -> Array:
 
 
 def check_finite(tensors: Mapping[str, Array]) -> None:
-    """Refuse values that are not finite, or too large.
-
-    Raises:
-        ValueError: Names the tensor and the limit.
-    """
+    """Raise a ValueError that names a tensor with values that are not finite, or too large."""
     for name, array in tensors.items():
         # One pass: NaN fails both comparisons' negation.
         if not (array.min() >= -MAX_MAGNITUDE and array.max() <= MAX_MAGNITUDE):
