@@ -61,11 +61,7 @@ class AvatarCache:
         return self.folder / f"{identity[:16]}-{secrets.token_hex(8)}{UNFINISHED}"
 
     def keep(self, unfinished: Path, identity: str) -> Path:
-        """Take a file that has come whole, and make room for it.
-
-        Raises:
-            OSError: It cannot be moved.
-        """
+        """Take a file that has come whole, and make room for it; OSError if it cannot be moved."""
         path = self._path(identity)
         os.replace(unfinished, path)
         self._trim(path)

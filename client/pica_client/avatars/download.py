@@ -68,8 +68,7 @@ def download(
     """Get an avatar file and check its hash; blocks.
 
     Args:
-        relay_url: Of the relay, ws:// or wss://.
-        identity: SHA-256 of the file.
+        relay_url: ws:// or wss://.
         into: A file that is not there yet.
         progress: Called after each piece.
         tls: Whom to trust with wss://; the system's certificates by default.

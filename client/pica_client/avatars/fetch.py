@@ -75,7 +75,6 @@ class AvatarFetcher:
             library: Has what is here, and gets what has come.
             relay_url: Returns where to ask, ws:// or wss://; it may change.
             cache: Keeps what has come; this user's by default.
-            tls: Settings of whom to trust with wss://.
         """
         self._library = library
         self._relay_url = relay_url

@@ -16,7 +16,7 @@ import tyro
 from tyro.constructors import PrimitiveConstructorSpec
 
 from pica_client.bench.harness import Took, gl_context, median_ms, spread, take_turns, timed
-from pica_client.bench.head import FRAME_S, front_camera, textured_mesh
+from pica_client.bench.head import FRAME_S, front_camera
 from pica_client.bench.option_types import Ints, Words, check_names
 from pica_client.decode.decoder import (
     BaselineDecoder,
@@ -340,7 +340,7 @@ def _cases(
             Case("frame", full, "both", threads),
             _Frame(pica, onnx, renderer, f"pica {threads}"),
         )
-        renderer.add_textured(slot, textured_mesh(baseline))
+        renderer.add_textured(slot, baseline)
         yield (
             Case(BASELINE_FRAME, None, "all", threads),
             partial(_baseline_frame, BaselineDecoder(baseline, onnx), renderer, slot),

@@ -12,10 +12,8 @@ from pica_client.closing import Closing
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.errors import OptionError
 from pica_client.render.drawing import HEAD, Drawing, HeadRenderer, drawn_mse
-from pica_client.render.gpu_textured import TexturedMesh
 from pica_client.render.scene import head_matrix, view_direction
 from pica_client.sources.performances import make_performance
-from pica_core.avatar.baseline import BaselineAvatar
 from pica_core.avatar.file import Avatar
 from pica_core.camera import Camera, look_at
 from pica_core.capture.stage.dome import EVALUATION_VIEWS, dome_cameras
@@ -102,17 +100,6 @@ def talk_frames(performance: str, start_s: float, warm_up: int, frames: int) -> 
         face = source.frame_at(start_s + index * FRAME_S)
         matrix = head_matrix(np.eye(4), face.rotation, face.translation_m)
         yield TalkFrame(face.arkit, matrix)
-
-
-def textured_mesh(baseline: BaselineAvatar) -> TexturedMesh:
-    """What of a baseline never changes, as a renderer takes it."""
-    return TexturedMesh(
-        vertex_uv=baseline.vertex_uv,
-        faces=baseline.faces,
-        low_m=baseline.bounds_min_m,
-        high_m=baseline.bounds_max_m,
-        texture_size=baseline.spec.texture_size,
-    )
 
 
 class Surface(NamedTuple):

@@ -14,7 +14,7 @@ import moderngl
 import numpy as np
 
 from pica_client.bench.harness import Took, gl_context, median_ms, spread, take_turns, timed
-from pica_client.bench.head import FIELD_OF_VIEW, check_distances, front_camera, textured_mesh
+from pica_client.bench.head import FIELD_OF_VIEW, check_distances, front_camera
 from pica_client.bench.option_types import Floats
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.errors import check_ranges
@@ -211,7 +211,7 @@ def add_baseline(renderer: Renderer, slot: str, baseline: BaselineAvatar) -> Non
     the little that its random weights add."""
     last = len(baseline.spec.channels) - 1
     texture = baseline.tensors[f"texture.{last}.bias"].transpose(1, 2, 0)
-    renderer.add_textured(slot, textured_mesh(baseline))
+    renderer.add_textured(slot, baseline)
     renderer.update_textured(
         slot,
         baseline.tensors["mesh.bias"].reshape(-1, 3).astype(np.float32),

@@ -57,17 +57,13 @@ class RenderSlot:
 
     avatar: Avatar | None = None
     body: Body | None = None
-    position: MapSeries | None = None
-    expression: MapSeries | None = None
+    maps: tuple[MapSeries, MapSeries] | None = None
+    """Of positions, and of expressions."""
     textured: TexturedHead | None = None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class View:
-    """A camera and the part of the image that it fills."""
-
-    camera: Camera
-    rect: PixelRect
+View = tuple[Camera, PixelRect]
+"""A camera and the part of the image that it fills."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,9 +74,9 @@ class DrawList:
     painted: list[PaintedHead] = field(default_factory=list)
 
     @property
-    def places(self) -> list[Place]:
-        """Where the decoded heads are, then the painted ones."""
-        return [head.place for head in self.decoded] + [head.place for head in self.painted]
+    def heads(self) -> list[DecodedHead | PaintedHead]:
+        """The decoded heads, then the painted ones."""
+        return [*self.decoded, *self.painted]
 
 
 def list_heads(
@@ -116,12 +112,7 @@ def count_draws(
     *,
     is_smooth: bool,
 ) -> DrawStats:
-    """What a frame drew.
-
-    Args:
-        counts: Coloured pixels of each decoded head.
-        painted_counts: Of each textured one.
-    """
+    """What a frame drew, with the coloured pixels of each decoded head and of each textured one."""
     heads = [
         HeadStats(
             slot=head.slot,
@@ -129,16 +120,7 @@ def count_draws(
             num_triangles=head.mesh.num_triangles,
             shaded_pixels=count,
         )
-        for head, count in zip(listed.decoded, counts, strict=True)
-    ]
-    heads += [
-        HeadStats(
-            slot=head.slot,
-            level=0,
-            num_triangles=head.head.num_triangles,
-            shaded_pixels=count,
-        )
-        for head, count in zip(listed.painted, painted_counts, strict=True)
+        for head, count in zip(listed.heads, [*counts, *painted_counts], strict=True)
     ]
     num_placeholders = sum(head.expression is None for head in listed.decoded)
     num_second = sum(head.number != head.mark for head in listed.decoded)
@@ -159,23 +141,23 @@ def _arrange(
 ) -> list[DecodedHead | PaintedHead]:
     """One head in one view: none if it is not on the screen, two while levels are mixed."""
     textured = entry.textured if entry.textured and entry.textured.has_maps else None
-    position, expression = entry.position, entry.expression
-    has_maps = position and expression and position.level and expression.level
-    body = entry.body if entry.body and has_maps else placeholder
-    matrix = clip_from_head(view.camera, placement.world_from_head)
+    maps = entry.maps if entry.maps and all(series.level for series in entry.maps) else None
+    body = entry.body if entry.body and maps else placeholder
+    camera, part = view
+    matrix = clip_from_head(camera, placement.world_from_head)
     bounds = textured or body
     covered = screen_rect(matrix, bounds.low_m, bounds.high_m)
     if covered is None:
         return []
     place = Place(
         matrix=matrix,
-        view=view.rect,
-        rect=rect_in_view(covered, view.rect),
+        view=part,
+        rect=rect_in_view(covered, part),
         shown=(*bounds.fade_m, 1 - min(max(placement.fade, 0.0), 1.0) * MAX_FADE),
     )
     if textured is not None:
-        return [PaintedHead(slot=placement.slot, place=place, number=number, head=textured)]
-    if position is None or expression is None or not has_maps:
+        return [PaintedHead(slot=placement.slot, place=place, number=number, mesh=textured)]
+    if maps is None:
         stand_in = DecodedHead(
             slot=placement.slot,
             place=place,
@@ -188,12 +170,13 @@ def _arrange(
             expression=None,
         )
         return [stand_in]
+    position, expression = maps
     blend = min(max(placement.blend, 0.0), 1.0)
     newest = (position.level, position.newest, expression.newest)
     before = (position.level_before, position.before, expression.before)
     if placement.is_same_maps:
         before = newest
-    elif not (position.has_before or expression.has_before):
+    elif before == newest:
         blend = 1.0
     layers = (
         (*newest, placement.mesh_level, (0.0, blend)),

@@ -46,6 +46,13 @@ def build_program(
     return program
 
 
+def clamp(texture: moderngl.Texture, filtering: int = moderngl.LINEAR) -> moderngl.Texture:
+    """Have a texture end at its borders, and looked up by `filtering`; gives it back."""
+    texture.filter = (filtering, filtering)
+    texture.repeat_x = texture.repeat_y = False
+    return texture
+
+
 def set_matrix(program: moderngl.Program, name: str, matrix: FloatArray) -> None:
     """Set a mat4 uniform from a matrix for column vectors."""
     member: Any = program[name]

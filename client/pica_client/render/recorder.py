@@ -173,11 +173,7 @@ class Recorder(Closing):
 
 
 def save_png(path: Path, image: Image) -> None:
-    """Write one image, uint8 ``[H, W, 3]``.
-
-    Raises:
-        OptionError: The file cannot be written.
-    """
+    """Write one image, uint8 ``[H, W, 3]``; OptionError if the file cannot be written."""
     from PIL import Image as PillowImage
 
     with writing_whole(path) as unfinished:

@@ -13,8 +13,6 @@ all the same, as on a narrow picture, the grid is taken.
 
 In each of them one participant may be pinned: that one stands large in the middle, and the others
 look on from a strip at the side.
-
-    plan = plan_seats("table", 5, aspect=16 / 9)
 """
 
 from __future__ import annotations
@@ -27,6 +25,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from pica_core.errors import check_ranges
 from pica_core.types import Float64Array
 
 Layout = Literal["line", "arc", "table", "grid"]
@@ -98,10 +97,7 @@ class FreeShares:
     bottom: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("top", "right", "bottom"):
-            share = getattr(self, name)
-            if not 0 <= share <= MAX_FREE:
-                raise ValueError(f"{name} is {share:g}; 0 to {MAX_FREE} can be kept free")
+        check_ranges(self, top=(0, MAX_FREE), right=(0, MAX_FREE), bottom=(0, MAX_FREE))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -267,7 +263,6 @@ _ARRANGEMENTS: dict[Layout, Callable[[int, _Frame, float], Arrangement]] = {
     "line": _line,
     "arc": _arc,
     "table": _table,
-    "grid": _grid,
 }
 
 

@@ -6,11 +6,7 @@ import numpy.typing as npt
 
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.render.renderer import Renderer, RenderOptions
-from pica_client.render.scene import (
-    Placement,
-    head_matrix,
-    view_direction,
-)
+from pica_client.render.scene import Placement, head_matrix, view_direction
 from pica_client.render.seats import plan_seats
 from pica_client.render.views import ViewState, plan_camera
 from pica_core.avatar.arkit import NUM_ARKIT

@@ -6,7 +6,7 @@ import moderngl
 
 from pica_client.call.reflection import SELF_ID, Reflection
 from pica_client.decode.decoder import OnnxDecoder
-from pica_client.decode.pool import DecodePool, DecodePoolOptions
+from pica_client.decode.pool import DecodePool
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.schedule.frame_planner import FramePlanner
 from pica_client.schedule.scheduler import Scheduler
@@ -32,7 +32,7 @@ class SelfView:
     ) -> None:
         self._renderer = Renderer(context, (16, 12), options)
         with ExitStack() as stack:
-            self._pool = stack.enter_context(DecodePool(DecodePoolOptions(), OnnxDecoder))
+            self._pool = stack.enter_context(DecodePool(OnnxDecoder))
             self._resources = stack.pop_all()
         self._presenter = AvatarPresenter(
             reflection.call, self._renderer, self._pool, FramePlanner(Scheduler())

@@ -157,9 +157,7 @@ class Viewer(Closing):
             self._captures = CapturesOnDisk(self.options.keep_in, begin_sound)
             stack.callback(lambda: self.outputs.attempt(self._captures.close))
             make_decoder = partial(OnnxDecoder, options=self.options.onnx)
-            self._pool = stack.enter_context(
-                DecodePool(self.options.decode, make_decoder, self._clock)
-            )
+            self._pool = stack.enter_context(DecodePool(make_decoder, self._clock))
             self._draw_clock: DrawClock[_DrawnFrame] = DrawClock(context)
             self._scheduler = Scheduler(self.options.scheduler)
             self._presenter = AvatarPresenter(

@@ -4,7 +4,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from pica_client.decode.decoder import OnnxOptions
-from pica_client.decode.pool import DecodePoolOptions
 from pica_client.errors import check_ranges
 from pica_client.render.renderer import RenderOptions
 from pica_client.render.seats import Layout
@@ -54,7 +53,6 @@ class ViewerOptions:
     """Those that one can come again with, by name; none where one cannot."""
     title: str = "PiCA Telepresence"
     render: RenderOptions = field(default_factory=lambda: RenderOptions(fade_busts=True))
-    decode: DecodePoolOptions = field(default_factory=DecodePoolOptions)
     onnx: OnnxOptions = field(default_factory=OnnxOptions)
 
     def __post_init__(self) -> None:

@@ -14,10 +14,6 @@ of it eyes and lips do not follow (vertices 0.27 mm off on average in a face tha
 0.05 mm like this). The mesh of a level can also be drawn with the full maps.
 
 An avatar may have exits at a quarter and a half of its full map: 64 and 128 of 256.
-
-    avatar.levels                                   (64, 128, 256)
-    avatar.level_faces(64)                          int32 [F, 3]
-    avatar.level_errors.at(64, head_px=200.0)       MSE, 0-255
 """
 
 from dataclasses import dataclass
@@ -98,16 +94,10 @@ class LevelErrors:
                 raise ValueError(f"{name} must be finite and at least 0")
 
     def at(self, level: int, head_px: float, *, full_maps: bool = False) -> float:
-        """The error of one choice.
+        """The MSE of a level, or of the full maps on its mesh, at a height of the head in pixels.
 
-        Args:
-            level: One of `levels`.
-            head_px: Height of the head, pixels.
-            full_maps: Draw the mesh of the level with the full maps.
-
-        Returns:
-            MSE. Between the table's heights its logarithm runs straight over the logarithm of the
-            height; beyond them the nearest entry holds.
+        Between the table's heights its logarithm runs straight over the logarithm of the height;
+        beyond them the nearest entry holds.
 
         Raises:
             ValueError: An unknown level.

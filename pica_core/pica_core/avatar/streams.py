@@ -12,9 +12,7 @@ from pica_core.errors import ProfileError
 PLAIN = ""
 """The name of the plain format."""
 FaceEncoder = LatentEncoder | PlainEncoder
-"""The sending end of a stream, in either format."""
 FaceDecoder = LatentDecoder | PlainDecoder
-"""The receiving end of a stream, in either format."""
 
 
 def open_encoder(
@@ -35,10 +33,7 @@ def open_encoder(
 
 
 def open_decoder(avatar: Avatar, name: str) -> FaceDecoder:
-    """The receiving end.
-
-    Args:
-        name: The format, as the sender names it.
+    """The receiving end, for the format as the sender names it.
 
     Raises:
         ProfileError: The sender uses tables that this avatar file does not hold.

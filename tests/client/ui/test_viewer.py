@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -490,3 +491,9 @@ def test_the_call_is_told_what_is_worth_having_of_each_stream() -> None:
 def test_a_frame_budget_out_of_range_is_refused_by_name() -> None:
     with pytest.raises(OptionError, match="frame_budget_ms"):
         ViewerOptions(frame_budget_ms=-1.0)
+
+
+@pytest.mark.parametrize("distance_m", [-0.01, 0.3, math.nan])
+def test_eyes_of_no_person_are_refused(distance_m: float) -> None:
+    with pytest.raises(OptionError, match=r"eye_distance_m is .*; 0 to 0\.2 is allowed"):
+        ViewerOptions(eye_distance_m=distance_m)

@@ -125,9 +125,9 @@ def test_a_baseline_comes_back_from_its_file(
         ({"mesh.faces": np.array([[0, 1, 900]], np.int32)}, "vertices that are not there"),
         ({"mesh.faces": np.zeros((0, 3), np.int32)}, "0 faces"),
         ({"latent.bias": np.full(256, np.nan, np.float32)}, "not finite"),
-        ({"latent.bias": np.zeros(3, np.float32)}, r"latent\.bias is missing or not of shape"),
+        ({"latent.bias": np.zeros(3, np.float32)}, r"latent\.bias has shape \[3\]"),
         ({"surprise": np.zeros(3, np.float32)}, "'surprise' is unknown"),
-        ({"encoder.0.weight": np.zeros((160, 51), np.float32)}, r"encoder\.0 do not fit 52"),
+        ({"encoder.0.weight": np.zeros((160, 51), np.float32)}, r"\[160, 51\]; \[160, 52\] is"),
     ],
 )
 def test_a_file_that_does_not_fit_its_manifest_is_refused(
