@@ -29,7 +29,7 @@ from pica_client.errors import ClientError
 from pica_client.output import Outputs
 from pica_client.publish.face_desk import FaceDesk
 from pica_client.render.draw_clock import DrawClock
-from pica_client.render.recorder import save_png
+from pica_client.render.recorder import Recorder, save_png
 from pica_client.render.renderer import DrawStats, Renderer
 from pica_client.render.scene import pick_head
 from pica_client.render.views import stereo_cameras
@@ -40,7 +40,7 @@ from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter, S
 from pica_client.ui.call_sound import CallSound
 from pica_client.ui.call_surface import CallSurface
 from pica_client.ui.call_view import NOTHING, OwnFaceView
-from pica_client.ui.captures_on_disk import CapturesOnDisk, Recording
+from pica_client.ui.captures_on_disk import CapturesOnDisk
 from pica_client.ui.events import InputEvent, MouseMoved, MousePressed, MouseReleased
 from pica_client.ui.own_face import OwnFaceCorner
 from pica_client.ui.settings import OwnChoice
@@ -152,8 +152,10 @@ class Viewer(Closing):
             )
             stack.callback(self._surface.close)
             begin_sound = self._sound.begin_track
-            self._recording = Recording(self.options.record, size, self.outputs, begin_sound)
-            stack.callback(self._recording.close)
+            self._film: Recorder | None = None
+            if self.options.record is not None:
+                self._film = Recorder(self.options.record, size, begin_sound)
+            stack.callback(self._end_film)
             self._captures = CapturesOnDisk(self.options.keep_in, begin_sound)
             stack.callback(lambda: self.outputs.attempt(self._captures.close))
             make_decoder = partial(OnnxDecoder, options=self.options.onnx)
@@ -243,7 +245,7 @@ class Viewer(Closing):
             scene,
             self._presenter,
             self.controls.state,
-            is_recording=self._recording.is_going or self._captures.is_recording,
+            is_recording=self._is_recording,
             own=self._draw_own(now),
             sound=self._sound.state(),
         )
@@ -266,13 +268,14 @@ class Viewer(Closing):
         if self._window is None:
             image = self._renderer.read_image()  # waits for the GPU: the draw time is a true one
         self._meter.add("draw", self._clock() - begin_s)
-        is_recording = self._recording.is_going or self._captures.is_recording
-        if is_recording != self._was_recording:
-            self._was_recording = is_recording
-            self._on_recording(is_recording)
-        if is_recording:
+        if self._is_recording != self._was_recording:
+            self._was_recording = self._is_recording
+            self._on_recording(self._was_recording)
+        if self._is_recording:
             shown = self._renderer.read_image() if image is None else image
-            self._recording.write(shown, now)
+            film = self._film
+            if film is not None and not self.outputs.attempt(lambda: film.write(shown, now)):
+                self._film = None  # a full disk ends it and nothing else
             self._keep(lambda: self._captures.write(shown, now))
         if self._window is not None:
             self._window.show(self._show)
@@ -280,6 +283,14 @@ class Viewer(Closing):
             self._obey(order, now)
         self._num_frames += 1
         return True
+
+    @property
+    def _is_recording(self) -> bool:
+        return self._film is not None or self._captures.is_recording
+
+    def _end_film(self) -> None:
+        if self._film is not None:
+            self.outputs.attempt(self._film.close)
 
     def pick(self, x_px: float, y_px: float) -> int | None:
         """Whose head is at a point of the picture, pixels, y down; see `FaceState.place`."""
