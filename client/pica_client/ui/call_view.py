@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from pica_client.call.connection_quality import Quality
 from pica_client.call.faces import FaceStatus
 from pica_client.call.status import AvatarFigures, CallStatus, PeerStatus
+from pica_client.publish.face_desk import Seen
 from pica_client.render.scene import Rect
 from pica_client.ui.controls import ControlState, UserOrder
 from pica_client.ui.notice_board import Notice
@@ -59,14 +60,10 @@ class OwnFaceView:
     """What the others see, by the painter's number; None before there is a picture."""
     source: str = ""
     """What plays it."""
-    has_tracker: bool = False
-    has_face: bool = True
-    """Whether the tracker sees somebody."""
-    bars: tuple[tuple[str, float], ...] = ()
-    """Some of its values, by name."""
+    seen: Seen | None = None
+    """What its tracker sees; None where no tracker plays it."""
     camera: int | None = None
-    """What a camera sees, by the painter's number."""
-    camera_aspect: float = 1.0
+    """What its camera sees, by the painter's number."""
 
 
 NOTHING = OwnFaceView()

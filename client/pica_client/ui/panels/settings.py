@@ -55,7 +55,7 @@ def _own(view: CallView, metrics: Metrics) -> list[UserOrder]:
     chosen = replace(wanted, source=view.own.source or wanted.source)
     note("Your face", metrics)
     source = choice_of("##source", SOURCES, chosen.source)
-    if view.own.has_tracker and action_button(f"Calibrate   [{KEYS_OF[Order.CALIBRATE]}]", metrics):
+    if view.own.seen and action_button(f"Calibrate   [{KEYS_OF[Order.CALIBRATE]}]", metrics):
         orders.append(Order.CALIBRATE)
     note("Your avatar", metrics)
     avatars = (("", "By your name"), *((name, name.title()) for name in view.avatars))

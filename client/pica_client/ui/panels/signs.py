@@ -41,7 +41,7 @@ def banner(view: CallView) -> Line | None:
 def own_sign(view: CallView) -> Line | None:
     """What becomes of the user's own face; None while there is none to send."""
     state = view.state.own_face if view.status.is_connected else "muted"
-    if state == "sent" and not view.own.has_face:
+    if state == "sent" and view.own.seen is not None and not view.own.seen.has_face:
         return NO_FACE
     return None if view.state.own_face == "none" else OWN_SIGNS[state]
 
