@@ -28,7 +28,7 @@ from pica_client.ui.panels.side import help_panel, side_share
 from pica_client.ui.panels.signs import signs, signs_share
 from pica_client.ui.panels.statistics import statistics, statistics_share
 from pica_client.ui.panels.waiting import first_hint, hint_share, waiting_page
-from pica_client.ui.settings import OwnChoice, Settings
+from pica_client.ui.settings import Settings
 from pica_client.ui.surface.painter import Painter
 from pica_client.ui.surface.surface import Surface
 from pica_client.voice.sound.settings import SoundState
@@ -61,7 +61,6 @@ class CallSurface:
         size: Columns and rows of the surface.
         status: How the call stands, at a time in seconds.
         has_pointer: Whether there is somebody to steer: a window.
-        avatars: See `CallView.avatars`.
 
     Attributes:
         free: What the seats must keep free.
@@ -76,15 +75,11 @@ class CallSurface:
         status: Callable[[float], CallStatus],
         *,
         has_pointer: bool,
-        entered_as: OwnChoice | None = None,
-        avatars: tuple[str, ...] = (),
     ) -> None:
         self.free = FreeShares()
         self._surface = Surface(size)
         self.painter = Painter(context, self._surface)
         self._meter = meter
-        self._entered_as = entered_as or OwnChoice()
-        self._avatars = avatars
         self._ask_status = status
         self._status = CallStatus()
         self._asked_s: float | None = None
@@ -178,8 +173,6 @@ class CallSurface:
             has_pointer=self._has_pointer,
             own=own,
             sound=sound,
-            entered_as=self._entered_as,
-            avatars=self._avatars,
             figures=self._figures,
         )
         bar = bar_share(metrics) if self._has_pointer else 0.0

@@ -17,7 +17,6 @@ from pica_client.publish.face_desk import Seen
 from pica_client.render.scene import Rect
 from pica_client.ui.controls import ControlState, UserOrder
 from pica_client.ui.notice_board import Notice
-from pica_client.ui.settings import OwnChoice
 from pica_client.ui.surface.theme import Metrics
 from pica_client.voice.sound.settings import SoundState
 
@@ -89,10 +88,6 @@ class CallView:
     """One's own face, as others and as the tracker see it."""
     sound: SoundState | None = None
     """How sound stands; None: there is none."""
-    entered_as: OwnChoice = field(default_factory=OwnChoice)
-    """The name, avatar and source that one came in with."""
-    avatars: tuple[str, ...] = ()
-    """Those to choose from, by name; none where one cannot come again as somebody else."""
     figures: tuple[tuple[str, str], ...] = ()
     """Figures of the whole call, name and value."""
 

@@ -139,8 +139,12 @@ class ControlState:
     volumes: Mapping[int, float] = field(default_factory=dict)
     """How loud people are here, by place; who is missing is as loud as sent."""
     settings: Settings = field(default_factory=Settings)
+    entered_as: OwnChoice = field(default_factory=OwnChoice)
+    """The name, avatar and source that the user came in with."""
     choice: OwnChoice = field(default_factory=OwnChoice)
-    """The name, avatar and source that the user wants; a name or avatar only after coming again."""
+    """Those that the user wants; a name or avatar only after coming again."""
+    avatars: tuple[str, ...] = ()
+    """Those to choose from, by name; none where one cannot come again as somebody else."""
     shows_hint: bool = False
     """Whether what one needs to know in the first call is shown."""
     wants_close: bool = False

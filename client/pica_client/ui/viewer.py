@@ -111,15 +111,10 @@ class Viewer(Closing):
         self._on_recording = on_recording
         self._was_recording = False
         self.controls = controls.Controls(
-            controls.ControlState(
-                layout=self.options.layout,
-                show_statistics=self.options.show_statistics,
+            replace(
+                self.options.at_first,
                 own_face="none" if desk is None else "sent",
                 own_voice=self._sound.own_voice,
-                choice=self.options.entered_as,
-                settings=self.options.settings,
-                sound=self.options.sound,
-                shows_hint=self.options.shows_hint,
             )
         )
         self._meter = Meter()
@@ -147,8 +142,6 @@ class Viewer(Closing):
                 self._meter,
                 status,
                 has_pointer=self._window is not None,
-                entered_as=self.options.entered_as,
-                avatars=self.options.avatars,
             )
             stack.callback(self._surface.close)
             begin_sound = self._sound.begin_track

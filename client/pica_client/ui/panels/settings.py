@@ -33,7 +33,7 @@ def settings_panel(view: CallView, metrics: Metrics) -> list[UserOrder]:
     with side_panel("Settings", metrics, orders):
         if not imgui.begin_tab_bar("parts"):
             return orders
-        if view.avatars and imgui.begin_tab_item("You")[0]:
+        if view.state.avatars and imgui.begin_tab_item("You")[0]:
             orders += _own(view, metrics)
             imgui.end_tab_item()
         if view.sound is not None and imgui.begin_tab_item("Sound")[0]:
@@ -43,7 +43,7 @@ def settings_panel(view: CallView, metrics: Metrics) -> list[UserOrder]:
             orders += _shown(view.state, metrics)
             imgui.end_tab_item()
         imgui.end_tab_bar()
-        if view.avatars:
+        if view.state.avatars:
             orders += _coming_again(view, metrics)
     return orders
 
@@ -58,7 +58,7 @@ def _own(view: CallView, metrics: Metrics) -> list[UserOrder]:
     if view.own.seen and action_button(f"Calibrate   [{KEYS_OF[Order.CALIBRATE]}]", metrics):
         orders.append(Order.CALIBRATE)
     note("Your avatar", metrics)
-    avatars = (("", "By your name"), *((name, name.title()) for name in view.avatars))
+    avatars = (("", "By your name"), *((name, name.title()) for name in view.state.avatars))
     avatar = choice_of("##avatar", avatars, chosen.avatar)
     note("Your name", metrics)
     imgui.set_next_item_width(-1)
@@ -71,7 +71,7 @@ def _own(view: CallView, metrics: Metrics) -> list[UserOrder]:
 
 def _coming_again(view: CallView, metrics: Metrics) -> list[UserOrder]:
     """A button, where something was chosen that holds only once one has come in again."""
-    entered, wanted = view.entered_as, view.state.choice
+    entered, wanted = view.state.entered_as, view.state.choice
     sends = view.state.own_face != "none"
     if (wanted.name, wanted.avatar, wanted.voice) == (
         entered.name,
@@ -92,7 +92,7 @@ def _sound(view: CallView, state: SoundState, metrics: Metrics) -> list[UserOrde
     if voice != wanted.voice:
         orders.append(replace(wanted, voice=voice))
     settings = replace(settings, microphone=microphone)
-    is_open = view.entered_as.voice == MICROPHONE
+    is_open = view.state.entered_as.voice == MICROPHONE
     settings, wants_test = sound_part(settings, state, metrics, has_microphone=is_open)
     if settings != view.state.sound:
         orders.append(settings)

@@ -202,9 +202,9 @@ def test_each_setting_is_one_click(hand: Hand) -> None:
 
 def test_source_avatar_and_name_are_chosen_during_the_call(hand: Hand) -> None:
     me = OwnChoice(name="Me", source="livelink")
-    state = replace(SETTINGS.state, choice=me)
+    state = replace(SETTINGS.state, choice=me, entered_as=me, avatars=("amara", "sam"))
     own = OwnFaceView(source="livelink", seen=Seen(True, (), None))
-    view = replace(SETTINGS, state=state, own=own, entered_as=me, avatars=("amara", "sam"))
+    view = replace(SETTINGS, state=state, own=own)
 
     def show(metrics: object) -> list[object]:
         return settings_panel(view, metrics)  # type: ignore[arg-type, return-value]
@@ -350,7 +350,8 @@ def test_devices_are_changed_during_a_call_and_another_voice_needs_coming_again(
     )
     mine = OwnChoice(name="Me", source="performance:talk", voice="mic")
     control = ControlState(side="settings", own_face="sent", own_voice="sent", choice=mine)
-    view = CallView(now=1.0, state=control, entered_as=mine, avatars=("ines",), sound=state)
+    control = replace(control, entered_as=mine, avatars=("ines",))
+    view = CallView(now=1.0, state=control, sound=state)
 
     def show(metrics: Metrics) -> list[UserOrder]:
         return settings_panel(view, metrics)
