@@ -418,17 +418,8 @@ class Viewer(Closing):
             case controls.Order.TOGGLE_FULL_SCREEN:
                 if self._window is not None:
                     self._window.toggle_full_screen()
-            case controls.Order.EXPLAIN_NO_FACE:
-                self._surface.notice(
-                    "You show no face: choose a face source in the settings (--send)", now
-                )
-            case controls.Order.EXPLAIN_NO_VOICE:
-                self._surface.notice(
-                    "You send no voice: choose a microphone in the settings (--voice mic)", now
-                )
-            case controls.Order.NEXT_LAYOUT:
-                layout = controls.LAYOUT_TITLES[self.controls.state.layout]
-                self._surface.notice(f"People sit: {layout}", now)
+            case controls.Say(text=text):
+                self._surface.notice(text, now)
             case controls.Order.TEST_SOUND:
                 self._sound.play_test()
             case controls.Order.REJOIN:
