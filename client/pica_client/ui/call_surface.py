@@ -5,14 +5,14 @@ whether the control bar is to be seen.
 """
 
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 import moderngl
 
 from pica_client.call.participants import Participant, notices
 from pica_client.call.status import CallStatus, PeerStatus
 from pica_client.render.labels import place_labels
-from pica_client.render.scene import Rect, common_px, head_rect_px
+from pica_client.render.scene import common_px, head_rect_px
 from pica_client.render.seats import MAX_FREE, FreeShares
 from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter
 from pica_client.ui.call_view import NOTHING, CallView, OwnFaceView, Panel, PersonView
@@ -194,14 +194,7 @@ class CallSurface:
     def _people(
         self, now: float, scene: CallScene, presenter: AvatarPresenter, state: ControlState
     ) -> tuple[PersonView, ...]:
-        shares: Mapping[str, float] = {}
-        if state.show_statistics:
-            size = (scene.camera.width, scene.camera.height)
-            rects = {
-                placement.slot: head_rect_px(scene.camera, placement.world_from_head)
-                for placement in scene.placements
-            }
-            shares = draw_shares_ms(rects, size, self._draw_ms)
+        shares = self._draw_shares_ms(scene) if state.show_statistics else {}
         figures, problems = presenter.figures(now), presenter.problems
         people = []
         muted = {each.peer_id for each in self._status.participants if each.is_voice_muted}
@@ -218,7 +211,6 @@ class CallSurface:
                     note=problems.get(peer_id) or face.note,
                     is_speaking=found is not None and found.is_speaking,
                     is_voice_muted=peer_id in muted,
-                    quality=stream.quality,
                     label_px=label_px,
                     figures=found,
                     stream=stream,
@@ -226,6 +218,19 @@ class CallSurface:
                 )
             )
         return tuple(people)
+
+    def _draw_shares_ms(self, scene: CallScene) -> dict[str, float]:
+        """The drawing time dealt out by the pixels that each head may cover: most of it is spent
+        per pixel. An estimate; the GPU is not asked head by head."""
+        picture = (0.0, 0.0, scene.camera.width, scene.camera.height)
+        areas = {}
+        for placement in scene.placements:
+            rect = head_rect_px(scene.camera, placement.world_from_head)
+            areas[placement.slot] = common_px(rect, picture) if rect else 0.0
+        total = sum(areas.values())
+        if self._draw_ms is None or total <= 0:
+            return {}
+        return {peer_id: self._draw_ms * area / total for peer_id, area in areas.items()}
 
     def _figures_now(self) -> tuple[tuple[str, str], ...]:
         times = self._times
@@ -237,22 +242,3 @@ class CallSurface:
         if latency_ms is not None and 0 <= latency_ms < 10_000:
             found.append(("latency p95", f"{latency_ms:.0f} ms"))
         return (*found, *self._status.summary)
-
-
-def draw_shares_ms(
-    rects: Mapping[str, Rect | None], size: tuple[int, int], draw_ms: float | None
-) -> dict[str, float]:
-    """The drawing time dealt out by the pixels that each head may cover: most of it is spent per
-    pixel. An estimate; the GPU is not asked head by head.
-
-    Args:
-        rects: Where the heads are on the picture, pixels; None off the screen.
-        size: Columns and rows of the picture.
-        draw_ms: Of the whole picture.
-    """
-    picture = (0.0, 0.0, *size)
-    areas = {peer_id: common_px(rect, picture) if rect else 0.0 for peer_id, rect in rects.items()}
-    total = sum(areas.values())
-    if draw_ms is None or total <= 0:
-        return {}
-    return {peer_id: draw_ms * area / total for peer_id, area in areas.items()}

@@ -10,7 +10,6 @@ A panel is a function of a `CallView` and the picture's metrics; it draws with t
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from pica_client.call.connection_quality import Quality
 from pica_client.call.faces import FaceStatus
 from pica_client.call.status import AvatarFigures, CallStatus, PeerStatus
 from pica_client.publish.face_desk import Seen
@@ -19,10 +18,6 @@ from pica_client.ui.controls import ControlState, UserOrder
 from pica_client.ui.notice_board import Notice
 from pica_client.ui.surface.theme import Metrics
 from pica_client.voice.sound.settings import SoundState
-
-STATUS_NOTE: dict[FaceStatus, str] = {"away": "away"}
-"""What stands under a name; of the others the call itself says what is wrong."""
-POOR_NOTE = "poor connection"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -36,7 +31,6 @@ class PersonView:
     """What is wrong with the stream or the avatar, for people."""
     is_speaking: bool = False
     is_voice_muted: bool = False
-    quality: Quality = "unknown"
     label_px: Rect | None = None
     """The part of the picture that the name may fill, from its upper edge on; None for nowhere."""
     figures: AvatarFigures | None = None
@@ -47,8 +41,9 @@ class PersonView:
     @property
     def remark(self) -> str:
         """What stands under the name; empty when all is well."""
-        poor = POOR_NOTE if self.quality == "poor" else ""
-        return self.note or STATUS_NOTE.get(self.status, "") or poor
+        if self.note or self.status == "away":
+            return self.note or "away"
+        return "poor connection" if self.stream.quality == "poor" else ""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -49,8 +49,6 @@ from pica_client.ui.window import Window
 from pica_core.camera import Camera
 from pica_core.gl import create_context
 
-StatusSource = Callable[[float], CallStatus]
-
 PREPARE_TIMEOUT_S = 5.0
 """How long the first picture waits for five avatars to be loaded; here they take half a second."""
 PREPARE_POLL_S = 0.01
@@ -95,7 +93,7 @@ class Viewer(Closing):
         source: FaceSource,
         options: ViewerOptions | None = None,
         *,
-        status: StatusSource = lambda now: CallStatus(),
+        status: Callable[[float], CallStatus] = lambda now: CallStatus(),
         on_decoded: Callable[[DecodeResult], None] | None = None,
         on_recording: Callable[[bool], None] = lambda is_recording: None,
         desk: FaceDesk | None = None,
@@ -301,11 +299,6 @@ class Viewer(Closing):
         return self.outputs.attempt(lambda: save_png(path, self._renderer.read_image()))
 
     @property
-    def gl_renderer(self) -> str:
-        """What draws, by the driver's own name."""
-        return self._renderer.gl_renderer
-
-    @property
     def problems(self) -> dict[str, str]:
         """Why peers are drawn as placeholders, by peer id."""
         return self._presenter.problems
@@ -325,7 +318,7 @@ class Viewer(Closing):
             "decodes": self._presenter.num_decoded(),
             "decodes_replaced": self._pool.num_replaced,
             "errors": self._presenter.num_errors,
-            "gl_renderer": self.gl_renderer,
+            "gl_renderer": self._renderer.gl_renderer,
             "triangles": self.last_draw.num_triangles if self.last_draw else 0,
             "draw_calls": self.last_draw.num_draw_calls if self.last_draw else 0,
             **self._meter.summaries(),
@@ -403,9 +396,9 @@ class Viewer(Closing):
         """One's own face; its picture if it is to be seen and there is room for it."""
         if self._own_face is None:
             return NOTHING
-        is_shown = self.controls.state.settings.shows_self and self.options.eye_distance_m == 0
-        height_px = self._surface.self_view_px if is_shown else 0
         surface = self._surface
+        is_shown = self.controls.state.settings.shows_self and self.options.eye_distance_m == 0
+        height_px = surface.self_view_px if is_shown else 0
         return self._own_face.draw(now, height_px, surface.painter, surface.notice)
 
     def _obey(self, order: controls.UserOrder, now: float) -> None:
