@@ -102,7 +102,7 @@ class CopyText:
     """Put a text into the clipboard, and say so."""
 
     text: str
-    notice: str = "Copied"
+    notice: str
 
 
 @dataclass(frozen=True, slots=True)

@@ -96,9 +96,9 @@ def test_a_button_gives_the_orders_of_keys_and_some_that_name_somebody() -> None
     controls = Controls()
     controls.obey(ChooseLayout("grid"))
     controls.obey(Pin(4))
-    controls.obey(CopyText("pica://relay"))
+    controls.obey(CopyText("pica://relay", "Copied"))
     assert (controls.state.pinned, controls.state.layout) == (4, "grid")
-    assert controls.take_orders() == [CopyText("pica://relay")]
+    assert controls.take_orders() == [CopyText("pica://relay", "Copied")]
     assert all(order not in CHANGES for order in (Order.SCREENSHOT, Order.TOGGLE_RECORDING))
 
 
