@@ -71,6 +71,9 @@ class ScreenlessWindow:
     def clipboard(self) -> str:
         return ""
 
+    def copy(self, text: str) -> None:
+        raise AssertionError
+
 
 @pytest.fixture
 def window_of(monkeypatch: pytest.MonkeyPatch) -> Callable[[list[InputEvent]], None]:
