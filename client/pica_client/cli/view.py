@@ -126,6 +126,7 @@ def view(options: ViewOptions) -> dict[str, Any]:
         return {"registered": str(path)}
     from pica_client.call.call import CallConfig
     from pica_client.render.views import EYE_DISTANCE_M
+    from pica_client.ui.controls import ControlState
     from pica_client.ui.joining.form import Fields, JoinForm
     from pica_client.ui.preferences import Preferences, PreferencesFile
     from pica_client.ui.view import ViewConfig
@@ -174,12 +175,14 @@ def view(options: ViewOptions) -> dict[str, Any]:
             keep_in=keep_folder(options.keep_in, preferences),
             max_fps=options.max_fps,
             frame_budget_ms=options.frame_budget_ms,
-            layout=options.layout or preferences.layout,
             eye_distance_m=EYE_DISTANCE_M if options.stereo else 0.0,
-            show_statistics=options.statistics or preferences.show_statistics,
-            settings=preferences.settings,
-            sound=sound,
-            shows_hint=kept is not None and not preferences.has_seen_hint,
+            at_first=ControlState(
+                layout=options.layout or preferences.layout,
+                show_statistics=options.statistics or preferences.show_statistics,
+                settings=preferences.settings,
+                sound=sound,
+                shows_hint=kept is not None and not preferences.has_seen_hint,
+            ),
         ),
         seconds=options.seconds,
         voice=voice or "none",

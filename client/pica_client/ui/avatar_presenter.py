@@ -28,13 +28,7 @@ from pica_client.render import views
 from pica_client.render.renderer import Renderer
 from pica_client.render.room import Room
 from pica_client.render.scene import Placement, head_matrix
-from pica_client.render.seats import (
-    SHOULDERS_M,
-    FreeShares,
-    Layout,
-    SeatPlan,
-    plan_seats,
-)
+from pica_client.render.seats import SHOULDERS_M, FreeShares, Layout, SeatPlan, plan_seats
 from pica_client.schedule.frame_planner import FramePlanner
 from pica_client.schedule.head import Head
 from pica_client.schedule.scheduler import Plan
@@ -343,10 +337,6 @@ class AvatarPresenter:
             )
             for peer_id, entry in self._peers.items()
         }
-
-    def speaking(self, now: float) -> set[str]:
-        """Peers who speak, by their voice, or by their jaw where there is no voice."""
-        return {peer_id for peer_id, entry in self._peers.items() if entry.is_speaking(now)}
 
     def num_decoded(self) -> dict[str, int]:
         """Decodes so far, by peer id."""

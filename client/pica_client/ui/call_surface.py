@@ -5,14 +5,14 @@ whether the control bar is to be seen.
 """
 
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 import moderngl
 
 from pica_client.call.participants import Participant, notices
 from pica_client.call.status import CallStatus, PeerStatus
 from pica_client.render.labels import place_labels
-from pica_client.render.scene import Rect, common_px, head_rect_px
+from pica_client.render.scene import common_px, head_rect_px
 from pica_client.render.seats import MAX_FREE, FreeShares
 from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter
 from pica_client.ui.call_view import NOTHING, CallView, OwnFaceView, Panel, PersonView
@@ -28,7 +28,7 @@ from pica_client.ui.panels.side import help_panel, side_share
 from pica_client.ui.panels.signs import signs, signs_share
 from pica_client.ui.panels.statistics import statistics, statistics_share
 from pica_client.ui.panels.waiting import first_hint, hint_share, waiting_page
-from pica_client.ui.settings import OwnChoice, Settings
+from pica_client.ui.settings import Settings
 from pica_client.ui.surface.painter import Painter
 from pica_client.ui.surface.surface import Surface
 from pica_client.voice.sound.settings import SoundState
@@ -61,7 +61,6 @@ class CallSurface:
         size: Columns and rows of the surface.
         status: How the call stands, at a time in seconds.
         has_pointer: Whether there is somebody to steer: a window.
-        avatars: See `CallView.avatars`.
 
     Attributes:
         free: What the seats must keep free.
@@ -76,15 +75,11 @@ class CallSurface:
         status: Callable[[float], CallStatus],
         *,
         has_pointer: bool,
-        entered_as: OwnChoice | None = None,
-        avatars: tuple[str, ...] = (),
     ) -> None:
         self.free = FreeShares()
         self._surface = Surface(size)
         self.painter = Painter(context, self._surface)
         self._meter = meter
-        self._entered_as = entered_as or OwnChoice()
-        self._avatars = avatars
         self._ask_status = status
         self._status = CallStatus()
         self._asked_s: float | None = None
@@ -178,8 +173,6 @@ class CallSurface:
             has_pointer=self._has_pointer,
             own=own,
             sound=sound,
-            entered_as=self._entered_as,
-            avatars=self._avatars,
             figures=self._figures,
         )
         bar = bar_share(metrics) if self._has_pointer else 0.0
@@ -201,14 +194,7 @@ class CallSurface:
     def _people(
         self, now: float, scene: CallScene, presenter: AvatarPresenter, state: ControlState
     ) -> tuple[PersonView, ...]:
-        shares: Mapping[str, float] = {}
-        if state.show_statistics:
-            size = (scene.camera.width, scene.camera.height)
-            rects = {
-                placement.slot: head_rect_px(scene.camera, placement.world_from_head)
-                for placement in scene.placements
-            }
-            shares = draw_shares_ms(rects, size, self._draw_ms)
+        shares = self._draw_shares_ms(scene) if state.show_statistics else {}
         figures, problems = presenter.figures(now), presenter.problems
         people = []
         muted = {each.peer_id for each in self._status.participants if each.is_voice_muted}
@@ -225,7 +211,6 @@ class CallSurface:
                     note=problems.get(peer_id) or face.note,
                     is_speaking=found is not None and found.is_speaking,
                     is_voice_muted=peer_id in muted,
-                    quality=stream.quality,
                     label_px=label_px,
                     figures=found,
                     stream=stream,
@@ -233,6 +218,19 @@ class CallSurface:
                 )
             )
         return tuple(people)
+
+    def _draw_shares_ms(self, scene: CallScene) -> dict[str, float]:
+        """The drawing time dealt out by the pixels that each head may cover: most of it is spent
+        per pixel. An estimate; the GPU is not asked head by head."""
+        picture = (0.0, 0.0, scene.camera.width, scene.camera.height)
+        areas = {}
+        for placement in scene.placements:
+            rect = head_rect_px(scene.camera, placement.world_from_head)
+            areas[placement.slot] = common_px(rect, picture) if rect else 0.0
+        total = sum(areas.values())
+        if self._draw_ms is None or total <= 0:
+            return {}
+        return {peer_id: self._draw_ms * area / total for peer_id, area in areas.items()}
 
     def _figures_now(self) -> tuple[tuple[str, str], ...]:
         times = self._times
@@ -244,22 +242,3 @@ class CallSurface:
         if latency_ms is not None and 0 <= latency_ms < 10_000:
             found.append(("latency p95", f"{latency_ms:.0f} ms"))
         return (*found, *self._status.summary)
-
-
-def draw_shares_ms(
-    rects: Mapping[str, Rect | None], size: tuple[int, int], draw_ms: float | None
-) -> dict[str, float]:
-    """The drawing time dealt out by the pixels that each head may cover: most of it is spent per
-    pixel. An estimate; the GPU is not asked head by head.
-
-    Args:
-        rects: Where the heads are on the picture, pixels; None off the screen.
-        size: Columns and rows of the picture.
-        draw_ms: Of the whole picture.
-    """
-    picture = (0.0, 0.0, *size)
-    areas = {peer_id: common_px(rect, picture) if rect else 0.0 for peer_id, rect in rects.items()}
-    total = sum(areas.values())
-    if draw_ms is None or total <= 0:
-        return {}
-    return {peer_id: draw_ms * area / total for peer_id, area in areas.items()}

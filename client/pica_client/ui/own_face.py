@@ -1,19 +1,67 @@
-"""One's own face while a call is shown: the picture in the corner, what the tracker sees beside it,
-and what the user orders of it."""
+"""One's own face while a call is shown: as the others see it, drawn small in a corner, what the
+tracker sees beside it, and what the user orders of it."""
 
 from collections.abc import Callable
 
 import moderngl
 import numpy as np
 
+from pica_client.call.reflection import SELF_ID, Reflection
+from pica_client.decode.decoder import OnnxDecoder
+from pica_client.decode.pool import DecodePool
 from pica_client.publish.face_desk import FaceDesk
-from pica_client.render.renderer import RenderOptions
+from pica_client.render.renderer import Renderer, RenderOptions
+from pica_client.schedule.frame_planner import FramePlanner
+from pica_client.schedule.scheduler import Scheduler
+from pica_client.ui.avatar_presenter import AvatarPresenter, Seating
 from pica_client.ui.call_view import NOTHING, OwnFaceView
 from pica_client.ui.controls import Order, OwnFace, UserOrder
-from pica_client.ui.self_view import PERIOD_S, SelfView
 from pica_client.ui.settings import OwnChoice
 from pica_client.ui.surface.painter import Painter
 from pica_core.types import Image
+
+ASPECT = 4 / 3
+PERIOD_S = 1 / 15
+"""Between two images (chosen: one's own face is to be checked, not watched)."""
+BUDGET_S = 0.01
+"""What one image may take."""
+
+
+class SelfView:
+    """Decodes and draws a reflection, beside the call, into a texture of its own.
+
+    Args:
+        context: Where to draw; current on this thread.
+        options: How avatars are drawn.
+    """
+
+    def __init__(
+        self, context: moderngl.Context, reflection: Reflection, options: RenderOptions
+    ) -> None:
+        self._renderer = Renderer(context, (16, 12), options)
+        self._pool = DecodePool(OnnxDecoder)
+        self._presenter = AvatarPresenter(
+            reflection.call, self._renderer, self._pool, FramePlanner(Scheduler())
+        )
+
+    def close(self) -> None:
+        """End the decoding thread."""
+        self._pool.close()
+
+    def draw(self, now: float, height_px: int) -> moderngl.Texture | None:
+        """One's own face on a picture so many pixels high; None before there is one."""
+        size = (round(ASPECT * height_px), height_px)
+        self._renderer.resize(size)
+        scene = self._presenter.arrange(now, Seating(layout="line"), size)
+        self._presenter.decide(scene, (scene.camera,), BUDGET_S)
+        self._presenter.collect(now)
+        scene = self._presenter.dressed(scene)
+        self._renderer.draw(scene.placements, scene.camera)
+        if not self._presenter.num_decoded().get(SELF_ID):
+            return None
+        (texture,) = self._renderer.image.color_attachments
+        assert isinstance(texture, moderngl.Texture)
+        return texture
 
 
 class OwnFaceCorner:
@@ -43,13 +91,10 @@ class OwnFaceCorner:
 
     def obey(self, order: UserOrder, now: float) -> None:
         """Do what is ordered, if it is of the face."""
-        match order:
-            case Order.CALIBRATE:
-                self._desk.calibrate(now)
-            case OwnChoice(source=source) if source:
-                self._desk.choose(source)
-            case _:
-                pass
+        if order is Order.CALIBRATE:
+            self._desk.calibrate(now)
+        elif isinstance(order, OwnChoice) and order.source:
+            self._desk.choose(order.source)
 
     def draw(
         self, now: float, height_px: int, painter: Painter, say: Callable[[str, float], None]
@@ -65,11 +110,8 @@ class OwnFaceCorner:
             self._shown = OwnFaceView(
                 texture=None if texture is None else painter.adopt("own face", texture),
                 source=self._desk.source,
-                has_tracker=seen is not None,
-                has_face=seen is None or seen.has_face,
-                bars=() if seen is None else seen.bars,
+                seen=seen,
                 camera=None if picture is None else self._upload(picture, painter),
-                camera_aspect=1.0 if picture is None else picture.shape[1] / picture.shape[0],
             )
         return self._shown if height_px else NOTHING
 

@@ -1,6 +1,7 @@
 """One receiver from end to end: network in a thread, decoding in others, drawing in this one."""
 
 import json
+import math
 import sys
 import time
 from collections import deque
@@ -25,7 +26,6 @@ from pica_client.transport.link_news import LinkNews
 from pica_client.transport.monitor import CallMonitor
 from pica_client.transport.receiver import Receiver
 from pica_client.ui.call_sound import CallSound
-from pica_client.ui.controls import ControlState
 from pica_client.ui.settings import OwnChoice
 from pica_client.ui.viewer import Viewer
 from pica_client.ui.viewer_options import ViewerOptions
@@ -87,7 +87,7 @@ class View:
     """Runs a receiver and its viewer; `stop` may come from a signal handler.
 
     Attributes:
-        last_controls: How the user left the view; None before it was shown.
+        last_controls: How the user left the view.
         last_source: What plays the user's face now, if they chose it during the call; else None.
         last_window_size: And the window, in the screen's units; None without one.
         was_cancelled: Whether the user did not want to wait for the room.
@@ -138,7 +138,7 @@ class View:
         self._waiting = waiting
         self.was_cancelled = False
         doing = "looking into" if face is None else f"in, as {config.link.name},"
-        self._own_sound = SoundProcess(config.viewer.sound) if sound is None else None
+        self._own_sound = SoundProcess(config.viewer.at_first.sound) if sound is None else None
         sound = sound or self._own_sound
         assert sound is not None
         voice = sound if config.voice == "mic" else open_voice(config.voice)
@@ -155,7 +155,7 @@ class View:
             giver=None if face is None else face.giver,
             news=LinkNews(f"{doing} room {config.link.room} at {config.link.url}", say),
         )
-        self.last_controls: ControlState | None = None
+        self.last_controls = config.viewer.at_first
         self.last_window_size: tuple[int, int] | None = None
         self.last_source: str | None = None
         self._is_stopping = False
@@ -176,16 +176,12 @@ class View:
             RelayError: The relay is not there, or will not have us.
             GraphicsError: There is no way to draw.
         """
-        try:
-            return self._run()
-        finally:
-            if self._fetcher is not None:
-                self._fetcher.close()
-
-    def _run(self) -> dict[str, Any]:
         config = self._config
         self._say_recording(config.viewer.record is not None)
-        with self._receiver, ExitStack() as stack:
+        with ExitStack() as stack:
+            if self._fetcher is not None:
+                stack.callback(self._fetcher.close)
+            stack.enter_context(self._receiver)
             if self._own_sound is not None:
                 stack.callback(self._own_sound.close)
             self._wait_for_peers()
@@ -198,7 +194,13 @@ class View:
             with Viewer(
                 self._call,
                 replace(
-                    config.viewer, entered_as=self._entered_as, avatars=tuple(self._library.names)
+                    config.viewer,
+                    at_first=replace(
+                        config.viewer.at_first,
+                        entered_as=self._entered_as,
+                        choice=self._entered_as,
+                        avatars=tuple(self._library.names),
+                    ),
                 ),
                 status=CallMonitor(self._receiver).status,
                 on_decoded=self._note_decode if config.frame_log is not None else None,
@@ -284,10 +286,10 @@ class View:
 
     def _draw(self, viewer: Viewer) -> None:
         """Draw until the time is over, the user leaves, or the network gives up."""
-        config = self._config
-        begin_s = time.monotonic()
-        index = 0
-        has_ended, keeps_images = False, True
+        folder, index = self._config.png_folder, 0
+        longest_s = math.inf if folder is None else PNG_PERIOD_S
+        end_s = time.monotonic() + (self._config.seconds or math.inf)
+        has_ended = False
 
         def should_stop() -> bool:
             self._receiver.check()
@@ -295,20 +297,16 @@ class View:
             return self._is_stopping
 
         while not has_ended and not self._is_stopping:
-            left_s = begin_s + config.seconds - time.monotonic() if config.seconds else None
-            if left_s is not None and left_s <= 0:
+            begin_s = time.monotonic()
+            slice_s = min(longest_s, end_s - begin_s)
+            if slice_s <= 0:
                 return
-            if config.png_folder is None:
-                viewer.run(left_s, should_stop)
-                return
-            slice_s = PNG_PERIOD_S if left_s is None else min(PNG_PERIOD_S, left_s)
-            slice_begin_s = time.monotonic()
             viewer.run(slice_s, should_stop)
             # The viewer returns early only when its user closed the window, or we stopped it.
-            has_ended = time.monotonic() - slice_begin_s < slice_s
+            has_ended = time.monotonic() - begin_s < slice_s
             index += 1
-            image = config.png_folder / f"frame-{index:05d}.png"
-            keeps_images = keeps_images and viewer.save_image(image)
+            if folder is not None and not viewer.save_image(folder / f"frame-{index:05d}.png"):
+                folder = None
 
     def _come_again(self, wanted: OwnChoice) -> str:
         """Note as whom the user wants to come again; says why that cannot be."""

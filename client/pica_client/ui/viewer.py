@@ -29,7 +29,7 @@ from pica_client.errors import ClientError
 from pica_client.output import Outputs
 from pica_client.publish.face_desk import FaceDesk
 from pica_client.render.draw_clock import DrawClock
-from pica_client.render.recorder import save_png
+from pica_client.render.recorder import Recorder, save_png
 from pica_client.render.renderer import DrawStats, Renderer
 from pica_client.render.scene import pick_head
 from pica_client.render.views import stereo_cameras
@@ -40,7 +40,7 @@ from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter, S
 from pica_client.ui.call_sound import CallSound
 from pica_client.ui.call_surface import CallSurface
 from pica_client.ui.call_view import NOTHING, OwnFaceView
-from pica_client.ui.captures_on_disk import CapturesOnDisk, Recording
+from pica_client.ui.captures_on_disk import CapturesOnDisk
 from pica_client.ui.events import InputEvent, MouseMoved, MousePressed, MouseReleased
 from pica_client.ui.own_face import OwnFaceCorner
 from pica_client.ui.settings import OwnChoice
@@ -48,8 +48,6 @@ from pica_client.ui.viewer_options import ViewerOptions
 from pica_client.ui.window import Window
 from pica_core.camera import Camera
 from pica_core.gl import create_context
-
-StatusSource = Callable[[float], CallStatus]
 
 PREPARE_TIMEOUT_S = 5.0
 """How long the first picture waits for five avatars to be loaded; here they take half a second."""
@@ -95,7 +93,7 @@ class Viewer(Closing):
         source: FaceSource,
         options: ViewerOptions | None = None,
         *,
-        status: StatusSource = lambda now: CallStatus(),
+        status: Callable[[float], CallStatus] = lambda now: CallStatus(),
         on_decoded: Callable[[DecodeResult], None] | None = None,
         on_recording: Callable[[bool], None] = lambda is_recording: None,
         desk: FaceDesk | None = None,
@@ -111,15 +109,10 @@ class Viewer(Closing):
         self._on_recording = on_recording
         self._was_recording = False
         self.controls = controls.Controls(
-            controls.ControlState(
-                layout=self.options.layout,
-                show_statistics=self.options.show_statistics,
+            replace(
+                self.options.at_first,
                 own_face="none" if desk is None else "sent",
                 own_voice=self._sound.own_voice,
-                choice=self.options.entered_as,
-                settings=self.options.settings,
-                sound=self.options.sound,
-                shows_hint=self.options.shows_hint,
             )
         )
         self._meter = Meter()
@@ -147,13 +140,13 @@ class Viewer(Closing):
                 self._meter,
                 status,
                 has_pointer=self._window is not None,
-                entered_as=self.options.entered_as,
-                avatars=self.options.avatars,
             )
             stack.callback(self._surface.close)
             begin_sound = self._sound.begin_track
-            self._recording = Recording(self.options.record, size, self.outputs, begin_sound)
-            stack.callback(self._recording.close)
+            self._film: Recorder | None = None
+            if self.options.record is not None:
+                self._film = Recorder(self.options.record, size, begin_sound)
+            stack.callback(self._end_film)
             self._captures = CapturesOnDisk(self.options.keep_in, begin_sound)
             stack.callback(lambda: self.outputs.attempt(self._captures.close))
             make_decoder = partial(OnnxDecoder, options=self.options.onnx)
@@ -241,7 +234,7 @@ class Viewer(Closing):
             scene,
             self._presenter,
             self.controls.state,
-            is_recording=self._recording.is_going or self._captures.is_recording,
+            is_recording=self._is_recording,
             own=self._draw_own(now),
             sound=self._sound.state(),
         )
@@ -264,13 +257,14 @@ class Viewer(Closing):
         if self._window is None:
             image = self._renderer.read_image()  # waits for the GPU: the draw time is a true one
         self._meter.add("draw", self._clock() - begin_s)
-        is_recording = self._recording.is_going or self._captures.is_recording
-        if is_recording != self._was_recording:
-            self._was_recording = is_recording
-            self._on_recording(is_recording)
-        if is_recording:
+        if self._is_recording != self._was_recording:
+            self._was_recording = self._is_recording
+            self._on_recording(self._was_recording)
+        if self._is_recording:
             shown = self._renderer.read_image() if image is None else image
-            self._recording.write(shown, now)
+            film = self._film
+            if film is not None and not self.outputs.attempt(lambda: film.write(shown, now)):
+                self._film = None  # a full disk ends it and nothing else
             self._keep(lambda: self._captures.write(shown, now))
         if self._window is not None:
             self._window.show(self._show)
@@ -278,6 +272,14 @@ class Viewer(Closing):
             self._obey(order, now)
         self._num_frames += 1
         return True
+
+    @property
+    def _is_recording(self) -> bool:
+        return self._film is not None or self._captures.is_recording
+
+    def _end_film(self) -> None:
+        if self._film is not None:
+            self.outputs.attempt(self._film.close)
 
     def pick(self, x_px: float, y_px: float) -> int | None:
         """Whose head is at a point of the picture, pixels, y down; see `FaceState.place`."""
@@ -293,11 +295,6 @@ class Viewer(Closing):
     def save_image(self, path: Path) -> bool:
         """Write the last frame as PNG; return whether that was possible."""
         return self.outputs.attempt(lambda: save_png(path, self._renderer.read_image()))
-
-    @property
-    def gl_renderer(self) -> str:
-        """What draws, by the driver's own name."""
-        return self._renderer.gl_renderer
 
     @property
     def problems(self) -> dict[str, str]:
@@ -319,7 +316,7 @@ class Viewer(Closing):
             "decodes": self._presenter.num_decoded(),
             "decodes_replaced": self._pool.num_replaced,
             "errors": self._presenter.num_errors,
-            "gl_renderer": self.gl_renderer,
+            "gl_renderer": self._renderer.gl_renderer,
             "triangles": self.last_draw.num_triangles if self.last_draw else 0,
             "draw_calls": self.last_draw.num_draw_calls if self.last_draw else 0,
             **self._meter.summaries(),
@@ -397,9 +394,9 @@ class Viewer(Closing):
         """One's own face; its picture if it is to be seen and there is room for it."""
         if self._own_face is None:
             return NOTHING
-        is_shown = self.controls.state.settings.shows_self and self.options.eye_distance_m == 0
-        height_px = self._surface.self_view_px if is_shown else 0
         surface = self._surface
+        is_shown = self.controls.state.settings.shows_self and self.options.eye_distance_m == 0
+        height_px = surface.self_view_px if is_shown else 0
         return self._own_face.draw(now, height_px, surface.painter, surface.notice)
 
     def _obey(self, order: controls.UserOrder, now: float) -> None:
@@ -412,17 +409,8 @@ class Viewer(Closing):
             case controls.Order.TOGGLE_FULL_SCREEN:
                 if self._window is not None:
                     self._window.toggle_full_screen()
-            case controls.Order.EXPLAIN_NO_FACE:
-                self._surface.notice(
-                    "You show no face: choose a face source in the settings (--send)", now
-                )
-            case controls.Order.EXPLAIN_NO_VOICE:
-                self._surface.notice(
-                    "You send no voice: choose a microphone in the settings (--voice mic)", now
-                )
-            case controls.Order.NEXT_LAYOUT:
-                layout = controls.LAYOUT_TITLES[self.controls.state.layout]
-                self._surface.notice(f"People sit: {layout}", now)
+            case controls.Say(text=text):
+                self._surface.notice(text, now)
             case controls.Order.TEST_SOUND:
                 self._sound.play_test()
             case controls.Order.REJOIN:

@@ -25,6 +25,7 @@ from pica_client.publish.publisher import Publisher, SenderConfig
 from pica_client.render.thumbnail import draw_thumbnail
 from pica_client.schedule.scheduler import SchedulerOptions
 from pica_client.sources import open_source
+from pica_client.ui.controls import ControlState
 from pica_client.ui.events import KeyPressed, MouseMoved, MousePressed, MouseReleased, Scrolled
 from pica_client.ui.viewer import Viewer
 from pica_client.ui.viewer_options import ViewerOptions
@@ -37,6 +38,7 @@ pytestmark = pytest.mark.render
 
 TOY = make_toy_avatar(spec=AvatarSpec(uv_encoding_size=64, axis_encoding_size=64), grid=24)
 SMALL = ViewerOptions(headless=True, size=(160, 90))
+GRID = ControlState(layout="grid")
 PATIENCE_S = 20.0
 
 
@@ -208,7 +210,9 @@ def test_how_the_call_stands_is_asked_for_twice_a_second_and_not_per_frame() -> 
         asked.append(now)
         return CallStatus(summary=(("in", "65 kbit/s"),))
 
-    with Viewer(Faces("ada"), replace(SMALL, show_statistics=True), status=status) as viewer:
+    with Viewer(
+        Faces("ada"), replace(SMALL, at_first=ControlState(show_statistics=True)), status=status
+    ) as viewer:
         for step in range(10):
             viewer.step(1.0 + 0.1 * step)
     assert asked == [1.0, 1.5]
@@ -257,7 +261,7 @@ def test_who_comes_moves_the_others_aside_step_by_step() -> None:
 
 
 def test_a_click_on_the_bar_is_not_one_on_the_head_behind_it() -> None:
-    with Viewer(Faces("ada"), replace(SMALL, size=(640, 360), layout="grid")) as viewer:
+    with Viewer(Faces("ada"), replace(SMALL, size=(640, 360), at_first=GRID)) as viewer:
         viewer.receive(Scrolled(40))
         viewer.receive(MouseMoved(320, 340))
         step_until_decoded(viewer)
@@ -301,7 +305,9 @@ def test_the_statistics_and_the_help_are_drawn_over_the_picture() -> None:
 
 def test_the_help_covers_nobody() -> None:
     source = Faces(*"abcde")
-    options = replace(SMALL, size=(1280, 720), show_statistics=True, layout="line")
+    options = replace(
+        SMALL, size=(1280, 720), at_first=ControlState(show_statistics=True, layout="line")
+    )
     with Viewer(source, options, clock=lambda: 5.0) as viewer:
         viewer.receive(KeyPressed("H"))
         for step in range(3):
@@ -467,7 +473,7 @@ def test_a_viewer_short_of_time_gives_up_detail_and_says_which() -> None:
     for budget_ms in (0.01, 10_000.0):
         source = Faces("ada")
         source.avatars["toy"] = with_toy_levels(TOY)
-        options = replace(SMALL, size=(640, 360), layout="grid", frame_budget_ms=budget_ms)
+        options = replace(SMALL, size=(640, 360), at_first=GRID, frame_budget_ms=budget_ms)
         with Viewer(source, options) as viewer:
             for frame in range(12):
                 source.latent = np.full((8, 8, 4), 0.1 * frame, np.float32)

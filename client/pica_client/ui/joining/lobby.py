@@ -47,8 +47,8 @@ class Lobby(Closing):
         with ExitStack() as stack:
             stack.callback(window.context.gc)
             self._renderer = Renderer(window.context, window.size_px, RenderOptions())
-            scale = window.content_scale
-            self._surface = Surface(window.size_px, content_scale=scale, clipboard=window)
+            self._surface = Surface(window.size_px, content_scale=window.content_scale)
+            self._surface.use_clipboard(window.clipboard, window.copy)
             stack.callback(self._surface.close)
             self._painter = Painter(window.context, self._surface)
             self._portraits = Portraits(library)

@@ -43,7 +43,12 @@ class Painter:
         self._adopted: dict[str, int] = {}
         self._vertices = context.buffer(reserve=FIRST_BUFFER_BYTES, dynamic=True)
         self._indices = context.buffer(reserve=FIRST_BUFFER_BYTES, dynamic=True)
-        self._shapes, self._areas = self._make_shapes()
+        # The same corners and triangles for both programs.
+        layouts = (("2f 2f 4f1", "place", "uv", "colour"), ("2f 8x 4f1", "place", "colour"))
+        self._shapes, self._areas = (
+            context.vertex_array(program, [(self._vertices, *layout)], index_buffer=self._indices)
+            for program, layout in zip(self._programs, layouts, strict=True)
+        )
 
     def register(self, image: Image) -> int:
         """A picture to show in a panel, uint8 ``[H, W, 3]``; its number is for `ImTextureRef`."""
@@ -135,32 +140,17 @@ class Painter:
         base = 0
         for shapes in lists:
             corners, order = shapes.vtx_buffer, shapes.idx_buffer
-            vertices.append(_bytes(corners.data_address(), corners.size() * imgui.VERTEX_SIZE))
-            raw = _bytes(order.data_address(), order.size() * imgui.INDEX_SIZE)
+            size_bytes = corners.size() * imgui.VERTEX_SIZE
+            vertices.append(ctypes.string_at(corners.data_address(), size_bytes))
+            raw = ctypes.string_at(order.data_address(), order.size() * imgui.INDEX_SIZE)
             own = np.frombuffer(raw, f"u{imgui.INDEX_SIZE}").astype(np.uint32)
             indices.append((own + np.uint32(base)).tobytes())
             base += corners.size()
-        for name, parts in (("_vertices", vertices), ("_indices", indices)):
+        for buffer, parts in ((self._vertices, vertices), (self._indices, indices)):
             content = b"".join(parts)
-            buffer: moderngl.Buffer = getattr(self, name)
-            if len(content) > buffer.size:
-                size = max(len(content), 2 * buffer.size)
-                setattr(self, name, self._context.buffer(reserve=size, dynamic=True))
-                self._shapes, self._areas = self._make_shapes()
-            else:
-                buffer.orphan()
-            getattr(self, name).write(content)
-
-    def _make_shapes(self) -> tuple[moderngl.VertexArray, moderngl.VertexArray]:
-        """The same corners and triangles for both programs."""
-        layouts = (("2f 2f 4f1", "place", "uv", "colour"), ("2f 8x 4f1", "place", "colour"))
-        shapes, areas = (
-            self._context.vertex_array(
-                program, [(self._vertices, *layout)], index_buffer=self._indices
-            )
-            for program, layout in zip(self._programs, layouts, strict=True)
-        )
-        return shapes, areas
+            is_too_small = len(content) > buffer.size
+            buffer.orphan(max(len(content), 2 * buffer.size) if is_too_small else -1)
+            buffer.write(content)
 
     def _update_textures(self, data: imgui.ImDrawData) -> None:
         """Do to our textures what ImGui wants done to its own."""
@@ -188,7 +178,3 @@ class Painter:
             else:
                 continue
             wanted.set_status(imgui.ImTextureStatus.ok)
-
-
-def _bytes(address: int, size_bytes: int) -> bytes:
-    return ctypes.string_at(address, size_bytes)
