@@ -2,30 +2,8 @@
 virtual clock, with the real codec, jitter buffer and playout, so every figure comes out the same on
 every machine with the same libopus (processor time apart).
 
-Each row is one scenario (`network.scenarios`) at one bit rate. Voice and face share one way; the
-figures are of the troubled third of the run unless it says otherwise:
-
-    wire_bps          voice and face, as the relay passed them on, all headers included; whole run
-    pesq              of the sound as it leaves the loudspeaker (ITU-T P.862.2, wideband), which
-                      aligns utterances by itself and dislikes any stretching
-    stoi              of the words: each piece of sound is laid back to the moment when it was
-                      captured, and what was never played is silence
-    mouth_to_ear_ms   from the microphone to the loudspeaker, without both devices' own latency
-    skew_ms           moment of the lips that are shown less moment of the voice that is heard at
-                      every refresh while somebody speaks, whatever the face is made of; p50 and
-                      p95 of its size. Below zero the sound is early: `earliest` is the most
-                      negative, `worst` the largest of either sign
-    still_skew_ms     the same p95, had the lips of a face that stands still for want of frames
-                      stood still, too, instead of going on by the voice (`call.held_lips`)
-    face_held_ratio   share of refreshes while somebody speaks with such a face
-    concealed_ratio   share of frames of speech that were made up
-    stretched_ratio   share of ticks of 20 ms that were made shorter or longer
-    recovery_ms       from the end of the trouble to the last sound that was made up; 0 if none was
-    delay_recovery_ms   the same for sound more than 40 ms older than before the trouble
-    cpu_ms_per_s      of encoder, decoder and jitter buffer of one voice together
-
-What it does not show: devices, real networks (see `network.impairment`), people: the speech is
-synthetic, and PESQ and STOI stand for listeners.
+The fields of its rows stand in ``docs/benches.md``. What it does not show: devices, real networks
+(see `network.impairment`), people: the speech is synthetic, and PESQ and STOI stand for listeners.
 """
 
 import time

@@ -4,15 +4,9 @@ The truth is a built-in head, a rig, or a person of the face model, posed by wha
 avatar is driven by the same values through each step of a live call (`drive.steps`) and shown at
 each level of detail.
 
-    mse         over the pixels that the avatar covers, 0-255, mean over moments and views
-    p95_mse     95th percentile of single pictures
-    lid_mm      mean distance of the lids' vertices from the truth
-    lip_mm      the same of the lips
-    poke_ratio  share of the head's pixels that show another part than the truth within a pixel
-                (`reference.face_errors`), p95 and most of single pictures
-
-What it does not show: people. The truth is synthetic, a tracker's own mistakes are none of it but
-in the stage ``webcam``, and delay is no error here.
+The fields of its rows stand in ``docs/benches.md``. What it does not show: people. The truth is
+synthetic, a tracker's own mistakes are none of it but in the stage ``webcam``, and delay is no
+error here.
 """
 
 from collections.abc import Sequence
