@@ -22,7 +22,7 @@ from pica_client.bench.codec import FPS
 from pica_client.bench.difference_sheet import AMPLIFIED
 from pica_client.bench.drive import steps
 from pica_client.bench.head import FaceRenderer, evaluation_cameras
-from pica_client.bench.option_types import Words
+from pica_client.bench.option_types import Words, check_names
 from pica_client.errors import OptionError, check_ranges
 from pica_client.output import make_folder, say, writing
 from pica_client.render.drawing import masked_mse
@@ -78,9 +78,7 @@ class DriveBenchConfig:
     def __post_init__(self) -> None:
         check_ranges(self, seconds=(1, 600), moments=(1, 2000))
         check_ranges(self, image_size=(64, 1024), num_worst=(1, 32))
-        known = (*steps.STAGES, WEBCAM)
-        if unknown := sorted(set(self.stages) - set(known)):
-            raise OptionError(f"stage {unknown[0]!r} is unknown; known are {', '.join(known)}")
+        check_names("stage", self.stages, (*steps.STAGES, WEBCAM))
 
 
 class _Truth(NamedTuple):
