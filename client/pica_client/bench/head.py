@@ -3,7 +3,7 @@ stage."""
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +15,7 @@ from pica_client.render.drawing import HEAD, Drawing, HeadRenderer, drawn_mse
 from pica_client.render.scene import head_matrix, view_direction
 from pica_client.sources.performances import make_performance
 from pica_core.avatar.file import Avatar
+from pica_core.avatar.manifest import Manifest
 from pica_core.camera import Camera, look_at
 from pica_core.capture.stage.dome import EVALUATION_VIEWS, dome_cameras
 from pica_core.codec.latent_sample import LatentSample
@@ -27,21 +28,9 @@ FIELD_OF_VIEW = math.radians(50)
 FRAME_S = 1 / 30
 """Seconds between two frames of a talking head."""
 PEAK = 255.0
+Bounded = Manifest | BaselineAvatar
+"""Somebody's head, with the corners of all its positions."""
 _NO_POSE = np.zeros(3, np.float32)
-
-
-class Bounded(Protocol):
-    """Somebody's head: the manifest of an avatar, or a baseline."""
-
-    @property
-    def bounds_min_m(self) -> tuple[float, float, float]:
-        """Lower corner of all its positions, head frame, metres."""
-        ...
-
-    @property
-    def bounds_max_m(self) -> tuple[float, float, float]:
-        """Upper corner of all its positions, head frame, metres."""
-        ...
 
 
 class TalkFrame(NamedTuple):

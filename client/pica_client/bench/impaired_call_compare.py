@@ -5,13 +5,8 @@ The *display* sits behind the bad network and samples its faces `DISPLAY_HZ` tim
 a viewer would. After the call some of what the display saw is rendered and compared with what the
 reference knows of the same peer, on the clock that all processes of this machine share.
 
-    mse_delayed   against the undisturbed face as long ago as the face on the display usually is
-                  (its median age): what stutter, gaps and concealment cost
-    mse_now       against the undisturbed face now: with the delay in it
-    age_ms        now minus capture of the face on the display
-    largest_step  largest change between two faces over the undisturbed stream's (root mean square)
-
-What it does not show: the loss of the format itself, which both streams share.
+The figures stand in ``docs/benches.md``. What it does not show: the loss of the format itself,
+which both streams share.
 """
 
 import asyncio

@@ -11,9 +11,10 @@ import tyro
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.avatars.upload import push_avatar
-from pica_client.cli.options import SHARED_OPTIONS, parse_size
+from pica_client.cli.options import parse_size
 from pica_client.output import check_writable, say
 from pica_client.transport.config import LinkConfig
+from pica_command import profile
 from pica_core.avatar.file import avatar_id, load_avatar, save_avatar
 from pica_core.avatar.shipped import avatar_file
 
@@ -30,7 +31,7 @@ class AvatarPushOptions:
     """File with a join token that allows to wear this avatar, see pica token."""
     ca_file: Path | None = None
     """Trust the certificates of this PEM file instead of the system's, at a wss:// address."""
-    SHARED: ClassVar[tuple[str, ...]] = SHARED_OPTIONS
+    SHARED: ClassVar[tuple[str, ...]] = profile.SHARED
 
 
 def avatar_push(options: AvatarPushOptions) -> dict[str, Any]:

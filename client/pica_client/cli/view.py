@@ -9,7 +9,7 @@ import tyro
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.avatars.own_avatar import GiveAvatar
-from pica_client.cli.options import SHARED_OPTIONS, connect_timeout_s, parse_size
+from pica_client.cli.options import connect_timeout_s, parse_size
 from pica_client.errors import OptionError
 from pica_client.output import say
 from pica_client.playout.config import PlayoutConfig, playout_with_floor
@@ -19,6 +19,7 @@ from pica_client.signals import on_stop_signal
 from pica_client.transport.config import LinkConfig
 from pica_client.ui.display import has_display
 from pica_client.voice.sound.settings import SoundSettings
+from pica_command import profile
 
 WATCH = "none"
 """What ``--send`` is told by who only watches."""
@@ -110,7 +111,7 @@ class ViewOptions:
     """Where to keep those, instead of this user's folder for such things."""
     register_links: bool = False
     """Have the desktop open invite links with this command, and stop."""
-    SHARED: ClassVar[tuple[str, ...]] = SHARED_OPTIONS
+    SHARED: ClassVar[tuple[str, ...]] = profile.SHARED
 
 
 def view(options: ViewOptions) -> dict[str, Any]:
