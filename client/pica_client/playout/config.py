@@ -40,7 +40,8 @@ class PlayoutConfig:
     max_frames: int = 64
     """Frames held; beyond it the oldest is dropped."""
     max_gap_s: float = 0.25
-    """Longest time on the way between two frames (chosen: 4 fps are still moved evenly)."""
+    """Longest time on the way between two frames; a longer gap is waited out first (chosen: 4 fps
+    are still moved evenly)."""
     extrapolate_s: float = 1 / 15
     """Time after which a face without a next frame rests (measured on latents of the performances
     and of the range-of-motion recording: the error after gaps of 33 to 330 ms is least between 33

@@ -277,8 +277,7 @@ class JitterBuffer:
         if last is not None and received.number > last + RESTART_FRAMES:
             self.restart()
             self._last_number = last = None
-        transit_s = clock.receive(received.media_s, received.arrived_s)
-        self._jitter.receive(received.arrived_s, received.media_s, transit_s, clock)
+        self._jitter.receive(received.arrived_s, received.media_s, clock)
         self._aim(received.arrived_s)
         place = bisect_left(self._waiting, received.number, key=attrgetter("number"))
         if last is not None and received.number <= last:
