@@ -17,7 +17,6 @@ import queue
 import signal
 import sys
 import threading
-from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any, BinaryIO, Self
@@ -27,7 +26,7 @@ import numpy as np
 from pica_client.errors import VoiceError
 from pica_client.voice.mixer import VoiceMixer
 from pica_client.voice.opus import OpusDecoder
-from pica_client.voice.packet import SAMPLE_RATE_HZ, VoicePacket
+from pica_client.voice.packet import SAMPLE_RATE_HZ
 from pica_client.voice.sound.devices import RETRY_S, Loudspeaker, Microphone, microphones, speakers
 from pica_client.voice.sound.echo import EchoCanceller
 from pica_client.voice.sound.settings import SoundSettings, SoundState
@@ -69,12 +68,14 @@ class Outbox:
 
 
 class SoundDesk:
-    """The sound of one call; its methods are for one thread."""
+    """The sound of one call; its methods are for one thread. What is said of voices goes straight
+    to the mixer: `receive`, `seat`, `set_volumes`."""
 
     def __init__(self, outbox: Outbox) -> None:
         self._outbox = outbox
         self._is_playing = False
-        self._mixer = VoiceMixer(OpusDecoder)
+        self._mixer = mixer = VoiceMixer(OpusDecoder)
+        self.receive, self.seat, self.set_volumes = mixer.receive, mixer.seat, mixer.set_volumes
         self._loudspeaker = Loudspeaker(self._mixer)
         self._loudspeaker.on_played = self._played
         self._microphone: Microphone | None = None
@@ -117,20 +118,6 @@ class SoundDesk:
                     self._no_cleaning = str(error)
             cleans = settings.cleans and self._canceller is not None
             self._microphone.clean = self._canceller.clean if cleans and self._canceller else None
-
-    def receive(self, peer_id: str, packet: VoicePacket, arrived_s: float) -> None:
-        """Take a packet of somebody's voice."""
-        self._mixer.receive(peer_id, packet, arrived_s)
-
-    def seat(self, azimuths_rad: Mapping[str, float]) -> None:
-        """Say who is there and from where each voice comes; others are forgotten."""
-        self._mixer.keep(azimuths_rad)
-        self._mixer.seat(dict(azimuths_rad))
-
-    def set_volumes(self, volumes: Mapping[str, float]) -> None:
-        """Make people louder or softer, by peer id."""
-        for peer_id, volume in volumes.items():
-            self._mixer.set_volume(peer_id, volume)
 
     def play_test(self) -> None:
         """Play something to hear that it can be heard."""
