@@ -11,6 +11,7 @@ from dataclasses import replace
 from pica_client.sources.live.live_face import LiveFace
 from pica_client.sources.live.sample import TrackerSample
 from pica_core.avatar.arkit import ExpressionFrame
+from pica_core.types import Image
 
 SampleTap = Callable[[TrackerSample, float, float], None]
 """Sees a sample, when it arrived on this machine's monotonic clock, and how long it took to be
@@ -18,7 +19,8 @@ a face, seconds; called by the thread that reads."""
 
 
 class Tracker(ABC):
-    """A live source; what reads it, in a thread of its own, is for those that inherit from this.
+    """A live source: its face is that of now, whatever time is asked for. What reads it, in a
+    thread of its own, is for those that inherit from this.
 
     Attributes:
         refused: How often something came that is not the tracker's, by reason.
@@ -50,6 +52,10 @@ class Tracker(ABC):
     @abstractmethod
     def close(self) -> None:
         """Stop reading, and free what was taken."""
+
+    def preview(self) -> Image | None:
+        """What a camera sees, uint8 ``[H, W, 3]``; None of other trackers."""
+        return None
 
     def _push(self, sample: TrackerSample, arrived_s: float, began_s: float) -> None:
         """Take a sample; its making began at a moment."""

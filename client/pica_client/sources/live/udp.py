@@ -88,7 +88,7 @@ class UdpTracker(Tracker):
 
     @property
     def trouble(self) -> str:
-        """Why there is no face, in one line for its user; empty while there is one."""
+        """See `Tracker.trouble`."""
         options = self._options
         if time.monotonic() - self._heard_s < SILENT_S:
             return ""

@@ -50,7 +50,7 @@ class Webcam(Tracker):
 
     @property
     def trouble(self) -> str:
-        """Why there is no face, in one line for its user; empty while there is one."""
+        """See `Tracker.trouble`."""
         return self._trouble
 
     def preview(self) -> Picture | None:

@@ -14,7 +14,7 @@ import pytest
 
 from helpers import tracker_packets
 from pica_client.errors import SourceError
-from pica_client.sources import LiveSource, open_source
+from pica_client.sources import Tracker, open_source
 from pica_client.sources.live.calibration import Calibration, CalibrationStore, calibrate
 from pica_client.sources.live.opening import decoder_of, open_live, parse_live
 from pica_client.sources.live.report import TrackReport
@@ -61,7 +61,7 @@ def stream(phone: socket.socket, tracker: UdpTracker, jaw: float, subject: str =
 
 def test_a_face_comes_through_a_socket_and_is_a_little_old(phone: socket.socket) -> None:
     with closing(open_live("livelink", "127.0.0.1:0")) as tracker:
-        assert isinstance(tracker, LiveSource)
+        assert isinstance(tracker, Tracker)
         stream(phone, tracker, 0.7)
         time_s = 12.0
         face = tracker.frame_at(time_s)
