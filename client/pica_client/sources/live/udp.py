@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Final
 
 from pica_client.errors import SourceError
-from pica_client.sources.live.ifacialmocap import Request
 from pica_client.sources.live.live_face import LiveFace
 from pica_client.sources.live.sample import PacketError, TrackerSample
 from pica_client.sources.live.tracker import SampleTap, Tracker
@@ -32,17 +31,17 @@ class UdpOptions:
 
     Attributes:
         kind: The source's name, as the user writes it.
-        port: Ours; 0 takes a free one.
+        port: Ours, and the phone's that is asked; 0 takes a free one.
         subject: Whose face to take; empty takes the first that comes.
         phone: Address of a phone that sends only when asked; empty for who sends by itself.
-        request: How it is asked.
+        request: How it is asked; empty: it is not.
     """
 
     kind: str
     port: int
     subject: str = ""
     phone: str = ""
-    request: Request | None = None
+    request: bytes = b""
     host: str = "0.0.0.0"
 
 
@@ -112,7 +111,7 @@ class UdpTracker(Tracker):
         asked_s = -SILENT_S
         while not self._closing.is_set():
             now = time.monotonic()
-            if self._options.request is not None and now - max(asked_s, self._heard_s) > SILENT_S:
+            if self._options.request and now - max(asked_s, self._heard_s) > SILENT_S:
                 self._ask()
                 asked_s = now
             try:
@@ -123,11 +122,9 @@ class UdpTracker(Tracker):
                 self._take(packet, time.monotonic())
 
     def _ask(self) -> None:
-        assert self._options.request is not None
+        options = self._options
         try:
-            self._socket.sendto(
-                self._options.request.words, (self._options.phone, self._options.request.port)
-            )
+            self._socket.sendto(options.request, (options.phone, options.port))
         except OSError as error:
             self.refused[f"the phone cannot be reached: {error.strerror}"] += 1
 
