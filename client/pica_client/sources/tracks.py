@@ -36,6 +36,10 @@ class Speech:
     """Raised over the syllables that carry the weight of a phrase; brows and head go with it."""
 
 
+WIDTHS_S = {"jaw": 0.06, "rounding": 0.08, "spreading": 0.08, "closure": 0.04, "stress": 0.12}
+"""Over how much each track of `Speech` is rounded off."""
+
+
 def sample_times(duration_s: float) -> Float64Array:
     """The times of all samples of a track of that length."""
     return np.arange(round(duration_s * SAMPLE_FPS)) / SAMPLE_FPS
@@ -145,9 +149,7 @@ def speech(
     """Phrases of 4 to 5 syllables a second, each with its own vowel and weight, and pauses."""
     # Knots (time, value) of each track; the gaps between them are filled by straight lines and
     # rounded off.
-    knots: dict[str, list[tuple[float, float]]] = {
-        name: [(0.0, 0.0)] for name in ("jaw", "rounding", "spreading", "closure", "stress")
-    }
+    knots: dict[str, list[tuple[float, float]]] = {name: [(0.0, 0.0)] for name in WIDTHS_S}
 
     def put(name: str, at_s: float, value: float) -> None:
         knots[name].append((at_s, value))
@@ -175,14 +177,9 @@ def speech(
             put(name, syllable_s + 0.12, 0.0)
         begin_s = syllable_s + 0.12 + rng.uniform(*pause_s)
 
-    def fill(name: str, width_s: float) -> Float64Array:
-        at_s, values = np.array(knots[name]).T
-        return smooth(np.interp(times_s, at_s, values), width_s)
-
     return Speech(
-        jaw=fill("jaw", 0.06),
-        rounding=fill("rounding", 0.08),
-        spreading=fill("spreading", 0.08),
-        closure=fill("closure", 0.04),
-        stress=fill("stress", 0.12),
+        **{
+            name: smooth(np.interp(times_s, *np.array(knots[name]).T), width_s)
+            for name, width_s in WIDTHS_S.items()
+        }
     )
