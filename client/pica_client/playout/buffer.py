@@ -41,7 +41,7 @@ from pica_client.playout.frame_interval import FrameInterval
 from pica_client.playout.jitter import JitterEstimate
 from pica_client.playout.motion import Correction
 from pica_client.playout.playhead import Playhead
-from pica_client.playout.sender_clock import RESTART_FRAMES, SenderClock
+from pica_client.playout.sender_clock import SenderClock
 from pica_client.playout.timeline import Timeline
 from pica_core.codec.latent_sample import DecodedFrame, LatentSample
 
@@ -217,7 +217,10 @@ class Playout:
         while (timer := self.next_timer()) is not None and timer <= now:
             before = self._timeline.held
             frame = self._timeline.release_first()
-            num_missing = 0 if before is None else self._num_missing(before, frame)
+            num_missing = 0
+            if before is not None and not before.sample.is_still:
+                gap_s = frame.media_s - before.media_s
+                num_missing = self._interval.num_missing(frame.number - before.number - 1, gap_s)
             self._concealed += num_missing
             self._num_shown += 1 + num_missing
             self._age_s = now - self._local_s(frame.media_s)
@@ -294,13 +297,6 @@ class Playout:
         """Our clock when a frame captured then comes the fastest way."""
         assert self.sender.map is not None
         return media_s + self.sender.map.fastest_transit_s(media_s)
-
-    def _num_missing(self, before: DecodedFrame, after: DecodedFrame) -> int:
-        """Frames that should have been between two others and were not."""
-        num_skipped = after.number - before.number - 1
-        if not 0 < num_skipped < RESTART_FRAMES or before.sample.is_still:
-            return 0
-        return min(num_skipped, self._interval.num_missing(before.media_s, after.media_s))
 
     def _played(self, face: LatentSample, position_s: float, now: float) -> PlayedFace:
         """Say of a face how fresh it is, and remember where it stands."""
