@@ -104,7 +104,7 @@ class SoundDesk:
             self._loudspeaker.start()
         if has_microphone and self._microphone is None:
             self._microphone = Microphone(settings.microphone)
-            self._microphone.on_frame = self._captured
+            self._microphone.on_frame = lambda *frame: self._outbox.put(("captured", *frame))
             self._microphone.start()
         elif not has_microphone and self._microphone is not None:
             self._microphone.stop()
@@ -125,13 +125,8 @@ class SoundDesk:
 
     def hand_on(self, is_wanted: bool) -> None:
         """Send what is mixed, as for a recording, or no longer."""
-        self._mixer.on_mixed = self._mixed if is_wanted else None
-
-    def _mixed(self, sound: FloatArray, leaves_s: float) -> None:
-        self._outbox.put(("mixed", sound, leaves_s))
-
-    def _captured(self, sound: FloatArray, captured_us: int) -> None:
-        self._outbox.put(("captured", sound, captured_us))
+        put = self._outbox.put
+        self._mixer.on_mixed = (lambda *mixed: put(("mixed", *mixed))) if is_wanted else None
 
     def _played(self, sound: FloatArray) -> None:
         microphone, canceller = self._microphone, self._canceller
