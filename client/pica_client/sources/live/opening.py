@@ -14,7 +14,6 @@ from pica_client.errors import SourceError
 from pica_client.sources.live import ifacialmocap, livelink, vmc
 from pica_client.sources.live.calibration import Calibration
 from pica_client.sources.live.ifacialmocap import REQUESTS
-from pica_client.sources.live.live_face import LiveFace
 from pica_client.sources.live.tracker import SampleTap, Tracker
 from pica_client.sources.live.udp import Decode, UdpOptions, UdpTracker
 
@@ -47,14 +46,16 @@ def open_live(
         tap: Sees what arrives.
 
     Raises:
-        SourceError: The text is of another form, or the port or the camera is not to be had.
+        SourceError: The text is of another form, or the port, the camera or what it needs is not to
+            be had; says what to do.
     """
     if kind == "webcam":
         # Only here: its networks need packages of their own.
-        from pica_client.sources.webcam.webcam import open_webcam
+        from pica_client.sources.webcam.model import load_networks
+        from pica_client.sources.webcam.webcam import Webcam
 
-        return open_webcam(rest, calibration, tap)
-    return UdpTracker(parse_live(kind, rest), decoder_of(kind), LiveFace(calibration), tap)
+        return Webcam(rest, load_networks(), calibration, tap)
+    return UdpTracker(parse_live(kind, rest), decoder_of(kind), calibration, tap)
 
 
 def parse_live(kind: str, rest: str) -> UdpOptions:

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 
+from pica_client.sources.live.calibration import Calibration
 from pica_client.sources.live.live_face import LiveFace
 from pica_client.sources.live.sample import TrackerSample
 from pica_core.avatar.arkit import ExpressionFrame
@@ -27,8 +28,8 @@ class Tracker(ABC):
         subjects: How many samples each subject has sent.
     """
 
-    def __init__(self, face: LiveFace | None = None, tap: SampleTap | None = None) -> None:
-        self.face = face or LiveFace()
+    def __init__(self, calibration: Calibration | None, tap: SampleTap | None) -> None:
+        self.face = LiveFace(calibration)
         self.refused: Counter[str] = Counter()
         self.subjects: Counter[str] = Counter()
         self._tap = tap

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from pica_client.errors import SourceError
-from pica_client.sources.live.live_face import LiveFace
+from pica_client.sources.live.calibration import Calibration
 from pica_client.sources.live.sample import PacketError, TrackerSample
 from pica_client.sources.live.tracker import SampleTap, Tracker
 
@@ -52,7 +52,7 @@ class UdpTracker(Tracker):
         self,
         options: UdpOptions,
         decode: Decode,
-        face: LiveFace | None = None,
+        calibration: Calibration | None = None,
         tap: SampleTap | None = None,
     ) -> None:
         """Listen.
@@ -60,7 +60,7 @@ class UdpTracker(Tracker):
         Raises:
             SourceError: The port is in use, or is not ours to take.
         """
-        super().__init__(face, tap)
+        super().__init__(calibration, tap)
         self._options = options
         self._decode = decode
         self._heard_s = time.monotonic()

@@ -9,11 +9,9 @@ from PIL import Image, ImageDraw
 
 from pica_client.errors import SourceError
 from pica_client.sources.live.calibration import Calibration
-from pica_client.sources.live.live_face import LiveFace
 from pica_client.sources.live.tracker import SampleTap, Tracker
 from pica_client.sources.webcam.camera import device_of, open_camera, pictures
 from pica_client.sources.webcam.face_finder import FaceFinder
-from pica_client.sources.webcam.model import load_networks
 from pica_client.sources.webcam.networks import FaceNetworks
 from pica_core.types import Image as Picture
 
@@ -29,15 +27,15 @@ class Webcam(Tracker):
         self,
         device: str,
         networks: FaceNetworks,
-        face: LiveFace | None = None,
+        calibration: Calibration | None = None,
         tap: SampleTap | None = None,
     ) -> None:
-        """Open the camera, or the video that stands in for one.
+        """Open a camera by its number or name, empty for the first, or a video instead of one.
 
         Raises:
             SourceError: It cannot be opened.
         """
-        super().__init__(face, tap)
+        super().__init__(calibration, tap)
         self.finder = FaceFinder(networks)
         self._device = device
         self._is_video = device_of(device)[1] is None
@@ -95,19 +93,3 @@ class Webcam(Tracker):
             with suppress(SourceError):
                 self._container = open_camera(self._device)
                 return
-
-
-def open_webcam(
-    device: str, calibration: Calibration | None = None, tap: SampleTap | None = None
-) -> Webcam:
-    """Open a camera with the networks of this machine.
-
-    Args:
-        device: A camera's number or name, or a video file; empty takes the first camera.
-        tap: Sees what is found.
-
-    Raises:
-        SourceError: The camera, the networks or a package is not there; says what to do.
-    """
-    networks = FaceNetworks(*load_networks())
-    return Webcam(device, networks, LiveFace(calibration), tap)

@@ -38,7 +38,7 @@ def networks() -> FaceNetworks:
     path = next((each for each in found if each.exists()), None)
     if path is None:
         pytest.skip("the face landmarker is not there")
-    return FaceNetworks(*model.load_networks(path))
+    return model.load_networks(path)
 
 
 @pytest.fixture(scope="module")
