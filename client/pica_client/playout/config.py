@@ -1,6 +1,6 @@
 """How a playout buffer is set. Pure."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from pica_client.errors import OptionError
 from pica_client.playout.motion import Distance
@@ -48,7 +48,7 @@ class PlayoutConfig:
     and 130 ms)."""
     blend_s: float = 0.15
     """Time in which the face goes over to its path after it had to leave it (chosen: a blink)."""
-    correction_limit: Distance = field(default=CORRECTION_LIMIT)
+    correction_limit: Distance = CORRECTION_LIMIT
     """Fastest such correction, per second; larger ones take longer than `blend_s`."""
     still_s: float = 2.5
     """How long a still face is believed without another word (chosen: two lost heartbeats)."""
