@@ -128,7 +128,7 @@ def main() -> None:
                 *(round(float(np.median(calibrated)), 1), round(max(calibrated), 1))
             ]
         pictures += 24
-        detections += finder.counters.detections
+        detections += finder.num_detections
         rows.append(row)
         if not options.json:
             print(row)
