@@ -78,7 +78,7 @@ def test_the_first_subject_is_taken_unless_one_is_named(phone: socket.socket) ->
             ("127.0.0.1", tracker.port),
         )
         until(lambda: tracker.subjects["Ada"] == 1)
-        assert tracker.face.counters.samples == tracker.subjects["Ben"]
+        assert tracker.face.counters["taken"] == tracker.subjects["Ben"]
 
 
 def test_a_phone_is_asked_and_others_are_not_heard(phone: socket.socket) -> None:
@@ -87,7 +87,7 @@ def test_a_phone_is_asked_and_others_are_not_heard(phone: socket.socket) -> None
     with closing(UdpTracker(here, decoder_of("ifacialmocap"))) as tracker:
         line = tracker_packets.ifacialmocap({"jawOpen": 60})
         phone.sendto(line, ("127.0.0.1", tracker.port))
-        until(lambda: tracker.face.counters.samples == 1)
+        until(lambda: tracker.face.counters["taken"] == 1)
     assert options.phone == "127.0.0.2"
     assert (options.port, options.request[:12]) == (49983, b"iFacialMocap")
 
