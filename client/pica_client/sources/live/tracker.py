@@ -20,8 +20,8 @@ a face, seconds; called by the thread that reads."""
 
 
 class Tracker(ABC):
-    """A live source: its face is that of now, whatever time is asked for. What reads it, in a
-    thread of its own, is for those that inherit from this.
+    """A live source: its face is that of now, whatever time is asked for. What reads it is for
+    those that inherit from this, which start the thread.
 
     Attributes:
         refused: How often something came that is not the tracker's, by reason.
@@ -35,6 +35,8 @@ class Tracker(ABC):
         self._tap = tap
         self._begin_s: float | None = None
         self._lock = threading.Lock()
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._read, name=type(self).__name__, daemon=True)
 
     def frame_at(self, time_s: float) -> ExpressionFrame:
         """The face of now; see `Source.frame_at`."""
@@ -51,8 +53,13 @@ class Tracker(ABC):
         """Why there is no face, in one line for its user; empty while there is one."""
 
     @abstractmethod
+    def _read(self) -> None:
+        """Take samples until it is closing."""
+
     def close(self) -> None:
         """Stop reading, and free what was taken."""
+        self._closing.set()
+        self._thread.join()
 
     def preview(self) -> Image | None:
         """What a camera sees, uint8 ``[H, W, 3]``; None of other trackers."""

@@ -1,7 +1,6 @@
 """A tracker that sends datagrams: the socket, and the thread that reads it."""
 
 import socket
-import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -65,7 +64,6 @@ class UdpTracker(Tracker):
         self._decode = decode
         self._heard_s = time.monotonic()
         self._has_heard = False
-        self._closing = threading.Event()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.bind((options.host, options.port))
@@ -76,7 +74,6 @@ class UdpTracker(Tracker):
                 f"has it, or name another one: {options.kind}:PORT"
             ) from error
         self._socket.settimeout(POLL_S)
-        self._thread = threading.Thread(target=self._read, name=options.kind, daemon=True)
         self._thread.start()
 
     @property
@@ -103,8 +100,7 @@ class UdpTracker(Tracker):
 
     def close(self) -> None:
         """Stop listening, and free the port."""
-        self._closing.set()
-        self._thread.join()
+        super().close()
         self._socket.close()
 
     def _read(self) -> None:

@@ -1,6 +1,5 @@
 """A webcam as a tracker. Its pictures stay in this process: what leaves it is the latent."""
 
-import threading
 import time
 from contextlib import suppress
 
@@ -41,9 +40,7 @@ class Webcam(Tracker):
         self._is_video = device_of(device)[1] is None
         self._trouble = "webcam: no picture yet"
         self._picture: Image.Image | None = None
-        self._closing = threading.Event()
         self._container = open_camera(device)
-        self._thread = threading.Thread(target=self._read, name="webcam", daemon=True)
         self._thread.start()
 
     @property
@@ -66,11 +63,6 @@ class Webcam(Tracker):
             draw = ImageDraw.Draw(small)
             draw.point([(x * scale, y * scale) for x, y, _ in landmarks.tolist()], (90, 255, 160))
         return np.asarray(small)[:, ::-1].copy()
-
-    def close(self) -> None:
-        """Stop looking, and free the camera."""
-        self._closing.set()
-        self._thread.join()
 
     def _read(self) -> None:
         while not self._closing.is_set():
