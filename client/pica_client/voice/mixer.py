@@ -18,7 +18,7 @@ from pica_client.voice.spatial import Placed
 from pica_core.types import Array, FloatArray
 
 MAX_VOICES = 64
-"""People who are heard at most; more are counted, and refused."""
+"""People who are heard at most."""
 LIMIT_FROM = 0.7
 """Above it the sum is bent rather than cut."""
 
@@ -39,7 +39,6 @@ class VoiceMixer:
         volume: Of all voices, 0 to `MAX_VOLUME`.
         level: Of the last mix, as `VoicePacket.level`.
         is_spatial: Whether each voice comes from its seat, rather than all from the middle.
-        refused: Packets of people beyond `MAX_VOICES`.
         on_mixed: Is given each mixed frame with the time it leaves the loudspeaker, as for a
             recording. float32 ``[FRAME_SAMPLES, 2]``.
     """
@@ -47,7 +46,6 @@ class VoiceMixer:
     def __init__(self, make_decoder: Callable[[], Decoder]) -> None:
         self.volume, self.level = 1.0, MAX_LEVEL
         self.is_spatial = True
-        self.refused = 0
         self.on_mixed: Callable[[FloatArray, float], None] | None = None
         self._make_decoder = make_decoder
         self._lock = threading.Lock()
@@ -61,7 +59,6 @@ class VoiceMixer:
             voice = self._voices.get(peer_id)
             if voice is None:
                 if len(self._voices) >= MAX_VOICES:
-                    self.refused += 1
                     return
                 voice = self._voices[peer_id] = _Voice(self._make_decoder())
             voice.buffer.receive(packet, arrived_s)
