@@ -60,9 +60,6 @@ class Samples:
         """Forget all samples so far."""
         self._samples.clear()
 
-    def __len__(self) -> int:
-        return len(self._samples)
-
     def summary_ms(self) -> Summary:
         """p50, p95 and p99 in milliseconds."""
         return summarise_ms(self._samples)

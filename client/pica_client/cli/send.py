@@ -123,7 +123,7 @@ def send(options: SendOptions) -> dict[str, Any]:
                 if has_keys:
                     say(HELP)
                 result = await sender.run()
-        return result, list(sender.frame_log)
+        return result, list(sender.publisher.frame_log)
 
     if options.wait:
         say(f"waiting for {where}")

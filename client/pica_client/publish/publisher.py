@@ -19,7 +19,7 @@ from pica_client.call.reflection import Reflection
 from pica_client.errors import OptionError, check_ranges
 from pica_client.publish.face_track import FACE_KEY, FACE_LOST, FACE_TRACK, FaceMode
 from pica_client.publish.pacer import Pacer
-from pica_client.sources import LiveSource, Source
+from pica_client.sources import Source, Tracker
 from pica_client.stats import Samples
 from pica_client.transport.link import Link
 from pica_client.transport.timers import wait_until
@@ -138,19 +138,19 @@ class Publisher:
     def trouble(self) -> str:
         """What is wrong with the tracker, for its user; empty: nothing, or there is none."""
         source = self.source  # another thread may replace it
-        return source.trouble if isinstance(source, LiveSource) else ""
+        return source.trouble if isinstance(source, Tracker) else ""
 
     def replace_source(self, source: Source) -> None:
         """Take the face from another source from the next frame on, and let go of the one before.
         Any thread may call it."""
         before, self.source = self.source, source
-        if isinstance(before, LiveSource):
+        if isinstance(before, Tracker):
             before.close()
 
     def close(self) -> None:
         """Let go of the tracker."""
         source = self.source
-        if isinstance(source, LiveSource):
+        if isinstance(source, Tracker):
             source.close()
 
     def receive_event(self, event: ClientEvent) -> None:
@@ -189,7 +189,7 @@ class Publisher:
 
     def stats(self) -> dict[str, Any]:
         """What was sent so far; rates are over the time from the first frame to the last."""
-        seconds = self._last_sent_s - (self._first_sent_s or 0.0)
+        seconds = self.seconds_sent
         return {
             "seconds": round(seconds, 3),
             "sent": self.num_sent,

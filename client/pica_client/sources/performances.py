@@ -46,6 +46,17 @@ REST = {
     "jawForward": 0.03,
 }
 """A face at rest as trackers see it: not all zero."""
+SPEECH = {
+    "jaw": {"jawOpen": 0.52, "mouthLowerDown": 0.30, "mouthUpperUp": 0.15, "jawForward": 0.03},
+    "rounding": {"mouthFunnel": 0.36, "mouthPucker": 0.34, "mouthStretch": -0.05},
+    "spreading": {
+        **{"mouthStretch": 0.14, "mouthSmile": 0.08, "mouthDimple": 0.04, "mouthLowerDown": 0.05}
+    },
+    "closure": {
+        **{"mouthPress": 0.09, "mouthRollLower": 0.08, "mouthRollUpper": 0.05, "jawOpen": 0.03}
+    },
+}
+"""Shapes that each track of speech moves."""
 
 
 class Mixer:
@@ -75,27 +86,13 @@ class Mixer:
         self.add(np.maximum(up, 0), {"eyeLookUp": 1.0, "eyeWide": 0.15})
         self.add(np.maximum(-up, 0), {"eyeLookDown": 1.0, "eyeBlink": 0.3})
 
-    def speak(self, speech: tracks.Speech, loudness: float) -> None:
-        """Move the mouth."""
-        self.add(
-            speech.jaw * loudness,
-            {"jawOpen": 0.52, "mouthLowerDown": 0.30, "mouthUpperUp": 0.15, "jawForward": 0.03},
-        )
-        self.add(
-            speech.rounding * loudness,
-            {"mouthFunnel": 0.36, "mouthPucker": 0.34, "mouthStretch": -0.05},
-        )
-        self.add(
-            speech.spreading * loudness,
-            {"mouthStretch": 0.14, "mouthSmile": 0.08, "mouthDimple": 0.04, "mouthLowerDown": 0.05},
-        )
-        self.add(
-            speech.closure * loudness,
-            {"mouthPress": 0.09, "mouthRollLower": 0.08, "mouthRollUpper": 0.05, "jawOpen": 0.03},
-        )
+    def speak(self, speech: Mapping[str, Float64Array], loudness: float) -> None:
+        """Move the mouth as `tracks.speech` says."""
+        for name, weights in SPEECH.items():
+            self.add(speech[name] * loudness, weights)
         # Lips that meet over an open jaw: the corrective takes back as much of the jaw as there is.
         jaw = self.values[:, ARKIT_INDEX["jawOpen"]]
-        self.values[:, ARKIT_INDEX["mouthClose"]] += 0.6 * np.clip(speech.closure, 0, 1) * jaw
+        self.values[:, ARKIT_INDEX["mouthClose"]] += 0.6 * np.clip(speech["closure"], 0, 1) * jaw
 
     def finish(self) -> npt.NDArray[np.float32]:
         """The values as a tracker would give them. float32 ``[T, 52]``."""
@@ -111,16 +108,16 @@ def _talk(rng: np.random.Generator, times_s: Float64Array) -> tuple[Mixer, Float
     mixer.speak(speech, 1.1)
     mood = np.clip(tracks.drift(rng, times_s, period_s=(9, 20)), 0, 1)
     mixer.add(mood, {"mouthSmile": 0.5, "cheekSquint": 0.26, "eyeSquint": 0.18, "mouthDimple": 0.1})
-    brows = tracks.smooth(speech.stress * (tracks.drift(rng, times_s, period_s=(3, 8)) > 0), 0.15)
+    brows = tracks.smooth(
+        speech["stress"] * (tracks.drift(rng, times_s, period_s=(3, 8)) > 0), 0.15
+    )
     mixer.add(brows, {"browInnerUp": 0.45, "browOuterUp": 0.38, "eyeWide": 0.1})
     frown = np.clip(tracks.drift(rng, times_s, period_s=(6, 15)) - 0.25, 0, 1)
     mixer.add(frown, {"browDown": 0.08})
     mixer.look(*tracks.saccades(rng, times_s, spread=0.075, rest_s=(0.6, 2.5), away=0.3))
     mixer.blink(tracks.blinks(rng, times_s, every_s=(2.0, 5.0)))
-    pitch = 0.05 * tracks.smooth(speech.stress, 0.2) + 0.06 * tracks.nods(
-        rng, times_s, every_s=(8, 16)
-    )
-    return mixer, pitch
+    nods = tracks.nods(rng, times_s, every_s=(8, 16))
+    return mixer, 0.05 * tracks.smooth(speech["stress"], 0.2) + 0.06 * nods
 
 
 def _listen(rng: np.random.Generator, times_s: Float64Array) -> tuple[Mixer, Float64Array]:

@@ -110,7 +110,7 @@ def _within(recording: Recording, name: str) -> Recording:
 
 OPENERS: dict[str, Callable[[str, float], Source]] = {
     "csv": _open_csv,
-    "take": lambda name, start_s: TakeSource(load_take(Path(name).expanduser()), None, start_s),
+    "take": lambda name, start_s: TakeSource(load_take(Path(name).expanduser()), start_s),
     "performance": _open_performance,
 }
 """Each kind of source by the word before the colon."""

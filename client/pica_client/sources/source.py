@@ -6,7 +6,7 @@ serves a 30 fps call, a 90 Hz one, a test on a virtual clock and a statistics ch
 """
 
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -29,20 +29,6 @@ class Source(Protocol):
             The face; its `captured_us` is when it looked so in the source's time, for which the
             sender puts its own clock. A tracker's lies a little before `time_s`.
         """
-        ...
-
-
-@runtime_checkable
-class LiveSource(Source, Protocol):
-    """A tracker: its face is that of now, whatever time is asked for."""
-
-    @property
-    def trouble(self) -> str:
-        """Why there is no face, in one line for its user; empty while there is one."""
-        ...
-
-    def close(self) -> None:
-        """Stop listening, and free the port."""
         ...
 
 

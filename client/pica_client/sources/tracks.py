@@ -6,8 +6,6 @@ gaze that jumps and rests); the exact distributions are our choice. Equal genera
 tracks.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from pica_core.types import Float64Array
@@ -20,20 +18,14 @@ EDGE_S = 0.6
 two."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Speech:
-    """What a mouth does while somebody talks; every track is about [0, 1], float64 ``[T]``."""
-
-    jaw: Float64Array
-    """How far the jaw is open: one bump a syllable."""
-    rounding: Float64Array
-    """Lips forward and round, as in "oh"."""
-    spreading: Float64Array
-    """Lips drawn apart, as in "ee"."""
-    closure: Float64Array
-    """Lips pressed on each other, as in "m", "b", "p"."""
-    stress: Float64Array
-    """Raised over the syllables that carry the weight of a phrase; brows and head go with it."""
+SPEECH_WIDTHS_S = {
+    "jaw": 0.06,  # how far it is open: one bump a syllable
+    "rounding": 0.08,  # lips forward and round, as in "oh"
+    "spreading": 0.08,  # lips drawn apart, as in "ee"
+    "closure": 0.04,  # lips pressed on each other, as in "m", "b", "p"
+    "stress": 0.12,  # syllables that carry the weight of a phrase; brows and head go with it
+}
+"""What moves while somebody talks, and over how much each of these tracks is rounded off."""
 
 
 def sample_times(duration_s: float) -> Float64Array:
@@ -141,13 +133,12 @@ def speech(
     *,
     phrase_s: tuple[float, float] = (1.6, 4.5),
     pause_s: tuple[float, float] = (0.4, 1.3),
-) -> Speech:
-    """Phrases of 4 to 5 syllables a second, each with its own vowel and weight, and pauses."""
+) -> dict[str, Float64Array]:
+    """Phrases of 4 to 5 syllables a second, each with its own vowel and weight, and pauses: the
+    tracks of `SPEECH_WIDTHS_S`, each about [0, 1]."""
     # Knots (time, value) of each track; the gaps between them are filled by straight lines and
     # rounded off.
-    knots: dict[str, list[tuple[float, float]]] = {
-        name: [(0.0, 0.0)] for name in ("jaw", "rounding", "spreading", "closure", "stress")
-    }
+    knots: dict[str, list[tuple[float, float]]] = {name: [(0.0, 0.0)] for name in SPEECH_WIDTHS_S}
 
     def put(name: str, at_s: float, value: float) -> None:
         knots[name].append((at_s, value))
@@ -175,14 +166,7 @@ def speech(
             put(name, syllable_s + 0.12, 0.0)
         begin_s = syllable_s + 0.12 + rng.uniform(*pause_s)
 
-    def fill(name: str, width_s: float) -> Float64Array:
-        at_s, values = np.array(knots[name]).T
-        return smooth(np.interp(times_s, at_s, values), width_s)
-
-    return Speech(
-        jaw=fill("jaw", 0.06),
-        rounding=fill("rounding", 0.08),
-        spreading=fill("spreading", 0.08),
-        closure=fill("closure", 0.04),
-        stress=fill("stress", 0.12),
-    )
+    return {
+        name: smooth(np.interp(times_s, *np.array(knots[name]).T), width_s)
+        for name, width_s in SPEECH_WIDTHS_S.items()
+    }

@@ -84,7 +84,7 @@ def moment_at(history: Sequence[Moment], now: float) -> int | None:
 class Decoder(Protocol):
     """What makes sound of packets; `voice.opus.OpusDecoder` does."""
 
-    def decode(self, payload: bytes | None, fec: bool = False) -> FloatArray:
+    def decode(self, payload: bytes | None) -> FloatArray:
         """The sound of a packet; without a payload `FRAME` samples that conceal a loss."""
 
 
@@ -109,8 +109,6 @@ class JitterBufferConfig:
     voiced_error_s: float = 0.012
     """Wrong delay that is changed in the middle of speech (chosen: a frame of 20 ms is less often
     missed, and lips do not show it)."""
-    uses_fec: bool = False
-    """Whether packets carry the frame before them once more: only datagrams get lost."""
 
     def __post_init__(self) -> None:
         check_ranges(self, ceiling_s=(FRAME_S, 2), least_jitter_s=(0, 0.2), leap_s=(0.1, 10))
@@ -279,8 +277,7 @@ class JitterBuffer:
         if last is not None and received.number > last + RESTART_FRAMES:
             self.restart()
             self._last_number = last = None
-        transit_s = clock.receive(received.media_s, received.arrived_s)
-        self._jitter.receive(received.arrived_s, received.media_s, transit_s, clock)
+        self._jitter.receive(received.arrived_s, received.media_s, clock)
         self._aim(received.arrived_s)
         place = bisect_left(self._waiting, received.number, key=attrgetter("number"))
         if last is not None and received.number <= last:
@@ -346,9 +343,7 @@ class JitterBuffer:
             if self._num_stood:
                 self._num_stood -= 1  # what was made up stands for what is lost, as turns out now
             else:
-                is_next = following.media_s - self._end_s < 1.5 * FRAME_S
-                fec = following.payload if self.config.uses_fec and is_next else None
-                self._conceal(self._end_s, fec=fec)
+                self._conceal(self._end_s)
             self._stood_in_s += FRAME_S
             self._end_s += FRAME_S
         elif (last is None or self._is_gap) and following.media_s > due_s + 0.001:
@@ -368,12 +363,12 @@ class JitterBuffer:
         self._report.concealed += self._is_starved
         self._append(self._noise.make()[:num_samples], begin_s, rate)
 
-    def _conceal(self, begin_s: float, *, fec: bytes | None = None) -> None:
+    def _conceal(self, begin_s: float) -> None:
         self._num_concealed += 1
         self._report.concealed += 1
         rate = 1.0 if self._waiting else 0.0  # with nothing there, time stands still
         try:
-            sound = self._decoder.decode(fec, fec=fec is not None)
+            sound = self._decoder.decode(None)
         except VoiceError:
             sound = np.zeros(FRAME, np.float32)
         self._append(sound, begin_s, rate)

@@ -90,20 +90,14 @@ class SpeechFeatures:
 
 
 class MouthFromVoice:
-    """Hears one voice, and says how the mouth stands.
-
-    Attributes:
-        num_parameters: Numbers that the network has learnt.
-    """
+    """Hears one voice, and says how the mouth stands."""
 
     def __init__(self) -> None:
         path = resources.files("pica_client.voice") / "mouth.npz"
         with path.open("rb") as file, np.load(file) as stored:
-            weights = {name: stored[name].astype(np.float32) for name in stored.files}
-        self._w = weights
-        self.num_parameters = sum(array.size for array in weights.values())
+            self._w = {name: stored[name].astype(np.float32) for name in stored.files}
         self._features = SpeechFeatures()
-        self._state = np.zeros(weights["u"].shape[0], np.float32)
+        self._state = np.zeros(len(self._w["u"]), np.float32)
         self.push(np.zeros(SAMPLE_RATE, np.float32))  # it has listened to silence before
 
     def push(self, pcm: FloatArray) -> FloatArray:

@@ -101,7 +101,7 @@ def test_a_blink_lasts_150_to_300_milliseconds(seed: int) -> None:
 @pytest.mark.parametrize("seed", SEEDS)
 def test_speech_has_four_to_five_syllables_a_second_and_pauses(seed: int) -> None:
     times_s = tracks.sample_times(120)
-    jaw = tracks.speech(np.random.default_rng(seed), times_s).jaw
+    jaw = tracks.speech(np.random.default_rng(seed), times_s)["jaw"]
     phrases = [span for span in spans(jaw > 0.02) if span[1] - span[0] > 0.5 * tracks.SAMPLE_FPS]
     talking = sum(end - begin for begin, end in phrases)
     peaks = np.flatnonzero((jaw[1:-1] > jaw[:-2]) & (jaw[1:-1] >= jaw[2:]) & (jaw[1:-1] > 0.1))

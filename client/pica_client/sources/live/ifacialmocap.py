@@ -11,7 +11,6 @@ Neither could be held against the apps themselves.
 
 import math
 import re
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -32,18 +31,11 @@ FARTHEST_M: Final = 10.0
 _ITEM: Final = re.compile(r"(\w+)[&-](-?\d+(?:\.\d+)?)")
 
 
-@dataclass(frozen=True, slots=True)
-class Request:
-    """What makes a phone send, and where to."""
-
-    port: int
-    """The phone's port, and ours."""
-    words: bytes
-    """What the phone waits for."""
-
-
-IFACIALMOCAP: Final = Request(49983, b"iFacialMocap_sahuasouryya9218sauhuiayeta91555dy3719")
-FACEMOTION3D: Final = Request(49993, b"FACEMOTION3D_OtherStreaming")
+REQUESTS: Final = {
+    "ifacialmocap": (49983, b"iFacialMocap_sahuasouryya9218sauhuiayeta91555dy3719"),
+    "facemotion3d": (49993, b"FACEMOTION3D_OtherStreaming"),
+}
+"""Of each app: the phone's port, and ours, and what the phone waits for until it sends."""
 
 
 def decode(packet: bytes) -> TrackerSample:

@@ -13,7 +13,6 @@ from typing import Any, Final
 import numpy as np
 
 from pica_client.errors import SourceError
-from pica_client.sources.live.calibration import Calibration
 from pica_client.sources.live.live_face import LiveFace
 from pica_client.sources.live.sample import VALUE_LIMIT, TrackerSample
 from pica_core.avatar.arkit import NUM_ARKIT, ExpressionFrame
@@ -143,12 +142,10 @@ def load_take(path: Path) -> Take:
 class TakeSource:
     """A take as a source: the same face at the same time, whatever the clock; it loops."""
 
-    def __init__(self, take: Take, calibration: Calibration | None, start_s: float = 0.0) -> None:
-        self._take = take
-        self._calibration = calibration
-        self._start_s = start_s
+    def __init__(self, take: Take, start_s: float) -> None:
+        self._take, self._start_s = take, start_s
         self._turn, self._next, self._asked_s = 0, 0, 0.0
-        self._face = LiveFace(calibration)
+        self._face = LiveFace()
 
     @property
     def duration_s(self) -> float:
@@ -161,17 +158,12 @@ class TakeSource:
         """The face at a time; see `Source.frame_at`. A step back begins the take anew."""
         turn, looped_s = divmod(time_s + self._start_s, self.duration_s)
         if turn != self._turn or looped_s < self._asked_s:
-            self._rewind(int(turn))
-        while (
-            self._next < len(self._take.arrived_s) and self._take.arrived_s[self._next] <= looped_s
-        ):
-            arrived_s = float(self._take.arrived_s[self._next])
-            self._face.push(self._take.sample(self._next), arrived_s)
+            self._turn, self._next = int(turn), 0
+            self._face = LiveFace()
+        arrived_s = self._take.arrived_s
+        while self._next < len(arrived_s) and arrived_s[self._next] <= looped_s:
+            self._face.push(self._take.sample(self._next), float(arrived_s[self._next]))
             self._next += 1
         self._asked_s = looped_s
         frame = self._face.face_at(looped_s)
         return replace(frame, captured_us=frame.captured_us + round((time_s - looped_s) * 1e6))
-
-    def _rewind(self, turn: int) -> None:
-        self._turn, self._next, self._asked_s = turn, 0, 0.0
-        self._face = LiveFace(self._calibration)
