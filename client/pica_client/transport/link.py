@@ -31,7 +31,7 @@ from pica_client.errors import (
     RelayUnreachableError,
 )
 from pica_client.stats import wire_bytes
-from pica_client.transport.backoff import Backoff
+from pica_client.transport.backoff import SETTLED_S, Backoff
 from pica_client.transport.config import LinkConfig, read_token
 from pica_client.transport.connect import SOFTWARE, RelayWebsocket, open_websocket
 from pica_client.transport.dialer import Connector, Dialer
@@ -119,8 +119,8 @@ class Link:
         self._dialer = Dialer(config.urls, connector)
         self._addresses = self._dialer.addresses
         chance = (rng or random.Random()).random
-        self._backoff = Backoff(chance, config.backoff)
-        self._lookout = Lookout(self._dialer, Silence(chance, config.backoff))
+        self._backoff = Backoff(chance)
+        self._lookout = Lookout(self._dialer, Silence(chance))
         self._refusals = Refusals()
         self._session: ClientSession | None = None
         self._wake = asyncio.Event()
@@ -287,7 +287,7 @@ class Link:
                 lasted_s, elsewhere = loop.time() - joined_s, self._elsewhere()
                 self._addresses.begin_with(elsewhere or self.url)
             wait_s = self._backoff.next_wait_s(lasted_s)
-            if elsewhere and lasted_s >= self.config.backoff.settled_s:
+            if elsewhere and lasted_s >= SETTLED_S:
                 # The relay that sends us away spreads its clients over time. Two that send us to
                 # and fro are another matter.
                 wait_s = 0.0
