@@ -30,7 +30,7 @@ from pica_client.avatars.library import AvatarLibrary
 from pica_client.bench.impaired_call_compare import CallComparison
 from pica_client.bench.network.impairment import Impairment
 from pica_client.bench.network.proxy import ImpairedProxy
-from pica_client.call.call import Call, CallConfig, DueFrame
+from pica_client.call.call import Call, DueFrame
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.errors import CallProcessError, OptionError
 from pica_client.local_call import local_call
@@ -146,8 +146,9 @@ async def _measure(
         if config.impairment is None:
             return await _measure_through(local.url, None, config, local, library)
         proxy = await stack.enter_async_context(ImpairedProxy(local.url, config.impairment))
-        play = CallConfig(playout=config.playout)
-        comparison = CallComparison(local.url, proxy.url, library, play, local.secret_file)
+        comparison = CallComparison(
+            local.url, proxy.url, library, config.playout, local.secret_file
+        )
         result = await _measure_through(proxy.url, comparison, config, local, library)
     return result | {"impairment": asdict(config.impairment), "rendered": comparison.compare()}
 
@@ -159,7 +160,7 @@ async def _measure_through(
     local: local_call.LocalCall,
     library: AvatarLibrary,
 ) -> dict[str, Any]:
-    call = Call(library, CallConfig(playout=config.playout))
+    call = Call(library, config.playout)
     link = LinkConfig(
         url=url,
         room=local_call.ROOM,

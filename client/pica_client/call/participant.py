@@ -9,11 +9,7 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from pica_client.call.connection_quality import StreamHealth
-from pica_client.call.layer_subscription import (
-    NOTHING,
-    LayerSubscription,
-    LayerSubscriptionConfig,
-)
+from pica_client.call.layer_subscription import NOTHING, LayerSubscription
 from pica_client.playout.buffer import PlayedFace, Playout, PlayoutReport
 from pica_client.playout.config import PlayoutConfig
 from pica_client.publish.face_track import FACE_KEY, FACE_LOST
@@ -64,16 +60,10 @@ class StreamWindow:
 class RemoteParticipant:
     """One peer with a face, and what has come from it."""
 
-    def __init__(
-        self,
-        peer: Peer,
-        track: Track,
-        config: PlayoutConfig,
-        subscription: LayerSubscriptionConfig,
-    ) -> None:
+    def __init__(self, peer: Peer, track: Track, config: PlayoutConfig | None) -> None:
         self.peer = peer
         self.track = track
-        self.subscription = LayerSubscription(subscription)
+        self.subscription = LayerSubscription()
         self.playout = Playout(config)
         self.decoder: FaceDecoder | None = None
         self.trouble = ""
