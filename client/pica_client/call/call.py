@@ -259,7 +259,7 @@ class Call:
         call."""
         with self._lock:
             self._roster.handle_timer(now)
-            joined_s, lost_s = self._roster.joined_s, self._roster.lost_s
+            joined_s = self._roster.joined_s
             return RoomState(
                 own_name=self._roster.own_name,
                 members=tuple(self._roster.members),
@@ -271,7 +271,6 @@ class Call:
                 ),
                 news=tuple(self._roster.take_news()),
                 duration_s=0.0 if joined_s is None else now - joined_s,
-                away_s=None if lost_s is None else now - lost_s,
             )
 
     # Statistics

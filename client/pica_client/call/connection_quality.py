@@ -133,6 +133,4 @@ def own_quality(peers: Sequence[Quality], *, replaced_ratio: float | None = None
         return "poor"
     if len(known) >= 2 and 2 * known.count("poor") > len(known):
         return "poor"
-    if not known:
-        return "unknown" if replaced_ratio is None else "good"
-    return "good"
+    return "good" if known or replaced_ratio is not None else "unknown"

@@ -87,14 +87,10 @@ class RemoteParticipant:
         Somebody else may have got an old id, as from another relay, or from one that lies: only who
         is the same in every respect keeps the seat.
         """
-        if peer is None or replace(peer, metadata=()) != self._who:
+        if peer is None or replace(peer, metadata=()) != replace(self.peer, metadata=()):
             return False
         self.peer = peer
         return True
-
-    @property
-    def _who(self) -> Peer:
-        return replace(self.peer, metadata=())
 
     def is_same_person(self, peer: Peer) -> bool:
         """Say whether somebody who comes is who sat here: by identity, or else by name."""
