@@ -48,20 +48,17 @@ class ResumeTickets:
         self._by_digest[digest] = peer_id
         return secret
 
-    def opens_a_place(self, room: str, secret: str) -> bool:
-        """Say whether ``redeem`` would return somebody."""
-        return self._place_of(room, secret) is not None
+    def place_of(self, room: str, secret: str) -> str | None:
+        """Return whose place a secret opens, or None."""
+        peer_id = self._by_digest.get(_digest(secret))
+        return None if peer_id is None or self._places[peer_id].room != room else peer_id
 
     def redeem(self, room: str, secret: str) -> str | None:
-        """Take a secret and return whose place it opens, or None; it opens nothing any more."""
-        peer_id = self._place_of(room, secret)
+        """As `place_of`; the secret opens nothing any more."""
+        peer_id = self.place_of(room, secret)
         if peer_id is not None:
             self.forget(peer_id)
         return peer_id
-
-    def _place_of(self, room: str, secret: str) -> str | None:
-        peer_id = self._by_digest.get(_digest(secret))
-        return None if peer_id is None or self._places[peer_id].room != room else peer_id
 
     def go_away(self, peer_id: str, now: float) -> bool:
         """Note that a peer lost its connection; return whether its place is kept."""
