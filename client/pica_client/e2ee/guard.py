@@ -9,22 +9,13 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pica_client.e2ee.errors import (
-    NoteError,
-    OpenError,
-    ReplayedFrameError,
-    UnknownKeyError,
-)
+from pica_client.e2ee.errors import NoteError, OpenError, ReplayedFrameError, UnknownKeyError
 from pica_client.e2ee.frames import decode_header, metadata_of, open_, seal
 from pica_client.e2ee.keys import KeyExchange
 from pica_client.e2ee.padding import pad, unpad
 from pica_client.e2ee.secret import RandomBytes, RoomSecret, load_secret
 from pica_client.e2ee.status import SealStatus
-from pica_client.e2ee.suites import (
-    AES_128_CTR_HMAC_SHA256_64,
-    AES_128_GCM_SHA256_128,
-    Suite,
-)
+from pica_client.e2ee.suites import AES_128_CTR_HMAC_SHA256_64, AES_128_GCM_SHA256_128, Suite
 from pica_protocol import messages
 from pica_protocol.frames import MAX_PAYLOAD_BYTES, Frame
 from pica_protocol.session import ClientEvent, Closed

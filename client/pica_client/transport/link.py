@@ -25,11 +25,7 @@ from typing import TYPE_CHECKING
 
 from websockets.exceptions import ConnectionClosed
 
-from pica_client.errors import (
-    OptionError,
-    RelayRefusedError,
-    RelayUnreachableError,
-)
+from pica_client.errors import OptionError, RelayRefusedError, RelayUnreachableError
 from pica_client.stats import wire_bytes
 from pica_client.transport.backoff import SETTLED_S, Backoff
 from pica_client.transport.config import LinkConfig, read_token

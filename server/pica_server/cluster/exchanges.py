@@ -11,12 +11,7 @@ from pica_protocol.errors import RemoteProtocolError
 from pica_protocol.frames import scan_frames
 from pica_protocol.session import Media
 from pica_server.cluster.media import Exchange, NodeLink
-from pica_server.cluster.messages import (
-    MEDIA_HEADER_BYTES,
-    Interest,
-    NodeId,
-    decode_media_header,
-)
+from pica_server.cluster.messages import MEDIA_HEADER_BYTES, Interest, NodeId, decode_media_header
 from pica_server.cluster.room import SharedRoom
 from pica_server.errors import ClusterMessageError
 from pica_server.room.hub import Hub

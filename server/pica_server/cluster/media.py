@@ -17,12 +17,7 @@ from collections.abc import Iterable, Mapping
 from typing import Final
 
 from pica_protocol.stream_queue import Put
-from pica_server.cluster.messages import (
-    Interest,
-    MediaHeader,
-    encode_media,
-    slot_of,
-)
+from pica_server.cluster.messages import Interest, MediaHeader, encode_media, slot_of
 from pica_server.room.outbox import ArrivedFrame, Outbox
 
 EPOCH_INTERVAL_S: Final = 0.5

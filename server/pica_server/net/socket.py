@@ -39,13 +39,7 @@ except ImportError:  # the library was installed without its C extension
 from pica_protocol.errors import CloseCode
 from pica_protocol.tls_buffer import bound_tls_buffer
 from pica_server.net.limits import SocketGuard, TokenBucket, address_group
-from pica_server.net.proxies import (
-    PROXY_HEADERS,
-    Network,
-    client_of,
-    is_in,
-    names_this_machine,
-)
+from pica_server.net.proxies import PROXY_HEADERS, Network, client_of, is_in, names_this_machine
 from pica_server.ops.descriptors import Descriptors
 from pica_server.ops.stats import RelayStats
 
