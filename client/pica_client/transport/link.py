@@ -39,7 +39,16 @@ from pica_client.transport.silence import Silence
 from pica_client.transport.timers import time_after, wait_until
 from pica_protocol.client_session import ClientSession, Ticket
 from pica_protocol.errors import CloseCode
-from pica_protocol.messages import Joined, Report, Track
+from pica_protocol.messages import (
+    FromMember,
+    Joined,
+    KeyframeRequest,
+    Report,
+    Track,
+    UpdateMetadata,
+    Want,
+    Whisper,
+)
 from pica_protocol.session import ClientEvent, Closed, State
 
 if TYPE_CHECKING:  # who does not encrypt needs no cryptography
@@ -185,7 +194,7 @@ class Link:
         Returns:
             False if it could not be told: not joined, or the network takes nothing.
         """
-        return self._control(lambda session: session.want(stream, layer))
+        return self._tell(Want(stream=stream, layer=layer))
 
     def request_keyframe(self, stream: int) -> bool:
         """Ask the publisher of a stream for a keyframe.
@@ -193,7 +202,7 @@ class Link:
         Returns:
             As ``want``.
         """
-        return self._control(lambda session: session.request_keyframe(stream))
+        return self._tell(KeyframeRequest(stream=stream))
 
     def whisper(self, peer_id: str, data: bytes) -> bool:
         """Send opaque bytes to one peer in the room; it gets a ``Whisper`` with our peer id.
@@ -207,7 +216,7 @@ class Link:
         Raises:
             ValueError: More than ``MAX_WHISPER_BYTES``, or no peer id.
         """
-        return self._control(lambda session: session.whisper(peer_id, data))
+        return self._tell(Whisper(peer_id=peer_id, data=data))
 
     def describe(self, key: str, value: str) -> None:
         """Say something of ourselves to the others under a key, now and after each join; "" says
@@ -221,15 +230,15 @@ class Link:
 
     def report(self, report: Report) -> None:
         """Tell the relay how streams arrived, if it is there."""
-        self._control(lambda session: session.report(report))
+        self._tell(report)
 
-    def _control(self, tell: Callable[[ClientSession], object]) -> bool:
+    def _tell(self, message: FromMember) -> bool:
         """Have the session take one more message, if it can, and let the writer look."""
         session = self._session
         if session is None or not session.can_queue:
             return False
         self._wake.set()
-        tell(session)
+        session.tell(message)
         return True
 
     def leave(self) -> None:
@@ -456,13 +465,13 @@ class Link:
         if self.guard is not None and session.state is State.JOINED:
             for peer_id, data in self.guard.messages_to_send(now):
                 if session.can_queue:  # else it is lost, as a whisper may be
-                    session.whisper(peer_id, data)
+                    session.tell(Whisper(peer_id=peer_id, data=data))
 
     def _describe(self, session: ClientSession, now: float) -> None:
         """Queue what the others do not know of us yet, once it may be said."""
         due_s = self._description.next_timer()
         if due_s is not None and due_s <= now and session.can_queue:
-            session.update_metadata(self._description.metadata)
+            session.tell(UpdateMetadata(metadata=self._description.metadata))
             self._description.note_told(now)
 
     async def _until_woken(self) -> float:

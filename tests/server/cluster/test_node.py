@@ -18,6 +18,8 @@ from pica_protocol.messages import (
     PeerUpdated,
     StreamMuted,
     Track,
+    UpdateMetadata,
+    Want,
     Whisper,
 )
 from pica_server.auth.tokens import Admission
@@ -151,8 +153,8 @@ def test_a_peer_elsewhere_comes_speaks_whispers_is_asked_and_goes() -> None:
     ada.send_frame(b"hello", 0.0)
     nodes.pump(0.0)
     assert [frame.payload for frame in told(bob, Frame)] == [b"hello"]
-    bob.session.whisper(ada.peer_id, b"psst")
-    bob.session.request_keyframe(ada.stream)
+    bob.session.tell(Whisper(peer_id=ada.peer_id, data=b"psst"))
+    bob.session.tell(KeyframeRequest(stream=ada.stream))
     bob.speak(0.0)
     nodes.pump(0.0)
     heard = ada.listen(0.0)
@@ -172,7 +174,7 @@ def test_voices_cross_whole_and_in_order_before_faces_and_none_that_is_too_old()
     nodes.pump(0.0)
     for each in (ada, bob, cleo):
         each.listen(0.0)
-    cleo.session.want(ada.session.tracks[1].stream, None)
+    cleo.session.tell(Want(stream=ada.session.tracks[1].stream, layer=None))
     cleo.speak(0.0)
     nodes.pump(0.0)
 
@@ -210,7 +212,7 @@ def test_what_a_peer_says_of_itself_is_known_on_all_nodes_then_and_later() -> No
     nodes = Nodes(2)
     ada = nodes.join(0, "Ada")
     bob = nodes.join(1, "Bob")
-    ada.session.update_metadata((("hand", "up"),))
+    ada.session.tell(UpdateMetadata(metadata=(("hand", "up"),)))
     ada.speak(0.0)
     nodes.pump(0.0)
     assert told(bob, PeerUpdated) == [PeerUpdated(peer_id=ada.peer_id, metadata=(("hand", "up"),))]
