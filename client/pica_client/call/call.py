@@ -259,15 +259,15 @@ class Call:
         call."""
         with self._lock:
             self._roster.handle_timer(now)
-            joined_s = self._roster.joined_s
+            joined_s, seals = self._roster.joined_s, self._seals()
             return RoomState(
                 own_name=self._roster.own_name,
                 members=tuple(self._roster.members),
-                notes=self._notes(now),
+                # Watchers have no face that could be missing.
+                notes={who: seal.note for who, seal in seals.items()}
+                | {peer_id: self._note(seat, now) for peer_id, seat in self._seats.items()},
                 verified=frozenset(
-                    peer_id
-                    for peer_id, seal in self._seals().items()
-                    if seal.state is SealState.VERIFIED
+                    who for who, seal in seals.items() if seal.state is SealState.VERIFIED
                 ),
                 news=tuple(self._roster.take_news()),
                 duration_s=0.0 if joined_s is None else now - joined_s,
@@ -407,11 +407,6 @@ class Call:
         """How the encryption of each peer stands, by peer id; empty where we do not encrypt."""
         status = self.seal_status()
         return {} if status is None else status.peers
-
-    def _notes(self, now: float) -> dict[str, str]:
-        """What is wrong with each peer, by peer id; watchers have no face that could be missing."""
-        notes = {peer_id: seal.note for peer_id, seal in self._seals().items()}
-        return notes | {peer_id: self._note(seat, now) for peer_id, seat in self._seats.items()}
 
     def _note(self, seat: RemoteParticipant, now: float) -> str:
         """Why a face is not to be seen, or not as it should be; empty when nothing is wrong."""

@@ -161,7 +161,9 @@ class Roster:
                 self._members[peer_id] = replace(self._members[peer_id], is_away=True)
                 self._away_s[peer_id] = now
             case messages.PeerBack(peer_id=peer_id) if peer_id in self._members:
-                self._receive_back(peer_id)
+                member = self._members[peer_id] = replace(self._members[peer_id], is_away=False)
+                if self._away_s.pop(peer_id, None) is None:
+                    self._tell("back", member)
             case messages.PeerUpdated(peer_id=peer_id, metadata=metadata) if (
                 peer_id in self._members
             ):
@@ -203,11 +205,6 @@ class Roster:
         for peer in event.peers:
             if peer.peer_id not in self._members:
                 self._add(peer, is_news=not is_first)
-
-    def _receive_back(self, peer_id: str) -> None:
-        self._members[peer_id] = replace(self._members[peer_id], is_away=False)
-        if self._away_s.pop(peer_id, None) is None:
-            self._tell("back", self._members[peer_id])
 
     def _update(self, before: Member, peer: messages.Peer) -> None:
         """Take what a member says of itself by now."""

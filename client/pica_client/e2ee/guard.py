@@ -133,7 +133,10 @@ class Guard:
                     self._keys.receive_note(peer_id, data, now)
                 except NoteError:
                     self.counters.notes_refused += 1
-                return self._keyframe_requests()
+                if not self._keys.has_newcomer:
+                    return []
+                self._keys.has_newcomer = False
+                return [messages.KeyframeRequest(stream=stream) for stream in self._own_streams]
             case messages.Joined(tracks=tracks, peers=peers):
                 self._keys.receive_joined(event, now)
                 # Only these know keyframes; of other tracks each frame stands alone.
@@ -152,8 +155,6 @@ class Guard:
             case Closed():
                 self._keys.receive_closed(now)
                 self._owners.clear()
-            case messages.KeyframeRequest():
-                pass
         return [event]
 
     def messages_to_send(self, now: float) -> list[tuple[str, bytes]]:
@@ -175,12 +176,6 @@ class Guard:
     def _note_streams(self, peer: messages.Peer) -> None:
         for track in peer.tracks:
             self._owners[track.stream] = peer.peer_id
-
-    def _keyframe_requests(self) -> list[ClientEvent]:
-        if not self._keys.has_newcomer:
-            return []
-        self._keys.has_newcomer = False
-        return [messages.KeyframeRequest(stream=stream) for stream in self._own_streams]
 
     def _open(self, frame: Frame, now: float) -> list[ClientEvent]:
         counters, owner = self.counters, self._owners.get(frame.stream)

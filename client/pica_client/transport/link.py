@@ -20,6 +20,7 @@ import asyncio
 import logging
 import random
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -83,6 +84,7 @@ class Link:
     Attributes:
         guard: What seals and opens frames, or None.
         last_closed: How the latest connection ended, or None.
+        lookout: Tries another way when the relay has fallen silent.
     """
 
     def __init__(
@@ -125,7 +127,7 @@ class Link:
         self._addresses = self._dialer.addresses
         chance = (rng or random.Random()).random
         self._backoff = Backoff(chance)
-        self._lookout = Lookout(self._dialer, Silence(chance))
+        self.lookout = Lookout(self._dialer, Silence(chance))
         self._refusals = Refusals()
         self._session: ClientSession | None = None
         self._wake = asyncio.Event()
@@ -148,11 +150,6 @@ class Link:
     def reconnects(self) -> int:
         """How often the link came back."""
         return max(self.counters.connects - 1, 0)
-
-    @property
-    def num_looks(self) -> int:
-        """How often another way was tried because the relay had fallen silent."""
-        return self._lookout.num_looks
 
     def send_frame(
         self,
@@ -197,21 +194,14 @@ class Link:
         return self._tell(Want(stream=stream, layer=layer))
 
     def request_keyframe(self, stream: int) -> bool:
-        """Ask the publisher of a stream for a keyframe.
-
-        Returns:
-            As ``want``.
-        """
+        """Ask the publisher of a stream for a keyframe; returns as `want`."""
         return self._tell(KeyframeRequest(stream=stream))
 
     def whisper(self, peer_id: str, data: bytes) -> bool:
         """Send opaque bytes to one peer in the room; it gets a ``Whisper`` with our peer id.
 
         It may be lost on its way: when the peer has just gone, or when we whisper more than the
-        relay allows.
-
-        Returns:
-            As ``want``.
+        relay allows. Returns as `want`.
 
         Raises:
             ValueError: More than ``MAX_WHISPER_BYTES``, or no peer id.
@@ -257,7 +247,7 @@ class Link:
         try:
             await self._stay()
         finally:
-            if (unused := self._lookout.take_successor()) is not None:
+            if (unused := self.lookout.take_successor()) is not None:
                 unused.transport.abort()
 
     async def _stay(self) -> None:
@@ -267,7 +257,7 @@ class Link:
         give_up_s = None if limit_s is None else loop.time() + limit_s
         troubles: dict[str, Exception] = {}  # by address, and the latest alone
         while not self._is_leaving:
-            joined_s, is_last, websocket = None, False, self._lookout.take_successor()
+            joined_s, is_last, websocket = None, False, self.lookout.take_successor()
             try:
                 token = self.config.token or read_token(self.config.token_file)
                 websocket = websocket or await self._connect_or_leave(give_up_s)
@@ -283,7 +273,7 @@ class Link:
                 troubles[self.url] = error
             if self._is_leaving:
                 return
-            if self._lookout.has_successor:
+            if self.lookout.has_successor:
                 continue
             if joined_s is None and not is_last and self._addresses.num_left:
                 continue
@@ -334,11 +324,9 @@ class Link:
             await self._wake.wait()
 
     async def _sleep(self, wait_s: float) -> None:
-        try:
+        with suppress(TimeoutError):
             async with asyncio.timeout(wait_s):
                 await self._until_leaving()
-        except TimeoutError:
-            pass
 
     async def _talk(self, websocket: RelayWebsocket, token: str) -> float | None:
         """One connection from its first byte to its last.
@@ -388,7 +376,7 @@ class Link:
         try:
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self._write(session, websocket))
-                watching = tasks.create_task(self._lookout.watch(websocket))
+                watching = tasks.create_task(self.lookout.watch(websocket))
                 await self._read(session, websocket, handle)
                 watching.cancel()
                 self._wake.set()  # let the writer see that it is over
@@ -477,12 +465,9 @@ class Link:
     async def _until_woken(self) -> float:
         """Wait until there may be something to write, by a timer too; return the time."""
         sealing_s = None if self.guard is None else self.guard.next_timer()
-        session = self._session
-        timers = (
-            sealing_s,
-            self._description.next_timer() if self.is_joined else None,
-            None if session is None or not self.is_joined else session.frames_due_s,
-        )
+        timers = [sealing_s]
+        if self._session is not None and self.is_joined:
+            timers += [self._description.next_timer(), self._session.frames_due_s]
         timer = min((each for each in timers if each is not None), default=None)
         now = await wait_until(self._wake, timer)
         if self.guard is not None and sealing_s is not None and now >= sealing_s:

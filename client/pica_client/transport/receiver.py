@@ -195,9 +195,10 @@ class Receiver:
                 own.receive_event(event)
         for stream in self.call.take_keyframe_requests(now) if self._takes_faces else ():
             self.link.request_keyframe(stream)
-        if isinstance(event, Joined | PeerJoined):
-            self._decline(event.peers if isinstance(event, Joined) else (event.peer,))
+        if isinstance(event, PeerJoined):
+            self._decline([event.peer])
         if isinstance(event, Joined):
+            self._decline(event.peers)
             self._subscribed.set()
             if self._giver is not None:
                 self._giver.begin(self.link.url)
