@@ -64,7 +64,7 @@ class Nodes:
             self.nodes[slot].receive_renewed(now, now)
             for other in self.nodes:
                 if other.standing is Standing.CLUSTERED:
-                    other.receive_lease(str(slot), self.nodes[slot].name.encode(), now)
+                    other.receive_lease(str(slot), self.nodes[slot].me.name.encode(), now)
 
     def live(self, start: float, end: float, *slots: int) -> None:
         """Let time pass for these nodes alone."""
@@ -118,7 +118,7 @@ class Nodes:
                     node.receive_answer(key, ticket, Found(*self._records.get(key, (b"", 0))), now)
                 case _:
                     self._write(slot, command.key, command.ticket, command, now)
-        for to, key, data in node.take_media(now):
+        for to, key, data in node.exchanges.take_media(now):
             is_busy = True
             if not self.loses():
                 self.nodes[to].receive_media(key, data, now)
@@ -336,7 +336,7 @@ def test_who_lost_the_slot_sends_everybody_away_to_come_again() -> None:
     again = Member(nodes.hubs[0], "Ada", now=1.0)
     nodes.nodes[0].step(1.0)
     assert again.closed_code is None
-    assert nodes.nodes[0].slot == 5
+    assert nodes.nodes[0].me.slot == 5
 
 
 def test_what_no_node_sends_is_counted_and_costs_nothing() -> None:
