@@ -24,7 +24,7 @@ from pica_protocol.session import Closed, Media, ServerEvent
 from pica_server.auth.tokens import Admission
 from pica_server.cluster.peers import ClusterPeers
 from pica_server.config.relay import RelayConfig
-from pica_server.hooks.events import RoomEvent
+from pica_server.hooks.webhooks import RoomEvent
 from pica_server.ops.stats import RelayStats
 from pica_server.room.connection import Connection
 from pica_server.room.connections import Connections

@@ -12,7 +12,6 @@ from pica_protocol.errors import CloseCode
 from pica_protocol.messages import (
     Join,
     Joined,
-    Message,
     Peer,
     PeerAway,
     PeerBack,
@@ -26,7 +25,7 @@ from pica_protocol.session import Closed
 from pica_server.auth.tokens import Admission
 from pica_server.cluster.messages import Member
 from pica_server.errors import AdmissionError, RoomFullError
-from pica_server.hooks.events import RoomEvent
+from pica_server.hooks.webhooks import RoomEvent
 from pica_server.net.limits import TokenBucket
 from pica_server.room.connection import Connection
 from pica_server.room.connections import Connections
@@ -253,11 +252,10 @@ class Membership:
         self._stats.joins += 1
         self._note(room, connection.peer_id, "peer_joined")
         self._accept(connection, room, joined, now)
-        news: list[Message] = [PeerJoined(peer=peer)]
-        muted = room.muted_of(peer.peer_id)
-        news += [StreamMuted(stream=number, is_muted=True) for number in muted]
-        for message in news:
-            self._connections.tell_others(room, peer.peer_id, message, now)
+        tell_others = self._connections.tell_others
+        tell_others(room, peer.peer_id, PeerJoined(peer=peer), now)
+        for number in room.muted_of(peer.peer_id):
+            tell_others(room, peer.peer_id, StreamMuted(stream=number, is_muted=True), now)
         if admission.may_subscribe:
             self._forwarding.catch_up(connection, room, now)
 
@@ -319,7 +317,7 @@ class Membership:
         identity: else whoever comes and drops connections keeps a room full of nobody."""
         room = self.rooms.get(room_name)
         if room is not None and room.is_full:
-            nobodies = [p for p in self._away if p in room and not room.identity_of(p)]
+            nobodies = [p for p in self._away if p in room and not room.peer(p).identity]
             for peer_id in nobodies[:1]:
                 self._tickets.forget(peer_id)
                 self.give_up(peer_id, "lost", now)
@@ -365,13 +363,14 @@ class Membership:
 
     def _note(self, room: Room, peer_id: str, event: str, reason: str = "") -> None:
         """Tell whoever keeps books about a peer of this node."""
+        peer = room.peer(peer_id)
         self._notify(
             RoomEvent(
                 event=event,
                 room=room.name,
                 peer_id=peer_id,
-                identity=room.identity_of(peer_id),
-                name=room.peer(peer_id).name,
+                identity=peer.identity,
+                name=peer.name,
                 reason=reason,
             )
         )
