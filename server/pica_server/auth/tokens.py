@@ -11,7 +11,6 @@ import base64
 import binascii
 import math
 import os
-import re
 import secrets
 import stat
 from collections.abc import Mapping, Sequence
@@ -24,6 +23,7 @@ import jwt
 from pica_protocol.errors import CloseCode
 from pica_protocol.limits import MAX_PASS_BYTES, check_name, check_token, quoted
 from pica_protocol.messages import Join
+from pica_protocol.store import is_avatar_id
 from pica_server.errors import AdmissionError, KeyFileError
 
 ALGORITHM: Final = "HS256"
@@ -40,8 +40,6 @@ MAX_AVATARS: Final = 14
 
 _MAX_TIME_S: Final = 2.0**53
 """Seconds since 1970 that a float still counts one by one."""
-
-_SHA256_HEX = re.compile(r"[0-9a-f]{64}")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -164,7 +162,7 @@ def mint(
     if len(admission.avatars) > MAX_AVATARS:
         raise ValueError(f"avatars must have at most {MAX_AVATARS}, got {len(admission.avatars)}")
     for avatar in admission.avatars:
-        if avatar != ANY_AVATAR and not _SHA256_HEX.fullmatch(avatar):
+        if avatar != ANY_AVATAR and not is_avatar_id(avatar):
             raise ValueError(f"avatars must be SHA-256 in hexadecimal or *, got {quoted(avatar)}")
     if not 0 <= starts_s < lasts_s:
         raise ValueError(f"it must begin before it ends, got {starts_s:g} and {lasts_s:g} s")

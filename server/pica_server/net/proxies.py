@@ -52,8 +52,15 @@ def is_in(host: str, networks: Sequence[Network]) -> bool:
 def names_this_machine(host: str) -> bool:
     """Say whether a ``Host`` header is one that no stranger's name server can have made."""
     try:
-        name = urlsplit(f"//{host}").hostname or ""
-        return name == "localhost" or ipaddress.ip_address(name).is_loopback
+        return is_loopback(urlsplit(f"//{host}").hostname or "")
+    except ValueError:
+        return False
+
+
+def is_loopback(host: str) -> bool:
+    """Say whether an address is one that only this machine reaches."""
+    try:
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
     except ValueError:
         return False
 
