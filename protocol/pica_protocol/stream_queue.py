@@ -101,11 +101,7 @@ class StreamQueue:
     )
 
     def __init__(self, drops: Counter[str]) -> None:
-        """Begin with a stream of which the reader has nothing.
-
-        Args:
-            drops: Where frames that are dropped are counted, by reason.
-        """
+        """Begin with nothing sent; ``drops`` is where dropped frames are counted, by reason."""
         self._drops = drops
         self._waiting: list[Waiting] = []
         self._num_base = 0

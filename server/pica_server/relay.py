@@ -67,11 +67,7 @@ class Relay:
     """
 
     def __init__(self, config: RelayConfig, *, unix_time: Callable[[], float] = time.time) -> None:
-        """Prepare to listen.
-
-        Args:
-            unix_time: The clock that tokens are checked against.
-        """
+        """Prepare to listen; ``unix_time`` is the clock that tokens are checked against."""
         self.config = config
         keys: KeyRing | None = None
         if config.keys is not None:

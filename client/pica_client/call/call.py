@@ -183,11 +183,8 @@ class Call:
             return streams
 
     def tell_subscriptions(self, tell: Tell, now: float) -> float | None:
-        """Tell the relay which layers are wanted by now.
-
-        Returns:
-            When to call again; None until somebody subscribes or joins.
-        """
+        """Tell the relay which layers are wanted by now; return when to call again, None until
+        somebody subscribes or joins."""
         with self._lock:
             timers = [seat.tell_subscription(tell, now) for seat in self._seats.values()]
         return min((timer for timer in timers if timer is not None), default=None)

@@ -41,11 +41,8 @@ class LayerSubscription:
         self._lowered_s = -math.inf
 
     def subscribe(self, layer: int | None, now: float) -> bool:
-        """Note the highest layer that is wanted; None is nothing at all.
-
-        Returns:
-            Whether `due` or `next_timer` may say something new.
-        """
+        """Note the highest layer that is wanted, None is nothing at all; return whether `due` or
+        `next_timer` may say something new."""
         self._asked = NOTHING if layer is None else min(layer, MAX_LAYER)
         wanted = min(self._asked, self._limit)
         if wanted == self._wanted:

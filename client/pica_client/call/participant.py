@@ -185,11 +185,8 @@ class RemoteParticipant:
             self.note_silence(now)
 
     def receive_frame(self, frame: Frame, now: float) -> int:
-        """Take a frame off the wire; there must be a decoder.
-
-        Returns:
-            How many payloads could not be read.
-        """
+        """Take a frame off the wire; there must be a decoder. Return how many payloads could not be
+        read."""
         assert self.decoder is not None
         num_unreadable = 0
         self._note_backlog(frame, now)

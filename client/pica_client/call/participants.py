@@ -58,11 +58,7 @@ class Participant:
 def list_participants(
     own: Participant, room: RoomState, quality: Mapping[str, Quality]
 ) -> tuple[Participant, ...]:
-    """Everybody in the room.
-
-    Args:
-        quality: Of the others' connections, by peer id; missing: unknown.
-    """
+    """Everybody in the room; ``quality`` by peer id, and unknown of who is missing there."""
     warnings = name_warnings((member.peer for member in room.members), own.name)
     listed = [own]
     for member in room.members:

@@ -23,11 +23,8 @@ class Backoff:
         self._nominal_s = FIRST_S
 
     def next_wait_s(self, lasted_s: float) -> float:
-        """Seconds to wait now.
-
-        Args:
-            lasted_s: How long the connection stood that has just ended; 0 if there was none.
-        """
+        """Seconds to wait now, after a connection that stood for ``lasted_s``; 0: there was
+        none."""
         if lasted_s >= SETTLED_S:
             self._nominal_s = FIRST_S
         wait_s = self._nominal_s * (0.5 + 0.5 * self._random())

@@ -124,11 +124,7 @@ class Receiver:
         self._call_soon(self.link.leave)
 
     def check(self) -> None:
-        """Raise what ended the thread, if anything did.
-
-        Raises:
-            RelayError: As `run`.
-        """
+        """Raise what ended the thread, if anything did: a `RelayError`, as `run`."""
         if self._error is not None:
             raise self._error
 

@@ -119,10 +119,7 @@ class KeyRing:
 
 
 def load_keys(path: Path, *, max_token_s: float = math.inf) -> KeyRing:
-    """Read a key file.
-
-    Args:
-        max_token_s: The longest time that a token may hold to be taken.
+    """Read a key file; a token that holds for longer than ``max_token_s`` is not taken.
 
     Raises:
         KeyFileError: It cannot be read, or used, or anybody may write their own key into it.
@@ -229,11 +226,8 @@ def _check_publishing(may_publish: bool, allowed: Sequence[str], worn: Sequence[
 
 
 def admit_upload(keys: KeyRing, token: str, avatar: str, *, now: float) -> None:
-    """Check that a token, for any room, lets its owner publish with an avatar, and so upload it.
-
-    Raises:
-        AdmissionError: As `admit`.
-    """
+    """Check that a token, for any room, lets its owner publish with an avatar, and so upload it;
+    raises as `admit`."""
     claims = _claims_that_hold(keys, token, now)
     _check_publishing(claims.get("publish") is True, _avatars(claims), [avatar])
 

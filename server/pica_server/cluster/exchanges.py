@@ -66,10 +66,8 @@ class ClusterExchanges:
         return False
 
     def take_media(self, now: float) -> Iterator[tuple[int, str, bytes]]:
-        """Take the media messages that wait: slot of the receiver, room key, bytes.
-
-        What is not taken stays, and is thinned like a slow reader's.
-        """
+        """Take the media messages that wait: slot of the receiver, room key, bytes. What is not
+        taken stays, and is thinned like a slow reader's."""
         for link in list(self._hub.forwarding.ready_links):
             while (taken := link.take(now)) is not None:
                 data, num_frames = taken

@@ -103,11 +103,7 @@ class Exchange:
     """
 
     def __init__(self, room_key: str, me: str, epoch: int) -> None:
-        """Begin.
-
-        Args:
-            epoch: Higher than any that this node used for this room before.
-        """
+        """Begin with an epoch that is higher than any that this node used for this room before."""
         self.is_lossy = False
         self._is_stale = False
         self._room_key = room_key
@@ -160,11 +156,8 @@ class Exchange:
     def announce(
         self, layers: Mapping[int, int], revision: int, nodes: Iterable[str], epoch: int, now: float
     ) -> list[tuple[str, Interest]]:
-        """Return what must be told, and to which nodes.
-
-        Args:
-            epoch: The next one, if one is due.
-        """
+        """Return what must be told, and to which nodes; ``epoch`` is the next one, if one is
+        due."""
         nodes = set(nodes)
         self._told &= nodes
         self._answers &= nodes

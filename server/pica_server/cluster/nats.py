@@ -81,7 +81,6 @@ class Cluster:
 
         Args:
             url: Of NATS; several of one NATS cluster with commas between.
-            capacity: Peers in one room.
             on_news: Called on the loop when the hub may have got something to send.
         """
         self._urls = url.split(",")

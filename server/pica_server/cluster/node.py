@@ -80,11 +80,7 @@ class ClusterNode:
     """
 
     def __init__(self, hub: Hub, me: messages.NodeId, capacity: int, now: float) -> None:
-        """Begin with a lease that was confirmed just now.
-
-        Args:
-            capacity: Peers in one room.
-        """
+        """Begin with a lease that was confirmed just now; ``capacity`` is of one room."""
         self.liveness = Liveness(now)
         self._hub = hub
         self.me = me

@@ -28,11 +28,8 @@ def networks(names: Sequence[str]) -> tuple[Network, ...]:
 
 
 def client_of(peer: str, headers: Sequence[str], trusted: Sequence[Network]) -> str:
-    """Return the address of the first one on the way back who is no trusted proxy.
-
-    Args:
-        headers: All ``X-Forwarded-For`` of the request, in order.
-    """
+    """Return the address of the first one on the way back who is no trusted proxy; ``headers`` are
+    all ``X-Forwarded-For`` of the request, in order."""
     nearest = peer
     hops = [hop for header in headers for hop in header.rsplit(",", _MOST_HOPS)]
     for hop in reversed(hops):

@@ -96,11 +96,8 @@ class Hub:
         self._held: list[tuple[float, int, Connection]] = []
 
     def meet(self, cluster_peers: ClusterPeers, prefix: str) -> None:
-        """Be one node of a cluster from now on; nobody is here yet.
-
-        Args:
-            prefix: Begins the id of every peer of this node, and of no other one's.
-        """
+        """Be one node of a cluster from now on; nobody is here yet. ``prefix`` begins the id of
+        every peer of this node, and of no other one's."""
         self.connections.cluster_peers, self.connections.prefix = cluster_peers, prefix
 
     @property

@@ -25,11 +25,7 @@ class ResumeTickets:
     """The places of one relay that may be come back to; as many as there are peers."""
 
     def __init__(self, grace_s: float, new_secret: Callable[[], str]) -> None:
-        """Begin empty.
-
-        Args:
-            grace_s: How long a place is kept; 0: no place is ever kept.
-        """
+        """Begin empty; ``grace_s`` is how long a place is kept, 0: none ever is."""
         self.grace_s = grace_s
         self._new_secret = new_secret
         self._places: dict[str, _Place] = {}

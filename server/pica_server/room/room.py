@@ -289,11 +289,8 @@ class Room:
             found.chain, found.num_bytes, found.is_whole = [], 0, False
 
     def want(self, peer_id: str, stream: int, layer: int | None) -> bool:
-        """Note a layer subscription; one for a stream that has just ended changes nothing.
-
-        Returns:
-            Whether the peer wants frames of the stream after it wanted none.
-        """
+        """Note a layer subscription, if the stream has not just ended; return whether the peer
+        wants frames of it after it wanted none."""
         if stream not in self._streams:
             return False
         member = self._members[peer_id]
