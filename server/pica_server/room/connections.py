@@ -76,11 +76,12 @@ class Connections:
         rides = "ride" not in config.without
         drops = self.stats.dropped
         outbox = Outbox(config.max_control_bytes, drops, flows=flows, rides=rides, brake=self.brake)
-        connection = Connection(next(self._serials), session, outbox, limits, address, now)
-        connection.peer_id = f"{self.prefix}{connection.serial}"
+        serial = next(self._serials)
+        peer_id = f"{self.prefix}{serial}"
+        connection = Connection(serial, session, outbox, limits, address, now, peer_id)
         self.stats.connections += 1
         is_full = len(self.by_peer) >= config.max_connections
-        self.by_peer[connection.peer_id] = connection
+        self.by_peer[peer_id] = connection
         self._push_timer(connection, now)
         if address:
             self._by_address[address] += 1
