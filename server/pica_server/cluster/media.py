@@ -35,18 +35,6 @@ class NodeLink:
         epoch: Of its subscriptions; -1 before the first ones.
     """
 
-    __slots__ = (
-        "_drops",
-        "_my_slot",
-        "_number",
-        "epoch",
-        "layers",
-        "node",
-        "outbox",
-        "room_key",
-        "slot",
-    )
-
     def __init__(self, node: str, my_slot: int, room_key: str, drops: Counter[str]) -> None:
         self.node = node
         self.slot = slot_of(node)
