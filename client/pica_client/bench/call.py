@@ -31,7 +31,7 @@ from pica_client.avatars.library import AvatarLibrary
 from pica_client.bench.impaired_call_compare import CallComparison
 from pica_client.bench.network.impairment import Impairment
 from pica_client.bench.network.proxy import ImpairedProxy
-from pica_client.call.call import Call, CallConfig, DueFrame
+from pica_client.call.call import Call, DueFrame
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.errors import CallProcessError, OptionError
 from pica_client.local_call import local_call
@@ -173,12 +173,12 @@ async def _measure(
     config: BenchConfig, local: local_call.LocalCall, library: AvatarLibrary
 ) -> dict[str, Any]:
     impairment = config.network.impairment()
-    play = CallConfig(playout=playout_with_floor(config.playout_floor_ms))
-    call = Call(library, play)
+    playout = playout_with_floor(config.playout_floor_ms)
+    call = Call(library, playout)
     if impairment is None:
         return await _measure_through(local.url, None, config, local, library, call)
     async with ImpairedProxy(local.url, impairment) as proxy:
-        comparison = CallComparison(local.url, proxy.url, library, play, local.secret_file)
+        comparison = CallComparison(local.url, proxy.url, library, playout, local.secret_file)
         result = await _measure_through(proxy.url, comparison, config, local, library, call)
     return result | {"impairment": asdict(impairment), "rendered": comparison.compare()}
 

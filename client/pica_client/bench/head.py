@@ -14,6 +14,7 @@ from pica_client.errors import OptionError
 from pica_client.render.drawing import HEAD, Drawing, HeadRenderer, drawn_mse
 from pica_client.render.scene import head_matrix, view_direction
 from pica_client.sources.performances import make_performance
+from pica_core.avatar.baseline import BaselineAvatar
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.manifest import Manifest
 from pica_core.camera import Camera, look_at

@@ -21,8 +21,9 @@ import numpy as np
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.bench.head import FaceRenderer
-from pica_client.call.call import Call, CallConfig
+from pica_client.call.call import Call
 from pica_client.local_call.local_call import ROOM
+from pica_client.playout.config import PlayoutConfig
 from pica_client.playout.motion import blend
 from pica_client.render.drawing import drawn_mse
 from pica_client.stats import percentile, summarise_ms
@@ -88,22 +89,20 @@ class CallComparison:
         url: str,
         impaired_url: str,
         library: AvatarLibrary,
-        config: CallConfig,
+        playout: PlayoutConfig,
         secret_file: Path | None = None,
     ) -> None:
         """Prepare.
 
         Args:
             impaired_url: The way to it through the bad network.
-            config: How the display plays.
+            playout: How the display plays.
         """
         link = LinkConfig(room=ROOM, connect_timeout_s=20.0, secret_file=secret_file)
         self._library = library
-        self._reference = Receiver(
-            replace(link, url=url, name="reference"), Call(library, CallConfig())
-        )
+        self._reference = Receiver(replace(link, url=url, name="reference"), Call(library))
         self._display = Receiver(
-            replace(link, url=impaired_url, name="display"), Call(library, config)
+            replace(link, url=impaired_url, name="display"), Call(library, playout)
         )
         self._true: defaultdict[str, TrueFace] = defaultdict(TrueFace)
         # Drops its oldest when full.

@@ -125,7 +125,6 @@ def view(options: ViewOptions) -> dict[str, Any]:
         path = register_links()
         say(f"invite links are opened with pica view now, says {path}")
         return {"registered": str(path)}
-    from pica_client.call.call import CallConfig
     from pica_client.render.views import EYE_DISTANCE_M
     from pica_client.ui.controls import ControlState
     from pica_client.ui.joining.form import Fields, JoinForm
@@ -168,7 +167,7 @@ def view(options: ViewOptions) -> dict[str, Any]:
     link = base if asks else replace(link_without_form(going, base), ca_file=options.ca_file)
     config = ViewConfig(
         link=link,
-        call=CallConfig(playout=playout_with_floor(options.playout_floor_ms)),
+        playout=playout_with_floor(options.playout_floor_ms),
         viewer=ViewerOptions(
             size=preferences.window_size if options.size is None else parse_size(options.size),
             headless=options.headless,

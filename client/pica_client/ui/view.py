@@ -14,10 +14,11 @@ from typing import Any
 from pica_client.avatars.cache import AvatarCache
 from pica_client.avatars.fetch import AvatarFetcher
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.call.call import Call, CallConfig
+from pica_client.call.call import Call
 from pica_client.decode.request import DecodeResult
 from pica_client.errors import OptionError, RelayUnreachableError
 from pica_client.output import check_writable, make_folder, say
+from pica_client.playout.config import PlayoutConfig
 from pica_client.publish.face_desk import FaceDesk
 from pica_client.publish.own_face import FaceChoice, OutgoingFace
 from pica_client.transport.config import LinkConfig
@@ -53,7 +54,7 @@ class ViewConfig:
     """What to show, how, and what to keep of it."""
 
     link: LinkConfig
-    call: CallConfig = field(default_factory=CallConfig)
+    playout: PlayoutConfig = field(default_factory=PlayoutConfig)
     viewer: ViewerOptions = field(default_factory=ViewerOptions)
     seconds: float = 0.0
     """How long to draw; 0 is until stopped."""
@@ -123,7 +124,7 @@ class View:
         self._config = config
         self._fetcher = self._make_fetcher(library) if config.fetch else None
         avatars = self._fetcher or library
-        self._call = Call(avatars, config.call, log_shown=config.frame_log is not None)
+        self._call = Call(avatars, config.playout, log_shown=config.frame_log is not None)
         self._library = library
         self._publisher = None if face is None else face.publisher
         choice = choice or FaceChoice(source="")
