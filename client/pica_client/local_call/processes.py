@@ -117,16 +117,16 @@ class Child(ChildProcess):
 
 
 class Children:
-    """A group of child processes; leaving the ``with`` block ends all of them."""
+    """A group of child processes; leaving the ``with`` block ends all of them.
+
+    Attributes:
+        folder: Lives as long as the group.
+    """
 
     def __init__(self) -> None:
         self._children: list[Child] = []
-        self._folder = tempfile.TemporaryDirectory(prefix="pica-")
-
-    @property
-    def folder(self) -> Path:
-        """A folder that lives as long as the group."""
-        return Path(self._folder.name)
+        self._temporary = tempfile.TemporaryDirectory(prefix="pica-")
+        self.folder = Path(self._temporary.name)
 
     def start(self, name: str, *arguments: str) -> Child:
         """Start ``pica ARGUMENTS``."""
@@ -135,10 +135,7 @@ class Children:
         return child
 
     def start_relay(self, *arguments: str) -> tuple[Child, str]:
-        """Start a relay on a free port and wait until it listens.
-
-        Args:
-            arguments: Further arguments of ``pica relay``.
+        """Start ``pica relay ARGUMENTS`` on a free port and wait until it listens.
 
         Returns:
             The process and its address.
@@ -172,4 +169,4 @@ class Children:
 
     def __exit__(self, *_: object) -> None:
         end_all(self._children, STOP_TIMEOUT_S)
-        self._folder.cleanup()
+        self._temporary.cleanup()
