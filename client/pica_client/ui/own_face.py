@@ -1,5 +1,5 @@
-"""One's own face while a call is shown: as the others see it, drawn small in a corner, what the
-tracker sees beside it, and what the user orders of it."""
+"""One's own face while a call is shown: as the others see it, drawn small in a corner, and what the
+tracker sees beside it."""
 
 from collections.abc import Callable
 
@@ -11,12 +11,12 @@ from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.pool import DecodePool, DecodePoolOptions
 from pica_client.publish.face_desk import FaceDesk
 from pica_client.render.renderer import Renderer, RenderOptions
+from pica_client.render.seats import FreeShares
 from pica_client.schedule.frame_planner import FramePlanner
 from pica_client.schedule.scheduler import Scheduler
-from pica_client.ui.avatar_presenter import AvatarPresenter, Seating
+from pica_client.ui.avatar_presenter import AvatarPresenter
 from pica_client.ui.call_view import NOTHING, OwnFaceView
-from pica_client.ui.controls import Order, OwnFace, UserOrder
-from pica_client.ui.settings import OwnChoice
+from pica_client.ui.controls import ControlState
 from pica_client.ui.surface.painter import Painter
 from pica_core.types import Image
 
@@ -52,7 +52,7 @@ class SelfView:
         """One's own face on a picture so many pixels high; None before there is one."""
         size = (round(ASPECT * height_px), height_px)
         self._renderer.resize(size)
-        scene = self._presenter.arrange(now, Seating(layout="line"), size)
+        scene = self._presenter.arrange(now, ControlState(layout="line"), size, FreeShares())
         self._presenter.decide(scene, (scene.camera,), BUDGET_S)
         self._presenter.collect(now)
         scene = self._presenter.dressed(scene)
@@ -65,7 +65,7 @@ class SelfView:
 
 
 class OwnFaceCorner:
-    """What the viewer has to do with a `FaceDesk`.
+    """What there is to see of one's own face.
 
     Args:
         context: Where to draw; current on this thread.
@@ -83,18 +83,6 @@ class OwnFaceCorner:
     def close(self) -> None:
         """End the decoding thread."""
         self._self_view.close()
-
-    def tell(self, wanted: OwnFace) -> None:
-        """Mute or freeze the face, or let it go on."""
-        if wanted != "none":
-            self._desk.publisher.set_mode(wanted)
-
-    def obey(self, order: UserOrder, now: float) -> None:
-        """Do what is ordered, if it is of the face."""
-        if order is Order.CALIBRATE:
-            self._desk.calibrate(now)
-        elif isinstance(order, OwnChoice) and order.source:
-            self._desk.choose(order.source)
 
     def draw(
         self, now: float, height_px: int, painter: Painter, say: Callable[[str, float], None]

@@ -241,13 +241,6 @@ class View:
             "avatars_fetched": 0 if self._fetcher is None else self._fetcher.num_fetched,
         }
 
-    def _say_trouble(self) -> None:
-        """Say once what is wrong with a device."""
-        note = "" if self._sound is None else self._sound.state.trouble
-        if note and note != self._trouble:
-            say(note)
-        self._trouble = note
-
     def _make_hearing(self, sound: SoundProcess) -> Hearing | None:
         if not self._config.hears:
             return None
@@ -293,7 +286,10 @@ class View:
 
         def should_stop() -> bool:
             self._receiver.check()
-            self._say_trouble()
+            note = "" if self._sound is None else self._sound.state.trouble
+            if note and note != self._trouble:
+                say(note)
+            self._trouble = note
             return self._is_stopping
 
         while not has_ended and not self._is_stopping:

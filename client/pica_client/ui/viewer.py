@@ -36,7 +36,7 @@ from pica_client.render.views import stereo_cameras
 from pica_client.schedule.frame_planner import FramePlanner
 from pica_client.schedule.scheduler import Plan, Scheduler
 from pica_client.ui import controls
-from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter, Seating
+from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter
 from pica_client.ui.call_sound import CallSound
 from pica_client.ui.call_surface import CallSurface
 from pica_client.ui.call_view import NOTHING, OwnFaceView
@@ -105,6 +105,7 @@ class Viewer(Closing):
         self.options = options or ViewerOptions()
         self._clock = clock
         self._on_rejoin = on_rejoin
+        self._desk = desk
         self._sound = sound or CallSound()
         self._on_recording = on_recording
         self._was_recording = False
@@ -242,8 +243,8 @@ class Viewer(Closing):
         )
         for order in orders:
             self.controls.obey(order)
-        if self._own_face is not None:
-            self._own_face.tell(self.controls.state.own_face)
+        if self._desk is not None and self.controls.state.own_face != "none":
+            self._desk.publisher.set_mode(self.controls.state.own_face)
         trouble = self._sound.follow(self.controls.state, self._surface.participants, now)
         if trouble:
             self._surface.notice(trouble, now)
@@ -326,14 +327,7 @@ class Viewer(Closing):
 
     def _arrange(self, now: float) -> CallScene:
         state = self.controls.state
-        seating = Seating(
-            layout=state.layout,
-            view=state.view,
-            pinned=state.pinned,
-            free=self._surface.free,
-            is_light=state.settings.mode == "light",
-        )
-        scene = self._presenter.arrange(now, seating, self._eye_size)
+        scene = self._presenter.arrange(now, state, self._eye_size, self._surface.free)
         if scene.limits != state.limits:
             self.controls.state = replace(state, limits=scene.limits)
         return scene
@@ -420,8 +414,10 @@ class Viewer(Closing):
                     self._surface.notice(trouble, now)
                 else:
                     self.controls.obey(controls.Order.LEAVE)
-            case controls.Order.CALIBRATE | OwnChoice() if self._own_face is not None:
-                self._own_face.obey(order, now)
+            case controls.Order.CALIBRATE if self._desk is not None:
+                self._desk.calibrate(now)
+            case OwnChoice(source=source) if source and self._desk is not None:
+                self._desk.choose(source)
             case controls.CopyText(text=text, notice=notice):
                 if self._window is not None:
                     self._window.copy(text)
