@@ -4,7 +4,6 @@ tracker sees beside it."""
 from collections.abc import Callable
 
 import moderngl
-import numpy as np
 
 from pica_client.call.reflection import SELF_ID, Reflection
 from pica_client.decode.decoder import OnnxDecoder
@@ -18,7 +17,6 @@ from pica_client.ui.avatar_presenter import AvatarPresenter
 from pica_client.ui.call_view import NOTHING, OwnFaceView
 from pica_client.ui.controls import ControlState
 from pica_client.ui.surface.painter import Painter
-from pica_core.types import Image
 
 ASPECT = 4 / 3
 PERIOD_S = 1 / 15
@@ -65,18 +63,11 @@ class SelfView:
 
 
 class OwnFaceCorner:
-    """What there is to see of one's own face.
-
-    Args:
-        context: Where to draw; current on this thread.
-        options: How avatars are drawn.
-    """
+    """What there is to see of one's own face; see `SelfView`."""
 
     def __init__(self, context: moderngl.Context, desk: FaceDesk, options: RenderOptions) -> None:
-        self._context = context
         self._desk = desk
         self._self_view = SelfView(context, desk.publisher.reflect(), options)
-        self._camera: moderngl.Texture | None = None
         self._looked_s = -PERIOD_S
         self._shown = NOTHING
 
@@ -99,13 +90,6 @@ class OwnFaceCorner:
                 texture=None if texture is None else painter.adopt("own face", texture),
                 source=self._desk.source,
                 seen=seen,
-                camera=None if picture is None else self._upload(picture, painter),
+                camera=None if picture is None else painter.show("camera", picture),
             )
         return self._shown if height_px else NOTHING
-
-    def _upload(self, picture: Image, painter: Painter) -> int:
-        size = (picture.shape[1], picture.shape[0])
-        if self._camera is None or self._camera.size != size:
-            self._camera = self._context.texture(size, 3, alignment=1)
-        self._camera.write(np.ascontiguousarray(picture), alignment=1)
-        return painter.adopt("camera", self._camera)

@@ -102,7 +102,7 @@ class Viewer(Closing):
         window: Window | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.options = options or ViewerOptions()
+        options = self.options = options or ViewerOptions()
         self._clock = clock
         self._on_rejoin = on_rejoin
         self._desk = desk
@@ -111,7 +111,7 @@ class Viewer(Closing):
         self._was_recording = False
         self.controls = controls.Controls(
             replace(
-                self.options.at_first,
+                options.at_first,
                 own_face="none" if desk is None else "sent",
                 own_voice=self._sound.own_voice,
             )
@@ -124,17 +124,15 @@ class Viewer(Closing):
         self.last_draw: DrawStats | None = None
         with ExitStack() as stack:
             self._window = window
-            if self.options.headless:
+            if options.headless:
                 context = create_context()
                 stack.callback(context.release)
             else:
                 if self._window is None:
-                    self._window = stack.enter_context(
-                        Window(self.options.title, self.options.size)
-                    )
+                    self._window = stack.enter_context(Window(options.title, options.size))
                 context = self._window.context
-            size = self._window.size_px if self._window else self.options.size
-            self._renderer = Renderer(context, size, self.options.render)
+            size = self._window.size_px if self._window else options.size
+            self._renderer = Renderer(context, size, options.render)
             self._surface = CallSurface(
                 context,
                 self._eye_size,
@@ -145,17 +143,15 @@ class Viewer(Closing):
             stack.callback(self._surface.close)
             begin_sound = self._sound.begin_track
             self._film: Recorder | None = None
-            if self.options.record is not None:
-                self._film = Recorder(self.options.record, size, begin_sound)
+            if options.record is not None:
+                self._film = Recorder(options.record, size, begin_sound)
             stack.callback(self._end_film)
-            self._captures = CapturesOnDisk(self.options.keep_in, begin_sound)
+            self._captures = CapturesOnDisk(options.keep_in, begin_sound)
             stack.callback(lambda: self.outputs.attempt(self._captures.close))
-            make_decoder = partial(OnnxDecoder, options=self.options.onnx)
-            self._pool = stack.enter_context(
-                DecodePool(self.options.decode, make_decoder, self._clock)
-            )
+            make_decoder = partial(OnnxDecoder, options=options.onnx)
+            self._pool = stack.enter_context(DecodePool(options.decode, make_decoder, clock))
             self._draw_clock: DrawClock[_DrawnFrame] = DrawClock(context)
-            self._scheduler = Scheduler(self.options.scheduler)
+            self._scheduler = Scheduler(options.scheduler)
             self._presenter = AvatarPresenter(
                 source,
                 self._renderer,
@@ -168,7 +164,7 @@ class Viewer(Closing):
             )
             self._own_face = None
             if desk is not None:
-                self._own_face = OwnFaceCorner(context, desk, self.options.render)
+                self._own_face = OwnFaceCorner(context, desk, options.render)
                 stack.callback(self._own_face.close)
             self._resources = stack.pop_all()
         self._started_s = self._clock()
@@ -245,7 +241,7 @@ class Viewer(Closing):
             self.controls.obey(order)
         if self._desk is not None and self.controls.state.own_face != "none":
             self._desk.publisher.set_mode(self.controls.state.own_face)
-        trouble = self._sound.follow(self.controls.state, self._surface.participants, now)
+        trouble = self._sound.follow(self.controls.state, self._surface.status.participants, now)
         if trouble:
             self._surface.notice(trouble, now)
         begin_s = self._clock()
