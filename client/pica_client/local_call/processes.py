@@ -22,12 +22,6 @@ STOP_TIMEOUT_S = 6.0
 killed."""
 
 
-def bare_environment() -> dict[str, str]:
-    """The environment without what our user set for commands of their own."""
-    ours = {name: value for name, value in os.environ.items() if not name.startswith("PICA_")}
-    return ours | {"PICA_PROFILE": "none"}
-
-
 class ChildProcess:
     """A Python program in a process of its own, which ends when its standard input does."""
 
@@ -82,8 +76,11 @@ class Child(ChildProcess):
     def __init__(self, name: str, arguments: Sequence[str], folder: Path) -> None:
         self._out, self._err = folder / f"{name}.out", folder / f"{name}.err"
         words = ("-m", PARENT_WATCHDOG, *arguments, "--json")
+        # Without what our user set for commands of their own.
+        bare = {name: value for name, value in os.environ.items() if not name.startswith("PICA_")}
+        bare["PICA_PROFILE"] = "none"
         with self._out.open("wb") as out, self._err.open("wb") as err:
-            super().__init__(name, words, stdout=out, stderr=err, env=bare_environment())
+            super().__init__(name, words, stdout=out, stderr=err, env=bare)
 
     def result(self) -> dict[str, Any]:
         """What it printed as its result.

@@ -148,6 +148,10 @@ class AvatarPresenter:
         levels: How loud each is who sends a voice, by peer id; see `VoiceMixer.levels`.
         on_decoded: Told of every decode that reached the GPU; its slot is the peer id.
         clock: Seconds, monotonic; see `viewer.Viewer`.
+
+    Attributes:
+        seen: Peers of whom a face was shown.
+        num_errors: Peers who became placeholders.
     """
 
     def __init__(
@@ -172,7 +176,7 @@ class AvatarPresenter:
         self._on_decoded = on_decoded
         self._clock = clock
         self._peers: dict[str, _Peer] = {}
-        self._seen: set[str] = set()
+        self.seen: set[str] = set()
         self._arranged_s: float | None = None
         self._seats: dict[str, Float64Array] = {}
         self._plan: SeatPlan | None = None
@@ -284,7 +288,7 @@ class AvatarPresenter:
                 entry.latency.add(latency_s)
             entry.level = result.level
             entry.num_decoded += 1
-            self._seen.add(result.slot)
+            self.seen.add(result.slot)
             if self._on_decoded is not None:
                 self._on_decoded(result)
 
@@ -309,11 +313,6 @@ class AvatarPresenter:
     def problems(self) -> dict[str, str]:
         """Why peers are drawn as placeholders, by peer id."""
         return {peer_id: entry.problem for peer_id, entry in self._peers.items() if entry.problem}
-
-    @property
-    def num_seen(self) -> int:
-        """Peers of whom a face was shown."""
-        return len(self._seen)
 
     def figures(self, now: float) -> Mapping[str, AvatarFigures]:
         """What each avatar costs, by peer id."""

@@ -1,7 +1,6 @@
 """One's own face while a call is shown: as the others see it, drawn small in a corner, and what the
 tracker sees beside it."""
 
-from collections.abc import Callable
 
 import moderngl
 
@@ -41,6 +40,8 @@ class SelfView:
         self._presenter = AvatarPresenter(
             reflection.call, self._renderer, self._pool, FramePlanner(Scheduler())
         )
+        self._looked_s = -PERIOD_S
+        self._shown = NOTHING
 
     def close(self) -> None:
         """End the decoding thread."""
@@ -61,34 +62,15 @@ class SelfView:
         assert isinstance(texture, moderngl.Texture)
         return texture
 
-
-class OwnFaceCorner:
-    """What there is to see of one's own face; see `SelfView`."""
-
-    def __init__(self, context: moderngl.Context, desk: FaceDesk, options: RenderOptions) -> None:
-        self._desk = desk
-        self._self_view = SelfView(context, desk.publisher.reflect(), options)
-        self._looked_s = -PERIOD_S
-        self._shown = NOTHING
-
-    def close(self) -> None:
-        """End the decoding thread."""
-        self._self_view.close()
-
-    def draw(
-        self, now: float, height_px: int, painter: Painter, say: Callable[[str, float], None]
-    ) -> OwnFaceView:
-        """What there is to show on a picture so many pixels high; what became of orders is said."""
-        for notice in self._desk.take_notices(now):
-            say(notice, now)
+    def look(self, now: float, height_px: int, desk: FaceDesk, painter: Painter) -> OwnFaceView:
+        """What there is to see on a picture so many pixels high, every `PERIOD_S` anew."""
         if height_px and now - self._looked_s >= PERIOD_S:
             self._looked_s = now
-            texture = self._self_view.draw(now, height_px)
-            seen = self._desk.seen()
+            texture, seen = self.draw(now, height_px), desk.seen()
             picture = None if seen is None else seen.picture
             self._shown = OwnFaceView(
                 texture=None if texture is None else painter.adopt("own face", texture),
-                source=self._desk.source,
+                source=desk.source,
                 seen=seen,
                 camera=None if picture is None else painter.show("camera", picture),
             )

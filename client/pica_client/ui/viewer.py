@@ -42,7 +42,7 @@ from pica_client.ui.call_surface import CallSurface
 from pica_client.ui.call_view import NOTHING, OwnFaceView
 from pica_client.ui.captures_on_disk import CapturesOnDisk
 from pica_client.ui.events import InputEvent, MouseMoved, MousePressed, MouseReleased
-from pica_client.ui.own_face import OwnFaceCorner
+from pica_client.ui.own_face import SelfView
 from pica_client.ui.settings import OwnChoice
 from pica_client.ui.viewer_options import ViewerOptions
 from pica_client.ui.window import Window
@@ -162,10 +162,10 @@ class Viewer(Closing):
                 on_decoded=on_decoded,
                 clock=clock,
             )
-            self._own_face = None
+            self._self_view = None
             if desk is not None:
-                self._own_face = OwnFaceCorner(context, desk, options.render)
-                stack.callback(self._own_face.close)
+                self._self_view = SelfView(context, desk.publisher.reflect(), options.render)
+                stack.callback(self._self_view.close)
             self._resources = stack.pop_all()
         self._started_s = self._clock()
 
@@ -311,7 +311,7 @@ class Viewer(Closing):
         return {
             "frames_rendered": self._num_frames,
             "render_fps": round(self._num_frames / elapsed_s, 2) if elapsed_s > 0 else 0.0,
-            "rendered_peers": self._presenter.num_seen,
+            "rendered_peers": len(self._presenter.seen),
             "decodes": self._presenter.num_decoded(),
             "decodes_replaced": self._pool.num_replaced,
             "errors": self._presenter.num_errors,
@@ -384,12 +384,14 @@ class Viewer(Closing):
 
     def _draw_own(self, now: float) -> OwnFaceView:
         """One's own face; its picture if it is to be seen and there is room for it."""
-        if self._own_face is None:
+        if self._desk is None or self._self_view is None:
             return NOTHING
         surface = self._surface
+        for notice in self._desk.take_notices(now):
+            surface.notice(notice, now)
         is_shown = self.controls.state.settings.shows_self and self.options.eye_distance_m == 0
         height_px = surface.self_view_px if is_shown else 0
-        return self._own_face.draw(now, height_px, surface.painter, surface.notice)
+        return self._self_view.look(now, height_px, self._desk, surface.painter)
 
     def _obey(self, order: controls.UserOrder, now: float) -> None:
         """Do once what the user asked for."""
