@@ -1,7 +1,6 @@
 """One's own face while a call is shown: as the others see it, drawn small in a corner, and what the
 tracker sees beside it."""
 
-
 import moderngl
 
 from pica_client.call.reflection import SELF_ID, Reflection

@@ -12,7 +12,6 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,14 +22,14 @@ from pica_client.call.faces import FaceSource
 from pica_client.call.status import CallStatus
 from pica_client.closing import Closing
 from pica_client.decode.decoder import OnnxDecoder
-from pica_client.decode.pool import DecodePool
+from pica_client.decode.pool import DecodePool, DecodePoolOptions
 from pica_client.decode.request import DecodeResult
 from pica_client.errors import ClientError
 from pica_client.output import Outputs
 from pica_client.publish.face_desk import FaceDesk
 from pica_client.render.draw_clock import DrawClock
 from pica_client.render.recorder import Recorder, save_png
-from pica_client.render.renderer import DrawStats, Renderer
+from pica_client.render.renderer import DrawStats, Renderer, RenderOptions
 from pica_client.render.scene import pick_head
 from pica_client.render.views import stereo_cameras
 from pica_client.schedule.frame_planner import FramePlanner
@@ -52,6 +51,7 @@ from pica_core.gl import create_context
 PREPARE_TIMEOUT_S = 5.0
 """How long the first picture waits for five avatars to be loaded; here they take half a second."""
 PREPARE_POLL_S = 0.01
+RENDER = RenderOptions(fade_busts=True)
 
 
 @dataclass(slots=True, eq=False)
@@ -129,10 +129,10 @@ class Viewer(Closing):
                 stack.callback(context.release)
             else:
                 if self._window is None:
-                    self._window = stack.enter_context(Window(options.title, options.size))
+                    self._window = stack.enter_context(Window(options.size))
                 context = self._window.context
             size = self._window.size_px if self._window else options.size
-            self._renderer = Renderer(context, size, options.render)
+            self._renderer = Renderer(context, size, RENDER)
             self._surface = CallSurface(
                 context,
                 self._eye_size,
@@ -148,8 +148,7 @@ class Viewer(Closing):
             stack.callback(self._end_film)
             self._captures = CapturesOnDisk(options.keep_in, begin_sound)
             stack.callback(lambda: self.outputs.attempt(self._captures.close))
-            make_decoder = partial(OnnxDecoder, options=options.onnx)
-            self._pool = stack.enter_context(DecodePool(options.decode, make_decoder, clock))
+            self._pool = stack.enter_context(DecodePool(DecodePoolOptions(), OnnxDecoder, clock))
             self._draw_clock: DrawClock[_DrawnFrame] = DrawClock(context)
             self._scheduler = Scheduler(options.scheduler)
             self._presenter = AvatarPresenter(
@@ -164,7 +163,7 @@ class Viewer(Closing):
             )
             self._self_view = None
             if desk is not None:
-                self._self_view = SelfView(context, desk.publisher.reflect(), options.render)
+                self._self_view = SelfView(context, desk.publisher.reflect(), RENDER)
                 stack.callback(self._self_view.close)
             self._resources = stack.pop_all()
         self._started_s = self._clock()
@@ -248,7 +247,10 @@ class Viewer(Closing):
         # What a frame cost is known some frames later, when the GPU is done with it.
         drawn = _DrawnFrame(plan.shaded_px)
         with self._draw_clock.around(drawn):
-            self.last_draw = self._draw(scene)
+            self.last_draw = self._renderer.draw(
+                scene.placements, *self._eyes(scene), room=scene.room
+            )
+            self._paint(self._renderer.image, panels=self._window is None)
         drawn.num_triangles = self.last_draw.num_triangles
         for frame, seconds in self._draw_clock.take():
             self._scheduler.costs.observe_draw(frame.num_triangles, frame.shaded_px, seconds)
@@ -344,12 +346,6 @@ class Viewer(Closing):
             return (scene.camera,)
         away_m = float(np.linalg.norm(scene.plan.target_m - scene.camera.centre_m))
         return stereo_cameras(scene.camera, self.options.eye_distance_m, away_m)
-
-    def _draw(self, scene: CallScene) -> DrawStats:
-        """Draw a scene for one eye, or for two, with what is written on the picture."""
-        stats = self._renderer.draw(scene.placements, *self._eyes(scene), room=scene.room)
-        self._paint(self._renderer.image, panels=self._window is None)
-        return stats
 
     def _show(self, screen: moderngl.Framebuffer) -> None:
         """Put a frame on the window. What steers the call is there, not in what is kept of it."""
