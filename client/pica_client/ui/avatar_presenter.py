@@ -4,8 +4,8 @@ Between a source of faces, a pool of decoders and a renderer; knows no window an
 
     presenter = AvatarPresenter(source, renderer, pool)
     scene = presenter.arrange(now, ControlState(), renderer.size, FreeShares())  # who sits where
-    presenter.decide(scene)                         # what is decoded this frame
-    presenter.collect()                             # what has been decoded goes to the GPU
+    presenter.decide(scene, cameras, budget_s)      # what is decoded this frame
+    presenter.collect(now)                          # what has been decoded goes to the GPU
     renderer.draw(scene.placements, scene.camera)
 
 Decoding runs beside drawing, so a frame shows the latents of the frame before it. A peer whose

@@ -24,7 +24,6 @@ MAX_FILE_BYTES = 65_536
 MAX_TEXT = 1024
 """Characters of an address, a name or a folder."""
 MIN_SIDE, MAX_SIDE = 160, 8192
-DEFAULT_SIZE = (960, 540)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -37,7 +36,7 @@ class Preferences:
     sound: SoundSettings = field(default_factory=SoundSettings)
     has_seen_hint: bool = False
     """Whether what one needs to know in the first call was dismissed."""
-    window_size: tuple[int, int] = DEFAULT_SIZE
+    window_size: tuple[int, int] = (960, 540)
     """Columns and rows, in the screen's units."""
     url: str = ""
     """The relay of the last call; empty before the first."""

@@ -43,7 +43,7 @@ from pica_client.ui.captures_on_disk import CapturesOnDisk
 from pica_client.ui.events import InputEvent, MouseMoved, MousePressed, MouseReleased
 from pica_client.ui.own_face import SelfView
 from pica_client.ui.settings import OwnChoice
-from pica_client.ui.viewer_options import ViewerOptions
+from pica_client.ui.viewer_options import BUDGET_SHARE, ViewerOptions
 from pica_client.ui.window import Window
 from pica_core.camera import Camera
 from pica_core.gl import create_context
@@ -66,7 +66,6 @@ class Viewer(Closing):
     """Shows the faces of a source in a window or off the screen.
 
     Args:
-        options: See `ViewerOptions`.
         status: How the call stands, at a time of `clock`; asked twice a second.
         on_decoded: Told of every decode that reached the GPU, on the drawing thread; its slot is
             the peer id.
@@ -337,8 +336,9 @@ class Viewer(Closing):
         return (max(width // 2, 1), height) if self.options.eye_distance_m > 0 else (width, height)
 
     def _decide(self, scene: CallScene) -> Plan:
-        budget_s = self.controls.state.settings.detail * self.options.frame_budget_s
-        return self._presenter.decide(scene, self._eyes(scene), budget_s)
+        budget_s = self.options.frame_budget_ms * 1e-3 or BUDGET_SHARE / self.options.max_fps
+        detail = self.controls.state.settings.detail
+        return self._presenter.decide(scene, self._eyes(scene), detail * budget_s)
 
     def _eyes(self, scene: CallScene) -> tuple[Camera, ...]:
         """The cameras that a scene is drawn from: one, or the left and the right eye's."""

@@ -39,8 +39,3 @@ class ViewerOptions:
     def __post_init__(self) -> None:
         check_ranges(self, max_fps=(1, 1000), frame_budget_ms=(0, 10_000))
         check_ranges(self, eye_distance_m=(0, MAX_EYE_DISTANCE_M))
-
-    @property
-    def frame_budget_s(self) -> float:
-        """What decoding and drawing a frame may take, seconds."""
-        return self.frame_budget_ms * 1e-3 or BUDGET_SHARE / self.max_fps
