@@ -50,7 +50,7 @@ class ScreenlessWindow:
 
     happened: list[InputEvent]
 
-    def __init__(self, title: str, size: tuple[int, int]) -> None:
+    def __init__(self, size: tuple[int, int]) -> None:
         self.context = create_context()
         self.size_px = self.windowed_size = size
         self.content_scale = 1.0

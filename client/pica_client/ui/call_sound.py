@@ -46,11 +46,7 @@ class CallSound:
         return {} if self._sound is None else self._sound.state.levels
 
     def follow(self, wanted: ControlState, people: Iterable[Participant], now: float) -> str:
-        """Do what the user wants; gives what has just gone wrong with a device, else nothing.
-
-        Args:
-            now: Local time, seconds.
-        """
+        """Do what the user wants; gives what has just gone wrong with a device, else nothing."""
         if self._own is not None:
             if wanted.is_heard:
                 self._talked_s = now

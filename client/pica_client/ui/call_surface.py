@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import moderngl
 
-from pica_client.call.participants import Participant, notices
+from pica_client.call.participants import notices
 from pica_client.call.status import CallStatus, PeerStatus
 from pica_client.render.labels import place_labels
 from pica_client.render.scene import common_px, head_rect_px
@@ -58,13 +58,13 @@ class CallSurface:
     """Draws the surface of a call.
 
     Args:
-        size: Columns and rows of the surface.
         status: How the call stands, at a time in seconds.
         has_pointer: Whether there is somebody to steer: a window.
 
     Attributes:
         free: What the seats must keep free.
         painter: Paints what `build` has set.
+        status: How the call stands, as of the last frame.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class CallSurface:
         self.painter = Painter(context, self._surface)
         self._meter = meter
         self._ask_status = status
-        self._status = CallStatus()
+        self.status = CallStatus()
         self._asked_s: float | None = None
         self._draw_ms: float | None = None
         self._figures: tuple[tuple[str, str], ...] = ()
@@ -106,16 +106,10 @@ class CallSurface:
         events: list[InputEvent],
         settings: Settings,
     ) -> list[InputEvent]:
-        """Begin a frame.
+        """Begin a frame of this size; gives the events that are not for the surface.
 
         Args:
-            now: Local time, seconds.
-            size: Columns and rows of the surface.
             content_scale: Pixels a point of the display.
-            settings: How the surface is to look.
-
-        Returns:
-            The events that are not for the surface.
         """
         self._surface.resize(size, content_scale * settings.scale, settings.mode)
         for event in events:
@@ -126,11 +120,6 @@ class CallSurface:
             self._pointer_s = now  # whoever enters is shown once how to leave
         self._surface.begin(now)
         return [event for event in events if not self._surface.claims(event)]
-
-    @property
-    def participants(self) -> tuple[Participant, ...]:
-        """Who is there, as of the last frame."""
-        return self._status.participants
 
     @property
     def self_view_px(self) -> int:
@@ -156,8 +145,8 @@ class CallSurface:
         self._times.append(now)
         if self._asked_s is None or now - self._asked_s >= STATUS_PERIOD_S:
             self._asked_s = now
-            self._status = self._ask_status(now)
-            for text, tone in notices(self._status.news):
+            self.status = self._ask_status(now)
+            for text, tone in notices(self.status.news):
                 self._board.add(Notice(text, tone), now)
             self._draw_ms = self._meter.recent_ms("draw")["p50"]
             self._figures = self._figures_now()
@@ -166,7 +155,7 @@ class CallSurface:
             now=now,
             state=state,
             people=self._people(now, scene, presenter, state),
-            status=self._status,
+            status=self.status,
             notices=self._board.shown(now),
             is_recording=is_recording,
             shows_bar=self._shows_bar(now, state),
@@ -197,12 +186,12 @@ class CallSurface:
         shares = self._draw_shares_ms(scene) if state.show_statistics else {}
         figures, problems = presenter.figures(now), presenter.problems
         people = []
-        muted = {each.peer_id for each in self._status.participants if each.is_voice_muted}
+        muted = {each.peer_id for each in self.status.participants if each.is_voice_muted}
         heads = [placement.world_from_head for placement in scene.placements]
         labels = place_labels(heads, scene.camera, least_name_px(self._surface.metrics))
         for face, label_px in zip(scene.faces, labels, strict=True):
             peer_id, found = face.peer_id, figures.get(face.peer_id)
-            stream = self._status.peers.get(peer_id, PeerStatus())
+            stream = self.status.peers.get(peer_id, PeerStatus())
             people.append(
                 PersonView(
                     peer_id=peer_id,
@@ -241,4 +230,4 @@ class CallSurface:
         latency_ms = self._meter.recent_ms("latency")["p95"]
         if latency_ms is not None and 0 <= latency_ms < 10_000:
             found.append(("latency p95", f"{latency_ms:.0f} ms"))
-        return (*found, *self._status.summary)
+        return (*found, *self.status.summary)

@@ -269,18 +269,18 @@ KEYS_OF = {binding.order: binding.keys[0] for binding in BINDINGS}
 
 def help_lines(own_face: OwnFace = "none") -> tuple[tuple[str, str], ...]:
     """The keys and what they do, for people: from the table that they are looked up in."""
-    keys = [
+    keys = (
         (", ".join(binding.keys), binding.title)
         for binding in BINDINGS
         if binding.title and not (binding.order in OF_THE_FACE and own_face == "none")
-    ]
-    keys.insert(0, (TALK_KEY, "hold to talk, if set so"))
-    pointer = [
+    )
+    return (
         ("drag, arrows", "look around"),
         ("wheel", "come closer, go back"),
         (f"click, 1 to {MAX_PINNED_BY_KEY}", "pin a participant, or not"),
-    ]
-    return (*pointer, *keys)
+        (TALK_KEY, "hold to talk, if set so"),
+        *keys,
+    )
 
 
 class Controls:

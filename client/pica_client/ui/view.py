@@ -41,6 +41,8 @@ from pica_protocol.limits import MAX_PEERS
 MAX_LOGGED_DECODES = 100_000
 """Decodes kept for a latency analysis: eleven minutes of five avatars at 30 a second."""
 POLL_S = 0.02
+EXPECT_TIMEOUT_S = 30.0
+"""Give up waiting for those who are expected after this time."""
 NOTHING_SHOWN = {"frames_rendered": 0, "render_fps": 0.0}
 """What `View.run` returns when there was nothing to show."""
 PNG_PERIOD_S = 1.0
@@ -64,8 +66,6 @@ class ViewConfig:
     """Whether voices are played."""
     expect: int = 0
     """Begin to draw once this many peers are seen."""
-    expect_timeout_s: float = 30.0
-    """Give up waiting for them after this time."""
     png: Path | None = None
     """Write the last image here."""
     png_folder: Path | None = None
@@ -101,7 +101,7 @@ class View:
         library: AvatarLibrary,
         *,
         face: OutgoingFace | None = None,
-        choice: FaceChoice | None = None,
+        choice: FaceChoice,
         window: Window | None = None,
         waiting: Callable[[], bool] | None = None,
         sound: SoundProcess | None = None,
@@ -127,7 +127,6 @@ class View:
         self._call = Call(avatars, config.playout, log_shown=config.frame_log is not None)
         self._library = library
         self._publisher = None if face is None else face.publisher
-        choice = choice or FaceChoice(source="")
         self._entered_as = OwnChoice(
             name=config.link.name,
             avatar=choice.avatar or "",
@@ -242,13 +241,6 @@ class View:
             "avatars_fetched": 0 if self._fetcher is None else self._fetcher.num_fetched,
         }
 
-    def _say_trouble(self) -> None:
-        """Say once what is wrong with a device."""
-        note = "" if self._sound is None else self._sound.state.trouble
-        if note and note != self._trouble:
-            say(note)
-        self._trouble = note
-
     def _make_hearing(self, sound: SoundProcess) -> Hearing | None:
         if not self._config.hears:
             return None
@@ -269,7 +261,7 @@ class View:
 
     def _wait_for_peers(self) -> None:
         config = self._config
-        deadline = time.monotonic() + config.expect_timeout_s
+        deadline = time.monotonic() + EXPECT_TIMEOUT_S
         while not self._is_stopping:
             self._receiver.check()
             if self._receiver.is_connected and self._call.num_live >= config.expect:
@@ -280,7 +272,7 @@ class View:
             if config.expect and time.monotonic() > deadline:
                 raise RelayUnreachableError(
                     f"{self._call.num_live} of {config.expect} expected peers were seen within "
-                    f"{config.expect_timeout_s:g} s"
+                    f"{EXPECT_TIMEOUT_S:g} s"
                 )
             if self._waiting is None:
                 time.sleep(POLL_S)
@@ -294,7 +286,10 @@ class View:
 
         def should_stop() -> bool:
             self._receiver.check()
-            self._say_trouble()
+            note = "" if self._sound is None else self._sound.state.trouble
+            if note and note != self._trouble:
+                say(note)
+            self._trouble = note
             return self._is_stopping
 
         while not has_ended and not self._is_stopping:

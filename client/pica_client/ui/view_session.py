@@ -141,7 +141,7 @@ def ask_and_look(
     from pica_client.ui.window import Window
 
     with ExitStack() as stack:
-        window = stack.enter_context(Window(config.viewer.title, config.viewer.size))
+        window = stack.enter_context(Window(config.viewer.size))
         sound = None if available() else stack.enter_context(closing(SoundProcess()))
         lobby = stack.enter_context(Lobby(window, library, sound))
         pool = stack.enter_context(ThreadPoolExecutor(1, thread_name_prefix="own-face"))

@@ -3,9 +3,7 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from pica_client.decode.decoder import OnnxOptions
 from pica_client.errors import check_ranges
-from pica_client.render.renderer import RenderOptions
 from pica_client.render.views import MAX_EYE_DISTANCE_M
 from pica_client.schedule.scheduler import SchedulerOptions
 from pica_client.ui.controls import ControlState
@@ -37,15 +35,7 @@ class ViewerOptions:
     """Above 0 the picture is side by side for two eyes so far apart, metres."""
     at_first: ControlState = field(default_factory=ControlState)
     """What the user wants at first; what becomes of face and voice is the viewer's to say."""
-    title: str = "PiCA Telepresence"
-    render: RenderOptions = field(default_factory=lambda: RenderOptions(fade_busts=True))
-    onnx: OnnxOptions = field(default_factory=OnnxOptions)
 
     def __post_init__(self) -> None:
         check_ranges(self, max_fps=(1, 1000), frame_budget_ms=(0, 10_000))
         check_ranges(self, eye_distance_m=(0, MAX_EYE_DISTANCE_M))
-
-    @property
-    def frame_budget_s(self) -> float:
-        """What decoding and drawing a frame may take, seconds."""
-        return self.frame_budget_ms * 1e-3 or BUDGET_SHARE / self.max_fps

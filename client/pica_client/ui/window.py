@@ -1,6 +1,6 @@
 """A window to show a call in: what the user does in it comes out as events. Thin, over glfw.
 
-    with Window("PiCA", (960, 540)) as window:
+    with Window((960, 540)) as window:
         renderer = Renderer(window.context, window.size_px)
         while True:
             for event in window.poll():
@@ -24,6 +24,7 @@ from pica_client.ui.display import has_display
 from pica_core.errors import GraphicsError
 from pica_core.gl import GL_VERSION
 
+TITLE = "PiCA Telepresence"
 MIN_SIZE = (320, 240)
 """The smallest window, in the screen's units: what the panels are laid out for."""
 MAX_EVENTS = 1000
@@ -57,7 +58,7 @@ class Window(Closing):
         GraphicsError: No display, or no context on it; names the fix.
     """
 
-    def __init__(self, title: str, size: tuple[int, int]) -> None:
+    def __init__(self, size: tuple[int, int]) -> None:
         self._events: list[events.InputEvent] = []
         self._complaint = "glfw gives no reason"
         self._windowed: tuple[int, int, int, int] | None = None
@@ -74,7 +75,7 @@ class Window(Closing):
         glfw.window_hint(glfw.OPENGL_PROFILE, glfw.OPENGL_CORE_PROFILE)
         glfw.window_hint(glfw.OPENGL_FORWARD_COMPAT, glfw.TRUE)
         width, height = max(size[0], MIN_SIZE[0]), max(size[1], MIN_SIZE[1])
-        self._window: Any = glfw.create_window(width, height, title, None, None)
+        self._window: Any = glfw.create_window(width, height, TITLE, None, None)
         if not self._window:
             glfw.terminate()
             raise GraphicsError(

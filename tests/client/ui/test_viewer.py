@@ -434,7 +434,7 @@ def test_without_a_display_a_window_says_what_to_do(monkeypatch: pytest.MonkeyPa
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(GraphicsError, match=r"DISPLAY is not set.*--headless"):
-        Window("test", (64, 64))
+        Window((64, 64))
 
 
 def test_a_thumbnail_shows_the_avatar() -> None:

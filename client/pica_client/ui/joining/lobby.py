@@ -101,7 +101,7 @@ class Lobby(Closing):
     def _view(self, form: JoinForm) -> JoinView:
         for name, image in self._portraits.take().items():
             if name not in self._textures:
-                self._textures[name] = self._painter.register(image)
+                self._textures[name] = self._painter.show(name, image)
         names = self._library.names
         return JoinView(
             fields=form.fields,

@@ -74,11 +74,8 @@ def _coming_again(view: CallView, metrics: Metrics) -> list[UserOrder]:
     """A button, where something was chosen that holds only once one has come in again."""
     entered, wanted = view.state.entered_as, view.state.choice
     sends = view.state.own_face != "none"
-    if (wanted.name, wanted.avatar, wanted.voice) == (
-        entered.name,
-        entered.avatar,
-        entered.voice,
-    ) and sends == bool(view.own.source or wanted.source):
+    shows = bool(view.own.source or wanted.source)
+    if replace(wanted, source=entered.source) == entered and shows == sends:
         return []
     note("You leave for a moment and come again.", metrics)
     return [Order.REJOIN] if action_button("Come again as this", metrics, tone="accent") else []

@@ -1,7 +1,7 @@
 """What a `Surface` has set, drawn by moderngl into any framebuffer.
 
-ImGui's textures (its glyphs, which come as they are needed) are kept here; `register` adds a
-picture of ours. One painter for each surface, on the thread of the GL context.
+ImGui's textures (its glyphs, which come as they are needed) are kept here; `show` and `adopt` add
+pictures of ours. One painter for each surface, on the thread of the GL context.
 """
 
 import ctypes
@@ -40,7 +40,7 @@ class Painter:
             for kind in ({}, {"PLAIN": ""})
         ]
         self._textures: dict[int, moderngl.Texture] = {}
-        self._adopted: dict[str, int] = {}
+        self._adopted: dict[str, moderngl.Texture] = {}
         self._vertices = context.buffer(reserve=FIRST_BUFFER_BYTES, dynamic=True)
         self._indices = context.buffer(reserve=FIRST_BUFFER_BYTES, dynamic=True)
         # The same corners and triangles for both programs.
@@ -50,25 +50,23 @@ class Painter:
             for program, layout in zip(self._programs, layouts, strict=True)
         )
 
-    def register(self, image: Image) -> int:
-        """A picture to show in a panel, uint8 ``[H, W, 3]``; its number is for `ImTextureRef`."""
-        rows, columns = image.shape[:2]
-        texture = self._context.texture(
-            (columns, rows), 3, np.ascontiguousarray(image), alignment=1
-        )
-        texture.filter = (moderngl.LINEAR, moderngl.LINEAR)
-        self._textures[texture.glo] = texture
-        return int(texture.glo)
+    def show(self, name: str, image: Image) -> int:
+        """A picture to show in a panel, uint8 ``[H, W, 3]``; see `adopt`."""
+        size = (image.shape[1], image.shape[0])
+        texture = self._adopted.get(name)
+        if texture is None or texture.size != size:
+            texture = self._context.texture(size, 3, alignment=1)
+        texture.write(np.ascontiguousarray(image), alignment=1)
+        return self.adopt(name, texture)
 
     def adopt(self, name: str, texture: moderngl.Texture) -> int:
-        """A picture of somebody else's to show in a panel, until another one is of that name; its
-        number is for `ImTextureRef`."""
-        number = int(texture.glo)
-        if self._adopted.get(name, number) != number:
-            self._textures.pop(self._adopted[name], None)
-        self._adopted[name] = number
-        self._textures[number] = texture
-        return number
+        """A texture to show in a panel, until another one is of that name; gives its number, which
+        is for `ImTextureRef`."""
+        before = self._adopted.get(name, texture)
+        if before.glo != texture.glo:
+            self._textures.pop(before.glo, None)
+        self._adopted[name] = self._textures[texture.glo] = texture
+        return int(texture.glo)
 
     def paint(
         self,

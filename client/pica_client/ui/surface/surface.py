@@ -44,7 +44,6 @@ class Surface:
     Args:
         size: Columns and rows of the picture, pixels.
         content_scale: Pixels a point of this display; 2 on most HiDPI ones.
-        mode: Dark or light.
     """
 
     def __init__(

@@ -25,7 +25,6 @@ FIXED = (
     | imgui.WindowFlags_.no_focus_on_appearing
     | imgui.WindowFlags_.no_nav
 )
-FITTED = FIXED | imgui.WindowFlags_.always_auto_resize
 _POINTED_AT = imgui.HoveredFlags_.for_tooltip | imgui.HoveredFlags_.allow_when_disabled
 Place = tuple[float, float]
 Value = TypeVar("Value")
@@ -56,7 +55,7 @@ def card(
     """
     imgui.set_next_window_pos(place, imgui.Cond_.always, pivot)
     if size is None:
-        flags = FITTED if flags == FIXED else flags | imgui.WindowFlags_.always_auto_resize
+        flags |= imgui.WindowFlags_.always_auto_resize
     else:
         imgui.set_next_window_size(size)
     if scrolls:
