@@ -81,7 +81,8 @@ class Publisher:
 
     Attributes:
         is_muted_by_admin: Whether an admin has stopped the stream.
-        mode: What becomes of the face, as far as its owner says.
+        mode: What becomes of the face from the next frame on, as far as its owner says; any thread
+            may set it.
         seen: The source's latest face, whether it is sent or not; None before the first.
         frame_log: Capture time and encoding time of each frame sent, both in microseconds; drops
             its oldest when full.
@@ -114,11 +115,6 @@ class Publisher:
         self._begin_s = 0.0
         self._told_trouble = ""
         self._told = ""
-
-    def set_mode(self, mode: FaceMode) -> None:
-        """Mute or freeze the face, or let it go on; holds from the next frame. Any thread may call
-        it."""
-        self.mode = mode
 
     def listen_to(self, voice: VoicePublisher | None) -> None:
         """Let the voice of the face's owner move the mouth while nobody is seen, if it may."""

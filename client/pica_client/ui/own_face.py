@@ -39,7 +39,7 @@ class OwnFaceCorner:
     def tell(self, wanted: OwnFace) -> None:
         """Mute or freeze the face, or let it go on."""
         if wanted != "none":
-            self._desk.publisher.set_mode(wanted)
+            self._desk.publisher.mode = wanted
 
     def obey(self, order: UserOrder, now: float) -> None:
         """Do what is ordered, if it is of the face."""
