@@ -82,8 +82,9 @@ class _Device(ABC):
         self._thread = threading.Thread(target=self._run, name=type(self).__name__, daemon=True)
 
     def start(self) -> None:
-        """Begin to open the device."""
-        self._thread.start()
+        """Begin to open the device; twice is once."""
+        if self._thread.ident is None:
+            self._thread.start()
 
     def stop(self) -> None:
         """End, and wait for it; twice is once."""
