@@ -209,25 +209,19 @@ def make_performance(name: str, *, seed: int = 0, start_s: float = 0.0) -> Recor
     rng = np.random.default_rng([seed, *name.encode()])
     times_s = tracks.sample_times(DURATION_S)
     mixer, pitch = PERFORMANCES[name](rng, times_s)
-    slow = (4.0, 11.0)
-    rotation = np.stack(
-        (
-            pitch + 0.035 * tracks.drift(rng, times_s, period_s=slow),
-            0.09 * tracks.drift(rng, times_s, period_s=slow),
-            0.03 * tracks.drift(rng, times_s, period_s=slow),
-        ),
-        axis=1,
-    )
+
+    def drift() -> Float64Array:
+        return tracks.drift(rng, times_s, period_s=(4.0, 11.0))
+
+    rotation = np.stack((pitch + 0.035 * drift(), 0.09 * drift(), 0.03 * drift()), axis=1)
     # The head turns about the neck: its origin swings along, and the body sways a little under it.
-    swing = NECK_TO_HEAD_M * np.stack(
-        (-rotation[:, 2], np.zeros(len(times_s)), rotation[:, 0]), axis=1
-    )
-    sway = 0.004 * np.stack([tracks.drift(rng, times_s, period_s=slow) for _ in range(3)], axis=1)
+    swing = np.stack((-rotation[:, 2], np.zeros_like(times_s), rotation[:, 0]), axis=1)
+    sway = np.stack([drift() for _ in range(3)], axis=1)
     return Recording(
         times_s=times_s,
         arkit=mixer.finish(),
         rotation=rotation.astype(np.float32),
-        translation_m=(swing + sway).astype(np.float32),
+        translation_m=(NECK_TO_HEAD_M * swing + 0.004 * sway).astype(np.float32),
         has_face=np.ones(len(times_s), np.bool_),
         loop_gap_s=1 / SAMPLE_FPS,
         start_s=start_s,
