@@ -306,27 +306,23 @@ async def captured_frames(
         listen: Is told who takes the frames, and at the end that nobody does.
     """
     loop = asyncio.get_running_loop()
-    frames: asyncio.Queue[tuple[FloatArray, int]] = asyncio.Queue(MAX_CAPTURED)
+    frames: asyncio.Queue[tuple[FloatArray, int] | None] = asyncio.Queue(MAX_CAPTURED)
 
-    def put(frame: FloatArray, captured_us: int) -> None:
+    def put(frame: tuple[FloatArray, int] | None) -> None:
         if frames.full():
             frames.get_nowait()
-        frames.put_nowait((frame, captured_us))
+        frames.put_nowait(frame)
 
     def take(frame: FloatArray, captured_us: int) -> None:
         with suppress(RuntimeError):  # the loop has just ended
-            loop.call_soon_threadsafe(put, frame, captured_us)
+            loop.call_soon_threadsafe(put, (frame, captured_us))
 
     listen(take)
     end = asyncio.create_task(stopping.wait())
+    end.add_done_callback(lambda _: put(None))
     try:
-        while not stopping.is_set():
-            following = asyncio.create_task(frames.get())
-            await asyncio.wait({following, end}, return_when=asyncio.FIRST_COMPLETED)
-            if not following.done():
-                following.cancel()
-                return
-            yield following.result()
+        while (frame := await frames.get()) is not None and not stopping.is_set():
+            yield frame
     finally:
         end.cancel()
         listen(None)
