@@ -16,14 +16,13 @@ The same name and seed give the same performance on every machine.
 from collections.abc import Callable, Mapping
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_client.errors import SourceError
 from pica_client.sources import tracks
 from pica_client.sources.source import Recording
 from pica_client.sources.tracks import SAMPLE_FPS
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
-from pica_core.types import Float64Array
+from pica_core.types import Float64Array, FloatArray
 
 DURATION_S = 60.0
 """Length of a performance before it repeats."""
@@ -94,7 +93,7 @@ class Mixer:
         jaw = self.values[:, ARKIT_INDEX["jawOpen"]]
         self.values[:, ARKIT_INDEX["mouthClose"]] += 0.6 * np.clip(speech["closure"], 0, 1) * jaw
 
-    def finish(self) -> npt.NDArray[np.float32]:
+    def finish(self) -> FloatArray:
         """The values as a tracker would give them. float32 ``[T, 52]``."""
         values = np.clip(self.values, 0, 1)
         close, jaw = ARKIT_INDEX["mouthClose"], ARKIT_INDEX["jawOpen"]
@@ -102,8 +101,7 @@ class Mixer:
         return values.astype(np.float32)
 
 
-def _talk(rng: np.random.Generator, times_s: Float64Array) -> tuple[Mixer, Float64Array]:
-    mixer = Mixer(len(times_s))
+def _talk(mixer: Mixer, rng: np.random.Generator, times_s: Float64Array) -> Float64Array:
     speech = tracks.speech(rng, times_s)
     mixer.speak(speech, 1.1)
     mood = np.clip(tracks.drift(rng, times_s, period_s=(9, 20)), 0, 1)
@@ -117,11 +115,10 @@ def _talk(rng: np.random.Generator, times_s: Float64Array) -> tuple[Mixer, Float
     mixer.look(*tracks.saccades(rng, times_s, spread=0.075, rest_s=(0.6, 2.5), away=0.3))
     mixer.blink(tracks.blinks(rng, times_s, every_s=(2.0, 5.0)))
     nods = tracks.nods(rng, times_s, every_s=(8, 16))
-    return mixer, 0.05 * tracks.smooth(speech["stress"], 0.2) + 0.06 * nods
+    return 0.05 * tracks.smooth(speech["stress"], 0.2) + 0.06 * nods
 
 
-def _listen(rng: np.random.Generator, times_s: Float64Array) -> tuple[Mixer, Float64Array]:
-    mixer = Mixer(len(times_s))
+def _listen(mixer: Mixer, rng: np.random.Generator, times_s: Float64Array) -> Float64Array:
     answers = tracks.speech(rng, times_s, phrase_s=(0.5, 1.0), pause_s=(3.0, 6.0))
     mixer.speak(answers, 0.6)
     smile = np.clip(1.4 * tracks.drift(rng, times_s, period_s=(7, 16)), 0, 1)
@@ -134,7 +131,7 @@ def _listen(rng: np.random.Generator, times_s: Float64Array) -> tuple[Mixer, Flo
     mixer.add(doubt, {"browDown": 0.4, "mouthPress": 0.25, "mouthPucker": 0.2, "mouthLeft": 0.15})
     mixer.look(*tracks.saccades(rng, times_s, spread=0.09, rest_s=(1.0, 4.0), away=0.15))
     mixer.blink(tracks.blinks(rng, times_s, every_s=(2.0, 5.0)))
-    return mixer, 0.11 * tracks.nods(rng, times_s, every_s=(2.5, 6.0))
+    return 0.11 * tracks.nods(rng, times_s, every_s=(2.5, 6.0))
 
 
 MOTIONS: tuple[Mapping[str, float], ...] = (
@@ -162,8 +159,7 @@ MOTIONS: tuple[Mapping[str, float], ...] = (
 """What an actor is asked for, one after the other; sides together where no side is named."""
 
 
-def _range_of_motion(rng: np.random.Generator, times_s: Float64Array) -> tuple[Mixer, Float64Array]:
-    mixer = Mixer(len(times_s))
+def _range_of_motion(mixer: Mixer, rng: np.random.Generator, times_s: Float64Array) -> Float64Array:
     slot_s = (times_s[-1] - 2 * tracks.EDGE_S) / len(MOTIONS)
     for index, motion in enumerate(rng.permutation(len(MOTIONS))):
         begin_s = tracks.EDGE_S + (index + rng.uniform(0.0, 0.12)) * slot_s
@@ -174,17 +170,16 @@ def _range_of_motion(rng: np.random.Generator, times_s: Float64Array) -> tuple[M
         mixer.add(strength * shape, MOTIONS[motion])
     mixer.look(*tracks.saccades(rng, times_s, spread=0.04, rest_s=(1.0, 3.0)))
     mixer.blink(tracks.blinks(rng, times_s))
-    return mixer, 0.05 * tracks.nods(rng, times_s, every_s=(6.0, 12.0))
+    return 0.05 * tracks.nods(rng, times_s, every_s=(6.0, 12.0))
 
 
-PERFORMANCES: dict[
-    str, Callable[[np.random.Generator, Float64Array], tuple[Mixer, Float64Array]]
-] = {
+PERFORMANCES: dict[str, Callable[[Mixer, np.random.Generator, Float64Array], Float64Array]] = {
     "talk": _talk,
     "listen": _listen,
     "range_of_motion": _range_of_motion,
 }
-"""Each gives the face and the head's pitch (radians, chin down positive) over the sample times."""
+"""Each moves the face, and gives the head's pitch (radians, chin down positive), over the sample
+times."""
 
 
 def make_performance(name: str, *, seed: int = 0, start_s: float = 0.0) -> Recording:
@@ -208,7 +203,8 @@ def make_performance(name: str, *, seed: int = 0, start_s: float = 0.0) -> Recor
     # Every name has its own generator, so that talk#1 and listen#1 do not blink together.
     rng = np.random.default_rng([seed, *name.encode()])
     times_s = tracks.sample_times(DURATION_S)
-    mixer, pitch = PERFORMANCES[name](rng, times_s)
+    mixer = Mixer(len(times_s))
+    pitch = PERFORMANCES[name](mixer, rng, times_s)
 
     def drift() -> Float64Array:
         return tracks.drift(rng, times_s, period_s=(4.0, 11.0))
