@@ -20,6 +20,7 @@ from pica_client.errors import OptionError, check_ranges
 from pica_client.publish.face_track import FACE_KEY, FACE_LOST, FACE_TRACK, FaceMode
 from pica_client.publish.pacer import Pacer
 from pica_client.sources import Source, Tracker
+from pica_client.sources.source import Unseen
 from pica_client.stats import Samples
 from pica_client.transport.link import Link
 from pica_client.transport.timers import wait_until
@@ -145,9 +146,7 @@ class Publisher:
 
     def close(self) -> None:
         """Let go of the tracker."""
-        source = self.source
-        if isinstance(source, Tracker):
-            source.close()
+        self.replace_source(Unseen())
 
     def receive_event(self, event: ClientEvent) -> None:
         """Take an event of the link's session."""
