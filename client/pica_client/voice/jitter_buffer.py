@@ -322,10 +322,8 @@ class JitterBuffer:
         if not self._waiting:
             if self._is_quiet or self._num_concealed >= MAX_CONCEALED:
                 self._is_starved |= not self._is_quiet
-                if self._is_starved:
-                    self._append_noise(self._end_s, FRAME, rate=0.0)
-                else:
-                    self._append_noise(due_s, FRAME)
+                begin_s, rate = (self._end_s, 0.0) if self._is_starved else (due_s, 1.0)
+                self._append_noise(begin_s, FRAME, rate)
             else:
                 self._num_stood += 1
                 self._conceal(self._end_s)
