@@ -156,14 +156,14 @@ async def test_a_mute_lets_the_frame_that_was_begun_out_and_says_so() -> None:
                 tasks.create_task(person.receiver.run())
             await asyncio.sleep(2.0)
             before = len(ben.packets)
-            ada.voice.set_muted(True)
+            ada.voice.is_muted = True
             await asyncio.sleep(2.0)
             assert len(ben.packets) - before <= 2  # the one begun, and what the encoder held back
             assert ada.voice.level is None
             (member,) = ben.receiver.call.room(4.0).members
             assert dict(member.peer.metadata) == {VOICE_KEY: "muted"}
             muted = len(ben.packets)
-            ada.voice.set_muted(False)
+            ada.voice.is_muted = False
             await asyncio.sleep(2.0)
             again = ben.packets[muted:]
             assert len(again) > 47
@@ -180,7 +180,7 @@ async def test_who_presses_the_key_to_talk_late_is_heard_from_a_little_before() 
         ada, ben = Person(relay.url, "ada", speaks=True), Person(relay.url, "ben")
         assert ada.voice is not None
         ada.voice.keeps_preroll = True
-        ada.voice.set_muted(True)
+        ada.voice.is_muted = True
         kept: list[int] = []
         ada.voice.listeners.append(lambda pcm, captured_us: kept.append(captured_us))
         async with asyncio.TaskGroup() as tasks:
@@ -190,7 +190,7 @@ async def test_who_presses_the_key_to_talk_late_is_heard_from_a_little_before() 
             assert kept == []
             pressed_us = round(asyncio.get_running_loop().time() * 1e6)
             before = len(ben.packets)
-            ada.voice.set_muted(False)
+            ada.voice.is_muted = False
             await asyncio.sleep(1.0)
             said = [packet.captured_us for packet in ben.packets[before:]]
             early_us = PREROLL_FRAMES * FRAME_US

@@ -81,11 +81,8 @@ class Timeline:
         return "new"
 
     def cut(self, media_s: float) -> int:
-        """Drop waiting frames captured then or later: a new beginning says otherwise.
-
-        Returns:
-            How many.
-        """
+        """Drop waiting frames captured then or later, for a new beginning says otherwise; return
+        how many there were."""
         place = max(bisect_left(self._frames, media_s, key=_media_s), self._num_shown)
         num_dropped = len(self._frames) - place
         del self._frames[place:]

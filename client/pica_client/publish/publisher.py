@@ -20,6 +20,7 @@ from pica_client.errors import OptionError, check_ranges
 from pica_client.publish.face_track import FACE_KEY, FACE_LOST, FACE_TRACK, FaceMode
 from pica_client.publish.pacer import Pacer
 from pica_client.sources import Source, Tracker
+from pica_client.sources.source import Unseen
 from pica_client.stats import Samples
 from pica_client.transport.link import Link
 from pica_client.transport.timers import wait_until
@@ -81,7 +82,8 @@ class Publisher:
 
     Attributes:
         is_muted_by_admin: Whether an admin has stopped the stream.
-        mode: What becomes of the face, as far as its owner says.
+        mode: What becomes of the face from the next frame on, as far as its owner says; any thread
+            may set it.
         seen: The source's latest face, whether it is sent or not; None before the first.
         frame_log: Capture time and encoding time of each frame sent, both in microseconds; drops
             its oldest when full.
@@ -115,11 +117,6 @@ class Publisher:
         self._told_trouble = ""
         self._told = ""
 
-    def set_mode(self, mode: FaceMode) -> None:
-        """Mute or freeze the face, or let it go on; holds from the next frame. Any thread may call
-        it."""
-        self.mode = mode
-
     def listen_to(self, voice: VoicePublisher | None) -> None:
         """Let the voice of the face's owner move the mouth while nobody is seen, if it may."""
         if voice is not None and self.config.mouth_by_voice:
@@ -149,9 +146,7 @@ class Publisher:
 
     def close(self) -> None:
         """Let go of the tracker."""
-        source = self.source
-        if isinstance(source, Tracker):
-            source.close()
+        self.replace_source(Unseen())
 
     def receive_event(self, event: ClientEvent) -> None:
         """Take an event of the link's session."""

@@ -9,10 +9,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_core.avatar.arkit import NUM_ARKIT, ExpressionFrame
-from pica_core.types import FloatArray
+from pica_core.types import BoolArray, Float64Array, FloatArray
 
 
 class Source(Protocol):
@@ -60,11 +59,11 @@ class Recording:
         start_s: Where in the recording the source's time 0 lies.
     """
 
-    times_s: npt.NDArray[np.float64]
+    times_s: Float64Array
     arkit: FloatArray
     rotation: FloatArray
     translation_m: FloatArray
-    has_face: npt.NDArray[np.bool_]
+    has_face: BoolArray
     loop_gap_s: float
     start_s: float = 0.0
 

@@ -238,7 +238,7 @@ class Viewer(Closing):
         for order in orders:
             self.controls.obey(order)
         if self._desk is not None and self.controls.state.own_face != "none":
-            self._desk.publisher.set_mode(self.controls.state.own_face)
+            self._desk.publisher.mode = self.controls.state.own_face
         trouble = self._sound.follow(self.controls.state, self._surface.status.participants, now)
         if trouble:
             self._surface.notice(trouble, now)

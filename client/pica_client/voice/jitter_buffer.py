@@ -142,7 +142,6 @@ class JitterBufferReport:
     target_s: float = 0.0
     """What it should wait."""
     jitter_s: float = 0.0
-    drift_ppm: float = 0.0
 
     @property
     def concealed_ratio(self) -> float:
@@ -178,6 +177,7 @@ class JitterBuffer:
         self._stood_in_s = 0.0  # for how much of what is missing after it there is a stand-in
         self._fifo = np.zeros((2, 0))  # samples, and the moment of each on the time line
         self._is_quiet, self._floor_rms = True, FIRST_FLOOR_RMS
+        self._num_broken = 0
         self._num_concealed = 0  # in a row
         self._num_stood = 0  # of these, while time stood still
         self._is_starved = False  # noise stands where speech should be
@@ -246,21 +246,15 @@ class JitterBuffer:
 
     def report(self) -> JitterBufferReport:
         """Counters since the voice began, and how it stands; do not change it."""
-        clock, report = self._sender.map, self._report
-        report.target_s = self._target_s
-        report.jitter_s = self._jitter.jitter_s
-        report.drift_ppm = 0.0 if clock is None else clock.drift_ppm
+        report = self._report
+        report.refused = self._num_broken + self._sender.num_refused
+        report.target_s, report.jitter_s = self._target_s, self._jitter.jitter_s
         return report
 
     @property
     def num_waiting(self) -> int:
         """Packets that wait to be played."""
         return len(self._waiting)
-
-    @property
-    def num_refused(self) -> int:
-        """Packets that fit nowhere in time, or that the codec does not take."""
-        return self._report.refused + self._sender.num_refused
 
     def _aim(self, now: float) -> None:
         """Wait longer at once, and less slowly."""
@@ -328,10 +322,8 @@ class JitterBuffer:
         if not self._waiting:
             if self._is_quiet or self._num_concealed >= MAX_CONCEALED:
                 self._is_starved |= not self._is_quiet
-                if self._is_starved:
-                    self._append_noise(self._end_s, FRAME, rate=0.0)
-                else:
-                    self._append_noise(due_s, FRAME)
+                begin_s, rate = (self._end_s, 0.0) if self._is_starved else (due_s, 1.0)
+                self._append_noise(begin_s, FRAME, rate)
             else:
                 self._num_stood += 1
                 self._conceal(self._end_s)
@@ -383,7 +375,7 @@ class JitterBuffer:
         try:
             sound = self._decoder.decode(packet.payload)
         except VoiceError:
-            self._report.refused += 1
+            self._num_broken += 1
             self._conceal(packet.media_s)
             return
         self._packet_s = len(sound) / RATE_HZ

@@ -139,7 +139,7 @@ def _stats(buffer: JitterBuffer) -> dict[str, Any]:
         "received": report.received,
         "lost": report.lost,
         "late": report.late,
-        "refused": buffer.num_refused,
+        "refused": report.refused,
         "concealed_ratio": round(report.concealed_ratio, 4),
         "stretched_ratio": round(report.stretched_ratio, 4),
         "leaps": report.leaps,

@@ -27,12 +27,7 @@ class FaceFinder:
         self._networks = networks
 
     def find(self, picture: Image.Image, time_s: float | None) -> TrackerSample:
-        """Take the next picture.
-
-        Args:
-            picture: RGB, not mirrored.
-            time_s: When it was taken, by the camera's clock.
-        """
+        """Take the next picture, RGB and not mirrored, and when it was taken by its camera."""
         # Where the face was a moment ago, or, if it is not there any more, anywhere.
         former = None if self.landmarks is None else region_of(self.landmarks)
         if former is None or not self._follow(picture, former):

@@ -49,11 +49,8 @@ class Webcam(Tracker):
         return self._trouble
 
     def preview(self) -> Picture | None:
-        """What the camera sees, mirrored as in a mirror, with the landmarks in it; never sent.
-
-        Returns:
-            uint8 ``[H, W, 3]``, 320 columns; None before the first picture.
-        """
+        """What the camera sees, as in a mirror, with the landmarks in it; never sent. uint8
+        ``[H, W, 3]``, 320 columns; None before the first picture."""
         picture, landmarks = self._picture, self.finder.landmarks
         if picture is None:
             return None

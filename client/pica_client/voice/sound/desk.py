@@ -73,7 +73,6 @@ class SoundDesk:
 
     def __init__(self, outbox: Outbox) -> None:
         self._outbox = outbox
-        self._is_playing = False
         self._mixer = mixer = VoiceMixer(OpusDecoder)
         self.receive, self.seat, self.set_volumes = mixer.receive, mixer.seat, mixer.set_volumes
         self._loudspeaker = Loudspeaker(self._mixer)
@@ -99,9 +98,7 @@ class SoundDesk:
         """Do what the user has set; the microphone is opened only if one is wanted."""
         self._mixer.volume, self._mixer.is_spatial = settings.volume, settings.is_stereo
         self._loudspeaker.choose(settings.speaker)
-        if not self._is_playing:
-            self._is_playing = True
-            self._loudspeaker.start()
+        self._loudspeaker.start()
         if has_microphone and self._microphone is None:
             self._microphone = Microphone(settings.microphone)
             self._microphone.on_frame = lambda *frame: self._outbox.put(("captured", *frame))
@@ -116,8 +113,8 @@ class SoundDesk:
                     self._canceller = EchoCanceller()
                 except VoiceError as error:
                     self._no_cleaning = str(error)
-            cleans = settings.cleans and self._canceller is not None
-            self._microphone.clean = self._canceller.clean if cleans and self._canceller else None
+            canceller = self._canceller if settings.cleans else None
+            self._microphone.clean = None if canceller is None else canceller.clean
 
     def play_test(self) -> None:
         """Play something to hear that it can be heard."""
