@@ -148,16 +148,12 @@ class DecodePool(Closing):
             self._changed.notify()
 
     def _next_slot(self) -> str | None:
-        """The longest waiting slot that no other worker is busy with; under the lock."""
+        """The longest waiting slot that no other worker is busy with, else one whose decoder is
+        there and can get ready for more; under the lock."""
         for slot in self._order:
-            entry = self._slots.get(slot)
-            if entry is None or not entry.busy:
+            if slot not in self._slots or not self._slots[slot].busy:
                 self._order.remove(slot)
                 return slot
-        return None
-
-    def _slot_to_prepare(self) -> str | None:
-        """A slot whose decoder is there and can get ready for more; under the lock."""
         for slot, entry in self._slots.items():
             is_free = not entry.busy and not entry.broken and entry.decoder is not None
             if is_free and entry.unprepared:
@@ -169,8 +165,6 @@ class DecodePool(Closing):
             with self._changed:
                 slot = None
                 while not self._closed and (slot := self._next_slot()) is None:
-                    if (slot := self._slot_to_prepare()) is not None:
-                        break
                     self._changed.wait()
                 if self._closed or slot is None:
                     return
