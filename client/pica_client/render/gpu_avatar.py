@@ -62,10 +62,8 @@ class Mesh:
     """The triangles of one level, for the positions of one level."""
 
     level: int
-
-    vertices: moderngl.VertexArray
-    sharing: moderngl.VertexArray
-    """The same for the program that leaves part of the pixels to another level."""
+    vertices: tuple[moderngl.VertexArray, moderngl.VertexArray]
+    """For each of the `MeshPrograms`."""
     num_triangles: int
 
 
@@ -226,7 +224,7 @@ def upload_mesh(
     whole, sharing = (
         context.vertex_array(program, content, index_buffer=indices) for program in programs
     )
-    return Mesh(level, whole, sharing, len(faces))
+    return Mesh(level, (whole, sharing), len(faces))
 
 
 def placeholder_map() -> FloatArray:
