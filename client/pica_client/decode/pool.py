@@ -1,14 +1,5 @@
-"""Decoding off the drawing thread: the newest of every avatar, on worker threads.
-
-`DecodePool` owns the decoders of a call and runs them on worker threads (ONNX Runtime releases the
-interpreter lock while it computes), the avatar that has waited longest first:
-
-    pool = DecodePool(OnnxDecoder)
-    pool.add("peer-1", avatar)
-    pool.submit("peer-1", DecodeRequest(latent=..., view_direction=..., captured_us=...))
-    for result in pool.take_results():            # newest per slot; called once per drawn frame
-        result.maps, result.error, result.decode_s
-    pool.close()
+"""Decoding off the drawing thread: the newest of every avatar, the one that has waited longest
+first. ONNX Runtime releases the interpreter lock while it computes.
 
 Bounded by construction: a slot holds one waiting request and one finished result. A newer request
 takes the place of one that waits, and the replaced ones are counted; it is widened by what the old

@@ -49,10 +49,6 @@ class OrbitLimits:
     min_pitch: float = -math.radians(26)
     max_pitch: float = math.radians(26)
 
-    def __post_init__(self) -> None:
-        if not (self.min_yaw <= 0 <= self.max_yaw and self.min_pitch <= 0 <= self.max_pitch):
-            raise ValueError(f"{self} does not hold the view that nobody has turned")
-
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ViewState:
