@@ -60,7 +60,7 @@ class RenderSlot:
     avatar: Avatar | None = None
     body: Body | None = None
     maps: tuple[MapSeries, MapSeries] | None = None
-    """Of positions, and of expressions."""
+    """Maps of positions, and of expressions."""
     textured: TexturedHead | None = None
 
 

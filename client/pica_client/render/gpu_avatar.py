@@ -63,7 +63,7 @@ class Mesh:
 
     level: int
     vertices: tuple[moderngl.VertexArray, moderngl.VertexArray]
-    """For each of the `MeshPrograms`."""
+    """Arrays for the two `MeshPrograms`."""
     num_triangles: int
 
 
