@@ -111,9 +111,20 @@ class OnnxDecoder:
             self.regions = RegionDecoder(avatar, self._options.skip_m)
         self.prepare()
 
-    def prepare(self, level: int | None = None, parts: Parts = "both") -> None:
-        """Get ready for such decodes; may take long, once. OptionError if they cannot be had."""
-        self._session(level, parts)
+    def prepare(self, level: int | None = None, parts: Parts = "both") -> Any:
+        """Get ready for such decodes; may take long, once. Gives their session; OptionError if they
+        cannot be had."""
+        size = self._avatar.spec.map_size if level is None else level
+        if self._regions_of(level) is not None:
+            parts = "expression"
+        session = self._sessions.get((size, parts))
+        if session is None:
+            if size not in self._avatar.levels:
+                known = ", ".join(map(str, self._avatar.levels))
+                raise OptionError(f"level is {size}; this avatar has {known}")
+            graph = decoder_graph(self._avatar, level=size, parts=parts)
+            session = self._sessions[size, parts] = open_session(graph, self._options)
+        return session
 
     def decode(
         self,
@@ -124,7 +135,7 @@ class OnnxDecoder:
     ) -> DecodedMaps:
         """Decode one latent ``[8, 8, 4]`` as seen along the unit vector `view_direction` ``[3]`` to
         maps of a level; None is the full one."""
-        session = self._session(level, parts)
+        session = self.prepare(level, parts)
         feeds = {"latent": latent[None], "view_direction": view_direction[None]}
         regions = self._regions_of(level)
         if parts == "both" and regions is None:
@@ -138,19 +149,6 @@ class OnnxDecoder:
 
     def _regions_of(self, level: int | None) -> RegionDecoder | None:
         return self.regions if level in (None, self._avatar.spec.map_size) else None
-
-    def _session(self, level: int | None, parts: Parts) -> Any:
-        size = self._avatar.spec.map_size if level is None else level
-        if self._regions_of(level) is not None:
-            parts = "expression"
-        session = self._sessions.get((size, parts))
-        if session is None:
-            if size not in self._avatar.levels:
-                known = ", ".join(map(str, self._avatar.levels))
-                raise OptionError(f"level is {size}; this avatar has {known}")
-            graph = decoder_graph(self._avatar, level=size, parts=parts)
-            session = self._sessions[size, parts] = open_session(graph, self._options)
-        return session
 
 
 @dataclass(frozen=True, slots=True, eq=False)

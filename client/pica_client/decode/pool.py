@@ -1,14 +1,5 @@
-"""Decoding off the drawing thread: the newest of every avatar, on worker threads.
-
-`DecodePool` owns the decoders of a call and runs them on worker threads (ONNX Runtime releases the
-interpreter lock while it computes), the avatar that has waited longest first:
-
-    pool = DecodePool(OnnxDecoder)
-    pool.add("peer-1", avatar)
-    pool.submit("peer-1", DecodeRequest(latent=..., view_direction=..., captured_us=...))
-    for result in pool.take_results():            # newest per slot; called once per drawn frame
-        result.maps, result.error, result.decode_s
-    pool.close()
+"""Decoding off the drawing thread: the newest of every avatar, the one that has waited longest
+first. ONNX Runtime releases the interpreter lock while it computes.
 
 Bounded by construction: a slot holds one waiting request and one finished result. A newer request
 takes the place of one that waits, and the replaced ones are counted; it is widened by what the old
@@ -148,16 +139,12 @@ class DecodePool(Closing):
             self._changed.notify()
 
     def _next_slot(self) -> str | None:
-        """The longest waiting slot that no other worker is busy with; under the lock."""
+        """The longest waiting slot that no other worker is busy with, else one whose decoder is
+        there and can get ready for more; under the lock."""
         for slot in self._order:
-            entry = self._slots.get(slot)
-            if entry is None or not entry.busy:
+            if slot not in self._slots or not self._slots[slot].busy:
                 self._order.remove(slot)
                 return slot
-        return None
-
-    def _slot_to_prepare(self) -> str | None:
-        """A slot whose decoder is there and can get ready for more; under the lock."""
         for slot, entry in self._slots.items():
             is_free = not entry.busy and not entry.broken and entry.decoder is not None
             if is_free and entry.unprepared:
@@ -169,8 +156,6 @@ class DecodePool(Closing):
             with self._changed:
                 slot = None
                 while not self._closed and (slot := self._next_slot()) is None:
-                    if (slot := self._slot_to_prepare()) is not None:
-                        break
                     self._changed.wait()
                 if self._closed or slot is None:
                     return

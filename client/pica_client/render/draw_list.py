@@ -5,11 +5,13 @@ take, and from there to counts.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from moderngl import Texture
+
 from pica_client.render.gpu_avatar import Body
 from pica_client.render.gpu_maps import MapSeries
 from pica_client.render.gpu_program import UNIT_POSITION
 from pica_client.render.gpu_textured import TexturedHead
-from pica_client.render.passes import WHOLE, DecodedHead, PaintedHead, Place
+from pica_client.render.passes import DecodedHead, PaintedHead, Place
 from pica_client.render.scene import Placement, clip_from_head, screen_rect
 from pica_client.render.targets import PixelRect, rect_in_view
 from pica_core.avatar.file import Avatar
@@ -58,7 +60,7 @@ class RenderSlot:
     avatar: Avatar | None = None
     body: Body | None = None
     maps: tuple[MapSeries, MapSeries] | None = None
-    """Of positions, and of expressions."""
+    """Maps of positions, and of expressions."""
     textured: TexturedHead | None = None
 
 
@@ -136,6 +138,10 @@ def count_draws(
     )
 
 
+_Shown = tuple[int, Texture, Texture | None]
+"""A level, its positions and its expressions."""
+
+
 def _arrange(
     entry: RenderSlot, placeholder: Body, placement: Placement, view: View, number: int
 ) -> list[DecodedHead | PaintedHead]:
@@ -157,27 +163,20 @@ def _arrange(
     )
     if textured is not None:
         return [PaintedHead(slot=placement.slot, place=place, number=number, mesh=textured)]
-    if maps is None:
-        stand_in = DecodedHead(
-            slot=placement.slot,
-            place=place,
-            number=number,
-            mark=number,
-            share=WHOLE,
-            body=body,
-            mesh=body.mesh(0, None),
-            position=body.textures[UNIT_POSITION],
-            expression=None,
-        )
-        return [stand_in]
-    position, expression = maps
     blend = min(max(placement.blend, 0.0), 1.0)
-    newest = (position.level, position.newest, expression.newest)
-    before = (position.level_before, position.before, expression.before)
-    if placement.is_same_maps:
-        before = newest
-    elif before == newest:
+    newest: _Shown
+    before: _Shown
+    if maps is None:
+        newest = before = (0, body.textures[UNIT_POSITION], None)
         blend = 1.0
+    else:
+        position, expression = maps
+        newest = (position.level, position.newest, expression.newest)
+        before = (position.level_before, position.before, expression.before)
+        if placement.is_same_maps:
+            before = newest
+        elif before == newest:
+            blend = 1.0
     layers = (
         (*newest, placement.mesh_level, (0.0, blend)),
         (*before, placement.mesh_before, (blend, 1.0)),

@@ -62,10 +62,8 @@ class Mesh:
     """The triangles of one level, for the positions of one level."""
 
     level: int
-
-    vertices: moderngl.VertexArray
-    sharing: moderngl.VertexArray
-    """The same for the program that leaves part of the pixels to another level."""
+    vertices: tuple[moderngl.VertexArray, moderngl.VertexArray]
+    """Arrays for the two `MeshPrograms`."""
     num_triangles: int
 
 
@@ -124,7 +122,16 @@ def upload_avatar(
         ShaderError: Sizes that the shader does not hold, or a driver that refuses it.
     """
     tensors, manifest = avatar.tensors, avatar.manifest
-    program = program or decoder_program(context, avatar, weights_place, filtered=filtered)
+    if program is None:
+        baked = None if weights_place == "block" else tensors
+        siren = siren_source(avatar.spec, baked, in_turns=weights_place == "turns")
+        fragment = compose(
+            "pixel_decoder.frag",
+            avatar.spec,
+            generated={"SIREN": siren},
+            defines={"FILTERED": ""} if filtered else {},
+        )
+        program = build_program(context, compose("rect.vert"), fragment)
     textures: dict[int, moderngl.Texture] = {}
     if "uv_encoding" in tensors:
         encoding = tensors["uv_encoding"]
@@ -151,24 +158,6 @@ def upload_avatar(
         still_size=0 if still is None else len(still),
         fade_m=fade_m,
     )
-
-
-def decoder_program(
-    context: moderngl.Context,
-    avatar: Avatar,
-    weights_place: WeightsPlace,
-    *,
-    filtered: bool = True,
-) -> moderngl.Program:
-    """The program of the second pass for an avatar."""
-    baked = None if weights_place == "block" else avatar.tensors
-    fragment = compose(
-        "pixel_decoder.frag",
-        avatar.spec,
-        generated={"SIREN": siren_source(avatar.spec, baked, in_turns=weights_place == "turns")},
-        defines={"FILTERED": ""} if filtered else {},
-    )
-    return build_program(context, compose("rect.vert"), fragment)
 
 
 def upload_placeholder(context: moderngl.Context, mesh_programs: MeshPrograms) -> Body:
@@ -235,7 +224,7 @@ def upload_mesh(
     whole, sharing = (
         context.vertex_array(program, content, index_buffer=indices) for program in programs
     )
-    return Mesh(level, whole, sharing, len(faces))
+    return Mesh(level, (whole, sharing), len(faces))
 
 
 def placeholder_map() -> FloatArray:

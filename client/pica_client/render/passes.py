@@ -185,19 +185,17 @@ class DrawPasses:
         self._context.enable(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
         # Near ones first: what they hide is tested away before it is written.
         for head in sorted(heads, key=lambda head: float(head.place.matrix[3, 3])):
-            is_whole = head.share == WHOLE
-            program = self.mesh_programs[0 if is_whole else 1]
+            is_shared = head.share != WHOLE
+            program = self.mesh_programs[is_shared]
             targets.surface.viewport = viewport(head.place.view)
             head.position.use(UNIT_POSITION)
             set_matrix(program, "clip_from_head", head.place.matrix)
             set_values(
                 program, slot=float(head.number), low_m=head.body.low_m, high_m=head.body.high_m
             )
-            if is_whole:
-                head.mesh.vertices.render(instances=times)
-            else:
+            if is_shared:
                 set_values(program, share=head.share)
-                head.mesh.sharing.render(instances=times)
+            head.mesh.vertices[is_shared].render(instances=times)
 
     def shade(
         self, targets: RenderTargets, heads: Sequence[DecodedHead], *, count: bool

@@ -99,7 +99,16 @@ def compose(
         lines.append(_PRECISION.rstrip())
     lines += [f"#define {key} {value}".rstrip() for key, value in defines.items()]
     if spec is not None:
-        lines += [f"#define {key} {value}" for key, value in size_header(spec).items()]
+        levels = axis_levels(spec.axis_encoding_size)
+        lines += [
+            f"#define AXIS_SIZE {spec.axis_encoding_size}",
+            f"#define AXIS_ROW {AXIS_ROW}",
+            f"#define AXIS_LEVELS {levels}",
+            f"#define AXIS_STRIDE {1 << (levels - 1)}",
+            f"#define LOG2_AXIS_SIZE {math.log2(spec.axis_encoding_size):.6f}",
+            f"#define LOG2_UV_SIZE {math.log2(spec.uv_encoding_size):.6f}",
+            f"#define SURFACE_CODES {''.join(f', {_CODES[p]}' for p in spec.encoding_channels)}",
+        ]
     included = ["generated header"]
 
     def include(name: str, depth: int, wanted_by: str) -> None:
@@ -134,19 +143,6 @@ def compose(
 
     include(name, 0, "the renderer")
     return ShaderSource("\n".join(lines) + "\n", tuple(included))
-
-
-def size_header(spec: AvatarSpec) -> dict[str, str]:
-    """The macros that a spec turns into."""
-    return {
-        "AXIS_SIZE": str(spec.axis_encoding_size),
-        "AXIS_ROW": str(AXIS_ROW),
-        "AXIS_LEVELS": str(axis_levels(spec.axis_encoding_size)),
-        "AXIS_STRIDE": str(1 << (axis_levels(spec.axis_encoding_size) - 1)),
-        "LOG2_AXIS_SIZE": f"{math.log2(spec.axis_encoding_size):.6f}",
-        "LOG2_UV_SIZE": f"{math.log2(spec.uv_encoding_size):.6f}",
-        "SURFACE_CODES": "".join(f", {_CODES[part]}" for part in spec.encoding_channels),
-    }
 
 
 def axis_levels(count: int) -> int:

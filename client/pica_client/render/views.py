@@ -49,10 +49,6 @@ class OrbitLimits:
     min_pitch: float = -math.radians(26)
     max_pitch: float = math.radians(26)
 
-    def __post_init__(self) -> None:
-        if not (self.min_yaw <= 0 <= self.max_yaw and self.min_pitch <= 0 <= self.max_pitch):
-            raise ValueError(f"{self} does not hold the view that nobody has turned")
-
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ViewState:
@@ -118,30 +114,21 @@ def plan_camera(
 ) -> Camera:
     """The viewer's camera: that of the plan, turned and moved closer as the user wants."""
     limits = limits or OrbitLimits()
-    kept = replace(
-        view,
-        yaw=min(max(view.yaw, limits.min_yaw), limits.max_yaw),
-        pitch=min(max(view.pitch, limits.min_pitch), limits.max_pitch),
-    )
+    yaw = min(max(view.yaw, limits.min_yaw), limits.max_yaw)
+    pitch = min(max(view.pitch, limits.min_pitch), limits.max_pitch)
+    (direction,), distance = _outlook(plan, np.array([yaw]), np.array([pitch]))
+    # The nearer the camera comes to a head, the less a notch of the wheel moves it.
+    nearest = min(_nearest_m(plan, direction), distance)
+    zoom = min(max(view.zoom, MIN_ZOOM), MAX_ZOOM)
+    distance = nearest + (distance - nearest) / zoom if zoom > 1 else distance / zoom
     return look_at(
         name="viewer",
-        centre_m=_centre(plan, kept),
+        centre_m=plan.target_m + distance * direction,
         target_m=plan.target_m,
         vertical_fov=VERTICAL_FOV,
         width=width,
         height=height,
     )
-
-
-def _centre(plan: SeatPlan, view: ViewState) -> Float64Array:
-    """Where the camera of a view is, world ``[3]``."""
-    (direction,), distance = _outlook(plan, np.array([view.yaw]), np.array([view.pitch]))
-    # The nearer the camera comes to a head, the less a notch of the wheel moves it.
-    nearest = min(_nearest_m(plan, direction), distance)
-    zoom = min(max(view.zoom, MIN_ZOOM), MAX_ZOOM)
-    distance = nearest + (distance - nearest) / zoom if zoom > 1 else distance / zoom
-    centre: Float64Array = plan.target_m + distance * direction
-    return centre
 
 
 def _outlook(plan: SeatPlan, yaw: Float64Array, pitch: Float64Array) -> tuple[Float64Array, float]:

@@ -1,10 +1,5 @@
 """What decoding and drawing cost on this machine, learned while they are done. Pure.
 
-    costs = CostModel()
-    costs.observe_decode("", 128, "both", 0.0007)      # seconds, as they come
-    costs.observe_draw(num_triangles=20_000, shaded_px=90_000, seconds=0.004)
-    costs.decode_s("", 128, "both"), costs.draw.seconds(20_000, 90_000)
-
 Decoding: the median of the last measurements of each (model, level, parts); a level that has not
 been measured yet costs what is expected of it, times what this machine takes over what was
 expected where it has been. Drawing: intercept + triangles + shaded pixels, fitted to the last few

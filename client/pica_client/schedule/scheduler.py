@@ -13,8 +13,8 @@ lowest first, until it fits. What the tests hold it to:
 - Who cannot be seen costs nothing: no decode, no pixel, and after a while no stream.
 - Levels do not flap: what has been reached is left only with a margin.
 
-Before, measured tables of errors and a knapsack chose what saved most error per millisecond. This
-rule leaves as little error at the same cost (measured: docs/results/receiver.md, "A simple rule").
+A knapsack over tables of errors leaves as much error at the same cost (measured:
+docs/results/receiver.md, "A simple rule").
 """
 
 import math

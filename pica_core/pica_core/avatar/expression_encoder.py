@@ -2,9 +2,6 @@
 
 A small fully connected network trained against the model's own codes; about 0.1 M multiply-adds, so
 numpy is fast enough and a sender needs no inference library.
-
-    encoder = ExpressionEncoder(avatar)
-    latent = encoder.encode(frame.arkit)
 """
 
 import itertools

@@ -153,9 +153,6 @@ def check_finite(tensors: Mapping[str, Array]) -> None:
             )
 
 
-_HALF = ("geometry.", "expression.", "encoder.")
-
-
 def _usual(name: str) -> Storage:
     if name.startswith(LEVEL_PREFIX):
         if name.endswith((".geometry.mean", ".geometry.weight", ".expression.local")):
@@ -163,7 +160,7 @@ def _usual(name: str) -> Storage:
         return "f16" if name.endswith(".expression.bias") else "f32"
     if name.endswith(".gain.weight"):
         return "u8"
-    return "f16" if name.startswith(_HALF) else "f32"
+    return "f16" if name.startswith(("geometry.", "expression.", "encoder.")) else "f32"
 
 
 def _to_affine(array: Array, dtype: type[np.unsignedinteger[Any]]) -> tuple[Array, dict[str, Any]]:

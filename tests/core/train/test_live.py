@@ -10,7 +10,7 @@ from PIL import Image
 
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.avatar.file import Avatar, load_avatar
-from pica_core.avatar.linear import components_of, mean_vertices
+from pica_core.avatar.linear import components_of
 from pica_core.avatar.shipped import avatar_file
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.procedural.subject import StageOptions, render_capture
@@ -71,7 +71,7 @@ def test_what_bends_where_the_encoder_does_is_found() -> None:
 def test_geometry_follows_poses_whatever_the_frames_are(nora: Avatar) -> None:
     count = len(nora.tensors["mesh.vertex_uv"])
     components_m = components_of(nora.tensors, nora.manifest.position_scale_m)[:, :count]
-    mean_m = mean_vertices(nora.tensors, count)
+    mean_m = nora.tensors["linear.mean"].reshape(-1, 3)[:count]
     bases = Bases(
         mean_m=mean_m, components_m=components_m, vertex_weights=np.ones(count, np.float32)
     )
