@@ -111,12 +111,9 @@ class Doubling(EqualizedLayer):
 
 
 class DeepAppearanceEncoder(interface.LatentEncoder):
-    """Average texture and tracked vertices to the latent.
+    """Average texture and tracked vertices to the latent, "paper" or "light".
 
-    Args:
-        name: "paper" or "light".
-        prior: For the tracked mesh's UVs: vertices are read from the position map that all models'
-            encoders are given.
+    Vertices are read from the position map that all models' encoders are given.
 
     Raises:
         ValueError: An unknown name.
@@ -185,10 +182,6 @@ class TextureDecoder(nn.Module):
 
 class DeepAppearanceModel(interface.AvatarModel):
     """Encoder and decoders of one person.
-
-    Args:
-        spec: Sizes that all models share; the texture has its own.
-        prior: Mean mesh, its unit, UVs and mean texture of the person.
 
     Raises:
         ValueError: An unknown encoder, or a texture that no number of layers makes.

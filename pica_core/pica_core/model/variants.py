@@ -18,12 +18,10 @@ def make_model(
     prior: FacePrior,
     options: ModelOptions,
 ) -> AvatarModel:
-    """Build a model.
+    """Build a model of `VARIANTS`.
 
     Args:
-        variant: A key of `VARIANTS`.
         spec: Sizes of the full model; the row replaces its encoding and geometry.
-        prior: What is known of the person.
 
     Raises:
         ValueError: An unknown variant or encoder.

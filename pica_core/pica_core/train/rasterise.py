@@ -68,7 +68,6 @@ class Rasteriser:
 
     Args:
         faces: Triangles, counter-clockwise seen from outside, int32 ``[F, 3]``.
-        num_vertices: V.
 
     Raises:
         GraphicsError: No GL context, or more than 2^24 triangles.
@@ -104,22 +103,14 @@ class Rasteriser:
         self._context.release()
 
     def triangle_ids(self, vertices_m: FloatArray, camera: Camera) -> IntArray:
-        """The triangle that each pixel centre sees; -1 where none. int32 ``[H, W]``, row 0 on top.
-
-        Args:
-            vertices_m: Head-frame metres, float32 ``[V, 3]``.
-            camera: Head-to-camera pose and intrinsics.
-        """
+        """The triangle that each pixel centre sees of a mesh in head-frame metres, ``[V, 3]``; -1
+        where none. int32 ``[H, W]``, row 0 on top."""
         ids: IntArray = self.batch_ids(vertices_m[None], [camera])[0]
         return ids
 
     def batch_ids(self, vertices_m: FloatArray, cameras: Sequence[Camera]) -> IntArray:
-        """`triangle_ids` of N meshes, each through its camera, read back at once: ``[N, H, W]``.
-
-        Args:
-            vertices_m: Head-frame metres, float32 ``[N, V, 3]``.
-            cameras: One for each mesh, all of one image size.
-        """
+        """`triangle_ids` of N meshes ``[N, V, 3]``, each through its camera, all of one image size,
+        read back at once: ``[N, H, W]``."""
         target = self._draw(vertices_m, cameras)
         ids = np.frombuffer(target.read(components=1, dtype="f4"), np.float32)
         return self._images(ids, cameras).astype(np.int32) - 1
@@ -190,14 +181,12 @@ class Views(NamedTuple):
     Attributes:
         rotation: Head to camera, ``[N, 3, 3]``.
         translation_m: ``[N, 3]``.
-        intrinsics: ``[N, 3, 3]``.
         inverse: Of the intrinsics, ``[N, 3, 3]``.
         width: Image columns, the same for all.
     """
 
     rotation: Tensor
     translation_m: Tensor
-    intrinsics: Tensor
     inverse: Tensor
     width: int
 
@@ -211,7 +200,6 @@ class Views(NamedTuple):
         return cls(
             stack([camera.rotation for camera in cameras]),
             stack([camera.translation_m for camera in cameras]),
-            stack([camera.intrinsics for camera in cameras]),
             stack([np.linalg.inv(camera.intrinsics) for camera in cameras]),
             cameras[0].width,
         )
@@ -221,12 +209,8 @@ class Views(NamedTuple):
         return vertices_m @ self.rotation.mT + self.translation_m[:, None]
 
     def rays(self, image: Tensor, pixels: Tensor) -> Tensor:
-        """Directions through pixel centres in camera axes, z = 1, ``[P, 3]``.
-
-        Args:
-            image: Which camera, int64 ``[P]``.
-            pixels: Flat index (row * W + column), int64 ``[P]``.
-        """
+        """Directions through pixel centres in camera axes, z = 1, ``[P, 3]``, by camera and flat
+        index (row * W + column), int64 ``[P]`` both."""
         dtype = self.inverse.dtype
         rows = torch.div(pixels, self.width, rounding_mode="floor")
         x, y = (pixels - rows * self.width).to(dtype) + 0.5, rows.to(dtype) + 0.5

@@ -44,11 +44,8 @@ class Picture(NamedTuple):
 
 
 class ModelEvaluator:
-    """Draws a model's pictures of latents and of a capture's frames.
-
-    Args:
-        rasteriser: Made for the topology that the model draws; it stays its owner's.
-    """
+    """Draws a model's pictures of latents and of a capture's frames; the rasteriser, made for the
+    topology that the model draws, stays its owner's."""
 
     def __init__(self, data: TrainingData, model: AvatarModel, rasteriser: Rasteriser) -> None:
         topology = data.meshes.topology(model.topology)
