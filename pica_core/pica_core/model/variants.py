@@ -9,8 +9,6 @@ from pica_core.model.baseline import DeepAppearanceModel
 from pica_core.model.interface import AvatarModel, FacePrior
 from pica_core.model.options import ModelOptions
 
-__all__ = ["VARIANTS", "make_model"]
-
 
 def make_model(
     variant: str,

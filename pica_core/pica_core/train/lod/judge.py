@@ -99,9 +99,8 @@ def seen_vertices(shapes_m: Array, faces: Array) -> BoolArray:
     seen = np.zeros(shapes_m.shape[1], bool)
     with Rasteriser(faces.astype(np.int32), len(seen)) as raster:
         for shape in shapes_m:
-            points = np.ascontiguousarray(shape, np.float32)
             for camera in dome_cameras(len(NAMED_VIEWS), SEEN_SIZE, SEEN_SIZE):
-                ids = raster.triangle_ids(points, camera)
+                ids = raster.triangle_ids(shape, camera)
                 seen[faces[np.unique(ids[ids >= 0])]] = True
     for _ in range(SEEN_RINGS):
         seen[faces[seen[faces].any(1)]] = True
