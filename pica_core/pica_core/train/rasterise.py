@@ -111,23 +111,18 @@ class Rasteriser:
     def batch_ids(self, vertices_m: FloatArray, cameras: Sequence[Camera]) -> IntArray:
         """`triangle_ids` of N meshes ``[N, V, 3]``, each through its camera, all of one image size,
         read back at once: ``[N, H, W]``."""
-        target = self._draw(vertices_m, cameras)
-        ids = np.frombuffer(target.read(components=1, dtype="f4"), np.float32)
-        return self._images(ids, cameras).astype(np.int32) - 1
+        self._draw(vertices_m, cameras)
+        return self._read(cameras, 0).astype(np.int32) - 1
 
     def batch_depths_m(self, cameras: Sequence[Camera]) -> FloatArray:
         """Depths along the cameras' axes of what `batch_ids` drew last, 0 where nothing is: metres,
         good to about 0.01 mm at 1 m, float32 ``[N, H, W]``."""
-        assert self._target is not None
-        window = np.frombuffer(
-            self._target.read(components=1, attachment=-1, dtype="f4"), np.float32
-        )
-        window = self._images(window, cameras)
+        window = self._read(cameras, -1)
         near, far = NEAR_M, FAR_M
         depths = near * far / (far - window * (far - near))
         return np.where(window < 1, depths, 0).astype(np.float32)
 
-    def _draw(self, vertices_m: FloatArray, cameras: Sequence[Camera]) -> moderngl.Framebuffer:
+    def _draw(self, vertices_m: FloatArray, cameras: Sequence[Camera]) -> None:
         if vertices_m.shape != (len(cameras), self.num_vertices, 3):
             raise ShapeError(
                 f"vertices_m is {vertices_m.shape}; "
@@ -152,11 +147,13 @@ class Rasteriser:
             target.viewport = (0, index * height, width, height)
             vertex_array.render()
         target.viewport = (0, 0, width, height * len(cameras))
-        return target
 
-    def _images(self, values: FloatArray, cameras: Sequence[Camera]) -> FloatArray:
-        """What a framebuffer read gives as ``[N, H, W]`` with row 0 on top."""
-        return values.reshape(len(cameras), cameras[0].height, cameras[0].width)[:, ::-1]
+    def _read(self, cameras: Sequence[Camera], attachment: int) -> FloatArray:
+        """What is drawn, as ``[N, H, W]`` with row 0 on top."""
+        assert self._target is not None
+        content = self._target.read(components=1, attachment=attachment, dtype="f4")
+        size = len(cameras), cameras[0].height, cameras[0].width
+        return np.frombuffer(content, np.float32).reshape(size)[:, ::-1]
 
     def _framebuffer(self, width: int, height: int) -> moderngl.Framebuffer:
         if self._target is None or self._target.size != (width, height):
