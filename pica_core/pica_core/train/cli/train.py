@@ -123,9 +123,8 @@ def train(options: TrainOptions) -> dict[str, Any]:
     data = TrainingData(Capture.open(options.capture))
     if not options.resume and (options.out / "checkpoint.pt").exists():
         raise CheckpointError(f"{options.out}: a run is there already; --resume goes on with it")
-    for before in [options.out] if options.resume else [options.start_from]:
-        if before is not None:
-            _check_variant(before, config.model.variant)
+    if (before := options.out if options.resume else options.start_from) is not None:
+        _check_variant(before, config.model.variant)
     with (
         open_ranks(os.environ) as ranks,
         open_trainer(
