@@ -34,7 +34,7 @@ from pica_core.camera import Camera
 from pica_core.capture.dataset.dataset import Topology
 from pica_core.errors import GraphicsError, ShapeError
 from pica_core.gl import create_context, link_program
-from pica_core.types import FloatArray, Int64Array, IntArray
+from pica_core.types import FloatArray, IntArray
 
 # Most wheels of torch bring Triton, which has an LLVM of its own. Mesa's software GL has another;
 # when that comes first, the process dies as soon as torch's first optimiser imports Triton.
@@ -279,34 +279,3 @@ def interpolation_weights(corners: Tensor, rays: Tensor) -> tuple[Tensor, Tensor
     total = torch.where(is_sound, total, 1.0)
     weights = torch.where(is_sound[:, None], volumes / total[:, None], 1 / 3)
     return weights, (weights * depths).sum(1)
-
-
-def interpolate(
-    vertices_m: Tensor,
-    vertex_uv: Tensor,
-    faces: Tensor,
-    camera: Camera,
-    triangle_ids: IntArray,
-    pixels: Int64Array | Sequence[int],
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Surface coordinates, positions and depths of some covered pixels of one image.
-
-    Args:
-        vertices_m: Head-frame metres, ``[V, 3]``; gradients flow back to it.
-        vertex_uv: ``[V, 2]``.
-        faces: int64 ``[F, 3]``.
-        triangle_ids: From `Rasteriser.triangle_ids`, ``[H, W]``.
-        pixels: Flat indices (row * W + column) of covered pixels, ``[P]``.
-
-    Returns:
-        uv ``[P, 2]``, head-frame positions in metres ``[P, 3]``, depths in metres ``[P]``.
-    """
-    chosen = np.asarray(pixels, np.int64)
-    triangles = torch.from_numpy(triangle_ids.reshape(-1)[chosen].astype(np.int64))
-    flat = torch.from_numpy(chosen)
-    views = Views.of([camera], vertices_m)
-    seen = views.see(vertices_m[None])
-    hits = hit_points(seen, faces, views, torch.zeros_like(flat), flat, triangles)
-    uv = (hits.weights[:, :, None] * vertex_uv[faces[triangles]]).sum(1)
-    xyz_m = views.to_head(hits.image, hits.rays * hits.depth_m[:, None])
-    return uv, xyz_m, hits.depth_m
