@@ -106,8 +106,6 @@ def look_at(
         centre_m: Camera centre, world metres.
         target_m: Point that lands in the image centre, world metres.
         vertical_fov: Full vertical field of view, radians.
-        width: Image columns, pixels.
-        height: Image rows, pixels.
 
     Raises:
         ValueError: `centre_m` equals `target_m`, or the camera looks straight up or down.

@@ -29,13 +29,7 @@ from pica_core.model.pixel_decoder import PixelDecoder
 
 
 class PixelCodecAvatar(interface.AvatarModel):
-    """Encoder, decoders and pixel decoder of one person.
-
-    Args:
-        spec: Sizes and block.
-        prior: Mean map, scale of offsets and meshes of the person.
-        topology: Which mesh to draw.
-    """
+    """Encoder, decoders and pixel decoder of one person, to draw the mesh of one topology."""
 
     position_mean: Tensor
     _drawn_uv: Tensor

@@ -31,7 +31,7 @@ from pica_core.avatar.spec import LEAKY_SLOPE, VIEW_CHANNELS, AvatarSpec
 from pica_core.avatar.variants import ModelCost
 from pica_core.latent import NUM_LATENT
 from pica_core.model import interface
-from pica_core.model.decoders import UntiedBias, sample_map, sample_per_image
+from pica_core.model.decoders import Untied, sample_map, sample_per_image
 from pica_core.model.encoder import resize_texture
 from pica_core.model.options import ModelOptions
 
@@ -111,12 +111,9 @@ class Doubling(EqualizedLayer):
 
 
 class DeepAppearanceEncoder(interface.LatentEncoder):
-    """Average texture and tracked vertices to the latent.
+    """Average texture and tracked vertices to the latent, "paper" or "light".
 
-    Args:
-        name: "paper" or "light".
-        prior: For the tracked mesh's UVs: vertices are read from the position map that all models'
-            encoders are given.
+    Vertices are read from the position map that all models' encoders are given.
 
     Raises:
         ValueError: An unknown name.
@@ -163,12 +160,12 @@ class TextureDecoder(nn.Module):
         self.grid = Connected(
             spec.num_latent + VIEW_FEATURES, spec.num_latent * FIRST_SIZE * FIRST_SIZE
         )
-        self.layers: list[tuple[Doubling, UntiedBias]] = []
+        self.layers: list[tuple[Doubling, Untied]] = []
         size = FIRST_SIZE
         for c_in, c_out in pairwise((spec.num_latent, *spec.channels)):
             size *= 2
             gain = 0.1 * _GAIN if size == spec.texture_size else _GAIN
-            self.layers.append((Doubling(c_in, c_out, gain), UntiedBias(c_out, size)))
+            self.layers.append((Doubling(c_in, c_out, gain), Untied(c_out, size)))
         self.convolutions = nn.ModuleList(convolution for convolution, _ in self.layers)
         self.biases = nn.ModuleList(bias for _, bias in self.layers)
 
@@ -185,10 +182,6 @@ class TextureDecoder(nn.Module):
 
 class DeepAppearanceModel(interface.AvatarModel):
     """Encoder and decoders of one person.
-
-    Args:
-        spec: Sizes that all models share; the texture has its own.
-        prior: Mean mesh, its unit, UVs and mean texture of the person.
 
     Raises:
         ValueError: An unknown encoder, or a texture that no number of layers makes.

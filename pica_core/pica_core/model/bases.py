@@ -218,10 +218,7 @@ def unexplained_m(
     a lack of meshes then.
 
     Args:
-        meshes_m: Good ones, ``[F, V, 3]``.
-        num_bases: As for `fit_bases`.
-        vertex_weights: The same, ``[V]``.
-        vertex_uv: ``[V, 2]``.
+        meshes_m: Good ones, ``[F, V, 3]``; the others as for `fit_bases` and `split_bases`.
     """
     if len(meshes_m) < 2 * num_bases:
         return 0.0

@@ -47,8 +47,8 @@ class JointMap(SurfaceEncoding):
     def __init__(self, spec: AvatarSpec, amplitude: float) -> None:
         super().__init__()
         size, self.channels = spec.uv_encoding_size, spec.uv_encoding_channels
-        self.values = nn.Parameter(torch.empty(1, self.channels, size, size))
-        nn.init.uniform_(self.values, -amplitude, amplitude)
+        values = torch.empty(1, self.channels, size, size).uniform_(-amplitude, amplitude)
+        self.values = nn.Parameter(values)
 
     @torch.no_grad()
     def start_from(self, texture: Tensor, contrast: float) -> None:
@@ -76,10 +76,9 @@ class AxisTables(SurfaceEncoding):
         entries, single = spec.axis_encoding_size, spec.axis_encoding_channels
         self.channels = 2 * single
         self.along_u, self.along_v = (
-            nn.Parameter(torch.empty(1, single, 1, entries)) for _ in range(2)
+            nn.Parameter(torch.empty(1, single, 1, entries).uniform_(-amplitude, amplitude))
+            for _ in range(2)
         )
-        for values in (self.along_u, self.along_v):
-            nn.init.uniform_(values, -amplitude, amplitude)
 
     def forward(self, uv: Tensor) -> Tensor:
         """Look each table up between its two nearest entries."""

@@ -119,8 +119,7 @@ class PixelDecoder(nn.Module):
         the texture at rest; it keeps that layer.
 
         Args:
-            texture: See `SurfaceEncoding.start_from`.
-            contrast: The same.
+            texture: See `SurfaceEncoding.start_from`, also for `contrast`.
             xyz_m: Points of the surface at rest, ``[P, 3]``.
             uv: Where they lie in the texture, ``[P, 2]``.
         """

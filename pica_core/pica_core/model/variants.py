@@ -9,8 +9,6 @@ from pica_core.model.baseline import DeepAppearanceModel
 from pica_core.model.interface import AvatarModel, FacePrior
 from pica_core.model.options import ModelOptions
 
-__all__ = ["VARIANTS", "make_model"]
-
 
 def make_model(
     variant: str,
@@ -18,12 +16,10 @@ def make_model(
     prior: FacePrior,
     options: ModelOptions,
 ) -> AvatarModel:
-    """Build a model.
+    """Build a model of `VARIANTS`.
 
     Args:
-        variant: A key of `VARIANTS`.
         spec: Sizes of the full model; the row replaces its encoding and geometry.
-        prior: What is known of the person.
 
     Raises:
         ValueError: An unknown variant or encoder.

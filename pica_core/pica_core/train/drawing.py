@@ -4,6 +4,7 @@ The driver says once a step which triangle covers which pixel. From then on ever
 P pixels of all images together, on the device of the meshes.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -37,6 +38,7 @@ class DrawnPixels(NamedTuple):
     """What interpolation finds at the pixels of a step.
 
     Attributes:
+        ids: The triangle of every pixel of N images, -1 where none, int32 ``[N, H, W]``.
         depth_pixels: Those whose depth is asked for: the same and, with normals, neighbours.
         depth_m: Their depths; differentiable, ``[Q]``.
         depth_image: Which image they are of, int64 ``[Q]``.
@@ -46,6 +48,7 @@ class DrawnPixels(NamedTuple):
         below: Of the neighbours below.
     """
 
+    ids: IntArray
     pixels: PixelList
     surface: Surface
     depth_pixels: PixelList
@@ -70,43 +73,48 @@ class MeshDrawer:
 
     Args:
         rasteriser: Made for that topology; it stays its owner's.
-        face_weights: How much more often than others a pixel of each triangle is drawn, ``[F]``.
+        face_weights: How much more often than others a pixel of each triangle is drawn, ``[F]``;
+            all alike without.
     """
 
     def __init__(
         self,
         rasteriser: Rasteriser,
         topology: Topology,
-        face_weights: FloatArray,
+        face_weights: FloatArray | None = None,
         device: torch.device | str = "cpu",
     ) -> None:
         self.rasteriser = rasteriser
         faces = topology.faces.astype(np.int64)
         self._faces = torch.from_numpy(faces).to(device)
         self._face_uv = torch.from_numpy(np.float32(topology.vertex_uv[faces])).to(device)
-        self._face_weights = np.append(face_weights, 0).astype(np.float32)
+        self._face_weights = np.ones(len(faces), np.float32)
+        if face_weights is not None:
+            self._face_weights = face_weights.astype(np.float32)
 
     def draw(
         self,
         vertices_m: Tensor,
         cameras: list[Camera],
-        rngs: list[np.random.Generator],
+        rngs: list[np.random.Generator] | None = None,
         *,
-        pixels_per_image: int,
+        pixels_per_image: int = 0,
         normals: bool = False,
     ) -> DrawnPixels:
         """Find the triangle of every pixel of N images, draw covered ones, and interpolate there.
 
         Args:
             vertices_m: ``[N, V, 3]``; gradients flow there.
+            rngs: Choose among the pixels of each image; without, all are drawn.
             pixels_per_image: About how many; 0 for all.
         """
         meshes = vertices_m.detach().to("cpu", torch.float32).numpy()
         ids = self.rasteriser.batch_ids(meshes, cameras)
         size, width = ids[0].size, cameras[0].width
+        choices: Sequence[np.random.Generator | None] = rngs or [None] * len(ids)
         parts = [
             index * size + self._choose(own.reshape(-1), rng, pixels_per_image)
-            for index, (own, rng) in enumerate(zip(ids, rngs, strict=True))
+            for index, (own, rng) in enumerate(zip(ids, choices, strict=True))
         ]
         wanted = chosen = np.concatenate(parts)
         if normals:
@@ -134,12 +142,12 @@ class MeshDrawer:
         uv = (weights[:, :, None] * self._face_uv.index_select(0, triangles)).sum(1)
         surface = Surface(image, uv, views.to_head(image, rays * depth_m[:, None]))
         pixels = PixelList(*np.divmod(chosen, size))
-        return DrawnPixels(pixels, surface, listed, hits.depth_m, hits.image, hits.rays, *at)
+        return DrawnPixels(ids, pixels, surface, listed, hits.depth_m, hits.image, hits.rays, *at)
 
-    def _choose(self, ids: IntArray, rng: np.random.Generator, wanted: int) -> Int64Array:
+    def _choose(self, ids: IntArray, rng: np.random.Generator | None, wanted: int) -> Int64Array:
         """Covered pixels of an image, each with its chance, so that about `wanted` come."""
         covered: Int64Array = np.flatnonzero(ids >= 0)
-        if wanted == 0 or len(covered) <= wanted:
+        if rng is None or wanted == 0 or len(covered) <= wanted:
             return covered
         weights = self._face_weights[ids[covered]]
         drawn = rng.random(len(covered), np.float32) * np.float32(weights.sum() / wanted) < weights

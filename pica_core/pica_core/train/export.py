@@ -27,18 +27,12 @@ LATENT_HEADROOM = 1.25
 
 
 def avatar_tensors(
-    model: PixelCodecAvatar,
-    vertex_uv: FloatArray,
-    faces: IntArray,
+    model: PixelCodecAvatar, vertex_uv: FloatArray, faces: IntArray
 ) -> dict[str, npt.NDArray[np.generic]]:
-    """A model's weights as the avatar file's tensors.
+    """A model's weights as the avatar file's tensors, with UVs ``[V, 2]`` and triangles ``[F, 3]``.
 
     The unit of the xyz input is folded into the first xyz layer, so that the file's weights apply
     to metres.
-
-    Args:
-        vertex_uv: ``[V, 2]``.
-        faces: ``[F, 3]``.
     """
     pixel = model.pixel_decoder
     tensors: dict[str, Tensor] = {

@@ -154,12 +154,9 @@ def laplacian_smoothness(
 
 @torch.no_grad()
 def follow_mean(mean_m: Tensor, vertices_m: Tensor) -> None:
-    """V_mu <- (1 - rate) V_mu + rate times the batch's mean, in place, without gradient.
+    """V_mu <- (1 - rate) V_mu + rate times the mean of a batch of meshes ``[N, V, 3]``, in place,
+    without gradient.
 
     Source: appendix A.2, the update of the regularisation target; the rate is `MEAN_RATE`.
-
-    Args:
-        mean_m: V_mu, metres, ``[V, 3]``.
-        vertices_m: Decoded meshes of a batch, metres, ``[N, V, 3]``.
     """
     mean_m.lerp_(vertices_m.detach().mean(0), MEAN_RATE)

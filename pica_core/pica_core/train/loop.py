@@ -130,9 +130,7 @@ class Trainer:
     def run(self, on_step: Callable[[int, str, Losses], bool] | None = None) -> None:
         """Train from the current step to the end, with checkpoints on the way and at the end.
 
-        Args:
-            on_step: Called after every step with the step's number, phase and losses; returns
-                whether to go on.
+        `on_step` is told each step's number, phase and losses, and says whether to go on.
 
         Raises:
             TrainingDivergedError: Losses are not finite or explode, and going back has not helped.

@@ -39,7 +39,6 @@ def equal_shares(
 
     Args:
         image: Which image each pixel is of, int64 ``[P]``.
-        num_images: N.
         mask: Pixels that count, bool ``[P]``; all without it. An image without any adds up to 0.
     """
     counted = torch.ones_like(image, dtype=dtype) if mask is None else mask.to(dtype)
@@ -48,11 +47,9 @@ def equal_shares(
 
 
 def image_loss(predicted: Tensor, observed: Tensor, share: Tensor, chroma: float = 0.0) -> Tensor:
-    """Mean squared difference of colours, where 1.0 is 255 of 8-bit sRGB.
+    """Mean squared difference of colours ``[P, 3]``, where 1.0 is 255 of 8-bit sRGB.
 
     Args:
-        predicted: ``[P, 3]``.
-        observed: ``[P, 3]``.
         share: From `equal_shares`, ``[P]``.
         chroma: How much more what is left of the difference counts when that of the luma (ITU-R
             BT.601) is taken off.
@@ -69,20 +66,17 @@ def depth_mask(predicted_m: Tensor, observed_m: Tensor, limit_m: float = DEPTH_L
     Args:
         predicted_m: Depth of the decoded mesh along the camera's axis, metres, ``[P]``.
         observed_m: Measured depth, metres, 0 where unknown, ``[P]``.
-        limit_m: Largest error that counts, metres.
     """
     return (observed_m > 0) & ((predicted_m.detach() - observed_m).abs() < limit_m)
 
 
 def depth_loss(predicted_m: Tensor, observed_m: Tensor, mask: Tensor, share: Tensor) -> Tensor:
-    """Mean absolute depth error, millimetres, over pixels of known depth.
+    """Mean absolute depth error, millimetres, over P pixels of known depth.
 
     Pixels outside `mask` count as 0: the more of them, the weaker the loss. 0 where nothing is
     known.
 
     Args:
-        predicted_m: ``[P]``.
-        observed_m: ``[P]``, 0 where unknown.
         mask: From `depth_mask`, ``[P]``.
         share: From `equal_shares` of the pixels with known depth, ``[P]``.
     """
@@ -106,11 +100,9 @@ def screen_normals(points: Tensor, right: Tensor, below: Tensor) -> Tensor:
 
 
 def normal_loss(predicted: Tensor, observed: Tensor, share: Tensor) -> Tensor:
-    """Mean squared distance of unit normals, 0 to 4.
+    """Mean squared distance of unit normals ``[P, 3]``, 0 to 4.
 
     Args:
-        predicted: ``[P, 3]``.
-        observed: ``[P, 3]``.
         share: From `equal_shares` of the pixels whose own depth and neighbours' depths pass
             `depth_mask`, ``[P]``.
     """

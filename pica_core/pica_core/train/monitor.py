@@ -17,11 +17,7 @@ METRICS = "metrics.jsonl"
 
 class Monitor:
     """Writes ``metrics.jsonl`` and ``pictures/STEP.png`` into a run's folder, and the same into
-    ``board/`` for TensorBoard.
-
-    Args:
-        is_silent: Write nothing: another process does.
-    """
+    ``board/`` for TensorBoard; nothing if it is silent, because another process does."""
 
     def __init__(self, run_dir: Path, *, is_silent: bool = False) -> None:
         self._run_dir, self._is_silent = run_dir, is_silent

@@ -17,11 +17,8 @@ LIVE_RATE_RATIO = 0.5
 
 
 def make_optimiser(model: AvatarModel, schedule: ScheduleConfig, phase: str) -> torch.optim.Adam:
-    """Adam over the parameters of a phase; each group keeps its peak rate as ``"peak"``.
-
-    Args:
-        phase: One of `PHASES`, or "live": a driver phase with pictures of poses.
-    """
+    """Adam over the parameters of a phase, one of `PHASES` or "live", a driver phase with pictures
+    of poses; each group keeps its peak rate as ``"peak"``."""
     of = model.parameter_groups()
     match phase:
         case "geometry":

@@ -37,11 +37,7 @@ IMAGE_SIZE = 192
 
 
 def make_stream_profile(painter: ModelEvaluator) -> StreamProfile:
-    """Learn the stream of a trained avatar from codes as a live sender makes them.
-
-    Args:
-        painter: Draws the trained model, whose expression encoder makes the codes.
-    """
+    """Learn the stream of a trained avatar from codes as a live sender makes them."""
     with torch.no_grad():
         sequences = [
             painter.model.expression_encoder(torch.from_numpy(arkit)).permute(0, 2, 3, 1).numpy()

@@ -18,7 +18,7 @@ from pica_core.avatar.arkit import ARKIT_INDEX
 from pica_core.avatar.file import Avatar, load_avatar, save_avatar
 from pica_core.avatar.manifest import DRAWN_VARIANTS, Manifest
 from pica_core.avatar.spec import AvatarSpec
-from pica_core.avatar.variants import FULL, TABLE_1, TABLE_2
+from pica_core.avatar.variants import FULL, TABLE_1, TABLE_2, VARIANTS
 from pica_core.errors import AvatarFileError
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.interface import (
@@ -29,7 +29,7 @@ from pica_core.model.interface import (
     flat_latent,
 )
 from pica_core.model.options import ModelOptions
-from pica_core.model.variants import VARIANTS, make_model
+from pica_core.model.variants import make_model
 from pica_core.reference.pixel import count_parameters, decode_pixels
 from pica_core.reference.surface_encoding import encode_surface
 from pica_core.train.export import avatar_tensors

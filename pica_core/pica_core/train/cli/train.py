@@ -123,9 +123,8 @@ def train(options: TrainOptions) -> dict[str, Any]:
     data = TrainingData(Capture.open(options.capture))
     if not options.resume and (options.out / "checkpoint.pt").exists():
         raise CheckpointError(f"{options.out}: a run is there already; --resume goes on with it")
-    for before in [options.out] if options.resume else [options.start_from]:
-        if before is not None:
-            _check_variant(before, config.model.variant)
+    if (before := options.out if options.resume else options.start_from) is not None:
+        _check_variant(before, config.model.variant)
     with (
         open_ranks(os.environ) as ranks,
         open_trainer(
@@ -221,11 +220,7 @@ def _add_levels(avatar: Avatar, threads: int) -> tuple[Avatar, list[LevelReport]
 
 
 def _device(wished: str, ranks: Ranks) -> torch.device:
-    """Where to compute; several processes take one GPU each.
-
-    Raises:
-        TrainingOptionError: A GPU was asked for and there is none.
-    """
+    """Where to compute; several processes take one GPU each."""
     has_gpu = torch.cuda.is_available()
     if wished == "cuda" and not has_gpu:
         raise TrainingOptionError("device is cuda, but torch finds no GPU here; use cpu or auto")
@@ -235,11 +230,7 @@ def _device(wished: str, ranks: Ranks) -> torch.device:
 
 
 def _check_variant(run: Path, variant: str) -> None:
-    """Refuse to go on from another model.
-
-    Raises:
-        CheckpointError: No readable checkpoint, or one of another variant.
-    """
+    """Refuse to go on from another model."""
     state = read_checkpoint(run / "checkpoint.pt")
     config = TrainConfig.from_json(json.loads(state["config"]))
     if (found := config.model.variant) != variant:

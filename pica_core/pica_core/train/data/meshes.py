@@ -26,10 +26,7 @@ MAX_MAPS = 2048
 
 
 class CaptureMeshes:
-    """All meshes of a capture, in memory; lengths in metres.
-
-    Args:
-        train_frames: Frames that means are taken over.
+    """All meshes of a capture, in memory; lengths in metres, means over training frames.
 
     Attributes:
         source: What encoder and mesh loss are given: exact meshes, or the tracker's.

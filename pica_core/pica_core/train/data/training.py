@@ -1,8 +1,4 @@
-"""A capture as tensors: its meshes, its images behind a cache, and which frames are drawn.
-
-Every random choice of step n comes from a generator seeded with (seed, n), so a resumed run draws
-what an uninterrupted one would have drawn.
-"""
+"""A capture as tensors: its meshes, its images behind a cache, and which frames are drawn."""
 
 import numpy as np
 import torch

@@ -106,19 +106,15 @@ def evaluate(trainer: Trainer, *, max_frames: int = 25) -> list[dict[str, Any]]:
     data = trainer.data
     evaluator = ModelEvaluator(data, trainer.model, trainer.rasteriser)
     frames = spaced(data.test_frames, max_frames)
-    sources: tuple[Source, ...] = ("encoder",)
-    if data.capture.has_expressions:
-        sources = ("encoder", "driver")
+    topology = data.meshes.topology(trainer.model.topology)
+    sources: list[Source] = ["encoder", "driver"] if data.capture.has_expressions else ["encoder"]
     rows: list[dict[str, Any]] = []
     for source in sources:
         off_mm = np.mean([_vertex_errors_mm(evaluator, source, frame) for frame in frames], axis=0)
-        regions = data.meshes.topology(trainer.model.topology).regions
-        distances = {"vertex_error_mm": float(off_mm.mean())} | {
-            f"{name}_error_mm": float(off_mm[regions[f"{name}s"]].mean())
-            if np.any(regions.get(f"{name}s", False))
-            else None
-            for name in ("lid", "lip")
-        }
+        distances: dict[str, float | None] = {"vertex_error_mm": float(off_mm.mean())}
+        for name in ("lid", "lip"):
+            part = off_mm[topology.region(f"{name}s")]
+            distances[f"{name}_error_mm"] = float(part.mean()) if len(part) else None
         for view, errors in measure_views(evaluator, frames, source).items():
             rows.append({"source": source, "view": view, **errors.row(), **distances})
     return rows
@@ -136,10 +132,8 @@ def _latent(evaluator: ModelEvaluator, source: Source, frame: int) -> Tensor:
 
 def _vertex_errors_mm(evaluator: ModelEvaluator, source: Source, frame: int) -> FloatArray:
     """How far each vertex of a frame is off, ``[V]``."""
-    capture = evaluator.data.capture
-    wanted = evaluator.data.meshes.dense_m[frame]
-    if evaluator.model.topology == "tracked" and capture.tracked_topology is not capture.topology:
-        wanted = evaluator.data.meshes.true_at_tracked(frame)
+    meshes, is_tracked = evaluator.data.meshes, evaluator.model.topology == "tracked"
+    wanted = meshes.true_at_tracked(frame) if is_tracked else meshes.dense_m[frame]
     found = evaluator.vertices_m(_latent(evaluator, source, frame))
     off_mm: FloatArray = 1000 * np.linalg.norm(found - wanted, axis=1)
     return off_mm

@@ -68,12 +68,8 @@ def ssim(predicted: Image, observed: Image, covered: BoolArray) -> float:
 def change_mse(
     predicted: tuple[FloatArray, FloatArray], observed: tuple[FloatArray, FloatArray]
 ) -> float:
-    """Error of the change from one frame to the next: what flickers, or moves too late.
-
-    Args:
-        predicted: Colours of the same pixels in two frames, ``[P, 3]`` each.
-        observed: The same of what was seen.
-    """
+    """Error of the change from one frame to the next: what flickers, or moves too late. Colours of
+    the same pixels in two frames, ``[P, 3]`` each, as predicted and as seen."""
     before, after = (np.asarray(part, np.float64) for part in predicted)
     seen_before, seen_after = (np.asarray(part, np.float64) for part in observed)
     return float(np.square((after - before) - (seen_after - seen_before)).mean())

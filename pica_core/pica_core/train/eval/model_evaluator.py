@@ -13,7 +13,8 @@ from pica_core.camera import Camera
 from pica_core.model.interface import AvatarModel, Surface
 from pica_core.train.data.images import view_direction
 from pica_core.train.data.training import TrainingData
-from pica_core.train.rasterise import Rasteriser, interpolate
+from pica_core.train.drawing import MeshDrawer
+from pica_core.train.rasterise import Rasteriser
 from pica_core.types import BoolArray, FloatArray, Int64Array
 
 
@@ -44,19 +45,14 @@ class Picture(NamedTuple):
 
 
 class ModelEvaluator:
-    """Draws a model's pictures of latents and of a capture's frames.
-
-    Args:
-        rasteriser: Made for the topology that the model draws; it stays its owner's.
-    """
+    """Draws a model's pictures of latents and of a capture's frames; the rasteriser, made for the
+    topology that the model draws, stays its owner's."""
 
     def __init__(self, data: TrainingData, model: AvatarModel, rasteriser: Rasteriser) -> None:
         topology = data.meshes.topology(model.topology)
         self.data = data
         self.model = model
-        self._rasteriser = rasteriser
-        self._uv = torch.from_numpy(np.ascontiguousarray(topology.vertex_uv, np.float32))
-        self._faces = torch.from_numpy(topology.faces.astype(np.int64))
+        self._drawer = MeshDrawer(rasteriser, topology)
         self._device = next(model.parameters()).device
 
     @torch.no_grad()
@@ -120,16 +116,14 @@ class ModelEvaluator:
 
     def _sample(self, vertices_m: Tensor, appearance: Tensor, camera: Camera) -> Picture:
         """One sample at the centre of each pixel."""
-        ids = self._rasteriser.triangle_ids(vertices_m.numpy(), camera)
-        pixels = np.flatnonzero(ids >= 0)
+        drawn = self._drawer.draw(vertices_m[None], [camera])
+        pixels = drawn.pixels.pixel
         if not len(pixels):
             return Picture(pixels, np.zeros((0, 3), np.float32), np.zeros(0, np.float32))
-        uv, xyz_m, depth_m = interpolate(vertices_m, self._uv, self._faces, camera, ids, pixels)
-        image = torch.zeros(len(pixels), dtype=torch.int64, device=self._device)
-        surface = Surface(image, uv.to(self._device), xyz_m.to(self._device))
+        surface = Surface(*(values.to(self._device) for values in drawn.surface))
         colours = self.model.shade(appearance, surface)
         shown = 255 * colours.clamp(0, 1).cpu().numpy()
-        return Picture(pixels, shown.astype(np.float32), depth_m.numpy())
+        return Picture(pixels, shown.astype(np.float32), drawn.depth_m.numpy())
 
 
 def _within_pixels(camera: Camera, side: int) -> Iterator[Camera]:

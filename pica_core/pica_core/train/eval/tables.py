@@ -149,12 +149,7 @@ def near_table(near: Mapping[Key, Mapping[str, Any]], variants: Sequence[str]) -
 
 
 def report(number: int, result: Mapping[str, Any]) -> str:
-    """The whole report of an evaluation.
-
-    Args:
-        number: Of the paper's table.
-        result: Of `pica eval`.
-    """
+    """The whole report of what `pica eval` finds, as one of the paper's tables."""
     variants, rows = TABLES[number], result["rows"]
     runs = {_key(run): run for run in result["runs"]}
     distributions = {key: run["distribution"] for key, run in runs.items()}

@@ -195,7 +195,7 @@ def add_levels(
             own = full.vertices_m(seen).copy()
             own[:, np.unique(mesh)] = full.sheet_m(geometry, seen, level)
         drawn.append((own, torch.cat([expression(trunk) for trunk, _ in runs])))
-        full_maps = torch.cat([full for _, full in runs])
+        full_maps = torch.cat([maps for _, maps in runs])
         show(f"level {level}: error")
         reports.append(_report(full, geometry, expression, still, level, mesh, check))
     show("judging")
