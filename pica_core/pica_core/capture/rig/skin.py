@@ -46,7 +46,7 @@ def split_parts(head: DrawnRig) -> IntArray:
     return part
 
 
-def surface(head: DrawnRig, growth: Growth | None = None) -> FloatArray:
+def surface(head: DrawnRig, growth: Growth | None) -> FloatArray:
     """Four numbers for every split vertex; their meaning depends on the part. ``[V, 4]``."""
     f, mesh, source = head.features, head.mesh, head.chart.source
     rest = mesh.rest_m

@@ -51,7 +51,6 @@ class RigRenderer:
     """Draws one head on the stage. One thread owns a renderer.
 
     Args:
-        head: A rig, or what is drawn as one.
         albedo: Images by the source's material; others are painted.
         look: Colours and marks, as `paint.PAINT` names them, instead of those there.
         growth: Hair that the mesh has, if it has some.
@@ -65,12 +64,11 @@ class RigRenderer:
     def __init__(
         self,
         head: DrawnRig,
-        albedo: dict[int, Albedo] | None = None,
-        look: dict[str, Any] | None = None,
-        growth: Growth | None = None,
-        *,
-        bake_size: int = BAKE_SIZE,
-        occlusion: bool = True,
+        albedo: dict[int, Albedo],
+        look: dict[str, Any],
+        growth: Growth | None,
+        bake_size: int,
+        occlusion: bool,
     ) -> None:
         self._context = c = create_context()
         self.head = head
@@ -96,7 +94,7 @@ class RigRenderer:
         self._unwrap = self._over_mesh("unwrap")
         self._resolve = c.vertex_array(make_program(c, "resolve", "resolve"), [])
         self._vertices: FloatArray = np.zeros((0, 3), np.float32)
-        self._colour, self._relief = paint(c, head, albedo or {}, look or {}, growth, bake_size)
+        self._colour, self._relief = paint(c, head, albedo, look, growth, bake_size)
         c.gc()
         self._occlusion: Occlusion | None = None
         if occlusion:
@@ -190,32 +188,27 @@ class RigRenderer:
 
     def _draw_image(self, camera: Camera) -> ByteArray:
         """The camera's sRGB image, supersampled, row 0 on top. uint8 ``[H, W, 3]``."""
-        samples = self._draw_samples(camera)
-        framebuffer = self._framebuffer("colour", camera.width, camera.height)
-        framebuffer.use()
-        self._context.enable_only(moderngl.NOTHING)
-        samples.use(0)
-        set_uniforms(self._resolve.program, {"samples": 0, "side": SUPERSAMPLE})
-        self._resolve.render(moderngl.TRIANGLES, vertices=3)
-        wait_for_gpu(self._context)  # encoders may run meanwhile
-        image: ByteArray = np.empty((camera.height, camera.width, 3), np.uint8)
-        framebuffer.read_into(image, components=3, alignment=1)
-        return image
-
-    def _draw_samples(self, camera: Camera) -> Any:
-        """Texture with the samples of the camera's image, row 0 at the bottom."""
-        size = camera.width * SUPERSAMPLE, camera.height * SUPERSAMPLE
-        framebuffer = self._framebuffer("colour", *size)
-        framebuffer.use()
-        framebuffer.clear(*(value / 255 for value in BACKGROUND), 1.0, depth=1.0)
-        self._context.enable_only(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
+        width, height, c = camera.width, camera.height, self._context
+        samples = self._framebuffer("colour", width * SUPERSAMPLE, height * SUPERSAMPLE)
+        samples.use()
+        samples.clear(*(value / 255 for value in BACKGROUND), 1.0, depth=1.0)
+        c.enable_only(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
         self._colour.use(0)
         self._relief.use(1)
         for array, span in self._shade:
             self._aim(array.program, camera)
             set_uniforms(array.program, {"colour_map": 0, "relief_map": 1})
             array.render(**span)
-        return framebuffer.color_attachments[0]
+        framebuffer = self._framebuffer("colour", width, height)
+        framebuffer.use()
+        c.enable_only(moderngl.NOTHING)
+        samples.color_attachments[0].use(0)
+        set_uniforms(self._resolve.program, {"samples": 0, "side": SUPERSAMPLE})
+        self._resolve.render(moderngl.TRIANGLES, vertices=3)
+        wait_for_gpu(c)  # encoders may run meanwhile
+        image: ByteArray = np.empty((height, width, 3), np.uint8)
+        framebuffer.read_into(image, components=3, alignment=1)
+        return image
 
     def unwrap(self, images: list[tuple[Camera, View]], size: int) -> tuple[ByteArray, BoolArray]:
         """Average texture: every image projected back onto the mesh, where its camera sees it.

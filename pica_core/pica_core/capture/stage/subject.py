@@ -1,6 +1,6 @@
 """What stands on the stage: a head that takes 52 values, has a mesh and can be drawn."""
 
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import numpy.typing as npt
@@ -42,9 +42,7 @@ class Subject:
         self.head, self.name, self.topology = head, head.name, head.topology
         self._about = {"head": head.name, **about}
         self._about |= {"position_map_size": MAP_SIZE, "mask": describe_masks()}
-        self._make_renderer = partial(
-            RigRenderer, head, albedo, look, growth, bake_size=bake_size, occlusion=self_shadow
-        )
+        self._drawn = head, albedo or {}, look or {}, growth, bake_size, self_shadow
 
     def describe(self) -> dict[str, Any]:
         """What `capture.json` says of the subject; JSON values."""
@@ -52,7 +50,7 @@ class Subject:
 
     @cached_property
     def _renderer(self) -> RigRenderer:
-        return self._make_renderer()
+        return RigRenderer(*self._drawn)
 
     def pose(self, arkit: npt.ArrayLike) -> FloatArray:
         """Pose for the draws that follow; returns vertices, head frame, metres ``[V, 3]``."""
