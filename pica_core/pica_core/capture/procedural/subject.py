@@ -5,8 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from pica_core.capture.procedural.heads import ProceduralHead, make_head
-from pica_core.capture.stage.gpu import BAKE_SIZE
-from pica_core.capture.stage.subject import Subject
+from pica_core.capture.stage.subject import BAKE_SIZE, Subject
 from pica_core.capture.stage.synth import Progress, RenderOptions, render_subject
 from pica_core.errors import CaptureError, check_ranges
 

@@ -12,8 +12,7 @@ from pica_core.capture.rig.names import read_names
 from pica_core.capture.rig.skin import Albedo, read_albedos
 from pica_core.capture.rig.source import RigSource
 from pica_core.capture.stage.expressions import sample_takes
-from pica_core.capture.stage.gpu import BAKE_SIZE
-from pica_core.capture.stage.subject import Subject
+from pica_core.capture.stage.subject import BAKE_SIZE, Subject
 
 ERROR_POSES = 8
 """Expressions over which the error that the position map leaves is measured."""

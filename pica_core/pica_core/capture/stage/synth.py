@@ -28,7 +28,6 @@ from pica_core.capture.dataset.writer import (
 )
 from pica_core.capture.stage.dome import EVALUATION_VIEWS, LENSES, dome_cameras
 from pica_core.capture.stage.expressions import RATE_HZ, STRIDE, blend, sample_takes
-from pica_core.capture.stage.gpu import View
 from pica_core.capture.stage.head_motion import head_to_world
 from pica_core.capture.stage.mvs_depth import MvsErrors, find_depth
 from pica_core.capture.stage.own_take import own_take, read_own_take
@@ -39,7 +38,7 @@ from pica_core.capture.stage.poses import (
     pose_expressions,
     write_poses,
 )
-from pica_core.capture.stage.subject import Subject
+from pica_core.capture.stage.subject import Subject, View
 from pica_core.capture.stage.tracked_topology import NUM_VERTICES, track_topology
 from pica_core.capture.stage.tracker import SimulatedTracker, lagged_arkit
 from pica_core.errors import CaptureError, check_ranges
