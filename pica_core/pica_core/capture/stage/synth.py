@@ -29,7 +29,7 @@ from pica_core.capture.dataset.writer import (
 from pica_core.capture.stage.dome import EVALUATION_VIEWS, LENSES, dome_cameras
 from pica_core.capture.stage.expressions import RATE_HZ, STRIDE, blend, sample_takes
 from pica_core.capture.stage.head_motion import head_to_world
-from pica_core.capture.stage.mvs_depth import MvsErrors, find_depth
+from pica_core.capture.stage.mvs_depth import NOISE_M, OUTLIER_RATIO, find_depth
 from pica_core.capture.stage.own_take import own_take, read_own_take
 from pica_core.capture.stage.poses import (
     POSES_PER_FRAME,
@@ -293,7 +293,6 @@ def _describe(
     subject: Subject, options: RenderOptions, tracked: Topology, errors: TrackingErrors
 ) -> dict[str, Any]:
     """What `capture.json` says."""
-    method = MvsErrors()
     return {
         **subject.describe(),
         "seed": options.seed,
@@ -313,8 +312,8 @@ def _describe(
         "depth": {
             "what": "exact depth with the holes, noise and outliers of a stereo method",
             "every": options.depth_every,
-            "noise_mm": method.noise_m * multiface.MILLIMETRES,
-            "outlier_ratio": method.outlier_ratio,
+            "noise_mm": NOISE_M * multiface.MILLIMETRES,
+            "outlier_ratio": OUTLIER_RATIO,
         },
         "width": options.width,
         "height": options.height,
