@@ -28,7 +28,7 @@ def chart_error_mm(head: RigHead, poses: int = ERROR_POSES) -> dict[str, dict[st
     meshes = np.stack([head.vertices(values) for values in arkit])
     error = 1000 * map_error_m(head.chart.vertex_uv, meshes)
     regions = head.topology.regions
-    masks = {"all": np.ones(head.num_vertices, np.bool_)}
+    masks = {"all": np.ones(error.shape[1], np.bool_)}
     masks |= {name: regions[name] for name in ERROR_REGIONS if regions[name].any()}
     return {
         name: {
