@@ -167,7 +167,11 @@ class _Rendering:
     def draw_frame(self, take: Take, number: int, index: int) -> None:
         """Draw and write one frame; its tracked mesh comes last."""
         frame, time_s = f"{index:06d}", index * STRIDE / RATE_HZ
-        lagged, exact = self._pose(take, index)
+        arkit = take.arkit[index]
+        behind = lagged_arkit(arkit, take.history[index])
+        is_late = self.tracker.lag_weight.any() and np.abs(behind - arkit).max() > LEAST_LAG
+        lagged = self.subject.pose(behind) if is_late else None
+        exact = self.subject.pose(arkit)  # which is what is drawn
         pose = head_to_world(self.options.seed, number, time_s)
         views = []
         for place, camera in enumerate(self.cameras):
@@ -183,22 +187,13 @@ class _Rendering:
         multiface.write_aside(
             self.out / multiface.transform_path(take.segment, frame), text.encode()
         )
-        tracked = self.tracker.follow(exact[self.tracked], lagged[self.tracked], number, time_s)
+        places, late = exact[self.tracked], (exact if lagged is None else lagged)[self.tracked]
+        tracked = self.tracker.follow(places, late, number, time_s)
         truth = multiface.mesh_path(take.segment, frame, multiface.TRUTH_MESH)
         multiface.write_aside(self.out / truth, _millimetres(exact).tobytes())
         self.writer.finish()
         mesh = multiface.mesh_path(take.segment, frame)
         multiface.write_aside(self.out / mesh, _millimetres(tracked).tobytes())
-
-    def _pose(self, take: Take, index: int) -> tuple[FloatArray, FloatArray]:
-        """Vertices of the lagging expression and of the real one, which is then current."""
-        arkit = take.arkit[index]
-        behind = lagged_arkit(arkit, take.history[index])
-        lagged: FloatArray | None = None
-        if self.tracker.lag_weight.any() and np.abs(behind - arkit).max() > LEAST_LAG:
-            lagged = self.subject.pose(behind)
-        exact = self.subject.pose(arkit)
-        return (exact if lagged is None else lagged), exact
 
     def _write_view(self, take: Take, number: int, index: int, place: int, view: View) -> None:
         camera = self.cameras[place]
