@@ -75,7 +75,7 @@ class HeadChecks:
         rows = np.concatenate(
             [np.repeat(np.linspace(0, 1, 17), len(grid_lines(head, n)[1])) for n in _ARCHES]
         )
-        front = np.zeros(head.num_vertices, np.bool_)
+        front = np.zeros(len(head.vertex_uv), np.bool_)
         front[teeth[rows < 0.8]] = True
         self._teeth = head.faces[front[head.faces].all(1)].astype(np.int64)
         self._eyes = head.faces[head.regions["eyeballs"][head.faces].all(1)].astype(np.int64)

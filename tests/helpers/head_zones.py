@@ -81,8 +81,8 @@ def vertex_zones(head: ProceduralHead) -> npt.NDArray[np.int64]:
     marks = head.landmarks
     nose_y, mouth_y, half = marks["nose_y"], marks["mouth_y"], marks["mouth_half"]
     brow_from = 0.5 * (EYE_Y + marks["brow_y"])
-    zone = np.full(head.num_vertices, ZONES.index("rest"))
-    skin = np.zeros(head.num_vertices, np.bool_)
+    zone = np.full(len(head.vertex_uv), ZONES.index("rest"))
+    skin = np.zeros(len(head.vertex_uv), np.bool_)
     skin[head.charts["skin"]] = True
     face = skin & (z > -2.0)
 

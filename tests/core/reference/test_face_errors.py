@@ -49,7 +49,7 @@ def test_silhouettes_do_not_count_and_no_head_is_no_fault() -> None:
 
 def test_parts_of_a_built_in_head_are_the_materials_of_its_masks() -> None:
     head = make_head("S1")
-    parts = vertex_parts(head.regions, head.num_vertices)
+    parts = vertex_parts(head.regions, len(head.vertex_uv))
     assert np.array_equal(parts, split_parts(head) + 1)
 
 

@@ -17,9 +17,8 @@ from pica_core.capture.person.model import RIGHTS, FaceModel
 from pica_core.capture.rig.head import RigHead
 from pica_core.capture.rig.mesh import build_mesh
 from pica_core.capture.rig.names import map_names
-from pica_core.capture.stage.gpu import BAKE_SIZE
 from pica_core.capture.stage.rig import describe_rig
-from pica_core.capture.stage.subject import Subject
+from pica_core.capture.stage.subject import BAKE_SIZE, Subject
 
 GREY = np.array((0.28, 0.27, 0.26))
 

@@ -154,11 +154,6 @@ class ProceduralHead:
             dropped=(),
         )
 
-    @property
-    def num_vertices(self) -> int:
-        """Number of vertices, V."""
-        return len(self.vertex_uv)
-
     def vertices(self, arkit: npt.ArrayLike) -> FloatArray:
         """Vertices at the 52 shapes ``[52]``, about [0, 1]; metres, head frame. float32 ``[V, 3]``.
 

@@ -1,12 +1,12 @@
 """A built-in head on the stage."""
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from pica_core.capture.procedural.heads import ProceduralHead, make_head
-from pica_core.capture.stage.gpu import BAKE_SIZE
-from pica_core.capture.stage.subject import Subject
+from pica_core.capture.stage.subject import BAKE_SIZE, Subject
 from pica_core.capture.stage.synth import Progress, RenderOptions, render_subject
 from pica_core.errors import CaptureError, check_ranges
 
@@ -53,10 +53,10 @@ def render_capture(
     options: StageOptions, out: Path, progress: Progress = lambda done, total: None
 ) -> dict[str, Any]:
     """Render a built-in head; arguments, result and errors as `render_subject`."""
-
-    def make() -> Subject:
-        return ProceduralSubject(
-            options.head, bake_size=options.bake_size, self_shadow=options.self_shadow
-        )
-
+    make = partial(
+        ProceduralSubject,
+        options.head,
+        bake_size=options.bake_size,
+        self_shadow=options.self_shadow,
+    )
     return render_subject(make, options, out, progress)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import convolve
 
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES, NUM_ARKIT
 from pica_core.capture.dataset.multiface import MATERIALS
@@ -130,9 +131,7 @@ def _eye_gaps(mesh: RigMesh, view: FrontView, part: IntArray) -> tuple[Float64Ar
     above = np.zeros(len(mesh.rest_m), np.bool_)
     is_eye = np.append(part == MATERIALS.index("eye"), False)[view.face]
     # A sample of skin that is missing lets the eye shine through: only whole patches count.
-    padded = np.pad(is_eye.astype(np.int64), 2)
-    height, width = is_eye.shape
-    around = sum(padded[i : i + height, j : j + width] for i in range(5) for j in range(5))
+    around = convolve(is_eye.astype(np.int64), np.ones((5, 5), np.int64), mode="constant")
     rows, columns = np.nonzero(is_eye & (around >= 12))
     opening = np.stack([columns, rows], 1) * FRONT_CELL_M + view.origin_m + 0.5 * FRONT_CELL_M
     for eye in mesh.eyes:

@@ -74,7 +74,7 @@ def _placed_meshes(file: GltfFile) -> list[_Placed]:
         worlds[index] = parent @ _matrix(file, node)
         if "mesh" in node:
             found.append(index)
-        stack.extend((child, worlds[index], depth + 1) for child in file.entries(node, "children"))
+        stack += [(k, worlds[index], depth + 1) for k in file.entries(node, "children")]
     placed = []
     for index in found:
         node = file.item("nodes", index)
@@ -131,6 +131,12 @@ class _Material:
     """Opacity that the whole material has."""
     cutoff: float | None
     """Opacity from which on it hides what is behind; None: it hides everywhere."""
+
+
+PLAIN = _Material(
+    name="default", uv="TEXCOORD_0", transform=np.eye(3, 2), image=None, alpha=1.0, cutoff=None
+)
+"""What a primitive without a material has."""
 
 
 def _numbers(file: GltfFile, owner: dict[str, Any], name: str, default: list[float]) -> list[float]:
@@ -207,7 +213,7 @@ class _Builder:
     def __init__(self, file: GltfFile) -> None:
         self.file = file
         count = len(file.entries(file.root, "materials"))
-        self.materials = [_material(file, k) for k in range(count)]
+        self.materials = [*(_material(file, k) for k in range(count)), PLAIN]
         self.positions: list[Float64Array] = []
         self.uv: list[Float64Array | None] = []
         self.faces: list[IntArray] = []
@@ -225,19 +231,21 @@ class _Builder:
         if "POSITION" not in attributes:
             raise CaptureError(f"{file.path}: a primitive has no attribute POSITION")
         number = primitive.get("material")
-        if number is not None:
+        if number is None:
+            number = len(self.materials) - 1
+        else:
             file.item("materials", number)
-        look = self.materials[number] if number is not None else None
+        look = self.materials[number]
         targets = file.entries(primitive, "targets")
         names = _target_names(file, mesh, primitive, len(targets)) if targets else []
         at = [t.get("POSITION") if isinstance(t, dict) else None for t in targets]
-        coordinates = attributes.get(look.uv if look is not None else "TEXCOORD_0")
+        coordinates = attributes.get(look.uv)
         for index in (attributes["POSITION"], coordinates, *at):
             if index is not None and not isinstance(index, int):
                 raise CaptureError(f"{file.path}: accessors {index!r} does not exist")
         packed = _unpack(file, primitive)
-        move = look.transform.tobytes() if look is not None else b""
-        key = (attributes["POSITION"], coordinates, *at, placed.place.tobytes(), move, id(packed))
+        move = placed.place.tobytes(), look.transform.tobytes()
+        key = (attributes["POSITION"], coordinates, *at, *move, id(packed))
         if packed is not None or key not in self.shared:
             self.shared[key] = self._add_vertices(
                 attributes, coordinates, dict(zip(names, at, strict=True)), placed, look, packed
@@ -256,7 +264,7 @@ class _Builder:
             )
         faces = (index.reshape(-1, 3) + span.start).astype(np.int32)
         self.faces.append(faces[:, ::-1] if np.linalg.det(placed.place[:3, :3]) < 0 else faces)
-        self.material.append(np.full(len(faces), -1 if number is None else number, np.int32))
+        self.material.append(np.full(len(faces), number, np.int32))
 
     def _add_vertices(
         self,
@@ -264,7 +272,7 @@ class _Builder:
         coordinates: int | None,
         targets: dict[str, Any],
         placed: _Placed,
-        look: _Material | None,
+        look: _Material,
         packed: Any,
     ) -> slice:
         file, linear = self.file, placed.place[:3, :3].T
@@ -278,14 +286,12 @@ class _Builder:
         self.positions.append(points @ linear + placed.place[:3, 3])
         uv: Float64Array | None = None
         if coordinates is not None:
-            name = look.uv if look is not None else "TEXCOORD_0"
-            uv = read(name, coordinates, 2).astype(np.float64)
+            uv = read(look.uv, coordinates, 2).astype(np.float64)
             if len(uv) != len(points):
                 raise CaptureError(
                     f"{file.path}: {len(points)} positions and {len(uv)} texture coordinates"
                 )
-            if look is not None:
-                uv = uv @ look.transform[:2] + look.transform[2]
+            uv = uv @ look.transform[:2] + look.transform[2]
         self.uv.append(uv)
         self.count = span.stop
         for number, (name, index) in enumerate(targets.items()):
@@ -395,9 +401,8 @@ def _read(file: GltfFile) -> RigSource:
     faces = np.concatenate(builder.faces)
     material = np.concatenate(builder.material)
     names = [look.name for look in builder.materials]
-    if (material < 0).any():
-        material = np.where(material < 0, len(names), material).astype(np.int32)
-        names.append("default")
+    if material.max() < len(names) - 1:
+        names.pop()  # PLAIN is not needed
     uv: Float64Array | None = None
     if any(part is not None for part in builder.uv):  # what has none gets islands of its own
         each = zip(builder.uv, builder.positions, strict=True)

@@ -5,7 +5,7 @@
     skin    does not fold over onto itself
 
 Shapes move vertices along straight lines, and flesh does not. Each guard moves what is wrong in a
-pose, and nothing else.
+pose, and nothing else. All take the rig's welded mesh at rest.
 """
 
 from typing import Any
@@ -94,9 +94,6 @@ class LidGuard:
     The line from an open lid to a closed one leads through the eyeball. What was before an eyeball
     at rest stays before it, as far as it was, or `GUARD_M`; the eyeball is as wide at an angle from
     where it looks as its farthest vertex there, so that a cornea lifts the lid that it is under.
-
-    Args:
-        mesh: Welded, at rest.
     """
 
     def __init__(self, mesh: RigMesh) -> None:
@@ -126,10 +123,6 @@ class LidGuard:
 class LipGuard:
     """Moves lips, vertices and sides of triangles, before the teeth that they lay on at rest, and
     skin around them along.
-
-    Args:
-        mesh: Welded, at rest.
-        features: Its mouth and parts.
     """
 
     def __init__(self, mesh: RigMesh, features: Features) -> None:
@@ -192,7 +185,6 @@ class FoldGuard:
     """Smooths skin where it folds over.
 
     Args:
-        mesh: Welded, at rest.
         outer: Faces of skin, hair and clothes. bool ``[F]``.
         mend: True to smooth what folds at rest, too, which is left alone otherwise.
     """
@@ -246,13 +238,7 @@ class FoldGuard:
 
 
 class PoseGuard:
-    """All guards, one after the other, until nothing folds.
-
-    Args:
-        mesh: Welded, at rest.
-        features: What was found on it.
-        mend: True to smooth what folds at rest, too.
-    """
+    """All guards, one after the other, until nothing folds; `mend` is `FoldGuard`'s."""
 
     def __init__(self, mesh: RigMesh, features: Features, *, mend: bool = False) -> None:
         outer = np.isin(features.part, [MATERIALS.index(k) for k in ("skin", "hair", "collar")])

@@ -119,11 +119,6 @@ class RigHead:
         ]
         self.eyes_turned_here = len(self._turns)
 
-    @property
-    def num_vertices(self) -> int:
-        """Number of split vertices, V."""
-        return len(self.chart.source)
-
     def vertices(self, arkit: npt.ArrayLike) -> FloatArray:
         """Split vertices at the 52 shapes ``[52]``, metres, head frame. float32 ``[V, 3]``.
 

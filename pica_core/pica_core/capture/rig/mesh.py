@@ -205,11 +205,9 @@ def _parts(
     in_eye = np.zeros(count, np.bool_)
     for eye in eyes:
         in_eye[eye.vertices] = True
+    if eyes:  # what is called an eye and is no eyeball (a lid, a shadow) is skin
+        part[part == MATERIALS.index("eye")] = 0
     part[in_eye[faces].all(1)] = MATERIALS.index("eye")
-    # What is called an eye and is no eyeball (a lid, a shadow) is skin.
-    wrong = (part == MATERIALS.index("eye")) & ~in_eye[faces].all(1)
-    if eyes:
-        part[wrong] = 0
     return part
 
 

@@ -40,13 +40,13 @@ class Growth:
 def split_parts(head: DrawnRig) -> IntArray:
     """Part of each split vertex: that of its triangles. ``[V]``."""
     part = np.zeros(len(head.chart.source), np.int32)
-    for corner in range(3):  # where parts share an island, the later part of the table wins
-        chart = head.chart
-        np.maximum.at(part, chart.faces[:, corner], head.features.part[chart.face_source])
+    of_face = head.features.part[head.chart.face_source]
+    # Where parts share an island, the later part of the table wins.
+    np.maximum.at(part, head.chart.faces, of_face[:, None])
     return part
 
 
-def surface(head: DrawnRig, growth: Growth | None = None) -> FloatArray:
+def surface(head: DrawnRig, growth: Growth | None) -> FloatArray:
     """Four numbers for every split vertex; their meaning depends on the part. ``[V, 4]``."""
     f, mesh, source = head.features, head.mesh, head.chart.source
     rest = mesh.rest_m
@@ -72,10 +72,9 @@ def surface(head: DrawnRig, growth: Growth | None = None) -> FloatArray:
         local[tongue, 0] = (z - z.min()) / max(float(np.ptp(z)), 1e-9)
     lining = part == MATERIALS.index("mouth_bag")
     if lining.any():
-        front = (
-            float(f.mouth.z.max()) if f.mouth is not None else float(rest[source[lining], 2].max())
-        )
-        local[lining, 0] = 1000 * (front - rest[source[lining], 2])
+        z = rest[source[lining], 2]
+        front = f.mouth.z.max() if f.mouth is not None else z.max()
+        local[lining, 0] = 1000 * (front - z)
     return local
 
 

@@ -71,32 +71,38 @@ def _smooth(values: Float64Array, seconds: float) -> Float64Array:
     return gaussian_filter1d(values, sigma, axis=0, mode="nearest", radius=radius)
 
 
+def _stairs(frames: int, step: Callable[[], tuple[int, Float64Array]]) -> Float64Array:
+    """One state after the other, each for so many frames as comes with it. ``[frames, n]``."""
+    states: list[Float64Array] = []
+    while len(states) < frames:
+        length, state = step()
+        states += length * [state]
+    return np.array(states[:frames])
+
+
 def _hold(
     random: Generator, frames: int, choices: tuple[Float64Array, ...], mean_s: float
 ) -> Float64Array:
     """A staircase: one choice after the other, of random strength and length, a little uneven."""
-    result = np.zeros((frames, NUM_ARKIT))
-    at = 0
-    while at < frames:
+
+    def step() -> tuple[int, Float64Array]:
         length = max(int(random.gamma(4.0, mean_s / 4.0) * RATE_HZ), 2)
         state = choices[int(random.integers(len(choices)))] * random.uniform(0.5, 1.15)
         if random.random() < 0.4:
             state = state + 0.5 * random.random() * choices[int(random.integers(len(choices)))]
-        result[at : at + length] = state * random.uniform(0.88, 1.12, NUM_ARKIT)
-        at += length
-    return result
+        return length, state * random.uniform(0.88, 1.12, NUM_ARKIT)
+
+    return _stairs(frames, step)
 
 
 def _eyes(random: Generator, frames: int) -> Float64Array:
     """Blinks and gaze jumps; both eyes together."""
+
+    def jump() -> tuple[int, Float64Array]:
+        return int(random.gamma(2.0, 0.5) * RATE_HZ) + 6, random.normal(0.0, [0.35, 0.22])
+
     result = np.zeros((frames, NUM_ARKIT))
-    at = 0
-    gaze = np.zeros((frames, 2))
-    while at < frames:
-        length = int(random.gamma(2.0, 0.5) * RATE_HZ) + 6
-        gaze[at : at + length] = random.normal(0.0, [0.35, 0.22])
-        at += length
-    gaze = np.clip(_smooth(gaze, 0.03), -1, 1)
+    gaze = np.clip(_smooth(_stairs(frames, jump), 0.03), -1, 1)
     for names, value in (
         (("OutLeft", "InRight"), gaze[:, 0]),
         (("InLeft", "OutRight"), -gaze[:, 0]),
@@ -107,11 +113,10 @@ def _eyes(random: Generator, frames: int) -> Float64Array:
             result[:, ARKIT_INDEX[f"eyeLook{name}"]] = np.clip(value, 0, 1)
     at = int(random.uniform(0.3, 1.5) * RATE_HZ)
     shape = np.array([0.35, 0.9, 1.0, 0.85, 0.5, 0.2])
+    both = [ARKIT_INDEX["eyeBlinkLeft"], ARKIT_INDEX["eyeBlinkRight"]]
     while at < frames:
-        span = shape[: frames - at]
-        for side in ("Left", "Right"):
-            column = result[:, ARKIT_INDEX[f"eyeBlink{side}"]]
-            column[at : at + len(span)] = np.maximum(column[at : at + len(span)], span)
+        span = shape[: frames - at, None]
+        result[at : at + len(span), both] = np.maximum(result[at : at + len(span), both], span)
         at += int(random.gamma(3.0, 0.8) * RATE_HZ) + 8
     return result
 
@@ -159,13 +164,14 @@ def combinations(random: Generator, frames: int) -> FloatArray:
     """Strong moods and gestures blending into each other, with gaze and blinks. ``[T, 52]``."""
     strong = _smooth(_hold(random, frames, MOODS, 0.8), 0.12)
     talk = _smooth(_hold(random, frames, VISEMES, 0.3), 0.08) * random.uniform(0.0, 0.6)
-    lone = np.zeros((frames, NUM_ARKIT))
-    at = 0
-    while at < frames:
-        length = int(random.uniform(0.3, 0.8) * RATE_HZ)
+
+    def two() -> tuple[int, Float64Array]:
+        length, state = int(random.uniform(0.3, 0.8) * RATE_HZ), np.zeros(NUM_ARKIT)
         chosen = random.choice(NUM_ARKIT, 2, replace=False)
-        lone[at : at + length, chosen] = random.uniform(0.2, 0.8, 2)
-        at += length
+        state[chosen] = random.uniform(0.2, 0.8, 2)
+        return length, state
+
+    lone = _stairs(frames, two)
     lone[:, :14] *= 0.5
     lone = _smooth(lone, 0.1) * 0.6
     lone[:, ARKIT_INDEX["mouthClose"]] = 0.0
@@ -178,13 +184,8 @@ def crowded(random: Generator, frames: int) -> FloatArray:
     A tracker spreads one look over many shapes: in a real recording 7 shapes lie above 0.3 at a
     time and the mouth's add up to 3.1 (medians), in the takes above to 4 and 1.3 (measured).
     """
-    result = np.zeros((frames, NUM_ARKIT))
-    at = 0
-    while at < frames:
-        length = int(random.integers(4, 8))
-        result[at : at + length] = _crowd(random)
-        at += length
-    return np.clip(_smooth(result, 0.03), 0, 1).astype(np.float32)
+    moments = _stairs(frames, lambda: (int(random.integers(4, 8)), _crowd(random)))
+    return np.clip(_smooth(moments, 0.03), 0, 1).astype(np.float32)
 
 
 def _crowd(random: Generator) -> Float64Array:

@@ -54,11 +54,14 @@ def cover_mouth(
         open_m: Its vertices with the mouth open, metres. ``[V, 3]``.
         lips: Which vertices belong to the lips. ``[V]``.
     """
-    border = max(_borders(places[faces]), key=lambda loop: _count(loop, places, lips), default=None)
-    if border is None or _count(border, places, lips) < LIP_SHARE * len(border):
+    numbers, index = np.unique(places, return_index=True)
+    first = np.zeros(numbers[-1] + 1, np.int64)  # the first vertex at each place
+    first[numbers] = index
+    borders = [(np.count_nonzero(lips[first[loop]]), loop) for loop in _borders(places[faces])]
+    count, border = max(borders, key=lambda pair: pair[0], default=(0, np.zeros(0, np.int64)))
+    if not count or count < LIP_SHARE * len(border):
         return None
-    loop = _first_vertices(places)[border]
-    upper, lower = _lips(loop, open_m)
+    upper, lower = _lips(first[border], open_m)
     free = _free_rectangle(faces, vertex_uv, max(len(upper), len(lower)))
     if free is None:
         return None
@@ -99,18 +102,6 @@ def _borders(faces: Int64Array) -> list[Int64Array]:
         if len(loop) > 2 and place == start:
             loops.append(np.array(loop))
     return loops
-
-
-def _first_vertices(places: Int64Array) -> Int64Array:
-    """The first vertex at each place, by the place's number."""
-    first = np.full(int(places.max()) + 1, -1, np.int64)
-    first[places[::-1]] = np.arange(len(places))[::-1]
-    return first
-
-
-def _count(loop: Int64Array, places: Int64Array, lips: BoolArray) -> int:
-    """How many places of a border belong to the lips."""
-    return int(np.count_nonzero(lips[_first_vertices(places)[loop]]))
 
 
 def _lips(loop: Int64Array, open_m: FloatArray) -> tuple[Int64Array, Int64Array]:

@@ -9,8 +9,6 @@
 Amounts are chosen; `docs/capture.md` shows what comes of them.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.ndimage import maximum_filter, uniform_filter
 from scipy.special import ndtri
@@ -18,27 +16,20 @@ from scipy.special import ndtri
 from pica_core.camera import Camera
 from pica_core.types import BoolArray, ByteArray, FloatArray, Int64Array
 
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class MvsErrors:
-    """How good the method is."""
-
-    noise_m: float = 0.00015
-    """Standard deviation along the ray on a surface that faces the camera."""
-    window_px: float = 0.008
-    """Half the matching window, as a share of the image's shorter side; at least 1 pixel."""
-    step_m: float = 0.006
-    """Neighbouring depths that differ by more are a step."""
-    least_cosine: float = 0.22
-    """Surfaces that turn away further are not found."""
-    outlier_ratio: float = 0.01
-    """Share of the found pixels that are wrong matches."""
-    outlier_m: tuple[float, float] = (0.004, 0.04)
-    """How far off those are, either way."""
-    blotch_px: float = 0.02
-    """Size of blotches, as a share of the image's shorter side."""
-
-
+NOISE_M = 0.00015
+"""Standard deviation along the ray on a surface that faces the camera."""
+WINDOW = 0.008
+"""Half the matching window, as a share of the image's shorter side; at least 1 pixel."""
+STEP_M = 0.006
+"""Neighbouring depths that differ by more are a step."""
+LEAST_COSINE = 0.22
+"""Surfaces that turn away further are not found."""
+OUTLIER_RATIO = 0.01
+"""Share of the found pixels that are wrong matches."""
+OUTLIER_M = (0.004, 0.04)
+"""How far off those are, either way."""
+BLOTCH = 0.02
+"""Size of blotches, as a share of the image's shorter side."""
 HOLE_RATIO: dict[str, float] = {
     "hair": 0.65,
     "eye": 0.5,
@@ -58,7 +49,7 @@ def find_depth(
     camera: Camera,
     materials: dict[int, str],
     random: np.random.Generator,
-    errors: MvsErrors | None = None,
+    outlier_ratio: float = OUTLIER_RATIO,
 ) -> FloatArray:
     """Depth as a method would find it, 0 where nothing was found. float32 ``[H, W]``.
 
@@ -66,23 +57,22 @@ def find_depth(
         depth_m: Exact depth along the camera axis, 0 where empty. ``[H, W]``.
         mask: What is seen; `materials` names its values. ``[H, W]``.
     """
-    e = errors or MvsErrors()
     side = min(depth_m.shape)
-    window = max(1, round(e.window_px * side))
+    window = max(1, round(WINDOW * side))
     cosine = _facing(depth_m, camera)
-    seen = (depth_m > 0) & ~_near_step(depth_m, e.step_m, window) & (cosine > e.least_cosine)
-    blotches = _blotches(random, depth_m.shape, max(2.0, e.blotch_px * side))
+    seen = (depth_m > 0) & ~_near_step(depth_m, STEP_M, window) & (cosine > LEAST_COSINE)
+    blotches = _blotches(random, depth_m.shape, max(2.0, BLOTCH * side))
     ratio = np.full(256, ELSEWHERE_RATIO, np.float32)
     for value, name in materials.items():
         ratio[value] = HOLE_RATIO.get(name, ELSEWHERE_RATIO)
     found = seen & (blotches >= ndtri(ratio)[mask])
-    noise = _smooth_noise(random, depth_m.shape, window) * e.noise_m / np.maximum(cosine, 0.1)
+    noise = _smooth_noise(random, depth_m.shape, window) * NOISE_M / np.maximum(cosine, 0.1)
     result = depth_m + noise
-    size = max(2.0, 0.5 * e.blotch_px * side)
+    size = max(2.0, 0.5 * BLOTCH * side)
     cells = _cell_index(depth_m.shape, size)
     count = int(cells[-1, -1]) + 1
-    offset = random.uniform(*e.outlier_m, count) * random.choice((-1.0, 1.0), count)
-    wrong = _blotches(random, depth_m.shape, size) < ndtri(e.outlier_ratio)
+    offset = random.uniform(*OUTLIER_M, count) * random.choice((-1.0, 1.0), count)
+    wrong = _blotches(random, depth_m.shape, size) < ndtri(outlier_ratio)
     result[wrong] += offset.astype(np.float32)[cells[wrong]]
     return np.where(found, result, 0.0).astype(np.float32)
 

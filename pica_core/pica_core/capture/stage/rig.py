@@ -12,8 +12,7 @@ from pica_core.capture.rig.names import read_names
 from pica_core.capture.rig.skin import Albedo, read_albedos
 from pica_core.capture.rig.source import RigSource
 from pica_core.capture.stage.expressions import sample_takes
-from pica_core.capture.stage.gpu import BAKE_SIZE
-from pica_core.capture.stage.subject import Subject
+from pica_core.capture.stage.subject import BAKE_SIZE, Subject
 
 ERROR_POSES = 8
 """Expressions over which the error that the position map leaves is measured."""
@@ -29,7 +28,7 @@ def chart_error_mm(head: RigHead, poses: int = ERROR_POSES) -> dict[str, dict[st
     meshes = np.stack([head.vertices(values) for values in arkit])
     error = 1000 * map_error_m(head.chart.vertex_uv, meshes)
     regions = head.topology.regions
-    masks = {"all": np.ones(head.num_vertices, np.bool_)}
+    masks = {"all": np.ones(error.shape[1], np.bool_)}
     masks |= {name: regions[name] for name in ERROR_REGIONS if regions[name].any()}
     return {
         name: {

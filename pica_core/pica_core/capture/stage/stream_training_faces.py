@@ -19,6 +19,8 @@ from pica_core.types import FloatArray
 
 TEMPOS = (1, 2, 4)
 """Times as slow. The generators are livelier than seven real takes were."""
+FRAMES = 120
+"""Length of each before its tempo, at 30 frames a second."""
 STRENGTHS = (1.0, 0.7)
 KINDS: tuple[tuple[Callable[[np.random.Generator, int], FloatArray], int], ...] = (
     (sentence, 1),
@@ -29,19 +31,14 @@ KINDS: tuple[tuple[Callable[[np.random.Generator, int], FloatArray], int], ...] 
 """Each with how rarely it comes: eyes alone every third round."""
 
 
-def stream_training_performances(
-    rounds: int = 36, frames: int = 120, seed: int = 0
-) -> list[FloatArray]:
-    """Generate `rounds` performances of each kind: ARKit values, float32 ``[T, 52]`` each.
-
-    `frames` is the length of each before its tempo, at 30 frames a second.
-    """
+def stream_training_performances(rounds: int = 36, seed: int = 0) -> list[FloatArray]:
+    """Generate `rounds` performances of each kind: ARKit values, float32 ``[T, 52]`` each."""
     performances = []
     for number in range(rounds):
         for kind, (make, rarity) in enumerate(KINDS):
             if number % rarity:
                 continue
-            values = make(np.random.default_rng([seed, number, kind]), frames)
+            values = make(np.random.default_rng([seed, number, kind]), FRAMES)
             slowed = _slow_down(values, TEMPOS[number % len(TEMPOS)])
             performances.append(slowed * np.float32(STRENGTHS[number % len(STRENGTHS)]))
     return performances

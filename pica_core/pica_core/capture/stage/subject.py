@@ -1,26 +1,66 @@
-"""What stands on the stage: a head that takes 52 values, has a mesh and can be drawn."""
+"""What stands on the stage: a head that takes 52 values, is drawn, and unwraps textures.
 
-from functools import cached_property, partial
+The mesh keeps its topology, so buffers are made once.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
+import moderngl
+import numpy as np
 import numpy.typing as npt
 
 from pica_core.camera import Camera
 from pica_core.capture.dataset.files import MAP_SIZE
 from pica_core.capture.dataset.multiface import describe_masks
 from pica_core.capture.rig.drawn import DrawnRig
-from pica_core.capture.rig.skin import Albedo, Growth
-from pica_core.capture.stage.gpu import BAKE_SIZE, RigRenderer, View
-from pica_core.types import BoolArray, ByteArray, FloatArray
+from pica_core.capture.rig.features import LID_M
+from pica_core.capture.rig.skin import Albedo, Growth, split_parts
+from pica_core.capture.stage.paint import paint, split_hairs
+from pica_core.capture.stage.programs import make_program, set_uniforms, vertex_array
+from pica_core.capture.stage.shadow import Occlusion
+from pica_core.gl import create_context, wait_for_gpu
+from pica_core.types import BoolArray, ByteArray, FloatArray, Int64Array
+
+BAKE_SIZE = 2048
+"""Side of the appearance textures: 8 texels per position-map texel, about 0.1 mm on the face."""
+SUPERSAMPLE = 2
+"""Samples per pixel along each axis."""
+BACKGROUND = (92, 97, 104)
+"""sRGB of the empty stage; pixels without a head have mask 0."""
+NEAR_M, FAR_M = 0.05, 6.0
+DEPTH_TOLERANCE_M = 0.0015
+"""How far behind the nearest surface a texel may lie and still count as seen."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class View:
+    """What one camera sees.
+
+    Attributes:
+        image: sRGB, row 0 on top. uint8 ``[H, W, 3]``.
+        depth_m: Distance along the camera axis at pixel centres, 0 where empty. float32 ``[H, W]``.
+        mask: 0 background, else material id + 1 (`multiface.MATERIALS`). uint8 ``[H, W]``.
+    """
+
+    image: ByteArray
+    depth_m: FloatArray
+    mask: ByteArray
 
 
 class Subject:
-    """A head on the stage; one thread owns it. Its GL context is made with the first pose.
+    """A head on the stage; one thread owns it.
+
+    Its GL context is made with the first pose, which is a `GraphicsError` where there can be none.
 
     Args:
         about: What `capture.json` says of the head, at least ``source`` and ``licence``; JSON
             values.
-        albedo, look, growth, bake_size: As for `RigRenderer`.
+        albedo: Images by the source's material; others are painted.
+        look: Colours and marks, as `paint.PAINT` names them, instead of those there.
+        growth: Hair that the mesh has, if it has some.
+        bake_size: Side of the appearance textures, texels.
         self_shadow: False leaves out shadow of the face on itself, which takes seconds to measure.
 
     Attributes:
@@ -42,32 +82,230 @@ class Subject:
         self.head, self.name, self.topology = head, head.name, head.topology
         self._about = {"head": head.name, **about}
         self._about |= {"position_map_size": MAP_SIZE, "mask": describe_masks()}
-        self._make_renderer = partial(
-            RigRenderer, head, albedo, look, growth, bake_size=bake_size, occlusion=self_shadow
-        )
+        self._albedo, self._look, self._growth = albedo or {}, look or {}, growth
+        self._bake_size, self._self_shadow = bake_size, self_shadow
+        self._context: Any = None
+        self._strands = split_hairs(head, growth)[:, 1:4]
+        self._lids = tuple(_lid_edges(head))
 
     def describe(self) -> dict[str, Any]:
         """What `capture.json` says of the subject; JSON values."""
         return self._about
 
-    @cached_property
-    def _renderer(self) -> RigRenderer:
-        return self._make_renderer()
+    def _open(self) -> None:
+        """Make a context, with everything that no pose changes."""
+        self._context = c = create_context()
+        head = self.head
+        self._framebuffers: dict[tuple[str, int, int], Any] = {}
+        self._view_textures: dict[tuple[int, int], tuple[Any, Any]] = {}
+        self._layout = {"position_m": 3, "normal": 3, "occlusion": 2, "tangent": 3}
+        faces, material = head.chart.faces, split_parts(head)
+        by_face = material[faces[:, 2]]  # the last vertex of a triangle counts
+        order = np.argsort(by_face, kind="stable")
+        self._faces = c.buffer(np.ascontiguousarray(faces[order], np.int32).tobytes())
+        names, first, count = np.unique(by_face[order], return_index=True, return_counts=True)
+        static = np.concatenate([head.chart.vertex_uv, material[:, None]], 1)
+        self._static = c.buffer(static.astype(np.float32).tobytes())
+        stride = 4 * sum(self._layout.values())
+        self._moving = c.buffer(reserve=len(static) * stride, dynamic=True)
+        self._shade = [
+            (self._over_mesh("stage", int(name)), {"first": 3 * int(at), "vertices": 3 * int(n)})
+            for name, at, n in zip(names, first, count, strict=True)
+        ]
+        self._depth = self._over_mesh("depth")
+        self._unwrap = self._over_mesh("unwrap")
+        self._resolve = c.vertex_array(make_program(c, "resolve", "resolve"), [])
+        self._vertices: FloatArray = np.zeros((0, 3), np.float32)
+        self._colour, self._relief = paint(
+            c, head, self._albedo, self._look, self._growth, self._bake_size
+        )
+        c.gc()
+        self._occlusion: Occlusion | None = None
+        if self._self_shadow:
+            centre_y_m = -0.03 if self._growth is None else -0.11
+            self._occlusion = Occlusion(head, self._draw_depth_map, centre_y_m)
 
     def pose(self, arkit: npt.ArrayLike) -> FloatArray:
         """Pose for the draws that follow; returns vertices, head frame, metres ``[V, 3]``."""
-        return self._renderer.pose(arkit)
+        if self._context is None:
+            self._open()
+        vertices = self.head.vertices(arkit)
+        shade = np.ones((len(vertices), 2), np.float32)
+        if self._occlusion is not None:
+            shade = self._occlusion.at(np.asarray(arkit, np.float32))
+        self._upload(vertices, shade)
+        return vertices
 
-    def draw(self, camera: Camera) -> View:
-        """What a camera in head axes sees of the pose."""
-        return self._renderer.draw(camera)
-
-    def unwrap(self, images: list[tuple[Camera, View]], size: int) -> tuple[ByteArray, BoolArray]:
-        """Average texture of the pose and where it is known, as `RigRenderer.unwrap`."""
-        return self._renderer.unwrap(images, size)
+    def _upload(self, vertices: FloatArray, shade: FloatArray) -> None:
+        for eyeball, upper, lower in self._lids:  # lids shade the eyeballs
+            x, y = vertices[eyeball, 0], vertices[eyeball, 1]
+            above = _line(vertices[upper], x) - y
+            below = y - _line(vertices[lower], x)
+            light = (0.12 + 0.88 * _ramp(above, -0.0008, 0.0060)) * (
+                0.60 + 0.40 * _ramp(below, -0.0006, 0.0026)
+            )
+            shade[eyeball] = light[:, None]
+        values = vertices, self.head.normals(vertices), shade, self._strands
+        self._moving.write(np.concatenate(values, 1, dtype=np.float32, casting="same_kind"))
+        self._vertices = vertices
 
     def release(self) -> None:
         """Give back what drawing needed."""
-        if "_renderer" in self.__dict__:
-            self._renderer.release()
-            del self._renderer
+        if self._context is None:
+            return
+        self._framebuffers.clear()
+        self._view_textures.clear()
+        self._context.gc()
+        self._context.release()
+        self._context = None
+
+    def _over_mesh(self, shader: str, material: int | None = None) -> Any:
+        """The mesh with a program that takes what it wants of the vertices."""
+        program = make_program(self._context, shader, shader, material)
+        static = self._static, {"vertex_uv": 2, "material": 1}
+        moving = self._moving, self._layout
+        return vertex_array(self._context, program, self._faces, moving, static)
+
+    def _framebuffer(self, kind: str, width: int, height: int) -> Any:
+        key = (kind, width, height)
+        if key not in self._framebuffers:
+            c, size = self._context, (width, height)
+            components, dtype = {"colour": (4, "f1"), "geometry": (2, "f4"), "sum": (4, "f4")}[kind]
+            target = c.texture(size, components, dtype=dtype)
+            if kind == "geometry":
+                target.filter = (moderngl.NEAREST, moderngl.NEAREST)
+            self._framebuffers[key] = c.framebuffer([target], c.depth_renderbuffer(size))
+        return self._framebuffers[key]
+
+    def _draw_depth_map(self, vertices: FloatArray, clip: FloatArray, size: int) -> FloatArray:
+        """Depth in [0, 1] along an orthographic `clip`, 1 where empty, row 0 at the bottom."""
+        if vertices is not self._vertices:
+            self._upload(vertices, np.ones((len(vertices), 2), np.float32))
+        framebuffer = self._framebuffer("geometry", size, size)
+        framebuffer.use()
+        framebuffer.clear(1.0, 0.0, 0.0, 0.0, depth=1.0)
+        self._context.enable_only(moderngl.DEPTH_TEST)
+        program = self._depth.program
+        program["clip_from_head"].write(np.ascontiguousarray(clip.T).tobytes())
+        row = 0.5 * clip[2]
+        row[3] += 0.5
+        program["depth_plane"].value = tuple(float(value) for value in row)
+        self._depth.render()
+        raw = np.frombuffer(framebuffer.read(components=1, dtype="f4"), np.float32)
+        return raw.reshape(size, size)
+
+    def _aim(self, program: Any, camera: Camera) -> None:
+        clip = camera.clip_from_world(NEAR_M, FAR_M)
+        program["clip_from_head"].write(np.ascontiguousarray(clip.T).tobytes())
+        plane = (*camera.rotation[2], camera.translation_m[2])
+        set_uniforms(program, {"camera_m": tuple(camera.centre_m), "depth_plane": plane})
+
+    def draw(self, camera: Camera) -> View:
+        """Image, exact depth and mask of the pose, seen by a camera in head axes."""
+        framebuffer = self._framebuffer("geometry", camera.width, camera.height)
+        framebuffer.use()
+        framebuffer.clear(0.0, 0.0, 0.0, 0.0, depth=1.0)
+        self._context.enable_only(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
+        self._aim(self._depth.program, camera)
+        self._depth.render()
+        image = self._draw_image(camera)
+        both: FloatArray = np.empty((camera.height, camera.width, 2), np.float32)
+        framebuffer.read_into(both, components=2, dtype="f4")
+        depth, mask = both[::-1, :, 0].copy(), np.rint(both[::-1, :, 1]).astype(np.uint8)
+        return View(image=image, depth_m=depth, mask=mask)
+
+    def _draw_image(self, camera: Camera) -> ByteArray:
+        """The camera's sRGB image, supersampled, row 0 on top. uint8 ``[H, W, 3]``."""
+        width, height, c = camera.width, camera.height, self._context
+        samples = self._framebuffer("colour", width * SUPERSAMPLE, height * SUPERSAMPLE)
+        samples.use()
+        samples.clear(*(value / 255 for value in BACKGROUND), 1.0, depth=1.0)
+        c.enable_only(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
+        self._colour.use(0)
+        self._relief.use(1)
+        for array, span in self._shade:
+            self._aim(array.program, camera)
+            set_uniforms(array.program, {"colour_map": 0, "relief_map": 1})
+            array.render(**span)
+        framebuffer = self._framebuffer("colour", width, height)
+        framebuffer.use()
+        c.enable_only(moderngl.NOTHING)
+        samples.color_attachments[0].use(0)
+        set_uniforms(self._resolve.program, {"samples": 0, "side": SUPERSAMPLE})
+        self._resolve.render(moderngl.TRIANGLES, vertices=3)
+        wait_for_gpu(c)  # encoders may run meanwhile
+        image: ByteArray = np.empty((height, width, 3), np.uint8)
+        framebuffer.read_into(image, components=3, alignment=1)
+        return image
+
+    def unwrap(self, images: list[tuple[Camera, View]], size: int) -> tuple[ByteArray, BoolArray]:
+        """Average texture: every image projected back onto the mesh, where its camera sees it.
+
+        Args:
+            images: Cameras with what they saw of the pose that is set now.
+            size: Side of the texture, texels.
+
+        Returns:
+            sRGB texture, row 0 is v = 0, black where no camera looks; and where one does.
+            uint8 ``[S, S, 3]``, bool ``[S, S]``.
+        """
+        c = self._context
+        framebuffer = self._framebuffer("sum", size, size)
+        framebuffer.clear(0.0, 0.0, 0.0, 0.0)
+        program = self._unwrap.program
+        set_uniforms(program, {"image": 0, "geometry": 1, "tolerance_m": DEPTH_TOLERANCE_M})
+        framebuffer.use()
+        c.enable_only(moderngl.BLEND)
+        c.blend_func = moderngl.ONE, moderngl.ONE
+        for camera, view in images:
+            self._aim(program, camera)
+            for unit, texture in enumerate(self._upload_view(view)):
+                texture.use(unit)
+            self._unwrap.render()
+        c.enable_only(moderngl.NOTHING)
+        raw = np.frombuffer(framebuffer.read(components=4, dtype="f4"), np.float32)
+        total = raw.reshape(size, size, 4)
+        seen = total[..., 3] > 1e-4
+        mean = total[..., :3] / np.maximum(total[..., 3:], 1e-4)
+        result = np.where(seen[..., None], np.rint(255 * np.clip(mean, 0, 1)), 0)
+        return result.astype(np.uint8), seen
+
+    def _upload_view(self, view: View) -> tuple[Any, Any]:
+        """A view's image, and its depth with its mask, as textures; row 0 at the bottom."""
+        h, w = view.mask.shape
+        if (w, h) not in self._view_textures:
+            c = self._context
+            pair = c.texture((w, h), 3), c.texture((w, h), 2, dtype="f4")
+            pair[1].filter = (moderngl.NEAREST, moderngl.NEAREST)
+            for texture in pair:
+                texture.repeat_x = texture.repeat_y = False
+            self._view_textures[w, h] = pair
+        image, geometry = self._view_textures[w, h]
+        both = np.empty((h, w, 2), np.float32)
+        both[..., 0], both[..., 1] = view.depth_m[::-1], view.mask[::-1]
+        image.write(np.ascontiguousarray(view.image[::-1]), alignment=1)
+        geometry.write(both)
+        return image, geometry
+
+
+def _lid_edges(head: DrawnRig) -> Iterator[tuple[Int64Array, Int64Array, Int64Array]]:
+    """Find split vertices of each eyeball that has lids, of its upper and of its lower lid."""
+    f, rest, source = head.features, head.mesh.rest_m, head.chart.source
+    for eye in head.mesh.eyes:
+        near = f.regions["lids"] & (f.eye_gap_m < LID_M)
+        near &= np.abs(rest[:, 0] - eye.centre_m[0]) < 1.3 * eye.radius_m
+        edges = [np.flatnonzero((near & above)[source]) for above in (f.above_eye, ~f.above_eye)]
+        if min(map(len, edges)) > 3:
+            yield np.flatnonzero(np.isin(source, eye.vertices)), edges[0], edges[1]
+
+
+def _line(points: FloatArray, x: FloatArray) -> FloatArray:
+    """Height of a lid's edge, through its points ``[n, 3]``, at `x`. ``[V]``."""
+    order = np.argsort(points[:, 0])
+    height: FloatArray = np.interp(x, points[order, 0], points[order, 1]).astype(np.float32)
+    return height
+
+
+def _ramp(value: FloatArray, low: float, high: float) -> FloatArray:
+    t = np.clip((value - low) / (high - low), 0.0, 1.0)
+    return t * t * (3 - 2 * t)

@@ -28,9 +28,8 @@ from pica_core.capture.dataset.writer import (
 )
 from pica_core.capture.stage.dome import EVALUATION_VIEWS, LENSES, dome_cameras
 from pica_core.capture.stage.expressions import RATE_HZ, STRIDE, blend, sample_takes
-from pica_core.capture.stage.gpu import View
 from pica_core.capture.stage.head_motion import head_to_world
-from pica_core.capture.stage.mvs_depth import MvsErrors, find_depth
+from pica_core.capture.stage.mvs_depth import NOISE_M, OUTLIER_RATIO, find_depth
 from pica_core.capture.stage.own_take import own_take, read_own_take
 from pica_core.capture.stage.poses import (
     POSES_PER_FRAME,
@@ -39,7 +38,7 @@ from pica_core.capture.stage.poses import (
     pose_expressions,
     write_poses,
 )
-from pica_core.capture.stage.subject import Subject
+from pica_core.capture.stage.subject import Subject, View
 from pica_core.capture.stage.tracked_topology import NUM_VERTICES, track_topology
 from pica_core.capture.stage.tracker import SimulatedTracker, lagged_arkit
 from pica_core.errors import CaptureError, check_ranges
@@ -168,7 +167,11 @@ class _Rendering:
     def draw_frame(self, take: Take, number: int, index: int) -> None:
         """Draw and write one frame; its tracked mesh comes last."""
         frame, time_s = f"{index:06d}", index * STRIDE / RATE_HZ
-        lagged, exact = self._pose(take, index)
+        arkit = take.arkit[index]
+        behind = lagged_arkit(arkit, take.history[index])
+        is_late = self.tracker.lag_weight.any() and np.abs(behind - arkit).max() > LEAST_LAG
+        lagged = self.subject.pose(behind) if is_late else None
+        exact = self.subject.pose(arkit)  # which is what is drawn
         pose = head_to_world(self.options.seed, number, time_s)
         views = []
         for place, camera in enumerate(self.cameras):
@@ -184,22 +187,13 @@ class _Rendering:
         multiface.write_aside(
             self.out / multiface.transform_path(take.segment, frame), text.encode()
         )
-        tracked = self.tracker.follow(exact[self.tracked], lagged[self.tracked], number, time_s)
+        places, late = exact[self.tracked], (exact if lagged is None else lagged)[self.tracked]
+        tracked = self.tracker.follow(places, late, number, time_s)
         truth = multiface.mesh_path(take.segment, frame, multiface.TRUTH_MESH)
         multiface.write_aside(self.out / truth, _millimetres(exact).tobytes())
         self.writer.finish()
         mesh = multiface.mesh_path(take.segment, frame)
         multiface.write_aside(self.out / mesh, _millimetres(tracked).tobytes())
-
-    def _pose(self, take: Take, index: int) -> tuple[FloatArray, FloatArray]:
-        """Vertices of the lagging expression and of the real one, which is then current."""
-        arkit = take.arkit[index]
-        behind = lagged_arkit(arkit, take.history[index])
-        lagged: FloatArray | None = None
-        if self.tracker.lag_weight.any() and np.abs(behind - arkit).max() > LEAST_LAG:
-            lagged = self.subject.pose(behind)
-        exact = self.subject.pose(arkit)
-        return (exact if lagged is None else lagged), exact
 
     def _write_view(self, take: Take, number: int, index: int, place: int, view: View) -> None:
         camera = self.cameras[place]
@@ -294,7 +288,6 @@ def _describe(
     subject: Subject, options: RenderOptions, tracked: Topology, errors: TrackingErrors
 ) -> dict[str, Any]:
     """What `capture.json` says."""
-    method = MvsErrors()
     return {
         **subject.describe(),
         "seed": options.seed,
@@ -314,8 +307,8 @@ def _describe(
         "depth": {
             "what": "exact depth with the holes, noise and outliers of a stereo method",
             "every": options.depth_every,
-            "noise_mm": method.noise_m * multiface.MILLIMETRES,
-            "outlier_ratio": method.outlier_ratio,
+            "noise_mm": NOISE_M * multiface.MILLIMETRES,
+            "outlier_ratio": OUTLIER_RATIO,
         },
         "width": options.width,
         "height": options.height,

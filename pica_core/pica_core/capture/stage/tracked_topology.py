@@ -64,7 +64,8 @@ def track_topology(
     used = np.zeros(len(places), np.bool_)
     used[faces] = True
     weight = topology.by_region(DENSITY, 1.0) * np.where(border, BORDER_DENSITY, 1.0)
-    twins = _same_places(places)
+    cells = np.rint(places / SAME_PLACE_M).astype(np.int64)
+    twins = np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1)
     seeds = _spread(places, used, weight.astype(np.float32), twins, num_vertices)
     owner = _patches(places, faces, border_edges, seeds)
     corners = owner[faces]
@@ -83,33 +84,19 @@ def track_topology(
             name: mask[chosen] for name, mask in topology.regions.items() if name != UNTRACKED
         },
     )
-    return _with_mouth_cover(tracked, chosen, twins[chosen], shapes_m[min(1, len(shapes_m) - 1)])
-
-
-def _with_mouth_cover(
-    tracked: Topology, chosen: Int64Array, places: Int64Array, open_m: FloatArray
-) -> tuple[Topology, Int64Array]:
-    """The tracked mesh with its mouth covered, where it has lips."""
     faces, lips = tracked.faces.astype(np.int64), tracked.region("lips")
-    cover = cover_mouth(faces, tracked.vertex_uv, places, open_m[chosen], lips)
+    open_m = shapes_m[min(1, len(shapes_m) - 1)][chosen]
+    cover = cover_mouth(faces, tracked.vertex_uv, twins[chosen], open_m, lips)
     if cover is None:
         return tracked, chosen
     every = np.concatenate([np.arange(len(chosen)), cover.source])
-    return (
-        Topology(
-            vertex_uv=np.concatenate([tracked.vertex_uv, cover.uv]),
-            faces=np.concatenate([faces, len(chosen) + cover.faces]).astype(np.int32),
-            regions={name: mask[every] for name, mask in tracked.regions.items()}
-            | {COVER: np.arange(len(every)) >= len(chosen)},
-        ),
-        chosen[every],
+    covered = Topology(
+        vertex_uv=np.concatenate([tracked.vertex_uv, cover.uv]),
+        faces=np.concatenate([faces, len(chosen) + cover.faces]).astype(np.int32),
+        regions={name: mask[every] for name, mask in tracked.regions.items()}
+        | {COVER: np.arange(len(every)) >= len(chosen)},
     )
-
-
-def _same_places(places: FloatArray) -> Int64Array:
-    """The number of each vertex's place. int64 ``[V]``."""
-    cells = np.rint(places / SAME_PLACE_M).astype(np.int64)
-    return np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1)
+    return covered, chosen[every]
 
 
 def _spread(

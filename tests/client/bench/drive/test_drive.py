@@ -102,15 +102,15 @@ def test_the_map_of_parts_says_of_every_vertex_what_it_is() -> None:
     head = make_head("S1")
     topology = Topology(vertex_uv=head.vertex_uv, faces=head.faces, regions=head.regions)
     found = read_parts(part_map(topology), head.vertex_uv)
-    assert (found == vertex_parts(head.regions, head.num_vertices)).mean() > 0.97
+    assert (found == vertex_parts(head.regions, len(head.vertex_uv))).mean() > 0.97
 
 
 def test_vertices_of_an_avatar_are_found_in_any_order_and_no_others() -> None:
     head = make_head("S1")
-    order = np.random.default_rng(3).permutation(head.num_vertices)
+    order = np.random.default_rng(3).permutation(len(head.vertex_uv))
     faces = np.argsort(order)[head.faces]
     assert np.array_equal(same_vertices(faces, head.faces), order)
-    assert np.array_equal(same_vertices(head.faces, head.faces), np.arange(head.num_vertices))
+    assert np.array_equal(same_vertices(head.faces, head.faces), np.arange(len(head.vertex_uv)))
     faces[7] = faces[7, ::-1]
     assert same_vertices(faces, head.faces) is None
     assert same_vertices(head.faces[1:], head.faces) is None

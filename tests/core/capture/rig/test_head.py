@@ -162,7 +162,7 @@ def test_eyeballs_that_the_shapes_leave_alone_are_turned_about_their_centres(toy
     turned = np.arctan2(after[0], after[2]) - np.arctan2(before[0], before[2])
     assert turned == pytest.approx(EYE_YAW, abs=1e-3)  # to the subject's left
     other = np.setdiff1d(
-        np.arange(toy.num_vertices), np.flatnonzero(toy.topology.regions["eyeballs"])
+        np.arange(len(toy.chart.source)), np.flatnonzero(toy.topology.regions["eyeballs"])
     )
     np.testing.assert_allclose(looking[other], rest[other], atol=1e-6)
 
@@ -183,7 +183,7 @@ def test_normals_point_outwards_and_agree_across_seams(toy: RigHead) -> None:
     skin = ~toy.topology.regions["eyeballs"] & ~toy.topology.regions["teeth"]
     outwards = (normals * (rest - rest[skin].mean(0))).sum(1)
     assert (outwards[skin] > 0).mean() > 0.99
-    assert np.unique(toy.chart.source).size < toy.num_vertices  # there is a seam
+    assert np.unique(toy.chart.source).size < len(toy.chart.source)  # there is a seam
     by_source = np.zeros((len(toy.mesh.rest_m), 3), np.float32)
     by_source[toy.chart.source] = normals
     np.testing.assert_array_equal(by_source[toy.chart.source], normals)

@@ -16,7 +16,7 @@ from pica_core.capture.procedural.heads import make_head
 from pica_core.capture.procedural.subject import ProceduralSubject, StageOptions, render_capture
 from pica_core.capture.stage.dome import EVALUATION_VIEWS, dome_cameras
 from pica_core.capture.stage.expressions import blend
-from pica_core.capture.stage.gpu import DEPTH_TOLERANCE_M
+from pica_core.capture.stage.subject import DEPTH_TOLERANCE_M
 from pica_core.errors import CaptureError
 
 pytestmark = pytest.mark.render

@@ -10,7 +10,7 @@ from pica_core.capture.dataset.dataset import Topology
 from pica_core.capture.procedural.heads import ProceduralHead, make_head
 from pica_core.capture.stage.expressions import blend, sample_takes
 from pica_core.capture.stage.head_motion import head_to_world
-from pica_core.capture.stage.mvs_depth import MvsErrors, find_depth
+from pica_core.capture.stage.mvs_depth import OUTLIER_RATIO, find_depth
 from pica_core.capture.stage.tracked_topology import track_topology
 from pica_core.capture.stage.tracker import LIMIT_MM, SimulatedTracker, lagged_arkit
 
@@ -141,15 +141,14 @@ def ball(size: int) -> tuple[np.ndarray, np.ndarray]:
     return depth, mask
 
 
-def found(size: int = 256, seed: int = 0, **changes: float) -> tuple[np.ndarray, ...]:
+def found(size: int = 256, outlier_ratio: float = OUTLIER_RATIO) -> tuple[np.ndarray, ...]:
     depth, mask = ball(size)
     camera = look_at(
         centre_m=(0, 0, 1), target_m=(0, 0, 0), vertical_fov=0.3, width=size, height=size
     )
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)
     names = {0: "background", 1: "skin", 7: "hair"}
-    errors = MvsErrors(**changes)  # type: ignore[arg-type]
-    return depth, mask, find_depth(depth, mask, camera, names, random, errors)
+    return depth, mask, find_depth(depth, mask, camera, names, random, outlier_ratio)
 
 
 def test_found_depth_has_holes_at_the_rim_and_in_hair() -> None:
