@@ -19,10 +19,8 @@ All is integers. Nothing here knows of time, networks or which reference to choo
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_core.codec.profile import (
     ACTIVITY_LEVELS,
@@ -36,7 +34,7 @@ from pica_core.codec.profile import (
 )
 from pica_core.codec.range_coder import Range, SymbolReader, Table, uniform, write_symbols
 from pica_core.errors import LatentError, MissingReferenceError
-from pica_core.types import Int64Array
+from pica_core.types import Array, Int64Array
 
 HAS_LATENT, HAS_POSE, IS_STILL = 1, 2, 4
 QUALITY_BITS = 4
@@ -94,9 +92,7 @@ def predict(profile: StreamProfile, kind: int, reference: FrameState | None) -> 
     return reference.coefficients + ((profile.gains[kind] * reference.motion) >> 6)
 
 
-def quantise(
-    residual: Int64Array, steps: npt.NDArray[Any], rounding: int | Int64Array
-) -> Int64Array:
+def quantise(residual: Int64Array, steps: Array, rounding: int | Int64Array) -> Int64Array:
     """Residuals in steps; `rounding` / 64 is added before cutting off, 32 is to the nearest."""
     magnitudes = ((np.abs(residual) << DEAD_ZONE_BITS) + rounding * steps) // (
         steps << DEAD_ZONE_BITS
@@ -104,9 +100,7 @@ def quantise(
     return np.where(residual < 0, -magnitudes, magnitudes)
 
 
-def motion_levels(
-    profile: StreamProfile, quality: int, reference: FrameState | None
-) -> npt.NDArray[np.int64]:
+def motion_levels(profile: StreamProfile, quality: int, reference: FrameState | None) -> Int64Array:
     """The part of the contexts that comes from the reference, per coefficient. int64 ``[C]``."""
     levels = np.zeros(profile.num_coefficients, np.int64)
     if reference is not None:
