@@ -65,7 +65,7 @@ class PersonSubject(RigSubject):
         source = model.person(person.coefficients)
         names = map_names(list(source.shapes))
         dressed = dress(build_mesh(source, names), person)
-        self.person, self.notes = person, dressed.notes
+        self.notes = dressed.notes
         name = f"{person.sex}, {person.age}"
         self._stand(
             RigHead(dressed.mesh, names, name), {}, bake_size=bake_size, self_shadow=self_shadow
