@@ -35,8 +35,6 @@ SAME_EXPRESSION = 1e-4
 
 @dataclass(slots=True)
 class _Findings:
-    """Problems so far."""
-
     root: Path
     problems: list[dict[str, str]] = field(default_factory=list)
     uncounted: int = 0
