@@ -94,20 +94,17 @@ def predict(profile: StreamProfile, kind: int, reference: FrameState | None) -> 
 
 def quantise(residual: Int64Array, steps: Array, rounding: int | Int64Array) -> Int64Array:
     """Residuals in steps; `rounding` / 64 is added before cutting off, 32 is to the nearest."""
-    magnitudes = ((np.abs(residual) << DEAD_ZONE_BITS) + rounding * steps) // (
-        steps << DEAD_ZONE_BITS
-    )
+    exact = (np.abs(residual) << DEAD_ZONE_BITS) + rounding * steps
+    magnitudes = exact // (steps << DEAD_ZONE_BITS)
     return np.where(residual < 0, -magnitudes, magnitudes)
 
 
 def motion_levels(profile: StreamProfile, quality: int, reference: FrameState | None) -> Int64Array:
     """The part of the contexts that comes from the reference, per coefficient. int64 ``[C]``."""
-    levels = np.zeros(profile.num_coefficients, np.int64)
-    if reference is not None:
-        doubled, steps = 2 * np.abs(reference.motion), profile.steps[quality]
-        for level in MOTION_LEVELS:
-            levels += doubled >= level * steps
-    return levels
+    if reference is None:
+        return np.zeros(profile.num_coefficients, np.int64)
+    least = np.outer(MOTION_LEVELS, profile.steps[quality])
+    return (2 * np.abs(reference.motion) >= least).sum(axis=0)
 
 
 def encode_frame(
