@@ -25,13 +25,7 @@ show a corrupt face: a payload is decoded whole, against the right reference, or
 Coding of one frame: `frames`; tables: `profile`; bytes: docs/bitstream.md.
 """
 
-from pica_core.codec.latent_decoder import MAX_PENDING, LatentDecoder
+from pica_core.codec.latent_decoder import LatentDecoder
 from pica_core.codec.latent_encoder import DEFAULT_QUALITY, LatentEncoder, StreamConfig
 
-__all__ = [
-    "DEFAULT_QUALITY",
-    "MAX_PENDING",
-    "LatentDecoder",
-    "LatentEncoder",
-    "StreamConfig",
-]
+__all__ = ["DEFAULT_QUALITY", "LatentDecoder", "LatentEncoder", "StreamConfig"]
