@@ -133,7 +133,8 @@ def encode_frame(
     kind = frame_type(layer, reference)
     num_latent = profile.num_components
     values: list[int] = quantised.tolist()
-    header = IS_STILL if is_still else 0
+    has_latent, has_pose = any(values[:num_latent]), any(values[num_latent:])
+    header = HAS_LATENT * has_latent + HAS_POSE * has_pose + IS_STILL * is_still
     ranges: list[Range] = []
     if reference is None:
         ranges.append(uniform(quality, QUALITY_BITS))
@@ -144,15 +145,13 @@ def encode_frame(
         change = (quality - reference.quality) % profile.num_qualities
         ranges.append(profile.distance_ranges[layer].ranges[distance - 1])
         ranges.append(profile.quality_ranges.ranges[change])
-    header |= HAS_LATENT if any(values[:num_latent]) else 0
-    header |= HAS_POSE if any(values[num_latent:]) else 0
     ranges.append(profile.header_ranges[kind].ranges[header])
-    if header & (HAS_LATENT | HAS_POSE):
+    if has_latent or has_pose:
         levels = motion_levels(profile, quality, reference).tolist()
         tables = profile.residual_tables[kind]
-        if header & HAS_LATENT:
+        if has_latent:
             _write_residuals(ranges, values, tables, levels, 0, num_latent)
-        if header & HAS_POSE:
+        if has_pose:
             _write_residuals(ranges, values, tables, levels, num_latent, len(values))
     state = next_state(profile, quantised, kind, sequence, layer, quality, reference)
     return write_symbols(ranges), state

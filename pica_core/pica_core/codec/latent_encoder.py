@@ -204,11 +204,7 @@ class LatentEncoder:
         return self.config.quality if self._controller is None else self._controller.quality
 
     def _send(
-        self,
-        wanted: Int64Array,
-        layer: int,
-        reference: frames.FrameState | None,
-        now_us: int,
+        self, wanted: Int64Array, layer: int, reference: frames.FrameState | None, now_us: int
     ) -> EncodedFrame | None:
         """Encode one frame and go on from it; None if the bitrate has no room for it."""
         sequence = self._sequence + 1
