@@ -65,13 +65,8 @@ def bake_texture(avatar: Avatar, size: int) -> FloatArray:
     for start in range(0, size, BAKED_ROWS):
         rows = texel[start : start + BAKED_ROWS]
         uv = np.stack(np.meshgrid(texel, rows), axis=-1)
-        texture[start : start + len(rows)] = decode_pixels(
-            avatar.spec,
-            avatar.tensors,
-            sample_bilinear(codes, uv),
-            sample_bilinear(mean, uv),
-            uv,
-        )
+        pixels = sample_bilinear(codes, uv), sample_bilinear(mean, uv), uv
+        texture[start : start + len(rows)] = decode_pixels(avatar.spec, avatar.tensors, *pixels)
     return np.clip(texture, 0, 1, out=texture)
 
 
