@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import tyro
 from rich.console import Console
 
@@ -103,8 +102,8 @@ class SheetOptions:
 
 def baked_side(stage: RenderOptions) -> int:
     """Side of the baked appearance of a rig for images of this size, texels."""
-    side = 2 ** int(np.ceil(np.log2(TEXELS_PER_PIXEL * max(stage.width, stage.height))))
-    return int(min(max(side, 512), 4096))
+    side = 1 << (TEXELS_PER_PIXEL * max(stage.width, stage.height) - 1).bit_length()
+    return min(max(side, 512), 4096)
 
 
 def synth(options: SynthOptions) -> dict[str, Any]:

@@ -19,10 +19,8 @@ All is integers. Nothing here knows of time, networks or which reference to choo
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_core.codec.profile import (
     ACTIVITY_LEVELS,
@@ -36,7 +34,7 @@ from pica_core.codec.profile import (
 )
 from pica_core.codec.range_coder import Range, SymbolReader, Table, uniform, write_symbols
 from pica_core.errors import LatentError, MissingReferenceError
-from pica_core.types import Int64Array
+from pica_core.types import Array, Int64Array
 
 HAS_LATENT, HAS_POSE, IS_STILL = 1, 2, 4
 QUALITY_BITS = 4
@@ -94,26 +92,19 @@ def predict(profile: StreamProfile, kind: int, reference: FrameState | None) -> 
     return reference.coefficients + ((profile.gains[kind] * reference.motion) >> 6)
 
 
-def quantise(
-    residual: Int64Array, steps: npt.NDArray[Any], rounding: int | Int64Array
-) -> Int64Array:
+def quantise(residual: Int64Array, steps: Array, rounding: int | Int64Array) -> Int64Array:
     """Residuals in steps; `rounding` / 64 is added before cutting off, 32 is to the nearest."""
-    magnitudes = ((np.abs(residual) << DEAD_ZONE_BITS) + rounding * steps) // (
-        steps << DEAD_ZONE_BITS
-    )
+    exact = (np.abs(residual) << DEAD_ZONE_BITS) + rounding * steps
+    magnitudes = exact // (steps << DEAD_ZONE_BITS)
     return np.where(residual < 0, -magnitudes, magnitudes)
 
 
-def motion_levels(
-    profile: StreamProfile, quality: int, reference: FrameState | None
-) -> npt.NDArray[np.int64]:
+def motion_levels(profile: StreamProfile, quality: int, reference: FrameState | None) -> Int64Array:
     """The part of the contexts that comes from the reference, per coefficient. int64 ``[C]``."""
-    levels = np.zeros(profile.num_coefficients, np.int64)
-    if reference is not None:
-        doubled, steps = 2 * np.abs(reference.motion), profile.steps[quality]
-        for level in MOTION_LEVELS:
-            levels += doubled >= level * steps
-    return levels
+    if reference is None:
+        return np.zeros(profile.num_coefficients, np.int64)
+    least = np.outer(MOTION_LEVELS, profile.steps[quality])
+    return (2 * np.abs(reference.motion) >= least).sum(axis=0)
 
 
 def encode_frame(
@@ -142,7 +133,8 @@ def encode_frame(
     kind = frame_type(layer, reference)
     num_latent = profile.num_components
     values: list[int] = quantised.tolist()
-    header = IS_STILL if is_still else 0
+    has_latent, has_pose = any(values[:num_latent]), any(values[num_latent:])
+    header = HAS_LATENT * has_latent + HAS_POSE * has_pose + IS_STILL * is_still
     ranges: list[Range] = []
     if reference is None:
         ranges.append(uniform(quality, QUALITY_BITS))
@@ -153,15 +145,13 @@ def encode_frame(
         change = (quality - reference.quality) % profile.num_qualities
         ranges.append(profile.distance_ranges[layer].ranges[distance - 1])
         ranges.append(profile.quality_ranges.ranges[change])
-    header |= HAS_LATENT if any(values[:num_latent]) else 0
-    header |= HAS_POSE if any(values[num_latent:]) else 0
     ranges.append(profile.header_ranges[kind].ranges[header])
-    if header & (HAS_LATENT | HAS_POSE):
+    if has_latent or has_pose:
         levels = motion_levels(profile, quality, reference).tolist()
         tables = profile.residual_tables[kind]
-        if header & HAS_LATENT:
+        if has_latent:
             _write_residuals(ranges, values, tables, levels, 0, num_latent)
-        if header & HAS_POSE:
+        if has_pose:
             _write_residuals(ranges, values, tables, levels, num_latent, len(values))
     state = next_state(profile, quantised, kind, sequence, layer, quality, reference)
     return write_symbols(ranges), state

@@ -84,18 +84,14 @@ class LatentDecoder:
     def _decode_waiting(self, now: float) -> list[DecodedFrame]:
         """Decode what waited for the frame that was just decoded, and for each other."""
         frames = []
-        progress = True
-        while progress and self._pending:
-            progress = False
-            for number, frame in sorted(self._pending.items()):
-                try:
-                    frames.append(self._decode(frame, now))
-                except MissingReferenceError:
-                    continue
-                except LatentError:  # found out too late to be told: it counts as given up
-                    self.num_unreferenced += 1
-                self._pending.pop(number, None)
-                progress = True
+        for number, frame in sorted(self._pending.items()):  # references have lower numbers
+            try:
+                frames.append(self._decode(frame, now))
+            except MissingReferenceError:
+                continue
+            except LatentError:  # found out too late to be told: it counts as given up
+                self.num_unreferenced += 1
+            self._pending.pop(number, None)
         return frames
 
     def _decode(self, frame: ReceivedFrame, now: float) -> DecodedFrame:

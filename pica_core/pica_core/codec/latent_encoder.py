@@ -70,9 +70,7 @@ class StreamConfig:
     @property
     def layers(self) -> int:
         """The number of temporal layers."""
-        if self.num_layers is not None:
-            return self.num_layers
-        return max(
+        return self.num_layers or max(
             count
             for count in LAYER_PATTERNS
             if count == 1 or self.fps / len(LAYER_PATTERNS[count]) >= LEAST_BASE_FPS
@@ -119,7 +117,7 @@ class LatentEncoder:
         self._quiet_since_us: int | None = None
         self._is_silent = False
         self._sent_us = 0
-        self._keyframe_us: int | None = None
+        self._keyframe_us = 0
         self._is_keyframe_wanted = True
 
     def request_keyframe(self) -> None:
@@ -158,31 +156,24 @@ class LatentEncoder:
             self._quiet_since_us = None
         if base is None or self._is_keyframe_due(now_us):
             self._is_silent &= is_quiet
-            return self._send(wanted, 0, None, now_us, is_still=self._is_silent)
+            return self._send(wanted, 0, None, now_us)
         if self._is_silent:
             if is_quiet and now_us - self._sent_us < HEARTBEAT_US:
                 return None
-            self._is_silent = is_quiet
             self._phase = 0
-            return self._send(wanted, 0, base, now_us, is_still=is_quiet)
         if is_quiet and self._quiet_since_us is None:
             self._quiet_since_us = now_us
         layer = self._pattern[self._phase]
         if layer == 0:
-            is_still = (
-                self._quiet_since_us is not None and now_us - self._quiet_since_us >= STILL_AFTER_US
-            )
-            self._is_silent = is_still
-            return self._send(wanted, 0, base, now_us, is_still=is_still)
-        return self._send(wanted, layer, base if layer == 1 else self._lower, now_us)
+            since_us = self._quiet_since_us
+            self._is_silent = since_us is not None and now_us - since_us >= STILL_AFTER_US
+        return self._send(wanted, layer, self._lower if layer == 2 else base, now_us)
 
     def _is_keyframe_due(self, now_us: int) -> bool:
-        if self._keyframe_us is None:
-            return True
-        since_s = (now_us - self._keyframe_us) / 1e6
-        if self._is_keyframe_wanted and since_s >= KEYFRAME_PAUSE_S:
-            return True
-        return since_s >= self.config.keyframe_interval_s
+        wait_s = self.config.keyframe_interval_s
+        if self._is_keyframe_wanted:
+            wait_s = min(wait_s, KEYFRAME_PAUSE_S)
+        return now_us - self._keyframe_us >= wait_s * 1e6
 
     def _coefficients(
         self, latent: npt.ArrayLike, rotation: npt.ArrayLike, translation_m: npt.ArrayLike
@@ -213,13 +204,7 @@ class LatentEncoder:
         return self.config.quality if self._controller is None else self._controller.quality
 
     def _send(
-        self,
-        wanted: Int64Array,
-        layer: int,
-        reference: frames.FrameState | None,
-        now_us: int,
-        *,
-        is_still: bool = False,
+        self, wanted: Int64Array, layer: int, reference: frames.FrameState | None, now_us: int
     ) -> EncodedFrame | None:
         """Encode one frame and go on from it; None if the bitrate has no room for it."""
         sequence = self._sequence + 1
@@ -227,7 +212,7 @@ class LatentEncoder:
             layer, reference = 0, None
         controller, now_s = self._controller, now_us / 1e6
         quality = self._quality if controller is None else controller.propose(layer)
-        quality = min(quality + is_still, self.profile.num_qualities - 1)
+        quality = min(quality + self._is_silent, self.profile.num_qualities - 1)
         while True:
             kind = frames.frame_type(layer, reference)
             residual = frames.quantise(
@@ -246,7 +231,7 @@ class LatentEncoder:
                 layer=layer,
                 quality=quality,
                 reference=reference,
-                is_still=is_still,
+                is_still=self._is_silent,
             )
             if controller is None or controller.has_room(len(payload), layer, now_s):
                 break

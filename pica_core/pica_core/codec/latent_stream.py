@@ -22,17 +22,10 @@ frame. It never guesses: a frame whose reference is not there waits for it (fram
 other), and when it does not come the decoder says so and a keyframe heals everything. It cannot
 show a corrupt face: a payload is decoded whole, against the right reference, or not at all.
 
-The ends: `latent_encoder`, `latent_decoder`; coding of one frame: `stream_frames`; tables:
-`stream_profile`; bytes: docs/bitstream.md.
+Coding of one frame: `frames`; tables: `profile`; bytes: docs/bitstream.md.
 """
 
-from pica_core.codec.latent_decoder import MAX_PENDING, LatentDecoder
+from pica_core.codec.latent_decoder import LatentDecoder
 from pica_core.codec.latent_encoder import DEFAULT_QUALITY, LatentEncoder, StreamConfig
 
-__all__ = [
-    "DEFAULT_QUALITY",
-    "MAX_PENDING",
-    "LatentDecoder",
-    "LatentEncoder",
-    "StreamConfig",
-]
+__all__ = ["DEFAULT_QUALITY", "LatentDecoder", "LatentEncoder", "StreamConfig"]

@@ -45,7 +45,7 @@ from pica_core.codec.profile import (
 from pica_core.codec.range_coder import TOTAL
 from pica_core.errors import ProfileError, ShapeError, check_ranges
 from pica_core.latent import LATENT_SHAPE, NUM_LATENT
-from pica_core.types import Float64Array
+from pica_core.types import Float64Array, Int64Array
 
 LATENT_STEPS = (80, 56, 40, 28, 22, 16, 11, 8)
 """By quality, in 64ths of a root of rendered MSE: a step of 22 leaves an MSE near 0.5 over 48
@@ -280,8 +280,8 @@ def _count(
 
 
 def _frames(
-    profile: StreamProfile, wanted: npt.NDArray[np.int64], quality: int
-) -> Iterator[tuple[int, npt.NDArray[np.int64], npt.NDArray[np.int64]]]:
+    profile: StreamProfile, wanted: Int64Array, quality: int
+) -> Iterator[tuple[int, Int64Array, Int64Array]]:
     """Frame type, motion levels and quantised residuals of a stream, with a keyframe a second."""
     pattern = LAYER_PATTERNS[3]
     rounding = rounding_by_type(profile.num_components)
@@ -303,7 +303,7 @@ def _frames(
             lower = state
 
 
-def _activity(quantised: npt.NDArray[np.int64], num_latent: int) -> npt.NDArray[np.int64]:
+def _activity(quantised: Int64Array, num_latent: int) -> Int64Array:
     """The part of the contexts that comes from the residuals just before, per frame and
     coefficient, ``[T, C]`` both."""
     levels = np.zeros(quantised.shape, np.int64)
@@ -316,7 +316,7 @@ def _activity(quantised: npt.NDArray[np.int64], num_latent: int) -> npt.NDArray[
     return levels
 
 
-def _wandering_pose(length: int, rng: np.random.Generator) -> npt.NDArray[np.int64]:
+def _wandering_pose(length: int, rng: np.random.Generator) -> Int64Array:
     """A head that nods, turns and rests, as pose coefficients ``[T, 6]``."""
     times = np.arange(length)[:, None] / 30.0
     pose = np.zeros((length, NUM_POSE))

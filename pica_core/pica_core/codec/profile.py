@@ -1,6 +1,6 @@
 """What both ends of a latent stream share: transform, steps and integer probability tables.
 
-Learned once per avatar (`stream_learning`) and carried by the avatar file under the names
+Learned once per avatar (`learning`) and carried by the avatar file under the names
 ``stream.*``. Everything is integers, so that two machines that read the same profile make the same
 bytes and the same latents. `StreamProfile.hash` names it in the handshake.
 
@@ -35,7 +35,7 @@ import numpy.typing as npt
 from pica_core.codec.range_coder import TOTAL, Table, make_table
 from pica_core.errors import ProfileError
 from pica_core.latent import NUM_LATENT
-from pica_core.types import Array, Float64Array
+from pica_core.types import Array, Float64Array, FloatArray, Int64Array
 
 PREFIX = "stream."
 FORMAT = "pica latent stream 1\n"
@@ -207,7 +207,7 @@ class StreamProfile:
     def _synthesis_exact(self) -> Float64Array:
         return np.ascontiguousarray(self.synthesis.astype(np.float64))
 
-    def analyse(self, latent: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.int64]:
+    def analyse(self, latent: npt.NDArray[np.floating[Any]]) -> Int64Array:
         """Coefficients of a latent.
 
         Args:
@@ -221,7 +221,7 @@ class StreamProfile:
         sums = np.matmul(offset, self._analysis_exact).astype(np.int64)
         return (sums + (1 << (ANALYSIS_SHIFT - 1))) >> ANALYSIS_SHIFT
 
-    def synthesise(self, coefficients: npt.NDArray[np.int64]) -> npt.NDArray[np.float32]:
+    def synthesise(self, coefficients: Int64Array) -> FloatArray:
         """The latent of coefficients ``[K]``; float32 ``[256]``, exact, within ±256."""
         sums = np.matmul(coefficients.astype(np.float64), self._synthesis_exact).astype(np.int64)
         shift = int(self.synthesis_shift[0])

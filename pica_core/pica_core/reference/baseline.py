@@ -10,7 +10,7 @@ from pica_core.avatar.baseline import BaselineAvatar, BaselineSpec
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import POSITION_CHANNELS, RGB_CHANNELS
-from pica_core.reference.decoders import decode_expression_map
+from pica_core.reference.decoders import FRONT, decode_expression_map
 from pica_core.reference.pixel import decode_pixels
 from pica_core.reference.sampling import sample_bilinear
 from pica_core.types import Array, FloatArray
@@ -58,20 +58,15 @@ def bake_texture(avatar: Avatar, size: int) -> FloatArray:
         the mesh it holds what the pixel decoder happens to say there.
     """
     neutral = ExpressionEncoder(avatar).encode(np.zeros(NUM_ARKIT, np.float32))
-    codes = decode_expression_map(avatar, neutral, (0.0, 0.0, 1.0)).astype(np.float32)
+    codes = decode_expression_map(avatar, neutral, FRONT).astype(np.float32)
     mean = _mean_map(avatar)
     texel = (np.arange(size, dtype=np.float32) + 0.5) / size
     texture = np.empty((size, size, RGB_CHANNELS), np.float32)
     for start in range(0, size, BAKED_ROWS):
         rows = texel[start : start + BAKED_ROWS]
         uv = np.stack(np.meshgrid(texel, rows), axis=-1)
-        texture[start : start + len(rows)] = decode_pixels(
-            avatar.spec,
-            avatar.tensors,
-            sample_bilinear(codes, uv),
-            sample_bilinear(mean, uv),
-            uv,
-        )
+        pixels = sample_bilinear(codes, uv), sample_bilinear(mean, uv), uv
+        texture[start : start + len(rows)] = decode_pixels(avatar.spec, avatar.tensors, *pixels)
     return np.clip(texture, 0, 1, out=texture)
 
 

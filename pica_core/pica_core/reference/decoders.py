@@ -37,7 +37,12 @@ def decode_position_map(avatar: Avatar, latent: npt.ArrayLike, level: int | None
     if avatar.spec.geometry == "bases":
         return _sheet(avatar, np.asarray(latent, np.float64), level)
     offset, prefix = _decode(avatar, "geometry", np.asarray(latent, np.float64), level)
-    mean: Array = avatar.tensors[f"{prefix}geometry.mean"].astype(np.float64)
+    if prefix:
+        read = offset.reshape(len(offset), -1)[:, avatar.tensors[f"{prefix}geometry.texel"]]
+        weight = avatar.tensors[f"{prefix}geometry.weight"].astype(np.float64)
+        sizes = (*weight.shape[:2], POSITION_CHANNELS, len(offset), -1)
+        offset = np.einsum("yxdct,cyxt->dyx", weight.reshape(sizes), read)
+    mean = avatar.tensors[f"{prefix}geometry.mean"].astype(np.float64)
     return mean + avatar.manifest.position_scale_m * offset.transpose(1, 2, 0)
 
 
@@ -60,10 +65,14 @@ def decode_expression_map(
     """
     view = np.broadcast_to(np.asarray(view_direction, np.float64), (LATENT_SIZE, LATENT_SIZE, 3))
     seen = np.concatenate([np.asarray(latent, np.float64), view], axis=2)
-    codes, prefix = _decode(avatar, "expression", seen, level)
+    value, prefix = _decode(avatar, "expression", seen, level)
     if prefix:
-        codes = codes + avatar.tensors[f"{prefix}expression.bias"]
-    return codes.transpose(1, 2, 0)
+        codes = _convolve(value, avatar.tensors[f"{prefix}expression.weight"])
+        local = avatar.tensors.get(f"{prefix}expression.local")
+        if local is not None:
+            codes = codes + (spread_local(local, len(codes)) * value).sum(1)
+        value = codes + avatar.tensors[f"{prefix}expression.bias"]
+    return value.transpose(1, 2, 0)
 
 
 @functools.lru_cache(maxsize=STILL_MAPS)
@@ -93,35 +102,19 @@ def _sheet(avatar: Avatar, latent: Array, level: int | None) -> Array:
     sheet = np.stack(rows)
     if size == avatar.spec.map_size:
         return sheet
-    found: Array = sheet.reshape(-1, POSITION_CHANNELS)[avatar.sheet_places(size)]
+    found = sheet.reshape(-1, POSITION_CHANNELS)[avatar.sheet_places(size)]
     return found.reshape(-1, size, POSITION_CHANNELS)
 
 
 def _decode(avatar: Avatar, decoder: str, grid: Array, level: int | None) -> tuple[Array, str]:
-    """What a decoder's last layer makes at a level, ``[C, S, S]``, and its tensors' prefix."""
-    full = level is None or level == avatar.spec.map_size
-    layers = decoder_layers(avatar.spec, decoder)
-    if not full:
-        assert level is not None
-        layers = trunk_layers(avatar.spec, decoder, level)
+    """What a decoder's layers make at a level, ``[C, S, S]``, and the prefix of its own tensors."""
+    prefix, layers = "", decoder_layers(avatar.spec, decoder)
+    if level is not None and level != avatar.spec.map_size:
+        prefix, layers = f"level.{level}.", trunk_layers(avatar.spec, decoder, level)
     value = grid.transpose(2, 0, 1)
     for layer in layers:
         value = _run(layer, [avatar.tensors[name] for name in layer.tensor_shapes()], value)
-    if full:
-        return value, ""
-    prefix = f"level.{level}."
-    weight = avatar.tensors[f"{prefix}{decoder}.weight"]
-    if decoder == "expression":
-        codes = _convolve(value, weight)
-        local = avatar.tensors.get(f"{prefix}expression.local")
-        if local is not None:
-            codes = codes + (spread_local(local, len(codes)) * value).sum(1)
-        return codes, prefix
-    read = value.reshape(len(value), -1)[:, avatar.tensors[f"{prefix}geometry.texel"]]
-    per_vertex = weight.astype(np.float64).reshape(
-        *weight.shape[:2], POSITION_CHANNELS, len(value), -1
-    )
-    return np.einsum("yxdct,cyxt->dyx", per_vertex, read), prefix
+    return value, prefix
 
 
 def _run(layer: Layer, weights: list[Array], value: Array) -> Array:

@@ -35,20 +35,17 @@ SAME_EXPRESSION = 1e-4
 
 @dataclass(slots=True)
 class _Findings:
-    """Problems so far."""
-
     root: Path
-    problems: list[dict[str, str]] = field(default_factory=list)
+    problems: dict[tuple[str, str], None] = field(default_factory=dict)
+    """Where and what; each is told of once."""
     uncounted: int = 0
 
     def add(self, where: Path | str, what: str) -> None:
-        if len(self.problems) >= MAX_PROBLEMS:
+        problem = (str(where).removeprefix(f"{self.root}{os.sep}"), what)
+        if problem in self.problems or len(self.problems) < MAX_PROBLEMS:
+            self.problems[problem] = None
+        else:
             self.uncounted += 1
-            return
-        text = str(where)
-        if text.startswith(f"{self.root}{os.sep}"):
-            text = text[len(str(self.root)) + 1 :]
-        self.problems.append({"where": text, "what": what})
 
     def attempt(self, work: Callable[..., Result], *arguments: Any) -> Result | None:
         """What `work` returns; None where it fails, which is a problem then."""
@@ -100,11 +97,10 @@ def check_capture(directory: Path, pixel_frames: int = PIXEL_FRAMES) -> dict[str
             result["images"] += _check_frame(findings, capture, frame)
         for frame in files.spread_evenly(capture.frames, pixel_frames or len(capture.frames)):
             result["decoded"] += _check_pixels(findings, capture, frame)
+    problems = [{"where": where, "what": what} for where, what in findings.problems]
     if findings.uncounted:
-        findings.problems.append(
-            {"where": str(directory), "what": f"{findings.uncounted} more problems"}
-        )
-    return {"ok": not findings.problems, "problems": findings.problems, **result}
+        problems.append({"where": str(directory), "what": f"{findings.uncounted} more problems"})
+    return {"ok": not problems, "problems": problems, **result}
 
 
 def _check_leftovers(findings: _Findings) -> None:
@@ -119,7 +115,6 @@ def _check_descriptions(findings: _Findings, message: str) -> None:
     """Which describing files cannot be read, beside the first, whose message is given."""
     root = findings.root
     findings.add_error(message)
-    first = findings.problems[-1]
     attempts: list[tuple[str, Callable[[Path], object]]] = [
         (multiface.CAPTURE, multiface.read_json),
         (multiface.KRT, lambda path: multiface.read_krt(path, 1, 1)),  # no matter of what size
@@ -130,10 +125,7 @@ def _check_descriptions(findings: _Findings, message: str) -> None:
     ]
     for name, read in attempts:
         if (root / name).exists() or name in (multiface.KRT, multiface.FRAME_LIST):
-            before = len(findings.problems)
             findings.attempt(read, root / name)
-            if findings.problems[before:] == [first]:
-                del findings.problems[before:]
 
 
 def _check_cameras(findings: _Findings, capture: Capture) -> None:
@@ -212,14 +204,15 @@ def _check_split(findings: _Findings, capture: Capture) -> None:
 def _check_frame(findings: _Findings, capture: Capture, frame: CaptureFrame) -> int:
     """Everything about a frame but pixels; returns how many images there are."""
     root = capture.path
-    read = [capture.vertices_m] + ([capture.true_vertices_m] if capture.has_truth else [])
-    for number, vertices_of in enumerate(read):
+    meshes = {"tracked_mesh": capture.vertices_m}
+    if capture.has_truth:
+        meshes[multiface.TRUTH_MESH] = capture.true_vertices_m
+    for kind, vertices_of in meshes.items():
         vertices = findings.attempt(vertices_of, frame)
         if vertices is None:
             continue
         size = float(np.linalg.norm(np.ptp(vertices, axis=0)))
         if not HEAD_SIZE_M[0] <= size <= HEAD_SIZE_M[1]:
-            kind = "tracked_mesh" if number == 0 else multiface.TRUTH_MESH
             path = multiface.mesh_path(frame.segment, frame.name, kind)
             findings.add(root / path, f"the mesh is {size:.3g} m large; are its units mm?")
     pose = findings.attempt(capture.head_to_world, frame)
@@ -275,9 +268,5 @@ def _check_pixels(findings: _Findings, capture: Capture, frame: CaptureFrame) ->
 
     present = capture.cameras_of(frame)
     for name in present:
-        before = len(findings.problems)
         findings.attempt(compare, name)
-        # A header that is bad was told of before.
-        told = findings.problems[:before]
-        findings.problems[before:] = [p for p in findings.problems[before:] if p not in told]
     return len(present)

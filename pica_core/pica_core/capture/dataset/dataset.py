@@ -156,12 +156,10 @@ class Capture:
 
     def camera(self, name: str) -> Camera:
         """A camera by name, in the world; `head_camera` is the one that meshes are seen with."""
-        try:
-            return self._cameras[name]
-        except KeyError:
-            raise CaptureError(
-                f"{self.path}: no camera {name!r}; there are {', '.join(self._cameras)}"
-            ) from None
+        if name not in self._cameras:
+            known = ", ".join(self._cameras)
+            raise CaptureError(f"{self.path}: no camera {name!r}; there are {known}")
+        return self._cameras[name]
 
     def cameras_of(self, frame: CaptureFrame) -> tuple[str, ...]:
         """Cameras that have an image of a frame; a frame may be missing from some."""
@@ -170,10 +168,7 @@ class Capture:
     def _is_listed(self, kind: str, frame: CaptureFrame, camera: str) -> bool:
         folder = self.path / kind / frame.segment / camera
         if folder not in self._listed:
-            names: list[str] = []
-            if folder.is_dir():
-                names = [path.stem for path in folder.iterdir() if path.suffix == ".png"]
-            self._listed[folder] = frozenset(names)
+            self._listed[folder] = frozenset(path.stem for path in folder.glob("*.png"))
         return frame.name in self._listed[folder]
 
     def arkit(self, frame: CaptureFrame) -> FloatArray:
@@ -192,9 +187,7 @@ class Capture:
 
     def has_depth_of(self, frame: CaptureFrame) -> bool:
         """Whether a frame has depth: a method may have been run on some of them only."""
-        return self.has_depth and any(
-            self._is_listed("depth", frame, name) for name in self._cameras
-        )
+        return any(self._is_listed("depth", frame, name) for name in self._cameras)
 
     def depth_m(self, frame: CaptureFrame, camera: str) -> FloatArray:
         """Depth along the camera axis at pixel centres as a method found it, 0 where unknown.

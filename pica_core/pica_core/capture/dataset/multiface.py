@@ -107,12 +107,7 @@ def krt_text(cameras: Iterable[Camera]) -> str:
 
 
 def read_krt(path: Path, width: int, height: int) -> tuple[Camera, ...]:
-    """Cameras of a KRT file, which does not hold the size of images.
-
-    Raises:
-        CaptureError: Missing, not text, a block cut short, or numbers that are none; names file
-        and line.
-    """
+    """Cameras of a KRT file, which does not hold the size of images."""
     lines = [line.strip() for line in read_text(path).split("\n")]
     cameras: list[Camera] = []
     at = 0

@@ -71,7 +71,16 @@ class CaptureReader(AbstractContextManager["CaptureReader"]):
         self._kept_bytes = 0
         self._unread: set[Request] = set()
         self._waiting: deque[Request] = deque()
-        self._sizes = _sizes(capture)
+        pixels = max(camera.width * camera.height for camera in capture.cameras)
+        self._sizes = {  # bytes of a decoded array
+            "image": 3 * pixels,
+            "mask": pixels,
+            "depth": 4 * pixels,
+            "true_depth": 4 * pixels,
+            "texture": 3 * capture.texture_size**2,
+            "vertices": 12 * len(capture.tracked_topology.vertex_uv),
+            "true_vertices": 12 * len(capture.topology.vertex_uv),
+        }
 
     def __exit__(self, *error: object) -> None:
         self._pool.shutdown(wait=True, cancel_futures=True)
@@ -167,17 +176,3 @@ class CaptureReader(AbstractContextManager["CaptureReader"]):
         self.decoded += 1
         self.peak_bytes = max(self.peak_bytes, self._kept_bytes)
         return True
-
-
-def _sizes(capture: Capture) -> dict[str, int]:
-    """Bytes of a decoded array of each kind."""
-    pixels = max(camera.width * camera.height for camera in capture.cameras)
-    return {
-        "image": 3 * pixels,
-        "mask": pixels,
-        "depth": 4 * pixels,
-        "true_depth": 4 * pixels,
-        "texture": 3 * capture.texture_size**2,
-        "vertices": 12 * len(capture.tracked_topology.vertex_uv),
-        "true_vertices": 12 * len(capture.topology.vertex_uv),
-    }

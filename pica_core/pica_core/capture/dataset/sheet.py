@@ -23,6 +23,8 @@ from pica_core.types import Float64Array, FloatArray
 
 TILE = 300
 """Side of a tile, pixels."""
+LINE = 44
+"""Characters of a message in a tile."""
 COLUMNS = 6
 GRID_ROWS = 4
 """Rows of the grid of expressions."""
@@ -38,9 +40,10 @@ PALETTE = np.array(
 class _Page:
     """Tiles on paper; a tile whose making fails says why."""
 
-    def __init__(self, rows: int) -> None:
+    def __init__(self, rows: int, title: str) -> None:
         self.picture = Image.new("RGB", (COLUMNS * TILE, rows * TILE + 24), PAPER)
         self._draw = ImageDraw.Draw(self.picture)
+        self._draw.text((6, 6), title, fill=INK)
         self.tiles = 0
 
     def tile(
@@ -57,7 +60,9 @@ class _Page:
         try:
             picture = make(*arguments).convert("RGB")
         except CaptureError as error:
-            self._draw.text((at[0] + 8, at[1] + 30), _wrapped(str(error)), fill=ACCENT)
+            text = str(error)
+            lines = [text[k : k + LINE] for k in range(0, len(text), LINE)]
+            self._draw.text((at[0] + 8, at[1] + 30), "\n".join(lines[:6]), fill=ACCENT)
         else:
             size = (side - 4, side - 4)
             small = ImageOps.contain(picture, size, Image.Resampling.LANCZOS)
@@ -65,13 +70,6 @@ class _Page:
             self.picture.paste(small, (left, top))
         self._draw.text((at[0] + 6, at[1] + 4), label, fill=INK, stroke_width=2, stroke_fill=PAPER)
         self.tiles += 1
-
-    def title(self, text: str) -> None:
-        self._draw.text((6, 6), text, fill=INK)
-
-
-def _wrapped(text: str, width: int = 44) -> str:
-    return "\n".join(text[at : at + width] for at in range(0, min(len(text), 6 * width), width))
 
 
 def _image(capture: Capture, frame: CaptureFrame, camera: str) -> Image.Image:
@@ -173,20 +171,20 @@ def write_sheet(directory: Path, out: Path) -> dict[str, Any]:
     """Draw the contact sheet of a capture."""
     capture = Capture.open(directory)
     grid = _spread(capture.frames, capture, COLUMNS * GRID_ROWS)
-    page = _Page(3 + -(-len(grid) // COLUMNS))
+    split = [f"{len(capture.frames_of(name))} {name}" for name in ("train", "test")]
+    page = _Page(
+        3 + -(-len(grid) // COLUMNS),
+        f"{directory.name}: {len(capture.frames)} frames ({', '.join(split)}; "
+        f"{len(capture.left_out)} left out), {len(capture.cameras)} cameras of "
+        f"{capture.cameras[0].width}x{capture.cameras[0].height}, "
+        f"{capture.info.get('source', 'no source stated')}",
+    )
     _draw_stage(page, capture, _telling(capture, grid))
     for place, frame in enumerate(grid):
         camera = next(iter(capture.cameras_of(frame)), capture.cameras[0].name)
         row, column = divmod(place, COLUMNS)
         label = f"{frame.segment} {frame.name} {frame.split}"
         page.tile(column, 3 + row, label, _face, capture, frame, camera)
-    split = [f"{len(capture.frames_of(name))} {name}" for name in ("train", "test")]
-    page.title(
-        f"{directory.name}: {len(capture.frames)} frames ({', '.join(split)}; "
-        f"{len(capture.left_out)} left out), {len(capture.cameras)} cameras of "
-        f"{capture.cameras[0].width}x{capture.cameras[0].height}, "
-        f"{capture.info.get('source', 'no source stated')}"
-    )
     data = io.BytesIO()
     page.picture.save(data, "PNG")
     multiface.write_aside(out, data.getvalue())

@@ -3,12 +3,12 @@
 import io
 import json
 import struct
-import zlib
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
+from zlib import compress, crc32
 
 import numpy as np
 import numpy.typing as npt
@@ -48,12 +48,9 @@ def png(array: Array) -> bytes:
     np.subtract(rows[1:], rows[:-1], out=filtered[1:, 1:])
     bits, colour = 8 * array.itemsize, 2 if channels else 0
     header = struct.pack(">IIBBBBB", width, height, bits, colour, 0, 0, 0)
-    parts = (b"IHDR", header), (b"IDAT", zlib.compress(filtered.data, 1)), (b"IEND", b"")
+    parts = (b"IHDR", header), (b"IDAT", compress(filtered.data, 1)), (b"IEND", b"")
     return b"\x89PNG\r\n\x1a\n" + b"".join(
-        struct.pack(">I", len(data))
-        + name
-        + data
-        + struct.pack(">I", zlib.crc32(data, zlib.crc32(name)))
+        struct.pack(f">I4s{len(data)}sI", len(data), name, data, crc32(data, crc32(name)))
         for name, data in parts
     )
 

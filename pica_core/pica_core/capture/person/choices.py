@@ -1,11 +1,11 @@
 """Who a person is: every choice by name and number, drawn from a seed or named by the user.
 
 `person.json` holds all of it, so that anybody with the face model makes the same person again.
+What is wrong with a file is a `CaptureError` that names it.
 """
 
-import dataclasses
 import json
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +50,7 @@ class Person:
 
     seed: int
     """Fixes what chance places: pores, freckles, moles, strands, folds."""
-    coefficients: tuple[float, ...] = field(default=(0.0,) * NUM_MODES)
+    coefficients: tuple[float, ...] = (0.0,) * NUM_MODES
     """Weights of the identity modes, each within the limit `CLIP`."""
     sex: str = "female"
     """One of `SEXES`: moves the coefficients, and the chances of the other choices."""
@@ -89,7 +89,7 @@ class Person:
 
     def as_json(self) -> str:
         """All choices, as `person.json` holds them."""
-        return json.dumps(dataclasses.asdict(self), indent=1) + "\n"
+        return json.dumps(asdict(self), indent=1) + "\n"
 
 
 NAMED: dict[str, tuple[str, ...]] = {
@@ -149,19 +149,13 @@ def draw_person(seed: int, sex_direction: Any, **chosen: Any) -> Person:
 
 
 def read_person(path: Path) -> tuple[Person, int]:
-    """A person as `Person.as_json` wrote it, and how many coefficients were clipped.
-
-    Raises:
-        CaptureError: No such file, or it is no person.
-    """
-    names = {each.name for each in fields(Person)}
+    """A person as `Person.as_json` wrote it, and how many coefficients were clipped."""
     try:
-        table = json.loads(read_bytes(path).decode("utf-8"))
-        unknown = set(table) - names
+        table = json.loads(read_bytes(path))
         coefficients = np.array(table["coefficients"], np.float64).reshape(-1)
         table["coefficients"] = tuple(np.clip(coefficients, -CLIP, CLIP).tolist())
-        if unknown:
-            raise CaptureError(f"{path}: {sorted(unknown)[0]!r} is no property of a person")
+        if unknown := sorted(set(table) - {each.name for each in fields(Person)}):
+            raise CaptureError(f"{path}: {unknown[0]!r} is no property of a person")
         person = Person(**table)
     except (ValueError, TypeError, KeyError, RecursionError) as error:
         raise CaptureError(f"{path}: not a person ({error})") from error
@@ -169,13 +163,9 @@ def read_person(path: Path) -> tuple[Person, int]:
 
 
 def read_coefficients(path: Path) -> tuple[tuple[float, ...], int]:
-    """Coefficients of a JSON list, and how many of them were clipped.
-
-    Raises:
-        CaptureError: No such file, or no list of numbers.
-    """
+    """Coefficients of a JSON list, and how many of them were clipped."""
     try:
-        values = np.array(json.loads(read_bytes(path).decode("utf-8")), np.float64).reshape(-1)
+        values = np.array(json.loads(read_bytes(path)), np.float64).reshape(-1)
     except (ValueError, TypeError, RecursionError) as error:
         raise CaptureError(f"{path}: not a list of numbers ({error})") from error
     if len(values) > NUM_MODES or not np.isfinite(values).all():

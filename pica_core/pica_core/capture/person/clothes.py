@@ -60,13 +60,10 @@ class Garment:
 
     def hides(self, points: Float64Array) -> BoolArray:
         """Which points of a skin lie under it. ``[P]``."""
-        turn = np.arctan2(points[:, 0], -(points[:, 2] - AXIS_Z)) % (2 * np.pi)
-        place = turn / (2 * np.pi) * COLUMNS
-        low = place.astype(np.int64) % COLUMNS
-        t = place - np.floor(place)
-        rim_y, rim = (
-            each[low] * (1 - t) + each[(low + 1) % COLUMNS] * t for each in (self.rim_y, self.rim)
-        )
+        place = np.arctan2(points[:, 0], -(points[:, 2] - AXIS_Z)) / (2 * np.pi) * COLUMNS
+        columns = np.arange(COLUMNS)
+        rim_y = np.interp(place, columns, self.rim_y, period=COLUMNS)
+        rim = np.interp(place, columns, self.rim, period=COLUMNS)
         reach = np.hypot(points[:, 0], points[:, 2] - AXIS_Z)
         beside = (reach > rim + 0.003) & (points[:, 1] < rim_y - 0.002)
         return (points[:, 1] < rim_y - HIDDEN_M) | beside

@@ -66,7 +66,7 @@ def dress(mesh: RigMesh, person: Person) -> Dressed:
     if not style.bare and np.count_nonzero(coverage > 0.5) < 50:
         notes.append(f"hair {person.hair} does not fit: no scalp was found; bald")
         style, coverage = STYLES["bald"], np.full(len(rest), -1.0)
-    beard, thick = grow_beard(rest, skin, inside, features, person.beard)
+    beard, thick = grow_beard(rest, ~skin | inside, features, person.beard)
     cloth = dress_surface(rest[skin], CUTS[person.clothes], person.seed)
     raised = raise_cap(rest, normals, coverage, style, person.seed)
     raised = raised + normals * (thick * smooth(1.35 * beard - 0.2))[:, None]
@@ -100,13 +100,10 @@ def dress(mesh: RigMesh, person: Person) -> Dressed:
 
 
 def grow_beard(
-    points: Float64Array,
-    skin: BoolArray,
-    inside: BoolArray,
-    features: Features,
-    style: str,
+    points: Float64Array, bare: BoolArray, features: Features, style: str
 ) -> tuple[Float64Array, Float64Array]:
-    """How dense a beard is at each vertex ``[P]``, and its thickness in metres ``[P]``."""
+    """How dense a beard is at each vertex ``[P]``, and its thickness in metres ``[P]``; none grows
+    on ears, nor where it is to be `bare`."""
     moustache, cheeks, thick = BEARDS[style]
     mouth = features.mouth
     if mouth is None or not moustache:
@@ -128,7 +125,7 @@ def grow_beard(
     over = under_nose * smooth((half + 9 - across) / 8) * smooth((mm[:, 2] - 70) / 10)
     beard = np.maximum(jaw * (cheeks > 0), over) * front
     beard = beard * smooth((-0.02 - features.lips) / 0.30)
-    beard[~skin | inside | features.regions["ears"]] = 0.0
+    beard[bare | features.regions["ears"]] = 0.0
     grown = np.flatnonzero(beard > 0)
     if features.regions["ears"].any() and len(grown):
         _, apart = nearest(points[grown], points[features.regions["ears"]])

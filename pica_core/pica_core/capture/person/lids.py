@@ -12,7 +12,7 @@ import numpy as np
 from pica_core.avatar.arkit import ARKIT_INDEX
 from pica_core.capture.rig.features import LID_M, Features
 from pica_core.capture.rig.guards import EyeSurface, outwards
-from pica_core.capture.rig.mesh import Eyeball, RigMesh
+from pica_core.capture.rig.mesh import RigMesh
 from pica_core.types import Float64Array, FloatArray, Int64Array
 
 OVERLAP_M = 0.0004
@@ -33,18 +33,14 @@ def close_lids(mesh: RigMesh, features: Features) -> RigMesh:
         offset = rest[skin] - eye.centre_m
         far = np.linalg.norm(offset, axis=1)
         near = skin[(far < 1.9 * eye.radius_m) & (offset[:, 2] > 0)]
-        rest[near] += _out(rest[near], eye, rest)
+        offset = rest[near] - eye.centre_m
+        clear = EyeSurface(rest[eye.vertices] - eye.centre_m).clearance(offset)
+        # What lies deep inside is the lid's own lining, which nobody sees.
+        lack = np.where(clear > -LINING_M, np.maximum(ROOM_M - clear, 0.0), 0.0)
+        rest[near] += outwards(offset, lack)
         blink = motion[ARKIT_INDEX["eyeBlinkLeft" if eye.side > 0 else "eyeBlinkRight"]]
         blink[near] *= _farther(rest, blink, near, features)[:, None]
     return replace(mesh, rest_m=rest, motion_m=motion)
-
-
-def _out(points: Float64Array, eye: Eyeball, rest: Float64Array) -> Float64Array:
-    """What brings points out of an eyeball ``[n, 3]``."""
-    offset = points - eye.centre_m
-    clear = EyeSurface(rest[eye.vertices] - eye.centre_m).clearance(offset)
-    # What lies deep inside is the lid's own lining, which nobody sees.
-    return outwards(offset, np.where(clear > -LINING_M, np.maximum(ROOM_M - clear, 0.0), 0.0))
 
 
 def _farther(

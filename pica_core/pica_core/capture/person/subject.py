@@ -65,7 +65,7 @@ class PersonSubject(Subject):
         source = model.person(person.coefficients)
         names = map_names(list(source.shapes))
         dressed = dress(build_mesh(source, names), person)
-        self.person, self.notes = person, dressed.notes
+        self.notes = dressed.notes
         head = RigHead(dressed.mesh, names, f"{person.sex}, {person.age}")
         super().__init__(
             head,
