@@ -20,7 +20,7 @@ from typing import Final
 
 import numpy as np
 
-from pica_client.bench.codec import FPS, Take, code_stream
+from pica_client.bench.codec import FPS, code_stream
 from pica_client.sources import Source, open_source
 from pica_client.sources.live.calibration import Calibration, calibrate
 from pica_client.sources.live.live_face import LiveFace
@@ -133,8 +133,8 @@ def shown_latents(avatar: Avatar, arkit: FloatArray, *, coded: bool) -> FloatArr
         raise ProfileError("the avatar has no stream profile; `pica export` learns one")
     still = np.zeros(3, np.float32)
     samples = [LatentSample(latent=each, rotation=still, translation_m=still) for each in latents]
-    coded_take = code_stream(profile, StreamConfig(fps=FPS), 2, Take(arkit, samples))
-    return np.stack([sample.latent for sample in coded_take.shown])
+    coded_stream = code_stream(profile, StreamConfig(fps=FPS), 2, samples)
+    return np.stack([sample.latent for sample in coded_stream.shown])
 
 
 STILL: Final = {"still:rest": (), "still:eyes-closed": BLINKS}
