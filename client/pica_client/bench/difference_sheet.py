@@ -33,7 +33,7 @@ def write_sheet(path: Path, cells: Sequence[Cell], columns: int = COLUMNS) -> No
         cells: All of one size.
 
     Raises:
-        OutputError: The file cannot be written.
+        OptionError: The file cannot be written.
     """
     height, width = cells[0].shown.shape[:2]
     tall = CAPTION_PX + 2 * height
