@@ -35,18 +35,6 @@ Bounded = Manifest | BaselineAvatar
 _NO_POSE = np.zeros(3, np.float32)
 
 
-class TalkFrame(NamedTuple):
-    """A moment of a performance.
-
-    Attributes:
-        arkit: The face, float32 ``[52]``.
-        matrix: World from head, float32 ``[4, 4]``.
-    """
-
-    arkit: FloatArray
-    matrix: FloatArray
-
-
 def front_camera(
     head: Bounded, distance_cm: float, size: tuple[int, int], *, away: bool = False
 ) -> Camera:
@@ -78,19 +66,22 @@ def check_distances(distances_cm: tuple[float, ...]) -> None:
         raise OptionError(f"distances_cm are {distances_cm}; 1 to 1000 are allowed")
 
 
-def talk_frames(performance: str, start_s: float, warm_up: int, frames: int) -> Iterator[TalkFrame]:
+def talk_frames(
+    performance: str, start_s: float, warm_up: int, frames: int
+) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Frames of a shipped performance, 30 a second.
 
     Args:
         start_s: Where in it the frames after the warm-up begin, seconds.
-        warm_up: Frames that come before them.
-        frames: How many to measure.
+        frames: How many to measure; those of the warm-up come before.
+
+    Yields:
+        The face, float32 ``[52]``, and world from head, float32 ``[4, 4]``.
     """
     source = make_performance(performance)
     for index in range(-warm_up, frames):
         face = source.frame_at(start_s + index * FRAME_S)
-        matrix = head_matrix(np.eye(4), face.rotation, face.translation_m)
-        yield TalkFrame(face.arkit, matrix)
+        yield face.arkit, head_matrix(np.eye(4), face.rotation, face.translation_m)
 
 
 def textured_mesh(baseline: BaselineAvatar) -> TexturedMesh:
