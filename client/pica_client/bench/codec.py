@@ -152,15 +152,15 @@ def _draw_truth(
     if avatar.manifest.identity not in HEADS:
         return None
     stage = draw_head(make_head(avatar.manifest.identity))
+    cameras = evaluation_cameras(VIEWS, config.image_size)
+    images = []
     try:
-        images = []
         for moment in moments:
             stage.pose(arkit[moment])
-            cameras = evaluation_cameras(VIEWS, config.image_size)
             images.append(np.stack([stage.draw_image(camera) for camera in cameras]))
-        return images
     finally:
         stage.release()
+    return images
 
 
 class _Comparison:

@@ -19,9 +19,8 @@ from pica_core.avatar.baseline import BaselineAvatar
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.manifest import Manifest
 from pica_core.camera import Camera, look_at
-from pica_core.capture.stage.dome import EVALUATION_VIEWS, dome_cameras
+from pica_core.capture.stage.dome import dome_cameras
 from pica_core.codec.latent_sample import LatentSample
-from pica_core.errors import ShapeError
 from pica_core.gl import create_context
 from pica_core.types import BoolArray, FloatArray, Image
 
@@ -117,19 +116,13 @@ class FaceRenderer(Closing):
 
     Args:
         size_px: Rows and columns of each image.
-        views: Names among the stage's evaluation views; by default the front and the left.
+        views: Names among the stage's evaluation views.
 
     Raises:
         GraphicsError: No GL context; names the fix.
     """
 
-    def __init__(
-        self,
-        avatar: Avatar,
-        *,
-        size_px: int = 256,
-        views: Sequence[str] = ("front", "left"),
-    ) -> None:
+    def __init__(self, avatar: Avatar, *, size_px: int, views: Sequence[str]) -> None:
         self._cameras = evaluation_cameras(views, size_px)
         self._decoder = OnnxDecoder(avatar)
         self._context = create_context()
@@ -184,13 +177,7 @@ class FaceRenderer(Closing):
 
 
 def evaluation_cameras(views: Sequence[str], size_px: int) -> tuple[Camera, ...]:
-    """The stage's cameras of some evaluation views.
-
-    Raises:
-        ShapeError: A view that the stage does not have.
-    """
-    if unknown := sorted(set(views) - set(EVALUATION_VIEWS)):
-        raise ShapeError(f"view {unknown[0]!r} is unknown; known are {list(EVALUATION_VIEWS)}")
+    """The stage's cameras of some evaluation views."""
     by_name = {camera.name: camera for camera in dome_cameras(5, size_px, size_px)}
     return tuple(by_name[name] for name in views)
 
