@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args, get_origin
 from tyro.conf import Positional
 
 from pica_command.catalogue import commands, options_type_of, spoken, summary
-from pica_command.settings import Setting, settings_of
+from pica_command.settings import settings_of
 
 COMMON_FLAGS = ("--help", "--json", "--debug", "--print-config")
 
@@ -46,15 +46,11 @@ def _flags(name: str) -> dict[str, tuple[str, ...]]:
     if getattr(options_type, "OWN_FILE", False):
         flags["--config"] = ()
     for setting in settings_of(options_type):
-        flags[setting.flag] = _choices(setting)
+        is_literal = get_origin(setting.kind) is Literal
+        flags[setting.flag] = tuple(map(str, get_args(setting.kind))) if is_literal else ()
         if setting.kind is bool:
             flags[setting.negation] = ()
     return flags
-
-
-def _choices(setting: Setting) -> tuple[str, ...]:
-    is_literal = get_origin(setting.kind) is Literal
-    return tuple(str(choice) for choice in get_args(setting.kind)) if is_literal else ()
 
 
 def _next_words(names: Iterable[str]) -> dict[str, list[str]]:

@@ -66,11 +66,7 @@ def one_line(box: str) -> str:
 
 def _registry() -> Any:
     """Rules that let help say ``PATH`` where a value may also be absent, not ``{None}|PATH``."""
-    from tyro.constructors import (
-        ConstructorRegistry,
-        PrimitiveConstructorSpec,
-        PrimitiveTypeInfo,
-    )
+    from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
     registry = ConstructorRegistry()
 

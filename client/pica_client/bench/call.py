@@ -16,7 +16,6 @@ Chosen, with the reason:
 
 import asyncio
 import contextlib
-import math
 from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -211,7 +210,10 @@ async def _measure_through(
             await _pause(tasks)
             local.check()
             if local.crashed or loop.time() > deadline:
-                local_call.require_all(local.names, _missing(call, local, loop.time()), local)
+                peers = call.stats(loop.time())["peers"]
+                seen = {peer["name"] for peer in peers if peer["received"]}
+                missing = [name for name in local.names if name not in seen]
+                local_call.require_all(local.names, missing, local)
         await _pause(tasks, WARM_UP_S)
         begin_s = loop.time()
         call.begin_window(begin_s)
@@ -258,14 +260,11 @@ async def _release(receiver: Receiver, queue: DecodeQueue) -> None:
     loop, call = asyncio.get_running_loop(), receiver.call
     while True:
         receiver.arrived.clear()
-        timer = call.next_timer() or math.inf
-        if timer > loop.time():
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout_at(None if timer == math.inf else timer):
-                    await receiver.arrived.wait()
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout_at(call.next_timer()):
+                await receiver.arrived.wait()
         # A loop may fire a timer up to its clock's resolution too early: round up, not down.
-        now = loop.time() + 1e-6
-        for due in call.due_frames(now):
+        for due in call.due_frames(loop.time() + 1e-6):
             queue.submit(due)
 
 
@@ -276,8 +275,3 @@ async def _pause(
     done, _ = await asyncio.wait(tasks, timeout=seconds, return_when=asyncio.FIRST_COMPLETED)
     for task in done:
         task.result()
-
-
-def _missing(call: Call, local: local_call.LocalCall, now: float) -> list[str]:
-    seen = {peer["name"] for peer in call.stats(now)["peers"] if peer["received"]}
-    return [name for name in local.names if name not in seen]

@@ -84,16 +84,6 @@ class Coded:
     decode_s: list[float] = field(default_factory=list)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Take:
-    """A performance as a sender has it."""
-
-    arkit: FloatArray
-    """Expressions, float32 ``[T, 52]``."""
-    samples: list[LatentSample]
-    """Latents and poses, one a frame."""
-
-
 def _pose(sample: LatentSample) -> FloatArray:
     """Rotation and translation, float32 ``[6]``."""
     return np.concatenate((sample.rotation, sample.translation_m))
@@ -111,25 +101,19 @@ def run_codec_bench(config: CodecConfig, avatar: Avatar) -> dict[str, Any]:
     if profile is None:
         raise ProfileError("the avatar has no stream profile; `pica export` learns one")
     takes = {source: _read(source, config.seconds, avatar) for source in config.sources}
-    moments = {
-        source: np.unique(
-            np.linspace(FPS / 2, len(take.samples) - 2, config.moments).astype(int)
-        ).tolist()
-        for source, take in takes.items()
-    }
-    truth = {
-        source: _draw_truth(avatar, takes[source].arkit, moments[source], config)
-        for source in takes
-    }
     rows: list[dict[str, Any]] = []
     cells: list[Cell] = []
     coders = _coders(profile, avatar, config)
-    with FaceRenderer(avatar, size_px=config.image_size, views=VIEWS) as renderer:
-        for source, take in takes.items():
-            compare = _Comparison(renderer, take, moments[source], truth[source])
+    for source, (arkit, samples) in takes.items():
+        places = np.linspace(FPS / 2, len(samples) - 2, config.moments).astype(int)
+        moments = np.unique(places).tolist()
+        # One GL context at a time on this thread: the stage's is gone before the renderer's comes.
+        truth = _draw_truth(avatar, arkit, moments, config)
+        with FaceRenderer(avatar, size_px=config.image_size, views=VIEWS) as renderer:
+            compare = _Comparison(renderer, samples, moments, truth)
             for name, code in coders.items():
                 say(f"{source}: {name}")
-                row = {"profile": name, "source": source, "fps": FPS, **compare(code(take))}
+                row = {"profile": name, "source": source, "fps": FPS, **compare(code(samples))}
                 rows.append(row)
                 if source == config.sources[0] and name in SHEET_PROFILES:
                     caption = f"{name}  {row['payload_bps'] / 1e3:.2f} kbit/s"
@@ -148,7 +132,9 @@ def run_codec_bench(config: CodecConfig, avatar: Avatar) -> dict[str, Any]:
     }
 
 
-def _read(source: str, seconds: float, avatar: Avatar) -> Take:
+def _read(source: str, seconds: float, avatar: Avatar) -> tuple[FloatArray, list[LatentSample]]:
+    """A performance as a sender has it: expressions, float32 ``[T, 52]``, and what it makes of
+    them, one a frame."""
     player = open_source(source)
     frames = [player.frame_at(index / FPS) for index in range(round(seconds * FPS))]
     arkit = np.stack([frame.arkit for frame in frames])
@@ -156,7 +142,7 @@ def _read(source: str, seconds: float, avatar: Avatar) -> Take:
         LatentSample(latent=latent, rotation=frame.rotation, translation_m=frame.translation_m)
         for latent, frame in zip(ExpressionEncoder(avatar).encode(arkit), frames, strict=True)
     ]
-    return Take(arkit, samples)
+    return arkit, samples
 
 
 def _draw_truth(
@@ -167,15 +153,15 @@ def _draw_truth(
         return None
     # One GL context at a time on this thread: the stage's is gone before the renderer's comes.
     stage = ProceduralSubject(avatar.manifest.identity)
+    cameras = evaluation_cameras(VIEWS, config.image_size)
+    images = []
     try:
-        images = []
         for moment in moments:
             stage.pose(arkit[moment])
-            cameras = evaluation_cameras(VIEWS, config.image_size)
             images.append(np.stack([stage.draw(camera).image for camera in cameras]))
-        return images
     finally:
         stage.release()
+    return images
 
 
 class _Comparison:
@@ -184,14 +170,14 @@ class _Comparison:
     def __init__(
         self,
         renderer: FaceRenderer,
-        take: Take,
+        sent: Sequence[LatentSample],
         moments: Sequence[int],
         truth: list[Image] | None,
     ) -> None:
-        self._renderer, self._take, self._moments, self._truth = renderer, take, moments, truth
+        self._renderer, self._sent, self._moments, self._truth = renderer, sent, moments, truth
         self.worst: tuple[Image, Image] = (np.zeros((1, 1, 3), np.uint8),) * 2
         """Front view of the largest error of the last measurement: as it should be, as shown."""
-        self._uncoded = [self._draw_pair(take.samples, moment) for moment in moments]
+        self._uncoded = [self._draw_pair(sent, moment) for moment in moments]
 
     def _draw_pair(self, samples: Sequence[LatentSample], at: int) -> list[Drawing]:
         return [self._renderer.draw(sample.latent) for sample in samples[at : at + 2]]
@@ -211,8 +197,8 @@ class _Comparison:
                     psnr_db(masked_mse(truth, plain.image, plain.covered))
                     - psnr_db(masked_mse(truth, shown.image, shown.covered))
                 )
-        seconds = len(self._take.samples) / FPS
-        pairs = zip(coded.shown, self._take.samples, strict=True)
+        seconds = len(self._sent) / FPS
+        pairs = zip(coded.shown, self._sent, strict=True)
         pose = np.mean([np.abs(_pose(shown) - _pose(sent)) for shown, sent in pairs], axis=0)
         wire = sum(wire_bytes(1 + HEADER_BYTES + size, is_masked=True) for size in coded.sizes)
         return {
@@ -231,7 +217,7 @@ class _Comparison:
         }
 
 
-Coder = Callable[[Take], Coded]
+Coder = Callable[[Sequence[LatentSample]], Coded]
 
 
 def _coders(profile: StreamProfile, avatar: Avatar, config: CodecConfig) -> dict[str, Coder]:
@@ -266,13 +252,16 @@ def _coders(profile: StreamProfile, avatar: Avatar, config: CodecConfig) -> dict
 
 
 def code_stream(
-    profile: StreamProfile, config: StreamConfig, highest_layer: int, take: Take
+    profile: StreamProfile,
+    config: StreamConfig,
+    highest_layer: int,
+    samples: Sequence[LatentSample],
 ) -> Coded:
     """Our stream, thinned to some layers."""
     encoder, decoder = LatentEncoder(profile, config), LatentDecoder(profile)
     found: dict[int, LatentSample] = {}
     coded, sequence = Coded(), 0
-    for index, sample in enumerate(take.samples):
+    for index, sample in enumerate(samples):
         now_us = index * 1_000_000 // FPS
         face = sample.latent, sample.rotation, sample.translation_m
         took, frame = timed(encoder.encode, *face, now_us)
@@ -288,7 +277,7 @@ def code_stream(
             found[index] = decoded.sample
             coded.sizes.append(len(frame.payload))
         sequence += 1
-    coded.shown = [_shown_at(found, index) for index in range(len(take.samples))]
+    coded.shown = [_shown_at(found, index) for index in range(len(samples))]
     return coded
 
 
@@ -302,11 +291,13 @@ def _shown_at(found: dict[int, LatentSample], index: int) -> LatentSample:
 
 
 def _code_frames(
-    encode: Callable[[LatentSample], bytes], decode: Callable[[bytes], LatentSample], take: Take
+    encode: Callable[[LatentSample], bytes],
+    decode: Callable[[bytes], LatentSample],
+    samples: Sequence[LatentSample],
 ) -> Coded:
     """A format that codes every frame on its own."""
     coded = Coded()
-    for sample in take.samples:
+    for sample in samples:
         encoded, payload = timed(encode, sample)
         decoded, shown = timed(decode, payload)
         coded.encode_s.append(encoded.wall_s)

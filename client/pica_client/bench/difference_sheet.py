@@ -1,8 +1,8 @@
 """A sheet of pictures as they were shown, each with its difference from what it should be."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from PIL import Image as Pillow
@@ -17,8 +17,7 @@ AMPLIFIED = 8
 """Factor on differences, so that 4 of 255 can be seen."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Cell:
+class Cell(NamedTuple):
     """One picture as it was shown and as it should be."""
 
     caption: str
@@ -34,7 +33,7 @@ def write_sheet(path: Path, cells: Sequence[Cell], columns: int = COLUMNS) -> No
         cells: All of one size.
 
     Raises:
-        OutputError: The file cannot be written.
+        OptionError: The file cannot be written.
     """
     height, width = cells[0].shown.shape[:2]
     tall = CAPTION_PX + 2 * height

@@ -18,9 +18,8 @@ from pica_core.avatar.baseline import BaselineAvatar
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.manifest import Manifest
 from pica_core.camera import Camera, look_at
-from pica_core.capture.stage.dome import EVALUATION_VIEWS, dome_cameras
+from pica_core.capture.stage.dome import dome_cameras
 from pica_core.codec.latent_sample import LatentSample
-from pica_core.errors import ShapeError
 from pica_core.gl import create_context
 from pica_core.types import BoolArray, FloatArray, Image
 
@@ -32,18 +31,6 @@ PEAK = 255.0
 Bounded = Manifest | BaselineAvatar
 """Somebody's head, with the corners of all its positions."""
 _NO_POSE = np.zeros(3, np.float32)
-
-
-class TalkFrame(NamedTuple):
-    """A moment of a performance.
-
-    Attributes:
-        arkit: The face, float32 ``[52]``.
-        matrix: World from head, float32 ``[4, 4]``.
-    """
-
-    arkit: FloatArray
-    matrix: FloatArray
 
 
 def front_camera(
@@ -77,19 +64,22 @@ def check_distances(distances_cm: tuple[float, ...]) -> None:
         raise OptionError(f"distances_cm are {distances_cm}; 1 to 1000 are allowed")
 
 
-def talk_frames(performance: str, start_s: float, warm_up: int, frames: int) -> Iterator[TalkFrame]:
+def talk_frames(
+    performance: str, start_s: float, warm_up: int, frames: int
+) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Frames of a shipped performance, 30 a second.
 
     Args:
         start_s: Where in it the frames after the warm-up begin, seconds.
-        warm_up: Frames that come before them.
-        frames: How many to measure.
+        frames: How many to measure; those of the warm-up come before.
+
+    Yields:
+        The face, float32 ``[52]``, and world from head, float32 ``[4, 4]``.
     """
     source = make_performance(performance)
     for index in range(-warm_up, frames):
         face = source.frame_at(start_s + index * FRAME_S)
-        matrix = head_matrix(np.eye(4), face.rotation, face.translation_m)
-        yield TalkFrame(face.arkit, matrix)
+        yield face.arkit, head_matrix(np.eye(4), face.rotation, face.translation_m)
 
 
 class Surface(NamedTuple):
@@ -114,19 +104,13 @@ class FaceRenderer(Closing):
 
     Args:
         size_px: Rows and columns of each image.
-        views: Names among the stage's evaluation views; by default the front and the left.
+        views: Names among the stage's evaluation views.
 
     Raises:
         GraphicsError: No GL context; names the fix.
     """
 
-    def __init__(
-        self,
-        avatar: Avatar,
-        *,
-        size_px: int = 256,
-        views: Sequence[str] = ("front", "left"),
-    ) -> None:
+    def __init__(self, avatar: Avatar, *, size_px: int, views: Sequence[str]) -> None:
         self._cameras = evaluation_cameras(views, size_px)
         self._decoder = OnnxDecoder(avatar)
         self._context = create_context()
@@ -181,13 +165,7 @@ class FaceRenderer(Closing):
 
 
 def evaluation_cameras(views: Sequence[str], size_px: int) -> tuple[Camera, ...]:
-    """The stage's cameras of some evaluation views.
-
-    Raises:
-        ShapeError: A view that the stage does not have.
-    """
-    if unknown := sorted(set(views) - set(EVALUATION_VIEWS)):
-        raise ShapeError(f"view {unknown[0]!r} is unknown; known are {list(EVALUATION_VIEWS)}")
+    """The stage's cameras of some evaluation views."""
     by_name = {camera.name: camera for camera in dome_cameras(5, size_px, size_px)}
     return tuple(by_name[name] for name in views)
 

@@ -22,6 +22,7 @@ import numpy as np
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.bench.head import FaceRenderer
 from pica_client.call.call import Call
+from pica_client.call.faces import FaceState
 from pica_client.local_call.local_call import ROOM
 from pica_client.playout.config import PlayoutConfig
 from pica_client.playout.motion import blend
@@ -42,19 +43,17 @@ SIZE_PX = 192
 
 
 class Shown(NamedTuple):
-    """One face as the display had it; times are microseconds of this machine's clock."""
+    """One face as the display had it."""
 
-    name: str
-    avatar_id: str
     now_us: int
-    captured_us: int
+    """Of this machine's clock, as the time of its capture."""
+    face: FaceState
     sample: LatentSample
-    is_fresh: bool
 
     @property
     def age_s(self) -> float:
         """Seconds since it was captured."""
-        return (self.now_us - self.captured_us) / 1e6
+        return (self.now_us - self.face.captured_us) / 1e6
 
 
 class TrueFace:
@@ -100,10 +99,10 @@ class CallComparison:
         """
         link = LinkConfig(room=ROOM, connect_timeout_s=20.0, secret_file=secret_file)
         self._library = library
-        self._reference = Receiver(replace(link, url=url, name="reference"), Call(library))
-        self._display = Receiver(
-            replace(link, url=impaired_url, name="display"), Call(library, playout)
-        )
+        reference = replace(link, url=url, name="reference")
+        self._reference = Receiver(reference, Call(library))
+        display = replace(link, url=impaired_url, name="display")
+        self._display = Receiver(display, Call(library, playout))
         self._true: defaultdict[str, TrueFace] = defaultdict(TrueFace)
         # Drops its oldest when full.
         self._shown: deque[Shown] = deque(maxlen=MAX_SHOWN)
@@ -127,18 +126,19 @@ class CallComparison:
             GraphicsError: No GL context; names the fix.
         """
         rows = []
-        for avatar_id in sorted({shown.avatar_id for shown in self._shown}):
+        by_avatar: dict[str, dict[str, list[Shown]]] = defaultdict(lambda: defaultdict(list))
+        for shown in self._shown:
+            by_avatar[shown.face.avatar_id][shown.face.name].append(shown)
+        for avatar_id, by_name in sorted(by_avatar.items()):
             avatar = self._library.load(avatar_id)
             with FaceRenderer(avatar, size_px=SIZE_PX, views=("front",)) as renderer:
-                own = [shown for shown in self._shown if shown.avatar_id == avatar_id]
-                for name in dict.fromkeys(shown.name for shown in own):
-                    by_peer = [shown for shown in own if shown.name == name]
-                    rows.append(_compare(renderer, by_peer, self._true[name]))
+                for name, faces in by_name.items():
+                    rows.append(_compare(renderer, faces, self._true[name]))
         means: dict[str, float | None] = {}
         for figure in ("mse_delayed", "mse_now", "largest_step"):
             found = [row[figure] for row in rows if figure in row]
             means[figure] = round(float(np.mean(found)), 3) if found else None
-        fresh = [shown.is_fresh for shown in self._shown]
+        fresh = [shown.face.status == "live" for shown in self._shown]
         return means | {
             "renders": sum(int(row.get("renders", 0)) for row in rows),
             "concealed_ratio": round(1 - float(np.mean(fresh)), 4) if fresh else None,
@@ -159,11 +159,7 @@ class CallComparison:
                     sample = LatentSample(
                         latent=face.latent, rotation=face.rotation, translation_m=face.translation_m
                     )
-                    times_us = round(now * 1e6), face.captured_us
-                    is_fresh = face.status == "live"
-                    self._shown.append(
-                        Shown(face.name, face.avatar_id, *times_us, sample, is_fresh)
-                    )
+                    self._shown.append(Shown(round(now * 1e6), face, sample))
 
 
 def _compare(renderer: FaceRenderer, faces: Sequence[Shown], true: TrueFace) -> dict[str, float]:

@@ -119,26 +119,12 @@ class _Bench:
         self._frames = [(encoder.encode(arkit), matrix) for arkit, matrix in talk]
         # A frame and the one before it, at every distance.
         self._truth = lru_cache(2 * len(config.distances_cm))(self._draw_truth)
+        self._before: dict[_Candidate, Drawing] = {}
 
     def run(self) -> list[dict[str, Any]]:
         """Show all frames in all ways; a row for each way."""
-        candidates = self._candidates()
-        before: dict[_Candidate, Drawing] = {}
-
-        def show(candidate: _Candidate, number: int) -> _Frame:
-            decode_s, draw_s, drawing = self._show(candidate, number)
-            if drawing is None:
-                return _Frame(decode_s)
-            truth = self._truth(number, candidate.distance_cm)
-            change = None
-            if candidate in before:
-                true_before = self._truth(number - 1, candidate.distance_cm)
-                change = change_mse((before[candidate], drawing), (true_before, truth))
-            before[candidate] = drawing
-            return _Frame(decode_s, draw_s, drawn_mse(drawing, truth), change)
-
-        rounds = self._config.frames
-        frames = take_turns(candidates, show, rounds=rounds, warm_up=WARM_UP_FRAMES)
+        candidates, rounds = self._candidates(), self._config.frames
+        frames = take_turns(candidates, self._show, rounds=rounds, warm_up=WARM_UP_FRAMES)
         return [_row(*each) for each in zip(candidates, frames, strict=True)]
 
     def _candidates(self) -> list[_Candidate]:
@@ -163,14 +149,14 @@ class _Bench:
             if mesh == level or (model, precision, level) == ("pica", "f32", full)
         ]
 
-    def _show(self, candidate: _Candidate, number: int) -> tuple[float, float, Drawing | None]:
-        """Decode and draw one frame; seconds of both, and the drawing."""
+    def _show(self, candidate: _Candidate, number: int) -> _Frame:
+        """Decode and draw one frame, and compare it with the truth."""
         latent, matrix = self._frames[number + WARM_UP_FRAMES]
         camera = self._camera(candidate.distance_cm, self._config.image_size)
         direction = view_direction(matrix, camera.centre_m)
         decoded, maps = timed(candidate.decoder.decode, latent, direction, candidate.level)
         if not candidate.is_drawn:
-            return decoded.wall_s, 0.0, None
+            return _Frame(decoded.wall_s)
         self._renderer.upload(maps)
 
         def draw() -> None:
@@ -178,7 +164,13 @@ class _Bench:
             wait_for_gpu(self._context)
 
         drawn, _ = timed(draw)
-        return decoded.wall_s, drawn.wall_s, self._renderer.read()
+        drawing, truth = self._renderer.read(), self._truth(number, candidate.distance_cm)
+        change = None
+        if (before := self._before.get(candidate)) is not None:
+            true_before = self._truth(number - 1, candidate.distance_cm)
+            change = change_mse((before, drawing), (true_before, truth))
+        self._before[candidate] = drawing
+        return _Frame(decoded.wall_s, drawn.wall_s, drawn_mse(drawing, truth), change)
 
     def _draw_truth(self, number: int, distance_cm: float) -> Drawing:
         latent, matrix = self._frames[number + WARM_UP_FRAMES]

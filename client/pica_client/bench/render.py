@@ -94,7 +94,7 @@ def run_render_bench(config: RenderBenchConfig, avatar: Avatar) -> dict[str, Any
             "rows": rows,
             "sweep": sweep,
             "lines": lines,
-            "summary": summarise(rows, lines, bench.weights),
+            "summary": {"ratios": summarise(rows, bench.weights), "lines": lines},
             "machine": describe_machine(),
         }
 
@@ -232,14 +232,8 @@ def fit_line(rows: Sequence[dict[str, Any]], field: str = "draw_ms") -> dict[str
     }
 
 
-def summarise(
-    rows: Sequence[dict[str, Any]], lines: Sequence[dict[str, Any]], weights: str
-) -> dict[str, Any]:
-    """The ratios that matter, per distance and level.
-
-    Args:
-        lines: Of every level and the baseline.
-    """
+def summarise(rows: Sequence[dict[str, Any]], weights: str) -> list[dict[str, Any]]:
+    """The ratios that matter, per distance and level."""
     own = [row for row in rows if row["weights"] in (weights, None)]
     full = max(row["level"] for row in own)
     ratios: list[dict[str, Any]] = []
@@ -256,4 +250,4 @@ def summarise(
                     time = f"{part}_{clock}ms"
                     found[f"{part}_{clock}over_{name}"] = round(row[time] / base[time], 3)
             ratios.append(found)
-    return {"ratios": ratios, "lines": lines}
+    return ratios

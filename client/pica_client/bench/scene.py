@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_client.bench.difference_sheet import Cell, write_sheet
-from pica_client.bench.harness import gl_context
+from pica_client.bench.harness import gl_context, timed
 from pica_client.bench.head import FIELD_OF_VIEW, check_distances, front_camera
 from pica_client.bench.option_types import Floats, Ints
 from pica_client.bench.scene_summary import AWAY, FULL_SCREEN_CM, summarise
@@ -339,32 +339,22 @@ class _Bench:
             slot = head.slot
             decoder = self._decoders[int(slot.partition("-")[2])]
             decoder.prepare(request.level, request.parts)
-            begin_s = time.perf_counter()
-            maps = decoder.decode(
-                request.latent, request.view_direction, request.level, request.parts
-            )
-            decoded_s = time.perf_counter()
-            self._renderer.update_maps(slot, maps.position_map, maps.expression_map)
-            upload_s = time.perf_counter() - decoded_s
+            wanted = request.latent, request.view_direction, request.level, request.parts
+            decoded, maps = timed(decoder.decode, *wanted)
+            shown = maps.position_map, maps.expression_map
+            uploaded, _ = timed(self._renderer.update_maps, slot, *shown)
             frame.decodes += 1.0 if request.parts == "both" else 0.5
             if self._config.expected_costs:
                 costs = case.planner.scheduler.costs
                 frame.decode_s += costs.decode_s(head.model, maps.level, request.parts)
                 head.show(maps.level, now)
                 continue
-            frame.decode_s += decoded_s - begin_s
-            frame.upload_s += upload_s
+            frame.decode_s += decoded.wall_s
+            frame.upload_s += uploaded.wall_s
             if case.is_scheduled:
-                result = DecodeResult(
-                    slot,
-                    maps,
-                    None,
-                    started_s=begin_s,
-                    finished_s=decoded_s,
-                    level=maps.level,
-                    parts=request.parts,
-                )
-                case.planner.note_decoded(head, result, upload_s, now)
+                took_s, level, parts = decoded.wall_s, maps.level, request.parts
+                result = DecodeResult(slot, maps, None, finished_s=took_s, level=level, parts=parts)
+                case.planner.note_decoded(head, result, uploaded.wall_s, now)
         return choices
 
     def _send(self, case: _Case, now: float, frame: _Frame) -> None:

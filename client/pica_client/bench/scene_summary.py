@@ -10,22 +10,13 @@ AWAY = "away"
 
 
 def summarise(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """The ratios that the rows are measured for.
-
-    Returns:
-        ``full_screen_ms``: one head that fills the screen, everything at its best.
-        ``scenes``: per distance, the largest number of heads: total over ``full_screen_ms`` with
-        and without the scheduler, and the error with it.
-        ``budgets``: of these scenes, with less than they cost unconstrained: what was spent and
-        what error that left.
-        ``away``: with no head on the screen: decodes, and payload over that of the same scene seen.
-        ``plan_ms``: planning, where it took longest.
-    """
+    """The ratios that the rows are measured for; ``docs/benches.md`` says which."""
     most = max(row["avatars"] for row in rows)
-    full_screen = next(
-        row for row in rows if row["distance_cm"] == FULL_SCREEN_CM and not row["scheduler"]
+    full_ms = next(
+        row["total_ms"]
+        for row in rows
+        if row["distance_cm"] == FULL_SCREEN_CM and not row["scheduler"]
     )
-    full_ms = full_screen["total_ms"]
     largest = [
         row
         for row in rows

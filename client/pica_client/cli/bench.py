@@ -28,33 +28,19 @@ Result = dict[str, Any]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AvatarBenchOptions(Generic[Config]):
-    """Options of a bench of one avatar."""
+    """Options of a bench of avatars."""
 
     avatar: str | None = None
-    """Name of a shipped avatar, or a .pica file; the first shipped one by default."""
-    config: OmitArgPrefixes[Config]
-
-    def load(self) -> Avatar:
-        """The avatar that is measured."""
-        return _load(self.avatar)[0]
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class AvatarsBenchOptions(Generic[Config]):
-    """Options of a bench of several avatars."""
-
-    avatar: str | None = None
-    """Names of shipped avatars or .pica files, separated by commas; by default all that ship."""
+    """Names of shipped avatars or .pica files, separated by commas; by default all that ship. All
+    benches but drive and scene measure the first alone."""
     config: OmitArgPrefixes[Config]
 
     def load(self) -> list[Avatar]:
         """The avatars that are measured."""
-        return _load(self.avatar)
-
-
-def _load(names: str | None) -> list[Avatar]:
-    with closing(AvatarLibrary()) as library:
-        return [library.load(library.find(name)) for name in choose_avatars(names, library)]
+        with closing(AvatarLibrary()) as library:
+            return [
+                library.load(library.find(name)) for name in choose_avatars(self.avatar, library)
+            ]
 
 
 def bench_call(options: BenchConfig) -> Result:
@@ -85,14 +71,14 @@ def bench_codec(options: AvatarBenchOptions[CodecConfig]) -> Result:
     trained dictionary.
     """
     check_writable(options.config.sheet, ".png")
-    result = run_codec_bench(options.config, options.load())
+    result = run_codec_bench(options.config, options.load()[0])
     say_rows(result["rows"], "source profile payload_bps mse change_mse psnr_loss_db")
     return result
 
 
 def bench_decode(options: AvatarBenchOptions[DecodeBenchConfig]) -> Result:
     """Measure what decoding one face costs: levels, plain export, baseline, candidate blocks."""
-    result = run_decode_bench(options.config, options.load())
+    result = run_decode_bench(options.config, options.load()[0])
     say_rows(
         result["rows"],
         "model level parts threads ms p95 spread plain_ms is_equal difference vertex_mm mse",
@@ -110,7 +96,7 @@ def bench_decode(options: AvatarBenchOptions[DecodeBenchConfig]) -> Result:
     return result
 
 
-def bench_drive(options: AvatarsBenchOptions[DriveBenchConfig]) -> Result:
+def bench_drive(options: AvatarBenchOptions[DriveBenchConfig]) -> Result:
     """Measure what a live face becomes at every level: picture, lids, lips, what pokes out.
 
     The truth is the built-in head or the rig itself, at the same values.
@@ -125,7 +111,7 @@ def bench_pareto(options: AvatarBenchOptions[ParetoBenchConfig]) -> Result:
 
     Set LP_NUM_THREADS to say how many threads software GL takes.
     """
-    result = run_pareto_bench(options.config, options.load())
+    result = run_pareto_bench(options.config, options.load()[0])
     drawn = [row for row in result["rows"] if row["mse"] is not None]
     say_rows(drawn, "distance_cm level mesh precision total_ms mse change_mse is_best")
     return result
@@ -137,7 +123,7 @@ def bench_playout(options: AvatarBenchOptions[BenchPlayoutConfig]) -> Result:
     Runs on a virtual clock and needs no network. Compares the receiver's playout with a fixed
     buffer of 100 ms and with none.
     """
-    return run_bench_playout(options.config, options.load())
+    return run_bench_playout(options.config, options.load()[0])
 
 
 def bench_render(options: AvatarBenchOptions[RenderBenchConfig]) -> Result:
@@ -145,7 +131,7 @@ def bench_render(options: AvatarBenchOptions[RenderBenchConfig]) -> Result:
 
     Set LP_NUM_THREADS to say how many threads software GL takes.
     """
-    result = run_render_bench(options.config, options.load())
+    result = run_render_bench(options.config, options.load()[0])
     say_rows(
         result["rows"],
         "distance_cm model level mesh weights pixels triangles draw_ms vertex_ms draw_cpu_ms "
@@ -155,7 +141,7 @@ def bench_render(options: AvatarBenchOptions[RenderBenchConfig]) -> Result:
     return result
 
 
-def bench_scene(options: AvatarsBenchOptions[SceneBenchConfig]) -> Result:
+def bench_scene(options: AvatarBenchOptions[SceneBenchConfig]) -> Result:
     """Measure a scene of talking heads: its cost, and the error that the scheduler leaves.
 
     Avatars are dealt to the heads in turn. Set LP_NUM_THREADS to say how many threads software GL
@@ -180,4 +166,4 @@ def bench_voice(options: AvatarBenchOptions[BenchVoiceConfig]) -> Result:
 
     Runs on a virtual clock and needs neither network nor sound card.
     """
-    return run_bench_voice(options.config, options.load())
+    return run_bench_voice(options.config, options.load()[0])

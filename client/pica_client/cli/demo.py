@@ -104,14 +104,12 @@ def _view_arguments(config: DemoConfig, stage: local_call.LocalCall, log: Path) 
     arguments += ["--size", config.size, "--seconds", f"{config.seconds:g}"]
     arguments += ["--expect", str(config.call.peers), "--frame-log", str(log)]
     arguments += ["--record", str(config.out / "call.mp4")]
-    arguments += ["--png", str(config.out / "frame.png")]
+    arguments += ["--png", str(config.out / "frame.png"), *stage.secret_arguments]
     if config.call.avatar is not None:
         arguments += ["--avatar", config.call.avatar]
-    arguments += stage.secret_arguments
-    # Off the screen nobody listens: then the voices are played, and measured, without a sound.
-    arguments += ["--speaker", "none"] if config.headless else []
     if config.headless:
-        return [*arguments, "--headless"]
+        # Nobody listens: the voices are played, and measured, without a sound.
+        return [*arguments, "--speaker", "none", "--headless"]
     return [*arguments, "--statistics", "--no-preferences"]
 
 

@@ -1,6 +1,5 @@
 """`pica secret`: make what the people of a call share beforehand."""
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -8,6 +7,7 @@ from typing import Any
 import tyro
 
 from pica_client.e2ee.secret import RoomSecret, save_secret
+from pica_client.output import say
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -25,6 +25,5 @@ def secret(options: SecretOptions) -> dict[str, Any]:
     --secret-file. Nothing of it is shown here.
     """
     save_secret(options.file, RoomSecret.new())
-    text = f"wrote {options.file}; hand it to the others, and use it with --secret-file"
-    print(text, file=sys.stderr, flush=True)
+    say(f"wrote {options.file}; hand it to the others, and use it with --secret-file")
     return {"file": str(options.file)}

@@ -1,7 +1,6 @@
 """`pica track` and `pica calibrate`: what a tracker sends, and whose face it is."""
 
 import time
-from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -132,7 +131,11 @@ def calibrate(options: CalibrateOptions) -> dict[str, Any]:
 
     with closing(_open(options.source, tap)) as source:
         say("look ahead, relaxed, with open eyes")
-        _wait_for(lambda: bool(samples), options.wait, source)
+        end_s = time.monotonic() + options.wait
+        while not samples:
+            if time.monotonic() > end_s:
+                raise SourceError(source.trouble or "the tracker sees no face")
+            time.sleep(REDRAW_S)
         at_rest = gather(options.seconds)
         closed: list[FloatArray] = []
         if options.eyes_closed:
@@ -196,14 +199,6 @@ def _open(text: str, tap: SampleTap) -> Tracker:
     if kind not in TRACKER_KINDS:
         raise SourceError(f"source {text!r} is no tracker; write {LIVE_HELP}")
     return open_live(kind, rest, tap=tap)
-
-
-def _wait_for(is_there: Callable[[], bool], seconds: float, source: Tracker) -> None:
-    end_s = time.monotonic() + seconds
-    while not is_there():
-        if time.monotonic() > end_s:
-            raise SourceError(source.trouble or "the tracker sees no face")
-        time.sleep(REDRAW_S)
 
 
 def _bars(report: TrackReport, trouble: str) -> Table:

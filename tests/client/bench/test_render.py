@@ -40,7 +40,7 @@ def test_the_summary_divides_by_the_baseline_and_by_the_full_mesh() -> None:
         row("pica", 256, 20.0, 4.0, weights="block"),
         row("baseline", 0, 3.0, 1.5),
     ]
-    ratios = summarise(rows, [], "turns")["ratios"]
+    ratios = summarise(rows, "turns")
     names = ("level", "mesh", "draw_over_baseline", "vertex_over_full")
     assert [tuple(r[name] for name in names) for r in ratios] == [
         (64, 64, 1.333, 0.25),

@@ -230,11 +230,8 @@ def same_vertices(faces: IntArray, wanted: IntArray) -> IntArray | None:
 def _draw_truth(subject: Subject, arkit: FloatArray, config: DriveBenchConfig) -> _Truth:
     vertices_m = subject.pose(arkit)
     views = [subject.draw(camera) for camera in evaluation_cameras(VIEWS, config.image_size)]
-    return _Truth(
-        np.stack([view.image for view in views]),
-        np.stack([view.mask for view in views]),
-        vertices_m,
-    )
+    images, masks = zip(*((view.image, view.mask) for view in views), strict=True)
+    return _Truth(np.stack(images), np.stack(masks), vertices_m)
 
 
 class _Comparison:

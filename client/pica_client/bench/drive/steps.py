@@ -20,7 +20,7 @@ from typing import Final
 
 import numpy as np
 
-from pica_client.bench.codec import FPS, Take, code_stream
+from pica_client.bench.codec import FPS, code_stream
 from pica_client.sources import Source, open_source
 from pica_client.sources.live.calibration import Calibration, calibrate
 from pica_client.sources.live.live_face import LiveFace
@@ -58,11 +58,11 @@ def as_offset_person(arkit: FloatArray) -> FloatArray:
     return said
 
 
-def offset_calibration() -> Calibration:
-    """What `pica calibrate` learns of the offset person."""
+def calibration_of(person: Person) -> Calibration:
+    """What `pica calibrate` learns of a person."""
     rest, closed = np.zeros((2, NUM_ARKIT), np.float32)
     closed[list(BLINKS)] = 1.0
-    return calibrate([as_offset_person(rest)], [as_offset_person(closed)])
+    return calibrate([person(rest)], [person(closed)])
 
 
 def live_values(
@@ -75,7 +75,6 @@ def live_values(
 
     Args:
         look: What the tracker says of a moment, seconds; asked in order.
-        num_frames: How many frames.
         tracker_fps: How often it looks.
 
     Returns:
@@ -133,8 +132,8 @@ def shown_latents(avatar: Avatar, arkit: FloatArray, *, coded: bool) -> FloatArr
         raise ProfileError("the avatar has no stream profile; `pica export` learns one")
     still = np.zeros(3, np.float32)
     samples = [LatentSample(latent=each, rotation=still, translation_m=still) for each in latents]
-    coded_take = code_stream(profile, StreamConfig(fps=FPS), 2, Take(arkit, samples))
-    return np.stack([sample.latent for sample in coded_take.shown])
+    coded_stream = code_stream(profile, StreamConfig(fps=FPS), 2, samples)
+    return np.stack([sample.latent for sample in coded_stream.shown])
 
 
 STILL: Final = {"still:rest": (), "still:eyes-closed": BLINKS}
@@ -174,13 +173,8 @@ STAGES: Final = ("driver", "codec", "live", "offset", "calibrated")
 
 def stage_values(stage: str, source: Source, num_frames: int) -> FloatArray:
     """The values that a stage hands to the expression encoder. float32 ``[T, 52]``."""
-    match stage:
-        case "live":
-            return live_values(perfect_tracker(source, np.copy), num_frames, None)
-        case "offset":
-            return live_values(perfect_tracker(source, as_offset_person), num_frames, None)
-        case "calibrated":
-            tracker = perfect_tracker(source, as_offset_person)
-            return live_values(tracker, num_frames, offset_calibration())
-        case _:
-            return values_of(source, num_frames)
+    if stage in ("driver", "codec"):
+        return values_of(source, num_frames)
+    person = np.copy if stage == "live" else as_offset_person
+    calibration = calibration_of(person) if stage == "calibrated" else None
+    return live_values(perfect_tracker(source, person), num_frames, calibration)

@@ -7,16 +7,13 @@ eyes; the camera has no noise and no blur. Heads are drawn, and the networks hav
 from collections.abc import Callable
 from typing import Final
 
-import numpy as np
 from PIL import Image
 
+from pica_client.bench.drive.steps import calibration_of
 from pica_client.sources import Source
-from pica_client.sources.live.calibration import Calibration, calibrate
 from pica_client.sources.live.sample import TrackerSample
-from pica_client.sources.live.smoothing import BLINKS
 from pica_client.sources.webcam.face_finder import FaceFinder
 from pica_client.sources.webcam.model import load_networks
-from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.camera import look_at
 from pica_core.capture.stage.subject import Subject
 from pica_core.types import FloatArray
@@ -49,10 +46,7 @@ class SeenByWebcam:
             width=SIZE_PX[0],
             height=SIZE_PX[1],
         )
-        rest, closed = np.zeros((2, NUM_ARKIT), np.float32)
-        closed[list(BLINKS)] = 1.0
-        seen = [self._see(arkit, None).arkit for arkit in (rest, closed)]
-        self.calibration: Calibration = calibrate(seen[:1], seen[1:])
+        self.calibration = calibration_of(lambda arkit: self._see(arkit, None).arkit)
 
     def tracker(self, source: Source) -> Callable[[float], TrackerSample]:
         """What the networks say of what a source does, for `steps.live_values`."""

@@ -38,10 +38,8 @@ class Scenario:
     """One row: a name, and the way while the trouble lasts."""
 
     name: str
-    family: str
-    """Rows of one family differ in one number only."""
     level: float
-    """That number, in `unit`."""
+    """The number in which rows of one family differ, in `unit`."""
     unit: str
     trouble: Impairment
     note: str
@@ -60,7 +58,6 @@ def _family(
     for level in levels:
         yield Scenario(
             name=f"{family}-{level}",
-            family=family,
             level=level,
             unit=unit,
             trouble=make(level),

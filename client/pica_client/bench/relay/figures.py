@@ -1,5 +1,6 @@
 """What is made of a relay bench's counts: percentiles, sums, and a line to read."""
 
+import math
 from bisect import bisect_left
 from collections import Counter
 from collections.abc import Sequence
@@ -22,14 +23,6 @@ def describe(row: dict[str, Any]) -> str:
         + ("" if cpu is None else f", core {cpu:.0%} busy, {per_1000} s per 1,000")
         + f"; generator {max(row['generator']['cpu_ratio']):.0%} busy"
     )
-
-
-def is_within(
-    forward_ms: dict[str, float | None], missing: int, expected: int, bar_ms: float
-) -> bool:
-    """Within the bar: late frames are few, and so are those that never came."""
-    p99 = forward_ms["p99"]
-    return p99 is not None and p99 <= bar_ms and missing <= expected * 0.001
 
 
 def merged(answers: Sequence[dict[str, Any]], key: str) -> Counter[int]:
@@ -55,27 +48,20 @@ def percentiles(steps: Counter[int]) -> dict[str, float | None]:
 
 def relay_percentiles(metrics: dict[str, float]) -> dict[str, float | None] | None:
     """Percentiles of the relay's histogram: the upper bounds of the buckets they lie in."""
-    prefix = "pica_forward_seconds_bucket"
-    buckets = [
-        (float(name.partition('le="')[2].partition('"')[0].replace("+Inf", "inf")), count)
+    buckets = sorted(
+        (float(name.partition('le="')[2].partition('"')[0]), count)
         for name, count in metrics.items()
-        if name.startswith(prefix)
-    ]
+        if name.startswith("pica_forward_seconds_bucket")
+    )
     if not buckets:
         return None
-    buckets.sort()
-    total = buckets[-1][1]
-    return {
-        f"p{percent}": next(
-            (
-                None if bound == float("inf") else round(bound * 1e3, 3)
-                for bound, count in buckets
-                if total and count >= total * percent / 100
-            ),
-            None,
-        )
-        for percent in (50, 95, 99)
-    }
+    bounds, counts = zip(*buckets, strict=True)
+    found: dict[str, float | None] = {}
+    for percent in (50, 95, 99):
+        bound = bounds[bisect_left(counts, counts[-1] * percent / 100)]
+        is_known = counts[-1] > 0 and bound < math.inf
+        found[f"p{percent}"] = round(bound * 1e3, 3) if is_known else None
+    return found
 
 
 def close_codes(answers: Sequence[dict[str, Any]]) -> dict[str, int]:

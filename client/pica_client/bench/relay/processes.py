@@ -106,9 +106,7 @@ class Workers:
 
 def share_cores() -> tuple[int | None, list[int | None]]:
     """Choose a core for the server and those for the load; None where nothing can be pinned."""
-    if not hasattr(os, "sched_getaffinity"):
-        return None, [None]
-    cores = sorted(os.sched_getaffinity(0))
+    cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
     if len(cores) < 2:
         return None, [None]
     return cores[-1], list(cores[:-1])

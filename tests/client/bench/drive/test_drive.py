@@ -21,8 +21,8 @@ from pica_client.bench.drive.steps import (
     OFFSET,
     StillFace,
     as_offset_person,
+    calibration_of,
     live_values,
-    offset_calibration,
     perfect_tracker,
     values_of,
 )
@@ -83,7 +83,7 @@ def test_an_offset_person_is_at_rest_after_calibration_and_still_blinks() -> Non
     said = as_offset_person(rest)
     assert said[ARKIT_INDEX["mouthSmileLeft"]] == pytest.approx(OFFSET)
     assert said[ARKIT_INDEX["eyeBlinkRight"]] == pytest.approx(LIDS[0])
-    calibration = offset_calibration()
+    calibration = calibration_of(as_offset_person)
     assert calibration.apply(said) == pytest.approx(rest, abs=1e-6)
     assert calibration.apply(as_offset_person(closed)) == pytest.approx(closed, abs=1e-6)
 
