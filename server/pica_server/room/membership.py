@@ -224,12 +224,7 @@ class Membership:
         return Room(name, self._connections.config.room_capacity) if room is None else room
 
     def _enter(
-        self,
-        connection: Connection,
-        room: Room,
-        joined: Joined,
-        admission: Admission,
-        now: float,
+        self, connection: Connection, room: Room, joined: Joined, admission: Admission, now: float
     ) -> None:
         if len(room) == 1:
             self._notify(RoomEvent(event="room_started", room=room.name))
