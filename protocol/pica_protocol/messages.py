@@ -37,8 +37,13 @@ def within(low: int, high: int) -> Check:
     return lambda name, value: limits.check_range(name, value, low, high)
 
 
-def _text(max_bytes: int) -> Check:
-    return lambda name, value: limits.check_text(name, value, max_bytes)
+def _text(max_bytes: int, *, required: bool = False) -> Check:
+    return lambda name, value: limits.check_text(name, value, max_bytes, required=required)
+
+
+def _if_any(check: Check) -> Check:
+    """Check a value that is neither empty nor None."""
+    return lambda name, value: check(name, value) if value else None
 
 
 def _at_most(limit: int, what: str = "items") -> Check:
@@ -136,21 +141,15 @@ class Peer(Checked):
 
     peer_id: Token
     """Opaque, unique in the room for its lifetime; made by the relay."""
-    name: str
+    name: Annotated[str, _text(limits.MAX_NAME_BYTES, required=True)]
     """What the person is called; not unique, and a mere claim unless ``is_name_assured``."""
     tracks: Annotated[tuple[Track, ...], _tracks(1, limits.MAX_STREAM)] = ()
     metadata: Said = ()
     """What it says of itself; not to be trusted."""
-    identity: str = _added("")
+    identity: Annotated[str, _if_any(limits.check_token)] = _added("")
     """Who it is by the token that it came in with; empty without tokens."""
     is_name_assured: bool = _added(False)
     """Whether the name stands in that token, and is not what its owner would like to be called."""
-
-    def __post_init__(self) -> None:
-        Checked.__post_init__(self)
-        limits.check_text("peer.name", self.name, limits.MAX_NAME_BYTES, required=True)
-        if self.identity:
-            limits.check_token("peer.identity", self.identity)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -274,13 +273,8 @@ class Want(Checked):
     """
 
     stream: Stream
-    layer: int | None = None
+    layer: Annotated[int | None, _if_any(within(0, limits.MAX_LAYER))] = None
     """Highest layer to forward; None stops the stream."""
-
-    def __post_init__(self) -> None:
-        Checked.__post_init__(self)
-        if self.layer is not None:
-            limits.check_range("want.layer", self.layer, 0, limits.MAX_LAYER)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

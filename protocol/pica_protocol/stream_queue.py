@@ -94,9 +94,8 @@ class StreamQueue:
     _open_layer: int = MAX_LAYER
     """The highest layer that has started; goes down at once, up at a base frame."""
     _probation: int = 0
-    """Base frames that must pass at once before upper layers start."""
     _penalty: int = MIN_PROBATION
-    """As many after a new cut."""
+    """Base frames that must pass at once before upper layers start, and as many after a new cut."""
     _blocked_above: int = _ALL
     """Frames above this layer refer to a frame that was dropped."""
     _last_base: bytes = b""

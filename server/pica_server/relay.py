@@ -102,13 +102,9 @@ class Relay:
             self.store = AvatarStore(Backend(config.avatar_store), config.store)
         counts = self.hub.stats.store
         self._transfers: set[RelaySocket] = set()
-        self._downloads = Downloads(self.store, counts, self._transfers, origins=config.origins)
+        self._downloads = Downloads(self.store, counts, self._transfers, config.origins)
         self._uploads = Uploads(
-            self.store,
-            may_upload,
-            counts,
-            self._transfers,
-            offer_timeout_s=config.handshake_timeout_s,
+            self.store, may_upload, counts, self._transfers, config.handshake_timeout_s
         )
         self.certificate: Certificate | None = None
         if config.tls_cert is not None and config.tls_key is not None:

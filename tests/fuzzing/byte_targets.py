@@ -17,7 +17,7 @@ from fuzzing.targets import expect
 from helpers.stream_toy import toy_profile
 from pica_client.e2ee.errors import NoteError, OpenError
 from pica_client.e2ee.frames import decode_header, derive_key, metadata_of, open_
-from pica_client.e2ee.notes import RoomKeys, Way, decode_note
+from pica_client.e2ee.notes import RoomKeys, decode_note
 from pica_client.e2ee.secret import RoomSecret
 from pica_client.e2ee.suites import SUITES
 from pica_core.avatar.file import load_avatar
@@ -29,7 +29,7 @@ from pica_protocol.errors import RemoteProtocolError
 from pica_protocol.frames import Frame, decode_media, encode_frame, media_message, scan_frames
 
 SEEDS: Final = Path(__file__).parent / "seeds"
-WAY: Final = Way("p1", "p2")
+WAY: Final = ("p1", "p2")
 NOTE_KEY: Final = RoomKeys.of(RoomSecret(bytes(range(32))), "lobby").note_key
 METADATA: Final = metadata_of(Frame(stream=1, sequence=2, captured_us=3, payload=b""))
 
@@ -68,7 +68,7 @@ def sealed(data: bytes) -> None:
 def note(data: bytes) -> None:
     """Read a note about keys."""
     with suppress(NoteError):
-        decode_note(data, NOTE_KEY, WAY)
+        decode_note(data, NOTE_KEY, *WAY)
 
 
 def avatar_file(data: bytes) -> None:

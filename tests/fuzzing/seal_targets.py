@@ -11,14 +11,14 @@ from fuzzing.targets import expect
 from pica_client.e2ee.errors import NoteError, OpenError
 from pica_client.e2ee.frames import decode_header, derive_key, metadata_of, open_, seal
 from pica_client.e2ee.guard import Guard
-from pica_client.e2ee.notes import Note, RoomKeys, Way, decode_note, encode_note
+from pica_client.e2ee.notes import Note, RoomKeys, decode_note, encode_note
 from pica_client.e2ee.secret import RoomSecret
 from pica_client.e2ee.suites import SUITES
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Joined, Peer, PeerJoined, Track, Whisper
 
 _SECRET: Final = RoomSecret(bytes(range(32)))
-_WAY: Final = Way("p1", "p2")
+_WAY: Final = ("p1", "p2")
 
 
 def sealed_frames(rng: random.Random, meter: Meter) -> None:
@@ -48,18 +48,18 @@ def notes(rng: random.Random, meter: Meter) -> None:
     """Notes about keys: nothing but what a member wrote is read."""
     key = RoomKeys.of(_SECRET, "lobby").note_key
     written = [
-        encode_note(Note(public_key=rng.randbytes(32), wants_answer=True), key, _WAY),
+        encode_note(Note(public_key=rng.randbytes(32), wants_answer=True), key, *_WAY),
         encode_note(
             Note(public_key=rng.randbytes(32), generation=1, suite=4, wrapped_key=bytes(32)),
             key,
-            _WAY,
+            *_WAY,
         ),
     ]
     mutator = Mutator(rng, written)
     for _ in range(50):
         data = mutator.mutate_bytes(rng.choice(written))
         try:
-            meter.call(decode_note, data, key, _WAY)
+            meter.call(decode_note, data, key, *_WAY)
         except NoteError:
             meter.note("refused NoteError")
             continue

@@ -84,11 +84,7 @@ class Call:
     """
 
     def __init__(
-        self,
-        avatars: AvatarStore,
-        playout: PlayoutConfig | None = None,
-        *,
-        log_shown: bool = False,
+        self, avatars: AvatarStore, playout: PlayoutConfig | None = None, *, log_shown: bool = False
     ) -> None:
         self.errors = self.without_avatar = self.strays = 0
         # Drops its oldest when full.

@@ -27,10 +27,6 @@ nobody.
 """
 
 
-def _zeros() -> FloatArray:
-    return np.zeros(3, np.float32)
-
-
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class FaceState:
     """One peer's face at display time."""
@@ -43,9 +39,9 @@ class FaceState:
     """SHA-256 of the avatar file, hexadecimal."""
     latent: FloatArray | None
     """Expression code at display time, float32 ``[8, 8, 4]``; None while nothing has arrived."""
-    rotation: FloatArray = field(default_factory=_zeros)
+    rotation: FloatArray = field(default_factory=lambda: np.zeros(3, np.float32))
     """Head to seat, rotation vector in radians. float32 ``[3]``."""
-    translation_m: FloatArray = field(default_factory=_zeros)
+    translation_m: FloatArray = field(default_factory=lambda: np.zeros(3, np.float32))
     """Head offset from its seat, metres, seat axes. float32 ``[3]``."""
     captured_us: int = 0
     """Sender's clock at the *newest* sample that went into `latent`, for measuring latency. Between

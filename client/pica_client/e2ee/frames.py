@@ -28,14 +28,6 @@ _METADATA = struct.Struct(">HHBBQ")
 
 
 @dataclass(frozen=True, slots=True)
-class SealHeader:
-    """What stands in front of a sealed payload."""
-
-    key_id: int
-    counter: int
-
-
-@dataclass(frozen=True, slots=True)
 class FrameKey:
     """A key ready for use; its parts never leave this process."""
 
@@ -64,15 +56,15 @@ def derive_key(base_key: bytes, key_id: int, suite: Suite) -> FrameKey:
     return FrameKey(key_id, suite, suite.aead(key, suite.tag_bytes), salt)
 
 
-def encode_header(header: SealHeader) -> bytes:
+def encode_header(key_id: int, counter: int) -> bytes:
     """Return the header's bytes: 1 to 17."""
-    key_bits, key_tail = _encode_number("key id", header.key_id)
-    counter_bits, counter_tail = _encode_number("counter", header.counter)
+    key_bits, key_tail = _encode_number("key id", key_id)
+    counter_bits, counter_tail = _encode_number("counter", counter)
     return bytes([key_bits << 4 | counter_bits]) + key_tail + counter_tail
 
 
-def decode_header(sealed: bytes) -> tuple[SealHeader, int]:
-    """Return the header of a sealed payload, and how many bytes it takes.
+def decode_header(sealed: bytes) -> tuple[int, int, int]:
+    """Return key id and counter of a sealed payload, and how many bytes its header takes.
 
     Raises:
         MalformedFrameError: It is cut off, or a number takes more bytes than it needs.
@@ -81,7 +73,7 @@ def decode_header(sealed: bytes) -> tuple[SealHeader, int]:
         raise MalformedFrameError("an empty payload is not sealed")
     key_id, end = _decode_number(sealed, sealed[0] >> 4, 1)
     counter, end = _decode_number(sealed, sealed[0] & 15, end)
-    return SealHeader(key_id, counter), end
+    return key_id, counter, end
 
 
 def metadata_of(frame: Frame) -> bytes:
@@ -101,7 +93,7 @@ def seal(payload: bytes, metadata: bytes, key: FrameKey, counter: int) -> bytes:
         counter: Never the same twice with one key: two payloads under one nonce give away their
             difference and, with AES-GCM, the means to forge.
     """
-    header = encode_header(SealHeader(key.key_id, counter))
+    header = encode_header(key.key_id, counter)
     return header + key.aead.encrypt(key.nonce(counter), payload, header + metadata)
 
 
@@ -112,13 +104,13 @@ def open_(sealed: bytes, metadata: bytes, key: FrameKey) -> bytes:
         MalformedFrameError: Cut off, or no header.
         ForgedFrameError: Another key, other metadata, or a bit that is not as it was.
     """
-    header, start = decode_header(sealed)
+    key_id, counter, start = decode_header(sealed)
     if len(sealed) - start < key.suite.tag_bytes:
         raise MalformedFrameError(f"a sealed payload of {len(sealed)} bytes has no room for a tag")
-    if header.key_id != key.key_id:
-        raise ForgedFrameError(f"sealed with key {header.key_id}, not {key.key_id}")
+    if key_id != key.key_id:
+        raise ForgedFrameError(f"sealed with key {key_id}, not {key.key_id}")
     associated = sealed[:start] + metadata
-    return key.aead.decrypt(key.nonce(header.counter), sealed[start:], associated)
+    return key.aead.decrypt(key.nonce(counter), sealed[start:], associated)
 
 
 def _encode_number(name: str, value: int) -> tuple[int, bytes]:

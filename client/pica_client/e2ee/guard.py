@@ -195,16 +195,16 @@ class Guard:
         return []
 
     def _opened(self, frame: Frame, owner: str | None, now: float) -> bytes:
-        header, _ = decode_header(frame.payload)
+        key_id, counter, _ = decode_header(frame.payload)
         if owner is None:
             raise UnknownKeyError("a frame of nobody in the room")
-        opening = self._keys.opening_key(owner, header.key_id, now)
+        opening = self._keys.opening_key(owner, key_id, now)
         if opening is None:
-            raise UnknownKeyError(f"no key {header.key_id} of this peer")
-        if not opening.window.is_new(header.counter):
-            raise ReplayedFrameError(f"counter {header.counter} came before")
+            raise UnknownKeyError(f"no key {key_id} of this peer")
+        if not opening.window.is_new(counter):
+            raise ReplayedFrameError(f"counter {counter} came before")
         payload = open_(frame.payload, metadata_of(frame), opening.key)
-        opening.window.mark(header.counter)
+        opening.window.mark(counter)
         return unpad(payload) if opening.is_padded else payload
 
 

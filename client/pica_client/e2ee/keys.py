@@ -190,8 +190,8 @@ class KeyExchange:
             peer.seal = PeerSeal()
 
     def _take_note(self, peer: PeerKeys, data: bytes) -> None:
-        now, way = self._now, notes.Way(peer.peer.peer_id, self._own_id)
-        note = notes.decode_note(data, self._room_keys.note_key, way)
+        now, sender, receiver = self._now, peer.peer.peer_id, self._own_id
+        note = notes.decode_note(data, self._room_keys.note_key, sender, receiver)
         if note.description != peer.description:
             raise NoteError(
                 "the relay gives it another name, avatar, track or stream than it has itself",
@@ -246,10 +246,8 @@ class KeyExchange:
             if self._budget < _ONE_NOTE:
                 break
             self._budget -= 1
-            way = notes.Way(self._own_id, peer_id)
-            ready.append(
-                (peer_id, notes.encode_note(self._note(peer), self._room_keys.note_key, way))
-            )
+            note, note_key = self._note(peer), self._room_keys.note_key
+            ready.append((peer_id, notes.encode_note(note, note_key, self._own_id, peer_id)))
             peer.sent_s = now
             is_silent = peer.public_key is None and now - peer.came_s >= SILENT_S
             if is_silent and peer.seal.state is SealState.WAITING:

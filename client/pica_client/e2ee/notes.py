@@ -76,13 +76,6 @@ class RoomKeys(NamedTuple):
         return cls(note_key=derive(b"note"), pair_salt=derive(b"pair"))
 
 
-class Way(NamedTuple):
-    """Who writes to whom."""
-
-    sender: str
-    receiver: str
-
-
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Note:
     """See the table above."""
@@ -145,7 +138,7 @@ def fingerprint(public_key: bytes) -> bytes:
     return hashlib.sha256(public_key).digest()[:ECHO_BYTES]
 
 
-def encode_note(note: Note, note_key: bytes, way: Way) -> bytes:
+def encode_note(note: Note, note_key: bytes, sender: str, receiver: str) -> bytes:
     """Return the bytes of a note from one peer to another."""
     flags = _FLAG_ANSWER * note.wants_answer | _FLAG_KEY * bool(note.wrapped_key)
     flags |= _FLAG_RENEW * note.wants_newer | _FLAG_PADDED * note.is_padded
@@ -161,10 +154,10 @@ def encode_note(note: Note, note_key: bytes, way: Way) -> bytes:
         note.description,
     )
     body += note.wrapped_key
-    return body + _code(body, note_key, way)
+    return body + _code(body, note_key, sender, receiver)
 
 
-def decode_note(data: bytes, note_key: bytes, way: Way) -> Note:
+def decode_note(data: bytes, note_key: bytes, sender: str, receiver: str) -> Note:
     """Return the note that a peer wrote to us.
 
     Raises:
@@ -178,7 +171,7 @@ def decode_note(data: bytes, note_key: bytes, way: Way) -> Note:
     if len(data) not in NOTE_BYTES:
         raise NoteError(f"{len(data)} bytes that are no note")
     body = data[:-CODE_BYTES]
-    if not hmac.compare_digest(data[-CODE_BYTES:], _code(body, note_key, way)):
+    if not hmac.compare_digest(data[-CODE_BYTES:], _code(body, note_key, sender, receiver)):
         raise NoteError(
             "notes by somebody without the secret of this room: compare the secret files",
             SealState.SECRET_DIFFERS,
@@ -204,7 +197,7 @@ def decode_note(data: bytes, note_key: bytes, way: Way) -> Note:
     )
 
 
-def _code(body: bytes, note_key: bytes, way: Way) -> bytes:
+def _code(body: bytes, note_key: bytes, sender: str, receiver: str) -> bytes:
     # Peer ids hold no zero byte, so the two cannot run into each other.
-    message = b"\0".join((way.sender.encode(), way.receiver.encode(), body))
+    message = b"\0".join((sender.encode(), receiver.encode(), body))
     return hmac.digest(note_key, message, "sha256")[:CODE_BYTES]

@@ -28,9 +28,8 @@ def parse_buckets(text: str) -> tuple[int, ...]:
         buckets = tuple(int(size) for size in text.split(","))
     except ValueError:
         buckets = ()
-    if not buckets or list(buckets) != sorted({*buckets}) or not 1 <= buckets[0] <= MAX_BUCKET:
-        buckets = ()
-    if not buckets or buckets[-1] > MAX_BUCKET:
+    are_growing = buckets and list(buckets) == sorted({*buckets})
+    if not are_growing or buckets[0] < 1 or buckets[-1] > MAX_BUCKET:
         raise OptionError(
             f"pad is {text!r}; it is off, or sizes in bytes that grow, 1 to {MAX_BUCKET}: 32,64,256"
         )

@@ -1,26 +1,25 @@
 """What a link without a window tells its user: that it is in the room, was lost, and is back."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from pica_protocol.errors import is_worth_retrying
 from pica_protocol.messages import Joined
 from pica_protocol.session import ClientEvent, Closed
 
 
+@dataclass(eq=False)
 class LinkNews:
     """Says a line when the connection to the relay comes and goes.
 
     A connection that never led into the room is no news: the link raises why, or tries on.
-
-    Args:
-        joined: What to say once we are in the room.
     """
 
-    def __init__(self, joined: str, say: Callable[[str], None]) -> None:
-        self._joined = joined
-        self._say = say
-        self._has_been_there = False
-        self._lost_s: float | None = None
+    _joined: str
+    """What to say once we are in the room."""
+    _say: Callable[[str], None]
+    _has_been_there: bool = False
+    _lost_s: float | None = None
 
     def receive_event(self, event: ClientEvent, now: float) -> None:
         """Take an event of the link's session at `now`, seconds."""

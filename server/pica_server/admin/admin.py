@@ -20,6 +20,7 @@ point here.
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from http import HTTPStatus
 from typing import Any, Final, NamedTuple
 from urllib.parse import parse_qs, unquote, urlsplit
@@ -52,18 +53,14 @@ class _RefusedError(Exception):
         self.answer = Answer(status, {"error": text}, headers)
 
 
+@dataclass(eq=False)
 class Admin:
     """The admin's side of one hub."""
 
-    def __init__(self, hub: Hub, authority: Callable[[str], str] | None) -> None:
-        """Prepare.
-
-        Args:
-            authority: Takes a token and returns the room that it is for, or raises
-                `AdmissionError`; None: there are no tokens, who is on this machine may.
-        """
-        self._hub = hub
-        self._authority = authority
+    _hub: Hub
+    _authority: Callable[[str], str] | None
+    """Takes a token and returns the room that it is for, or raises `AdmissionError`; None: there
+    are no tokens, who is on this machine may."""
 
     def answer(self, method: str, target: str, headers: Mapping[str, str], now: float) -> Answer:
         """Do what a request asks for; ``headers`` are by lower-case name."""

@@ -246,18 +246,6 @@ def admin_scope(keys: KeyRing, token: str, *, now: float) -> str:
     return room
 
 
-def _claims_that_hold(keys: KeyRing, token: str, now: float) -> Mapping[str, Any]:
-    claims = _claims(keys, token)
-    begins_s, ends_s = _number(claims, "nbf"), _number(claims, "exp")
-    if now < begins_s - LEEWAY_S:
-        raise _unauthorized("the token does not hold yet")
-    if now >= ends_s + LEEWAY_S:
-        raise _unauthorized("the token has expired")
-    if ends_s - begins_s > keys.max_token_s:
-        raise _unauthorized(f"the token holds for longer than {keys.max_token_s:g} s")
-    return claims
-
-
 def _avatars(claims: Mapping[str, Any]) -> list[str]:
     avatars = claims.get("avatars", [])
     if not isinstance(avatars, list) or not all(isinstance(item, str) for item in avatars):
@@ -265,7 +253,7 @@ def _avatars(claims: Mapping[str, Any]) -> list[str]:
     return avatars
 
 
-def _claims(keys: KeyRing, token: str) -> Mapping[str, Any]:
+def _claims_that_hold(keys: KeyRing, token: str, now: float) -> Mapping[str, Any]:
     if not token:
         raise _unauthorized("this relay wants a token")
     try:
@@ -289,6 +277,13 @@ def _claims(keys: KeyRing, token: str) -> Mapping[str, Any]:
     # What a stranger wrote goes through base64 and JSON before the signature is looked at.
     except (jwt.InvalidTokenError, ValueError, TypeError, RecursionError) as error:
         raise _unauthorized("the token is not valid") from error
+    begins_s, ends_s = _number(claims, "nbf"), _number(claims, "exp")
+    if now < begins_s - LEEWAY_S:
+        raise _unauthorized("the token does not hold yet")
+    if now >= ends_s + LEEWAY_S:
+        raise _unauthorized("the token has expired")
+    if ends_s - begins_s > keys.max_token_s:
+        raise _unauthorized(f"the token holds for longer than {keys.max_token_s:g} s")
     return claims
 
 

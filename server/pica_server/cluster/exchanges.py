@@ -19,34 +19,21 @@ from pica_server.room.room import Room
 
 
 class ClusterExchanges:
-    """What one node exchanges with the others, room by room."""
+    """What one node exchanges with the others, room by room.
+
+    Attributes:
+        me: The node; it may become another one, which shares no room yet.
+    """
 
     def __init__(self, hub: Hub, me: NodeId) -> None:
         self._hub = hub
-        self._me = me
+        self.me = me
         self._stats = hub.stats
-        self._exchanges: dict[str, Exchange] = {}
         self._last_epoch = 0
 
-    def restart(self, me: NodeId) -> None:
-        """Be another node from now on, which shares no room yet."""
-        self._me = me
-        self._exchanges.clear()
-
-    def suspect_loss(self, key: str) -> None:
-        """Note that something of a room may have been lost."""
-        exchange = self._exchanges.get(key)
-        if exchange is not None:
-            exchange.suspect_loss()
-
-    def is_due(self, key: str, now: float) -> bool:
-        """Say whether ``announce`` has something to say of a room although nothing has happened."""
-        exchange = self._exchanges.get(key)
-        return exchange is not None and exchange.is_due(now)
-
-    def receive_media(self, key: str, room: Room, data: bytes, now: float) -> bool:
+    def receive_media(self, shared: SharedRoom, room: Room, data: bytes, now: float) -> bool:
         """Take frames of a room from another node; return whether some before them were lost."""
-        exchange = self._exchanges.get(key)
+        exchange = shared.exchange
         if exchange is None:
             return False
         try:
@@ -85,13 +72,12 @@ class ClusterExchanges:
             for node in [n for n in room.links if n not in nodes]:
                 self._hub.forwarding.drop_link(room, node)
         if room is None or not nodes:
-            self._exchanges.pop(shared.key, None)
+            shared.exchange = None
             return []
-        exchange = self._exchanges.get(shared.key)
+        exchange = shared.exchange
         if exchange is None:
             self._last_epoch += 1
-            exchange = Exchange(shared.key, self._me.name, self._last_epoch)
-            self._exchanges[shared.key] = exchange
+            exchange = shared.exchange = Exchange(shared.key, self.me.name, self._last_epoch)
         layers = room.interest()
         for stream in exchange.layers:
             if stream not in layers:
@@ -102,7 +88,7 @@ class ClusterExchanges:
 
     def follow(self, shared: SharedRoom, room: Room, interest: Interest, now: float) -> bool:
         """Follow the subscriptions of another node; return whether to tell it ours."""
-        exchange = self._exchanges.get(shared.key)
+        exchange = shared.exchange
         # Who is not known to be in the room yet will be asked for its subscriptions once it is.
         if exchange is None or interest.node not in shared.nodes:
             return False
@@ -111,7 +97,7 @@ class ClusterExchanges:
         link = room.links.get(interest.node)
         if link is None:
             dropped = self._stats.cluster_dropped
-            link = NodeLink(interest.node, self._me.slot, shared.key, dropped)
+            link = NodeLink(interest.node, self.me.slot, shared.key, dropped)
             room.links[interest.node] = link
         if interest.epoch != link.epoch:
             link.restart(interest.epoch)

@@ -198,7 +198,8 @@ class ClusterNode:
         if shared is not None:
             shared.doubt()
             self._dirty[key] = None
-        self.exchanges.suspect_loss(key)
+            if shared.exchange is not None:
+                shared.exchange.suspect_loss()
 
     def receive_loss_of_all(self) -> None:
         """Note that news of any room may have been lost."""
@@ -271,7 +272,9 @@ class ClusterNode:
         """Take frames from another node."""
         shared = self._rooms.get(key)
         room = None if shared is None else self._hub.room(shared.name)
-        if room is not None and self.exchanges.receive_media(key, room, data, now):
+        if shared is None or room is None:
+            return
+        if self.exchanges.receive_media(shared, room, data, now):
             self._dirty[key] = None
 
     # What must be done.
@@ -298,8 +301,7 @@ class ClusterNode:
         self._commands += [Unwatch(key) for key in self._rooms]
         self._rooms.clear()
         self._dirty.clear()
-        self.me = me
-        self.exchanges.restart(me)
+        self.me = self.exchanges.me = me
         self.liveness = Liveness(now)
         self._look(now)
 
@@ -395,7 +397,8 @@ class ClusterNode:
             self._count(standing.value)
         self.standing, self._alive = standing, alive
         for key, shared in self._rooms.items():
-            if has_changed or shared.is_unsettled or self.exchanges.is_due(key, now):
+            is_due = shared.exchange is not None and shared.exchange.is_due(now)
+            if has_changed or shared.is_unsettled or is_due:
                 self._dirty[key] = None
 
     def _room(self, name: str) -> SharedRoom:

@@ -34,6 +34,7 @@ from typing import Final
 from pica_protocol.messages import Peer
 from pica_server.cluster import messages
 from pica_server.cluster.liveness import Liveness, Standing
+from pica_server.cluster.media import Exchange
 from pica_server.errors import ClusterMessageError
 from pica_server.room.rulings import Rulings
 
@@ -155,12 +156,17 @@ SharedRoomEvent = Ruled | Admitted | Refused | Arrived | Changed | Departed | Re
 
 
 class SharedRoom:
-    """This node's view of one room."""
+    """This node's view of one room.
+
+    Attributes:
+        exchange: What is exchanged with the other nodes, while there are any.
+    """
 
     def __init__(self, name: str, capacity: int, me: messages.NodeId, rulings: Rulings) -> None:
         self.name = name
         self.key = messages.room_key(name)
         self.revision = 0
+        self.exchange: Exchange | None = None
         self._capacity = capacity
         self._me = me.name
         self._rulings = rulings

@@ -6,6 +6,7 @@ refused.
 """
 
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Final
 
 import nats.errors
@@ -26,21 +27,16 @@ have noticed that its node is gone."""
 _WRONG_REVISION: Final = (10071, 10164)
 
 
+@dataclass(eq=False)
 class ClusterStore:
-    """Leases and records.
+    """Leases and records."""
 
-    Attributes:
-        is_lost: Whether it seems to be gone, or to have been made anew, since it was opened.
-    """
-
-    def __init__(
-        self, stream: JetStreamContext, nodes: KeyValue, rooms: KeyValue, made: str
-    ) -> None:
-        self.is_lost = False
-        self._made = made
-        self._stream = stream
-        self._nodes = nodes
-        self._rooms = rooms
+    _stream: JetStreamContext
+    _nodes: KeyValue
+    _rooms: KeyValue
+    _made: str
+    is_lost: bool = False
+    """Whether it seems to be gone, or to have been made anew, since it was opened."""
 
     async def claim(self, slot: int, name: str) -> int | None:
         """Take a slot; return the revision, or None if it is somebody's."""

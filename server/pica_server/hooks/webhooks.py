@@ -58,33 +58,23 @@ def signature(secret: bytes, body: bytes, unix_s: int) -> str:
     return f"t={unix_s},v1={code}"
 
 
+@dataclass(eq=False, kw_only=True)
 class WebhookQueue:
     """What waits to be delivered."""
 
-    def __init__(
-        self,
-        *,
-        max_waiting: int,
-        give_up_s: float,
-        new_id: Callable[[], str],
-        random: Callable[[], float],
-        counts: Counter[str],
-    ) -> None:
-        """Begin empty.
+    max_waiting: int
+    """Events that may wait; one more drops the oldest."""
+    give_up_s: float
+    """Seconds for which an event is worth telling."""
+    new_id: Callable[[], str]
+    """Makes ids that do not repeat."""
+    random: Callable[[], float]
+    """Returns numbers in [0, 1)."""
+    counts: Counter[str]
+    """Where it counts ``delivered``, ``failed`` attempts, and events that were dropped:
+    ``overflow``, ``expired``."""
 
-        Args:
-            max_waiting: Events that may wait; one more drops the oldest.
-            give_up_s: Seconds for which an event is worth telling.
-            new_id: Makes ids that do not repeat.
-            random: Returns numbers in [0, 1).
-            counts: Where it counts ``delivered``, ``failed`` attempts, and events that were
-                dropped: ``overflow``, ``expired``.
-        """
-        self._max_waiting = max_waiting
-        self._give_up_s = give_up_s
-        self._new_id = new_id
-        self._random = random
-        self._counts = counts
+    def __post_init__(self) -> None:
         self._waiting: deque[Delivery] = deque()
         self._under_way: Delivery | None = None
         self._wait_s = FIRST_WAIT_S
@@ -95,21 +85,21 @@ class WebhookQueue:
 
     def offer(self, event: RoomEvent, *, unix_s: float, now: float) -> None:
         """Queue an event."""
-        event_id = self._new_id()
+        event_id = self.new_id()
         said = {key: value for key, value in asdict(event).items() if value}
         body = json.dumps({"id": event_id, "created": round(unix_s, 3), **said}).encode()
         self._waiting.append(Delivery(event_id, body, now))
-        if len(self) > self._max_waiting:
+        if len(self) > self.max_waiting:
             self._waiting.popleft()
-            self._counts["overflow"] += 1
+            self.counts["overflow"] += 1
 
     def take(self, now: float) -> Delivery | None:
         """Take what is to be delivered now; ``delivered`` or ``failed`` follows."""
         if self._under_way is not None or now < self._not_before_s:
             return None
-        while self._waiting and now - self._waiting[0].noted_s > self._give_up_s:
+        while self._waiting and now - self._waiting[0].noted_s > self.give_up_s:
             self._waiting.popleft()
-            self._counts["expired"] += 1
+            self.counts["expired"] += 1
         if self._waiting:
             self._under_way = self._waiting.popleft()
         return self._under_way
@@ -118,16 +108,16 @@ class WebhookQueue:
         """Note that what was taken has arrived."""
         self._under_way = None
         self._wait_s, self._not_before_s = FIRST_WAIT_S, 0.0
-        self._counts["delivered"] += 1
+        self.counts["delivered"] += 1
 
     def failed(self, now: float) -> None:
         """Note that what was taken has not arrived: it is next again, after a while."""
         assert self._under_way is not None
         self._waiting.appendleft(self._under_way)
         self._under_way = None
-        self._not_before_s = now + self._wait_s * (0.5 + 0.5 * self._random())
+        self._not_before_s = now + self._wait_s * (0.5 + 0.5 * self.random())
         self._wait_s = min(2 * self._wait_s, LONGEST_WAIT_S)
-        self._counts["failed"] += 1
+        self.counts["failed"] += 1
 
     def next_timer(self) -> float | None:
         """Return when there is something to take, or None: nothing waits, or one is under way."""

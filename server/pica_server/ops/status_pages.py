@@ -1,6 +1,7 @@
 """What the relay answers to plain HTTP: is it alive, is there a place, its numbers. Pure."""
 
 from collections import deque
+from dataclasses import dataclass
 from http import HTTPStatus
 from typing import Final, NamedTuple
 
@@ -42,20 +43,14 @@ class Page(NamedTuple):
     retry_after_s: float | None = None
 
 
+@dataclass(eq=False)
 class StatusPages:
     """The pages of one relay."""
 
-    def __init__(
-        self,
-        hub: Hub,
-        watch: LoopWatch,
-        config: RelayConfig,
-        store: AvatarStore | None = None,
-    ) -> None:
-        self._hub = hub
-        self._watch = watch
-        self._config = config
-        self._store = store
+    _hub: Hub
+    _watch: LoopWatch
+    _config: RelayConfig
+    _store: AvatarStore | None = None
 
     def answer(self, path: str, *, is_local: bool, now: float) -> Page | None:
         """Return the page of a path, or None if there is none; some are for this machine only."""

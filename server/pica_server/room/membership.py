@@ -6,7 +6,7 @@ there. In a cluster the rooms also hold the peers of other nodes.
 """
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from pica_protocol.errors import CloseCode
 from pica_protocol.messages import (
@@ -35,40 +35,30 @@ from pica_server.room.room import Room
 from pica_server.room.rulings import Rulings
 
 
+@dataclass(eq=False)
 class Membership:
-    """The rooms of one relay and who is in them.
+    """The rooms of one relay and who is in them; it clears up after the connections.
 
     Attributes:
         rooms: Every room with somebody in it, by name; to be read only.
     """
 
-    def __init__(
-        self,
-        connections: Connections,
-        forwarding: Forwarding,
-        tickets: ResumeTickets,
-        rulings: Rulings,
-        admit: Callable[[Join], Admission],
-        notify: Callable[[RoomEvent], None],
-    ) -> None:
-        """Begin empty, and clear up after the connections from now on.
+    _connections: Connections
+    _forwarding: Forwarding
+    _tickets: ResumeTickets
+    _rulings: Rulings
+    _admit: Callable[[Join], Admission]
+    """Says what who joins may do, or raises `AdmissionError`."""
+    _notify: Callable[[RoomEvent], None]
+    """Told at once what happens in rooms; it must neither block nor raise."""
 
-        Args:
-            admit: Says what who joins may do, or raises `AdmissionError`.
-            notify: Told at once what happens in rooms; it must neither block nor raise.
-        """
-        self._connections = connections
-        self._forwarding = forwarding
-        self._tickets = tickets
-        self._rulings = rulings
-        self._admit = admit
-        self._notify = notify
-        self._stats = connections.stats
+    def __post_init__(self) -> None:
+        self._stats = self._connections.stats
         self.rooms: dict[str, Room] = {}
         # The last connection of those who are away; as many as there are places kept.
         self._away: dict[str, Connection] = {}
         self._joins: TokenBucket | None = None  # full when the first one comes
-        connections.on_over = self.clear_up
+        self._connections.on_over = self.clear_up
 
     def join(self, connection: Connection, join: Join, now: float) -> None:
         """Let somebody into a room, or close them."""
@@ -234,12 +224,7 @@ class Membership:
         return Room(name, self._connections.config.room_capacity) if room is None else room
 
     def _enter(
-        self,
-        connection: Connection,
-        room: Room,
-        joined: Joined,
-        admission: Admission,
-        now: float,
+        self, connection: Connection, room: Room, joined: Joined, admission: Admission, now: float
     ) -> None:
         if len(room) == 1:
             self._notify(RoomEvent(event="room_started", room=room.name))

@@ -4,6 +4,8 @@ What must be done on another node of the cluster is passed on to it. What is to 
 comes again is kept in `Rulings`.
 """
 
+from dataclasses import dataclass
+
 from pica_protocol.errors import CloseCode
 from pica_server.room.connections import Connections
 from pica_server.room.forwarding import Forwarding
@@ -12,20 +14,14 @@ from pica_server.room.room import Room
 from pica_server.room.rulings import RULING_S, Rulings
 
 
+@dataclass(eq=False)
 class Moderation:
     """The admin's hand in the rooms of one relay."""
 
-    def __init__(
-        self,
-        connections: Connections,
-        membership: Membership,
-        forwarding: Forwarding,
-        rulings: Rulings,
-    ) -> None:
-        self._connections = connections
-        self._membership = membership
-        self._forwarding = forwarding
-        self._rulings = rulings
+    _connections: Connections
+    _membership: Membership
+    _forwarding: Forwarding
+    _rulings: Rulings
 
     def remove(self, room_name: str, peer_id: str, *, now: float) -> bool:
         """Put a peer out of its room, who may be away; return whether it was there, in a room that

@@ -50,7 +50,7 @@ class ResumeTickets:
         return None if peer_id is None or self._places[peer_id].room != room else peer_id
 
     def redeem(self, room: str, secret: str) -> str | None:
-        """As `place_of`; the secret opens nothing any more."""
+        """Return whose place a secret opens, or None; it opens nothing any more."""
         peer_id = self.place_of(room, secret)
         if peer_id is not None:
             self.forget(peer_id)

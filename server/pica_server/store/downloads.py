@@ -14,6 +14,7 @@ import asyncio
 import logging
 import socket
 from collections import Counter
+from dataclasses import dataclass
 from email.utils import formatdate
 from http import HTTPStatus
 from typing import Final
@@ -39,30 +40,22 @@ quarter of a second of a link with 2 Mbit/s; with 50 ms there and back still 5 M
 _logger = logging.getLogger(__name__)
 
 
+@dataclass(eq=False)
 class Downloads:
     """Gives the files of a store, or says that there is none."""
 
-    def __init__(
-        self,
-        store: AvatarStore | None,
-        stats: Counter[str],
-        transfers: set[RelaySocket],
-        *,
-        origins: tuple[str, ...],
-    ) -> None:
-        """Begin without transfers.
+    _store: AvatarStore | None
+    """The files; None: this relay keeps none."""
+    _stats: Counter[str]
+    _transfers: set[RelaySocket]
+    """Where sockets are as long as a file moves; the relay cuts them at its end."""
+    _origins: tuple[str, ...]
+    """Web pages whose scripts may read what they get."""
 
-        Args:
-            store: The files; None: this relay keeps none.
-            transfers: Where sockets are as long as a file moves; the relay cuts them at its end.
-            origins: Web pages whose scripts may read what they get.
-        """
-        self._store = store
-        self._stats = stats
-        self._origins = origins
-        self._transfers = transfers
-        if store is not None:
-            self._slots = Slots(store.config.downloads, store.config.downloads_per_address)
+    def __post_init__(self) -> None:
+        if self._store is not None:
+            config = self._store.config
+            self._slots = Slots(config.downloads, config.downloads_per_address)
 
     async def answer(self, websocket: RelaySocket, request: Request) -> Response:
         """Answer a request below ``/avatars/``; for ``process_request``."""

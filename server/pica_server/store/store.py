@@ -13,6 +13,7 @@ import hashlib
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from io import BufferedWriter
 from pathlib import Path
 from typing import Final, TypeVar
@@ -152,20 +153,20 @@ class AvatarStore:
         return await asyncio.get_running_loop().run_in_executor(threads or self._threads, action)
 
 
+@dataclass(eq=False)
 class Upload:
     """One file on its way in; ``async with``, which discards what was not finished."""
 
-    def __init__(
-        self, store: AvatarStore, identity: str, size: int, path: Path, file: BufferedWriter
-    ) -> None:
-        self._store = store
-        self._identity = identity
-        self._size = size
-        self._path = path
-        self._file = file
+    _store: AvatarStore
+    _identity: str
+    _size: int
+    _path: Path
+    _file: BufferedWriter
+
+    def __post_init__(self) -> None:
         self._received = 0
         self._hash = hashlib.sha256()
-        self._structure = StructureCheck(size)
+        self._structure = StructureCheck(self._size)
         self._buffer = bytearray()  # bounded by BUFFER_BYTES and one chunk
 
     @property

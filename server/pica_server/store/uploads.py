@@ -5,6 +5,7 @@ import logging
 from collections import Counter
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from dataclasses import dataclass
 from typing import Final
 
 from websockets.exceptions import ConnectionClosed
@@ -31,32 +32,22 @@ MayUpload = Callable[[str, str], None]
 _logger = logging.getLogger(__name__)
 
 
+@dataclass(eq=False)
 class Uploads:
     """Takes files into a store, or says that there is none."""
 
-    def __init__(
-        self,
-        store: AvatarStore | None,
-        may_upload: MayUpload,
-        stats: Counter[str],
-        transfers: set[RelaySocket],
-        *,
-        offer_timeout_s: float,
-    ) -> None:
-        """Begin without transfers.
+    _store: AvatarStore | None
+    """The files; None: this relay keeps none."""
+    _may_upload: MayUpload
+    _stats: Counter[str]
+    _transfers: set[RelaySocket]
+    """Where sockets are as long as a file moves; the relay cuts them at its end."""
+    _offer_timeout_s: float
+    """Seconds from the open websocket to the offer."""
 
-        Args:
-            store: The files; None: this relay keeps none.
-            transfers: Where sockets are as long as a file moves; the relay cuts them at its end.
-            offer_timeout_s: Seconds from the open websocket to the offer.
-        """
-        self._store = store
-        self._may_upload = may_upload
-        self._stats = stats
-        self._offer_timeout_s = offer_timeout_s
-        self._transfers = transfers
-        if store is not None:
-            config = store.config
+    def __post_init__(self) -> None:
+        if self._store is not None:
+            config = self._store.config
             # Who has not shown a token yet must not hold the places of those who have.
             self._offers = Slots(MOST_OFFERS, config.uploads_per_address)
             self._slots = Slots(config.uploads, config.uploads_per_address)

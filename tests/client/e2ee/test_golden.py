@@ -19,7 +19,6 @@ from pica_client.e2ee.frames import derive_key, metadata_of, open_, seal
 from pica_client.e2ee.notes import (
     Note,
     RoomKeys,
-    Way,
     agree,
     decode_note,
     encode_note,
@@ -98,8 +97,8 @@ def test_a_note_is_written_as_the_page_shows() -> None:
         suite=AES_128_GCM_SHA256_128.number,
         wrapped_key=wrap.wrap(BASE_KEY, GENERATION, AES_128_GCM_SHA256_128.number),
     )
-    assert encode_note(note, keys.note_key, Way("p1", "p2")).hex() == NOTE
-    assert decode_note(bytes.fromhex(NOTE), keys.note_key, Way("p1", "p2")) == note
+    assert encode_note(note, keys.note_key, "p1", "p2").hex() == NOTE
+    assert decode_note(bytes.fromhex(NOTE), keys.note_key, "p1", "p2") == note
     _, unwrap = agree(ben, ben_key, ada_key, keys.pair_salt)
     assert unwrap.unwrap(note.wrapped_key, GENERATION, note.suite) == BASE_KEY
     assert spaced(NOTE) in PAGE.read_text()
