@@ -40,7 +40,7 @@ def show(step: int, phase: str, losses: Losses) -> bool:
 torch.set_num_threads(1)
 with tempfile.TemporaryDirectory() as folder:
     render_capture(STAGE, Path(folder, "capture"))
-    data = TrainingData(Capture.open(Path(folder, "capture")), CONFIG.model.spec().map_size)
+    data = TrainingData(Capture.open(Path(folder, "capture")))
     with open_trainer(data, CONFIG, Path(folder, "run")) as trainer:
         trainer.run(show)
         assert isinstance(trainer.model, PixelCodecAvatar)

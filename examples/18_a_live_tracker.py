@@ -55,7 +55,7 @@ async def main() -> None:
         print(f"the jaw is open by {jaw:.2f}; shown {source.face.delay_s * 1000:.0f} ms after")
         stats = await sending
         phone.cancel()
-    print(f"{source.face.counters.samples} samples came, {stats['sent']} faces went")
+    print(f"{source.face.counters['taken']} samples came, {stats['sent']} faces went")
 
 
 asyncio.run(main())

@@ -18,14 +18,14 @@ from pica_client.errors import SourceError
 from pica_client.playout.rotation import rotation_vector_from_yaw_pitch_roll
 from pica_client.sources.webcam.face_finder import FaceFinder
 from pica_client.sources.webcam.model import load_networks
-from pica_client.sources.webcam.networks import FaceNetworks, Region
+from pica_client.sources.webcam.networks import Region
 from pica_core.avatar.arkit import ARKIT_NAMES
 
 
 def find(path: str) -> None:
     """Say what the networks see in a picture."""
     try:
-        networks = FaceNetworks(*load_networks())
+        networks = load_networks()
     except SourceError as error:
         print(error)
         return

@@ -46,7 +46,7 @@ def row_of(folder: Path) -> list[ByteArray]:
     """The tiles of one run."""
     run = open_run(folder)
     limits = EvalLimits(frames=FRAMES, geometry_frames=0, near_frames=0)
-    truth = prepare(run.capture, run.config.model.spec().map_size, limits)
+    truth = prepare(run.capture, limits)
     data, model = truth.data, build(run, truth)
     front, side = data.images.evaluation_views[0], data.images.evaluation_views[2]
     jaw = data.arkit[truth.frames, ARKIT_NAMES.index("jawOpen")]

@@ -35,7 +35,6 @@ from pica_client.bench.head import (
     check_distances,
     front_camera,
     talk_frames,
-    textured_mesh,
 )
 from pica_client.bench.option_types import Floats
 from pica_client.bench.pareto import mark_best
@@ -199,7 +198,7 @@ class TexturedModel(Model):
     def stage(self, renderer: Renderer, slot: str, onnx: OnnxOptions) -> None:
         """Open the decoder of mesh and texture, and give the mesh's topology to the renderer."""
         self._decoder = BaselineDecoder(self._baseline, onnx)
-        renderer.add_textured(slot, textured_mesh(self._baseline))
+        renderer.add_textured(slot, self._baseline)
 
     def decode(self, latent: FloatArray, direction: FloatArray) -> None:
         """Decode mesh and texture."""

@@ -26,6 +26,7 @@ from matplotlib.figure import Figure
 PAGE = RESULTS / "relay.md"
 STYLE: dict[str, dict[str, Any]] = {
     "relay": {"label": "pica relay", "color": "#0072B2", "marker": "o"},
+    "gather": {"label": "pica relay, nothing gathers", "color": "#56B4E9", "marker": "v"},
     "naive": {"label": "naive, same library", "color": "#D55E00", "marker": "s"},
     "naive-uvloop": {"label": "naive, with uvloop", "color": "#E69F00", "marker": "^"},
     "echo": {"label": "echo: the generator's limit", "color": "#777777", "marker": "."},
@@ -58,8 +59,10 @@ def chart_relay() -> None:
 
 
 def _servers(line: Line) -> dict[str, Row]:
-    """What was measured of each server under one load."""
-    return {"relay": line["result"], **line["result"].get("compare", {})}
+    """What was measured of each server under one load, and of the relay where nothing gathers."""
+    result = line["result"]
+    ablated = {name: row for name, row in result.get("ablate", {}).items() if name == "gather"}
+    return {"relay": result, **ablated, **result.get("compare", {})}
 
 
 def _draw_load(lines: Sequence[Line]) -> Figure:
@@ -109,7 +112,7 @@ def _load_table(lines: Sequence[Line]) -> str:
         "delivered/s": "{delivered_per_s:,.0f}",
         "p50 / p99, ms": lambda row: " / ".join(_ms(row["forward_ms"][p]) for p in ("p50", "p99")),
         "missing": "missing",
-        "dropped": lambda row: row["dropped"] if row["server"] == "relay" else None,
+        "dropped": lambda row: row["dropped"] if row["server"] in ("relay", "gather") else None,
         "core busy": lambda row: (
             None if row["relay_cpu_ratio"] is None else f"{row['relay_cpu_ratio']:.0%}"
         ),

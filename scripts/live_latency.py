@@ -41,7 +41,6 @@ from pica_client.avatars.library import AvatarLibrary  # noqa: E402
 from pica_client.local_call.processes import Children  # noqa: E402
 from pica_client.publish.sender import Sender, SenderConfig  # noqa: E402
 from pica_client.sources import open_source  # noqa: E402
-from pica_client.sources.live.live_face import LiveFace  # noqa: E402
 from pica_client.sources.live.opening import LIVE_KINDS, decoder_of  # noqa: E402
 from pica_client.sources.live.sample import TrackerSample  # noqa: E402
 from pica_client.sources.live.smoothing import Smoother  # noqa: E402
@@ -116,8 +115,8 @@ class Times:
 
 def measure(kind: str, seconds: float, url: str, library: AvatarLibrary) -> dict[str, Any]:
     """One protocol's figures."""
-    times, face = Times(), LiveFace()
-    tracker = UdpTracker(UdpOptions(kind, 0, host="127.0.0.1"), decoder_of(kind), face, times.tap)
+    times = Times()
+    tracker = UdpTracker(UdpOptions(kind, 0, host="127.0.0.1"), decoder_of(kind), tap=times.tap)
     times.watch(tracker)
     total_s = seconds + WARM_UP_S
     arguments = ["--phone", kind, "--port", str(tracker.port), "--seconds", f"{total_s + 2}"]
@@ -146,7 +145,7 @@ def measure(kind: str, seconds: float, url: str, library: AvatarLibrary) -> dict
         "send_ms": _ms(sent_s - due_s),
         "path_ms": _ms(took_s + sent_s - due_s),
         "wait_ms": _ms(np.maximum(due_s - arrived_s - took_s, 0)),
-        "delay_ms": round(face.delay_s * 1e3, 1),
+        "delay_ms": round(tracker.face.delay_s * 1e3, 1),
         "skipped": stats["skipped"],
     }
 

@@ -36,9 +36,8 @@ def main() -> None:
         sys.exit(__doc__)
     run = open_run(Path(sys.argv[1]))
     limits = EvalLimits(frames=COLUMNS, geometry_frames=0, near_frames=COLUMNS // 2)
-    truth = prepare(run.capture, run.config.model.spec().map_size, limits)
+    truth = prepare(run.capture, limits)
     data, model = truth.data, build(run, truth)
-    data.meshes.use(run.config.mesh_source)
     with Rasteriser.of(data.meshes.topology(model.topology)) as rasteriser:
         evaluator = ModelEvaluator(data, model, rasteriser)
         codes = [evaluator.encode(frame) for frame in truth.frames]
@@ -50,7 +49,8 @@ def main() -> None:
         ]
         rows.append([draw(evaluator, codes[0], camera(*angles)) for angles in GRAZING])
         near = []
-        for frame, (view, image) in truth.near.images.items():
+        pictures = {} if isinstance(truth.near, str) else truth.near
+        for frame, (view, image) in pictures.items():
             near += [image, draw(evaluator, evaluator.encode(frame), view)]
         rows.append(near)
     tiles = [[np.asarray(Image.fromarray(tile).resize((TILE_PX, TILE_PX))) for tile in row]

@@ -55,7 +55,7 @@ def main() -> None:
     for seed in options.seeds:
         for path in options.captures:
             config = replace(PRESETS[options.preset], seed=seed)
-            data = TrainingData(Capture.open(path), config.model.spec().map_size)
+            data = TrainingData(Capture.open(path))
             for variant in options.variants:
                 train(data, config, variant, options)
 

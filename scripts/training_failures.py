@@ -5,6 +5,7 @@ data. `run_failures` trains them all alike and gives rows to compare with the fi
 spoils.
 """
 
+import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -20,7 +21,7 @@ from pica_core.train.config import PAPER_LOSSES, TrainConfig
 from pica_core.train.data.training import TrainingData
 from pica_core.train.held_out import draw_held_out
 from pica_core.train.loop import open_trainer
-from pica_core.train.monitor import curve
+from pica_core.train.monitor import METRICS
 from pica_core.types import FloatArray
 
 OUTLIER_RATIO = 0.3
@@ -73,11 +74,9 @@ def spoil(data: TrainingData, failure: Failure) -> Iterator[None]:
     images = data.images
     true_depth_m, true_camera = images.depth_m, images.camera
 
-    def depth_m(frame: int, camera: str) -> FloatArray | None:
+    def depth_m(frame: int, camera: str) -> FloatArray:
         """Depth with outliers, the same ones each time."""
         depth_m = true_depth_m(frame, camera)
-        if depth_m is None:
-            return None
         rng = np.random.default_rng([frame, *camera.encode()])
         wrong = (depth_m > 0) & (rng.random(depth_m.shape) < OUTLIER_RATIO)
         return np.where(wrong, depth_m + np.float32(OUTLIER_M), depth_m)
@@ -147,15 +146,25 @@ def _run(data: TrainingData, config: TrainConfig, run: Path, failure: Failure) -
         row["mse"], _ = draw_held_out(trainer.objectives)
         with torch.no_grad():
             frames = data.test_frames
-            latent, _ = trainer.encode(frames)
+            latent, _ = trainer.objectives.encode(frames)
             offset = trainer.model.vertices(latent) - data.meshes.dense(frames)
             row["vertex_error_mm"] = float(offset.norm(dim=2).mean()) * 1000
-            codes, _ = trainer.encode(data.train_frames)
+            codes, _ = trainer.objectives.encode(data.train_frames)
             row["code_deviation"] = float(codes.std())
         for sigma in SIGMAS:
             reach_mm = far_codes_reach_mm(trainer.model.vertices, codes, sigma)
             row[f"reach_{sigma:g}_sigma_mm"] = reach_mm
     return row
+
+
+def curve(run_dir: Path) -> list[dict[str, Any]]:
+    """What the looks at held-out frames found, {step, seconds, mse}, oldest first."""
+    rows = [json.loads(line) for line in (run_dir / METRICS).read_text().splitlines()]
+    return [
+        {key: row[key] for key in ("step", "seconds", "mse")}
+        for row in rows
+        if row["kind"] == "held_out"
+    ]
 
 
 @torch.no_grad()

@@ -23,14 +23,13 @@ import numpy as np
 import torch
 import tyro
 from torch.profiler import ProfilerActivity, profile
-from training_failures import FAILURES, run_failures
+from training_failures import FAILURES, curve, run_failures
 
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.errors import TrainingOptionError, check_ranges
 from pica_core.train.config import PAPER_LOSSES, PRESETS, TrainConfig
 from pica_core.train.data.training import TrainingData
 from pica_core.train.loop import Trainer, open_trainer
-from pica_core.train.monitor import curve
 
 PARTS = ("data", "encode", "decode", "raster", "pixel", "loss", "backward", "optimiser")
 """Parts of a step as training names them to the profiler. "raster" holds ids, choice of pixels and
@@ -195,7 +194,7 @@ def _trial(
     names, config = options.chosen(known), options.config()
     torch.set_num_threads(options.threads)
     capture = Capture.open(options.capture)
-    data = TrainingData(capture, config.model.spec().map_size)
+    data = TrainingData(capture)
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         for row in run(data, config, options.out or Path(folder), names, range(options.seeds)):
@@ -235,7 +234,7 @@ def steps(options: StepOptions) -> dict[str, Any]:
     losses = PAPER_LOSSES if options.six_losses else config.losses
     schedule = replace(config.schedule, geometry_steps=0, joint_steps=options.steps + 10)
     config = replace(config, losses=losses, schedule=schedule)
-    data = TrainingData(Capture.open(options.capture), config.model.spec().map_size)
+    data = TrainingData(Capture.open(options.capture))
     with (
         tempfile.TemporaryDirectory() as folder,
         open_trainer(data, config, Path(folder)) as trainer,

@@ -28,7 +28,6 @@ from pica_client.render.seats import plan_seats
 from pica_client.render.views import ViewState, plan_camera
 from pica_client.sources.webcam.face_finder import FaceFinder
 from pica_client.sources.webcam.model import load_networks
-from pica_client.sources.webcam.networks import FaceNetworks
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar, load_avatar
@@ -91,7 +90,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    networks = FaceNetworks(*load_networks())
+    networks = load_networks()
     rng = np.random.default_rng(7)
     rows, still = [], np.zeros(3, np.float32)
     spent_s, pictures, detections = 0.0, 0, 0
@@ -129,7 +128,7 @@ def main() -> None:
                 *(round(float(np.median(calibrated)), 1), round(max(calibrated), 1))
             ]
         pictures += 24
-        detections += finder.counters.detections
+        detections += finder.num_detections
         rows.append(row)
         if not options.json:
             print(row)

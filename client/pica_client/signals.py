@@ -35,11 +35,7 @@ def on_stop_signal(stop: Callable[[], object]) -> Iterator[None]:
 @contextmanager
 def terminate_as_interrupt() -> Iterator[None]:
     """Let SIGTERM unwind like Ctrl-C while the block runs, so that ``with`` blocks clean up."""
-
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, interrupt)
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         yield
     finally:

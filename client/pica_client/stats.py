@@ -11,29 +11,20 @@ Summary = dict[str, float | None]
 PERCENTILES = (50, 95, 99)
 MAX_SAMPLES = 100_000
 """Samples kept by default: eleven minutes of five peers at 30 frames a second."""
-
-
 TCP_IP_HEADER_BYTES = 40
 """IPv4 and TCP without options, once a message."""
 
 
 def wire_bytes(message_bytes: int, *, is_masked: bool) -> int:
-    """What one websocket message costs on the network.
-
-    Counted: its frame header (RFC 6455 5.2; clients mask) and one TCP segment over IPv4. Not
-        counted: acknowledgements, TLS, the link layer.
-    """
+    """What one websocket message costs on the network: with its frame header (RFC 6455 5.2; clients
+    mask) and one TCP segment over IPv4, without acknowledgements, TLS and the link layer."""
     length_bytes = 2 if message_bytes < 126 else 4 if message_bytes < 65536 else 10
     return message_bytes + length_bytes + (4 if is_masked else 0) + TCP_IP_HEADER_BYTES
 
 
 def percentile(ordered: list[float], percent: float) -> float:
-    """The nearest-rank percentile: always one of the samples.
-
-    Args:
-        ordered: At least one sample, ascending.
-        percent: Above 0, at most 100.
-    """
+    """The nearest-rank percentile, above 0 and at most 100, of at least one sample, ascending: it
+    is always one of them."""
     return ordered[max(math.ceil(percent / 100 * len(ordered)), 1) - 1]
 
 
@@ -59,9 +50,6 @@ class Samples:
     def clear(self) -> None:
         """Forget all samples so far."""
         self._samples.clear()
-
-    def __len__(self) -> int:
-        return len(self._samples)
 
     def summary_ms(self) -> Summary:
         """p50, p95 and p99 in milliseconds."""

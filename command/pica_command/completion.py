@@ -48,7 +48,7 @@ def _flags(name: str) -> dict[str, tuple[str, ...]]:
     for setting in settings_of(options_type):
         flags[setting.flag] = _choices(setting)
         if setting.kind is bool:
-            flags[setting.words_for(False)[0]] = ()
+            flags[setting.negation] = ()
     return flags
 
 

@@ -117,7 +117,7 @@ def _run(
         table = "" if getattr(options_type, "OWN_FILE", False) else name
         print(as_toml(effective, table), end="")
         return as_plain(effective)
-    with naming_places({each.setting: each.place for each in effective}):
+    with naming_places(effective):
         result: Mapping[str, typing.Any] | None = function(options)
     return result
 

@@ -23,16 +23,15 @@ from platformdirs import PlatformDirs
 from pica_command.errors import UsageError
 from pica_command.extras import DISTRIBUTION
 from pica_command.settings import (
-    Effective,
     Said,
     Setting,
     hint,
     read_file,
     read_options,
-    said_in_environment,
     said_in_file,
     settings_of,
     toml_value,
+    value_of_text,
 )
 
 T = TypeVar("T")
@@ -62,14 +61,12 @@ def read_command(
     words: Sequence[str],
     environment: Mapping[str, str],
     parse: Callable[[Sequence[str]], T],
-) -> tuple[T, list[Effective]]:
+) -> tuple[T, dict[Setting, Said]]:
     """Read a command's options from everywhere.
 
     Args:
         command: Its name, with dots.
-        options_type: Its options.
         words: What was typed after it.
-        environment: Variables by name.
         parse: Reads words into options.
 
     Returns:
@@ -82,17 +79,13 @@ def read_command(
     if own_file:
         file, words = _named_file(words, environment.get(f"{prefix_of(command)}CONFIG"))
     if not {"-h", "--help"}.isdisjoint(words):
-        return parse(words), []
+        return parse(words), {}
     if own_file:
         in_file = said_in_file(file, read_file(file), settings_of(options_type)) if file else {}
     else:
         in_file = _said_in_profile(command, options_type, profile_path(environment))
-    return read_options(
-        options_type,
-        parse,
-        words,
-        [_said_in_environment(command, options_type, environment), in_file],
-    )
+    in_environment = _said_in_environment(command, options_type, environment)
+    return read_options(options_type, parse, words, [in_environment, in_file])
 
 
 def profile_path(environment: Mapping[str, str]) -> Path | None:
@@ -119,17 +112,13 @@ def write_profile(path: Path, document: Mapping[str, Any]) -> None:
     Raises:
         UsageError: The system says no.
     """
-    lines = [
-        f"{key} = {toml_value(value)}" for key, value in document.items() if not _is_table(value)
-    ]
-    lines += _table_lines(document, "")
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         # A temporary file is its owner's alone from its first moment.
         descriptor, part = tempfile.mkstemp(dir=path.parent, prefix=path.name)
         try:
             with open(descriptor, "w", encoding="utf-8") as file:
-                file.write("\n".join([*lines, ""]))
+                file.write("\n".join([*_toml_lines(document), ""]))
             os.replace(part, path)
         except OSError:
             os.unlink(part)
@@ -138,17 +127,14 @@ def write_profile(path: Path, document: Mapping[str, Any]) -> None:
         raise UsageError(f"{path}: cannot be written: {error.strerror}") from error
 
 
-def _is_table(value: Any) -> bool:
-    return isinstance(value, dict)
-
-
-def _table_lines(table: Mapping[str, Any], above: str) -> list[str]:
-    lines = []
-    for name, inner in table.items():
-        if _is_table(inner):
-            keys = [f"{key} = {toml_value(v)}" for key, v in inner.items() if not _is_table(v)]
-            lines += ["", f"[{above}{name}]", *keys] if keys else []
-            lines += _table_lines(inner, f"{above}{name}.")
+def _toml_lines(table: Mapping[str, Any], name: str = "") -> list[str]:
+    """A table, its own keys first, and those in it."""
+    inner = {key: value for key, value in table.items() if isinstance(value, dict)}
+    lines = [f"{key} = {toml_value(table[key])}" for key in table if key not in inner]
+    if name and lines:
+        lines = ["", f"[{name}]", *lines]
+    for key, value in inner.items():
+        lines += _toml_lines(value, f"{name}.{key}".lstrip("."))
     return lines
 
 
@@ -174,7 +160,11 @@ def _said_in_environment(
             raise UsageError(
                 f"unknown environment variable {variable}{hint(variable, list(variables))}"
             )
-    return said_in_environment(environment, variables)
+    return {
+        setting: Said(value_of_text(setting, text, variable), variable, variable)
+        for variable, setting in variables.items()
+        if (text := environment.get(variable))  # empty is not set: compose files leave none out
+    }
 
 
 def _said_in_profile(command: str, options_type: type, path: Path | None) -> dict[Setting, Said]:
@@ -182,7 +172,7 @@ def _said_in_profile(command: str, options_type: type, path: Path | None) -> dic
         return {}
     document = read_profile(path)
     settings = settings_of(options_type)
-    top = {key: value for key, value in document.items() if not _is_table(value)}
+    top = {key: value for key, value in document.items() if not isinstance(value, dict)}
     for key in top:
         if key not in SHARED:
             raise UsageError(
@@ -191,7 +181,7 @@ def _said_in_profile(command: str, options_type: type, path: Path | None) -> dic
     shared = {name: top[name] for name in getattr(options_type, "SHARED", ()) if name in top}
     own: Any = document
     for word in command.split("."):
-        own = own.get(word, {}) if _is_table(own) else {}
-    if not _is_table(own):
+        own = own.get(word, {}) if isinstance(own, dict) else {}
+    if not isinstance(own, dict):
         raise UsageError(f"{path}: {command} must be a table, [{command}]")
     return said_in_file(path, shared, settings) | said_in_file(path, own, settings)

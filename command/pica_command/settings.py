@@ -17,7 +17,7 @@ import re
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Final, Literal, TypeVar, Union, get_args, get_origin
@@ -68,12 +68,16 @@ class Setting:
         """Its name in the environment."""
         return prefix + self.name.replace(".", "_").upper()
 
+    @property
+    def negation(self) -> str:
+        """The flag that turns a switch off."""
+        table, dot, last = self.name.rpartition(".")
+        return f"--{table}{dot}no-{last}".replace("_", "-")
+
     def words_for(self, value: Any) -> list[str]:
         """How the command line would say what a file, or the environment, says."""
         if self.kind is bool:
-            table, _, last = self.flag.removeprefix("--").rpartition(".")
-            no = "" if value else "no-"
-            return [f"--{table}.{no}{last}" if table else f"--{no}{last}"]
+            return [self.flag if value else self.negation]
         if get_origin(self.kind) is tuple:
             return [self.flag, *map(str, value)]
         return [f"{self.flag}={value}"]
@@ -84,31 +88,19 @@ class Setting:
 
     def is_among(self, flags: set[str]) -> bool:
         """Whether the command line sets it."""
-        table, _, last = self.flag.removeprefix("--").rpartition(".")
-        negated = "--" + (f"{table}.no-{last}" if table else f"no-{last}")
-        return self.flag in flags or negated in flags
+        return not flags.isdisjoint((self.flag, self.negation))
 
 
 @dataclass(frozen=True, slots=True)
 class Said:
-    """What a file or the environment says of a setting.
+    """What is said of a setting.
 
     Attributes:
-        value: As TOML would give it.
-        source: The variable, or the name of the file.
-        place: The same, with the key in the file.
+        value: As TOML would give it, or as the options have it.
+        source: The variable, the name of the file, the flag, or "default".
+        place: The variable, or the name of the file and the key in it; empty for the others.
     """
 
-    value: Any
-    source: str
-    place: str
-
-
-@dataclass(frozen=True, slots=True)
-class Effective:
-    """A setting as it is, who says so, and, if that is no flag, in which place."""
-
-    setting: Setting
     value: Any
     source: str
     place: str = ""
@@ -128,7 +120,7 @@ def read_options(
     parse: Callable[[Sequence[str]], T],
     words: Sequence[str],
     sources: Sequence[Mapping[Setting, Said]],
-) -> tuple[T, list[Effective]]:
+) -> tuple[T, dict[Setting, Said]]:
     """Put the sources together.
 
     Args:
@@ -143,54 +135,49 @@ def read_options(
     Raises:
         UsageError: A value of a file or of the environment is refused; says where it stands.
     """
-    settings = settings_of(options_type)
     flags = {word.partition("=")[0].replace("_", "-") for word in words if word[:2] == "--"}
     said: dict[Setting, Said] = {}
     for source in reversed(sources):
         said |= {one: value for one, value in source.items() if not one.is_among(flags)}
     added = [word for setting, each in said.items() for word in setting.words_for(each.value)]
-    with naming_places({setting: each.place for setting, each in said.items()}):
+    with naming_places(said):
         options = parse([*words, *added])
-    effective = []
-    for setting in settings:
-        value = setting.value_in(options)
-        if setting in said:
-            effective.append(Effective(setting, value, said[setting].source, said[setting].place))
-        else:
-            named = setting.flag if setting.is_among(flags) else "default"
-            effective.append(Effective(setting, value, named))
+    effective = {}
+    for setting in settings_of(options_type):
+        default = Said(None, setting.flag if setting.is_among(flags) else "default")
+        effective[setting] = replace(said.get(setting, default), value=setting.value_in(options))
     return options, effective
 
 
-def as_toml(effective: Sequence[Effective], command: str = "") -> str:
+def as_toml(effective: Mapping[Setting, Said], command: str = "") -> str:
     """Write settings as a file that sets them, each with its source; without secrets.
 
     Args:
-        effective: The settings.
         command: The table that they stand in, as in a profile.
     """
     lines = ["# flags > environment > file > defaults"]
     table = ""
-    named = [(f"{command}.{each.setting.name}".lstrip("."), each) for each in effective]
+    named = [(f"{command}.{setting.name}".lstrip("."), setting) for setting in effective]
     # Keys without a table must stand before the first one.
-    for name, each in sorted(named, key=lambda pair: pair[0].rpartition(".")[0]):
+    for name, setting in sorted(named, key=lambda pair: pair[0].rpartition(".")[0]):
         place, _, key = name.rpartition(".")
         if place != table:
             lines += ["", f"[{place}]"]
             table = place
-        if each.value is None:
-            lines.append(f"# {key} is not set  # {each.source}")
-        else:
-            lines.append(f"{key} = {toml_value(_shown(each))}  # {each.source}")
+        value, source = _shown(setting, effective[setting].value), effective[setting].source
+        told = f"# {key} is not set" if value is None else f"{key} = {toml_value(value)}"
+        lines.append(f"{told}  # {source}")
     return "\n".join(lines) + "\n"
 
 
-def as_plain(effective: Sequence[Effective]) -> dict[str, dict[str, Any]]:
+def as_plain(effective: Mapping[Setting, Said]) -> dict[str, dict[str, Any]]:
     """Return name to value and source, without secrets."""
-    return {
-        each.setting.name: {"value": _plain(_shown(each)), "source": each.source}
-        for each in effective
-    }
+    plain = {}
+    for setting, said in effective.items():
+        value = _shown(setting, said.value)
+        value = str(value) if isinstance(value, Path) else value
+        plain[setting.name] = {"value": value, "source": said.source}
+    return plain
 
 
 def _walk(cls: type, table: str, path: tuple[str, ...]) -> Iterator[Setting]:
@@ -298,22 +285,6 @@ def value_of_text(setting: Setting, text: str, place: str) -> Any:
     return value
 
 
-def said_in_environment(
-    environment: Mapping[str, str], variables: Mapping[str, Setting]
-) -> dict[Setting, Said]:
-    """Find what the environment says of settings, by the names of their variables.
-
-    Raises:
-        UsageError: A value of the wrong type.
-    """
-    said = {}
-    for variable, setting in variables.items():
-        text = environment.get(variable)
-        if text:  # empty is not set: a compose file cannot leave a variable out
-            said[setting] = Said(value_of_text(setting, text, variable), variable, variable)
-    return said
-
-
 def _from_text(kind: Any, text: str) -> Any:
     """Return what the same would be in the file; None for what cannot be read."""
     if kind is bool:
@@ -349,7 +320,7 @@ def _wanted(kind: Any, form_of_list: str) -> str:
 
 
 @contextmanager
-def naming_places(places: Mapping[Setting, str]) -> Iterator[None]:
+def naming_places(said: Mapping[Setting, Said]) -> Iterator[None]:
     """Let an error about a setting say where it stands, if that is not the command line.
 
     Errors about a setting begin with its flag or its name.
@@ -364,7 +335,7 @@ def naming_places(places: Mapping[Setting, str]) -> Iterator[None]:
             raise
         first, _, text = str(error).partition(" ")
         name = first.removeprefix("--").replace("-", "_")
-        place = next((place for one, place in places.items() if one.name == name), "")
+        place = next((each.place for one, each in said.items() if one.name == name), "")
         if not place:
             raise
         named = UsageError(f"{place} {text}")
@@ -382,24 +353,14 @@ def hint(name: str, known: list[str]) -> str:
     return "; --print-config lists them"
 
 
-def without_user(text: str) -> str:
-    """Hide user and password in an address."""
-    return _USER_IN_URL.sub(f"{_HIDDEN}@", text)
-
-
-def _shown(each: Effective) -> Any:
-    name = each.setting.name.rpartition(".")[2]
-    if not isinstance(each.value, str):
-        return each.value
-    if each.value and any(word in name.split("_") for word in _SECRET_NAMES):
+def _shown(setting: Setting, value: Any) -> Any:
+    """A value without secrets, and an address without user and password."""
+    if not isinstance(value, str):
+        return value
+    words = setting.name.rpartition(".")[2].split("_")
+    if value and not set(words).isdisjoint(_SECRET_NAMES):
         return _HIDDEN
-    return without_user(each.value)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, tuple):
-        return list(value)
-    return str(value) if isinstance(value, Path) else value
+    return _USER_IN_URL.sub(f"{_HIDDEN}@", value)
 
 
 def toml_value(value: Any) -> str:

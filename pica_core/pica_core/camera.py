@@ -42,10 +42,7 @@ class Camera:
         return centre
 
     def project(self, points_m: npt.ArrayLike) -> tuple[Float64Array, Float64Array]:
-        """Project world points.
-
-        Args:
-            points_m: World points in metres. ``[..., 3]``.
+        """Project world points in metres, ``[..., 3]``.
 
         Returns:
             Pixel coordinates (x right, y down) float64 ``[..., 2]`` and depths in metres float64
@@ -84,11 +81,8 @@ class Camera:
         return replace(self, intrinsics=scale @ self.intrinsics, width=width, height=height)
 
     def in_head(self, head_to_world: npt.ArrayLike) -> Camera:
-        """The camera in the axes of a head: what it sees of head-frame points.
-
-        Args:
-            head_to_world: Rotation and translation, metres. ``[3, 4]``.
-        """
+        """The camera in the axes of a head with this rotation and translation, metres ``[3, 4]``:
+        what it sees of head-frame points."""
         pose = np.asarray(head_to_world, np.float64)
         return replace(
             self,
@@ -112,8 +106,6 @@ def look_at(
         centre_m: Camera centre, world metres.
         target_m: Point that lands in the image centre, world metres.
         vertical_fov: Full vertical field of view, radians.
-        width: Image columns, pixels.
-        height: Image rows, pixels.
 
     Raises:
         ValueError: `centre_m` equals `target_m`, or the camera looks straight up or down.

@@ -202,35 +202,21 @@ class ClientSession(session.Session):
         fate = queue.put(encode_frame(frame), layer, is_keyframe, captured_us / 1e6)
         return [] if fate in (Put.WAITS, Put.DROPPED) else [messages.KeyframeRequest(stream=stream)]
 
-    def want(self, stream: int, layer: int | None) -> None:
-        """Ask for the frames of a stream up to ``layer``, or for none."""
-        self._queue_when_joined(messages.Want(stream=stream, layer=layer))
-
-    def request_keyframe(self, stream: int) -> None:
-        """Ask the publisher of a stream for a keyframe."""
-        self._queue_when_joined(messages.KeyframeRequest(stream=stream))
-
-    def report(self, report: messages.Report) -> None:
-        """Tell the relay how streams arrived."""
-        self._queue_when_joined(report)
-
-    def whisper(self, peer_id: str, data: bytes) -> None:
-        """Send opaque bytes to one peer in the room; they may be dropped, and nobody is told.
+    def tell(self, message: messages.FromMember) -> None:
+        """Say something to the relay, or through it: a whisper may be dropped, and nobody is told.
 
         Raises:
             LocalProtocolError: Not joined, or too much waits.
-            ValueError: More than ``MAX_WHISPER_BYTES``, or no peer id.
         """
-        self._queue_when_joined(messages.Whisper(peer_id=peer_id, data=data))
-
-    def update_metadata(self, metadata: messages.Metadata) -> None:
-        """Say something else of ourselves, instead of all that was said before.
-
-        Raises:
-            LocalProtocolError: Not joined, or too much waits.
-            ValueError: It is out of its limits.
-        """
-        self._queue_when_joined(messages.UpdateMetadata(metadata=metadata))
+        if self.state is not session.State.JOINED:
+            raise LocalProtocolError(
+                f"cannot send {type(message).__name__} while {self.state.value}"
+            )
+        if len(self._outgoing) >= MAX_QUEUED_MESSAGES:
+            raise LocalProtocolError(
+                f"{MAX_QUEUED_MESSAGES} messages wait to be sent: drain messages_to_send"
+            )
+        self._queue(message)
 
     @property
     def ticket(self) -> Ticket | None:
@@ -278,7 +264,6 @@ class ClientSession(session.Session):
                     if self._came_with is None:
                         raise RemoteProtocolError("resumed, and we did not ask to")
                     self._next_sequence = list(self._came_with.next_sequences)
-                return [message]
             case messages.PeerJoined(peer=peer):
                 # A relay that does not keep to it would fill our memory.
                 if len(self.peers) >= MAX_PEERS and peer.peer_id not in self.peers:
@@ -286,33 +271,25 @@ class ClientSession(session.Session):
                 others = {**self.peers, peer.peer_id: peer}
                 self._check_peers(self.peer_id, self.tracks, others.values())
                 # One id is one peer: whoever had it has gone.
-                gone = (
-                    [messages.PeerLeft(peer_id=peer.peer_id)] if peer.peer_id in self.peers else []
-                )
-                self.peers = others
+                is_known, self.peers = peer.peer_id in self.peers, others
                 self.away.discard(peer.peer_id)
-                return [*gone, message]
+                if is_known:
+                    return [messages.PeerLeft(peer_id=peer.peer_id), message]
             case messages.PeerLeft(peer_id=peer_id):
                 self.peers.pop(peer_id, None)
                 self.away.discard(peer_id)
-                return [message]
             case messages.PeerAway(peer_id=peer_id):
                 if peer_id in self.peers:  # else a relay could fill our memory
                     self.away.add(peer_id)
-                return [message]
             case messages.PeerBack(peer_id=peer_id):
                 self.away.discard(peer_id)
-                return [message]
             case messages.PeerUpdated(peer_id=peer_id, metadata=metadata):
                 if peer_id in self.peers:
                     self.peers[peer_id] = replace(self.peers[peer_id], metadata=metadata)
-                return [message]
             case messages.StreamMuted(stream=stream, is_muted=is_muted):
                 (self.muted.add if is_muted else self.muted.discard)(stream)
-                return [message]
-            case messages.KeyframeRequest() | messages.Whisper():
-                return [message]
-        raise AssertionError(f"the table admits {message} and nobody handles it")
+        assert isinstance(message, messages.Joined | messages.RoomNews)  # so says the table
+        return [message]
 
     @staticmethod
     def _check_peers(
@@ -326,17 +303,6 @@ class ClientSession(session.Session):
         for what, values in (("peer", ids), ("stream", streams)):
             if len(set(values)) < len(values):
                 raise RemoteProtocolError(f"a room that has a {what} twice")
-
-    def _queue_when_joined(self, message: messages.Message) -> None:
-        if self.state is not session.State.JOINED:
-            raise LocalProtocolError(
-                f"cannot send {type(message).__name__} while {self.state.value}"
-            )
-        if len(self._outgoing) >= MAX_QUEUED_MESSAGES:
-            raise LocalProtocolError(
-                f"{MAX_QUEUED_MESSAGES} messages wait to be sent: drain messages_to_send"
-            )
-        self._queue(message)
 
 
 def _media_messages(frames: list[bytes]) -> list[bytes]:

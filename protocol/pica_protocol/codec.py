@@ -58,11 +58,7 @@ def decode_message(data: bytes, max_bytes: int = limits.MAX_CONTROL_BYTES) -> Me
 
 
 def decode_store_message(data: bytes, max_bytes: int = limits.MAX_CONTROL_BYTES) -> StoreMessage:
-    """Return the message of the sub-protocol ``pica.store.1`` that ``data`` carries.
-
-    Raises:
-        RemoteProtocolError: As ``decode_message``.
-    """
+    """As ``decode_message``, for a message of the sub-protocol ``pica.store.1``."""
     return cast(StoreMessage, _decode(data, max_bytes, STORE_MESSAGE_TYPES))
 
 

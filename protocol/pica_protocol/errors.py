@@ -84,9 +84,6 @@ _WORTH_RETRYING = frozenset(
 )
 
 
-_MAY_PASS = frozenset({CloseCode.ROOM_FULL, CloseCode.TOO_MANY, CloseCode.UNAUTHORIZED})
-
-
 def is_worth_retrying(code: int) -> bool:
     """Say whether the same join may succeed later without anybody changing anything."""
     return code in _WORTH_RETRYING
@@ -95,7 +92,7 @@ def is_worth_retrying(code: int) -> bool:
 def may_pass(code: int) -> bool:
     """Say whether a refusal of somebody who was in the room a moment ago may be over in a minute: a
     ghost holds their place, a clock or a key file is about to be mended."""
-    return code in _MAY_PASS
+    return code in (CloseCode.ROOM_FULL, CloseCode.TOO_MANY, CloseCode.UNAUTHORIZED)
 
 
 class ProtocolError(Exception):

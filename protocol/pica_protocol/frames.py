@@ -121,11 +121,7 @@ def scan_frames(message: bytes) -> list[FrameSpan]:
 
 
 def decode_media(message: bytes) -> list[Frame]:
-    """Return the frames of one media message, in order.
-
-    Raises:
-        RemoteProtocolError: As ``scan_frames``.
-    """
+    """Return the frames of one media message, in order; raises as ``scan_frames``."""
     frames = []
     for span in scan_frames(message):
         _, sequence, _, _, _, captured_us = _HEADER.unpack_from(message, span.start)

@@ -18,10 +18,8 @@ class ServerSession(session.Session):
         self._software = software
 
     def receive_data(self, data: bytes | str, now: float) -> list[session.ServerEvent]:
-        """Take one websocket message.
-
-        After a ``Join`` event the relay owes the client ``accept`` or ``close``.
-        """
+        """Take one websocket message; after a ``Join`` event the relay owes the client ``accept``
+        or ``close``."""
         if self.state is session.State.CLOSED:
             return []
         try:

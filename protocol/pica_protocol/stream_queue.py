@@ -26,6 +26,7 @@ Used on both ways: by a publisher for its own uplink, and by the relay for every
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import Final, NamedTuple
 
@@ -77,52 +78,30 @@ class Waiting(NamedTuple):
     received_s: float
 
 
+@dataclass(eq=False, slots=True)
 class StreamQueue:
-    """The bounded queue between one stream and one reader.
+    """The bounded queue between one stream and one reader, who has nothing of it yet."""
 
-    Attributes:
-        is_cut: Whether nothing but a keyframe is let in.
-    """
-
-    __slots__ = (
-        "_blocked_above",
-        "_drops",
-        "_is_behind",
-        "_last_base",
-        "_last_keyframe",
-        "_num_base",
-        "_open_layer",
-        "_penalty",
-        "_probation",
-        "_waiting",
-        "_wanted_layer",
-        "is_cut",
-        "num_bytes",
-    )
-
-    def __init__(self, drops: Counter[str]) -> None:
-        """Begin with a stream of which the reader has nothing.
-
-        Args:
-            drops: Where frames that are dropped are counted, by reason.
-        """
-        self._drops = drops
-        self._waiting: list[Waiting] = []
-        self._num_base = 0
-        self.num_bytes = 0
-        self.is_cut = True
-        self._is_behind = False
-        self._wanted_layer = MAX_LAYER
-        # The highest layer that has started; goes down at once, up at a base frame.
-        self._open_layer = MAX_LAYER
-        # Base frames that must pass at once before upper layers start, and as many after a new cut.
-        self._probation = 0
-        self._penalty = MIN_PROBATION
-        # Frames above this layer refer to a frame that was dropped.
-        self._blocked_above = _ALL
-        # The latest that went out: where the reader stands.
-        self._last_base = b""
-        self._last_keyframe = b""
+    _drops: Counter[str]
+    """Where frames that are dropped are counted, by reason."""
+    _waiting: list[Waiting] = field(default_factory=list)
+    _num_base: int = 0
+    num_bytes: int = 0
+    is_cut: bool = True
+    """Whether nothing but a keyframe is let in."""
+    _is_behind: bool = False
+    _wanted_layer: int = MAX_LAYER
+    _open_layer: int = MAX_LAYER
+    """The highest layer that has started; goes down at once, up at a base frame."""
+    _probation: int = 0
+    """Base frames that must pass at once before upper layers start."""
+    _penalty: int = MIN_PROBATION
+    """As many after a new cut."""
+    _blocked_above: int = _ALL
+    """Frames above this layer refer to a frame that was dropped."""
+    _last_base: bytes = b""
+    _last_keyframe: bytes = b""
+    """The latest that went out: where the reader stands."""
 
     def __len__(self) -> int:
         return len(self._waiting)

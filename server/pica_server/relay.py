@@ -23,20 +23,21 @@ from pica_protocol.store import AVATARS_PATH, STORE_SUBPROTOCOL
 from pica_server.admin.admin import Admin
 from pica_server.admin.server import AdminServer
 from pica_server.auth.tokens import KeyRing, admin_scope, admit, admit_upload, load_keys
-from pica_server.config.relay import RelayConfig, is_loopback
+from pica_server.config.relay import RelayConfig
 from pica_server.errors import AdmissionError, ListenError
-from pica_server.hooks.events import RoomEvent
 from pica_server.hooks.sender import WebhookSender
+from pica_server.hooks.webhooks import RoomEvent
 from pica_server.net.limits import SocketGuard
-from pica_server.net.proxies import is_in, networks
+from pica_server.net.proxies import is_in, is_loopback, networks
 from pica_server.net.pump import Pump
 from pica_server.net.socket import RelaySocket, bound_receive_buffer
 from pica_server.ops.certificate import Certificate
 from pica_server.ops.descriptors import Descriptors, most_descriptors
 from pica_server.ops.status_pages import PERIOD_S, LoopWatch, StatusPages
 from pica_server.room.hub import Hub
+from pica_server.store.backends import Backend
 from pica_server.store.downloads import Downloads
-from pica_server.store.store import open_store
+from pica_server.store.store import AvatarStore
 from pica_server.store.uploads import Uploads
 
 if TYPE_CHECKING:
@@ -66,11 +67,7 @@ class Relay:
     """
 
     def __init__(self, config: RelayConfig, *, unix_time: Callable[[], float] = time.time) -> None:
-        """Prepare to listen.
-
-        Args:
-            unix_time: The clock that tokens are checked against.
-        """
+        """Prepare to listen; ``unix_time`` is the clock that tokens are checked against."""
         self.config = config
         keys: KeyRing | None = None
         if config.keys is not None:
@@ -100,7 +97,9 @@ class Relay:
             elif config.insecure:  # else strangers could fill the disk
                 raise AdmissionError("this relay has no tokens to ask for", CloseCode.FORBIDDEN)
 
-        self.store = open_store(config.avatar_store, config.store)
+        self.store: AvatarStore | None = None
+        if config.avatar_store != "none":
+            self.store = AvatarStore(Backend(config.avatar_store), config.store)
         counts = self.hub.stats.store
         self._transfers: set[RelaySocket] = set()
         self._downloads = Downloads(self.store, counts, self._transfers, origins=config.origins)

@@ -17,7 +17,7 @@ from helpers.toy import make_toy_avatar
 from pica_client.avatars.cache import AvatarCache
 from pica_client.avatars.fetch import AvatarFetcher
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.avatars.upload import AvatarGiver, Push
+from pica_client.avatars.upload import AvatarGiver
 from pica_client.call.call import Call
 from pica_client.call.faces import FaceState
 from pica_client.decode.decoder import OnnxDecoder
@@ -127,8 +127,8 @@ async def test_with_tokens_a_stranger_gives_the_avatar_that_the_token_names(
     )
     config = {"keys": tmp_path / "keys"}
     async with store_relay(tmp_path / "store", config=config, unix_time=lambda: 1e9) as relay:
-        push = Push(path=tmp_path / "stranger.pica", identity=identity, token_file=tokens)
-        giver = AvatarGiver(push, lambda line: None)
+        link, path = LinkConfig(token_file=tokens), tmp_path / "stranger.pica"
+        giver = AvatarGiver(link, path, identity, lambda line: None)
         giver.begin(relay.url)
         await until(lambda: giver.outcome == "given")
         await giver.close()

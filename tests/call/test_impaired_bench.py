@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from helpers.toy import make_toy_avatar
-from pica_client.bench.call import BenchConfig, run_bench
+from pica_client.bench.call import BenchConfig, NetworkOptions, run_bench
 from pica_client.bench.impaired_call_compare import TrueFace
-from pica_client.bench.network.impairment import Impairment
 from pica_client.local_call.local_call import LocalCallConfig
 from pica_core.avatar.file import save_avatar
 from pica_core.codec.latent_sample import LatentSample
@@ -34,8 +33,7 @@ def test_a_slow_network_shows_in_latency_and_in_the_rendered_face(tmp_path: Path
         BenchConfig(
             call=LocalCallConfig(peers=1, avatar=str(avatar)),
             seconds=2.0,
-            warm_up_s=0.5,
-            impairment=Impairment(delay_s=0.15),
+            network=NetworkOptions(delay=150),
         ),
         avatar_files=[avatar],
     )

@@ -305,7 +305,7 @@ async def test_a_way_that_died_without_a_word_is_left_for_the_next_address() -> 
         current_network().cut("one")
         await seen.joined.wait()
         assert asyncio.get_running_loop().time() < 7  # 2.5 s, 3 s for the address that is dead
-        assert (link.url, link.num_looks) == ("ws://two:8766", 2)
+        assert (link.url, link.lookout.num_looks) == ("ws://two:8766", 2)
         link.leave()
         await running
 
@@ -317,7 +317,7 @@ async def test_alone_in_a_quiet_room_nobody_looks_for_another_way() -> None:
         running = asyncio.create_task(link.run())
         await seen.joined.wait()
         await asyncio.sleep(600)
-        assert (link.num_looks, link.reconnects, relay.stats()["connections"]) == (0, 0, 1)
+        assert (link.lookout.num_looks, link.reconnects, relay.stats()["connections"]) == (0, 0, 1)
         link.leave()
         await running
 
@@ -344,7 +344,7 @@ async def test_a_relay_that_is_busy_for_a_while_loses_nobody_and_is_asked_to_do_
             await asyncio.sleep(10)
         assert all(link.is_joined for link in links)
         assert {link.reconnects for link in links} == {0}
-        assert {link.num_looks for link in links} <= {1, 2}
+        assert {link.lookout.num_looks for link in links} <= {1, 2}
         assert relay.stats()["joins"] == 15
         for link in links:
             link.leave()
@@ -425,8 +425,8 @@ async def test_wishes_requests_and_whispers_go_through_the_relay() -> None:
         assert link.want(bobs, None)
         await asyncio.sleep(0.001)
         await bob.send_frame(b"unseen")
-        bob.session.request_keyframe(own)
-        bob.session.whisper(ada.peer_id, b"answer")
+        bob.session.tell(KeyframeRequest(stream=own))
+        bob.session.tell(Whisper(peer_id=ada.peer_id, data=b"answer"))
         await bob.flush()
         await asyncio.sleep(0.001)
         assert link.send_frame(b"base", 1)

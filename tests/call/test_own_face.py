@@ -74,7 +74,7 @@ class Person:
 
 def set_mode(person: Person, mode: FaceMode) -> None:
     assert person.publisher is not None
-    person.publisher.set_mode(mode)
+    person.publisher.mode = mode
 
 
 @in_virtual_time

@@ -43,7 +43,7 @@ async def test_ones_own_face_is_what_the_others_see_and_not_what_the_tracker_saw
         await asyncio.sleep(3)
         reflection = publisher.reflect()  # in the middle of a call
         await asyncio.sleep(2)
-        publisher.set_mode("frozen")  # so that two playout delays show one face
+        publisher.mode = "frozen"  # so that two playout delays show one face
         await asyncio.sleep(3)
         (own,) = reflection.call.faces(loop.time())
         (seen,) = others.faces(loop.time())
@@ -54,7 +54,7 @@ async def test_ones_own_face_is_what_the_others_see_and_not_what_the_tracker_saw
         encoder = ExpressionEncoder(avatar)
         tracked = [encoder.encode(source.frame_at(at / 30).arkit) for at in range(140, 156)]
         assert min(float(np.abs(own.latent - each).max()) for each in tracked) > 1e-3
-        publisher.set_mode("muted")
+        publisher.mode = "muted"
         await asyncio.sleep(3)
         (own,) = reflection.call.faces(loop.time())
         assert own.status == "stale"

@@ -21,6 +21,7 @@ from pica_client.local_call.processes import Children
 from pica_client.publish.own_face import FaceChoice
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.receiver import Receiver
+from pica_client.ui.controls import ControlState
 from pica_client.ui.events import (
     CloseWanted,
     InputEvent,
@@ -49,7 +50,7 @@ class ScreenlessWindow:
 
     happened: list[InputEvent]
 
-    def __init__(self, title: str, size: tuple[int, int]) -> None:
+    def __init__(self, size: tuple[int, int]) -> None:
         self.context = create_context()
         self.size_px = self.windowed_size = size
         self.content_scale = 1.0
@@ -69,6 +70,9 @@ class ScreenlessWindow:
 
     def clipboard(self) -> str:
         return ""
+
+    def copy(self, text: str) -> None:
+        raise AssertionError
 
 
 @pytest.fixture
@@ -129,7 +133,12 @@ def relay_url() -> Iterator[str]:
 def config(url: str, *, headless: bool = False) -> ViewConfig:
     return ViewConfig(
         link=LinkConfig(url=url, connect_timeout_s=1.0),
-        viewer=ViewerOptions(size=SIZE, headless=headless, layout="grid", keep_in=Path("kept")),
+        viewer=ViewerOptions(
+            size=SIZE,
+            headless=headless,
+            at_first=ControlState(layout="grid"),
+            keep_in=Path("kept"),
+        ),
         seconds=0.4,
     )
 

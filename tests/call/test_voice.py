@@ -23,7 +23,7 @@ from pica_client.transport.receiver import Receiver
 from pica_client.voice import opus
 from pica_client.voice.packet import FRAME_US, PACKET_FRAMES, VoicePacket
 from pica_client.voice.publisher import PREROLL_FRAMES, VoicePublisher
-from pica_client.voice.source import TURN_S, SoundSource, Turn
+from pica_client.voice.source import TURN_S, SoundSource
 from pica_client.voice.track import VOICE_KEY, VOICE_TRACK, voice_track
 from pica_core.avatar.file import load_avatar
 from pica_protocol.messages import Track
@@ -53,7 +53,8 @@ class Person:
         url: str,
         name: str,
         *,
-        speaks: bool | Turn = False,
+        speaks: bool = False,
+        turn: tuple[int, int] = (0, 1),
         is_seen: bool = False,
         face: str = "performance:talk",
         hears: bool = True,
@@ -66,9 +67,8 @@ class Person:
             source = open_source(face)
             self.publisher = Publisher(SenderConfig(), source, AVATAR, AVATAR_ID)
         if speaks:
-            turn = speaks if isinstance(speaks, Turn) else None
             is_sealed = secret_file is not None
-            self.voice = VoicePublisher(SoundSource(SOUND, turn), is_sealed=is_sealed)
+            self.voice = VoicePublisher(SoundSource(SOUND, *turn), is_sealed=is_sealed)
         port = url.rpartition(":")[2]
         self.receiver = Receiver(
             LinkConfig(
@@ -156,14 +156,14 @@ async def test_a_mute_lets_the_frame_that_was_begun_out_and_says_so() -> None:
                 tasks.create_task(person.receiver.run())
             await asyncio.sleep(2.0)
             before = len(ben.packets)
-            ada.voice.set_muted(True)
+            ada.voice.is_muted = True
             await asyncio.sleep(2.0)
             assert len(ben.packets) - before <= 2  # the one begun, and what the encoder held back
             assert ada.voice.level is None
             (member,) = ben.receiver.call.room(4.0).members
             assert dict(member.peer.metadata) == {VOICE_KEY: "muted"}
             muted = len(ben.packets)
-            ada.voice.set_muted(False)
+            ada.voice.is_muted = False
             await asyncio.sleep(2.0)
             again = ben.packets[muted:]
             assert len(again) > 47
@@ -180,7 +180,7 @@ async def test_who_presses_the_key_to_talk_late_is_heard_from_a_little_before() 
         ada, ben = Person(relay.url, "ada", speaks=True), Person(relay.url, "ben")
         assert ada.voice is not None
         ada.voice.keeps_preroll = True
-        ada.voice.set_muted(True)
+        ada.voice.is_muted = True
         kept: list[int] = []
         ada.voice.listeners.append(lambda pcm, captured_us: kept.append(captured_us))
         async with asyncio.TaskGroup() as tasks:
@@ -190,7 +190,7 @@ async def test_who_presses_the_key_to_talk_late_is_heard_from_a_little_before() 
             assert kept == []
             pressed_us = round(asyncio.get_running_loop().time() * 1e6)
             before = len(ben.packets)
-            ada.voice.set_muted(False)
+            ada.voice.is_muted = False
             await asyncio.sleep(1.0)
             said = [packet.captured_us for packet in ben.packets[before:]]
             early_us = PREROLL_FRAMES * FRAME_US
@@ -292,7 +292,7 @@ async def test_of_four_who_talk_in_turn_no_word_is_lost_over_64_kbit_s() -> None
         current_network().route("ben", down=down)
         ben = Person(relay.url, "ben")
         others = [
-            Person(relay.url, name, speaks=Turn(index=index, count=4), is_seen=True)
+            Person(relay.url, name, speaks=True, turn=(index, 4), is_seen=True)
             for index, name in enumerate(("ada", "cho", "dan", "eve"))
         ]
         await meet([ben, *others], 4 * TURN_S + 4)

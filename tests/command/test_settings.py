@@ -11,7 +11,7 @@ from helpers.relay_options import read_relay_options
 from pica_command.errors import UsageError
 from pica_command.parsing import parse_words
 from pica_command.profile import read_command
-from pica_command.settings import Effective, as_plain, as_toml, settings_of
+from pica_command.settings import Said, Setting, as_plain, as_toml, settings_of
 from pica_server.cli.relay import RelayOptions
 from pica_server.config.relay import LimitsConfig, RelayConfig, WebhookConfig
 from pica_server.store.config import StoreConfig
@@ -66,10 +66,10 @@ class TeaOptions:
 
 def brew(*words: str, **environment: str) -> tuple[Tea, dict[str, str]]:
     tea, effective = brewed(words, environment)
-    return tea, {each.setting.name: each.source for each in effective}
+    return tea, {setting.name: each.source for setting, each in effective.items()}
 
 
-def brewed(words: Sequence[str], environment: Mapping[str, str]) -> tuple[Tea, list[Effective]]:
+def brewed(words: Sequence[str], environment: Mapping[str, str]) -> tuple[Tea, dict[Setting, Said]]:
     def parse(words: Sequence[str]) -> TeaOptions:
         return parse_words(TeaOptions, words, prog="tea", description="")
 

@@ -27,7 +27,7 @@ from pica_protocol.limits import (
     MAX_FRAME_BYTES,
     MAX_PEERS,
 )
-from pica_protocol.messages import Bye, Join, Joined, Peer, PeerAway, PeerJoined, Track
+from pica_protocol.messages import Bye, Join, Joined, Peer, PeerAway, PeerJoined, Track, Want
 from pica_protocol.ordered_queue import MAX_WAITING_FRAMES, OrderedQueue
 from pica_protocol.server_session import ServerSession
 from pica_protocol.session import Closed, State
@@ -146,7 +146,7 @@ def client_session(rng: random.Random, meter: Meter) -> None:
         expect(len(session.away) <= MAX_PEERS, "more are away than were there:", session.away)
         if session.can_queue and tracks and rng.random() < 0.3:
             session.send_frame(rng.randbytes(30), captured_us=int(now * 1e6), is_keyframe=True)
-            session.want(3, 1)
+            session.tell(Want(stream=3, layer=1))
         if rng.random() < 0.03:
             session.leave(now)
         if rng.random() < 0.05:

@@ -20,7 +20,7 @@ class SpokenDecoder:
     def __init__(self, sound: FloatArray) -> None:
         self.sound, self.concealed = sound, 0
 
-    def decode(self, payload: bytes | None, fec: bool = False) -> FloatArray:
+    def decode(self, payload: bytes | None) -> FloatArray:
         """A frame; an empty payload is a hostile one."""
         if payload is None:
             self.concealed += 1

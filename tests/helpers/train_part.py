@@ -19,7 +19,7 @@ from pica_core.train.parallel import open_ranks
 def main(capture: str, out: str, config: str) -> None:
     torch.set_num_threads(1)
     options = TrainConfig.from_json(json.loads(config))
-    data = TrainingData(Capture.open(capture), options.model.spec().map_size)
+    data = TrainingData(Capture.open(capture))
     with (
         open_ranks(os.environ) as ranks,
         open_trainer(data, options, Path(out), ranks=ranks) as trainer,

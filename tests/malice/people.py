@@ -12,7 +12,7 @@ from helpers.toy import make_toy_avatar
 from pica_client.call.call import Call
 from pica_client.e2ee.guard import Guard
 from pica_client.e2ee.secret import RoomSecret
-from pica_core.codec.plain_stream import LatentProfile, encode_latent
+from pica_core.codec.plain_stream import encode_latent
 from pica_protocol.client_session import ClientSession
 from pica_protocol.messages import Peer, Track
 from pica_protocol.session import State
@@ -27,7 +27,7 @@ FACE = encode_latent(
     np.zeros((8, 8, 4)),
     np.zeros(3),
     np.zeros(3),
-    LatentProfile(latent_scale=_TOY.manifest.latent_scale),
+    _TOY.manifest.latent_scale,
 )
 
 

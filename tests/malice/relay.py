@@ -149,7 +149,7 @@ class World:
             person.guard.handle_timer(self.now)
         if person.is_joined:
             for peer_id, data in person.guard.messages_to_send(self.now):
-                session.whisper(peer_id, data)
+                session.tell(Whisper(peer_id=peer_id, data=data))
         for data in session.messages_to_send(self.now):
             self.hear(line, data)
 

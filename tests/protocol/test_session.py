@@ -198,10 +198,10 @@ def test_what_waits_is_split_into_messages_that_the_relay_takes() -> None:
 def test_wishes_requests_and_reports_reach_the_server_as_events() -> None:
     client, server = joined_client(), joined_server()
     report = Report(streams=(StreamReport(stream=8, received=30),))
-    client.want(8, None)
-    client.request_keyframe(8)
-    client.report(report)
-    client.whisper("p2", b"key")
+    client.tell(Want(stream=8, layer=None))
+    client.tell(KeyframeRequest(stream=8))
+    client.tell(report)
+    client.tell(Whisper(peer_id="p2", data=b"key"))
     events = [
         event
         for data in client.messages_to_send(now=1.0)
@@ -331,7 +331,7 @@ def test_what_a_client_must_not_do_is_its_own_error() -> None:
     with pytest.raises(LocalProtocolError, match="while greeting"):
         client.send_frame(b"", captured_us=0)
     with pytest.raises(LocalProtocolError, match="Want while greeting"):
-        client.want(1, 0)
+        client.tell(Want(stream=1, layer=0))
     with pytest.raises(LocalProtocolError, match="track 1"):
         joined_client().send_frame(b"", captured_us=0, track=1)
     with pytest.raises(LocalProtocolError, match="nobody asked"):
@@ -342,10 +342,10 @@ def test_a_shell_that_never_drains_is_told() -> None:
     client = joined_client()
     assert client.can_queue
     for _ in range(MAX_QUEUED_MESSAGES):
-        client.request_keyframe(8)
+        client.tell(KeyframeRequest(stream=8))
     assert not client.can_queue
     with pytest.raises(LocalProtocolError, match="drain messages_to_send"):
-        client.request_keyframe(8)
+        client.tell(KeyframeRequest(stream=8))
 
 
 def test_a_long_reason_is_clipped_to_what_a_close_frame_holds() -> None:

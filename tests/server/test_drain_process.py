@@ -52,7 +52,7 @@ def test_no_control_message_is_lost_in_a_drain() -> None:
         while peer.session.closed is None:
             for other in list(peer.session.peers):
                 if peer.session.can_queue:
-                    peer.session.whisper(other, b"x" * 200)
+                    peer.session.tell(Whisper(peer_id=other, data=b"x" * 200))
             await peer.flush()
             await asyncio.sleep(0.05)
 

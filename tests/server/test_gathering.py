@@ -117,7 +117,7 @@ async def test_a_request_for_a_keyframe_is_passed_on_at_once() -> None:
     ):
         begin_s = now()
         await bob.send_frame(b"face")
-        bob.session.request_keyframe(ada.session.tracks[0].stream)
+        bob.session.tell(KeyframeRequest(stream=ada.session.tracks[0].stream))
         await bob.flush()
         await ada.until(KeyframeRequest)
         assert now() - begin_s < GATHER_S / 2

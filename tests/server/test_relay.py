@@ -20,6 +20,7 @@ from pica_protocol.messages import (
     PeerBack,
     PeerJoined,
     PeerLeft,
+    Want,
 )
 from pica_protocol.session import Closed
 from pica_server.auth.tokens import Admission, KeyRing, load_keys, mint
@@ -105,7 +106,7 @@ async def test_a_keyframe_request_reaches_the_publisher_at_a_limited_rate() -> N
     ):
         stream = ada.session.tracks[0].stream
         for _ in range(20):  # for two seconds
-            bob.session.request_keyframe(stream)
+            bob.session.tell(KeyframeRequest(stream=stream))
             await bob.flush()
             await asyncio.sleep(0.1)
         assert ada.told(KeyframeRequest) == [KeyframeRequest(stream=stream)] * 4
@@ -120,7 +121,7 @@ async def test_an_unwanted_stream_stops_and_comes_back() -> None:
     ):
 
         async def wish(layer: int | None) -> list[bytes]:
-            bob.session.want(ada.session.tracks[0].stream, layer)
+            bob.session.tell(Want(stream=ada.session.tracks[0].stream, layer=layer))
             await bob.flush()
             await asyncio.sleep(0.001)
             return [frame.payload for _, frame in bob.arrivals]
@@ -366,7 +367,7 @@ def test_with_keys_only_who_has_a_token_comes_in_and_the_newer_of_two_stays(
             async with peer_in_room(URL, "Viewer", token=viewer) as refused:
                 assert (await refused.until(Closed)).code == CloseCode.FORBIDDEN
             await ada.send_frame(b"x")
-            deaf.session.want(ada.session.tracks[0].stream, 2)
+            deaf.session.tell(Want(stream=ada.session.tracks[0].stream, layer=2))
             await deaf.flush()
             await ada.send_frame(b"y")
             async with peer_in_room(URL, "Ada again", token=token("ada")) as again:

@@ -38,7 +38,10 @@ class AvatarCache:
             trial = self.unfinished("trial")
             trial.touch()
             trial.unlink()
-            self._delete_abandoned()
+            for path in self.folder.glob(f"*{UNFINISHED}"):
+                with suppress(OSError):
+                    if time.time() - path.stat().st_mtime > ABANDONED_AFTER_S:
+                        path.unlink()
         except OSError:
             self._temporary = tempfile.TemporaryDirectory(prefix="pica-cache-")
             self.folder = Path(self._temporary.name)
@@ -61,11 +64,7 @@ class AvatarCache:
         return self.folder / f"{identity[:16]}-{secrets.token_hex(8)}{UNFINISHED}"
 
     def keep(self, unfinished: Path, identity: str) -> Path:
-        """Take a file that has come whole, and make room for it.
-
-        Raises:
-            OSError: It cannot be moved.
-        """
+        """Take a file that has come whole, and make room for it; OSError if it cannot be moved."""
         path = self._path(identity)
         os.replace(unfinished, path)
         self._trim(path)
@@ -92,9 +91,3 @@ class AvatarCache:
             with suppress(OSError):
                 path.unlink()
             num_too_many -= size
-
-    def _delete_abandoned(self) -> None:
-        for path in self.folder.glob(f"*{UNFINISHED}"):
-            with suppress(OSError):
-                if time.time() - path.stat().st_mtime > ABANDONED_AFTER_S:
-                    path.unlink()

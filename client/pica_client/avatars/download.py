@@ -68,8 +68,7 @@ def download(
     """Get an avatar file and check its hash; blocks.
 
     Args:
-        relay_url: Of the relay, ws:// or wss://.
-        identity: SHA-256 of the file.
+        relay_url: ws:// or wss://.
         into: A file that is not there yet.
         progress: Called after each piece.
         tls: Whom to trust with wss://; the system's certificates by default.
@@ -151,8 +150,12 @@ class _Transfer:
             self._file.seek(0)
             self._file.truncate()
             size = response.headers.get("Content-Length")
+        elif response.status_code == 404:
+            raise NotThereError("the relay does not have it")
+        elif response.status_code in (429, 500, 502, 503, 504):
+            raise DownloadError(f"the relay answers HTTP {response.status_code}")
         else:
-            raise _refusal(response.status_code)
+            raise NoStoreError("the relay keeps no avatars")
         if size is None:
             raise DownloadError("the relay does not say how long the file is")
         self._size = int(size)
@@ -171,11 +174,3 @@ class _Transfer:
             raise DownloadError("it comes too slowly")
         if not self._progress(self.received / self._size):
             raise StoppedError("not wanted any more")
-
-
-def _refusal(status: int) -> DownloadError:
-    if status == 404:
-        return NotThereError("the relay does not have it")
-    if status in (429, 500, 502, 503, 504):
-        return DownloadError(f"the relay answers HTTP {status}")
-    return NoStoreError("the relay keeps no avatars")

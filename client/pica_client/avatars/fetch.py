@@ -75,7 +75,6 @@ class AvatarFetcher:
             library: Has what is here, and gets what has come.
             relay_url: Returns where to ask, ws:// or wss://; it may change.
             cache: Keeps what has come; this user's by default.
-            tls: Settings of whom to trust with wss://.
         """
         self._library = library
         self._relay_url = relay_url
@@ -138,7 +137,12 @@ class AvatarFetcher:
         cache = self._cache or AvatarCache()
         try:
             while (identity := self._next()) is not None:
-                self._attempt(cache, identity)
+                path = cache.find(identity) or self._download(cache, identity)
+                if path is not None:
+                    # Into the library first: whoever finds it done there must find the file.
+                    self._library.add(identity, path)
+                    with self._changed:
+                        self._wanted.pop(identity, None)
         finally:
             cache.close()
 
@@ -156,14 +160,6 @@ class AvatarFetcher:
                     return min(open_ones)[1]
                 self._changed.wait(min(open_ones)[0] - now if open_ones else None)
         return None
-
-    def _attempt(self, cache: AvatarCache, identity: str) -> None:
-        path = cache.find(identity) or self._download(cache, identity)
-        if path is not None:
-            # Into the library first: whoever finds it done there must find the file.
-            self._library.add(identity, path)
-            with self._changed:
-                self._wanted.pop(identity, None)
 
     def _download(self, cache: AvatarCache, identity: str) -> Path | None:
         unfinished = cache.unfinished(identity)

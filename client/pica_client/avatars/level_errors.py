@@ -1,8 +1,5 @@
 """How well an avatar's levels serve, measured on drawn pictures: the table that comes with it.
 
-    errors = measure_levels(avatar)              # LevelErrors; minutes
-    measured = with_errors(avatar, errors)       # the same avatar, with the table in it
-
 Truth is the full level drawn with many samples a pixel and averaged. A level, and the full maps on
 its mesh, are compared with it by one drawing at the size of the screen, as the product makes it but
 without smoothed edges. What counts are the pixels that its drawing or the truth covers, but for
@@ -22,7 +19,7 @@ the moments before they are divided.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import MappingProxyType
 
 import moderngl
@@ -68,14 +65,6 @@ FRAME_FILL = 0.8
 _COVERED, _PART = 0.999, 0.001
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Moment:
-    """A latent, and the one `STEP_S` after it. float32 ``[8, 8, 4]`` each."""
-
-    latent: FloatArray
-    later: FloatArray
-
-
 def measure_levels(
     avatar: Avatar, progress: Callable[[float], None] = lambda ratio: None
 ) -> LevelErrors:
@@ -105,11 +94,12 @@ class _Measurement:
         self._context, self._avatar = context, avatar
         self._decoder = OnnxDecoder(avatar)
         encoder = ExpressionEncoder(avatar)
-        self._moments = []
+        # The latent of each moment, and the one `STEP_S` after it.
+        self._moments: list[tuple[FloatArray, FloatArray]] = []
         for source, second in MOMENTS:
-            player = open_source(source)
-            latents = (encoder.encode(player.frame_at(second + s).arkit) for s in (0.0, STEP_S))
-            self._moments.append(_Moment(*latents))
+            frame_at = open_source(source).frame_at
+            now, later = (encoder.encode(frame_at(second + s).arkit) for s in (0.0, STEP_S))
+            self._moments.append((now, later))
 
     def run(self, progress: Callable[[float], None]) -> LevelErrors:
         levels = self._avatar.levels
@@ -139,13 +129,13 @@ class _Measurement:
             camera = camera_for(self._avatar, head_px, size, yaw, pitch)
             direction = view_direction(HEAD, camera.centre_m)
             fine = camera.scaled(size * samples, size * samples)
-            for moment in self._moments:
-                full = self._decoder.decode(moment.latent, direction, levels[-1])
+            for latent, _ in self._moments:
+                full = self._decoder.decode(latent, direction, levels[-1])
                 drawn = truth.draw(full, fine)
                 wanted = averaged(drawn.image, samples)
                 share = averaged(drawn.covered[..., None], samples)[..., 0]
                 for row, level in enumerate(levels):
-                    own = self._decoder.decode(moment.latent, direction, level)
+                    own = self._decoder.decode(latent, direction, level)
                     for column, maps in enumerate((own, full)):
                         image, covered = screen.draw(maps, camera, mesh_level=level)
                         counted = (share >= _COVERED) | (covered & (share <= _PART))
@@ -163,18 +153,18 @@ class _Measurement:
             camera = camera_for(self._avatar, head_px, size, yaw, pitch)
             earlier = camera_for(self._avatar, head_px, size, yaw + VIEW_STEP, pitch)
             direction, kept = (view_direction(HEAD, each.centre_m) for each in (camera, earlier))
-            for moment in self._moments:
+            for latent, next_latent in self._moments:
                 now, stale_view, later = (
-                    renderer.draw(self._decoder.decode(latent, seen_from), camera)
-                    for latent, seen_from in (
-                        (moment.latent, direction),
-                        (moment.latent, kept),
-                        (moment.later, direction),
+                    renderer.draw(self._decoder.decode(shown, seen_from), camera)
+                    for shown, seen_from in (
+                        (latent, direction),
+                        (latent, kept),
+                        (next_latent, direction),
                     )
                 )
                 turned += masked_mse(now.image, stale_view.image, now.covered)
                 moved += drawn_mse(now, later)
-                steps += float(np.square(moment.later - moment.latent).mean())
+                steps += float(np.square(next_latent - latent).mean())
         count = len(VIEWS) * len(self._moments)
         return turned / (count * VIEW_STEP**2), moved / steps if steps > 0 else 0.0
 

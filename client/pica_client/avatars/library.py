@@ -26,11 +26,8 @@ class AvatarStore(Protocol):
         ...
 
     def get(self, identity: str) -> Avatar | None:
-        """The avatar, or None while it is being loaded, or for ever if it is unknown.
-
-        Raises:
-            AvatarFileError: The file is there and must not be used, or will not come.
-        """
+        """The avatar, or None while it is being loaded, or for ever if it is unknown;
+        AvatarFileError if the file is there and must not be used, or will not come."""
         ...
 
     def note(self, identity: str) -> str:

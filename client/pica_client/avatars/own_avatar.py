@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.avatars.upload import AvatarGiver, Push
+from pica_client.avatars.upload import AvatarGiver
 from pica_client.errors import AvatarLookupError
 from pica_client.transport.config import LinkConfig
 from pica_core.avatar.file import Avatar
@@ -38,14 +38,7 @@ class OwnAvatar:
         is_needed = link.secret_file is None and self.path not in shipped_avatar_files()
         if give == "no" or (give == "auto" and not is_needed):
             return None
-        push = Push(
-            path=self.path,
-            identity=self.identity,
-            token=link.token,
-            token_file=link.token_file,
-            ca_file=link.ca_file,
-        )
-        return AvatarGiver(push, say)
+        return AvatarGiver(link, self.path, self.identity, say)
 
 
 def choose_own_avatar(given: str | None, name: str, library: AvatarLibrary) -> OwnAvatar:

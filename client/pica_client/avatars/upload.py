@@ -9,7 +9,6 @@ import random
 import socket
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
-from dataclasses import dataclass, field
 from pathlib import Path
 
 from websockets.asyncio.client import ClientConnection
@@ -17,9 +16,9 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake
 
 from pica_client.errors import ClientError, RelayError
 from pica_client.transport.backoff import Backoff
-from pica_client.transport.config import read_token
+from pica_client.transport.config import LinkConfig, read_token
 from pica_client.transport.connect import open_websocket, refusal
-from pica_core.avatar.file import MAX_FILE_BYTES
+from pica_core.avatar.file import MAX_FILE_BYTES, read_bytes
 from pica_core.errors import AvatarFileError
 from pica_protocol import store
 from pica_protocol.codec import decode_store_message, encode_message
@@ -44,26 +43,18 @@ class PushError(RelayError):
         self.is_worth_retrying = is_worth_retrying
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Push:
-    """What to give to whom."""
-
-    path: Path
-    """The avatar's file."""
-    identity: str
-    """The SHA-256 of the file, in hexadecimal."""
-    token_file: Path | None = None
-    """File with a join token that allows to wear this avatar, for a relay that wants one."""
-    token: str = field(default="", repr=False)
-    """The token itself, instead of a file; a secret."""
-    ca_file: Path | None = None
-    """File of certificates to trust with wss:// instead of the system's."""
-
-
 async def push_avatar(
-    url: str, push: Push, progress: Progress = lambda ratio: None
+    url: str,
+    link: LinkConfig,
+    path: Path,
+    identity: str,
+    progress: Progress = lambda ratio: None,
 ) -> store.Stored:
     """Give a relay, ws:// or wss://, an avatar's file, unless it has it.
+
+    Args:
+        link: Has the token that allows to wear this avatar, and whom to trust with wss://.
+        identity: The SHA-256 of the file, in hexadecimal.
 
     Returns:
         What the relay says: ``checked`` is empty if it had the file.
@@ -73,11 +64,11 @@ async def push_avatar(
         AvatarFileError: The file cannot be read.
         OptionError: The token file, or the certificates, cannot be read.
     """
-    data = await asyncio.to_thread(_read, push.path)
-    token = push.token or read_token(push.token_file)
-    async with _store_socket(url, push.ca_file) as websocket:
+    data = await asyncio.to_thread(read_bytes, path, MAX_FILE_BYTES)
+    token = link.token or read_token(link.token_file)
+    async with _store_socket(url, link.ca_file) as websocket:
         try:
-            offer = store.Offer(sha256=push.identity, size=len(data), token=token)
+            offer = store.Offer(sha256=identity, size=len(data), token=token)
             await websocket.send(encode_message(offer))
             answer = await _answer(websocket)
             if isinstance(answer, store.Ready):
@@ -107,11 +98,13 @@ class AvatarGiver:
             why not.
     """
 
-    def __init__(self, push: Push, say: Callable[[str], None]) -> None:
-        """Prepare to give a file; `say` takes a line for the user."""
+    def __init__(
+        self, link: LinkConfig, path: Path, identity: str, say: Callable[[str], None]
+    ) -> None:
+        """Prepare to give a file, see `push_avatar`; `say` takes a line for the user."""
         self.outcome = ""
-        self._push = push
         self._url = ""
+        self._link, self._path, self._identity = link, path, identity
         self._say = say
         self._backoff = Backoff(random.random)
         self._task: asyncio.Task[None] | None = None
@@ -132,7 +125,7 @@ class AvatarGiver:
     async def _give(self) -> None:
         for attempt in range(1, MAX_ATTEMPTS + 1):
             try:
-                stored = await push_avatar(self._url, self._push)
+                stored = await push_avatar(self._url, self._link, self._path, self._identity)
             except (AvatarFileError, ClientError) as error:
                 if getattr(error, "is_worth_retrying", False) and attempt < MAX_ATTEMPTS:
                     await asyncio.sleep(self._backoff.next_wait_s(0.0))
@@ -188,14 +181,3 @@ async def _answer(websocket: ClientConnection) -> store.StoreMessage:
 
 def _not_understood() -> PushError:
     return PushError("the relay does not answer as a store", is_worth_retrying=False)
-
-
-def _read(path: Path) -> bytes:
-    try:
-        with path.open("rb") as file:
-            data = file.read(MAX_FILE_BYTES + 1)
-    except OSError as error:
-        raise AvatarFileError(f"{path}: cannot be read: {error.strerror or error}") from error
-    if not 0 < len(data) <= MAX_FILE_BYTES:
-        raise AvatarFileError(f"{path}: 1 to {MAX_FILE_BYTES} bytes are allowed")
-    return data

@@ -25,23 +25,28 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tyro.conf import OmitArgPrefixes
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.bench.impaired_call_compare import CallComparison
 from pica_client.bench.network.impairment import Impairment
 from pica_client.bench.network.proxy import ImpairedProxy
-from pica_client.call.call import Call, CallConfig, DueFrame
+from pica_client.call.call import Call, DueFrame
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.errors import CallProcessError, OptionError
 from pica_client.local_call import local_call
 from pica_client.local_call.latency import FrameTimes, latency_summary
 from pica_client.local_call.processes import Children
 from pica_client.output import say
-from pica_client.playout.config import PlayoutConfig
+from pica_client.playout.config import PlayoutConfig, playout_with_floor
 from pica_client.stats import describe_machine
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.receiver import Receiver
 
+WARM_UP_S = 2.0
+"""Between the last peer's first frame and the first that counts."""
+DECODE_THREADS = 2
+"""Decodes that may run at once (chosen: see above)."""
 MAX_DECODES_WAITING = 64
 """Decodes waiting for a thread; newer ones are dropped and counted (chosen: 0.4 s of a call)."""
 MAX_FRAMES = 200_000
@@ -51,23 +56,49 @@ FRONT = np.array([0, 0, 1], np.float32)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class BenchConfig:
-    """What to measure."""
+class NetworkOptions:
+    """How to worsen the receiver's network."""
 
-    call: local_call.LocalCallConfig = field(default_factory=local_call.LocalCallConfig)
+    delay: float = 0.0
+    """Milliseconds added each way."""
+    jitter: float = 0.0
+    """95th percentile of a further, varying delay, milliseconds."""
+    stall: float = 0.0
+    """Every few seconds nothing comes for so many milliseconds, then all at once."""
+    loss: float = 0.0
+    """Share of TCP segments that have to be sent again, which takes 200 ms each time, 0 to 0.9."""
+    rate: float = 0.0
+    """Bits a second that the receiver's network carries, all headers included; 0 is no limit."""
+
+    def impairment(self) -> Impairment | None:
+        """What they make of the way to the receiver; None leaves it as it is."""
+        if self == NetworkOptions():
+            return None
+        return Impairment(
+            delay_s=self.delay / 1e3,
+            jitter_s=self.jitter / 1e3,
+            stall_s=self.stall / 1e3,
+            loss_ratio=self.loss,
+            rate_bps=self.rate or None,
+        )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BenchConfig:
+    """What to measure; the options of `pica bench call`."""
+
+    call: OmitArgPrefixes[local_call.LocalCallConfig]
     seconds: float = 20.0
-    """Measured time, after everybody is there and has warmed up."""
-    warm_up_s: float = 2.0
-    """Between the last peer's first frame and the first that counts."""
-    playout: PlayoutConfig = field(default_factory=PlayoutConfig)
-    decode_threads: int = 2
-    """Decodes that may run at once."""
-    impairment: Impairment | None = None
-    """The way from the relay to the receiver; loopback as it is by default."""
+    """Measured time, seconds."""
+    playout_floor_ms: float = PlayoutConfig().floor_s * 1e3
+    """Least playout delay, milliseconds."""
+    network: OmitArgPrefixes[NetworkOptions] = field(default_factory=NetworkOptions)
 
     def __post_init__(self) -> None:
         if not 0 < self.seconds <= 600:
             raise OptionError(f"seconds is {self.seconds:g}; above 0 and at most 600 is allowed")
+        self.network.impairment()  # checks it
+        playout_with_floor(self.playout_floor_ms)
 
 
 class DecodeQueue:
@@ -75,16 +106,15 @@ class DecodeQueue:
 
     Args:
         library: Avatars whose decoders are built and warmed up here, which takes a while.
-        threads: Decodes that may run at once.
     """
 
-    def __init__(self, library: AvatarLibrary, threads: int) -> None:
+    def __init__(self, library: AvatarLibrary) -> None:
         self.frames: list[FrameTimes] = []
         self.num_dropped = self.errors = 0
         self._decoders = {name: OnnxDecoder(library.load(name)) for name in library.loaded()}
         for decoder in self._decoders.values():
             decoder.decode(np.zeros((8, 8, 4), np.float32), FRONT)
-        self._pool = ThreadPoolExecutor(threads)
+        self._pool = ThreadPoolExecutor(DECODE_THREADS)
         self._waiting: set[asyncio.Future[None]] = set()  # drops the newest when full
 
     def submit(self, due: DueFrame) -> None:
@@ -142,14 +172,15 @@ def run_bench(config: BenchConfig, *, avatar_files: list[Path] | None = None) ->
 async def _measure(
     config: BenchConfig, local: local_call.LocalCall, library: AvatarLibrary
 ) -> dict[str, Any]:
-    async with contextlib.AsyncExitStack() as stack:
-        if config.impairment is None:
-            return await _measure_through(local.url, None, config, local, library)
-        proxy = await stack.enter_async_context(ImpairedProxy(local.url, config.impairment))
-        play = CallConfig(playout=config.playout)
-        comparison = CallComparison(local.url, proxy.url, library, play, local.secret_file)
-        result = await _measure_through(proxy.url, comparison, config, local, library)
-    return result | {"impairment": asdict(config.impairment), "rendered": comparison.compare()}
+    impairment = config.network.impairment()
+    playout = playout_with_floor(config.playout_floor_ms)
+    call = Call(library, playout)
+    if impairment is None:
+        return await _measure_through(local.url, None, config, local, library, call)
+    async with ImpairedProxy(local.url, impairment) as proxy:
+        comparison = CallComparison(local.url, proxy.url, library, playout, local.secret_file)
+        result = await _measure_through(proxy.url, comparison, config, local, library, call)
+    return result | {"impairment": asdict(impairment), "rendered": comparison.compare()}
 
 
 async def _measure_through(
@@ -158,8 +189,8 @@ async def _measure_through(
     config: BenchConfig,
     local: local_call.LocalCall,
     library: AvatarLibrary,
+    call: Call,
 ) -> dict[str, Any]:
-    call = Call(library, CallConfig(playout=config.playout))
     link = LinkConfig(
         url=url,
         room=local_call.ROOM,
@@ -168,7 +199,7 @@ async def _measure_through(
         secret_file=local.secret_file,
     )
     receiver = Receiver(link, call)
-    queue = DecodeQueue(library, config.decode_threads)
+    queue = DecodeQueue(library)
     loop = asyncio.get_running_loop()
     work = [receiver.run(), _release(receiver, queue)]
     if comparison is not None:
@@ -181,7 +212,7 @@ async def _measure_through(
             local.check()
             if local.crashed or loop.time() > deadline:
                 local_call.require_all(local.names, _missing(call, local, loop.time()), local)
-        await _pause(tasks, config.warm_up_s)
+        await _pause(tasks, WARM_UP_S)
         begin_s = loop.time()
         call.begin_window(begin_s)
         queue.begin_window()

@@ -32,7 +32,7 @@ from pica_core.capture.procedural.subject import ProceduralSubject
 from pica_core.capture.stage.stream_training_faces import stream_training_performances
 from pica_core.codec.latent_sample import LatentSample, ReceivedFrame
 from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
-from pica_core.codec.plain_stream import LatentProfile, decode_latent, encode_latent
+from pica_core.codec.plain_stream import decode_latent, encode_latent
 from pica_core.codec.profile import StreamProfile
 from pica_core.errors import ProfileError
 from pica_core.types import FloatArray, Image
@@ -248,19 +248,19 @@ def _coders(profile: StreamProfile, avatar: Avatar, config: CodecConfig) -> dict
             coders[name] = stream(config.thinned_quality, layer)
     for rate_bps in config.rates_bps:
         coders[f"rate-{rate_bps}"] = stream(0, 2, rate_bps)
-    latent_profile = LatentProfile(latent_scale=avatar.manifest.latent_scale)
+    latent_scale = avatar.manifest.latent_scale
 
     def plain(squeeze: Callable[[bytes], bytes], spread: Callable[[bytes], bytes]) -> Coder:
         return partial(
             _code_frames,
-            lambda s: squeeze(encode_latent(s.latent, s.rotation, s.translation_m, latent_profile)),
-            lambda payload: decode_latent(spread(payload), latent_profile),
+            lambda s: squeeze(encode_latent(s.latent, s.rotation, s.translation_m, latent_scale)),
+            lambda payload: decode_latent(spread(payload), latent_scale),
         )
 
     coders["plain-8-bit"] = plain(bytes, bytes)
     coders["float-16"] = partial(_code_frames, _to_halves, _from_halves)
     coders["zlib"] = plain(lambda data: zlib.compress(data, 9), zlib.decompress)
-    compress, decompress = _zstd(avatar, latent_profile)
+    compress, decompress = _zstd(avatar, latent_scale)
     coders["zstd-dictionary"] = plain(compress, decompress)
     return coders
 
@@ -328,14 +328,14 @@ def _from_halves(payload: bytes) -> LatentSample:
 
 
 def _zstd(
-    avatar: Avatar, profile: LatentProfile
+    avatar: Avatar, latent_scale: tuple[float, ...]
 ) -> tuple[Callable[[bytes], bytes], Callable[[bytes], bytes]]:
     """zstd at its best setting, with a dictionary trained on performances that are not measured."""
     import zstandard  # only this comparison needs it
 
     encoder = ExpressionEncoder(avatar)
     samples: list[bytes | bytearray | memoryview] = [
-        encode_latent(latent, np.zeros(3), np.zeros(3), profile)
+        encode_latent(latent, np.zeros(3), np.zeros(3), latent_scale)
         for arkit in stream_training_performances(rounds=6)
         for latent in encoder.encode(arkit)
     ]

@@ -4,6 +4,7 @@ The fields of its rows stand in ``docs/benches.md``. What it does not show: draw
 render`), several avatars at once, other providers than the one chosen.
 """
 
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -16,14 +17,9 @@ import tyro
 from tyro.constructors import PrimitiveConstructorSpec
 
 from pica_client.bench.harness import Took, gl_context, median_ms, spread, take_turns, timed
-from pica_client.bench.head import FRAME_S, front_camera, textured_mesh
+from pica_client.bench.head import FRAME_S, front_camera
 from pica_client.bench.option_types import Ints, Words, check_names
-from pica_client.decode.decoder import (
-    BaselineDecoder,
-    OnnxDecoder,
-    OnnxOptions,
-    open_session,
-)
+from pica_client.decode.decoder import BaselineDecoder, OnnxDecoder, OnnxOptions, open_session
 from pica_client.decode.onnx_runtime import onnxruntime
 from pica_client.decode.request import DecodedMaps, Parts
 from pica_client.errors import OptionError, check_ranges
@@ -120,48 +116,43 @@ def run_decode_bench(config: DecodeBenchConfig, avatar: Avatar) -> dict[str, Any
         GraphicsError: No GL context.
     """
     with gl_context() as context:
-        return _run(config, avatar, Renderer(context, IMAGE_SIZE))
+        latents = bench_latents(avatar)
+        talk = bench_latents(avatar, NUM_TALK_FRAMES, NUM_TALK_FRAMES * FRAME_S)
+        models = {"pica": avatar} | {
+            f"block {block}": random_decoders(avatar, block, config.seed) for block in config.blocks
+        }
+        differences = {}
+        for name, model in models.items():
+            say(f"comparing the exports of {name}")
+            for level in model.levels:
+                differences[name, level] = export_difference(model, level, latents[:4], config.onnx)
+        decodes = dict(_cases(config, models, Renderer(context, IMAGE_SIZE)))
 
+        def decode(case: Case, number: int) -> Took:
+            faces = talk if case.model in TALKING else latents
+            return timed(decodes[case], faces[number % len(faces)])[0]
 
-def _run(config: DecodeBenchConfig, avatar: Avatar, renderer: Renderer) -> dict[str, Any]:
-    latents = bench_latents(avatar)
-    talk = bench_latents(avatar, NUM_TALK_FRAMES, NUM_TALK_FRAMES * FRAME_S)
-    models = {"pica": avatar} | {
-        f"block {block}": random_decoders(avatar, block, config.seed) for block in config.blocks
-    }
-    decodes = dict(_cases(config, models, renderer))
-    differences = {}
-    for name, model in models.items():
-        say(f"comparing the exports of {name}")
-        for level in model.levels:
-            differences[name, level] = export_difference(model, level, latents[:4], config.onnx)
-
-    def decode(case: Case, number: int) -> Took:
-        faces = talk if case.model in TALKING else latents
-        return timed(decodes[case], faces[number % len(faces)])[0]
-
-    cases = list(decodes)
-    samples = take_turns(
-        cases, decode, rounds=config.rounds, warm_up=WARM_UP_ROUNDS, seed=config.seed
-    )
-    took = dict(zip(cases, samples, strict=True))
-    samples_s = {case: [each.wall_s for each in every] for case, every in took.items()}
-    rows = [
-        _row(case, samples_s, models.get(case.model), differences, latents, config)
-        | _skipped(decodes[case])
-        for case in cases
-        if not case.is_plain
-    ]
-    return {
-        "avatar": avatar.manifest.name,
-        "block": avatar.spec.block,
-        "provider": config.onnx.provider,
-        "rounds": config.rounds,
-        "head_px": config.head_px,
-        "machine": describe_machine() | {"onnxruntime": onnxruntime.__version__},
-        "rows": rows,
-        "summary": summarise(samples_s, avatar, config) | _talk_ratios(took, avatar, config),
-    }
+        cases = list(decodes)
+        samples = take_turns(
+            cases, decode, rounds=config.rounds, warm_up=WARM_UP_ROUNDS, seed=config.seed
+        )
+        took = dict(zip(cases, samples, strict=True))
+        rows = [
+            _row(case, took, models.get(case.model), differences, latents, config)
+            | _skipped(decodes[case])
+            for case in cases
+            if not case.is_plain
+        ]
+        return {
+            "avatar": avatar.manifest.name,
+            "block": avatar.spec.block,
+            "provider": config.onnx.provider,
+            "rounds": config.rounds,
+            "head_px": config.head_px,
+            "machine": describe_machine() | {"onnxruntime": onnxruntime.__version__},
+            "rows": rows,
+            "summary": _summarise(took, avatar, config),
+        }
 
 
 def bench_latents(
@@ -222,46 +213,41 @@ def export_difference(
     return worst
 
 
-def summarise(
-    samples_s: dict[Case, list[float]], avatar: Avatar, config: DecodeBenchConfig
+def _summarise(
+    took: dict[Case, list[Took]], avatar: Avatar, config: DecodeBenchConfig
 ) -> dict[str, Any]:
     """The ratios that the product is measured by, and the level that the scheduler would choose."""
 
     def ratio(over: Case, under: Case) -> float:
-        pairs = zip(samples_s[over], samples_s[under], strict=True)
-        return round(median(one / other for one, other in pairs), 2)
+        pairs = zip(took[over], took[under], strict=True)
+        return round(median(one.wall_s / other.wall_s for one, other in pairs), 2)
 
     by_threads: dict[str, dict[str, dict[str, dict[str, float]]]] = {}
-    for each in samples_s:
+    for each in took:
         if each.level is None or each.is_plain or each.parts != "both" or each.model in TALKING:
             continue
         models = by_threads.setdefault(str(each.threads), {})
-        ratios = models.setdefault(
-            each.model, {"baseline_ratio": {}, "plain_ratio": {}, "level_ratio": {}}
-        )
+        ratios = models.setdefault(each.model, defaultdict(dict))
         level = str(each.level)
         full = replace(each, level=avatar.spec.map_size)
         ratios["baseline_ratio"][level] = ratio(Case("baseline", None, "all", each.threads), each)
         ratios["plain_ratio"][level] = ratio(replace(each, is_plain=True), each)
         ratios["level_ratio"][level] = ratio(full, each)
-    return {"by_threads": by_threads, "level_at_head_px": level_for(avatar, config.head_px)}
-
-
-def _talk_ratios(
-    took: dict[Case, list[Took]], avatar: Avatar, config: DecodeBenchConfig
-) -> dict[str, dict[str, float]]:
-    """The baseline over a talking head, by the clock and in processor time, by threads."""
-    found: dict[str, dict[str, float]] = {}
+    talking: dict[str, dict[str, float]] = defaultdict(dict)
     for name, baseline in (("talk", "baseline"), ("frame", BASELINE_FRAME)):
         for threads in config.threads:
-            over = took[Case(baseline, None, "all", threads)]
-            under = took[Case(name, avatar.spec.map_size, "both", threads)]
-            pairs = list(zip(over, under, strict=True))
-            wall = median(one.wall_s / other.wall_s for one, other in pairs)
-            cpu = median(one.cpu_s for one in over) / median(one.cpu_s for one in under)
-            found.setdefault(f"{name}_ratio", {})[str(threads)] = round(wall, 2)
-            found.setdefault(f"{name}_cpu_ratio", {})[str(threads)] = round(cpu, 2)
-    return found
+            over = Case(baseline, None, "all", threads)
+            under = Case(name, avatar.spec.map_size, "both", threads)
+            cpu_s, other_cpu_s = (
+                median(each.cpu_s for each in took[case]) for case in (over, under)
+            )
+            talking[f"{name}_ratio"][str(threads)] = ratio(over, under)
+            talking[f"{name}_cpu_ratio"][str(threads)] = round(cpu_s / other_cpu_s, 2)
+    return {
+        "by_threads": by_threads,
+        "level_at_head_px": level_for(avatar, config.head_px),
+        **talking,
+    }
 
 
 def level_for(avatar: Avatar, head_px: float) -> int:
@@ -277,7 +263,7 @@ class _Talk:
         self.decoder = OnnxDecoder(avatar, onnx)
         self.num_frames = 0
 
-    def __call__(self, latent: FloatArray) -> object:
+    def __call__(self, latent: FloatArray) -> DecodedMaps:
         self.num_frames += 1
         return self.decoder.decode(latent, AHEAD)
 
@@ -293,13 +279,12 @@ class _Frame(_Talk):
         self._camera = front_camera(avatar.manifest, DISTANCE_CM, IMAGE_SIZE)
         self._planner = FramePlanner(Scheduler())
 
-    def __call__(self, latent: FloatArray) -> object:
+    def __call__(self, latent: FloatArray) -> DecodedMaps:
         now = self.num_frames * FRAME_S
         self._head.latent = latent
         self._planner.plan([self._head], [self._camera], IMAGE_SIZE, FRAME_BUDGET_S, now)
         self._planner.requests([self._head], now)  # always decoded here, however little has changed
         maps = super().__call__(latent)
-        assert isinstance(maps, DecodedMaps)
         self._renderer.update_maps(
             self._slot, maps.position_map, maps.expression_map, maps.row_versions
         )
@@ -340,7 +325,7 @@ def _cases(
             Case("frame", full, "both", threads),
             _Frame(pica, onnx, renderer, f"pica {threads}"),
         )
-        renderer.add_textured(slot, textured_mesh(baseline))
+        renderer.add_textured(slot, baseline)
         yield (
             Case(BASELINE_FRAME, None, "all", threads),
             partial(_baseline_frame, BaselineDecoder(baseline, onnx), renderer, slot),
@@ -372,14 +357,14 @@ def _run_plain(session: Any, latent: FloatArray) -> Any:
 
 def _row(
     case: Case,
-    samples_s: dict[Case, list[float]],
+    took: dict[Case, list[Took]],
     avatar: Avatar | None,
     differences: dict[tuple[str, int], float],
     latents: Sequence[FloatArray],
     config: DecodeBenchConfig,
 ) -> dict[str, Any]:
-    own = samples_s[case]
-    plain = samples_s.get(replace(case, is_plain=True))
+    own = [each.wall_s for each in took[case]]
+    plain = took.get(replace(case, is_plain=True))
     level = case.level
     row = {
         "model": case.model,
@@ -393,7 +378,7 @@ def _row(
     }
     if plain is not None and level is not None:
         difference = differences[case.model, level]
-        row["plain_ms"] = median_ms(plain)
+        row["plain_ms"] = median_ms([each.wall_s for each in plain])
         row["is_equal"] = difference <= EQUAL
         row["difference"] = float(f"{difference:.2g}")
     if avatar is not None and level is not None and case.model == "pica":

@@ -3,7 +3,7 @@ stage."""
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -12,11 +12,11 @@ from pica_client.closing import Closing
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.errors import OptionError
 from pica_client.render.drawing import HEAD, Drawing, HeadRenderer, drawn_mse
-from pica_client.render.gpu_textured import TexturedMesh
 from pica_client.render.scene import head_matrix, view_direction
 from pica_client.sources.performances import make_performance
 from pica_core.avatar.baseline import BaselineAvatar
 from pica_core.avatar.file import Avatar
+from pica_core.avatar.manifest import Manifest
 from pica_core.camera import Camera, look_at
 from pica_core.capture.stage.dome import EVALUATION_VIEWS, dome_cameras
 from pica_core.codec.latent_sample import LatentSample
@@ -29,21 +29,9 @@ FIELD_OF_VIEW = math.radians(50)
 FRAME_S = 1 / 30
 """Seconds between two frames of a talking head."""
 PEAK = 255.0
+Bounded = Manifest | BaselineAvatar
+"""Somebody's head, with the corners of all its positions."""
 _NO_POSE = np.zeros(3, np.float32)
-
-
-class Bounded(Protocol):
-    """Somebody's head: the manifest of an avatar, or a baseline."""
-
-    @property
-    def bounds_min_m(self) -> tuple[float, float, float]:
-        """Lower corner of all its positions, head frame, metres."""
-        ...
-
-    @property
-    def bounds_max_m(self) -> tuple[float, float, float]:
-        """Upper corner of all its positions, head frame, metres."""
-        ...
 
 
 class TalkFrame(NamedTuple):
@@ -102,17 +90,6 @@ def talk_frames(performance: str, start_s: float, warm_up: int, frames: int) -> 
         face = source.frame_at(start_s + index * FRAME_S)
         matrix = head_matrix(np.eye(4), face.rotation, face.translation_m)
         yield TalkFrame(face.arkit, matrix)
-
-
-def textured_mesh(baseline: BaselineAvatar) -> TexturedMesh:
-    """What of a baseline never changes, as a renderer takes it."""
-    return TexturedMesh(
-        vertex_uv=baseline.vertex_uv,
-        faces=baseline.faces,
-        low_m=baseline.bounds_min_m,
-        high_m=baseline.bounds_max_m,
-        texture_size=baseline.spec.texture_size,
-    )
 
 
 class Surface(NamedTuple):

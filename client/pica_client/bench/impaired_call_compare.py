@@ -5,13 +5,8 @@ The *display* sits behind the bad network and samples its faces `DISPLAY_HZ` tim
 a viewer would. After the call some of what the display saw is rendered and compared with what the
 reference knows of the same peer, on the clock that all processes of this machine share.
 
-    mse_delayed   against the undisturbed face as long ago as the face on the display usually is
-                  (its median age): what stutter, gaps and concealment cost
-    mse_now       against the undisturbed face now: with the delay in it
-    age_ms        now minus capture of the face on the display
-    largest_step  largest change between two faces over the undisturbed stream's (root mean square)
-
-What it does not show: the loss of the format itself, which both streams share.
+The figures stand in ``docs/benches.md``. What it does not show: the loss of the format itself,
+which both streams share.
 """
 
 import asyncio
@@ -26,8 +21,9 @@ import numpy as np
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.bench.head import FaceRenderer
-from pica_client.call.call import Call, CallConfig
+from pica_client.call.call import Call
 from pica_client.local_call.local_call import ROOM
+from pica_client.playout.config import PlayoutConfig
 from pica_client.playout.motion import blend
 from pica_client.render.drawing import drawn_mse
 from pica_client.stats import percentile, summarise_ms
@@ -93,22 +89,20 @@ class CallComparison:
         url: str,
         impaired_url: str,
         library: AvatarLibrary,
-        config: CallConfig,
+        playout: PlayoutConfig,
         secret_file: Path | None = None,
     ) -> None:
         """Prepare.
 
         Args:
             impaired_url: The way to it through the bad network.
-            config: How the display plays.
+            playout: How the display plays.
         """
         link = LinkConfig(room=ROOM, connect_timeout_s=20.0, secret_file=secret_file)
         self._library = library
-        self._reference = Receiver(
-            replace(link, url=url, name="reference"), Call(library, CallConfig())
-        )
+        self._reference = Receiver(replace(link, url=url, name="reference"), Call(library))
         self._display = Receiver(
-            replace(link, url=impaired_url, name="display"), Call(library, config)
+            replace(link, url=impaired_url, name="display"), Call(library, playout)
         )
         self._true: defaultdict[str, TrueFace] = defaultdict(TrueFace)
         # Drops its oldest when full.

@@ -10,7 +10,7 @@ and avatars are synthetic.
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from typing import Any
 
@@ -19,14 +19,7 @@ import tyro
 
 from pica_client.bench.head import FaceRenderer
 from pica_client.bench.network.scenarios import BY_NAME, POLICIES, SCENARIOS
-from pica_client.bench.network.stream_trial import (
-    Delivery,
-    Face,
-    Schedule,
-    Tick,
-    deliver,
-    play,
-)
+from pica_client.bench.network.stream_trial import Delivery, Face, Schedule, Tick, deliver, play
 from pica_client.bench.option_types import Words, check_names
 from pica_client.errors import OptionError, check_ranges
 from pica_client.output import say
@@ -208,10 +201,9 @@ class _Comparison:
     def _recovery(self, ticks: Sequence[Tick], delivery: Delivery) -> dict[str, float | None]:
         schedule = self._schedule
         before = [tick for tick in ticks if schedule.begin_s / 2 <= tick.now_s < schedule.begin_s]
-        frame_s = 1 / schedule.fps
         usual_s = percentile(sorted(_added_delay_s(tick, delivery) for tick in before), 95)
         after = [tick for tick in ticks if tick.now_s >= schedule.end_s]
-        old = [_added_delay_s(tick, delivery) > usual_s + frame_s for tick in after]
+        old = [_added_delay_s(tick, delivery) > usual_s + 1 / schedule.fps for tick in after]
         return {
             "recovery_ms": self._last_ms(after, [_is_concealed(tick) for tick in after]),
             "delay_recovery_ms": self._last_ms(after, old),
@@ -228,13 +220,9 @@ class _Comparison:
 
     def _largest_step(self, ticks: Sequence[Tick]) -> float:
         """The largest step that is shown over the largest true one."""
-        times = [tick.now_s for tick in ticks if tick.now_s >= self._schedule.begin_s]
-        shown = [
-            tick.played.sample
-            for tick in ticks
-            if tick.now_s >= self._schedule.begin_s and tick.played is not None
-        ]
-        true_step = self._drawn_step([self._face(now) for now in times])
+        since = [tick for tick in ticks if tick.now_s >= self._schedule.begin_s]
+        shown = [tick.played.sample for tick in since if tick.played is not None]
+        true_step = self._drawn_step([self._face(tick.now_s) for tick in since])
         return round(math.sqrt(self._drawn_step(shown) / true_step), 2)
 
     def _drawn_step(self, samples: Sequence[LatentSample]) -> float:
@@ -252,13 +240,9 @@ class _Comparison:
 
 
 def _network(delivery: Delivery, schedule: Schedule) -> dict[str, Any]:
-    counters = delivery.counters
     return {
-        "sent": counters.sent,
+        **asdict(delivery.counters),
         "decoded": len(delivery.arrivals),
-        "thinned": counters.thinned,
-        "dropped": counters.dropped,
-        "lost": counters.lost,
         "keyframes": delivery.keyframes,
         "keyframe_requests": delivery.keyframe_requests,
         "payload_bps": round(delivery.payload_bytes * 8 / schedule.seconds),

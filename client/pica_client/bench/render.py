@@ -8,13 +8,13 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import moderngl
 import numpy as np
 
 from pica_client.bench.harness import Took, gl_context, median_ms, spread, take_turns, timed
-from pica_client.bench.head import FIELD_OF_VIEW, check_distances, front_camera, textured_mesh
+from pica_client.bench.head import FIELD_OF_VIEW, check_distances, front_camera
 from pica_client.bench.option_types import Floats
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.errors import check_ranges
@@ -31,7 +31,7 @@ from pica_core.gl import wait_for_gpu
 from pica_core.reference.baseline import baseline_like
 
 Weights = Literal["auto", "block", "constants", "turns"]
-WEIGHTS: tuple[Weights, ...] = ("auto", "block", "constants", "turns")
+WEIGHTS: tuple[Weights, ...] = get_args(Weights)
 """Places of the pixel decoder's weights, see `RenderOptions`."""
 WARM_UP_FRAMES = 3
 EXTRA_TIMES = 8
@@ -66,13 +66,6 @@ class _Case(NamedTuple):
     mesh: int
     weights: str
     distance_cm: float
-
-
-class _Times(NamedTuple):
-    """What one frame took, and its vertices alone."""
-
-    frame: Took
-    vertex: Took
 
 
 def run_render_bench(config: RenderBenchConfig, avatar: Avatar) -> dict[str, Any]:
@@ -163,7 +156,7 @@ class _Bench:
         times = take_turns(cases, self._time, rounds=rounds, warm_up=WARM_UP_FRAMES)
         return [self._row(*each) for each in zip(cases, times, strict=True)]
 
-    def _row(self, case: _Case, times: Sequence[_Times]) -> dict[str, Any]:
+    def _row(self, case: _Case, times: Sequence[tuple[Took, Took]]) -> dict[str, Any]:
         renderer, placements, camera = self._scene(case)
         stats = renderer.draw(placements, camera, count_pixels=True)
         frames, vertices = zip(*times, strict=True)
@@ -178,8 +171,8 @@ class _Bench:
             "spread": spread([took.wall_s for took in frames]),
         }
 
-    def _time(self, case: _Case, _number: int) -> _Times:
-        """Draw a frame, then its vertices alone many times, and once."""
+    def _time(self, case: _Case, _number: int) -> tuple[Took, Took]:
+        """What a frame takes, and its vertices alone, drawn many times and once."""
         renderer, placements, camera = self._scene(case)
 
         def time(draw: Callable[[], object]) -> Took:
@@ -193,7 +186,7 @@ class _Bench:
         many = time(lambda: renderer.draw_vertices(placements, camera, 1 + EXTRA_TIMES))
         once = time(lambda: renderer.draw_vertices(placements, camera))
         vertex = ((a - b) / EXTRA_TIMES for a, b in zip(many, once, strict=True))
-        return _Times(frame, Took(*vertex))
+        return frame, Took(*vertex)
 
     def _scene(self, case: _Case) -> tuple[Renderer, list[Placement], Camera]:
         placement = Placement(
@@ -211,7 +204,7 @@ def add_baseline(renderer: Renderer, slot: str, baseline: BaselineAvatar) -> Non
     the little that its random weights add."""
     last = len(baseline.spec.channels) - 1
     texture = baseline.tensors[f"texture.{last}.bias"].transpose(1, 2, 0)
-    renderer.add_textured(slot, textured_mesh(baseline))
+    renderer.add_textured(slot, baseline)
     renderer.update_textured(
         slot,
         baseline.tensors["mesh.bias"].reshape(-1, 3).astype(np.float32),

@@ -153,7 +153,7 @@ def run_scene_bench(config: SceneBenchConfig, avatars: Sequence[Avatar]) -> dict
         bench.measure(limited)
         rows = [bench.row(case) for case in [*cases, *limited]]
         if config.sheet is not None:
-            _write_sheet(config.sheet, config, [*cases, *limited])
+            _write_sheet(config.sheet, [*cases, *limited], config)
         return {
             "avatars": [avatar.manifest.identity for avatar in avatars],
             "gl_renderer": bench.gl_renderer,
@@ -210,7 +210,7 @@ class _Bench:
                 most,
                 case.distance_cm,
                 True,
-                budget_s=share * _middle_mean(_turn_means_ms(case.frames, "total")) / 1e3,
+                budget_s=share * _mean_ms(case.frames, "total") / 1e3,
             )
             for case in measured
             if case.is_scheduled is not self._config.expected_costs
@@ -246,7 +246,7 @@ class _Bench:
             "scheduler": case.is_scheduled,
             "budget_ms": None if math.isinf(case.budget_s) else round(case.budget_s * 1e3, 2),
             **{
-                f"{name}_ms": round(_middle_mean(_turn_means_ms(frames, name)), 3)
+                f"{name}_ms": round(_mean_ms(frames, name), 3)
                 for name in ("floor", "decode", "upload", "draw", "plan", "total", "cpu")
             },
             "spread": round(float((high - low) / middle), 3),
@@ -263,54 +263,50 @@ class _Bench:
 
     def _frame(self, case: _Case, *, is_measured: bool) -> _Frame:
         now = case.frame / FPS
-        is_compared = is_measured and case.frame % ERROR_EVERY == 0
-        case.frame += 1
         camera = front_camera(
             self._avatars[0].manifest, case.distance_cm, self._config.size, away=case.is_away
         )
-        heads = self._place_heads(case, now)
+        self._place_heads(case, now)
         frame = _Frame()
         begin_cpu_s = time.process_time()
         choices = self._treat(case, camera, now, frame)
-        placements = [
-            Placement(slot=head.slot, world_from_head=head.world_from_head) for head in heads
-        ]
-        if case.is_scheduled:
-            placements = [
-                head.dressed(placement, now)
-                for head, placement in zip(heads, placements, strict=True)
-            ]
+        placements = []
+        for head in case.heads:
+            placement = Placement(slot=head.slot, world_from_head=head.world_from_head)
+            placements.append(head.dressed(placement, now) if case.is_scheduled else placement)
         begin_s = time.perf_counter()
         stats = self._renderer.draw(placements, camera)
         wait_for_gpu(self._context)
         frame.draw_s = time.perf_counter() - begin_s
         frame.cpu_s = time.process_time() - begin_cpu_s
         costs = case.planner.scheduler.costs
-        shaded_px = sum(head.sight.visible_px for head in heads)
+        shaded_px = sum(head.sight.visible_px for head in case.heads)
         if self._config.expected_costs:
             frame.draw_s = costs.draw.seconds(stats.num_triangles, shaded_px)
         elif case.is_scheduled:
             costs.observe_draw(stats.num_triangles, shaded_px, frame.draw_s)
-        self._send(case, heads, choices, now, frame)
+        self._send(case, now, frame)
         case.triangles = stats.num_triangles
         if is_measured:
             for choice in choices.values():
                 case.levels[str(choice.level)] += 1
                 case.meshes[str(choice.mesh_level)] += 1
                 case.num_limited += choice.is_limited
-        if is_compared:
+        if is_measured and case.frame % ERROR_EVERY == 0:
             shown = read_drawing(self._renderer)
-            truth = self._draw_truth(heads, camera)
+            truth = self._draw_truth(case.heads, camera)
             frame.error, case.pixels = drawn_mse(shown, truth), int(truth.covered.sum())
             case.compared = (truth.image, shown.image)
+        case.frame += 1
         return frame
 
-    def _place_heads(self, case: _Case, now: float) -> list[Head]:
+    def _place_heads(self, case: _Case, now: float) -> None:
         if not case.heads:
             avatars = self._avatars[: case.num_avatars]
             case.heads = [
                 Head(slot=f"head-{index}", avatar=avatar) for index, avatar in enumerate(avatars)
             ]
+            case.encoders = [open_encoder(avatar, StreamConfig())[0] for avatar in avatars]
         for index, head in enumerate(case.heads):
             face = self._faces[index].frame_at(now)
             seat = np.eye(4)
@@ -320,15 +316,8 @@ class _Bench:
             head.world_from_head = head_matrix(seat, face.rotation, face.translation_m)
             head.latent = self._encoders[index].encode(face.arkit)
             head.captured_us = round(now * 1e6)
-        return case.heads
 
-    def _treat(
-        self,
-        case: _Case,
-        camera: Camera,
-        now: float,
-        frame: _Frame,
-    ) -> dict[str, Choice]:
+    def _treat(self, case: _Case, camera: Camera, now: float, frame: _Frame) -> dict[str, Choice]:
         """Decode and upload what this way of treating the scene wants; what it chose for those on
         the screen."""
         choices: dict[str, Choice] = {}
@@ -378,18 +367,9 @@ class _Bench:
                 case.planner.note_decoded(head, result, upload_s, now)
         return choices
 
-    def _send(
-        self,
-        case: _Case,
-        heads: Sequence[Head],
-        choices: dict[str, Choice],
-        now: float,
-        frame: _Frame,
-    ) -> None:
+    def _send(self, case: _Case, now: float, frame: _Frame) -> None:
         """Code what the senders would send; count what the receiver would get."""
-        if not case.encoders:
-            case.encoders = [open_encoder(head.avatar, StreamConfig())[0] for head in heads]
-        for head, encoder in zip(heads, case.encoders, strict=True):
+        for head, encoder in zip(case.heads, case.encoders, strict=True):
             coded = encoder.encode(head.latent, np.zeros(3), np.zeros(3), round(now * 1e6))
             wanted = case.layers.get(head.slot, 7) if case.is_scheduled else 7
             if coded is not None and wanted is not None and coded.layer <= wanted:
@@ -409,25 +389,21 @@ class _Bench:
         return read_drawing(self._renderer)
 
 
-def _write_sheet(path: Path, config: SceneBenchConfig, cases: Sequence[_Case]) -> None:
+def _write_sheet(path: Path, cases: Sequence[_Case], config: SceneBenchConfig) -> None:
     """The nearest of the largest scenes, one way of treating it under the other."""
-    most, nearest = max(config.avatars), min(config.distances_cm)
-    shown = [
-        (case, *case.compared)
-        for case in cases
-        if case.compared is not None
-        and not case.is_away
-        and (case.num_avatars, case.distance_cm) == (most, nearest)
-    ]
+    scene = max(config.avatars), min(config.distances_cm)
     cells = []
-    for case, truth, picture in shown:
+    for case in cases:
+        is_shown = (case.num_avatars, case.distance_cm) == scene and not case.is_away
+        if not is_shown or case.compared is None:
+            continue
         is_free = math.isinf(case.budget_s)
         budget = "" if is_free else f", budget {case.budget_s * 1e3:.0f} ms"
         how = f"scheduled{budget}" if case.is_scheduled else "everybody decoded whole"
-        total_ms = _middle_mean(_turn_means_ms(case.frames, "total"))
         levels = ", ".join(f"{level}: {count}" for level, count in sorted(case.levels.items()))
-        caption = f"{how}: {total_ms:.0f} ms a frame  {levels and 'levels chosen ' + levels}"
-        cells.append(Cell(caption, truth, picture))
+        chosen = f"  levels chosen {levels}" if levels else "  "
+        caption = f"{how}: {_mean_ms(case.frames, 'total'):.0f} ms a frame{chosen}"
+        cells.append(Cell(caption, *case.compared))
     write_sheet(path, cells, columns=1)
 
 
@@ -445,8 +421,9 @@ def _turn_means_ms(frames: Sequence[_Frame], name: str) -> npt.NDArray[np.float6
     return means
 
 
-def _middle_mean(values: npt.NDArray[np.float64]) -> float:
-    """Mean of the middle half: neither moved by a few stalls nor blind to what is done now and
-    then."""
+def _mean_ms(frames: Sequence[_Frame], name: str) -> float:
+    """Of the turns' means, the mean of the middle half: neither moved by a few stalls nor blind to
+    what is done now and then."""
+    values = _turn_means_ms(frames, name)
     quarter = len(values) // 4
     return float(np.sort(values)[quarter : len(values) - quarter].mean())

@@ -2,34 +2,12 @@
 virtual clock, with the real codec, jitter buffer and playout, so every figure comes out the same on
 every machine with the same libopus (processor time apart).
 
-Each row is one scenario (`network.scenarios`) at one bit rate. Voice and face share one way; the
-figures are of the troubled third of the run unless it says otherwise:
-
-    wire_bps          voice and face, as the relay passed them on, all headers included; whole run
-    pesq              of the sound as it leaves the loudspeaker (ITU-T P.862.2, wideband), which
-                      aligns utterances by itself and dislikes any stretching
-    stoi              of the words: each piece of sound is laid back to the moment when it was
-                      captured, and what was never played is silence
-    mouth_to_ear_ms   from the microphone to the loudspeaker, without both devices' own latency
-    skew_ms           moment of the lips that are shown less moment of the voice that is heard at
-                      every refresh while somebody speaks, whatever the face is made of; p50 and
-                      p95 of its size. Below zero the sound is early: `earliest` is the most
-                      negative, `worst` the largest of either sign
-    still_skew_ms     the same p95, had the lips of a face that stands still for want of frames
-                      stood still, too, instead of going on by the voice (`call.held_lips`)
-    face_held_ratio   share of refreshes while somebody speaks with such a face
-    concealed_ratio   share of frames of speech that were made up
-    stretched_ratio   share of ticks of 20 ms that were made shorter or longer
-    recovery_ms       from the end of the trouble to the last sound that was made up; 0 if none was
-    delay_recovery_ms   the same for sound more than 40 ms older than before the trouble
-    cpu_ms_per_s      of encoder, decoder and jitter buffer of one voice together
-
-What it does not show: devices, real networks (see `network.impairment`), people: the speech is
-synthetic, and PESQ and STOI stand for listeners.
+The fields of its rows stand in ``docs/benches.md``. What it does not show: devices, real networks
+(see `network.impairment`), people: the speech is synthetic, and PESQ and STOI stand for listeners.
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -103,21 +81,25 @@ class BenchVoiceConfig:
         check_ranges(self.schedule, seconds=(9, 600))
 
 
-@dataclass(kw_only=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class _Heard:
     """What came out of one run; moments are seconds of the sender's clock."""
 
     sound: FloatArray
     moments: Array
     """When each sample was captured; NaN where nothing was heard. ``[ticks, FRAME]``."""
-    times: list[float]
-    """When each tick was."""
     skews: list[tuple[float, float, float, bool]]
     """(time, skew, skew without the voice's lips, whether the face stands still for want of
     frames), seconds."""
-    counted: list[tuple[float, int, int, int]]
-    """(time, played, concealed, stretched) after each tick."""
+    counted: Array
+    """(time, played, concealed, stretched) after each tick. ``[ticks, 4]``."""
     cpu_s: float
+
+    @property
+    def delays_s(self) -> Array:
+        """How old the sound of each tick is when it leaves the loudspeaker."""
+        delays_s: Array = self.counted[:, 0] - self.moments[:, 0]
+        return delays_s
 
 
 def run_bench_voice(config: BenchVoiceConfig, avatar: Avatar) -> dict[str, Any]:
@@ -171,10 +153,9 @@ def run_bench_voice(config: BenchVoiceConfig, avatar: Avatar) -> dict[str, Any]:
 
 def _speech(seconds: float, seed: int) -> FloatArray:
     """The shipped sentences again and again, in a room that is not quite silent."""
-    once = shipped_speech()
     size = int(seconds / FRAME_S) * FRAME
     room = np.random.default_rng(seed).standard_normal(size).astype(np.float32)
-    sound: FloatArray = np.resize(once, size) + ROOM_RMS * room
+    sound: FloatArray = np.resize(shipped_speech(), size) + ROOM_RMS * room
     return sound
 
 
@@ -211,18 +192,16 @@ def _listen(
     events += [((k + DISPLAY_PHASE) / schedule.display_hz, False) for k in range(refreshes)]
     sounds: list[FloatArray] = []
     moments = np.full((num_ticks, FRAME), np.nan)
-    heard = _Heard(
-        sound=np.zeros(0, np.float32), moments=moments, times=[], skews=[], counted=[], cpu_s=0.0
-    )
-    position, samples = 0, delivery.samples()
+    skews: list[tuple[float, float, float, bool]] = []
+    counted: list[tuple[float, int, int, int]] = []
+    cpu_s, position, samples = 0.0, 0, delivery.samples()
     for now, is_sound in sorted(events):
         begin_s = time.process_time()
         while position < len(arrivals) and arrivals[position][0] <= now:
             arrived_s, arrival = arrivals[position]
             position += 1
             if isinstance(arrival, Frame):
-                words = (arrival.sequence, arrival.captured_us, arrival.payload)
-                packet = decode_payload(*words)
+                packet = decode_payload(arrival.sequence, arrival.captured_us, arrival.payload)
                 buffer.receive(packet, arrived_s)
                 lips.receive("", packet)
             else:
@@ -237,17 +216,15 @@ def _listen(
             _, shown_us = lips.move("", avatar, latent, still_us, heard_us, now)
             if heard_us is not None and is_heard and is_spoken(heard_us):
                 skews_s = (shown_us - heard_us) / 1e6, (still_us - heard_us) / 1e6
-                heard.skews.append((now, *skews_s, face.is_concealed))
+                skews.append((now, *skews_s, face.is_concealed))
             continue
         sounds.append(buffer.pull(now))
-        heard.cpu_s += time.process_time() - begin_s
+        cpu_s += time.process_time() - begin_s
         report = buffer.report()
-        heard.times.append(now)
         if buffer.heard_us(now) is not None:
             moments[len(sounds) - 1] = (buffer.moments_us - CLOCK_OFFSET_US) / 1e6
-        heard.counted.append((now, report.played, report.concealed, report.stretched))
-    heard.sound = np.concatenate(sounds)
-    return heard
+        counted.append((now, report.played, report.concealed, report.stretched))
+    return _Heard(np.concatenate(sounds), moments, skews, np.array(counted), cpu_s)
 
 
 def _quality(sound: FloatArray, heard: _Heard, schedule: Schedule) -> dict[str, Any]:
@@ -265,7 +242,7 @@ def _quality(sound: FloatArray, heard: _Heard, schedule: Schedule) -> dict[str, 
     cut = slice(int(schedule.begin_s * RATE_HZ), int(schedule.end_s * RATE_HZ))
     true, laid = (resampled(each[cut], RATE_HZ, SCORE_HZ) for each in (sound, back))
     # Sample k of the sound leaves the loudspeaker at the first tick's time plus k samples.
-    shift = round((np.nanmedian(_delays_s(heard)) - heard.times[0]) * RATE_HZ)
+    shift = round((np.nanmedian(heard.delays_s) - heard.counted[0, 0]) * RATE_HZ)
     played = heard.sound[cut.start + shift : cut.stop + shift]
     played = np.pad(played, (0, cut.stop - cut.start - len(played)))
     try:
@@ -284,32 +261,23 @@ def _fill_holes(sound: FloatArray, is_there: Array) -> None:
             sound[end - len(piece) : end] = piece
 
 
-def _delays_s(heard: _Heard) -> Array:
-    """How old the sound of each tick is when it leaves the loudspeaker."""
-    delays_s: Array = np.array(heard.times) - heard.moments[:, 0]
-    return delays_s
-
-
 def _timing(heard: _Heard, schedule: Schedule) -> dict[str, Any]:
     begin_s, end_s = schedule.begin_s, schedule.end_s
-    times, delays = np.array(heard.times), _delays_s(heard)
-    is_troubled = (times >= begin_s) & (times < end_s) & ~np.isnan(delays)
-    troubled = sorted(delays[is_troubled])
+    is_troubled = (heard.counted[:, 0] >= begin_s) & (heard.counted[:, 0] < end_s)
+    delays_s = heard.delays_s[is_troubled]
     refreshes = [row for row in heard.skews if begin_s <= row[0] < end_s]
     skews = [skew for _, skew, _, _ in refreshes]
-    sizes = sorted(map(abs, skews))
-    still_sizes = sorted(abs(skew) for _, _, skew, _ in refreshes)
     num_held = sum(is_held for *_, is_held in refreshes)
-    counts = np.array([row for row in heard.counted if begin_s <= row[0] < end_s])
+    counts = heard.counted[is_troubled]
     ticks, (played, concealed, stretched) = len(counts), (counts[-1] - counts[0])[1:]
     return {
-        "mouth_to_ear_ms": _ms(troubled, 50, 95),
+        "mouth_to_ear_ms": _ms(delays_s[~np.isnan(delays_s)], 50, 95),
         "skew_ms": {
-            **_ms(sizes, 50, 95),
+            **_ms(map(abs, skews), 50, 95),
             "worst": round(max(skews, key=abs, default=0.0) * 1e3, 1),
             "earliest": round(min(skews, default=0.0) * 1e3, 1),
         },
-        "still_skew_ms": _ms(still_sizes, 95),
+        "still_skew_ms": _ms((abs(skew) for _, _, skew, _ in refreshes), 95),
         "face_held_ratio": round(num_held / max(len(refreshes), 1), 4),
         "concealed_ratio": round(float(concealed / max(played + concealed, 1)), 4),
         "stretched_ratio": round(float(stretched / ticks), 4),
@@ -319,10 +287,10 @@ def _timing(heard: _Heard, schedule: Schedule) -> dict[str, Any]:
 
 def _recovery(heard: _Heard, schedule: Schedule) -> dict[str, float | None]:
     """When the last sound came that was made up, or old, after the trouble; None for to the end."""
-    times, delays = np.array(heard.times), _delays_s(heard)
-    before = delays[(times >= schedule.begin_s / 2) & (times < schedule.begin_s)]
-    is_old = delays > np.nanmedian(before) + RECOVERED_S  # false for NaN
-    made_up = np.diff(np.array(heard.counted)[:, 2], prepend=0) > 0
+    times, delays_s = heard.counted[:, 0], heard.delays_s
+    before = delays_s[(times >= schedule.begin_s / 2) & (times < schedule.begin_s)]
+    is_old = delays_s > np.nanmedian(before) + RECOVERED_S  # false for NaN
+    made_up = np.diff(heard.counted[:, 2], prepend=0) > 0
     recovered = {}
     for name, flags in (("recovery_ms", made_up), ("delay_recovery_ms", is_old)):
         last_s = max(times[flags & (times >= schedule.end_s)], default=schedule.end_s)
@@ -331,8 +299,8 @@ def _recovery(heard: _Heard, schedule: Schedule) -> dict[str, float | None]:
     return recovered
 
 
-def _ms(ordered: Sequence[float], *percents: int) -> dict[str, float | None]:
-    values = list(map(float, ordered))
+def _ms(samples_s: Iterable[float], *percents: int) -> dict[str, float | None]:
+    values = sorted(map(float, samples_s))
     return {
         f"p{percent}": round(percentile(values, percent) * 1e3, 1) if values else None
         for percent in percents

@@ -11,18 +11,16 @@ import threading
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 from pica_client.avatars.library import AvatarStore
 from pica_client.call.connection_quality import StreamHealth
 from pica_client.call.faces import FaceState, FaceStatus
 from pica_client.call.held_lips import HeldLips
-from pica_client.call.layer_subscription import LayerSubscriptionConfig
 from pica_client.call.participant import RemoteParticipant, Tell
 from pica_client.call.roster import SECRET_NEEDED, RoomState, Roster
 from pica_client.e2ee.status import PeerSeal, SealState, SealStatus
-from pica_client.errors import OptionError
 from pica_client.playout.config import PlayoutConfig
 from pica_client.publish.face_track import FACE_TRACK
 from pica_client.stats import Samples
@@ -41,20 +39,8 @@ MAX_DEPARTED = 64
 """Peers remembered for the statistics after they left; drops the oldest."""
 MAX_SHOWN = 100_000
 """Shown faces remembered for a latency analysis: eleven minutes of five peers at 30 a second."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class CallConfig:
-    """How a receiver plays."""
-
-    playout: PlayoutConfig = field(default_factory=PlayoutConfig)
-    subscription: LayerSubscriptionConfig = field(default_factory=LayerSubscriptionConfig)
-    stale_after_s: float = 2.0
-    """A face without a frame for this long is shown as stale."""
-
-    def __post_init__(self) -> None:
-        if not self.stale_after_s > 0:
-            raise OptionError(f"stale_after_s is {self.stale_after_s:g}; it must be above 0")
+STALE_AFTER_S = 2.0
+"""A face without a frame for this long is shown as stale."""
 
 
 class Shown(NamedTuple):
@@ -100,15 +86,15 @@ class Call:
     def __init__(
         self,
         avatars: AvatarStore,
-        config: CallConfig | None = None,
+        playout: PlayoutConfig | None = None,
         *,
         log_shown: bool = False,
     ) -> None:
-        self.config = config or CallConfig()
         self.errors = self.without_avatar = self.strays = 0
         # Drops its oldest when full.
         self._shown: deque[Shown] = deque(maxlen=MAX_SHOWN if log_shown else 0)
         self._avatars = avatars
+        self._playout = playout
         self._lock = threading.Lock()
         self._roster = Roster()
         self._seats: dict[str, RemoteParticipant] = {}  # bounded by the protocol's limit on peers
@@ -197,11 +183,8 @@ class Call:
             return streams
 
     def tell_subscriptions(self, tell: Tell, now: float) -> float | None:
-        """Tell the relay which layers are wanted by now.
-
-        Returns:
-            When to call again; None until somebody subscribes or joins.
-        """
+        """Tell the relay which layers are wanted by now; return when to call again, None until
+        somebody subscribes or joins."""
         with self._lock:
             timers = [seat.tell_subscription(tell, now) for seat in self._seats.values()]
         return min((timer for timer in timers if timer is not None), default=None)
@@ -273,19 +256,18 @@ class Call:
         call."""
         with self._lock:
             self._roster.handle_timer(now)
-            joined_s, lost_s = self._roster.joined_s, self._roster.lost_s
+            joined_s, seals = self._roster.joined_s, self._seals()
             return RoomState(
                 own_name=self._roster.own_name,
                 members=tuple(self._roster.members),
-                notes=self._notes(now),
+                # Watchers have no face that could be missing.
+                notes={who: seal.note for who, seal in seals.items()}
+                | {peer_id: self._note(seat, now) for peer_id, seat in self._seats.items()},
                 verified=frozenset(
-                    peer_id
-                    for peer_id, seal in self._seals().items()
-                    if seal.state is SealState.VERIFIED
+                    who for who, seal in seals.items() if seal.state is SealState.VERIFIED
                 ),
                 news=tuple(self._roster.take_news()),
                 duration_s=0.0 if joined_s is None else now - joined_s,
-                away_s=None if lost_s is None else now - lost_s,
             )
 
     # Statistics
@@ -360,7 +342,7 @@ class Call:
                 # viewer's news, and no reason to lose the connection.
                 with suppress(AvatarFileError):
                     self._avatars.get(track.avatar)
-                seat = RemoteParticipant(peer, track, self.config.playout, self.config.subscription)
+                seat = RemoteParticipant(peer, track, self._playout)
                 seat.subscription.limit(self._max_layer, 0.0)
                 self._seats[peer.peer_id] = self._by_stream[track.stream] = seat
                 for former in [each for each in self._departed if each.is_same_person(peer)][-1:]:
@@ -416,17 +398,12 @@ class Call:
     def _is_silent(self, seat: RemoteParticipant, now: float) -> bool:
         """Whether nothing has come for so long that it is to be shown."""
         silent_s = 0.0 if seat.last_arrival_s is None else now - seat.last_arrival_s
-        return silent_s > self.config.stale_after_s and not seat.is_paused
+        return silent_s > STALE_AFTER_S and not seat.is_paused
 
     def _seals(self) -> Mapping[str, PeerSeal]:
         """How the encryption of each peer stands, by peer id; empty where we do not encrypt."""
         status = self.seal_status()
         return {} if status is None else status.peers
-
-    def _notes(self, now: float) -> dict[str, str]:
-        """What is wrong with each peer, by peer id; watchers have no face that could be missing."""
-        notes = {peer_id: seal.note for peer_id, seal in self._seals().items()}
-        return notes | {peer_id: self._note(seat, now) for peer_id, seat in self._seats.items()}
 
     def _note(self, seat: RemoteParticipant, now: float) -> str:
         """Why a face is not to be seen, or not as it should be; empty when nothing is wrong."""

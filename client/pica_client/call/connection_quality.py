@@ -10,7 +10,8 @@ before it changes, and longer for the better than for the worse.
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from operator import ge
+from typing import Literal, NamedTuple
 
 from pica_client.playout.buffer import PlayoutReport
 
@@ -34,8 +35,7 @@ class StreamHealth(PlayoutReport):
     """Whether nothing is to be expected: its sender is away or muted."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class QualityLimits:
+class QualityLimits(NamedTuple):
     """Figures from which on a connection is not good any more."""
 
     lost_ratio: float
@@ -43,14 +43,6 @@ class QualityLimits:
     concealed_ratio: float
     """Display times without a fresh face, of all."""
     age_s: float
-
-    def are_exceeded(self, lost_ratio: float, concealed_ratio: float, age_s: float) -> bool:
-        """Whether any of the figures is at or above its limit."""
-        return (
-            lost_ratio >= self.lost_ratio
-            or concealed_ratio >= self.concealed_ratio
-            or age_s >= self.age_s
-        )
 
 
 FAIR = QualityLimits(lost_ratio=0.03, concealed_ratio=0.05, age_s=0.25)
@@ -74,14 +66,11 @@ def quality_between(before: StreamHealth, after: StreamHealth) -> Quality:
     lost = max(after.lost - before.lost, 0) + max(after.late - before.late, 0)
     if received + lost <= 0 or shown < MIN_SHOWN:
         return "unknown"
-    figures = (
-        lost / (received + lost),
-        max(after.concealed - before.concealed, 0) / shown,
-        after.age_s,
-    )
-    if POOR.are_exceeded(*figures):
+    concealed = max(after.concealed - before.concealed, 0)
+    figures = (lost / (received + lost), concealed / shown, after.age_s)
+    if any(map(ge, figures, POOR)):
         return "poor"
-    return "fair" if FAIR.are_exceeded(*figures) else "good"
+    return "fair" if any(map(ge, figures, FAIR)) else "good"
 
 
 class QualityMeter:
@@ -133,6 +122,4 @@ def own_quality(peers: Sequence[Quality], *, replaced_ratio: float | None = None
         return "poor"
     if len(known) >= 2 and 2 * known.count("poor") > len(known):
         return "poor"
-    if not known:
-        return "unknown" if replaced_ratio is None else "good"
-    return "good"
+    return "good" if known or replaced_ratio is not None else "unknown"

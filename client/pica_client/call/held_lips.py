@@ -21,7 +21,8 @@ from pica_client.errors import VoiceError
 from pica_client.voice.jitter_buffer import CODEC_DELAY_S, Decoder
 from pica_client.voice.packet import FRAME_S, SAMPLE_RATE_HZ, VoicePacket
 from pica_client.voice.spoken_face import SpokenMouth
-from pica_core.avatar.expression_encoder import ExpressionEncoder, HasTensors
+from pica_core.avatar.expression_encoder import ExpressionEncoder
+from pica_core.avatar.file import Avatar
 from pica_core.types import FloatArray
 
 STANDS_US: Final = 30_000
@@ -82,7 +83,7 @@ class HeldLips:
     def move(
         self,
         peer_id: str,
-        avatar: HasTensors,
+        avatar: Avatar,
         latent: FloatArray,
         shown_us: int,
         heard_us: int | None,

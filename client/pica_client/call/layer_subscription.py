@@ -13,28 +13,17 @@ a second at most, and its stream is there whenever it is seen.
 """
 
 import math
-from dataclasses import dataclass
 from typing import Final
 
-from pica_client.errors import check_ranges
 from pica_protocol.limits import MAX_LAYER
 
 NOTHING: Final = -1
 """The layer below all: nothing of the stream is sent."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class LayerSubscriptionConfig:
-    """How patient a subscription is."""
-
-    lower_after_s: float = 0.5
-    """Less is asked for when nothing more was wanted for so long (chosen: longer than a glance
-    aside)."""
-    lower_interval_s: float = 1.0
-    """Shortest time between two requests for less of one stream."""
-
-    def __post_init__(self) -> None:
-        check_ranges(self, lower_after_s=(0, 60), lower_interval_s=(0, 60))
+LOWER_AFTER_S: Final = 0.5
+"""Less is asked for when nothing more was wanted for so long (chosen: longer than a glance
+aside)."""
+LOWER_INTERVAL_S: Final = 1.0
+"""Shortest time between two requests for less of one stream."""
 
 
 class LayerSubscription:
@@ -44,8 +33,7 @@ class LayerSubscription:
         told: The highest layer that the relay sends, as far as it was told.
     """
 
-    def __init__(self, config: LayerSubscriptionConfig | None = None) -> None:
-        self.config = config or LayerSubscriptionConfig()
+    def __init__(self) -> None:
         self.told = self._wanted = MAX_LAYER  # a relay that was told nothing sends everything
         self._asked = self._limit = MAX_LAYER
         self._lower_s = math.inf  # when less is asked for
@@ -53,11 +41,8 @@ class LayerSubscription:
         self._lowered_s = -math.inf
 
     def subscribe(self, layer: int | None, now: float) -> bool:
-        """Note the highest layer that is wanted; None is nothing at all.
-
-        Returns:
-            Whether `due` or `next_timer` may say something new.
-        """
+        """Note the highest layer that is wanted, None is nothing at all; return whether `due` or
+        `next_timer` may say something new."""
         self._asked = NOTHING if layer is None else min(layer, MAX_LAYER)
         wanted = min(self._asked, self._limit)
         if wanted == self._wanted:
@@ -109,6 +94,5 @@ class LayerSubscription:
 
     def _lower(self, now: float) -> None:
         """Begin to wait until less may be asked for."""
-        config = self.config
         self._highest = self._wanted
-        self._lower_s = max(now + config.lower_after_s, self._lowered_s + config.lower_interval_s)
+        self._lower_s = max(now + LOWER_AFTER_S, self._lowered_s + LOWER_INTERVAL_S)

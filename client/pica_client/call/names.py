@@ -1,4 +1,4 @@
-"""Who is who in a call, as far as names tell: which are assured, which look like another's. Pure.
+"""Who is who in a call, as far as names tell: which look like another's. Pure.
 
 Names are compared as they look. Two are alike if they differ in nothing but case, spaces,
 characters that leave no ink, and letters that are drawn the same way: a Cyrillic A, a one for an l.
@@ -11,7 +11,6 @@ import unicodedata
 from collections import defaultdict
 from collections.abc import Iterable
 from functools import cache
-from typing import NamedTuple
 
 from pica_protocol.limits import draws_nothing
 from pica_protocol.messages import Peer
@@ -22,18 +21,7 @@ _BARE_MARKS = re.compile("[\u034f\u17b4\u17b5\u180b-\u180f\ufe00-\ufe0f\U000e010
 """Marks that leave no ink on their letter either: joiners and variation selectors."""
 
 
-class NameMark(NamedTuple):
-    """What to show beside somebody's name."""
-
-    is_assured: bool
-    """Whether the relay has the name from a token, and not from whoever bears it."""
-    identity: str
-    """Who the token says they are; empty without tokens."""
-    note: str
-    """A warning for people, in a few words; empty: nobody else is called like this."""
-
-
-def mark_names(peers: Iterable[Peer], own_name: str = "") -> dict[str, NameMark]:
+def name_warnings(peers: Iterable[Peer], own_name: str = "") -> dict[str, str]:
     """Look for names that are the same, or look the same, and warn of all who may be somebody else.
 
     Of those whose names are alike, one whose name alone is assured gets no warning.
@@ -43,7 +31,7 @@ def mark_names(peers: Iterable[Peer], own_name: str = "") -> dict[str, NameMark]
         own_name: Ours, as the others see it: nobody should look like us either. Empty: unknown.
 
     Returns:
-        A mark for each peer, by peer id.
+        By peer id a warning for people, in a few words; empty: nobody else is called like this.
     """
     people = {peer.peer_id: peer for peer in peers}
     names = {_SELF: own_name} | {peer_id: peer.name for peer_id, peer in people.items()}
@@ -51,7 +39,7 @@ def mark_names(peers: Iterable[Peer], own_name: str = "") -> dict[str, NameMark]
     for peer_id, name in names.items():
         for look in _looks(name):
             bearers[look].add(peer_id)
-    marks = {}
+    warnings = {}
     for peer_id, peer in people.items():
         alike = set[str]().union(*(bearers[look] for look in _looks(peer.name))) - {peer_id}
         assured = {other for other in alike - {_SELF} if people[other].is_name_assured}
@@ -64,8 +52,8 @@ def mark_names(peers: Iterable[Peer], own_name: str = "") -> dict[str, NameMark]
             note = f"not {whose}" if assured and not peer.is_name_assured else f"also {other}"
             if other != peer.name:
                 note = f"looks like {whose}"
-        marks[peer_id] = NameMark(peer.is_name_assured, peer.identity, note)
-    return marks
+        warnings[peer_id] = note
+    return warnings
 
 
 @cache

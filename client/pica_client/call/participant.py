@@ -9,11 +9,7 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from pica_client.call.connection_quality import StreamHealth
-from pica_client.call.layer_subscription import (
-    NOTHING,
-    LayerSubscription,
-    LayerSubscriptionConfig,
-)
+from pica_client.call.layer_subscription import NOTHING, LayerSubscription
 from pica_client.playout.buffer import PlayedFace, Playout, PlayoutReport
 from pica_client.playout.config import PlayoutConfig
 from pica_client.publish.face_track import FACE_KEY, FACE_LOST
@@ -64,16 +60,10 @@ class StreamWindow:
 class RemoteParticipant:
     """One peer with a face, and what has come from it."""
 
-    def __init__(
-        self,
-        peer: Peer,
-        track: Track,
-        config: PlayoutConfig,
-        subscription: LayerSubscriptionConfig,
-    ) -> None:
+    def __init__(self, peer: Peer, track: Track, config: PlayoutConfig | None) -> None:
         self.peer = peer
         self.track = track
-        self.subscription = LayerSubscription(subscription)
+        self.subscription = LayerSubscription()
         self.playout = Playout(config)
         self.decoder: FaceDecoder | None = None
         self.trouble = ""
@@ -97,14 +87,10 @@ class RemoteParticipant:
         Somebody else may have got an old id, as from another relay, or from one that lies: only who
         is the same in every respect keeps the seat.
         """
-        if peer is None or replace(peer, metadata=()) != self._who:
+        if peer is None or replace(peer, metadata=()) != replace(self.peer, metadata=()):
             return False
         self.peer = peer
         return True
-
-    @property
-    def _who(self) -> Peer:
-        return replace(self.peer, metadata=())
 
     def is_same_person(self, peer: Peer) -> bool:
         """Say whether somebody who comes is who sat here: by identity, or else by name."""
@@ -199,11 +185,8 @@ class RemoteParticipant:
             self.note_silence(now)
 
     def receive_frame(self, frame: Frame, now: float) -> int:
-        """Take a frame off the wire; there must be a decoder.
-
-        Returns:
-            How many payloads could not be read.
-        """
+        """Take a frame off the wire; there must be a decoder. Return how many payloads could not be
+        read."""
         assert self.decoder is not None
         num_unreadable = 0
         self._note_backlog(frame, now)

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from pica_client.call.connection_quality import Quality
-from pica_client.call.names import NameMark, mark_names
-from pica_client.call.roster import Member, News, NewsKind, RoomState
+from pica_client.call.names import name_warnings
+from pica_client.call.roster import News, NewsKind, RoomState
 from pica_client.publish.face_track import FaceMode
 
 NAMES_IN_A_ROW: Final = 3
@@ -58,38 +58,30 @@ class Participant:
 def list_participants(
     own: Participant, room: RoomState, quality: Mapping[str, Quality]
 ) -> tuple[Participant, ...]:
-    """Everybody in the room.
-
-    Args:
-        quality: Of the others' connections, by peer id; missing: unknown.
-    """
-    marks = mark_names((member.peer for member in room.members), own.name)
+    """Everybody in the room; ``quality`` by peer id, and unknown of who is missing there."""
+    warnings = name_warnings((member.peer for member in room.members), own.name)
     listed = [own]
     for member in room.members:
         peer_id = member.peer.peer_id
-        listed.append(_listed(member, room, quality.get(peer_id, "unknown"), marks[peer_id]))
+        listed.append(
+            Participant(
+                peer_id=peer_id,
+                place=member.place,
+                name=member.title,
+                is_watching=member.is_watching,
+                is_away=member.is_away,
+                is_recording=member.is_recording,
+                face=member.face,
+                has_voice=member.has_voice,
+                is_voice_muted=member.is_voice_muted,
+                quality=quality.get(peer_id, "unknown"),
+                is_verified=peer_id in room.verified,
+                is_assured=member.peer.is_name_assured,
+                warning=warnings[peer_id],
+                note="connection lost" if member.is_away else room.notes.get(peer_id, ""),
+            )
+        )
     return tuple(listed)
-
-
-def _listed(member: Member, room: RoomState, quality: Quality, mark: NameMark) -> Participant:
-    peer_id = member.peer.peer_id
-    note = "connection lost" if member.is_away else room.notes.get(peer_id, "")
-    return Participant(
-        peer_id=peer_id,
-        place=member.place,
-        name=member.title,
-        is_watching=member.is_watching,
-        is_away=member.is_away,
-        is_recording=member.is_recording,
-        face=member.face,
-        has_voice=member.has_voice,
-        is_voice_muted=member.is_voice_muted,
-        quality=quality,
-        is_verified=peer_id in room.verified,
-        is_assured=mark.is_assured,
-        warning=mark.note,
-        note=note,
-    )
 
 
 NoticeTone = Literal["plain", "good", "warning", "alert"]

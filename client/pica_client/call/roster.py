@@ -18,7 +18,7 @@ from typing import Final, Literal, NamedTuple
 from pica_client.publish import face_track
 from pica_client.voice.track import VOICE_KEY, VOICE_MUTED, voice_of
 from pica_protocol import messages
-from pica_protocol.session import ClientEvent, Closed
+from pica_protocol.session import ClientEvent
 
 AWAY_IS_NEWS_AFTER_S: Final = 2.0
 """A connection that comes back sooner is not worth a word."""
@@ -108,8 +108,6 @@ class RoomState(NamedTuple):
     """What happened since this was asked for the last time."""
     duration_s: float
     """Since we came in for the first time."""
-    away_s: float | None
-    """Since when the relay does not have us; None while it does."""
 
 
 @dataclass(slots=True)
@@ -129,12 +127,10 @@ class Roster:
     Attributes:
         own_name: What we are called; empty: unknown.
         joined_s: When we came in for the first time; None before.
-        lost_s: Since when the relay does not have us; None while it does.
     """
 
     own_name: str = ""
     joined_s: float | None = None
-    lost_s: float | None = None
     _members: dict[str, Member] = field(default_factory=dict)
     _missing: list[_Missing] = field(default_factory=list)
     _away_s: dict[str, float] = field(default_factory=dict)
@@ -165,7 +161,9 @@ class Roster:
                 self._members[peer_id] = replace(self._members[peer_id], is_away=True)
                 self._away_s[peer_id] = now
             case messages.PeerBack(peer_id=peer_id) if peer_id in self._members:
-                self._receive_back(peer_id)
+                member = self._members[peer_id] = replace(self._members[peer_id], is_away=False)
+                if self._away_s.pop(peer_id, None) is None:
+                    self._tell("back", member)
             case messages.PeerUpdated(peer_id=peer_id, metadata=metadata) if (
                 peer_id in self._members
             ):
@@ -173,8 +171,6 @@ class Roster:
                 self._update(member, replace(member.peer, metadata=metadata))
             case messages.Whisper(peer_id=peer_id) if peer_id in self._members:
                 self._members[peer_id] = replace(self._members[peer_id], has_whispered=True)
-            case Closed():
-                self.lost_s = now
             case _:
                 pass
 
@@ -199,7 +195,6 @@ class Roster:
         is_first = self.joined_s is None
         self.own_name = event.name or self.own_name
         self.joined_s = now if is_first else self.joined_s
-        self.lost_s = None
         before, self._members = self._members, {}
         self._away_s.clear()
         if event.resumed:  # ids mean whom they meant
@@ -210,11 +205,6 @@ class Roster:
         for peer in event.peers:
             if peer.peer_id not in self._members:
                 self._add(peer, is_news=not is_first)
-
-    def _receive_back(self, peer_id: str) -> None:
-        self._members[peer_id] = replace(self._members[peer_id], is_away=False)
-        if self._away_s.pop(peer_id, None) is None:
-            self._tell("back", self._members[peer_id])
 
     def _update(self, before: Member, peer: messages.Peer) -> None:
         """Take what a member says of itself by now."""

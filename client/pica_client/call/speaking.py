@@ -62,11 +62,8 @@ class JawReader:
         self._weights: npt.NDArray[np.float64] = np.matmul(centred.T, solved)
 
     def jaw_open(self, latent: FloatArray) -> float:
-        """How far the jaw is open, about 0 to 1.
-
-        Args:
-            latent: float32 ``[8, 8, 4]``; of another size nothing can be read, which is no number.
-        """
+        """How far the jaw is open, about 0 to 1; no number where nothing can be read, as of a
+        latent that is not float32 ``[8, 8, 4]``."""
         if latent.size != self._rest.size:
             return float("nan")
         away = latent.reshape(-1).astype(np.float64) - self._rest

@@ -10,10 +10,11 @@ from typing import Any, ClassVar
 import tyro
 
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.avatars.upload import Push, push_avatar
-from pica_client.cli.options import SHARED_OPTIONS, parse_size
+from pica_client.avatars.upload import push_avatar
+from pica_client.cli.options import parse_size
 from pica_client.output import check_writable, say
 from pica_client.transport.config import LinkConfig
+from pica_command import profile
 from pica_core.avatar.file import avatar_id, load_avatar, save_avatar
 from pica_core.avatar.shipped import avatar_file
 
@@ -30,7 +31,7 @@ class AvatarPushOptions:
     """File with a join token that allows to wear this avatar, see pica token."""
     ca_file: Path | None = None
     """Trust the certificates of this PEM file instead of the system's, at a wss:// address."""
-    SHARED: ClassVar[tuple[str, ...]] = SHARED_OPTIONS
+    SHARED: ClassVar[tuple[str, ...]] = profile.SHARED
 
 
 def avatar_push(options: AvatarPushOptions) -> dict[str, Any]:
@@ -38,15 +39,10 @@ def avatar_push(options: AvatarPushOptions) -> dict[str, Any]:
 
     Checks it first, as receivers do. `pica send` gives the avatar that it wears by itself.
     """
-    LinkConfig(url=options.url, ca_file=options.ca_file)  # refuses what is no address
+    link = LinkConfig(url=options.url, token_file=options.token_file, ca_file=options.ca_file)
     file = avatar_file(options.file)
     load_avatar(file)
-    push = Push(
-        path=file,
-        identity=avatar_id(file),
-        token_file=options.token_file,
-        ca_file=options.ca_file,
-    )
+    identity = avatar_id(file)
     shown = -1
 
     def show(ratio: float) -> None:
@@ -55,12 +51,12 @@ def avatar_push(options: AvatarPushOptions) -> dict[str, Any]:
             shown = int(ratio * 100)
             print(f"\r{shown} %", end="\n" if ratio == 1 else "", file=sys.stderr, flush=True)
 
-    stored = asyncio.run(push_avatar(options.url, push, show))
+    stored = asyncio.run(push_avatar(options.url, link, file, identity, show))
     if stored.checked:
         say(f"{file}: the relay has it now; it checked: {stored.checked}")
     else:
         say(f"{file}: the relay had it already")
-    return {"sha256": push.identity, "was_there": not stored.checked, "checked": stored.checked}
+    return {"sha256": identity, "was_there": not stored.checked, "checked": stored.checked}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

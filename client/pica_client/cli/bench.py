@@ -12,15 +12,13 @@ from pica_client.bench.codec import CodecConfig, run_codec_bench
 from pica_client.bench.decode import DecodeBenchConfig, run_decode_bench
 from pica_client.bench.drive.bench import DriveBenchConfig, run_drive_bench
 from pica_client.bench.harness import say_rows
-from pica_client.bench.network.impairment import Impairment
 from pica_client.bench.pareto import ParetoBenchConfig, run_pareto_bench
 from pica_client.bench.playout import BenchPlayoutConfig, run_bench_playout
 from pica_client.bench.render import RenderBenchConfig, run_render_bench
 from pica_client.bench.scene import SceneBenchConfig, run_scene_bench
 from pica_client.bench.voice import BenchVoiceConfig, run_bench_voice
-from pica_client.local_call.local_call import LocalCallConfig, choose_avatars
+from pica_client.local_call.local_call import choose_avatars
 from pica_client.output import check_writable, say
-from pica_client.playout.config import PlayoutConfig, playout_with_floor
 from pica_client.signals import terminate_as_interrupt
 from pica_core.avatar.file import Avatar
 
@@ -59,59 +57,13 @@ def _load(names: str | None) -> list[Avatar]:
         return [library.load(library.find(name)) for name in choose_avatars(names, library)]
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class NetworkOptions:
-    """How to worsen the receiver's network."""
-
-    delay: float = 0.0
-    """Milliseconds added each way."""
-    jitter: float = 0.0
-    """95th percentile of a further, varying delay, milliseconds."""
-    stall: float = 0.0
-    """Every few seconds nothing comes for so many milliseconds, then all at once."""
-    loss: float = 0.0
-    """Share of TCP segments that have to be sent again, which takes 200 ms each time, 0 to 0.9."""
-    rate: float = 0.0
-    """Bits a second that the receiver's network carries, all headers included; 0 is no limit."""
-
-    def impairment(self) -> Impairment | None:
-        """What they make of the way to the receiver; None leaves it as it is."""
-        if self == NetworkOptions():
-            return None
-        return Impairment(
-            delay_s=self.delay / 1e3,
-            jitter_s=self.jitter / 1e3,
-            stall_s=self.stall / 1e3,
-            loss_ratio=self.loss,
-            rate_bps=self.rate or None,
-        )
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class BenchCallOptions:
-    """Options of `pica bench call`."""
-
-    call: OmitArgPrefixes[LocalCallConfig]
-    seconds: float = 20.0
-    """Measured time, seconds."""
-    playout_floor_ms: float = PlayoutConfig().floor_s * 1e3
-    """Least playout delay, milliseconds."""
-    network: OmitArgPrefixes[NetworkOptions]
-
-
-def bench_call(options: BenchCallOptions) -> Result:
+def bench_call(options: BenchConfig) -> Result:
     """Measure a call on this machine without drawing it: relay, senders and a decoding receiver.
 
     Reports the latency from source sample to decoded avatar, with its parts, rates and bitrates.
     """
-    config = BenchConfig(
-        call=options.call,
-        seconds=options.seconds,
-        playout=playout_with_floor(options.playout_floor_ms),
-        impairment=options.network.impairment(),
-    )
     with terminate_as_interrupt():
-        result = run_bench(config)
+        result = run_bench(options)
     latency = result["latency_ms"]
     say(
         f"{result['decoded_peers']} of {result['peers']} peers, source sample to decoded avatar: "

@@ -2,8 +2,6 @@
 
 from pica_client.errors import OptionError
 
-SHARED_OPTIONS = ("url", "room", "name", "token_file", "ca_file", "secret_file")
-"""What who meets others says once for all commands, in a variable or in the profile."""
 CONNECT_TIMEOUT_S = 3.0
 """How long a command tries to reach a relay before it gives up, unless told to wait."""
 

@@ -11,7 +11,7 @@ import tyro
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.avatars.own_avatar import GiveAvatar, choose_own_avatar
-from pica_client.cli.options import SHARED_OPTIONS, connect_timeout_s
+from pica_client.cli.options import connect_timeout_s
 from pica_client.cli.send_keys import HELP, SendKeys, read_keys
 from pica_client.e2ee.padding import parse_buckets
 from pica_client.output import Outputs, check_writable, say
@@ -24,6 +24,7 @@ from pica_client.transport.config import LinkConfig, guest_name
 from pica_client.transport.link_news import LinkNews
 from pica_client.voice.publisher import VoicePublisher
 from pica_client.voice.source import open_voice
+from pica_command import profile
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -69,7 +70,7 @@ class SendOptions:
     give_avatar: GiveAvatar = "auto"
     """Give the avatar's file to the relay, for those who do not have it; auto does, unless it ships
     with this package or there is a secret: whoever runs the relay can look at the file."""
-    SHARED: ClassVar[tuple[str, ...]] = SHARED_OPTIONS
+    SHARED: ClassVar[tuple[str, ...]] = profile.SHARED
 
 
 def send(options: SendOptions) -> dict[str, Any]:
@@ -122,7 +123,7 @@ def send(options: SendOptions) -> dict[str, Any]:
                 if has_keys:
                     say(HELP)
                 result = await sender.run()
-        return result, list(sender.frame_log)
+        return result, list(sender.publisher.frame_log)
 
     if options.wait:
         say(f"waiting for {where}")

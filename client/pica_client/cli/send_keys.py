@@ -45,10 +45,10 @@ class SendKeys:
         match key.lower():
             case "m" | "f" as letter:
                 wanted: FaceMode = "muted" if letter == "m" else "frozen"
-                publisher.set_mode("sent" if publisher.mode == wanted else wanted)
+                publisher.mode = "sent" if publisher.mode == wanted else wanted
                 self._say(f"your face is {publisher.mode}")
             case "t" if voice is not None:
-                voice.set_muted(not voice.is_muted)
+                voice.is_muted = not voice.is_muted
                 self._say("your voice is muted" if voice.is_muted else "your voice is sent")
             case "t":
                 self._say("no voice is sent: see --voice")

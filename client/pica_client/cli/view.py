@@ -9,7 +9,7 @@ import tyro
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.avatars.own_avatar import GiveAvatar
-from pica_client.cli.options import SHARED_OPTIONS, connect_timeout_s, parse_size
+from pica_client.cli.options import connect_timeout_s, parse_size
 from pica_client.errors import OptionError
 from pica_client.output import say
 from pica_client.playout.config import PlayoutConfig, playout_with_floor
@@ -19,6 +19,7 @@ from pica_client.signals import on_stop_signal
 from pica_client.transport.config import LinkConfig
 from pica_client.ui.display import has_display
 from pica_client.voice.sound.settings import SoundSettings
+from pica_command import profile
 
 WATCH = "none"
 """What ``--send`` is told by who only watches."""
@@ -110,7 +111,7 @@ class ViewOptions:
     """Where to keep those, instead of this user's folder for such things."""
     register_links: bool = False
     """Have the desktop open invite links with this command, and stop."""
-    SHARED: ClassVar[tuple[str, ...]] = SHARED_OPTIONS
+    SHARED: ClassVar[tuple[str, ...]] = profile.SHARED
 
 
 def view(options: ViewOptions) -> dict[str, Any]:
@@ -124,8 +125,8 @@ def view(options: ViewOptions) -> dict[str, Any]:
         path = register_links()
         say(f"invite links are opened with pica view now, says {path}")
         return {"registered": str(path)}
-    from pica_client.call.call import CallConfig
     from pica_client.render.views import EYE_DISTANCE_M
+    from pica_client.ui.controls import ControlState
     from pica_client.ui.joining.form import Fields, JoinForm
     from pica_client.ui.preferences import Preferences, PreferencesFile
     from pica_client.ui.view import ViewConfig
@@ -166,7 +167,7 @@ def view(options: ViewOptions) -> dict[str, Any]:
     link = base if asks else replace(link_without_form(going, base), ca_file=options.ca_file)
     config = ViewConfig(
         link=link,
-        call=CallConfig(playout=playout_with_floor(options.playout_floor_ms)),
+        playout=playout_with_floor(options.playout_floor_ms),
         viewer=ViewerOptions(
             size=preferences.window_size if options.size is None else parse_size(options.size),
             headless=options.headless,
@@ -174,12 +175,14 @@ def view(options: ViewOptions) -> dict[str, Any]:
             keep_in=keep_folder(options.keep_in, preferences),
             max_fps=options.max_fps,
             frame_budget_ms=options.frame_budget_ms,
-            layout=options.layout or preferences.layout,
             eye_distance_m=EYE_DISTANCE_M if options.stereo else 0.0,
-            show_statistics=options.statistics or preferences.show_statistics,
-            settings=preferences.settings,
-            sound=sound,
-            shows_hint=kept is not None and not preferences.has_seen_hint,
+            at_first=ControlState(
+                layout=options.layout or preferences.layout,
+                show_statistics=options.statistics or preferences.show_statistics,
+                settings=preferences.settings,
+                sound=sound,
+                shows_hint=kept is not None and not preferences.has_seen_hint,
+            ),
         ),
         seconds=options.seconds,
         voice=voice or "none",

@@ -1,13 +1,7 @@
 """Latent -> position map and expression map, by ONNX Runtime.
 
-    decoder = OnnxDecoder(avatar, OnnxOptions(threads=1))
-    maps = decoder.decode(latent, view_direction)                       # both maps, full size
-    maps = decoder.decode(latent, view_direction, 64, "expression")     # one, a quarter the size
-
 An avatar is decoded to one of its levels, both maps or the expression map alone. Each of these is a
 session of its own, built when it is first needed: a graph holds just what its outputs need.
-`decode_pool` runs decoders off the drawing thread; `BaselineDecoder` is the paper's baseline, for
-comparison.
 
 Who computes is a setting: an execution provider by its name, with options that go to it as they
 are. ONNX Runtime itself falls back to the CPU when a provider does not load; here that is an error,
@@ -18,12 +12,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 from pica_client.decode.onnx_runtime import onnxruntime
 from pica_client.decode.regions import SKIP_M, RegionDecoder
 from pica_client.decode.request import DecodedMaps, Parts
-from pica_client.errors import OptionError
+from pica_client.errors import OptionError, check_ranges
 from pica_core.avatar.baseline import BaselineAvatar
 from pica_core.avatar.file import Avatar
 from pica_core.graphs.baseline_graph import baseline_graph
@@ -31,32 +25,6 @@ from pica_core.graphs.onnx_graph import decoder_graph
 from pica_core.types import FloatArray
 
 CPU_PROVIDER = "CPUExecutionProvider"
-
-
-class ObjectDecoder(Protocol):
-    """The per-object half of an avatar."""
-
-    def prepare(self, level: int | None = None, parts: Parts = "both") -> None:
-        """Get ready for such decodes; may take long, once.
-
-        Raises:
-            OptionError: They cannot be had here.
-        """
-        ...
-
-    def decode(
-        self,
-        latent: FloatArray,
-        view_direction: FloatArray,
-        level: int | None = None,
-        parts: Parts = "both",
-    ) -> DecodedMaps:
-        """Decode one latent ``[8, 8, 4]`` as seen along the unit vector `view_direction` ``[3]``.
-
-        Args:
-            level: Size of the maps; None is the full one.
-        """
-        ...
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -74,8 +42,7 @@ class OnnxOptions:
     """Farthest that vertices of a region that is not made anew may be off, metres."""
 
     def __post_init__(self) -> None:
-        if not 1 <= self.threads <= 64:
-            raise OptionError(f"threads is {self.threads}; allowed are 1 to 64")
+        check_ranges(self, threads=(1, 64))
 
     @classmethod
     def for_provider(cls, text: str, threads: int = 1) -> OnnxOptions:
@@ -93,13 +60,7 @@ class OnnxOptions:
 
 
 def open_session(graph: bytes, options: OnnxOptions) -> Any:
-    """An ONNX Runtime session that runs on the chosen provider.
-
-    Args:
-        options: Threads and provider.
-
-    Returns:
-        The ``onnxruntime.InferenceSession``.
+    """An ``onnxruntime.InferenceSession`` that runs on the chosen provider.
 
     Raises:
         OptionError: The provider is not in this build of ONNX Runtime, does not load, or does not
@@ -132,11 +93,7 @@ def open_session(graph: bytes, options: OnnxOptions) -> Any:
 
 
 class OnnxDecoder:
-    """One avatar's decoders.
-
-    Args:
-        avatar: Checked avatar; the graphs are built here.
-        options: Threads and provider.
+    """The per-object half of one avatar.
 
     Attributes:
         regions: What makes the full level's vertices where bases do, on the CPU; else None.
@@ -154,37 +111,11 @@ class OnnxDecoder:
             self.regions = RegionDecoder(avatar, self._options.skip_m)
         self.prepare()
 
-    def prepare(self, level: int | None = None, parts: Parts = "both") -> None:
-        """Build the session of a level if it is not there; see `ObjectDecoder`."""
-        self._session(level, parts)
-
-    def decode(
-        self,
-        latent: FloatArray,
-        view_direction: FloatArray,
-        level: int | None = None,
-        parts: Parts = "both",
-    ) -> DecodedMaps:
-        """Decode one latent; see `ObjectDecoder`."""
-        session = self._session(level, parts)
-        feeds = {"latent": latent[None], "view_direction": view_direction[None]}
-        by_regions = parts == "both" and self._is_by_regions(level)
-        if parts == "expression" or by_regions:
-            (expression_map,) = session.run(["expression_map"], feeds)
-            if by_regions:
-                assert self.regions is not None
-                sheet, versions = self.regions.decode(latent)
-                return DecodedMaps(sheet, expression_map, len(expression_map), versions)
-            return DecodedMaps(None, expression_map, len(expression_map))
-        position_map, expression_map = session.run(["position_map", "expression_map"], feeds)
-        return DecodedMaps(position_map, expression_map, len(expression_map))
-
-    def _is_by_regions(self, level: int | None) -> bool:
-        return self.regions is not None and level in (None, self._avatar.spec.map_size)
-
-    def _session(self, level: int | None, parts: Parts) -> Any:
+    def prepare(self, level: int | None = None, parts: Parts = "both") -> Any:
+        """Get ready for such decodes; may take long, once. Gives their session; OptionError if they
+        cannot be had."""
         size = self._avatar.spec.map_size if level is None else level
-        if self._is_by_regions(level):
+        if self._regions_of(level) is not None:
             parts = "expression"
         session = self._sessions.get((size, parts))
         if session is None:
@@ -194,6 +125,30 @@ class OnnxDecoder:
             graph = decoder_graph(self._avatar, level=size, parts=parts)
             session = self._sessions[size, parts] = open_session(graph, self._options)
         return session
+
+    def decode(
+        self,
+        latent: FloatArray,
+        view_direction: FloatArray,
+        level: int | None = None,
+        parts: Parts = "both",
+    ) -> DecodedMaps:
+        """Decode one latent ``[8, 8, 4]`` as seen along the unit vector `view_direction` ``[3]`` to
+        maps of a level; None is the full one."""
+        session = self.prepare(level, parts)
+        feeds = {"latent": latent[None], "view_direction": view_direction[None]}
+        regions = self._regions_of(level)
+        if parts == "both" and regions is None:
+            position_map, expression_map = session.run(["position_map", "expression_map"], feeds)
+            return DecodedMaps(position_map, expression_map, len(expression_map))
+        (expression_map,) = session.run(["expression_map"], feeds)
+        sheet = versions = None
+        if parts == "both" and regions is not None:
+            sheet, versions = regions.decode(latent)
+        return DecodedMaps(sheet, expression_map, len(expression_map), versions)
+
+    def _regions_of(self, level: int | None) -> RegionDecoder | None:
+        return self.regions if level in (None, self._avatar.spec.map_size) else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -207,14 +162,7 @@ class DecodedBaseline:
 
 
 class BaselineDecoder:
-    """The paper's baseline: one network for vertices and the whole texture.
-
-    Args:
-        options: Threads and provider.
-
-    Raises:
-        OptionError: As `OnnxDecoder`.
-    """
+    """The paper's baseline, for comparison: one network for vertices and the whole texture."""
 
     def __init__(self, avatar: BaselineAvatar, options: OnnxOptions | None = None) -> None:
         self._session = open_session(baseline_graph(avatar), options or OnnxOptions())

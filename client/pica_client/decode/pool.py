@@ -1,14 +1,5 @@
-"""Decoding off the drawing thread: the newest of every avatar, on worker threads.
-
-`DecodePool` owns the decoders of a call and runs them on worker threads (ONNX Runtime releases the
-interpreter lock while it computes), the avatar that has waited longest first:
-
-    pool = DecodePool(DecodePoolOptions(), OnnxDecoder)
-    pool.add("peer-1", avatar)
-    pool.submit("peer-1", DecodeRequest(latent=..., view_direction=..., captured_us=...))
-    for result in pool.take_results():            # newest per slot; called once per drawn frame
-        result.maps, result.error, result.decode_s
-    pool.close()
+"""Decoding off the drawing thread: the newest of every avatar, the one that has waited longest
+first. ONNX Runtime releases the interpreter lock while it computes.
 
 Bounded by construction: a slot holds one waiting request and one finished result. A newer request
 takes the place of one that waits, and the replaced ones are counted; it is widened by what the old
@@ -26,24 +17,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from pica_client.closing import Closing
-from pica_client.decode.decoder import ObjectDecoder
+from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.request import DecodeRequest, DecodeResult, Parts
-from pica_client.errors import OptionError
 from pica_core.avatar.file import Avatar
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class DecodePoolOptions:
-    """How a call's avatars are decoded."""
-
-    workers: int = 1
-    """Worker threads. One keeps up with five avatars at 30 latents a second (5 x 30 x 1 ms)."""
-    prepares_ahead: bool = True
-    """Whether idle workers get ready for levels that were not asked for yet."""
-
-    def __post_init__(self) -> None:
-        if not 1 <= self.workers <= 64:
-            raise OptionError(f"workers is {self.workers}; allowed are 1 to 64")
 
 
 @dataclass(slots=True, eq=False)
@@ -51,7 +27,7 @@ class _Slot:
     """One avatar of the pool; guarded by the pool's lock."""
 
     avatar: Avatar
-    decoder: ObjectDecoder | None = None
+    decoder: OnnxDecoder | None = None
     broken: bool = False
     busy: bool = False
     request: DecodeRequest | None = None
@@ -67,18 +43,22 @@ class DecodePool(Closing):
     Args:
         make_decoder: Builds the decoder of an avatar; runs on a worker, for it may take long.
         clock: Seconds, monotonic.
+        workers: Threads. One keeps up with five avatars at 30 latents a second (5 x 30 x 1 ms).
+        prepares_ahead: Idle workers get ready for levels that were not asked for yet.
 
     An exception of a decoder breaks its own slot alone: it comes back as `DecodeResult.error`.
     """
 
     def __init__(
         self,
-        options: DecodePoolOptions,
-        make_decoder: Callable[[Avatar], ObjectDecoder],
+        make_decoder: Callable[[Avatar], OnnxDecoder],
         clock: Callable[[], float] = time.monotonic,
+        *,
+        workers: int = 1,
+        prepares_ahead: bool = True,
     ) -> None:
         self._make_decoder = make_decoder
-        self._prepares_ahead = options.prepares_ahead
+        self._prepares_ahead = prepares_ahead
         self._clock = clock
         self._slots: dict[str, _Slot] = {}
         self._order: list[str] = []
@@ -87,7 +67,7 @@ class DecodePool(Closing):
         self._changed = threading.Condition()
         self._workers = [
             threading.Thread(target=self._work, name=f"decode-{index}", daemon=True)
-            for index in range(options.workers)
+            for index in range(workers)
         ]
         for worker in self._workers:
             worker.start()
@@ -159,16 +139,12 @@ class DecodePool(Closing):
             self._changed.notify()
 
     def _next_slot(self) -> str | None:
-        """The longest waiting slot that no other worker is busy with; under the lock."""
+        """The longest waiting slot that no other worker is busy with, else one whose decoder is
+        there and can get ready for more; under the lock."""
         for slot in self._order:
-            entry = self._slots.get(slot)
-            if entry is None or not entry.busy:
+            if slot not in self._slots or not self._slots[slot].busy:
                 self._order.remove(slot)
                 return slot
-        return None
-
-    def _slot_to_prepare(self) -> str | None:
-        """A slot whose decoder is there and can get ready for more; under the lock."""
         for slot, entry in self._slots.items():
             is_free = not entry.busy and not entry.broken and entry.decoder is not None
             if is_free and entry.unprepared:
@@ -180,8 +156,6 @@ class DecodePool(Closing):
             with self._changed:
                 slot = None
                 while not self._closed and (slot := self._next_slot()) is None:
-                    if (slot := self._slot_to_prepare()) is not None:
-                        break
                     self._changed.wait()
                 if self._closed or slot is None:
                     return
@@ -223,16 +197,9 @@ class DecodePool(Closing):
             maps = entry.decoder.decode(
                 request.latent, request.view_direction, request.level, request.parts
             )
+            times_s = (submitted_s, started_s, self._clock())
             return DecodeResult(
-                slot,
-                maps,
-                None,
-                request.captured_us,
-                submitted_s,
-                started_s,
-                self._clock(),
-                maps.level,
-                request.parts,
+                slot, maps, None, request.captured_us, *times_s, maps.level, request.parts
             )
         except Exception as error:  # one avatar's failure must not end the worker of all
             entry.broken = True

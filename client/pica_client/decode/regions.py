@@ -1,9 +1,5 @@
 """Vertices by bases, region by region: those that have not moved are neither made nor uploaded.
 
-    decoder = RegionDecoder(avatar)
-    sheet = decoder.decode(latent)        # DecodedSheet: whole, and when each row was last made
-    decoder.num_decoded                   # rows made so far
-
 A region is a row of the sheet (`pica_core.avatar.linear`), a linear function of a few numbers of
 its own. It keeps the vertices that it has until those numbers may have moved one of them by more
 than `SKIP_M`, counted from the moment at which the row was made: what is skipped adds up to no more
@@ -15,11 +11,10 @@ import itertools
 
 import numpy as np
 
-from pica_client.decode.request import DecodedSheet
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.linear import PREFIX, RANK, REGION
 from pica_core.avatar.spec import POSITION_CHANNELS
-from pica_core.types import FloatArray
+from pica_core.types import FloatArray, Int64Array
 
 SKIP_M = 4e-5
 """Farthest that a vertex of a skipped region may be off (chosen: an eighth of a pixel where the
@@ -64,8 +59,8 @@ class RegionDecoder:
         self._versions = np.full(len(mean), next(_VERSIONS), np.int64)
         self.num_decoded = self.num_skipped = 0
 
-    def decode(self, latent: FloatArray) -> DecodedSheet:
-        """The sheet of a latent ``[8, 8, 4]``."""
+    def decode(self, latent: FloatArray) -> tuple[FloatArray, Int64Array]:
+        """The sheet of a latent ``[8, 8, 4]``, and its rows' versions: see `DecodedMaps`."""
         weights = self._weight @ latent.reshape(-1) + self._bias
         local = self._mix_m @ weights + self._offset
         moved_m = np.add.reduceat(self._reach * np.abs(local - self._made_of), self._starts)
@@ -80,4 +75,4 @@ class RegionDecoder:
         self.num_skipped += len(self._sheet) - len(rows)
         # Copies: whoever uploads does so while the next face is decoded.
         shape = (-1, REGION, POSITION_CHANNELS)
-        return DecodedSheet(self._sheet.reshape(shape).copy(), self._versions.copy())
+        return self._sheet.reshape(shape).copy(), self._versions.copy()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Literal
 
 from pica_core.types import FloatArray, Int64Array
 
@@ -11,30 +11,20 @@ Parts = Literal["both", "expression"]
 """Maps to make: both, or the expression map alone."""
 
 
-class DecodedSheet(NamedTuple):
-    """Vertices, and which of their rows are the same as before.
-
-    Attributes:
-        position_map: Head-frame metres, float32 ``[R, S, 3]``, C-contiguous.
-        row_versions: ``[R]``; rows of one number, of any two decodes, hold the same vertices.
-    """
-
-    position_map: FloatArray
-    row_versions: Int64Array
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class DecodedMaps:
     """What a decoder makes of one latent."""
 
     position_map: FloatArray | None
-    """Head-frame metres, float32 ``[S, S, 3]``, C-contiguous; None if it was not asked for."""
+    """Head-frame metres, float32 ``[S, S, 3]`` or a sheet ``[R, S, 3]``, C-contiguous; None if it
+    was not asked for."""
     expression_map: FloatArray
     """float32 ``[S, S, 4]``, C-contiguous."""
     level: int = 0
     """S, texels per side of what was decoded."""
     row_versions: Int64Array | None = None
-    """See `DecodedSheet`; None where that is not known, and all rows are to be uploaded."""
+    """Of the position map, ``[R]``: rows of one number, of any two decodes, hold the same vertices.
+    None where that is not known, and all rows are to be uploaded."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

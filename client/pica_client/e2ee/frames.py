@@ -18,13 +18,11 @@ from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 
 from pica_client.e2ee.errors import ForgedFrameError, MalformedFrameError
-from pica_client.e2ee.suites import NONCE_BYTES, SUITES, Aead, Suite
+from pica_client.e2ee.suites import NONCE_BYTES, Aead, Suite
 from pica_protocol.frames import FLAG_KEYFRAME, Frame
 
 MAX_NUMBER: Final = 2**64 - 1
 """The largest key id or counter that a header can carry."""
-MAX_OVERHEAD_BYTES: Final = 17 + max(suite.tag_bytes for suite in SUITES.values())
-"""The longest header, and the longest tag."""
 
 _METADATA = struct.Struct(">HHBBQ")
 

@@ -9,22 +9,13 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pica_client.e2ee.errors import (
-    NoteError,
-    OpenError,
-    ReplayedFrameError,
-    UnknownKeyError,
-)
+from pica_client.e2ee.errors import NoteError, OpenError, ReplayedFrameError, UnknownKeyError
 from pica_client.e2ee.frames import decode_header, metadata_of, open_, seal
 from pica_client.e2ee.keys import KeyExchange
 from pica_client.e2ee.padding import pad, unpad
 from pica_client.e2ee.secret import RandomBytes, RoomSecret, load_secret
 from pica_client.e2ee.status import SealStatus
-from pica_client.e2ee.suites import (
-    AES_128_CTR_HMAC_SHA256_64,
-    AES_128_GCM_SHA256_128,
-    Suite,
-)
+from pica_client.e2ee.suites import AES_128_CTR_HMAC_SHA256_64, AES_128_GCM_SHA256_128, Suite
 from pica_protocol import messages
 from pica_protocol.frames import MAX_PAYLOAD_BYTES, Frame
 from pica_protocol.session import ClientEvent, Closed
@@ -142,7 +133,10 @@ class Guard:
                     self._keys.receive_note(peer_id, data, now)
                 except NoteError:
                     self.counters.notes_refused += 1
-                return self._keyframe_requests()
+                if not self._keys.has_newcomer:
+                    return []
+                self._keys.has_newcomer = False
+                return [messages.KeyframeRequest(stream=stream) for stream in self._own_streams]
             case messages.Joined(tracks=tracks, peers=peers):
                 self._keys.receive_joined(event, now)
                 # Only these know keyframes; of other tracks each frame stands alone.
@@ -161,8 +155,6 @@ class Guard:
             case Closed():
                 self._keys.receive_closed(now)
                 self._owners.clear()
-            case messages.KeyframeRequest():
-                pass
         return [event]
 
     def messages_to_send(self, now: float) -> list[tuple[str, bytes]]:
@@ -184,12 +176,6 @@ class Guard:
     def _note_streams(self, peer: messages.Peer) -> None:
         for track in peer.tracks:
             self._owners[track.stream] = peer.peer_id
-
-    def _keyframe_requests(self) -> list[ClientEvent]:
-        if not self._keys.has_newcomer:
-            return []
-        self._keys.has_newcomer = False
-        return [messages.KeyframeRequest(stream=stream) for stream in self._own_streams]
 
     def _open(self, frame: Frame, now: float) -> list[ClientEvent]:
         counters, owner = self.counters, self._owners.get(frame.stream)

@@ -38,13 +38,7 @@ def parse_buckets(text: str) -> tuple[int, ...]:
 
 
 def pad(payload: bytes, buckets: tuple[int, ...], max_bytes: int) -> bytes:
-    """Return a payload filled up to its bucket, and never beyond what fits a frame.
-
-    Args:
-        payload: Anything with fewer bytes than ``max_bytes``.
-        buckets: Sizes that grow.
-        max_bytes: The longest result.
-    """
+    """Return a payload of fewer than ``max_bytes`` filled up to its bucket, never beyond those."""
     least = len(payload) + len(_MARK)
     size = next((bucket for bucket in buckets if least <= bucket), None)
     if size is None:

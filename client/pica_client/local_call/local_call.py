@@ -7,7 +7,6 @@ one machine only.
 """
 
 import json
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +16,7 @@ import tyro
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.errors import AvatarLookupError, CallProcessError, OptionError
-from pica_client.local_call.processes import Child, Children
+from pica_client.local_call.processes import Child, Children, end_all
 from pica_client.publish.sender import SenderConfig
 from pica_client.sources import open_source, start_later
 from pica_client.voice.opus import available
@@ -42,9 +41,6 @@ DEFAULT_SOURCES = (
 listens."""
 SOURCE_STEP_S = 23.7
 """Between the starting points of peers that play the same recording (chosen: no two in phase)."""
-
-FrameKey = tuple[str, int]
-"""A frame by its sender's name and its capture time in microseconds."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -79,23 +75,14 @@ class LocalCall:
 
     Attributes:
         names: The senders, in order.
+
+    Raises:
+        SourceError: A source that cannot be opened.
+        AvatarLookupError: An avatar that is not there.
+        CallProcessError: The relay did not start.
     """
 
-    def __init__(
-        self,
-        config: LocalCallConfig,
-        library: AvatarLibrary,
-        children: Children,
-        *,
-        relay_arguments: Sequence[str] = (),
-    ) -> None:
-        """Check everything that can be checked, then start relay and senders.
-
-        Raises:
-            SourceError: A source that cannot be opened.
-            AvatarLookupError: An avatar that is not there.
-            CallProcessError: The relay did not start.
-        """
+    def __init__(self, config: LocalCallConfig, library: AvatarLibrary, children: Children) -> None:
         sources = peer_sources(config.source, config.peers)
         for source in dict.fromkeys(sources):
             open_source(source)  # one clear error here instead of one per sender
@@ -105,11 +92,9 @@ class LocalCall:
             for index in range(config.peers)
         ]
         self._children = children
-        self.secret_file = _make_secret(children) if config.is_encrypted else None
-        self.secret_arguments: list[str] = []
-        if self.secret_file is not None:
-            self.secret_arguments = ["--secret-file", str(self.secret_file)]
-        self.relay, self.url = children.start_relay(*relay_arguments)
+        secret = self.secret_file = _make_secret(children) if config.is_encrypted else None
+        self.secret_arguments = [] if secret is None else ["--secret-file", str(secret)]
+        self.relay, self.url = children.start_relay()
         self.senders: dict[str, Child] = {}
         has_voices = config.has_voices and available() is None
         for index, (name, source) in enumerate(zip(self.names, sources, strict=True)):
@@ -148,21 +133,18 @@ class LocalCall:
         """End the senders and collect what they say, by name; crashed ones are left out."""
         self.check()
         alive = {name: child for name, child in self.senders.items() if name not in self.crashed}
-        for child in alive.values():
-            child.let_go()
-        deadline = time.monotonic() + 5.0
-        for child in alive.values():
-            child.wait(deadline)
+        end_all(alive.values(), 5.0)
         return {name: child.result() for name, child in alive.items()}
 
-    def encode_times_s(self) -> dict[FrameKey, float]:
-        """How long each frame took to encode; after `finish`."""
-        times: dict[FrameKey, float] = {}
-        for name in self.names:
-            if self._log(name).exists():
-                for captured_us, encode_us in json.loads(self._log(name).read_text()):
-                    times[name, captured_us] = encode_us / 1e6
-        return times
+    def encode_times_s(self) -> dict[tuple[str, int], float]:
+        """How long each frame took to encode, by its sender's name and its capture time in
+        microseconds; after `finish`."""
+        return {
+            (name, captured_us): encode_us / 1e6
+            for name in self.names
+            if self._log(name).exists()
+            for captured_us, encode_us in json.loads(self._log(name).read_text())
+        }
 
     def _log(self, name: str) -> Path:
         return self._children.folder / f"{name.replace(' ', '-')}.frames.json"
@@ -180,12 +162,8 @@ def _make_secret(children: Children) -> Path:
 
 
 def peer_sources(source: str | None, num_peers: int) -> list[str]:
-    """What each of some peers plays.
-
-    Args:
-        source: One source for all, each starting elsewhere in it; None for `DEFAULT_SOURCES`.
-        num_peers: How many.
-    """
+    """What each of some peers plays: one source, each starting elsewhere in it, or those of
+    `DEFAULT_SOURCES` in turn."""
     if source is None:
         return [DEFAULT_SOURCES[index % len(DEFAULT_SOURCES)] for index in range(num_peers)]
     return [start_later(source, index * SOURCE_STEP_S) for index in range(num_peers)]
@@ -214,12 +192,11 @@ def bitrates(sent: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]
 
 
 def require_all(names: Sequence[str], missing: Sequence[str], stage: LocalCall) -> None:
-    """Raise when peers did not come in time.
+    """Raise when peers did not come in time, as of the last `LocalCall.check`.
 
     Raises:
         CallProcessError: Names them, and quotes those that crashed.
     """
-    stage.check()
     if stage.crashed:
         raise CallProcessError("; ".join(stage.failures()))
     if missing:

@@ -22,12 +22,6 @@ STOP_TIMEOUT_S = 6.0
 killed."""
 
 
-def bare_environment() -> dict[str, str]:
-    """The environment without what our user set for commands of their own."""
-    ours = {name: value for name, value in os.environ.items() if not name.startswith("PICA_")}
-    return ours | {"PICA_PROFILE": "none"}
-
-
 class ChildProcess:
     """A Python program in a process of its own, which ends when its standard input does."""
 
@@ -82,8 +76,11 @@ class Child(ChildProcess):
     def __init__(self, name: str, arguments: Sequence[str], folder: Path) -> None:
         self._out, self._err = folder / f"{name}.out", folder / f"{name}.err"
         words = ("-m", PARENT_WATCHDOG, *arguments, "--json")
+        # Without what our user set for commands of their own.
+        bare = {name: value for name, value in os.environ.items() if not name.startswith("PICA_")}
+        bare["PICA_PROFILE"] = "none"
         with self._out.open("wb") as out, self._err.open("wb") as err:
-            super().__init__(name, words, stdout=out, stderr=err, env=bare_environment())
+            super().__init__(name, words, stdout=out, stderr=err, env=bare)
 
     def result(self) -> dict[str, Any]:
         """What it printed as its result.
@@ -117,16 +114,16 @@ class Child(ChildProcess):
 
 
 class Children:
-    """A group of child processes; leaving the ``with`` block ends all of them."""
+    """A group of child processes; leaving the ``with`` block ends all of them.
+
+    Attributes:
+        folder: Lives as long as the group.
+    """
 
     def __init__(self) -> None:
         self._children: list[Child] = []
-        self._folder = tempfile.TemporaryDirectory(prefix="pica-")
-
-    @property
-    def folder(self) -> Path:
-        """A folder that lives as long as the group."""
-        return Path(self._folder.name)
+        self._temporary = tempfile.TemporaryDirectory(prefix="pica-")
+        self.folder = Path(self._temporary.name)
 
     def start(self, name: str, *arguments: str) -> Child:
         """Start ``pica ARGUMENTS``."""
@@ -135,10 +132,7 @@ class Children:
         return child
 
     def start_relay(self, *arguments: str) -> tuple[Child, str]:
-        """Start a relay on a free port and wait until it listens.
-
-        Args:
-            arguments: Further arguments of ``pica relay``.
+        """Start ``pica relay ARGUMENTS`` on a free port and wait until it listens.
 
         Returns:
             The process and its address.
@@ -172,4 +166,4 @@ class Children:
 
     def __exit__(self, *_: object) -> None:
         end_all(self._children, STOP_TIMEOUT_S)
-        self._folder.cleanup()
+        self._temporary.cleanup()

@@ -41,7 +41,7 @@ from pica_client.playout.frame_interval import FrameInterval
 from pica_client.playout.jitter import JitterEstimate
 from pica_client.playout.motion import Correction
 from pica_client.playout.playhead import Playhead
-from pica_client.playout.sender_clock import RESTART_FRAMES, SenderClock
+from pica_client.playout.sender_clock import SenderClock
 from pica_client.playout.timeline import Timeline
 from pica_core.codec.latent_sample import DecodedFrame, LatentSample
 
@@ -140,10 +140,10 @@ class Playout:
         self._received = self._late = self._duplicates = self._misplaced = self._num_cut = 0
         self._num_shown = self._concealed = 0
         self.sender, self._num_jumps = SenderClock(), 0
-        self._timeline = self._new_timeline()
+        self._timeline = Timeline(config)
         self._jitter = JitterEstimate(quantile=config.jitter_quantile, window_s=config.window_s)
         self._interval = FrameInterval()
-        self._media = Playhead(faster=config.faster, slower=config.slower, leap_s=config.leap_s)
+        self._media = Playhead(config)
         self._correction = Correction(seconds=config.blend_s, limit=config.correction_limit)
         self._shown: LatentSample | None = None  # the last face of `sample_at`
         self._end_s = math.inf  # where it had stopped to move, on the time line
@@ -169,7 +169,7 @@ class Playout:
         self._num_jumps = self.sender.num_jumps
         self._interval.pause()
         if self._timeline.insert(frame) != "new":
-            self._timeline = self._new_timeline()
+            self._timeline = Timeline(self.config)
             self._timeline.insert(frame)
         self._timeline.restart()
         self._interval.receive(frame)
@@ -217,7 +217,10 @@ class Playout:
         while (timer := self.next_timer()) is not None and timer <= now:
             before = self._timeline.held
             frame = self._timeline.release_first()
-            num_missing = 0 if before is None else self._num_missing(before, frame)
+            num_missing = 0
+            if before is not None and not before.sample.is_still:
+                gap_s = frame.media_s - before.media_s
+                num_missing = self._interval.num_missing(frame.number - before.number - 1, gap_s)
             self._concealed += num_missing
             self._num_shown += 1 + num_missing
             self._age_s = now - self._local_s(frame.media_s)
@@ -280,41 +283,20 @@ class Playout:
                 return
         clock = self.sender.map
         assert clock is not None
-        transit_s = clock.receive(frame.media_s, frame.arrived_s)
-        self._jitter.receive(frame.arrived_s, frame.media_s, transit_s, clock)
+        self._jitter.receive(frame.arrived_s, frame.media_s, clock)
         self._interval.receive(frame)
-
-    def _new_timeline(self) -> Timeline:
-        config = self.config
-        return Timeline(
-            max_frames=config.max_frames,
-            max_gap_s=config.max_gap_s,
-            coast_s=config.extrapolate_s,
-        )
-
-    def _floor_s(self, *, is_displayed: bool) -> float:
-        """What is waited at least, jitter aside."""
-        config = self.config
-        smooth_s = config.floor_intervals * self._interval.interval_s if is_displayed else 0.0
-        return min(max(config.floor_s, smooth_s), config.ceiling_s)
 
     def _target_s(self, *, is_displayed: bool) -> float:
         """What should be waited beyond the fastest transit."""
-        jitter = self._jitter
-        delay_s = self._floor_s(is_displayed=is_displayed) + jitter.jitter_s
-        return jitter.base_s + min(delay_s, self.config.ceiling_s)
+        config, jitter = self.config, self._jitter
+        smooth_s = config.floor_intervals * self._interval.interval_s if is_displayed else 0.0
+        delay_s = max(config.floor_s, smooth_s) + jitter.jitter_s
+        return jitter.base_s + min(delay_s, config.ceiling_s)
 
     def _local_s(self, media_s: float) -> float:
         """Our clock when a frame captured then comes the fastest way."""
         assert self.sender.map is not None
         return media_s + self.sender.map.fastest_transit_s(media_s)
-
-    def _num_missing(self, before: DecodedFrame, after: DecodedFrame) -> int:
-        """Frames that should have been between two others and were not."""
-        num_skipped = after.number - before.number - 1
-        if not 0 < num_skipped < RESTART_FRAMES or before.sample.is_still:
-            return 0
-        return min(num_skipped, self._interval.num_missing(before.media_s, after.media_s))
 
     def _played(self, face: LatentSample, position_s: float, now: float) -> PlayedFace:
         """Say of a face how fresh it is, and remember where it stands."""

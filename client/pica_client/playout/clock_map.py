@@ -132,13 +132,10 @@ def _slope_and_doubt(points: list[tuple[float, float]]) -> tuple[float, float]:
 
 
 def hull_line(points: list[tuple[float, float]]) -> tuple[float, tuple[float, float]]:
-    """The line below all points that is nearest to them in the mean.
+    """The line below all points that is nearest to them in the mean: its slope, and a point on it.
 
     Args:
         points: At least two, in order, not all with the same abscissa.
-
-    Returns:
-        Its slope, and a point on it.
     """
     hull: list[tuple[float, float]] = []
     for x, y in points:

@@ -1,6 +1,6 @@
 """How a playout buffer is set. Pure."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from pica_client.errors import OptionError
 from pica_client.playout.motion import Distance
@@ -40,14 +40,15 @@ class PlayoutConfig:
     max_frames: int = 64
     """Frames held; beyond it the oldest is dropped."""
     max_gap_s: float = 0.25
-    """Longest time on the way between two frames (chosen: 4 fps are still moved evenly)."""
+    """Longest time on the way between two frames; a longer gap is waited out first (chosen: 4 fps
+    are still moved evenly)."""
     extrapolate_s: float = 1 / 15
     """Time after which a face without a next frame rests (measured on latents of the performances
     and of the range-of-motion recording: the error after gaps of 33 to 330 ms is least between 33
     and 130 ms)."""
     blend_s: float = 0.15
     """Time in which the face goes over to its path after it had to leave it (chosen: a blink)."""
-    correction_limit: Distance = field(default=CORRECTION_LIMIT)
+    correction_limit: Distance = CORRECTION_LIMIT
     """Fastest such correction, per second; larger ones take longer than `blend_s`."""
     still_s: float = 2.5
     """How long a still face is believed without another word (chosen: two lost heartbeats)."""

@@ -75,12 +75,12 @@ class FrameInterval:
             if frames:
                 frames[-1] = frames[-1]._replace(is_still=True)
 
-    def num_missing(self, before_s: float, after_s: float, interval_s: float | None = None) -> int:
-        """Frames that the interval would have put between two others."""
-        interval_s = self.interval_s if interval_s is None else interval_s
-        if interval_s <= 0:
+    def num_missing(self, num_skipped: int, gap_s: float, least_interval_s: float = 0.0) -> int:
+        """Of so many frames that were skipped those that the interval would have put into a gap."""
+        interval_s = max(self.interval_s, least_interval_s)
+        if interval_s <= 0 or not 0 < num_skipped < RESTART_FRAMES:
             return 0
-        return max(round((after_s - before_s) / interval_s) - 1, 0)
+        return min(num_skipped, max(round(gap_s / interval_s) - 1, 0))
 
     def _count_lost(self) -> None:
         """Count what is missing between the oldest frames, where that is known by now."""
@@ -90,9 +90,8 @@ class FrameInterval:
             is_known = uncounted[-1].media_s - after.media_s >= COUNTED_AFTER_S
             if not is_known and len(uncounted) <= MAX_UNCOUNTED:
                 return
-            num_skipped = after.number - before.number - 1
-            if 0 < num_skipped < RESTART_FRAMES and not before.is_still:
-                interval_s = max(self.interval_s, after.interval_s)
-                num_missing = self.num_missing(before.media_s, after.media_s, interval_s)
-                self.num_lost += min(num_skipped, num_missing)
+            if not before.is_still:
+                gap_s = after.media_s - before.media_s
+                num_skipped = after.number - before.number - 1
+                self.num_lost += self.num_missing(num_skipped, gap_s, after.interval_s)
             del uncounted[0]

@@ -19,6 +19,7 @@ import math
 import numpy as np
 
 from pica_client.playout.clock_map import ClockMap
+from pica_core.types import Float64Array
 
 ATTACK_WINDOW_S = 1.0
 """Length of the short window (chosen: of the usual stream three delays are enough)."""
@@ -45,14 +46,9 @@ class JitterEstimate:
         self._attack = _Window(ATTACK_WINDOW_S)
         self._last = (-math.inf, -math.inf)  # (arrived_s, media_s)
 
-    def receive(self, arrived_s: float, media_s: float, transit_s: float, clock: ClockMap) -> None:
-        """Take a frame into account.
-
-        Args:
-            arrived_s: Our clock.
-            transit_s: As the clock map believed it.
-            clock: The map after it has seen the frame.
-        """
+    def receive(self, arrived_s: float, media_s: float, clock: ClockMap) -> None:
+        """Let a frame move the clock map, and take into account how late it then is."""
+        transit_s = clock.receive(media_s, arrived_s)
         last_arrived_s, last_media_s = self._last
         is_burst = arrived_s - last_arrived_s < 0.5 * (media_s - last_media_s)
         self._last = (arrived_s, media_s)
@@ -90,18 +86,16 @@ class _Window:
         while self._rows[self._begin, 0] < arrived_s - self._seconds:  # the newest ends it
             self._begin += 1
 
-    def lateness_s(self, clock: ClockMap) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    def lateness_s(self, clock: ClockMap) -> Float64Array:
         rows = self._rows[self._begin : self._end]
         # The map is a line: two of its points give it everywhere.
         at_zero_s = clock.fastest_transit_s(0.0)
         slope = clock.fastest_transit_s(1.0) - at_zero_s
-        lateness: np.ndarray[tuple[int], np.dtype[np.float64]] = (
-            rows[:, 2] - at_zero_s - slope * rows[:, 1]
-        )
+        lateness: Float64Array = rows[:, 2] - at_zero_s - slope * rows[:, 1]
         return lateness
 
 
-def _quantile(values: np.ndarray[tuple[int], np.dtype[np.float64]], share: float) -> float:
+def _quantile(values: Float64Array, share: float) -> float:
     """The least value that this share of the values does not exceed."""
     rank = math.ceil(share * len(values)) - 1
     return float(np.partition(values, rank)[rank])

@@ -11,7 +11,7 @@ neck's turn of 10 degrees within a frame bows its path by half a millimetre.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -38,22 +38,14 @@ def blend(before: LatentSample, after: LatentSample, weight: float) -> LatentSam
 
 
 def coasted_s(past_s: float, limit_s: float) -> float:
-    """How far a motion goes that slows down evenly and rests after `limit_s`.
-
-    Args:
-        past_s: Time since the last that is known.
-        limit_s: Time after which it rests.
-
-    Returns:
-        The time in which it would have gone as far at full speed: at most half of `limit_s`.
-    """
+    """How far a motion goes in some time that slows down evenly and rests after `limit_s`: the time
+    in which it would have gone as far at full speed, at most half of `limit_s`."""
     if past_s >= limit_s:
         return limit_s / 2
     return past_s - past_s * past_s / (2 * limit_s)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Distance:
+class Distance(NamedTuple):
     """How far two faces are apart."""
 
     latent: float = 0.0
@@ -69,8 +61,7 @@ def distance(one: LatentSample, other: LatentSample) -> Distance:
     return _Offset.between(one, other).size()
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Offset:
+class _Offset(NamedTuple):
     """What turns one face into another, in three parts that shrink independently."""
 
     latent: FloatArray
@@ -79,11 +70,8 @@ class _Offset:
 
     @classmethod
     def between(cls, begin: LatentSample, end: LatentSample) -> _Offset:
-        return cls(
-            latent=end.latent - begin.latent,
-            turn=turn_between(begin.rotation, end.rotation),
-            move_m=end.translation_m - begin.translation_m,
-        )
+        turn = turn_between(begin.rotation, end.rotation)
+        return cls(end.latent - begin.latent, turn, end.translation_m - begin.translation_m)
 
     def size(self) -> Distance:
         flat = self.latent.ravel()
@@ -112,12 +100,7 @@ class Correction:
     """
 
     def __init__(self, *, seconds: float, limit: Distance) -> None:
-        """Prepare.
-
-        Args:
-            seconds: Time in which a difference is gone; 0 shows every difference at once.
-            limit: Fastest correction, per second.
-        """
+        """A difference is gone in so many seconds, 0 shows it at once; the limit is per second."""
         self.largest_step = 0.0
         """Largest correction of the latent at one display time so far, as in `Distance`."""
         self._seconds = seconds
@@ -130,9 +113,11 @@ class Correction:
         if self._seconds <= 0 or (shown is true and self._offset is None):
             return
         offset = _Offset.between(true, shown)
-        if self._offset is not None and _is_unseen(_change(self._offset, offset)):
-            return  # nothing new: what is under way goes on
-        if _is_unseen(offset.size()):
+        if self._offset is not None:
+            change = _Offset(*(new - old for new, old in zip(offset, self._offset, strict=True)))
+            if max(change.size()) < UNSEEN:
+                return  # nothing new: what is under way goes on
+        if max(offset.size()) < UNSEEN:
             self._offset = None
             return
         self._offset, self._left_s = offset, self._seconds
@@ -149,33 +134,14 @@ class Correction:
         size = offset.size()
         even = elapsed_s / self._left_s if self._left_s > elapsed_s else 1.0
         self._left_s -= elapsed_s
-        limit = self._limit
         shares = [
             min(even, most * elapsed_s / length) if length > 0 else 1.0
-            for length, most in (
-                (size.latent, limit.latent),
-                (size.turn_rad, limit.turn_rad),
-                (size.move_m, limit.move_m),
-            )
+            for length, most in zip(size, self._limit, strict=True)
         ]
         self.largest_step = max(self.largest_step, shares[0] * size.latent)
         if min(shares) >= 1:
             self._offset = None
             return true
-        latent, turn, move_m = (np.float32(1 - share) for share in shares)
-        self._offset = _Offset(
-            latent=latent * offset.latent, turn=turn * offset.turn, move_m=move_m * offset.move_m
-        )
+        left = [np.float32(1 - share) for share in shares]
+        self._offset = _Offset(*(rest * part for rest, part in zip(left, offset, strict=True)))
         return self._offset.applied_to(true)
-
-
-def _change(before: _Offset, after: _Offset) -> Distance:
-    return _Offset(
-        latent=after.latent - before.latent,
-        turn=after.turn - before.turn,
-        move_m=after.move_m - before.move_m,
-    ).size()
-
-
-def _is_unseen(size: Distance) -> bool:
-    return max(size.latent, size.turn_rad, size.move_m) < UNSEEN

@@ -8,6 +8,8 @@ Only where that would take too long it leaps forwards.
 import math
 from typing import NamedTuple
 
+from pica_client.playout.config import PlayoutConfig
+
 UNSEEN_S = 0.001
 """A display that is less far behind is not seen as such."""
 LED_RATE = 1.0
@@ -36,19 +38,10 @@ class Playhead:
         num_leaps: How often the display leapt forwards.
     """
 
-    def __init__(self, *, faster: float, slower: float, leap_s: float) -> None:
-        """Prepare.
-
-        Args:
-            faster: By which share time may run faster to catch up.
-            slower: By which share it may run slower to fall back.
-            leap_s: A display this far behind leaps.
-        """
+    def __init__(self, config: PlayoutConfig) -> None:
         self.position_s = -math.inf
         self.num_leaps = 0
-        self._faster = faster
-        self._slower = slower
-        self._leap_s = leap_s
+        self._config = config
         self._now = -math.inf
 
     def advance(self, now: float, target_s: float, end_s: float, *, is_led: bool = False) -> Step:
@@ -68,7 +61,8 @@ class Playhead:
         self._now = max(now, self._now)
         before_s = self.position_s
         behind_s = target_s - before_s - elapsed_s
-        faster, slower, leap_s = self._faster, self._slower, self._leap_s
+        config = self._config
+        faster, slower, leap_s = config.faster, config.slower, config.leap_s
         if is_led:
             faster, slower, leap_s = LED_RATE, LED_RATE, LED_LEAP_S
         if behind_s > max(leap_s, UNSEEN_S):

@@ -4,12 +4,11 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
+
+from pica_core.types import Float64Array, FloatArray
 
 
-def rotation_vector_from_yaw_pitch_roll(
-    yaw_pitch_roll: npt.NDArray[np.float64],
-) -> npt.NDArray[np.float32]:
+def rotation_vector_from_yaw_pitch_roll(yaw_pitch_roll: Float64Array) -> FloatArray:
     """Compose yaw about +y, then pitch about +x, then roll about +z, each in the turned frame.
 
     Args:
@@ -28,9 +27,7 @@ def rotation_vector_from_yaw_pitch_roll(
     return np.array(turns, np.float32).reshape(-1, 3)
 
 
-def blend_rotations(
-    before: npt.NDArray[np.float32], after: npt.NDArray[np.float32], weight: float
-) -> npt.NDArray[np.float32]:
+def blend_rotations(before: FloatArray, after: FloatArray, weight: float) -> FloatArray:
     """Turn from one rotation vector towards another at constant speed, the shorter way (slerp).
 
     Args:
@@ -55,22 +52,18 @@ def blend_rotations(
     return rotation_vector_from_quaternion((real, *imaginary))
 
 
-def turn_between(
-    begin: npt.NDArray[np.float32], end: npt.NDArray[np.float32]
-) -> npt.NDArray[np.float32]:
+def turn_between(begin: FloatArray, end: FloatArray) -> FloatArray:
     """The turn after `begin` that makes `end` of it; all are rotation vectors, float32 ``[3]``."""
     real, x, y, z = _quaternion(begin)
     return rotation_vector_from_quaternion(_product(_quaternion(end), (real, -x, -y, -z)))
 
 
-def turned(
-    rotation: npt.NDArray[np.float32], turn: npt.NDArray[np.float32]
-) -> npt.NDArray[np.float32]:
+def turned(rotation: FloatArray, turn: FloatArray) -> FloatArray:
     """A rotation, and after it another turn; all are rotation vectors, float32 ``[3]``."""
     return rotation_vector_from_quaternion(_product(_quaternion(turn), _quaternion(rotation)))
 
 
-def _quaternion(vector: npt.NDArray[np.float32]) -> tuple[float, float, float, float]:
+def _quaternion(vector: FloatArray) -> tuple[float, float, float, float]:
     """The unit quaternion (real part first) of a rotation vector."""
     x, y, z = vector.tolist()
     angle = math.hypot(x, y, z)
@@ -78,7 +71,7 @@ def _quaternion(vector: npt.NDArray[np.float32]) -> tuple[float, float, float, f
     return math.cos(angle / 2), scale * x, scale * y, scale * z
 
 
-def rotation_vector_from_quaternion(quaternion: Sequence[float]) -> npt.NDArray[np.float32]:
+def rotation_vector_from_quaternion(quaternion: Sequence[float]) -> FloatArray:
     """The rotation vector of a quaternion, with an angle of at most π."""
     real, *imaginary = quaternion
     if real < 0:  # an angle above π is the rest of the turn, the other way round

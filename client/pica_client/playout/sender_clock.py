@@ -94,7 +94,9 @@ class SenderClock:
 
     def lateness_s(self, frame: Frame, now: float) -> float:
         """How much later than the fastest a frame comes that arrives now; 0 for the first."""
-        return 0.0 if self.map is None else self._lateness_s(_Arrival(frame, now))
+        if self.map is None:
+            return 0.0
+        return now - self.media_s(frame.captured_us) - self._fastest_transit_s(frame.captured_us)
 
     def receive(self, frame: Frame, now: float, *, is_backlog: bool = False) -> list[ReceivedFrame]:
         """Take a frame that arrived just now.
@@ -121,9 +123,11 @@ class SenderClock:
                 self._begin(arrival, now - transit_s, transit_s)
         else:
             self._begins_in_backlog = False
-            lateness_s = self._lateness_s(arrival)
-            is_future = self._is_future(arrival, lateness_s)
-            if is_future or self._breaks_count(frame) or self._is_too_late(frame, lateness_s):
+            lateness_s = self.lateness_s(frame, now)
+            ahead_s = self._newest_transit_s - (now - self.media_s(frame.captured_us))
+            is_future = min(-lateness_s, ahead_s) > FUTURE_S
+            is_old = sequence_distance(frame.sequence, self._newest_number) < 0
+            if is_future or self._breaks_count(frame) or (is_old and lateness_s > LATE_S):
                 return self._hold_back(arrival, is_future=is_future)
         self._refuse_held_back()
         return [self._pass(arrival)]
@@ -142,19 +146,6 @@ class SenderClock:
     def _fastest_transit_s(self, captured_us: int) -> float:
         assert self.map is not None
         return self.map.fastest_transit_s(self.media_s(captured_us))
-
-    def _lateness_s(self, arrival: _Arrival) -> float:
-        captured_us = arrival.frame.captured_us
-        transit_s = arrival.arrived_s - self.media_s(captured_us)
-        return transit_s - self._fastest_transit_s(captured_us)
-
-    def _is_future(self, arrival: _Arrival, lateness_s: float) -> bool:
-        transit_s = arrival.arrived_s - self.media_s(arrival.frame.captured_us)
-        return max(lateness_s, transit_s - self._newest_transit_s) < -FUTURE_S
-
-    def _is_too_late(self, frame: Frame, lateness_s: float) -> bool:
-        is_old = sequence_distance(frame.sequence, self._newest_number) < 0
-        return is_old and lateness_s > LATE_S
 
     def _breaks_count(self, frame: Frame) -> bool:
         """Whether sequence and capture time cannot be those of a frame between the known ones."""

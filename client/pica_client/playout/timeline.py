@@ -15,6 +15,7 @@ from bisect import bisect_left, bisect_right
 from operator import attrgetter
 from typing import Literal
 
+from pica_client.playout.config import PlayoutConfig
 from pica_client.playout.motion import blend, coasted_s
 from pica_core.codec.latent_sample import DecodedFrame, LatentSample
 
@@ -38,18 +39,11 @@ class Timeline:
         num_overflowed: Frames that were dropped because too many waited.
     """
 
-    def __init__(self, *, max_frames: int, max_gap_s: float, coast_s: float) -> None:
-        """Prepare.
-
-        Args:
-            max_frames: Frames that may wait; beyond it the oldest is dropped.
-            max_gap_s: Longest way from one frame to the next; a longer gap is waited out first.
-            coast_s: Time after which a face without a next frame rests.
-        """
+    def __init__(self, config: PlayoutConfig) -> None:
         self.num_overflowed = 0
-        self._max_frames = max_frames
-        self._max_gap_s = max_gap_s
-        self._coast_s = coast_s
+        self._max_frames = config.max_frames
+        self._max_gap_s = config.max_gap_s
+        self._coast_s = config.extrapolate_s
         self._frames: list[DecodedFrame] = []  # shown ones first; both bounded
         self._num_shown = 0
 
@@ -87,11 +81,8 @@ class Timeline:
         return "new"
 
     def cut(self, media_s: float) -> int:
-        """Drop waiting frames captured then or later: a new beginning says otherwise.
-
-        Returns:
-            How many.
-        """
+        """Drop waiting frames captured then or later, for a new beginning says otherwise; return
+        how many there were."""
         place = max(bisect_left(self._frames, media_s, key=_media_s), self._num_shown)
         num_dropped = len(self._frames) - place
         del self._frames[place:]

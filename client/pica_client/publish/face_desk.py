@@ -9,13 +9,12 @@ tracker, look at what it sees.
 
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Final, Protocol, runtime_checkable
+from typing import Final
 
 from pica_client.errors import SourceError
 from pica_client.publish.publisher import Publisher
-from pica_client.sources import LiveSource, open_source
+from pica_client.sources import Tracker, open_source
 from pica_client.sources.live.calibration import Calibration, CalibrationStore, calibrate
-from pica_client.sources.live.live_face import LiveFace
 from pica_client.sources.registry import calibrations, split_source
 from pica_client.sources.source import Unseen
 from pica_core.avatar.arkit import ARKIT_INDEX
@@ -32,18 +31,6 @@ BARS: Final[tuple[tuple[str, tuple[str, ...]], ...]] = (
     ("Lid, right", ("eyeBlinkRight",)),
 )
 """What is shown of a tracker's values, and of which shapes each is the mean."""
-
-
-@runtime_checkable
-class _Calibrated(Protocol):
-    face: LiveFace
-
-
-@runtime_checkable
-class _Camera(Protocol):
-    def preview(self) -> Image | None:
-        """What it sees."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,11 +85,11 @@ class FaceDesk:
 
     def calibrate(self, now: float) -> None:
         """Look at the face at rest from now on, and make a calibration of that."""
-        face = self._live_face
-        if face is None:
+        source = self.publisher.source
+        if not isinstance(source, Tracker):
             self._notices.append("Only a tracker is calibrated: choose one in the settings")
             return
-        face.recent.clear()
+        source.face.recent.clear()
         self._rested_s = now + REST_S
         self._notices.append("Look ahead, relaxed, with open eyes …")
 
@@ -125,33 +112,27 @@ class FaceDesk:
     def seen(self) -> Seen | None:
         """What the tracker sees; None where no tracker plays the face."""
         source, frame = self.publisher.source, self.publisher.seen
-        if not isinstance(source, LiveSource) or frame is None:
+        if not isinstance(source, Tracker) or frame is None:
             return None
         bars = tuple(
             (name, float(sum(frame.arkit[ARKIT_INDEX[each]] for each in shapes)) / len(shapes))
             for name, shapes in BARS
         )
-        picture = source.preview() if isinstance(source, _Camera) else None
-        return Seen(frame.has_face, bars, picture)
-
-    @property
-    def _live_face(self) -> LiveFace | None:
-        source = self.publisher.source
-        return source.face if isinstance(source, _Calibrated) else None
+        return Seen(frame.has_face, bars, source.preview())
 
     def _learn(self) -> str:
-        face = self._live_face
-        if face is None:
+        source = self.publisher.source
+        if not isinstance(source, Tracker):
             return ""
         kind, _ = split_source(self.source)
         before = self._store.load(self._person, kind) or Calibration()
         try:
-            found = calibrate(list(face.recent), ())
+            found = calibrate(list(source.face.recent), ())
             found = replace(before, neutral=found.neutral, lid_open=found.lid_open)
             self._store.save(self._person, kind, found)
         except SourceError as error:
             return f"Not calibrated: {error}"
-        face.calibration = found
+        source.face.calibration = found
         return f"Calibrated for {self._person} and {kind}"
 
     def _open(self, source: str) -> None:

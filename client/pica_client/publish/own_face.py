@@ -41,12 +41,8 @@ def open_own_face(
     link: LinkConfig,
     library: AvatarLibrary,
     say: Callable[[str], None],
-    config: SenderConfig | None = None,
 ) -> OutgoingFace | None:
     """Make ready what was chosen; None for who only watches.
-
-    Args:
-        config: How it is sent.
 
     Raises:
         SourceError: The source cannot be opened.
@@ -57,5 +53,5 @@ def open_own_face(
         return None
     own = choose_own_avatar(choice.avatar, link.name, library)
     source = open_source(choice.source, person=link.name)
-    publisher = Publisher(config or SenderConfig(), source, own.avatar, own.identity)
+    publisher = Publisher(SenderConfig(), source, own.avatar, own.identity)
     return OutgoingFace(publisher=publisher, giver=own.giver(link, say, choice.give))

@@ -19,7 +19,8 @@ from pica_client.call.reflection import Reflection
 from pica_client.errors import OptionError, check_ranges
 from pica_client.publish.face_track import FACE_KEY, FACE_LOST, FACE_TRACK, FaceMode
 from pica_client.publish.pacer import Pacer
-from pica_client.sources import LiveSource, Source
+from pica_client.sources import Source, Tracker
+from pica_client.sources.source import Unseen
 from pica_client.stats import Samples
 from pica_client.transport.link import Link
 from pica_client.transport.timers import wait_until
@@ -81,7 +82,8 @@ class Publisher:
 
     Attributes:
         is_muted_by_admin: Whether an admin has stopped the stream.
-        mode: What becomes of the face, as far as its owner says.
+        mode: What becomes of the face from the next frame on, as far as its owner says; any thread
+            may set it.
         seen: The source's latest face, whether it is sent or not; None before the first.
         frame_log: Capture time and encoding time of each frame sent, both in microseconds; drops
             its oldest when full.
@@ -115,11 +117,6 @@ class Publisher:
         self._told_trouble = ""
         self._told = ""
 
-    def set_mode(self, mode: FaceMode) -> None:
-        """Mute or freeze the face, or let it go on; holds from the next frame. Any thread may call
-        it."""
-        self.mode = mode
-
     def listen_to(self, voice: VoicePublisher | None) -> None:
         """Let the voice of the face's owner move the mouth while nobody is seen, if it may."""
         if voice is not None and self.config.mouth_by_voice:
@@ -138,20 +135,18 @@ class Publisher:
     def trouble(self) -> str:
         """What is wrong with the tracker, for its user; empty: nothing, or there is none."""
         source = self.source  # another thread may replace it
-        return source.trouble if isinstance(source, LiveSource) else ""
+        return source.trouble if isinstance(source, Tracker) else ""
 
     def replace_source(self, source: Source) -> None:
         """Take the face from another source from the next frame on, and let go of the one before.
         Any thread may call it."""
         before, self.source = self.source, source
-        if isinstance(before, LiveSource):
+        if isinstance(before, Tracker):
             before.close()
 
     def close(self) -> None:
         """Let go of the tracker."""
-        source = self.source
-        if isinstance(source, LiveSource):
-            source.close()
+        self.replace_source(Unseen())
 
     def receive_event(self, event: ClientEvent) -> None:
         """Take an event of the link's session."""
@@ -189,7 +184,7 @@ class Publisher:
 
     def stats(self) -> dict[str, Any]:
         """What was sent so far; rates are over the time from the first frame to the last."""
-        seconds = self._last_sent_s - (self._first_sent_s or 0.0)
+        seconds = self.seconds_sent
         return {
             "seconds": round(seconds, 3),
             "sent": self.num_sent,

@@ -5,7 +5,6 @@ A shell: it owns the link; `publisher` makes the frames.
 
 import asyncio
 import random
-from collections import deque
 from typing import Any
 
 from pica_client.avatars.upload import AvatarGiver
@@ -42,7 +41,6 @@ class Sender:
     ) -> None:
         """Prepare; see `Link` for connector and rng. A giver gives the avatar's file to each relay
         that we join; `news` hears of the link; a voice goes over the same link."""
-        self.config = config
         self._giver = giver
         self._news = news
         self.publisher = Publisher(config, source, avatar, avatar_identity)
@@ -56,11 +54,6 @@ class Sender:
             rng=rng,
         )
         self._stopping = asyncio.Event()
-
-    @property
-    def frame_log(self) -> deque[tuple[int, int]]:
-        """The times of frames that were sent; see `Publisher.frame_log`."""
-        return self.publisher.frame_log
 
     def stop(self) -> None:
         """Make `run` leave the room and return."""

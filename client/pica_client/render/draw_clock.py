@@ -1,10 +1,5 @@
 """How long the GPU works on a frame, without waiting for it.
 
-    clock = DrawClock(context)
-    with clock.around(tag):
-        renderer.draw(...)
-    for tag, seconds in clock.take(): ...
-
 A timer query's answer is there when the GPU is done, and asking earlier waits for it. So queries
 are taken in turn, and each is read just before its turn comes again, `DEPTH` frames later.
 """

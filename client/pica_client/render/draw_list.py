@@ -5,11 +5,13 @@ take, and from there to counts.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from moderngl import Texture
+
 from pica_client.render.gpu_avatar import Body
 from pica_client.render.gpu_maps import MapSeries
 from pica_client.render.gpu_program import UNIT_POSITION
 from pica_client.render.gpu_textured import TexturedHead
-from pica_client.render.passes import WHOLE, DecodedHead, PaintedHead, Place
+from pica_client.render.passes import DecodedHead, PaintedHead, Place
 from pica_client.render.scene import Placement, clip_from_head, screen_rect
 from pica_client.render.targets import PixelRect, rect_in_view
 from pica_core.avatar.file import Avatar
@@ -57,17 +59,13 @@ class RenderSlot:
 
     avatar: Avatar | None = None
     body: Body | None = None
-    position: MapSeries | None = None
-    expression: MapSeries | None = None
+    maps: tuple[MapSeries, MapSeries] | None = None
+    """Maps of positions, and of expressions."""
     textured: TexturedHead | None = None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class View:
-    """A camera and the part of the image that it fills."""
-
-    camera: Camera
-    rect: PixelRect
+View = tuple[Camera, PixelRect]
+"""A camera and the part of the image that it fills."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,9 +76,9 @@ class DrawList:
     painted: list[PaintedHead] = field(default_factory=list)
 
     @property
-    def places(self) -> list[Place]:
-        """Where the decoded heads are, then the painted ones."""
-        return [head.place for head in self.decoded] + [head.place for head in self.painted]
+    def heads(self) -> list[DecodedHead | PaintedHead]:
+        """The decoded heads, then the painted ones."""
+        return [*self.decoded, *self.painted]
 
 
 def list_heads(
@@ -116,12 +114,7 @@ def count_draws(
     *,
     is_smooth: bool,
 ) -> DrawStats:
-    """What a frame drew.
-
-    Args:
-        counts: Coloured pixels of each decoded head.
-        painted_counts: Of each textured one.
-    """
+    """What a frame drew, with the coloured pixels of each decoded head and of each textured one."""
     heads = [
         HeadStats(
             slot=head.slot,
@@ -129,16 +122,7 @@ def count_draws(
             num_triangles=head.mesh.num_triangles,
             shaded_pixels=count,
         )
-        for head, count in zip(listed.decoded, counts, strict=True)
-    ]
-    heads += [
-        HeadStats(
-            slot=head.slot,
-            level=0,
-            num_triangles=head.head.num_triangles,
-            shaded_pixels=count,
-        )
-        for head, count in zip(listed.painted, painted_counts, strict=True)
+        for head, count in zip(listed.heads, [*counts, *painted_counts], strict=True)
     ]
     num_placeholders = sum(head.expression is None for head in listed.decoded)
     num_second = sum(head.number != head.mark for head in listed.decoded)
@@ -154,47 +138,45 @@ def count_draws(
     )
 
 
+_Shown = tuple[int, Texture, Texture | None]
+"""A level, its positions and its expressions."""
+
+
 def _arrange(
     entry: RenderSlot, placeholder: Body, placement: Placement, view: View, number: int
 ) -> list[DecodedHead | PaintedHead]:
     """One head in one view: none if it is not on the screen, two while levels are mixed."""
     textured = entry.textured if entry.textured and entry.textured.has_maps else None
-    position, expression = entry.position, entry.expression
-    has_maps = position and expression and position.level and expression.level
-    body = entry.body if entry.body and has_maps else placeholder
-    matrix = clip_from_head(view.camera, placement.world_from_head)
+    maps = entry.maps if entry.maps and all(series.level for series in entry.maps) else None
+    body = entry.body if entry.body and maps else placeholder
+    camera, part = view
+    matrix = clip_from_head(camera, placement.world_from_head)
     bounds = textured or body
     covered = screen_rect(matrix, bounds.low_m, bounds.high_m)
     if covered is None:
         return []
     place = Place(
         matrix=matrix,
-        view=view.rect,
-        rect=rect_in_view(covered, view.rect),
+        view=part,
+        rect=rect_in_view(covered, part),
         shown=(*bounds.fade_m, 1 - min(max(placement.fade, 0.0), 1.0) * MAX_FADE),
     )
     if textured is not None:
-        return [PaintedHead(slot=placement.slot, place=place, number=number, head=textured)]
-    if position is None or expression is None or not has_maps:
-        stand_in = DecodedHead(
-            slot=placement.slot,
-            place=place,
-            number=number,
-            mark=number,
-            share=WHOLE,
-            body=body,
-            mesh=body.mesh(0, None),
-            position=body.textures[UNIT_POSITION],
-            expression=None,
-        )
-        return [stand_in]
+        return [PaintedHead(slot=placement.slot, place=place, number=number, mesh=textured)]
     blend = min(max(placement.blend, 0.0), 1.0)
-    newest = (position.level, position.newest, expression.newest)
-    before = (position.level_before, position.before, expression.before)
-    if placement.is_same_maps:
-        before = newest
-    elif not (position.has_before or expression.has_before):
+    newest: _Shown
+    before: _Shown
+    if maps is None:
+        newest = before = (0, body.textures[UNIT_POSITION], None)
         blend = 1.0
+    else:
+        position, expression = maps
+        newest = (position.level, position.newest, expression.newest)
+        before = (position.level_before, position.before, expression.before)
+        if placement.is_same_maps:
+            before = newest
+        elif before == newest:
+            blend = 1.0
     layers = (
         (*newest, placement.mesh_level, (0.0, blend)),
         (*before, placement.mesh_before, (blend, 1.0)),

@@ -23,15 +23,12 @@ SLOT = "head"
 
 
 class Drawing(NamedTuple):
-    """What was drawn, from one view or from several.
-
-    Attributes:
-        image: uint8 ``[..., H, W, 3]``.
-        covered: Where a head is. bool ``[..., H, W]``.
-    """
+    """What was drawn, from one view or from several."""
 
     image: Image
+    """uint8 ``[..., H, W, 3]``."""
     covered: BoolArray
+    """Where a head is. bool ``[..., H, W]``."""
 
 
 class HeadRenderer:

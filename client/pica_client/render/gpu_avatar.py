@@ -15,13 +15,13 @@ from pica_client.render.gpu_program import (
     UNIT_UV_ENCODING,
     UNIT_V_ENCODING,
     build_program,
+    clamp,
 )
 from pica_client.render.shader_source import AXIS_ROW, axis_levels, compose
 from pica_client.render.shader_weights import pack_weights, siren_source
 from pica_core.avatar.bust import WHOLE_M, bust_of, fade_heights_m, seen_faces
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.level_tensors import sheet_uv
-from pica_core.avatar.spec import AvatarSpec
 from pica_core.reference.decoders import still_map
 from pica_core.reference.mesh import order_faces
 from pica_core.types import FloatArray
@@ -62,17 +62,14 @@ class Mesh:
     """The triangles of one level, for the positions of one level."""
 
     level: int
-
-    vertices: moderngl.VertexArray
-    sharing: moderngl.VertexArray
-    """The same for the program that leaves part of the pixels to another level."""
+    vertices: tuple[moderngl.VertexArray, moderngl.VertexArray]
+    """Arrays for the two `MeshPrograms`."""
     num_triangles: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Body:
-    """What all seats with the same avatar share. Made by `upload_avatar` and
-    `upload_placeholder`."""
+    """What all seats with the same avatar share."""
 
     meshes: dict[tuple[int, int], Mesh]
     """Meshes keyed by the levels of the positions and of the triangles; a placeholder has one."""
@@ -90,12 +87,8 @@ class Body:
     """Heights below which nothing and above which all of it is seen, head frame."""
 
     def mesh(self, position_level: int, mesh_level: int | None) -> Mesh:
-        """The triangles to draw with positions of a level.
-
-        Args:
-            position_level: Of what the decoder made.
-            mesh_level: Asked for; the positions' own serves where there is no such mesh.
-        """
+        """The triangles to draw with positions of a level; the positions' own serve where there is
+        no such mesh."""
         own = self.meshes[position_level, position_level]
         return self.meshes.get((position_level, mesh_level or position_level), own)
 
@@ -120,7 +113,6 @@ def upload_avatar(
     """Put everything of an avatar but its two decoded maps on the GPU.
 
     Args:
-        context: Of this thread.
         weights_place: See `RenderOptions`.
         filtered: Encodings are averaged over what a pixel covers.
         fades: It fades out towards its lower border.
@@ -130,7 +122,16 @@ def upload_avatar(
         ShaderError: Sizes that the shader does not hold, or a driver that refuses it.
     """
     tensors, manifest = avatar.tensors, avatar.manifest
-    program = program or decoder_program(context, avatar, weights_place, filtered=filtered)
+    if program is None:
+        baked = None if weights_place == "block" else tensors
+        siren = siren_source(avatar.spec, baked, in_turns=weights_place == "turns")
+        fragment = compose(
+            "pixel_decoder.frag",
+            avatar.spec,
+            generated={"SIREN": siren},
+            defines={"FILTERED": ""} if filtered else {},
+        )
+        program = build_program(context, compose("rect.vert"), fragment)
     textures: dict[int, moderngl.Texture] = {}
     if "uv_encoding" in tensors:
         encoding = tensors["uv_encoding"]
@@ -141,8 +142,8 @@ def upload_avatar(
     still = still_map(avatar)
     if still is not None:
         size = (len(still), len(still))
-        textures[UNIT_STILL] = context.texture(size, still.shape[2], still.tobytes(), dtype="f4")
-        _clamp(textures[UNIT_STILL], moderngl.LINEAR)
+        texture = context.texture(size, still.shape[2], still.tobytes(), dtype="f4")
+        textures[UNIT_STILL] = clamp(texture)
     weights = None
     if weights_place == "block":
         weights = context.buffer(pack_weights(avatar.spec, tensors))
@@ -159,33 +160,6 @@ def upload_avatar(
     )
 
 
-def decoder_program(
-    context: moderngl.Context,
-    avatar: Avatar,
-    weights_place: WeightsPlace,
-    *,
-    filtered: bool = True,
-) -> moderngl.Program:
-    """The program of the second pass for an avatar."""
-    baked = None if weights_place == "block" else avatar.tensors
-    sine: Literal["builtin", "polynomial"] = "builtin"
-    if weights_place == "turns":
-        sine = "polynomial"
-    fragment = compose(
-        "pixel_decoder.frag",
-        avatar.spec,
-        choices={"ENCODING": encoding_file(avatar.spec)},
-        generated={"SIREN": siren_source(avatar.spec, baked, sine)},
-        defines={"FILTERED": ""} if filtered else {},
-    )
-    return build_program(context, compose("rect.vert"), fragment)
-
-
-def encoding_file(spec: AvatarSpec) -> str:
-    """The shader file with a spec's surface encoding."""
-    return f"encoding_{spec.encoding}.glsl"
-
-
 def upload_placeholder(context: moderngl.Context, mesh_programs: MeshPrograms) -> Body:
     """The head that stands in for an avatar that is not there or cannot be used."""
     program = build_program(context, compose("rect.vert"), compose("placeholder.frag"))
@@ -197,12 +171,11 @@ def upload_placeholder(context: moderngl.Context, mesh_programs: MeshPrograms) -
     texel = (np.arange(count, dtype=np.float32) + 0.5) / count
     vertex_uv = np.stack(np.meshgrid(texel, texel), axis=-1).reshape(-1, 2)
     texture = context.texture((count, count), 3, bust.tobytes(), dtype="f4")
-    _clamp(texture, moderngl.LINEAR)
     low_m, high_m = bust.min(axis=(0, 1)), bust.max(axis=(0, 1))
     return Body(
         meshes={(0, 0): upload_mesh(context, mesh_programs, 0, faces, vertex_uv, vertex_uv)},
         shade=context.vertex_array(program, []),
-        textures={UNIT_POSITION: texture},
+        textures={UNIT_POSITION: clamp(texture)},
         weights=None,
         low_m=tuple(low_m.tolist()),
         high_m=tuple(high_m.tolist()),
@@ -242,15 +215,8 @@ def upload_mesh(
     vertex_uv: npt.NDArray[Any],
     places: npt.NDArray[Any],
 ) -> Mesh:
-    """Put triangles on the GPU.
-
-    Args:
-        context: Of this thread.
-        level: Name of the triangles.
-        faces: ``[F, 3]``.
-        vertex_uv: ``[V, 2]``.
-        places: Where the vertices' positions are looked up, ``[V, 2]``.
-    """
+    """Put triangles ``[F, 3]`` on the GPU, with the places ``[V, 2]`` at which positions of their
+    vertices are looked up."""
     indices = context.buffer(np.ascontiguousarray(faces, np.int32).tobytes())
     both = np.concatenate([places, vertex_uv], axis=1)
     corners = context.buffer(np.ascontiguousarray(both, np.float32).tobytes())
@@ -258,7 +224,7 @@ def upload_mesh(
     whole, sharing = (
         context.vertex_array(program, content, index_buffer=indices) for program in programs
     )
-    return Mesh(level, whole, sharing, len(faces))
+    return Mesh(level, (whole, sharing), len(faces))
 
 
 def placeholder_map() -> FloatArray:
@@ -285,7 +251,7 @@ def _encoding_texture(
     texture = context.texture(
         half.shape[1::-1], half.shape[2], half.tobytes(), dtype="f2", alignment=1
     )
-    _clamp(texture, moderngl.LINEAR)
+    clamp(texture)
     if filtered:
         texture.build_mipmaps()
         texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
@@ -324,10 +290,4 @@ def _axis_texture(context: moderngl.Context, table: npt.NDArray[Any]) -> moderng
     folded = np.zeros((rows * AXIS_ROW, 4), np.float32)
     folded[: len(texels)] = texels
     texture = context.texture((AXIS_ROW, rows), 4, folded.tobytes(), dtype="f4")
-    _clamp(texture, moderngl.NEAREST)
-    return texture
-
-
-def _clamp(texture: moderngl.Texture, filtering: int) -> None:
-    texture.filter = (filtering, filtering)
-    texture.repeat_x = texture.repeat_y = False
+    return clamp(texture, moderngl.NEAREST)

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping
 import moderngl
 import numpy as np
 
+from pica_client.render.gpu_program import clamp
 from pica_core.errors import ShapeError
 from pica_core.types import FloatArray, Int64Array
 
@@ -21,7 +22,6 @@ class MapSeries:
     """One kind of map at every level.
 
     Args:
-        context: Of this thread.
         rows: Of the maps that may come, by level; a level is their columns.
         components: Channels of the maps, 1 to 4.
         filtering: How shaders look them up: moderngl.NEAREST for texelFetch.
@@ -34,16 +34,13 @@ class MapSeries:
         self, context: moderngl.Context, rows: Mapping[int, int], components: int, filtering: int
     ) -> None:
         self._textures = {
-            level: context.texture((level, count), components, dtype="f4")
+            level: clamp(context.texture((level, count), components, dtype="f4"), filtering)
             for level, count in rows.items()
         }
-        for texture in self._textures.values():
-            texture.filter = (filtering, filtering)
-            texture.repeat_x = texture.repeat_y = False
         self._components = components
-        self.level = 0
-        """Level of the map that came last; 0 if none came."""
-        self._level_before = 0
+        self.level = self.level_before = 0
+        """Level of the map that came last, 0 if none came; and of the last map of another level
+        before, or the same where there is none."""
         self._versions: dict[int, Int64Array] = {}
         self.bytes_written = 0
         """What `write` has uploaded so far."""
@@ -56,38 +53,20 @@ class MapSeries:
     @property
     def before(self) -> moderngl.Texture:
         """The last map of the level before; the newest where there is none."""
-        return self._textures[self._level_before or self.level]
-
-    @property
-    def has_before(self) -> bool:
-        """Whether there is a map of another level than the newest."""
-        return self._level_before != 0
-
-    @property
-    def level_before(self) -> int:
-        """Level of `before`; 0 if nothing came yet."""
-        return self._level_before or self.level
+        return self._textures[self.level_before]
 
     def check(self, array: FloatArray) -> None:
-        """Refuse what cannot be written.
-
-        Raises:
-            ShapeError: Not float32, or of no level's shape.
-        """
+        """Raise a ShapeError for what is not float32, or of no level's shape."""
         shapes = [(t.height, t.width, self._components) for t in self._textures.values()]
         if array.shape not in shapes or array.dtype != np.float32:
             known = ", ".join(map(str, shapes))
             raise ShapeError(f"map is {array.dtype} {array.shape}; float32 {known} is needed")
 
     def write(self, array: FloatArray, row_versions: Int64Array | None = None) -> None:
-        """Upload a map that `check` has passed.
-
-        Args:
-            row_versions: ``[H]``, as `DecodedSheet` has them; rows that are there are left out.
-        """
+        """Upload a map that `check` has passed, but for rows whose versions are there already."""
         level = array.shape[1]
         if level != self.level:
-            self.level, self._level_before = level, self.level
+            self.level, self.level_before = level, self.level or level
         held = self._versions.pop(level, None)
         if row_versions is not None:
             self._versions[level] = row_versions

@@ -13,18 +13,11 @@ from pica_core.types import FloatArray
 UNIT_VISIBLE_XYZ, UNIT_VISIBLE_UV, UNIT_POSITION, UNIT_EXPRESSION = 0, 1, 2, 3
 UNIT_UV_ENCODING, UNIT_U_ENCODING, UNIT_V_ENCODING = 4, 5, 6
 UNIT_SKIN, UNIT_ROOM, UNIT_STILL = 7, 8, 9
-_UNITS = {
-    "visible_xyz": UNIT_VISIBLE_XYZ,
-    "visible_uv": UNIT_VISIBLE_UV,
-    "position_map": UNIT_POSITION,
-    "expression_map": UNIT_EXPRESSION,
-    "still_map": UNIT_STILL,
-    "uv_encoding": UNIT_UV_ENCODING,
-    "u_encoding": UNIT_U_ENCODING,
-    "v_encoding": UNIT_V_ENCODING,
-    "skin": UNIT_SKIN,
-    "room": UNIT_ROOM,
-}
+_SAMPLERS = (
+    *("visible_xyz", "visible_uv", "position_map", "expression_map"),
+    *("uv_encoding", "u_encoding", "v_encoding", "skin", "room", "still_map"),
+)
+"""What shaders call these units, in the order of their numbers."""
 
 
 def build_program(
@@ -40,10 +33,17 @@ def build_program(
     except moderngl.Error as error:
         at_fault = vertex if "vertex_shader" in str(error) else fragment
         raise ShaderError(f"the driver refuses a shader: {at_fault.explain(str(error))}") from error
-    for name, unit in _UNITS.items():
+    for unit, name in enumerate(_SAMPLERS):
         if name in program:
             program[name] = unit
     return program
+
+
+def clamp(texture: moderngl.Texture, filtering: int = moderngl.LINEAR) -> moderngl.Texture:
+    """Have a texture end at its borders, and looked up by `filtering`; gives it back."""
+    texture.filter = (filtering, filtering)
+    texture.repeat_x = texture.repeat_y = False
+    return texture
 
 
 def set_matrix(program: moderngl.Program, name: str, matrix: FloatArray) -> None:

@@ -4,66 +4,43 @@ Its decoder makes vertices and a whole texture for each frame; both are uploaded
 drawn in one pass.
 """
 
-from dataclasses import dataclass
-
 import moderngl
 import numpy as np
-import numpy.typing as npt
 
+from pica_client.render.gpu_program import clamp
+from pica_core.avatar.baseline import BaselineAvatar
 from pica_core.avatar.bust import WHOLE_M, fade_heights_m
 from pica_core.errors import ShapeError
 from pica_core.reference.mesh import order_faces
 from pica_core.types import FloatArray
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class TexturedMesh:
-    """What of a textured head never changes."""
-
-    vertex_uv: FloatArray
-    """Texture coordinates in [0, 1], row 0 of the texture is v = 0. float32 ``[V, 2]``."""
-    faces: npt.NDArray[np.int32]
-    """Counter-clockwise seen from outside. ``[F, 3]``."""
-    low_m: tuple[float, ...]
-    """Lower corner of all positions, head frame, metres."""
-    high_m: tuple[float, ...]
-    texture_size: int = 1024
-    """Rows and columns of its texture, texels."""
-
-
 class TexturedHead:
-    """A textured head on the GPU.
-
-    Args:
-        context: Of this thread.
-        program: ``textured.vert`` and ``textured.frag``.
-        mesh: See `TexturedMesh`.
-        fades: It fades out above the lower end of its box.
-    """
+    """A textured head on the GPU; one that `fades` does so above the lower end of its box."""
 
     def __init__(
         self,
         context: moderngl.Context,
         program: moderngl.Program,
-        mesh: TexturedMesh,
+        avatar: BaselineAvatar,
         *,
         fades: bool = False,
     ) -> None:
-        self.low_m, self.high_m = mesh.low_m, mesh.high_m
-        self.fade_m = fade_heights_m(mesh.low_m[1]) if fades else WHOLE_M
-        self.num_triangles = len(mesh.faces)
-        self._num_vertices = len(mesh.vertex_uv)
+        self.low_m, self.high_m = avatar.bounds_min_m, avatar.bounds_max_m
+        self.fade_m = fade_heights_m(self.low_m[1]) if fades else WHOLE_M
+        self.level, self.num_triangles = 0, len(avatar.faces)
+        self._num_vertices = len(avatar.vertex_uv)
         self._positions = context.buffer(reserve=12 * self._num_vertices, dynamic=True)
-        corners = context.buffer(np.ascontiguousarray(mesh.vertex_uv, np.float32).tobytes())
-        faces = order_faces(mesh.faces, mesh.vertex_uv)
+        corners = context.buffer(np.ascontiguousarray(avatar.vertex_uv, np.float32).tobytes())
+        faces = order_faces(avatar.faces, avatar.vertex_uv)
         self.vertices = context.vertex_array(
             program,
             [(self._positions, "3f", "vertex_xyz_m"), (corners, "2f", "vertex_uv")],
             index_buffer=context.buffer(np.ascontiguousarray(faces, np.int32).tobytes()),
         )
-        self.texture = context.texture((mesh.texture_size, mesh.texture_size), 4)
-        self.texture.repeat_x = self.texture.repeat_y = False
-        self._rgba = np.full((mesh.texture_size, mesh.texture_size, 4), 255, np.uint8)
+        side = avatar.spec.texture_size
+        self.texture = clamp(context.texture((side, side), 4))
+        self._rgba = np.full((side, side, 4), 255, np.uint8)
         self.has_maps = False
 
     def update(self, vertices_m: FloatArray, texture: FloatArray) -> None:

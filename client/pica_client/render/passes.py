@@ -1,31 +1,36 @@
 """The passes of a frame: the programs they use, and the order of GL calls.
 
-    surfaces    what is visible where, of all avatars
-    shade       the pixel decoder on the pixels that an avatar won
-    texture     textured heads, in one pass, against the depth of the others
-    smooth      stair-steps
-
 All rectangles are of the whole image, so that several views can share it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Any, TypeVar
 
 import moderngl
 import numpy as np
 
-from pica_client.render import gpu_program
 from pica_client.render.gpu_avatar import Body, Mesh, upload_placeholder
+from pica_client.render.gpu_program import (
+    UNIT_EXPRESSION,
+    UNIT_POSITION,
+    UNIT_ROOM,
+    UNIT_SKIN,
+    build_program,
+    set_matrix,
+    set_values,
+)
 from pica_client.render.gpu_textured import TexturedHead
-from pica_client.render.room import Room, lens_of, world_from_view
+from pica_client.render.room import Room, lens_of
 from pica_client.render.shader_source import compose
 from pica_client.render.targets import (
     PixelRect,
     RenderTargets,
     clip_rect,
     inset_rect,
+    viewport,
 )
 from pica_core.camera import Camera
 from pica_core.types import FloatArray
@@ -76,7 +81,10 @@ class PaintedHead:
     place: Place
     number: int
     """Its mark in the image, 1 to 255."""
-    head: TexturedHead
+    mesh: TexturedHead
+
+
+T = TypeVar("T")
 
 
 class DrawPasses:
@@ -89,12 +97,12 @@ class DrawPasses:
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
         self.mesh_programs = (
-            gpu_program.build_program(context, compose("mesh.vert"), compose("surface.frag")),
-            gpu_program.build_program(
+            build_program(context, compose("mesh.vert"), compose("surface.frag")),
+            build_program(
                 context, compose("mesh.vert"), compose("surface.frag", defines={"SHARED": ""})
             ),
         )
-        self.textured_program = gpu_program.build_program(
+        self.textured_program = build_program(
             context, compose("textured.vert"), compose("textured.frag")
         )
         self._background = self._screen("background.frag")
@@ -116,9 +124,10 @@ class DrawPasses:
             row[:] = (*place, speaking)
         members["seats"].write(seats.tobytes())
         for camera, rect in views:
-            turned = np.ascontiguousarray(world_from_view(camera).T, np.float32)
-            members["world_from_view"].write(turned.tobytes())
-            gpu_program.set_values(
+            # Right, up and forward of the camera are the columns.
+            turned = np.array([[1.0], [-1.0], [1.0]]) * camera.rotation
+            members["world_from_view"].write(turned.astype(np.float32).tobytes())
+            set_values(
                 program,
                 lens=lens_of(camera),
                 eye_m=tuple(camera.centre_m.tolist()),
@@ -131,7 +140,7 @@ class DrawPasses:
             self._background.render(moderngl.TRIANGLE_STRIP, vertices=4)
             targets.room.use()
             targets.small_room_image.use(0)
-            gpu_program.set_values(self._enlarge.program, rect=clip_rect(rect, targets.size))
+            set_values(self._enlarge.program, rect=clip_rect(rect, targets.size))
             self._enlarge.render(moderngl.TRIANGLE_STRIP, vertices=4)
 
     def surfaces(
@@ -176,30 +185,23 @@ class DrawPasses:
         self._context.enable(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
         # Near ones first: what they hide is tested away before it is written.
         for head in sorted(heads, key=lambda head: float(head.place.matrix[3, 3])):
-            is_whole = head.share == WHOLE
-            program = self.mesh_programs[0 if is_whole else 1]
-            left, bottom, right, top = head.place.view
-            targets.surface.viewport = (left, bottom, right - left, top - bottom)
-            head.position.use(gpu_program.UNIT_POSITION)
-            gpu_program.set_matrix(program, "clip_from_head", head.place.matrix)
-            gpu_program.set_values(
+            is_shared = head.share != WHOLE
+            program = self.mesh_programs[is_shared]
+            targets.surface.viewport = viewport(head.place.view)
+            head.position.use(UNIT_POSITION)
+            set_matrix(program, "clip_from_head", head.place.matrix)
+            set_values(
                 program, slot=float(head.number), low_m=head.body.low_m, high_m=head.body.high_m
             )
-            if is_whole:
-                head.mesh.vertices.render(instances=times)
-            else:
-                gpu_program.set_values(program, share=head.share)
-                head.mesh.sharing.render(instances=times)
+            if is_shared:
+                set_values(program, share=head.share)
+            head.mesh.vertices[is_shared].render(instances=times)
 
     def shade(
         self, targets: RenderTargets, heads: Sequence[DecodedHead], *, count: bool
     ) -> list[int | None]:
-        """Colour the pixels of each head over the room.
-
-        Returns:
-            Pixels that each head's program coloured; None unless they are to be counted, which
-            waits for the GPU.
-        """
+        """Colour the pixels of each head over the room, and say how many they were; None unless
+        they are to be counted, which waits for the GPU."""
         context = self._context
         context.copy_framebuffer(targets.shaded, targets.room)
         context.disable(moderngl.CULL_FACE)
@@ -208,18 +210,14 @@ class DrawPasses:
         context.enable(moderngl.DEPTH_TEST)
         targets.textured.depth_mask = False
         targets.textured.viewport = (0, 0, *targets.size)
-        targets.room_image.use(gpu_program.UNIT_ROOM)
+        targets.room_image.use(UNIT_ROOM)
         for unit, texture in targets.visible.items():
             texture.use(unit)
-        queries = self._queries_for(heads, count)
-        for head, query in zip(heads, queries, strict=True):
-            with query:
-                self._shade_one(targets, head)
+        counts = self._draw_each(heads, partial(self._shade_one, targets), count)
         targets.textured.use()
         targets.textured.depth_mask = True
         context.depth_func = "<"
-        # Asked for at the end: each answer waits for what was drawn before it.
-        return [_samples(query) for query in queries]
+        return counts
 
     def texture(
         self,
@@ -229,34 +227,29 @@ class DrawPasses:
         count: bool = False,
         times: int = 1,
     ) -> list[int | None]:
-        """Draw textured heads over the shaded image, behind what is nearer.
-
-        Returns:
-            As `shade`; a pixel that is drawn over counts again.
-        """
+        """Draw textured heads over the shaded image, behind what is nearer; counts as `shade`, a
+        pixel that is drawn over again."""
         if not heads:
             return []
-        targets.room_image.use(gpu_program.UNIT_ROOM)
+        targets.room_image.use(UNIT_ROOM)
         targets.textured.use()
         self._context.enable(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
-        program = self.textured_program
-        queries = self._queries_for(heads, count)
-        for painted, query in zip(heads, queries, strict=True):
-            place = painted.place
-            left, bottom, right, top = place.view
-            targets.textured.viewport = (left, bottom, right - left, top - bottom)
-            painted.head.texture.use(gpu_program.UNIT_SKIN)
-            gpu_program.set_matrix(program, "clip_from_head", place.matrix)
-            gpu_program.set_values(
-                program,
-                slot=float(painted.number),
+
+        def paint(head: PaintedHead) -> None:
+            place, mesh = head.place, head.mesh
+            targets.textured.viewport = viewport(place.view)
+            mesh.texture.use(UNIT_SKIN)
+            set_matrix(self.textured_program, "clip_from_head", place.matrix)
+            set_values(
+                self.textured_program,
+                slot=float(head.number),
                 shown=place.shown,
-                low_m=painted.head.low_m,
-                high_m=painted.head.high_m,
+                low_m=mesh.low_m,
+                high_m=mesh.high_m,
             )
-            with query:
-                painted.head.vertices.render(instances=times)
-        return [_samples(query) for query in queries]
+            mesh.vertices.render(instances=times)
+
+        return self._draw_each(heads, paint, count)
 
     def smooth(self, targets: RenderTargets, places: Sequence[Place]) -> None:
         """Blur the stair-steps of silhouettes within these rectangles of the final image."""
@@ -264,7 +257,7 @@ class DrawPasses:
         context.disable(moderngl.CULL_FACE)
         context.enable(moderngl.DEPTH_TEST)
         targets.shaded_image.use(0)
-        gpu_program.set_values(self._smooth.program, texel=(1 / size[0], 1 / size[1]))
+        set_values(self._smooth.program, texel=(1 / size[0], 1 / size[1]))
         targets.depth.use()
         targets.depth.clear(depth=0.0)
         for target, screen, depth_func in (
@@ -274,9 +267,7 @@ class DrawPasses:
             target.use()
             context.depth_func = depth_func
             for place in places:
-                gpu_program.set_values(
-                    screen.program, rect=clip_rect(inset_rect(place.rect, size), size)
-                )
+                set_values(screen.program, rect=clip_rect(inset_rect(place.rect, size), size))
                 screen.render(moderngl.TRIANGLE_STRIP, vertices=4)
         context.depth_func = "<"
         context.disable(moderngl.DEPTH_TEST)
@@ -285,12 +276,12 @@ class DrawPasses:
         body = head.body
         body.bind()
         if head.expression is not None:
-            head.expression.use(gpu_program.UNIT_EXPRESSION)
+            head.expression.use(UNIT_EXPRESSION)
             is_change = head.expression.width < body.still_size
-            gpu_program.set_values(body.shade.program, is_change=is_change)
+            set_values(body.shade.program, is_change=is_change)
         targets.textured.use()
         self._context.depth_func = ">"
-        gpu_program.set_values(
+        set_values(
             body.shade.program,
             slot=float(head.number),
             mark=float(head.mark),
@@ -299,21 +290,20 @@ class DrawPasses:
         )
         body.shade.render(moderngl.TRIANGLE_STRIP, vertices=4)
 
-    def _queries_for(
-        self, heads: Sequence[object], count: bool
-    ) -> Sequence[moderngl.Query | nullcontext[None]]:
-        """One for each head, kept from frame to frame; ones that count nothing if not asked to."""
-        if not count:
-            return [nullcontext()] * len(heads)
-        while len(self._queries) < len(heads):
+    def _draw_each(
+        self, heads: Sequence[T], draw: Callable[[T], None], count: bool
+    ) -> list[int | None]:
+        """Draw heads one after the other, and count what each colours if asked to."""
+        while count and len(self._queries) < len(heads):
             self._queries.append(self._context.query(samples=True))
-        return self._queries[: len(heads)]
+        for number, head in enumerate(heads):
+            with self._queries[number] if count else nullcontext():
+                draw(head)
+        # Asked for at the end: each answer waits for what was drawn before it.
+        queries = self._queries[: len(heads)] if count else []
+        return [int(query.samples) for query in queries] or [None] * len(heads)
 
     def _screen(self, name: str) -> moderngl.VertexArray:
         """A rectangle of the screen, drawn by a program of its own."""
-        program = gpu_program.build_program(self._context, compose("rect.vert"), compose(name))
+        program = build_program(self._context, compose("rect.vert"), compose(name))
         return self._context.vertex_array(program, [])
-
-
-def _samples(query: moderngl.Query | nullcontext[None]) -> int | None:
-    return None if isinstance(query, nullcontext) else int(query.samples)

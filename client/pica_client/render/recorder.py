@@ -1,8 +1,5 @@
 """Drawn frames into files: an MP4 of a call, and single PNG images.
 
-    with Recorder(Path("call.mp4"), (960, 540)) as recorder:
-        recorder.write(image, time_s)
-
 Frames keep the times they were drawn at, so a call that was drawn unevenly plays at its true speed;
 sound keeps the times it was heard at.
 Needs PyAV (the `video` extra); importing this module does not.
@@ -27,8 +24,6 @@ TICKS_PER_S = 60
 """Resolution of a frame's time. It is also the rate that players and editors take a recording to
 have, of which the frames that were not drawn are missing: at a finer one they speak of 1000 a
 second (chosen: displays seldom do more)."""
-
-
 SOUND_BPS = 128_000
 """Bits a second of the sound, AAC in stereo (chosen: voices lose nothing that is heard)."""
 CONTAINER = {"movflags": "hybrid_fragmented+delay_moov", "flush_packets": "1"}
@@ -173,11 +168,7 @@ class Recorder(Closing):
 
 
 def save_png(path: Path, image: Image) -> None:
-    """Write one image, uint8 ``[H, W, 3]``.
-
-    Raises:
-        OptionError: The file cannot be written.
-    """
+    """Write one image, uint8 ``[H, W, 3]``; OptionError if the file cannot be written."""
     from PIL import Image as PillowImage
 
     with writing_whole(path) as unfinished:

@@ -32,20 +32,19 @@ import numpy.typing as npt
 from pica_client.errors import OptionError
 from pica_client.render.draw_list import (
     DrawStats,
-    HeadStats,
     RenderSlot,
-    View,
     count_draws,
     list_heads,
 )
 from pica_client.render.gpu_avatar import WeightsPlace, upload_avatar
 from pica_client.render.gpu_maps import MapSeries
 from pica_client.render.gpu_program import UNIT_VISIBLE_UV, UNIT_VISIBLE_XYZ
-from pica_client.render.gpu_textured import TexturedHead, TexturedMesh
+from pica_client.render.gpu_textured import TexturedHead
 from pica_client.render.passes import DrawPasses
 from pica_client.render.room import EMPTY_ROOM, STILL, Room, lens_of
 from pica_client.render.scene import Placement
-from pica_client.render.targets import make_targets
+from pica_client.render.targets import RenderTargets
+from pica_core.avatar.baseline import BaselineAvatar
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import POSITION_CHANNELS
 from pica_core.camera import Camera
@@ -53,8 +52,7 @@ from pica_core.errors import GraphicsError
 from pica_core.gl import GL_VERSION, wait_for_gpu
 from pica_core.types import FloatArray, Image, Int64Array
 
-__all__ = ["DrawStats", "HeadStats", "RenderOptions", "Renderer"]
-
+__all__ = ["DrawStats", "RenderOptions", "Renderer"]
 
 MAX_SIDE_PX = 8192
 
@@ -83,7 +81,6 @@ class Renderer:
     Args:
         context: GL 3.3 or newer, current on this thread.
         size: Columns and rows, pixels.
-        options: See `RenderOptions`.
 
     Raises:
         OptionError: A size that is not between 1 and 8192.
@@ -120,7 +117,7 @@ class Renderer:
         if not all(1 <= side <= MAX_SIDE_PX for side in size):
             raise OptionError(f"size is {size[0]}x{size[1]}; each side may be 1 to {MAX_SIDE_PX}")
         self.size = size
-        self._targets = make_targets(self._context, size)
+        self._targets = RenderTargets(self._context, size)
         self._drawn_room: object = None
         self._context.gc()
 
@@ -145,27 +142,22 @@ class Renderer:
                 fades=self._options.fade_busts,
                 program=self._program_for(avatar),
             )
-        square = {level: level for level in avatar.levels}
+        rows = {level: avatar.position_rows(level) for level in avatar.levels}
+        square, codes = {level: level for level in rows}, avatar.spec.expression_channels
         self._slots[slot] = RenderSlot(
             avatar=avatar,
             body=body,
-            position=MapSeries(
-                self._context,
-                {level: avatar.position_rows(level) for level in avatar.levels},
-                POSITION_CHANNELS,
-                moderngl.NEAREST,
-            ),
-            expression=MapSeries(
-                self._context, square, avatar.spec.expression_channels, moderngl.LINEAR
+            maps=(
+                MapSeries(self._context, rows, POSITION_CHANNELS, moderngl.NEAREST),
+                MapSeries(self._context, square, codes, moderngl.LINEAR),
             ),
         )
 
-    def add_textured(self, slot: str, mesh: TexturedMesh) -> None:
-        """Put a textured head into a slot: the baseline. Drawn as a placeholder until its first
-        `update_textured`."""
+    def add_textured(self, slot: str, avatar: BaselineAvatar) -> None:
+        """Put a baseline into a slot. Drawn as a placeholder until its first `update_textured`."""
         self.add_placeholder(slot)
         head = TexturedHead(
-            self._context, self._passes.textured_program, mesh, fades=self._options.fade_busts
+            self._context, self._passes.textured_program, avatar, fades=self._options.fade_busts
         )
         self._slots[slot] = RenderSlot(textured=head)
 
@@ -193,30 +185,27 @@ class Renderer:
             position_map: Metres, float32 ``[S, S, 3]`` at the full level, the sheet of a coarser
                 one's vertices ``[R, S, 3]``. None keeps the one that is there.
             expression_map: float32 ``[S, S, C]``, or None.
-            row_versions: Of the position map, as `DecodedSheet` has them: rows that are there
+            row_versions: Of the position map, as `DecodedMaps` has them: rows that are there
                 already are not uploaded again. None uploads all.
 
         Raises:
             ShapeError: Maps of another size than the avatar's levels. Nothing is changed.
         """
         entry = self._slots.get(slot)
-        if entry is None or entry.position is None or entry.expression is None:
+        if entry is None or entry.maps is None:
             return
-        pairs = ((entry.position, position_map), (entry.expression, expression_map))
-        for series, array in pairs:
+        arrays, versions = (position_map, expression_map), (row_versions, None)
+        for series, array in zip(entry.maps, arrays, strict=True):
             if array is not None:
                 series.check(array)
-        if position_map is not None:
-            entry.position.write(position_map, row_versions)
-        if expression_map is not None:
-            entry.expression.write(expression_map)
+        for series, array, version in zip(entry.maps, arrays, versions, strict=True):
+            if array is not None:
+                series.write(array, version)
 
     def bytes_uploaded(self, slot: str) -> int:
         """Bytes of maps that went to the GPU for a slot; 0 where there is no avatar."""
         entry = self._slots.get(slot)
-        if entry is None or entry.position is None or entry.expression is None:
-            return 0
-        return entry.position.bytes_written + entry.expression.bytes_written
+        return sum(series.bytes_written for series in (entry and entry.maps) or ())
 
     def update_textured(self, slot: str, vertices_m: FloatArray, texture: FloatArray) -> None:
         """Upload what a baseline's decoder made; see `TexturedHead.update`."""
@@ -243,17 +232,15 @@ class Renderer:
         (width, height), count = self.size, len(cameras)
         edges = [width * number // count for number in range(count + 1)]
         views = [
-            View(camera, (left, 0, right, height))
+            (camera, (left, 0, right, height))
             for camera, (left, right) in zip(cameras, pairwise(edges), strict=True)
         ]
-        seen = [(view.camera if room != EMPTY_ROOM else STILL, view.rect) for view in views]
-        drawn = (
-            room,
-            [
-                (lens_of(eye), eye.rotation.tobytes(), eye.translation_m.tobytes(), rect)
-                for eye, rect in seen
-            ],
-        )
+        seen = [(camera if room != EMPTY_ROOM else STILL, rect) for camera, rect in views]
+        eyes = [
+            (lens_of(eye), eye.rotation.tobytes(), eye.translation_m.tobytes(), rect)
+            for eye, rect in seen
+        ]
+        drawn = (room, eyes)
         if drawn != self._drawn_room:  # only when it looks different; else it is copied
             self._drawn_room = drawn
             passes.draw_room(targets, seen, room)
@@ -267,7 +254,7 @@ class Renderer:
         self._context.copy_framebuffer(targets.final, targets.shaded)
         is_smooth = self._options.smooth_edges
         if is_smooth:
-            passes.smooth(targets, heads.places)
+            passes.smooth(targets, [head.place for head in heads.heads])
         return count_draws(heads, counts, painted_counts, is_smooth=is_smooth)
 
     def draw_vertices(
@@ -275,8 +262,8 @@ class Renderer:
     ) -> None:
         """Work through the vertices of a frame and nothing else; see `DrawPasses.vertices`. The
         next frame is drawn as if this had not been."""
-        view = View(camera, (0, 0, *self.size))
-        heads = list_heads(self._slots, placements, [view], self._passes.placeholder)
+        views = [(camera, (0, 0, *self.size))]
+        heads = list_heads(self._slots, placements, views, self._passes.placeholder)
         self._passes.vertices(self._targets, heads.decoded, heads.painted, times)
 
     def read_image(self) -> Image:

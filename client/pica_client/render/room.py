@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from pica_core.camera import Camera, look_at
-from pica_core.types import Float64Array
 
 TABLE_M = 0.31
 """How far the table is below the middle of the lowest head: busts have faded there."""
@@ -48,9 +47,3 @@ def lens_of(camera: Camera) -> tuple[float, float, float, float]:
     """The slopes of a picture's edges against the camera's axis: left, bottom, right, top."""
     (fx, _, cx), (_, fy, cy), _ = camera.intrinsics.tolist()
     return -cx / fx, (cy - camera.height) / fy, (camera.width - cx) / fx, cy / fy
-
-
-def world_from_view(camera: Camera) -> Float64Array:
-    """Right, up and forward of a camera as columns. float64 ``[3, 3]``."""
-    axes: Float64Array = camera.rotation.T * np.array([1.0, -1.0, 1.0])
-    return axes

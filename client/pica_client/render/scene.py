@@ -1,13 +1,6 @@
 """Heads on their seats, and where on the picture they are: pure geometry, no GPU.
 
 World: metres, +y up; `seats` says who sits where.
-
-    plan = plan_seats("line", len(faces), width / height)
-    placement = Placement(
-        slot=..., world_from_head=head_matrix(plan.seats[0], rotation, translation_m)
-    )
-    camera = plan_camera(plan, ViewState(), width, height)
-    direction = view_direction(placement.world_from_head, camera.centre_m)
 """
 
 import math
@@ -17,15 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pica_client.render.seats import (
-    HEAD_HALF_HEIGHT_M,
-    HEAD_HALF_WIDTH_M,
-)
+from pica_client.render.seats import HEAD_HALF_HEIGHT_M, HEAD_HALF_WIDTH_M
 from pica_core.camera import Camera
 from pica_core.types import Float64Array, FloatArray
 
 Rect = tuple[float, float, float, float]
-
+"""Left, top, right and bottom in image pixels, y down, unless said otherwise."""
 NEAR_M = 0.02
 FAR_M = 20.0
 
@@ -99,20 +89,9 @@ def clip_from_head(camera: Camera, world_from_head: FloatArray) -> FloatArray:
     return matrix
 
 
-def screen_rect(
-    matrix: FloatArray, low_m: npt.ArrayLike, high_m: npt.ArrayLike
-) -> tuple[float, float, float, float] | None:
-    """The part of the screen that a box may cover.
-
-    Args:
-        matrix: Clip space from the box's frame, ``[4, 4]``.
-        low_m: Lower corner ``[3]``.
-        high_m: Upper corner ``[3]``.
-
-    Returns:
-        Left, bottom, right, top in clip space, within [-1, 1]; None if nothing is on the screen. A
-        box that reaches behind the near plane may cover everything.
-    """
+def screen_rect(matrix: FloatArray, low_m: npt.ArrayLike, high_m: npt.ArrayLike) -> Rect | None:
+    """Left, bottom, right, top of what a box may cover in clip space, within [-1, 1]; None if
+    nothing is on the screen. A box that reaches behind the near plane may cover everything."""
     low, high = np.asarray(low_m, np.float64), np.asarray(high_m, np.float64)
     picks = (np.arange(8)[:, None] >> np.arange(3)) & 1
     corners = np.where(picks == 1, high, low)
@@ -131,14 +110,8 @@ def screen_rect(
 
 
 def head_rect_px(camera: Camera, world_from_head: npt.ArrayLike) -> Rect | None:
-    """The part of the picture that a head and its movements may cover.
-
-    Args:
-        world_from_head: Of the head, or of its seat, ``[4, 4]``.
-
-    Returns:
-        Left, top, right and bottom in image pixels, y down; None if it is not before the camera.
-    """
+    """The part of the picture that a head and its movements may cover, by the matrix ``[4, 4]`` of
+    the head or of its seat; None if it is not before the camera."""
     centre = np.asarray(world_from_head, np.float64)[:3, 3]
     right, down = camera.rotation[0], camera.rotation[1]
     reach = np.outer([-1, 1], HEAD_HALF_WIDTH_M * right + HEAD_HALF_HEIGHT_M * down)

@@ -13,8 +13,6 @@ all the same, as on a narrow picture, the grid is taken.
 
 In each of them one participant may be pinned: that one stands large in the middle, and the others
 look on from a strip at the side.
-
-    plan = plan_seats("table", 5, aspect=16 / 9)
 """
 
 from __future__ import annotations
@@ -27,6 +25,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from pica_core.errors import check_ranges
 from pica_core.types import Float64Array
 
 Layout = Literal["line", "arc", "table", "grid"]
@@ -98,10 +97,7 @@ class FreeShares:
     bottom: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("top", "right", "bottom"):
-            share = getattr(self, name)
-            if not 0 <= share <= MAX_FREE:
-                raise ValueError(f"{name} is {share:g}; 0 to {MAX_FREE} can be kept free")
+        check_ranges(self, top=(0, MAX_FREE), right=(0, MAX_FREE), bottom=(0, MAX_FREE))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -183,7 +179,12 @@ def plan_seats(
     places, pitch, faced = _grid(max(count, 1), frame, spacing_m)
     camera_m, target_m = _framing(places, pitch, frame, half_width=HALF_WIDTH_M)
     if layout != "grid":
-        inner, eyes = _row_frame(frame)
+        # Busts in a row need no room below for their names.
+        tangent = math.tan(VERTICAL_FOV / 2)
+        low, high = frame.bottom - 2 * tangent * LABEL_SHARE, frame.top
+        fill = tangent * ROW_FILL
+        inner = replace(frame, bottom=max(low, -fill), top=min(high, fill))
+        eyes = high - (high - low) * EYES_SHARE
         row = _ARRANGEMENTS[layout](max(count, 1), inner, spacing_m)
         framed = _framing(*row[:2], inner, half_width=HALF_WIDTH_M, below_m=BUST_M, eyes=eyes)
         has_rows = bool(np.ptp(places[:, 1]) > 0)
@@ -241,11 +242,16 @@ def _table(count: int, frame: _Frame, spacing_m: float) -> Arrangement:
 
 def _grid(count: int, frame: _Frame, spacing_m: float) -> Arrangement:
     """A grid of as many columns as make the heads largest; the last row stands in the middle."""
+
+    def distance_m(columns: int) -> float:
+        """How far away a grid is wholly in the picture."""
+        rows = math.ceil(count / columns)
+        high_m = (rows - 1) * (BUST_M + HEAD_HALF_HEIGHT_M) + 2 * HEAD_HALF_HEIGHT_M
+        wide_m = (columns - 1) * spacing_m + 2 * HALF_WIDTH_M
+        return max(high_m / (frame.top - frame.bottom), wide_m / (frame.right - frame.left))
+
     fewest_rows = 2 if count >= GRID_FROM else 1
-    columns = min(
-        range(1, math.ceil(count / fewest_rows) + 1),
-        key=lambda columns: _grid_distance_m(count, columns, frame, spacing_m),
-    )
+    columns = min(range(1, math.ceil(count / fewest_rows) + 1), key=distance_m)
     rows = math.ceil(count / columns)
     places = np.zeros((count, 3))
     for row in range(rows):
@@ -255,19 +261,10 @@ def _grid(count: int, frame: _Frame, spacing_m: float) -> Arrangement:
     return places, 0.0, None
 
 
-def _grid_distance_m(count: int, columns: int, frame: _Frame, spacing_m: float) -> float:
-    """How far away a grid is wholly in the picture."""
-    rows = math.ceil(count / columns)
-    high_m = (rows - 1) * (BUST_M + HEAD_HALF_HEIGHT_M) + 2 * HEAD_HALF_HEIGHT_M
-    wide_m = (columns - 1) * spacing_m + 2 * HALF_WIDTH_M
-    return max(high_m / (frame.top - frame.bottom), wide_m / (frame.right - frame.left))
-
-
 _ARRANGEMENTS: dict[Layout, Callable[[int, _Frame, float], Arrangement]] = {
     "line": _line,
     "arc": _arc,
     "table": _table,
-    "grid": _grid,
 }
 
 
@@ -328,15 +325,6 @@ def _framing_pinned(
         origin, 0.0, replace(frame, left=-side, right=side), half_width=shoulders_m / 2
     )
     return centred if _distance(*centred) <= CENTRING_LOSS * _distance(*beside) else beside
-
-
-def _row_frame(frame: _Frame) -> tuple[_Frame, float]:
-    """The part of it for busts in a row, who need no room below for their names, and where the
-    eyes are best."""
-    tangent = math.tan(VERTICAL_FOV / 2)
-    low, high = frame.bottom - 2 * tangent * LABEL_SHARE, frame.top
-    inner = replace(frame, bottom=max(low, -tangent * ROW_FILL), top=min(high, tangent * ROW_FILL))
-    return inner, high - (high - low) * EYES_SHARE
 
 
 def _frame(aspect: float, free: FreeShares) -> _Frame:

@@ -4,17 +4,11 @@ point at our files.
 Pure text work; no GPU is needed to test it. The same files come out as desktop GLSL 3.30 and as
 GLSL ES 3.00, the dialect of a browser.
 
-    source = compose(
-        "pixel_decoder.frag",
-        spec,
-        choices={"ENCODING": "encoding_full.glsl"},
-        generated={"SIREN": siren_source(spec)},
-    )
+    source = compose("pixel_decoder.frag", spec, generated={"SIREN": siren_source(spec)})
     link_program(context, vertex=..., fragment=source.text)
 
-``#include "file"`` takes a file, ``#include NAME`` the file chosen or the text generated for that
-name. A file is included once; naming one that does not exist is an error, as is a chain deeper than
-`MAX_DEPTH`.
+``#include "file"`` takes a file, ``#include NAME`` the text generated for that name. A file is
+included once; naming one that does not exist is an error, as is a chain deeper than `MAX_DEPTH`.
 """
 
 import math
@@ -27,7 +21,7 @@ from types import MappingProxyType
 from typing import Literal
 
 from pica_client.errors import ShaderError
-from pica_core.avatar.spec import AvatarSpec
+from pica_core.avatar.spec import NUM_FREQUENCIES, AvatarSpec
 
 Dialect = Literal["330 core", "300 es"]
 
@@ -39,9 +33,18 @@ AXIS_ROW = 1024
 """Entries per texture row of the per-axis encodings: the narrowest largest texture of GL 3.3. A
 power of two: the shader takes remainders by its bits."""
 
-_INCLUDE = re.compile(r'\s*#include\s+(?:"(?P<file>[^"]*)"|(?P<choice>\w+))\s*(?://.*)?$')
+_INCLUDE = re.compile(r'\s*#include\s+(?:"(?P<file>[^"]*)"|(?P<name>\w+))\s*(?://.*)?$')
 _PRECISION = "precision highp float;\nprecision highp int;\nprecision highp sampler2D;\n"
 _NOTHING: Mapping[str, str] = MappingProxyType({})
+_CODES: Mapping[str, str] = MappingProxyType(
+    {
+        "joint": "joint_code(uv, reach)",
+        "axes": "axis_codes(uv, reach)",
+        "uv": "vec4(2.0 * uv - 1.0, 0.0, 0.0)",
+        "sinusoids": ", ".join(f"octave_code(uv, reach, {k}.0)" for k in range(NUM_FREQUENCIES)),
+    }
+)
+"""What the pixel decoder gets of each part of a surface encoding (`ENCODINGS`)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +80,6 @@ def compose(
     spec: AvatarSpec | None = None,
     *,
     dialect: Dialect = "330 core",
-    choices: Mapping[str, str] = _NOTHING,
     generated: Mapping[str, str] = _NOTHING,
     defines: Mapping[str, str] = _NOTHING,
 ) -> ShaderSource:
@@ -87,8 +89,7 @@ def compose(
         name: File in ``pica_client/shaders``.
         spec: Sizes for the generated header; None for shaders that know no avatar.
         dialect: Desktop GL or GL ES.
-        choices: File for an ``#include NAME``.
-        generated: Text for an ``#include NAME``, where the text comes from numbers.
+        generated: Text for an ``#include NAME``.
 
     Raises:
         ShaderError: A file or a name is unknown, or includes nest too deeply.
@@ -98,74 +99,56 @@ def compose(
         lines.append(_PRECISION.rstrip())
     lines += [f"#define {key} {value}".rstrip() for key, value in defines.items()]
     if spec is not None:
-        lines += [f"#define {key} {value}" for key, value in size_header(spec).items()]
-    composer = _Composer(choices, generated, lines)
-    composer.include(name, depth=0, wanted_by="the renderer")
-    return ShaderSource("\n".join(lines) + "\n", tuple(composer.included))
+        levels = axis_levels(spec.axis_encoding_size)
+        lines += [
+            f"#define AXIS_SIZE {spec.axis_encoding_size}",
+            f"#define AXIS_ROW {AXIS_ROW}",
+            f"#define AXIS_LEVELS {levels}",
+            f"#define AXIS_STRIDE {1 << (levels - 1)}",
+            f"#define LOG2_AXIS_SIZE {math.log2(spec.axis_encoding_size):.6f}",
+            f"#define LOG2_UV_SIZE {math.log2(spec.uv_encoding_size):.6f}",
+            f"#define SURFACE_CODES {''.join(f', {_CODES[p]}' for p in spec.encoding_channels)}",
+        ]
+    included = ["generated header"]
 
+    def include(name: str, depth: int, wanted_by: str) -> None:
+        """Append a file and what it includes, unless it is there already."""
+        if depth > MAX_DEPTH:
+            raise ShaderError(f"shader {name}: includes nest deeper than {MAX_DEPTH}")
+        if name in included:
+            return
+        text = _read(name)
+        if text is None:
+            raise ShaderError(f"shader {name!r}, wanted by {wanted_by}, does not exist")
+        first = len(included) * LINES_PER_FILE
+        included.append(name)
+        lines.append(f"#line {first + 1}")
+        for number, line in enumerate(text.splitlines(), start=1):
+            if not line.lstrip().startswith("#include"):
+                lines.append(line)
+                continue
+            place = f"{name}:{number}"
+            match = _INCLUDE.match(line)
+            if match is None:
+                raise ShaderError(f"shader {place}: not an include: {line.strip()!r}")
+            if match["file"] is not None:
+                include(match["file"], depth + 1, place)
+            elif match["name"] in generated:
+                lines.append(f"#line {len(included) * LINES_PER_FILE + 1}")
+                included.append(f"generated {match['name']}")
+                lines.extend(generated[match["name"]].splitlines())
+            else:
+                raise ShaderError(f"shader {place}: nothing generated for {match['name']}")
+            lines.append(f"#line {first + number + 1}")
 
-def size_header(spec: AvatarSpec) -> dict[str, str]:
-    """The macros that a spec turns into."""
-    return {
-        "AXIS_SIZE": str(spec.axis_encoding_size),
-        "AXIS_ROW": str(AXIS_ROW),
-        "AXIS_LEVELS": str(axis_levels(spec.axis_encoding_size)),
-        "AXIS_STRIDE": str(1 << (axis_levels(spec.axis_encoding_size) - 1)),
-        "LOG2_AXIS_SIZE": f"{math.log2(spec.axis_encoding_size):.6f}",
-        "LOG2_UV_SIZE": f"{math.log2(spec.uv_encoding_size):.6f}",
-    }
+    include(name, 0, "the renderer")
+    return ShaderSource("\n".join(lines) + "\n", tuple(included))
 
 
 def axis_levels(count: int) -> int:
     """Levels of a table of `count` entries: each has half the entries of the one before, the last
     one has one."""
     return (count - 1).bit_length() + 1
-
-
-class _Composer:
-    """Appends files to `lines`; remembers which number each of them got."""
-
-    def __init__(
-        self, choices: Mapping[str, str], generated: Mapping[str, str], lines: list[str]
-    ) -> None:
-        self.included = ["generated header"]
-        self._choices = choices
-        self._generated = generated
-        self._lines = lines
-
-    def include(self, name: str, *, depth: int, wanted_by: str) -> None:
-        """Append a file and what it includes, unless it is there already."""
-        if depth > MAX_DEPTH:
-            raise ShaderError(f"shader {name}: includes nest deeper than {MAX_DEPTH}")
-        if name in self.included:
-            return
-        text = _read(name)
-        if text is None:
-            raise ShaderError(f"shader {name!r}, wanted by {wanted_by}, does not exist")
-        number = len(self.included)
-        self.included.append(name)
-        self._lines.append(f"#line {number * LINES_PER_FILE + 1}")
-        for line_number, line in enumerate(text.splitlines(), start=1):
-            if not line.lstrip().startswith("#include"):
-                self._lines.append(line)
-                continue
-            self._follow(line, f"{name}:{line_number}", depth)
-            self._lines.append(f"#line {number * LINES_PER_FILE + line_number + 1}")
-
-    def _follow(self, line: str, place: str, depth: int) -> None:
-        match = _INCLUDE.match(line)
-        if match is None:
-            raise ShaderError(f"shader {place}: not an include: {line.strip()!r}")
-        choice = match["choice"]
-        if choice in self._generated:
-            self.included.append(f"generated {choice}")
-            self._lines.append(f"#line {(len(self.included) - 1) * LINES_PER_FILE + 1}")
-            self._lines.extend(self._generated[choice].splitlines())
-            return
-        file = match["file"] if choice is None else self._choices.get(choice)
-        if file is None:
-            raise ShaderError(f"shader {place}: nothing chosen for {choice}")
-        self.include(file, depth=depth + 1, wanted_by=place)
 
 
 @cache

@@ -14,15 +14,12 @@ vectors:
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from pica_client.errors import ShaderError
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.types import Array
-
-Sine = Literal["builtin", "polynomial"]
 
 VECTOR = 4
 
@@ -57,11 +54,8 @@ class LayerBlock:
 
 
 def layer_blocks(spec: AvatarSpec) -> list[LayerBlock]:
-    """The layers in the order of the block: the xyz SIREN, then the pixel decoder.
-
-    Raises:
-        ShaderError: Sizes that the shader's fixed input vectors do not hold.
-    """
+    """The layers in the order of the block: the xyz SIREN, then the pixel decoder; ShaderError if
+    the shader's fixed input vectors do not hold them."""
     for name, value in (
         ("expression_channels", spec.expression_channels),
         ("the last of xyz_channels", spec.xyz_channels[-1]),
@@ -105,11 +99,7 @@ def block_sizes(spec: AvatarSpec) -> tuple[int, int]:
 
 
 def pack_weights(spec: AvatarSpec, tensors: Mapping[str, Array]) -> bytes:
-    """Lay both SIRENs out for the uniform block.
-
-    Args:
-        tensors: ``xyz.{i}.weight/bias`` and ``pixel.{i}.weight/bias`` of an avatar.
-    """
+    """Lay both SIRENs of an avatar out for the uniform block."""
     num_matrices, num_biases = block_sizes(spec)
     matrices = np.zeros((num_matrices, VECTOR, VECTOR), np.float32)
     biases = np.zeros((num_biases, VECTOR), np.float32)
@@ -125,7 +115,7 @@ def pack_weights(spec: AvatarSpec, tensors: Mapping[str, Array]) -> bytes:
 
 
 def siren_source(
-    spec: AvatarSpec, tensors: Mapping[str, Array] | None = None, sine: Sine = "builtin"
+    spec: AvatarSpec, tensors: Mapping[str, Array] | None = None, *, in_turns: bool = False
 ) -> str:
     """GLSL of both networks, layer by layer, without loops or arrays.
 
@@ -137,11 +127,11 @@ def siren_source(
         tensors: An avatar's weights, to write them as constants: a program for this avatar alone.
             Numbers have nine digits, which names a float32 exactly. None reads them from the block
             that `pack_weights` fills.
-        sine: "polynomial" computes sines from a triangle wave and four coefficients, for machines
-            without a circuit for them; the weights, which must be constants, are written in turns
-            instead of radians. Error 6e-7.
+        in_turns: Computes sines from a triangle wave and four coefficients, for machines without a
+            circuit for them; the weights, which must be constants, are written in turns instead of
+            radians. Error 6e-7.
     """
-    if sine == "polynomial":
+    if in_turns:
         if tensors is None:
             raise ShaderError("weights in a block are in radians; write them as constants")
         tensors = _in_turns(spec, tensors)
@@ -161,10 +151,10 @@ def siren_source(
         split = num_matrices * VECTOR * VECTOR
         matrices = [_constant("mat4", row) for row in floats[:split].reshape(-1, VECTOR * VECTOR)]
         biases = [_constant("vec4", row) for row in floats[split:].reshape(-1, VECTOR)]
-    sine_name = "sin"
-    if sine == "polynomial":
-        sine_name = "sine_of_turns"
-        lines += _sine_lines(sine_name)
+    sine = "sin"
+    if in_turns:
+        sine = "sine_of_turns"
+        lines += _sine_lines(sine)
     blocks = layer_blocks(spec)
     inputs = [f"p{index}" for index in range(pixel_input_vectors(spec))]
     for prefix, head, values in (
@@ -185,7 +175,7 @@ def siren_source(
                 ]
                 total = " + ".join([biases[block.bias + out], *terms])
                 is_last = block is blocks[-1]
-                lines.append(f"    vec4 {name} = {total if is_last else f'{sine_name}({total})'};")
+                lines.append(f"    vec4 {name} = {total if is_last else f'{sine}({total})'};")
                 outputs.append(name)
             values = outputs
         lines.append(f"    return {values[0]}{'.rgb' if prefix == 'pixel' else ''};")

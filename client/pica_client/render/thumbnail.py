@@ -6,11 +6,7 @@ import numpy.typing as npt
 
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.render.renderer import Renderer, RenderOptions
-from pica_client.render.scene import (
-    Placement,
-    head_matrix,
-    view_direction,
-)
+from pica_client.render.scene import Placement, head_matrix, view_direction
 from pica_client.render.seats import plan_seats
 from pica_client.render.views import ViewState, plan_camera
 from pica_core.avatar.arkit import NUM_ARKIT
@@ -25,14 +21,12 @@ def draw_thumbnail(
     size: tuple[int, int] = (512, 512),
     *,
     arkit: npt.ArrayLike | None = None,
-    view: ViewState | None = None,
 ) -> Image:
-    """Draw an avatar on its own.
+    """Draw an avatar on its own, from straight ahead.
 
     Args:
         size: Columns and rows, pixels.
         arkit: Expression, ``[52]``; the neutral face by default.
-        view: From where; straight ahead by default.
 
     Returns:
         uint8 ``[H, W, 3]``, top row first.
@@ -44,7 +38,7 @@ def draw_thumbnail(
     expression = np.zeros(NUM_ARKIT, np.float32) if arkit is None else arkit
     latent = ExpressionEncoder(avatar).encode(expression)
     plan = plan_seats("grid", 1, size[0] / size[1])
-    camera = plan_camera(plan, view or ViewState(), *size)
+    camera = plan_camera(plan, ViewState(), *size)
     matrix = head_matrix(plan.seats[0], np.zeros(3), np.zeros(3))
     maps = OnnxDecoder(avatar).decode(latent, view_direction(matrix, camera.centre_m))
     context = create_context()

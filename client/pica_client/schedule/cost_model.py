@@ -1,10 +1,5 @@
 """What decoding and drawing cost on this machine, learned while they are done. Pure.
 
-    costs = CostModel()
-    costs.observe_decode("", 128, "both", 0.0007)      # seconds, as they come
-    costs.observe_draw(num_triangles=20_000, shaded_px=90_000, seconds=0.004)
-    costs.decode_s("", 128, "both"), costs.draw.seconds(20_000, 90_000)
-
 Decoding: the median of the last measurements of each (model, level, parts); a level that has not
 been measured yet costs what is expected of it, times what this machine takes over what was
 expected where it has been. Drawing: intercept + triangles + shaded pixels, fitted to the last few
@@ -20,7 +15,7 @@ cheaper than a coarser one, nor both maps than one of them.
 import math
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from statistics import median
 
 import numpy as np
@@ -52,11 +47,15 @@ MIN_SECONDS = 1e-7
 """Shorter is no measurement: clocks tick."""
 MAX_SECONDS = 10.0
 """Longer is a machine that slept."""
+UPLOAD_S_PER_TEXEL = 3e-9
+"""Seconds that uploading a texel of one map is expected to take."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DrawCost:
-    """The three parts of drawing a frame; seconds."""
+    """The three parts of drawing a frame; seconds. The defaults are expected before any frame was
+    measured: about what software GL takes on two cores (chosen: some frames correct them).
+    """
 
     frame_s: float = 1.5e-3
     """Whatever the frame shows."""
@@ -65,37 +64,19 @@ class DrawCost:
     pixel_s: float = 60e-9
     """Per pixel that the pixel decoder runs on."""
 
-    def __post_init__(self) -> None:
-        for name in ("frame_s", "triangle_s", "pixel_s"):
-            value = getattr(self, name)
-            if not 0 <= value < math.inf:
-                raise ValueError(f"{name} is {value}; it must be finite and at least 0")
-
     def seconds(self, num_triangles: float, shaded_px: float) -> float:
         """What a frame is likely to take to draw."""
         return self.frame_s + self.triangle_s * num_triangles + self.pixel_s * shaded_px
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class ExpectedCosts:
-    """What is believed before anything has been measured."""
-
-    draw: DrawCost = field(default_factory=DrawCost)
-    """The defaults are about what software GL takes on two cores (chosen: some frames correct
-    them)."""
-    upload_s_per_texel: float = 3e-9
-    """Seconds to upload a texel of one map of a decode."""
-
-
 class CostModel:
     """Learned costs; see the module for how."""
 
-    def __init__(self, expected: ExpectedCosts | None = None) -> None:
-        self.expected = expected or ExpectedCosts()
+    def __init__(self) -> None:
         self._decodes: dict[tuple[str, int, Parts], deque[float]] = {}
         self._uploads: dict[tuple[int, Parts], deque[float]] = {}
         self._known: dict[tuple[str, int, Parts], float] = {}
-        self._fit = _LineFit(self.expected.draw)
+        self._fit = _LineFit(DrawCost())
 
     @property
     def draw(self) -> DrawCost:
@@ -103,13 +84,8 @@ class CostModel:
         return self._fit.cost
 
     def observe_decode(self, model: str, level: int, parts: Parts, seconds: float) -> None:
-        """Take the computing time of one decode into account.
-
-        Args:
-            model: Name of what has costs of its own, as a block or a spec.
-            level: Texels per side of the maps.
-            seconds: Without waiting; nonsense is ignored.
-        """
+        """Take the computing time of one decode into account, without waiting; nonsense is ignored.
+        `model` names what has costs of its own."""
         if _is_plausible(seconds):
             if (model, level, parts) not in self._decodes and len(self._decodes) >= MAX_MODELS:
                 del self._decodes[next(iter(self._decodes))]
@@ -130,20 +106,17 @@ class CostModel:
     def decode_s(self, model: str, level: int, parts: Parts) -> float:
         """What a decode and its upload are likely to take, seconds."""
         key = (model, level, parts)
-        known = self._known.get(key)
-        if known is None:
-            known = self._known[key] = self._decode_s(model, level, parts)
-        return known
-
-    def _decode_s(self, model: str, level: int, parts: Parts) -> float:
+        if key in self._known:
+            return self._known[key]
         machine = self._machine_factor(model)
         coarser = {level} | {
             other for known, other, _ in self._decodes if known == model and other < level
         }
         kinds: tuple[Parts, ...] = ("both", "expression") if parts == "both" else ("expression",)
-        return max(
+        self._known[key] = max(
             self._single_s(model, other, kind, machine) for other in coarser for kind in kinds
         )
+        return self._known[key]
 
     def _single_s(self, model: str, level: int, parts: Parts, machine: float) -> float:
         measured = self._decodes.get((model, level, parts))
@@ -152,7 +125,7 @@ class CostModel:
         if uploads:
             return decode_s + median(uploads)
         num_maps = 2 if parts == "both" else 1
-        return decode_s + num_maps * level * level * self.expected.upload_s_per_texel
+        return decode_s + num_maps * level * level * UPLOAD_S_PER_TEXEL
 
     def _machine_factor(self, model: str) -> float:
         """How much longer than expected decodes take here: of this model, else of any."""
@@ -181,7 +154,7 @@ class _LineFit:
     def __init__(self, prior: DrawCost) -> None:
         self.cost = prior
         # A coefficient is fitted as a multiple of its prior: all three are near 1 then.
-        self._scale = np.maximum([prior.frame_s, prior.triangle_s, prior.pixel_s], 1e-12)
+        self._scale = np.array([prior.frame_s, prior.triangle_s, prior.pixel_s])
         self._gram = np.zeros((3, 3))
         self._sums = np.zeros(3)
         self._ratios: deque[float] = deque(maxlen=GUARD)

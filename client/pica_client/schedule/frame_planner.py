@@ -29,11 +29,7 @@ UNLIKE = 1e3
 
 
 class FramePlanner:
-    """Plans frames of a scene.
-
-    Attributes:
-        scheduler: Chooses what each head gets.
-    """
+    """Plans frames of a scene; its scheduler chooses what each head gets."""
 
     def __init__(self, scheduler: Scheduler) -> None:
         self.scheduler = scheduler
@@ -83,7 +79,7 @@ def _look(heads: Sequence[Head], cameras: Sequence[Camera], size_px: tuple[int, 
     for camera in cameras:
         clip = np.matmul(camera.clip_from_world(NEAR_M, FAR_M), matrices)
         placed = [PlacedHead(matrix, *box) for matrix, box in zip(clip, boxes, strict=True)]
-        eyes.append(look(placed, size_px, NEAR_M))
+        eyes.append(look(placed, size_px))
     middle = np.mean([camera.centre_m for camera in cameras], axis=0)
     towards = middle - matrices[:, :3, 3]
     seen = np.matmul(towards[:, None, :], matrices[:, :3, :3])[:, 0]

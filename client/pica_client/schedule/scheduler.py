@@ -1,9 +1,5 @@
 """What every head gets in a frame: level, what to decode, mesh, layer of its stream. Pure.
 
-    scheduler = Scheduler()
-    plan = scheduler.plan(heads, budget_s=0.008, now=now)
-    heads[0].choice.level, .decode, .mesh_level, .wanted_layer
-
 Theory of operation. The taller a head is, the more it gets: the coarsest level, the middle one, the
 full maps on the middle mesh, and on their own. A face that has changed is
 decoded anew when its maps are old enough, at once unless the head is tiny. When a frame is expected
@@ -17,8 +13,8 @@ lowest first, until it fits. What the tests hold it to:
 - Who cannot be seen costs nothing: no decode, no pixel, and after a while no stream.
 - Levels do not flap: what has been reached is left only with a margin.
 
-Before, measured tables of errors and a knapsack chose what saved most error per millisecond. This
-rule leaves as little error at the same cost (measured: docs/results/receiver.md, "A simple rule").
+A knapsack over tables of errors leaves as much error at the same cost (measured:
+docs/results/receiver.md, "A simple rule").
 """
 
 import math
@@ -89,11 +85,6 @@ class Plan:
     """Seconds that the least for everybody takes; above the budget it is all there is."""
     shaded_px: float
     """Pixels that the pixel decoder runs on, as far as one can tell without counting them."""
-
-    @property
-    def limited(self) -> tuple[str, ...]:
-        """Slots from which the budget kept something."""
-        return tuple(slot for slot, choice in self.choices.items() if choice.is_limited)
 
 
 class Scheduler:

@@ -1,9 +1,5 @@
 """How much of each head can be seen: on the screen, not cut away, not behind others. Pure.
 
-    heads = [PlacedHead(clip_from_head(camera, matrix), low_m, high_m), ...]
-    sights = look(heads, (width, height))            # one camera
-    sights = merge_eyes([left_sights, right_sights])     # two: drawn twice, decoded once
-
 A head is taken for the ellipsoid in its bounding box. Its outline on the screen is an ellipse that
 follows from the camera matrix alone: with the ellipsoid's dual quadric Q, the dual conic of the
 outline is P Q P^T (Hartley and Zisserman, "Multiple View Geometry", 8.3). Points spread evenly over
@@ -23,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pica_client.render.scene import NEAR_M
 from pica_core.types import Float64Array, FloatArray
 
 NUM_POINTS = 64
@@ -67,27 +64,17 @@ class Sight(NamedTuple):
 NOTHING = Sight(is_visible=False)
 
 
-def look(
-    heads: Sequence[PlacedHead], size_px: tuple[int, int], near_m: float = 0.02
-) -> list[Sight]:
-    """Look at heads through one camera.
-
-    Args:
-        heads: Any number, in any order.
-        size_px: Columns and rows of the image.
-        near_m: Distance of the near plane.
-
-    Returns:
-        What can be seen of each; a head whose matrix or box is not finite cannot be seen.
-    """
+def look(heads: Sequence[PlacedHead], size_px: tuple[int, int]) -> list[Sight]:
+    """What can be seen of each head through one camera, whose image has so many columns and rows. A
+    head whose matrix or box is not finite cannot be seen."""
     width, height = size_px
     outlines = [_outline(head) for head in heads]
-    whole = [each for each in outlines if each is not None and each.depth - each.reach > near_m]
+    whole = [each for each in outlines if each is not None and each.depth - each.reach > NEAR_M]
     sights = []
     for outline in outlines:
-        if outline is None or outline.depth + outline.reach <= near_m:
+        if outline is None or outline.depth + outline.reach <= NEAR_M:
             sights.append(NOTHING)
-        elif outline.depth - outline.reach > near_m:
+        elif outline.depth - outline.reach > NEAR_M:
             nearer = [other for other in whole if other.depth < outline.depth]
             sights.append(_sight(outline, nearer, size_px))
         else:
@@ -96,14 +83,9 @@ def look(
 
 
 def merge_eyes(eyes: Sequence[Sequence[Sight]]) -> list[Sight]:
-    """What several cameras see together: of each head the most that one of them sees.
+    """What several cameras see of the same heads together: of each the most that one of them sees.
 
-    Args:
-        eyes: What `look` says for each; all of the same heads.
-
-    Returns:
-        What is seen of each head. It is decoded once, but drawn by every eye that sees it:
-        `visible_px` and `num_views` are sums.
+    It is decoded once, but drawn by every eye that sees it: `visible_px` and `num_views` are sums.
     """
     merged = []
     for sights in zip(*eyes, strict=True):

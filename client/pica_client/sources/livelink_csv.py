@@ -12,11 +12,10 @@ in this order from the outside in, is our assumption.
 """
 
 import csv
-from collections.abc import Iterable
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_client.errors import SourceError
 from pica_client.output import say
@@ -24,6 +23,7 @@ from pica_client.playout.rotation import rotation_vector_from_yaw_pitch_roll
 from pica_client.sources.live.sample import VALUE_LIMIT
 from pica_client.sources.source import Recording
 from pica_core.avatar.arkit import ARKIT_NAMES
+from pica_core.types import Float64Array
 
 TIMECODE_FPS = 60.0
 """What the last field of a timecode counts, whatever the frame rate of the take."""
@@ -50,13 +50,15 @@ def load_livelink_csv(path: Path, *, start_s: float = 0.0) -> Recording:
     """
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = _limited(csv.reader(file), path)
+            rows = list(islice(csv.reader(file), MAX_ROWS + 2))
     except OSError as error:
         raise SourceError(f"{path}: cannot be read ({error.strerror or error})") from error
     except (UnicodeDecodeError, csv.Error) as error:
         raise SourceError(f"{path}: is not a CSV text file ({error})") from error
     if not rows:
         raise SourceError(f"{path}: is empty; a Live Link Face CSV with a header line is needed")
+    if len(rows) > MAX_ROWS + 1:
+        raise SourceError(f"{path}: has more than {MAX_ROWS:,} frames; cut it into takes")
     columns = _find_columns(rows[0], path)
     # An empty line at the end is how many tools close a file; anywhere else it is a row cut to
     # nothing.
@@ -105,25 +107,14 @@ def load_livelink_csv(path: Path, *, start_s: float = 0.0) -> Recording:
     )
 
 
-def _limited(reader: Iterable[list[str]], path: Path) -> list[list[str]]:
-    """All rows, or an error when there are too many to hold."""
-    rows: list[list[str]] = []
-    for row in reader:
-        if len(rows) > MAX_ROWS:
-            raise SourceError(f"{path}: has more than {MAX_ROWS:,} frames; cut it into takes")
-        rows.append(row)
-    return rows
-
-
 def _find_columns(header: list[str], path: Path) -> list[int]:
     """Column numbers of time, count, the 52 shapes and the three head angles."""
     by_name = {name.strip().lower(): index for index, name in enumerate(header)}
     wanted = ("Timecode", "BlendShapeCount", *ARKIT_NAMES, *ANGLE_COLUMNS)
     missing = [name for name in wanted if name.lower() not in by_name]
     if missing:
-        shown = ", ".join(missing[:4]) + (
-            f" and {len(missing) - 4} more" if len(missing) > 4 else ""
-        )
+        more = f" and {len(missing) - 4} more" if len(missing) > 4 else ""
+        shown = ", ".join(missing[:4]) + more
         raise SourceError(
             f"{path}: lacks the columns {shown}; a Live Link Face CSV in ARKit mode is needed"
         )
@@ -143,7 +134,7 @@ def _seconds(timecode: str, where: str) -> float:
     return clock_s + frame_s
 
 
-def _unroll(times_s: npt.NDArray[np.float64], path: Path) -> tuple[npt.NDArray[np.float64], float]:
+def _unroll(times_s: Float64Array, path: Path) -> tuple[Float64Array, float]:
     """Times from 0, past midnight if need be, and the usual step between two samples."""
     steps_s = np.diff(times_s)
     steps_s[steps_s < -DAY_S / 2] += DAY_S

@@ -16,14 +16,13 @@ The same name and seed give the same performance on every machine.
 from collections.abc import Callable, Mapping
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_client.errors import SourceError
 from pica_client.sources import tracks
 from pica_client.sources.source import Recording
-from pica_client.sources.tracks import SAMPLE_FPS
+from pica_client.sources.tracks import SAMPLE_FPS, Player
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
-from pica_core.types import Float64Array
+from pica_core.types import Float64Array, FloatArray
 
 DURATION_S = 60.0
 """Length of a performance before it repeats."""
@@ -46,6 +45,17 @@ REST = {
     "jawForward": 0.03,
 }
 """A face at rest as trackers see it: not all zero."""
+SPEECH = {
+    "jaw": {"jawOpen": 0.52, "mouthLowerDown": 0.30, "mouthUpperUp": 0.15, "jawForward": 0.03},
+    "rounding": {"mouthFunnel": 0.36, "mouthPucker": 0.34, "mouthStretch": -0.05},
+    "spreading": {
+        **{"mouthStretch": 0.14, "mouthSmile": 0.08, "mouthDimple": 0.04, "mouthLowerDown": 0.05}
+    },
+    "closure": {
+        **{"mouthPress": 0.09, "mouthRollLower": 0.08, "mouthRollUpper": 0.05, "jawOpen": 0.03}
+    },
+}
+"""Shapes that each track of speech moves."""
 
 
 class Mixer:
@@ -75,29 +85,15 @@ class Mixer:
         self.add(np.maximum(up, 0), {"eyeLookUp": 1.0, "eyeWide": 0.15})
         self.add(np.maximum(-up, 0), {"eyeLookDown": 1.0, "eyeBlink": 0.3})
 
-    def speak(self, speech: tracks.Speech, loudness: float) -> None:
-        """Move the mouth."""
-        self.add(
-            speech.jaw * loudness,
-            {"jawOpen": 0.52, "mouthLowerDown": 0.30, "mouthUpperUp": 0.15, "jawForward": 0.03},
-        )
-        self.add(
-            speech.rounding * loudness,
-            {"mouthFunnel": 0.36, "mouthPucker": 0.34, "mouthStretch": -0.05},
-        )
-        self.add(
-            speech.spreading * loudness,
-            {"mouthStretch": 0.14, "mouthSmile": 0.08, "mouthDimple": 0.04, "mouthLowerDown": 0.05},
-        )
-        self.add(
-            speech.closure * loudness,
-            {"mouthPress": 0.09, "mouthRollLower": 0.08, "mouthRollUpper": 0.05, "jawOpen": 0.03},
-        )
+    def speak(self, speech: Mapping[str, Float64Array], loudness: float) -> None:
+        """Move the mouth as `tracks.speech` says."""
+        for name, weights in SPEECH.items():
+            self.add(speech[name] * loudness, weights)
         # Lips that meet over an open jaw: the corrective takes back as much of the jaw as there is.
         jaw = self.values[:, ARKIT_INDEX["jawOpen"]]
-        self.values[:, ARKIT_INDEX["mouthClose"]] += 0.6 * np.clip(speech.closure, 0, 1) * jaw
+        self.values[:, ARKIT_INDEX["mouthClose"]] += 0.6 * np.clip(speech["closure"], 0, 1) * jaw
 
-    def finish(self) -> npt.NDArray[np.float32]:
+    def finish(self) -> FloatArray:
         """The values as a tracker would give them. float32 ``[T, 52]``."""
         values = np.clip(self.values, 0, 1)
         close, jaw = ARKIT_INDEX["mouthClose"], ARKIT_INDEX["jawOpen"]
@@ -105,39 +101,35 @@ class Mixer:
         return values.astype(np.float32)
 
 
-def _talk(rng: np.random.Generator, times_s: Float64Array) -> tuple[Mixer, Float64Array]:
-    mixer = Mixer(len(times_s))
-    speech = tracks.speech(rng, times_s)
+def _talk(mixer: Mixer, player: Player) -> Float64Array:
+    speech = player.speech()
     mixer.speak(speech, 1.1)
-    mood = np.clip(tracks.drift(rng, times_s, period_s=(9, 20)), 0, 1)
+    mood = np.clip(player.drift(period_s=(9, 20)), 0, 1)
     mixer.add(mood, {"mouthSmile": 0.5, "cheekSquint": 0.26, "eyeSquint": 0.18, "mouthDimple": 0.1})
-    brows = tracks.smooth(speech.stress * (tracks.drift(rng, times_s, period_s=(3, 8)) > 0), 0.15)
+    brows = tracks.smooth(speech["stress"] * (player.drift(period_s=(3, 8)) > 0), 0.15)
     mixer.add(brows, {"browInnerUp": 0.45, "browOuterUp": 0.38, "eyeWide": 0.1})
-    frown = np.clip(tracks.drift(rng, times_s, period_s=(6, 15)) - 0.25, 0, 1)
+    frown = np.clip(player.drift(period_s=(6, 15)) - 0.25, 0, 1)
     mixer.add(frown, {"browDown": 0.08})
-    mixer.look(*tracks.saccades(rng, times_s, spread=0.075, rest_s=(0.6, 2.5), away=0.3))
-    mixer.blink(tracks.blinks(rng, times_s, every_s=(2.0, 5.0)))
-    pitch = 0.05 * tracks.smooth(speech.stress, 0.2) + 0.06 * tracks.nods(
-        rng, times_s, every_s=(8, 16)
-    )
-    return mixer, pitch
+    mixer.look(*player.saccades(spread=0.075, rest_s=(0.6, 2.5), away=0.3))
+    mixer.blink(player.blinks(every_s=(2.0, 5.0)))
+    nods = player.nods(every_s=(8, 16))
+    return 0.05 * tracks.smooth(speech["stress"], 0.2) + 0.06 * nods
 
 
-def _listen(rng: np.random.Generator, times_s: Float64Array) -> tuple[Mixer, Float64Array]:
-    mixer = Mixer(len(times_s))
-    answers = tracks.speech(rng, times_s, phrase_s=(0.5, 1.0), pause_s=(3.0, 6.0))
+def _listen(mixer: Mixer, player: Player) -> Float64Array:
+    answers = player.speech(phrase_s=(0.5, 1.0), pause_s=(3.0, 6.0))
     mixer.speak(answers, 0.6)
-    smile = np.clip(1.4 * tracks.drift(rng, times_s, period_s=(7, 16)), 0, 1)
+    smile = np.clip(1.4 * player.drift(period_s=(7, 16)), 0, 1)
     mixer.add(
         smile, {"mouthSmile": 0.55, "cheekSquint": 0.3, "eyeSquint": 0.2, "mouthDimple": 0.15}
     )
-    interest = np.clip(1.4 * tracks.drift(rng, times_s, period_s=(5, 12)) - 0.2, 0, 1)
+    interest = np.clip(1.4 * player.drift(period_s=(5, 12)) - 0.2, 0, 1)
     mixer.add(interest, {"browInnerUp": 0.5, "browOuterUp": 0.4, "eyeWide": 0.12})
-    doubt = np.clip(1.4 * tracks.drift(rng, times_s, period_s=(8, 18)) - 0.4, 0, 1)
+    doubt = np.clip(1.4 * player.drift(period_s=(8, 18)) - 0.4, 0, 1)
     mixer.add(doubt, {"browDown": 0.4, "mouthPress": 0.25, "mouthPucker": 0.2, "mouthLeft": 0.15})
-    mixer.look(*tracks.saccades(rng, times_s, spread=0.09, rest_s=(1.0, 4.0), away=0.15))
-    mixer.blink(tracks.blinks(rng, times_s, every_s=(2.0, 5.0)))
-    return mixer, 0.11 * tracks.nods(rng, times_s, every_s=(2.5, 6.0))
+    mixer.look(*player.saccades(spread=0.09, rest_s=(1.0, 4.0), away=0.15))
+    mixer.blink(player.blinks(every_s=(2.0, 5.0)))
+    return 0.11 * player.nods(every_s=(2.5, 6.0))
 
 
 MOTIONS: tuple[Mapping[str, float], ...] = (
@@ -165,8 +157,8 @@ MOTIONS: tuple[Mapping[str, float], ...] = (
 """What an actor is asked for, one after the other; sides together where no side is named."""
 
 
-def _range_of_motion(rng: np.random.Generator, times_s: Float64Array) -> tuple[Mixer, Float64Array]:
-    mixer = Mixer(len(times_s))
+def _range_of_motion(mixer: Mixer, player: Player) -> Float64Array:
+    rng, times_s = player.rng, player.times_s
     slot_s = (times_s[-1] - 2 * tracks.EDGE_S) / len(MOTIONS)
     for index, motion in enumerate(rng.permutation(len(MOTIONS))):
         begin_s = tracks.EDGE_S + (index + rng.uniform(0.0, 0.12)) * slot_s
@@ -175,19 +167,18 @@ def _range_of_motion(rng: np.random.Generator, times_s: Float64Array) -> tuple[M
         )
         strength = rng.uniform(0.85, 1.0)
         mixer.add(strength * shape, MOTIONS[motion])
-    mixer.look(*tracks.saccades(rng, times_s, spread=0.04, rest_s=(1.0, 3.0)))
-    mixer.blink(tracks.blinks(rng, times_s))
-    return mixer, 0.05 * tracks.nods(rng, times_s, every_s=(6.0, 12.0))
+    mixer.look(*player.saccades(spread=0.04, rest_s=(1.0, 3.0)))
+    mixer.blink(player.blinks())
+    return 0.05 * player.nods(every_s=(6.0, 12.0))
 
 
-PERFORMANCES: dict[
-    str, Callable[[np.random.Generator, Float64Array], tuple[Mixer, Float64Array]]
-] = {
+PERFORMANCES: dict[str, Callable[[Mixer, Player], Float64Array]] = {
     "talk": _talk,
     "listen": _listen,
     "range_of_motion": _range_of_motion,
 }
-"""Each gives the face and the head's pitch (radians, chin down positive) over the sample times."""
+"""Each moves the face, and gives the head's pitch (radians, chin down positive), over the sample
+times."""
 
 
 def make_performance(name: str, *, seed: int = 0, start_s: float = 0.0) -> Recording:
@@ -209,28 +200,23 @@ def make_performance(name: str, *, seed: int = 0, start_s: float = 0.0) -> Recor
     if not 0 <= seed < 2**32:
         raise SourceError(f"performance seed is {seed}; allowed are 0 to 4294967295")
     # Every name has its own generator, so that talk#1 and listen#1 do not blink together.
-    rng = np.random.default_rng([seed, *name.encode()])
-    times_s = tracks.sample_times(DURATION_S)
-    mixer, pitch = PERFORMANCES[name](rng, times_s)
-    slow = (4.0, 11.0)
-    rotation = np.stack(
-        (
-            pitch + 0.035 * tracks.drift(rng, times_s, period_s=slow),
-            0.09 * tracks.drift(rng, times_s, period_s=slow),
-            0.03 * tracks.drift(rng, times_s, period_s=slow),
-        ),
-        axis=1,
-    )
+    player = Player(np.random.default_rng([seed, *name.encode()]), DURATION_S)
+    times_s = player.times_s
+    mixer = Mixer(len(times_s))
+    pitch = PERFORMANCES[name](mixer, player)
+
+    def drift() -> Float64Array:
+        return player.drift(period_s=(4.0, 11.0))
+
+    rotation = np.stack((pitch + 0.035 * drift(), 0.09 * drift(), 0.03 * drift()), axis=1)
     # The head turns about the neck: its origin swings along, and the body sways a little under it.
-    swing = NECK_TO_HEAD_M * np.stack(
-        (-rotation[:, 2], np.zeros(len(times_s)), rotation[:, 0]), axis=1
-    )
-    sway = 0.004 * np.stack([tracks.drift(rng, times_s, period_s=slow) for _ in range(3)], axis=1)
+    swing = np.stack((-rotation[:, 2], np.zeros_like(times_s), rotation[:, 0]), axis=1)
+    sway = np.stack([drift() for _ in range(3)], axis=1)
     return Recording(
         times_s=times_s,
         arkit=mixer.finish(),
         rotation=rotation.astype(np.float32),
-        translation_m=(swing + sway).astype(np.float32),
+        translation_m=(NECK_TO_HEAD_M * swing + 0.004 * sway).astype(np.float32),
         has_face=np.ones(len(times_s), np.bool_),
         loop_gap_s=1 / SAMPLE_FPS,
         start_s=start_s,

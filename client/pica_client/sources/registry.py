@@ -15,7 +15,7 @@ from pica_client.errors import SourceError
 from pica_client.output import say
 from pica_client.sources.live.calibration import Calibration, CalibrationStore
 from pica_client.sources.live.opening import LIVE_HELP, LIVE_KINDS, TRACKER_KINDS, open_live
-from pica_client.sources.live.take import TakeSource, load_take
+from pica_client.sources.live.take import load_take
 from pica_client.sources.livelink_csv import load_livelink_csv
 from pica_client.sources.performances import PERFORMANCES, make_performance
 from pica_client.sources.source import Recording, Source, Unseen
@@ -110,7 +110,7 @@ def _within(recording: Recording, name: str) -> Recording:
 
 OPENERS: dict[str, Callable[[str, float], Source]] = {
     "csv": _open_csv,
-    "take": lambda name, start_s: TakeSource(load_take(Path(name).expanduser()), None, start_s),
+    "take": lambda name, start_s: load_take(Path(name).expanduser(), start_s),
     "performance": _open_performance,
 }
 """Each kind of source by the word before the colon."""

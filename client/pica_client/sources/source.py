@@ -6,13 +6,12 @@ serves a 30 fps call, a 90 Hz one, a test on a virtual clock and a statistics ch
 """
 
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_core.avatar.arkit import NUM_ARKIT, ExpressionFrame
-from pica_core.types import FloatArray
+from pica_core.types import BoolArray, Float64Array, FloatArray
 
 
 class Source(Protocol):
@@ -29,20 +28,6 @@ class Source(Protocol):
             The face; its `captured_us` is when it looked so in the source's time, for which the
             sender puts its own clock. A tracker's lies a little before `time_s`.
         """
-        ...
-
-
-@runtime_checkable
-class LiveSource(Source, Protocol):
-    """A tracker: its face is that of now, whatever time is asked for."""
-
-    @property
-    def trouble(self) -> str:
-        """Why there is no face, in one line for its user; empty while there is one."""
-        ...
-
-    def close(self) -> None:
-        """Stop listening, and free the port."""
         ...
 
 
@@ -74,11 +59,11 @@ class Recording:
         start_s: Where in the recording the source's time 0 lies.
     """
 
-    times_s: npt.NDArray[np.float64]
+    times_s: Float64Array
     arkit: FloatArray
     rotation: FloatArray
     translation_m: FloatArray
-    has_face: npt.NDArray[np.bool_]
+    has_face: BoolArray
     loop_gap_s: float
     start_s: float = 0.0
 

@@ -1,30 +1,14 @@
 """How long to wait before trying a relay again. Pure: chance is an argument."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import Final
 
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class BackoffConfig:
-    """How patient a client is with a relay that is away."""
-
-    first_s: float = 0.25
-    """Before the first new try (chosen: a relay that restarts is back within a second)."""
-    factor: float = 2.0
-    """Growth from one try to the next."""
-    longest_s: float = 8.0
-    """However long the relay is away, it is found again within this time of its return."""
-    settled_s: float = 5.0
-    """A connection that lasted this long was a good one: the next trouble starts from `first_s`."""
-
-    def __post_init__(self) -> None:
-        if not 0 < self.first_s <= self.longest_s:
-            raise ValueError(
-                f"first_s is {self.first_s} and longest_s {self.longest_s}; "
-                "0 < first_s <= longest_s is needed"
-            )
-        if not self.factor >= 1:
-            raise ValueError(f"factor is {self.factor}; at least 1 is needed")
+FIRST_S: Final = 0.25
+"""Before the first new try (chosen: a relay that restarts is back within a second)."""
+LONGEST_S: Final = 8.0
+"""However long the relay is away, it is found again within this time of its return."""
+SETTLED_S: Final = 5.0
+"""A connection that lasted this long was a good one: the next trouble starts from `FIRST_S`."""
 
 
 class Backoff:
@@ -33,20 +17,16 @@ class Backoff:
     Chance spreads the return of a full room over time: half to all of the nominal wait.
     """
 
-    def __init__(self, random: Callable[[], float], config: BackoffConfig | None = None) -> None:
+    def __init__(self, random: Callable[[], float]) -> None:
         """Start fresh; `random` gives numbers in [0, 1)."""
-        self.config = config or BackoffConfig()
         self._random = random
-        self._nominal_s = self.config.first_s
+        self._nominal_s = FIRST_S
 
     def next_wait_s(self, lasted_s: float) -> float:
-        """Seconds to wait now.
-
-        Args:
-            lasted_s: How long the connection stood that has just ended; 0 if there was none.
-        """
-        if lasted_s >= self.config.settled_s:
-            self._nominal_s = self.config.first_s
+        """Seconds to wait now, after a connection that stood for ``lasted_s``; 0: there was
+        none."""
+        if lasted_s >= SETTLED_S:
+            self._nominal_s = FIRST_S
         wait_s = self._nominal_s * (0.5 + 0.5 * self._random())
-        self._nominal_s = min(self._nominal_s * self.config.factor, self.config.longest_s)
+        self._nominal_s = min(2 * self._nominal_s, LONGEST_S)
         return wait_s

@@ -6,13 +6,12 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 from pica_client.errors import OptionError
-from pica_client.transport.backoff import BackoffConfig
 from pica_protocol.limits import check_pass, check_text, check_token
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LinkConfig:
-    """Where to connect, as whom, and how patiently."""
+    """Where to connect, and as whom."""
 
     url: str = "ws://127.0.0.1:8765"
     """Address of the relay, ws:// or wss://; several with commas between, tried in order."""
@@ -37,7 +36,6 @@ class LinkConfig:
     """The token itself, instead of a file; a secret."""
     ca_file: Path | None = None
     """PEM file whose certificates a wss:// address is checked with, instead of the system's."""
-    backoff: BackoffConfig = field(default_factory=BackoffConfig)
 
     def __post_init__(self) -> None:
         for url in self.urls or ("",):

@@ -71,6 +71,9 @@ async def open_websocket(
         OptionError: There are no certificates in the file.
     """
     host = urlsplit(url).hostname or ""
+    tls: dict[str, Any] = {}
+    if ca_file is not None and url.startswith("wss://"):
+        tls["ssl"] = trusting(ca_file)
     websocket = await connect(
         url,
         create_connection=RelayWebsocket,
@@ -87,7 +90,7 @@ async def open_websocket(
         open_timeout=5.0,
         proxy=None if is_loopback(host) else True,
         user_agent_header=SOFTWARE,
-        **_tls(url, ca_file),
+        **tls,
     )
     assert isinstance(websocket, RelayWebsocket)
     bound_tls_buffer(websocket.transport)
@@ -96,12 +99,6 @@ async def open_websocket(
     if raw is not None and option is not None and raw.family != getattr(socket, "AF_UNIX", None):
         raw.setsockopt(socket.IPPROTO_TCP, option, MAX_UNSENT_BYTES)
     return websocket
-
-
-def _tls(url: str, ca_file: Path | None) -> dict[str, Any]:
-    if ca_file is None or not url.startswith("wss://"):
-        return {}
-    return {"ssl": trusting(ca_file)}
 
 
 def trusting(ca_file: Path) -> ssl.SSLContext:

@@ -64,10 +64,8 @@ class Dialer:
         self._connector = connector
 
     async def open_next(self, deadline: float | None) -> RelayWebsocket:
-        """Open one to the next address in turn.
-
-        Args:
-            deadline: When all addresses that are left in the round must have been tried.
+        """Open one to the next address in turn; all that are left in the round have to be tried by
+        `deadline`.
 
         Raises:
             RelayUnreachableError: Nobody answers there.

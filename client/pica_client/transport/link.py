@@ -20,18 +20,15 @@ import asyncio
 import logging
 import random
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from websockets.exceptions import ConnectionClosed
 
-from pica_client.errors import (
-    OptionError,
-    RelayRefusedError,
-    RelayUnreachableError,
-)
+from pica_client.errors import OptionError, RelayRefusedError, RelayUnreachableError
 from pica_client.stats import wire_bytes
-from pica_client.transport.backoff import Backoff
+from pica_client.transport.backoff import SETTLED_S, Backoff
 from pica_client.transport.config import LinkConfig, read_token
 from pica_client.transport.connect import SOFTWARE, RelayWebsocket, open_websocket
 from pica_client.transport.dialer import Connector, Dialer
@@ -43,7 +40,16 @@ from pica_client.transport.silence import Silence
 from pica_client.transport.timers import time_after, wait_until
 from pica_protocol.client_session import ClientSession, Ticket
 from pica_protocol.errors import CloseCode
-from pica_protocol.messages import Joined, Report, Track
+from pica_protocol.messages import (
+    FromMember,
+    Joined,
+    KeyframeRequest,
+    Report,
+    Track,
+    UpdateMetadata,
+    Want,
+    Whisper,
+)
 from pica_protocol.session import ClientEvent, Closed, State
 
 if TYPE_CHECKING:  # who does not encrypt needs no cryptography
@@ -78,6 +84,7 @@ class Link:
     Attributes:
         guard: What seals and opens frames, or None.
         last_closed: How the latest connection ended, or None.
+        lookout: Tries another way when the relay has fallen silent.
     """
 
     def __init__(
@@ -119,8 +126,8 @@ class Link:
         self._dialer = Dialer(config.urls, connector)
         self._addresses = self._dialer.addresses
         chance = (rng or random.Random()).random
-        self._backoff = Backoff(chance, config.backoff)
-        self._lookout = Lookout(self._dialer, Silence(chance, config.backoff))
+        self._backoff = Backoff(chance)
+        self.lookout = Lookout(self._dialer, Silence(chance))
         self._refusals = Refusals()
         self._session: ClientSession | None = None
         self._wake = asyncio.Event()
@@ -143,11 +150,6 @@ class Link:
     def reconnects(self) -> int:
         """How often the link came back."""
         return max(self.counters.connects - 1, 0)
-
-    @property
-    def num_looks(self) -> int:
-        """How often another way was tried because the relay had fallen silent."""
-        return self._lookout.num_looks
 
     def send_frame(
         self,
@@ -189,29 +191,22 @@ class Link:
         Returns:
             False if it could not be told: not joined, or the network takes nothing.
         """
-        return self._control(lambda session: session.want(stream, layer))
+        return self._tell(Want(stream=stream, layer=layer))
 
     def request_keyframe(self, stream: int) -> bool:
-        """Ask the publisher of a stream for a keyframe.
-
-        Returns:
-            As ``want``.
-        """
-        return self._control(lambda session: session.request_keyframe(stream))
+        """Ask the publisher of a stream for a keyframe; returns as `want`."""
+        return self._tell(KeyframeRequest(stream=stream))
 
     def whisper(self, peer_id: str, data: bytes) -> bool:
         """Send opaque bytes to one peer in the room; it gets a ``Whisper`` with our peer id.
 
         It may be lost on its way: when the peer has just gone, or when we whisper more than the
-        relay allows.
-
-        Returns:
-            As ``want``.
+        relay allows. Returns as `want`.
 
         Raises:
             ValueError: More than ``MAX_WHISPER_BYTES``, or no peer id.
         """
-        return self._control(lambda session: session.whisper(peer_id, data))
+        return self._tell(Whisper(peer_id=peer_id, data=data))
 
     def describe(self, key: str, value: str) -> None:
         """Say something of ourselves to the others under a key, now and after each join; "" says
@@ -225,15 +220,15 @@ class Link:
 
     def report(self, report: Report) -> None:
         """Tell the relay how streams arrived, if it is there."""
-        self._control(lambda session: session.report(report))
+        self._tell(report)
 
-    def _control(self, tell: Callable[[ClientSession], object]) -> bool:
+    def _tell(self, message: FromMember) -> bool:
         """Have the session take one more message, if it can, and let the writer look."""
         session = self._session
         if session is None or not session.can_queue:
             return False
         self._wake.set()
-        tell(session)
+        session.tell(message)
         return True
 
     def leave(self) -> None:
@@ -252,7 +247,7 @@ class Link:
         try:
             await self._stay()
         finally:
-            if (unused := self._lookout.take_successor()) is not None:
+            if (unused := self.lookout.take_successor()) is not None:
                 unused.transport.abort()
 
     async def _stay(self) -> None:
@@ -262,7 +257,7 @@ class Link:
         give_up_s = None if limit_s is None else loop.time() + limit_s
         troubles: dict[str, Exception] = {}  # by address, and the latest alone
         while not self._is_leaving:
-            joined_s, is_last, websocket = None, False, self._lookout.take_successor()
+            joined_s, is_last, websocket = None, False, self.lookout.take_successor()
             try:
                 token = self.config.token or read_token(self.config.token_file)
                 websocket = websocket or await self._connect_or_leave(give_up_s)
@@ -278,7 +273,7 @@ class Link:
                 troubles[self.url] = error
             if self._is_leaving:
                 return
-            if self._lookout.has_successor:
+            if self.lookout.has_successor:
                 continue
             if joined_s is None and not is_last and self._addresses.num_left:
                 continue
@@ -287,7 +282,7 @@ class Link:
                 lasted_s, elsewhere = loop.time() - joined_s, self._elsewhere()
                 self._addresses.begin_with(elsewhere or self.url)
             wait_s = self._backoff.next_wait_s(lasted_s)
-            if elsewhere and lasted_s >= self.config.backoff.settled_s:
+            if elsewhere and lasted_s >= SETTLED_S:
                 # The relay that sends us away spreads its clients over time. Two that send us to
                 # and fro are another matter.
                 wait_s = 0.0
@@ -329,11 +324,9 @@ class Link:
             await self._wake.wait()
 
     async def _sleep(self, wait_s: float) -> None:
-        try:
+        with suppress(TimeoutError):
             async with asyncio.timeout(wait_s):
                 await self._until_leaving()
-        except TimeoutError:
-            pass
 
     async def _talk(self, websocket: RelayWebsocket, token: str) -> float | None:
         """One connection from its first byte to its last.
@@ -383,7 +376,7 @@ class Link:
         try:
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self._write(session, websocket))
-                watching = tasks.create_task(self._lookout.watch(websocket))
+                watching = tasks.create_task(self.lookout.watch(websocket))
                 await self._read(session, websocket, handle)
                 watching.cancel()
                 self._wake.set()  # let the writer see that it is over
@@ -460,24 +453,21 @@ class Link:
         if self.guard is not None and session.state is State.JOINED:
             for peer_id, data in self.guard.messages_to_send(now):
                 if session.can_queue:  # else it is lost, as a whisper may be
-                    session.whisper(peer_id, data)
+                    session.tell(Whisper(peer_id=peer_id, data=data))
 
     def _describe(self, session: ClientSession, now: float) -> None:
         """Queue what the others do not know of us yet, once it may be said."""
         due_s = self._description.next_timer()
         if due_s is not None and due_s <= now and session.can_queue:
-            session.update_metadata(self._description.metadata)
+            session.tell(UpdateMetadata(metadata=self._description.metadata))
             self._description.note_told(now)
 
     async def _until_woken(self) -> float:
         """Wait until there may be something to write, by a timer too; return the time."""
         sealing_s = None if self.guard is None else self.guard.next_timer()
-        session = self._session
-        timers = (
-            sealing_s,
-            self._description.next_timer() if self.is_joined else None,
-            None if session is None or not self.is_joined else session.frames_due_s,
-        )
+        timers = [sealing_s]
+        if self._session is not None and self.is_joined:
+            timers += [self._description.next_timer(), self._session.frames_due_s]
         timer = min((each for each in timers if each is not None), default=None)
         now = await wait_until(self._wake, timer)
         if self.guard is not None and sealing_s is not None and now >= sealing_s:

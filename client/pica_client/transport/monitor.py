@@ -29,13 +29,14 @@ class CallMonitor:
         health = receiver.call.health()
         self._meters = {peer_id: self._meters.get(peer_id) or QualityMeter() for peer_id in health}
         before_s, before = self._before or (now, {})
-        peers = {}
-        for peer_id, found in health.items():
-            peers[peer_id] = PeerStatus(
+        peers = {
+            peer_id: PeerStatus(
                 quality=self._meters[peer_id].receive(found, now),
                 payload_bps=_bits_per_s(before.get(peer_id), found, now - before_s),
                 health=found,
             )
+            for peer_id, found in health.items()
+        }
         if self._before is None or now > before_s:
             self._before = (now, health)
         room, guard = receiver.call.room(now), receiver.link.guard
@@ -59,7 +60,7 @@ class CallMonitor:
 
     def _own(self, name: str) -> Participant:
         """Ourselves, as the others see us."""
-        publisher = self._receiver.publisher
+        publisher, voice = self._receiver.publisher, self._receiver.voice
         return Participant(
             peer_id="",
             name=name,
@@ -68,8 +69,8 @@ class CallMonitor:
             is_away=not self._receiver.is_connected,
             is_recording=self._receiver.is_recording,
             face="sent" if publisher is None else publisher.mode,
-            has_voice=self._receiver.voice is not None,
-            is_voice_muted=self._receiver.voice is not None and self._receiver.voice.is_muted,
+            has_voice=voice is not None,
+            is_voice_muted=voice is not None and voice.is_muted,
             note="muted by an admin" if self._is_muted_by_admin else "",
         )
 

@@ -124,11 +124,7 @@ class Receiver:
         self._call_soon(self.link.leave)
 
     def check(self) -> None:
-        """Raise what ended the thread, if anything did.
-
-        Raises:
-            RelayError: As `run`.
-        """
+        """Raise what ended the thread, if anything did: a `RelayError`, as `run`."""
         if self._error is not None:
             raise self._error
 
@@ -195,9 +191,10 @@ class Receiver:
                 own.receive_event(event)
         for stream in self.call.take_keyframe_requests(now) if self._takes_faces else ():
             self.link.request_keyframe(stream)
-        if isinstance(event, Joined | PeerJoined):
-            self._decline(event.peers if isinstance(event, Joined) else (event.peer,))
+        if isinstance(event, PeerJoined):
+            self._decline([event.peer])
         if isinstance(event, Joined):
+            self._decline(event.peers)
             self._subscribed.set()
             if self._giver is not None:
                 self._giver.begin(self.link.url)

@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable
 from typing import Final, Literal
 
-from pica_client.transport.backoff import Backoff, BackoffConfig
+from pica_client.transport.backoff import Backoff
 
 QUIET_S: Final = 1.0
 """Silence after which a ping is sent (chosen: who only sends hears nothing else; one ping a second
@@ -36,10 +36,9 @@ class Silence:
         num_looks: Other ways that were tried since the relay was heard last.
     """
 
-    def __init__(self, random: Callable[[], float], pauses: BackoffConfig) -> None:
-        """Begin; `random` gives numbers in [0, 1), `pauses` lie between two looks."""
+    def __init__(self, random: Callable[[], float]) -> None:
+        """Begin; `random` gives numbers in [0, 1)."""
         self._random = random
-        self._pauses_config = pauses
         self._num_false = 0
         self._ended_s = -math.inf
         self.begin()
@@ -48,7 +47,7 @@ class Silence:
         """Note that another connection is watched from now on."""
         self.num_looks = 0
         self._asked_s, self._heard_s, self._look_s = math.inf, math.inf, math.inf
-        self._pauses = Backoff(self._random, self._pauses_config)
+        self._pauses = Backoff(self._random)
 
     def next_timer(self, heard_s: float) -> float:
         """Return when `handle_timer` is due, if nothing is heard meanwhile."""

@@ -10,11 +10,8 @@ def time_after(timer: float | None) -> float:
 
 
 async def wait_until(event: asyncio.Event, timer: float | None) -> float:
-    """Wait until an event is set or its time has come; None is never.
-
-    Returns:
-        The loop's time; at least `timer` if that ended the wait.
-    """
+    """Wait until an event is set or its time has come, None is never; return the loop's time: at
+    least `timer` if that ended the wait."""
     try:
         async with asyncio.timeout_at(timer):
             await event.wait()

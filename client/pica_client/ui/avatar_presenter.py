@@ -3,9 +3,9 @@
 Between a source of faces, a pool of decoders and a renderer; knows no window and no loop:
 
     presenter = AvatarPresenter(source, renderer, pool)
-    scene = presenter.arrange(now, Seating(...), renderer.size)    # who sits where, seen from where
-    presenter.decide(scene)                         # what is decoded this frame
-    presenter.collect()                             # what has been decoded goes to the GPU
+    scene = presenter.arrange(now, ControlState(), renderer.size, FreeShares())  # who sits where
+    presenter.decide(scene, cameras, budget_s)      # what is decoded this frame
+    presenter.collect(now)                          # what has been decoded goes to the GPU
     renderer.draw(scene.placements, scene.camera)
 
 Decoding runs beside drawing, so a frame shows the latents of the frame before it. A peer whose
@@ -28,17 +28,12 @@ from pica_client.render import views
 from pica_client.render.renderer import Renderer
 from pica_client.render.room import Room
 from pica_client.render.scene import Placement, head_matrix
-from pica_client.render.seats import (
-    SHOULDERS_M,
-    FreeShares,
-    Layout,
-    SeatPlan,
-    plan_seats,
-)
+from pica_client.render.seats import SHOULDERS_M, FreeShares, SeatPlan, plan_seats
 from pica_client.schedule.frame_planner import FramePlanner
 from pica_client.schedule.head import Head
 from pica_client.schedule.scheduler import Plan
 from pica_client.stats import Samples, Summary
+from pica_client.ui.controls import ControlState
 from pica_core.avatar.bust import bust_of
 from pica_core.avatar.manifest import ViewSpan
 from pica_core.camera import Camera
@@ -86,19 +81,6 @@ class Meter:
     def recent_ms(self, name: str) -> Summary:
         """Percentiles of the latest, milliseconds."""
         return self._recent[name].summary_ms()
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Seating:
-    """How the user wants everybody to be seated and seen."""
-
-    layout: Layout = "arc"
-    view: views.ViewState = field(default_factory=views.ViewState)
-    pinned: int | None = None
-    """The place of who fills the picture; see `FaceState.place`."""
-    free: FreeShares = field(default_factory=FreeShares)
-    is_light: bool = False
-    """Whether the room is bright."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -166,6 +148,10 @@ class AvatarPresenter:
         levels: How loud each is who sends a voice, by peer id; see `VoiceMixer.levels`.
         on_decoded: Told of every decode that reached the GPU; its slot is the peer id.
         clock: Seconds, monotonic; see `viewer.Viewer`.
+
+    Attributes:
+        seen: Peers of whom a face was shown.
+        num_errors: Peers who became placeholders.
     """
 
     def __init__(
@@ -190,13 +176,15 @@ class AvatarPresenter:
         self._on_decoded = on_decoded
         self._clock = clock
         self._peers: dict[str, _Peer] = {}
-        self._seen: set[str] = set()
+        self.seen: set[str] = set()
         self._arranged_s: float | None = None
         self._seats: dict[str, Float64Array] = {}
         self._plan: SeatPlan | None = None
         self._size = (0, 0)
 
-    def arrange(self, now: float, seating: Seating, size: tuple[int, int]) -> CallScene:
+    def arrange(
+        self, now: float, wanted: ControlState, size: tuple[int, int], free: FreeShares
+    ) -> CallScene:
         """Who is here, where each sits, and from where they are seen, on a picture of this size;
         avatars are made ready."""
         faces = self._source.faces(now)
@@ -206,11 +194,11 @@ class AvatarPresenter:
             self._peers.pop(absent).on_leave.close()
         entries = [self._make_ready(face) for face in faces]
         plan = plan_seats(
-            seating.layout,
+            wanted.layout,
             len(faces),
             width / height,
-            pinned=places.index(seating.pinned) if seating.pinned in places else None,
-            free=seating.free,
+            pinned=places.index(wanted.pinned) if wanted.pinned in places else None,
+            free=free,
             shoulders_m=max((entry.shoulders_m for entry in entries), default=SHOULDERS_M),
         )
         limits = views.orbit_limits(plan, tuple(entry.span for entry in entries))
@@ -232,11 +220,11 @@ class AvatarPresenter:
                     fade=entry.fade,
                 )
             )
-        camera = views.plan_camera(plan, seating.view, width, height, limits)
+        camera = views.plan_camera(plan, wanted.view, width, height, limits)
         room = Room(
             seats_m=plan.places_m,
             speaking=tuple(entry.glow(now, step) for entry in entries),
-            is_light=seating.is_light,
+            is_light=wanted.settings.mode == "light",
         )
         return CallScene(
             now=now,
@@ -300,7 +288,7 @@ class AvatarPresenter:
                 entry.latency.add(latency_s)
             entry.level = result.level
             entry.num_decoded += 1
-            self._seen.add(result.slot)
+            self.seen.add(result.slot)
             if self._on_decoded is not None:
                 self._on_decoded(result)
 
@@ -326,11 +314,6 @@ class AvatarPresenter:
         """Why peers are drawn as placeholders, by peer id."""
         return {peer_id: entry.problem for peer_id, entry in self._peers.items() if entry.problem}
 
-    @property
-    def num_seen(self) -> int:
-        """Peers of whom a face was shown."""
-        return len(self._seen)
-
     def figures(self, now: float) -> Mapping[str, AvatarFigures]:
         """What each avatar costs, by peer id."""
         return {
@@ -343,10 +326,6 @@ class AvatarPresenter:
             )
             for peer_id, entry in self._peers.items()
         }
-
-    def speaking(self, now: float) -> set[str]:
-        """Peers who speak, by their voice, or by their jaw where there is no voice."""
-        return {peer_id for peer_id, entry in self._peers.items() if entry.is_speaking(now)}
 
     def num_decoded(self) -> dict[str, int]:
         """Decodes so far, by peer id."""

@@ -46,17 +46,13 @@ class CallSound:
         return {} if self._sound is None else self._sound.state.levels
 
     def follow(self, wanted: ControlState, people: Iterable[Participant], now: float) -> str:
-        """Do what the user wants; gives what has just gone wrong with a device, else nothing.
-
-        Args:
-            now: Local time, seconds.
-        """
+        """Do what the user wants; gives what has just gone wrong with a device, else nothing."""
         if self._own is not None:
             if wanted.is_heard:
                 self._talked_s = now
             ends_softly = wanted.own_voice == "sent" and now - self._talked_s < TAIL_S
             self._own.keeps_preroll = wanted.own_voice == "sent" and wanted.sound.push_to_talk
-            self._own.set_muted(not (wanted.is_heard or ends_softly))
+            self._own.is_muted = not (wanted.is_heard or ends_softly)
         if self._sound is None:
             return ""
         if wanted.sound != self._set:

@@ -5,14 +5,14 @@ whether the control bar is to be seen.
 """
 
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 import moderngl
 
-from pica_client.call.participants import Participant, notices
+from pica_client.call.participants import notices
 from pica_client.call.status import CallStatus, PeerStatus
 from pica_client.render.labels import place_labels
-from pica_client.render.scene import Rect, common_px, head_rect_px
+from pica_client.render.scene import common_px, head_rect_px
 from pica_client.render.seats import MAX_FREE, FreeShares
 from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter
 from pica_client.ui.call_view import NOTHING, CallView, OwnFaceView, Panel, PersonView
@@ -28,7 +28,7 @@ from pica_client.ui.panels.side import help_panel, side_share
 from pica_client.ui.panels.signs import signs, signs_share
 from pica_client.ui.panels.statistics import statistics, statistics_share
 from pica_client.ui.panels.waiting import first_hint, hint_share, waiting_page
-from pica_client.ui.settings import OwnChoice, Settings
+from pica_client.ui.settings import Settings
 from pica_client.ui.surface.painter import Painter
 from pica_client.ui.surface.surface import Surface
 from pica_client.voice.sound.settings import SoundState
@@ -58,14 +58,13 @@ class CallSurface:
     """Draws the surface of a call.
 
     Args:
-        size: Columns and rows of the surface.
         status: How the call stands, at a time in seconds.
         has_pointer: Whether there is somebody to steer: a window.
-        avatars: See `CallView.avatars`.
 
     Attributes:
         free: What the seats must keep free.
         painter: Paints what `build` has set.
+        status: How the call stands, as of the last frame.
     """
 
     def __init__(
@@ -76,17 +75,13 @@ class CallSurface:
         status: Callable[[float], CallStatus],
         *,
         has_pointer: bool,
-        entered_as: OwnChoice | None = None,
-        avatars: tuple[str, ...] = (),
     ) -> None:
         self.free = FreeShares()
         self._surface = Surface(size)
         self.painter = Painter(context, self._surface)
         self._meter = meter
-        self._entered_as = entered_as or OwnChoice()
-        self._avatars = avatars
         self._ask_status = status
-        self._status = CallStatus()
+        self.status = CallStatus()
         self._asked_s: float | None = None
         self._draw_ms: float | None = None
         self._figures: tuple[tuple[str, str], ...] = ()
@@ -111,16 +106,10 @@ class CallSurface:
         events: list[InputEvent],
         settings: Settings,
     ) -> list[InputEvent]:
-        """Begin a frame.
+        """Begin a frame of this size; gives the events that are not for the surface.
 
         Args:
-            now: Local time, seconds.
-            size: Columns and rows of the surface.
             content_scale: Pixels a point of the display.
-            settings: How the surface is to look.
-
-        Returns:
-            The events that are not for the surface.
         """
         self._surface.resize(size, content_scale * settings.scale, settings.mode)
         for event in events:
@@ -131,11 +120,6 @@ class CallSurface:
             self._pointer_s = now  # whoever enters is shown once how to leave
         self._surface.begin(now)
         return [event for event in events if not self._surface.claims(event)]
-
-    @property
-    def participants(self) -> tuple[Participant, ...]:
-        """Who is there, as of the last frame."""
-        return self._status.participants
 
     @property
     def self_view_px(self) -> int:
@@ -161,8 +145,8 @@ class CallSurface:
         self._times.append(now)
         if self._asked_s is None or now - self._asked_s >= STATUS_PERIOD_S:
             self._asked_s = now
-            self._status = self._ask_status(now)
-            for text, tone in notices(self._status.news):
+            self.status = self._ask_status(now)
+            for text, tone in notices(self.status.news):
                 self._board.add(Notice(text, tone), now)
             self._draw_ms = self._meter.recent_ms("draw")["p50"]
             self._figures = self._figures_now()
@@ -171,15 +155,13 @@ class CallSurface:
             now=now,
             state=state,
             people=self._people(now, scene, presenter, state),
-            status=self._status,
+            status=self.status,
             notices=self._board.shown(now),
             is_recording=is_recording,
             shows_bar=self._shows_bar(now, state),
             has_pointer=self._has_pointer,
             own=own,
             sound=sound,
-            entered_as=self._entered_as,
-            avatars=self._avatars,
             figures=self._figures,
         )
         bar = bar_share(metrics) if self._has_pointer else 0.0
@@ -201,22 +183,15 @@ class CallSurface:
     def _people(
         self, now: float, scene: CallScene, presenter: AvatarPresenter, state: ControlState
     ) -> tuple[PersonView, ...]:
-        shares: Mapping[str, float] = {}
-        if state.show_statistics:
-            size = (scene.camera.width, scene.camera.height)
-            rects = {
-                placement.slot: head_rect_px(scene.camera, placement.world_from_head)
-                for placement in scene.placements
-            }
-            shares = draw_shares_ms(rects, size, self._draw_ms)
+        shares = self._draw_shares_ms(scene) if state.show_statistics else {}
         figures, problems = presenter.figures(now), presenter.problems
         people = []
-        muted = {each.peer_id for each in self._status.participants if each.is_voice_muted}
+        muted = {each.peer_id for each in self.status.participants if each.is_voice_muted}
         heads = [placement.world_from_head for placement in scene.placements]
         labels = place_labels(heads, scene.camera, least_name_px(self._surface.metrics))
         for face, label_px in zip(scene.faces, labels, strict=True):
             peer_id, found = face.peer_id, figures.get(face.peer_id)
-            stream = self._status.peers.get(peer_id, PeerStatus())
+            stream = self.status.peers.get(peer_id, PeerStatus())
             people.append(
                 PersonView(
                     peer_id=peer_id,
@@ -225,7 +200,6 @@ class CallSurface:
                     note=problems.get(peer_id) or face.note,
                     is_speaking=found is not None and found.is_speaking,
                     is_voice_muted=peer_id in muted,
-                    quality=stream.quality,
                     label_px=label_px,
                     figures=found,
                     stream=stream,
@@ -233,6 +207,19 @@ class CallSurface:
                 )
             )
         return tuple(people)
+
+    def _draw_shares_ms(self, scene: CallScene) -> dict[str, float]:
+        """The drawing time dealt out by the pixels that each head may cover: most of it is spent
+        per pixel. An estimate; the GPU is not asked head by head."""
+        picture = (0.0, 0.0, scene.camera.width, scene.camera.height)
+        areas = {}
+        for placement in scene.placements:
+            rect = head_rect_px(scene.camera, placement.world_from_head)
+            areas[placement.slot] = common_px(rect, picture) if rect else 0.0
+        total = sum(areas.values())
+        if self._draw_ms is None or total <= 0:
+            return {}
+        return {peer_id: self._draw_ms * area / total for peer_id, area in areas.items()}
 
     def _figures_now(self) -> tuple[tuple[str, str], ...]:
         times = self._times
@@ -243,23 +230,4 @@ class CallSurface:
         latency_ms = self._meter.recent_ms("latency")["p95"]
         if latency_ms is not None and 0 <= latency_ms < 10_000:
             found.append(("latency p95", f"{latency_ms:.0f} ms"))
-        return (*found, *self._status.summary)
-
-
-def draw_shares_ms(
-    rects: Mapping[str, Rect | None], size: tuple[int, int], draw_ms: float | None
-) -> dict[str, float]:
-    """The drawing time dealt out by the pixels that each head may cover: most of it is spent per
-    pixel. An estimate; the GPU is not asked head by head.
-
-    Args:
-        rects: Where the heads are on the picture, pixels; None off the screen.
-        size: Columns and rows of the picture.
-        draw_ms: Of the whole picture.
-    """
-    picture = (0.0, 0.0, *size)
-    areas = {peer_id: common_px(rect, picture) if rect else 0.0 for peer_id, rect in rects.items()}
-    total = sum(areas.values())
-    if draw_ms is None or total <= 0:
-        return {}
-    return {peer_id: draw_ms * area / total for peer_id, area in areas.items()}
+        return (*found, *self.status.summary)

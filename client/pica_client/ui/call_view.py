@@ -10,19 +10,14 @@ A panel is a function of a `CallView` and the picture's metrics; it draws with t
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from pica_client.call.connection_quality import Quality
 from pica_client.call.faces import FaceStatus
 from pica_client.call.status import AvatarFigures, CallStatus, PeerStatus
+from pica_client.publish.face_desk import Seen
 from pica_client.render.scene import Rect
 from pica_client.ui.controls import ControlState, UserOrder
 from pica_client.ui.notice_board import Notice
-from pica_client.ui.settings import OwnChoice
 from pica_client.ui.surface.theme import Metrics
 from pica_client.voice.sound.settings import SoundState
-
-STATUS_NOTE: dict[FaceStatus, str] = {"away": "away"}
-"""What stands under a name; of the others the call itself says what is wrong."""
-POOR_NOTE = "poor connection"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -36,7 +31,6 @@ class PersonView:
     """What is wrong with the stream or the avatar, for people."""
     is_speaking: bool = False
     is_voice_muted: bool = False
-    quality: Quality = "unknown"
     label_px: Rect | None = None
     """The part of the picture that the name may fill, from its upper edge on; None for nowhere."""
     figures: AvatarFigures | None = None
@@ -47,8 +41,9 @@ class PersonView:
     @property
     def remark(self) -> str:
         """What stands under the name; empty when all is well."""
-        poor = POOR_NOTE if self.quality == "poor" else ""
-        return self.note or STATUS_NOTE.get(self.status, "") or poor
+        if self.note or self.status == "away":
+            return self.note or "away"
+        return "poor connection" if self.stream.quality == "poor" else ""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -59,14 +54,10 @@ class OwnFaceView:
     """What the others see, by the painter's number; None before there is a picture."""
     source: str = ""
     """What plays it."""
-    has_tracker: bool = False
-    has_face: bool = True
-    """Whether the tracker sees somebody."""
-    bars: tuple[tuple[str, float], ...] = ()
-    """Some of its values, by name."""
+    seen: Seen | None = None
+    """What its tracker sees; None where no tracker plays it."""
     camera: int | None = None
-    """What a camera sees, by the painter's number."""
-    camera_aspect: float = 1.0
+    """What its camera sees, by the painter's number."""
 
 
 NOTHING = OwnFaceView()
@@ -92,10 +83,6 @@ class CallView:
     """One's own face, as others and as the tracker see it."""
     sound: SoundState | None = None
     """How sound stands; None: there is none."""
-    entered_as: OwnChoice = field(default_factory=OwnChoice)
-    """The name, avatar and source that one came in with."""
-    avatars: tuple[str, ...] = ()
-    """Those to choose from, by name; none where one cannot come again as somebody else."""
     figures: tuple[tuple[str, str], ...] = ()
     """Figures of the whole call, name and value."""
 

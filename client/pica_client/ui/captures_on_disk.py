@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pica_client.closing import Closing
 from pica_client.errors import OptionError
-from pica_client.output import Outputs, make_folder, writing
+from pica_client.output import make_folder, writing
 from pica_client.render.recorder import Recorder, save_png
 from pica_client.user_folders import pictures_folder, videos_folder
 from pica_client.voice.sound.soundtrack import Soundtrack
@@ -17,42 +17,6 @@ from pica_core.types import Image
 MAX_NUMBER = 9999
 BeginSound = Callable[[], Soundtrack | None]
 """Gives the sound of a recording that begins; None: there is none."""
-
-
-class Recording:
-    """The recording that was asked for at the start, if any; a full disk ends it and nothing else.
-
-    Raises:
-        OptionError: It cannot be begun.
-        ModuleNotFoundError: PyAV is not installed.
-    """
-
-    def __init__(
-        self,
-        path: Path | None,
-        size: tuple[int, int],
-        outputs: Outputs,
-        begin_sound: BeginSound = lambda: None,
-    ) -> None:
-        self._recorder = None if path is None else Recorder(path, size, begin_sound)
-        self._outputs = outputs
-
-    @property
-    def is_going(self) -> bool:
-        """Whether `write` is wanted."""
-        return self._recorder is not None
-
-    def write(self, image: Image, now: float) -> None:
-        """Append a frame that was drawn now."""
-        recorder = self._recorder
-        if recorder and not self._outputs.attempt(lambda: recorder.write(image, now)):
-            self._recorder = None
-
-    def close(self) -> None:
-        """Finish the file."""
-        recorder, self._recorder = self._recorder, None
-        if recorder is not None:
-            self._outputs.attempt(recorder.close)
 
 
 class CapturesOnDisk(Closing):
@@ -111,10 +75,9 @@ class CapturesOnDisk(Closing):
         Raises:
             OptionError: The disk is full; the recording is over.
         """
-        if self._recorder is None:
-            return ""
         try:
-            self._recorder.write(image, now)
+            if self._recorder is not None:
+                self._recorder.write(image, now)
         except OptionError:
             self._recorder = None
             raise

@@ -68,10 +68,6 @@ class Order(Enum):
     STAY = auto()
     LEAVE = auto()
     DISMISS_HINT = auto()
-    EXPLAIN_NO_FACE = auto()
-    """Say what to do for a face that can be muted."""
-    EXPLAIN_NO_VOICE = auto()
-    """The same for a voice."""
     TEST_SOUND = auto()
 
 
@@ -91,11 +87,22 @@ class ChooseLayout:
 
 
 @dataclass(frozen=True, slots=True)
+class Say:
+    """Tell the user something for a few seconds."""
+
+    text: str
+
+
+NO_FACE = Say("You show no face: choose a face source in the settings (--send)")
+NO_VOICE = Say("You send no voice: choose a microphone in the settings (--voice mic)")
+
+
+@dataclass(frozen=True, slots=True)
 class CopyText:
     """Put a text into the clipboard, and say so."""
 
     text: str
-    notice: str = "Copied"
+    notice: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +114,9 @@ class SetVolume:
     volume: float
 
 
-UserOrder = Order | SetVolume | SoundSettings | Pin | ChooseLayout | CopyText | Settings | OwnChoice
+UserOrder = (
+    Order | SetVolume | SoundSettings | Pin | ChooseLayout | Say | CopyText | Settings | OwnChoice
+)
 
 OwnFace = Literal["none", "sent", "frozen", "muted"]
 """What becomes of the user's own face. none: there is none to send; frozen: the last expression
@@ -139,8 +148,12 @@ class ControlState:
     volumes: Mapping[int, float] = field(default_factory=dict)
     """How loud people are here, by place; who is missing is as loud as sent."""
     settings: Settings = field(default_factory=Settings)
+    entered_as: OwnChoice = field(default_factory=OwnChoice)
+    """The name, avatar and source that the user came in with."""
     choice: OwnChoice = field(default_factory=OwnChoice)
-    """The name, avatar and source that the user wants; a name or avatar only after coming again."""
+    """Those that the user wants; a name or avatar only after coming again."""
+    avatars: tuple[str, ...] = ()
+    """Those to choose from, by name; none where one cannot come again as somebody else."""
     shows_hint: bool = False
     """Whether what one needs to know in the first call is shown."""
     wants_close: bool = False
@@ -161,15 +174,7 @@ def _next_layout(state: ControlState) -> ControlState:
 
 def _own_face(wanted: OwnFace) -> Change:
     """Between this and simply being sent."""
-
-    def change(state: ControlState) -> ControlState:
-        return replace(state, own_face="sent" if state.own_face == wanted else wanted)
-
-    return change
-
-
-def _own_voice(state: ControlState) -> ControlState:
-    return replace(state, own_voice="sent" if state.own_voice == "muted" else "muted")
+    return lambda state: replace(state, own_face="sent" if state.own_face == wanted else wanted)
 
 
 def _side(wanted: Side) -> Change:
@@ -205,7 +210,9 @@ CHANGES: dict[Order, Change] = {
     Order.LOOK_DOWN: _orbit(0.0, -KEY_ORBIT_PX),
     Order.MUTE_FACE: _own_face("muted"),
     Order.FREEZE_FACE: _own_face("frozen"),
-    Order.MUTE_VOICE: _own_voice,
+    Order.MUTE_VOICE: lambda state: replace(
+        state, own_voice="sent" if state.own_voice == "muted" else "muted"
+    ),
     Order.STATISTICS: lambda state: replace(state, show_statistics=not state.show_statistics),
     Order.PARTICIPANTS: _side("participants"),
     Order.SETTINGS: _side("settings"),
@@ -217,6 +224,7 @@ CHANGES: dict[Order, Change] = {
 }
 """What orders change of the state; all others are for whoever owns files and windows."""
 OF_THE_FACE = (Order.MUTE_FACE, Order.FREEZE_FACE, Order.CALIBRATE)
+"""What only those order who send a face."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -227,7 +235,6 @@ class Binding:
     title: str
     """What the help says of it; empty is not shown there."""
     order: Order
-    needs_own_face: bool = False
     repeats: bool = False
     """Whether holding the key does it again."""
 
@@ -243,9 +250,9 @@ BINDINGS: tuple[Binding, ...] = (
     Binding(keys=("Up",), title="", order=Order.LOOK_UP, repeats=True),
     Binding(keys=("Down",), title="", order=Order.LOOK_DOWN, repeats=True),
     Binding(keys=("T",), title="mute own voice", order=Order.MUTE_VOICE),
-    Binding(keys=("M",), title="mute own face", order=Order.MUTE_FACE, needs_own_face=True),
-    Binding(keys=("F",), title="freeze own face", order=Order.FREEZE_FACE, needs_own_face=True),
-    Binding(keys=("K",), title="calibrate the tracker", order=Order.CALIBRATE, needs_own_face=True),
+    Binding(keys=("M",), title="mute own face", order=Order.MUTE_FACE),
+    Binding(keys=("F",), title="freeze own face", order=Order.FREEZE_FACE),
+    Binding(keys=("K",), title="calibrate the tracker", order=Order.CALIBRATE),
     Binding(keys=("U",), title="participants", order=Order.PARTICIPANTS),
     Binding(keys=("S",), title="statistics", order=Order.STATISTICS),
     Binding(keys=("P",), title="picture into a file", order=Order.SCREENSHOT),
@@ -262,22 +269,18 @@ KEYS_OF = {binding.order: binding.keys[0] for binding in BINDINGS}
 
 def help_lines(own_face: OwnFace = "none") -> tuple[tuple[str, str], ...]:
     """The keys and what they do, for people: from the table that they are looked up in."""
-    keys = [
+    keys = (
         (", ".join(binding.keys), binding.title)
         for binding in BINDINGS
-        if binding.title and not (binding.needs_own_face and own_face == "none")
-    ]
-    keys.insert(0, (TALK_KEY, "hold to talk, if set so"))
-    pointer = [
+        if binding.title and not (binding.order in OF_THE_FACE and own_face == "none")
+    )
+    return (
         ("drag, arrows", "look around"),
         ("wheel", "come closer, go back"),
         (f"click, 1 to {MAX_PINNED_BY_KEY}", "pin a participant, or not"),
-    ]
-    return (*pointer, *keys)
-
-
-Picker = Callable[[float, float], int | None]
-"""Whose place it is that a point of the picture shows, pixels, y down."""
+        (TALK_KEY, "hold to talk, if set so"),
+        *keys,
+    )
 
 
 class Controls:
@@ -295,12 +298,13 @@ class Controls:
         event: events.InputEvent,
         *,
         places: Sequence[int] = (),
-        pick: Picker = lambda x_px, y_px: None,
+        pick: Callable[[float, float], int | None] = lambda x_px, y_px: None,
     ) -> None:
         """Take one event that is not for the surface.
 
         Args:
             places: Of everybody who is there, from left to right: number keys pin them.
+            pick: Whose place it is that a point of the picture shows, pixels, y down.
         """
         match event:
             case events.KeyPressed():
@@ -341,13 +345,13 @@ class Controls:
                 self.state = replace(self.state, choice=order)
                 self._orders.append(order)
             case Order() if order in OF_THE_FACE and self.state.own_face == "none":
-                self._orders.append(Order.EXPLAIN_NO_FACE)
+                self._orders.append(NO_FACE)
             case Order.MUTE_VOICE if self.state.own_voice == "none":
-                self._orders.append(Order.EXPLAIN_NO_VOICE)
+                self._orders.append(NO_VOICE)
             case Order() if order in CHANGES:
                 self.state = CHANGES[order](self.state)
                 if order is Order.NEXT_LAYOUT:
-                    self._orders.append(order)  # its name is shown
+                    self._orders.append(Say(f"People sit: {LAYOUT_TITLES[self.state.layout]}"))
             case _:
                 self._orders.append(order)
 

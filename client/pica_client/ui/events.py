@@ -67,7 +67,6 @@ class MouseReleased:
     x_px: float
     y_px: float
     button: int = 0
-    """0 is the left one, 1 the right one, 2 the middle one."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,6 @@
 """Notices that stand for a few seconds, the latest below the others. Pure."""
 
-from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
 NoticeTone = Literal["plain", "good", "warning", "alert", "accent"]
 NOTICE_S: Final = 4.0
@@ -12,8 +11,7 @@ MAX_NOTICES: Final = 3
 """Shown at once; one more drops the oldest."""
 
 
-@dataclass(frozen=True, slots=True)
-class Notice:
+class Notice(NamedTuple):
     """One line, and how loud it is."""
 
     text: str

@@ -1,81 +1,76 @@
-"""One's own face while a call is shown: the picture in the corner, what the tracker sees beside it,
-and what the user orders of it."""
-
-from collections.abc import Callable
+"""One's own face while a call is shown: as the others see it, drawn small in a corner, and what the
+tracker sees beside it."""
 
 import moderngl
-import numpy as np
 
+from pica_client.call.reflection import SELF_ID, Reflection
+from pica_client.decode.decoder import OnnxDecoder
+from pica_client.decode.pool import DecodePool
 from pica_client.publish.face_desk import FaceDesk
-from pica_client.render.renderer import RenderOptions
+from pica_client.render.renderer import Renderer, RenderOptions
+from pica_client.render.seats import FreeShares
+from pica_client.schedule.frame_planner import FramePlanner
+from pica_client.schedule.scheduler import Scheduler
+from pica_client.ui.avatar_presenter import AvatarPresenter
 from pica_client.ui.call_view import NOTHING, OwnFaceView
-from pica_client.ui.controls import Order, OwnFace, UserOrder
-from pica_client.ui.self_view import PERIOD_S, SelfView
-from pica_client.ui.settings import OwnChoice
+from pica_client.ui.controls import ControlState
 from pica_client.ui.surface.painter import Painter
-from pica_core.types import Image
+
+ASPECT = 4 / 3
+PERIOD_S = 1 / 15
+"""Between two images (chosen: one's own face is to be checked, not watched)."""
+BUDGET_S = 0.01
+"""What one image may take."""
 
 
-class OwnFaceCorner:
-    """What the viewer has to do with a `FaceDesk`.
+class SelfView:
+    """Decodes and draws a reflection, beside the call, into a texture of its own.
 
     Args:
         context: Where to draw; current on this thread.
         options: How avatars are drawn.
     """
 
-    def __init__(self, context: moderngl.Context, desk: FaceDesk, options: RenderOptions) -> None:
-        self._context = context
-        self._desk = desk
-        self._self_view = SelfView(context, desk.publisher.reflect(), options)
-        self._camera: moderngl.Texture | None = None
+    def __init__(
+        self, context: moderngl.Context, reflection: Reflection, options: RenderOptions
+    ) -> None:
+        self._renderer = Renderer(context, (16, 12), options)
+        self._pool = DecodePool(OnnxDecoder)
+        self._presenter = AvatarPresenter(
+            reflection.call, self._renderer, self._pool, FramePlanner(Scheduler())
+        )
         self._looked_s = -PERIOD_S
         self._shown = NOTHING
 
     def close(self) -> None:
         """End the decoding thread."""
-        self._self_view.close()
+        self._pool.close()
 
-    def tell(self, wanted: OwnFace) -> None:
-        """Mute or freeze the face, or let it go on."""
-        if wanted != "none":
-            self._desk.publisher.set_mode(wanted)
+    def draw(self, now: float, height_px: int) -> moderngl.Texture | None:
+        """One's own face on a picture so many pixels high; None before there is one."""
+        size = (round(ASPECT * height_px), height_px)
+        self._renderer.resize(size)
+        scene = self._presenter.arrange(now, ControlState(layout="line"), size, FreeShares())
+        self._presenter.decide(scene, (scene.camera,), BUDGET_S)
+        self._presenter.collect(now)
+        scene = self._presenter.dressed(scene)
+        self._renderer.draw(scene.placements, scene.camera)
+        if not self._presenter.num_decoded().get(SELF_ID):
+            return None
+        (texture,) = self._renderer.image.color_attachments
+        assert isinstance(texture, moderngl.Texture)
+        return texture
 
-    def obey(self, order: UserOrder, now: float) -> None:
-        """Do what is ordered, if it is of the face."""
-        match order:
-            case Order.CALIBRATE:
-                self._desk.calibrate(now)
-            case OwnChoice(source=source) if source:
-                self._desk.choose(source)
-            case _:
-                pass
-
-    def draw(
-        self, now: float, height_px: int, painter: Painter, say: Callable[[str, float], None]
-    ) -> OwnFaceView:
-        """What there is to show on a picture so many pixels high; what became of orders is said."""
-        for notice in self._desk.take_notices(now):
-            say(notice, now)
+    def look(self, now: float, height_px: int, desk: FaceDesk, painter: Painter) -> OwnFaceView:
+        """What there is to see on a picture so many pixels high, every `PERIOD_S` anew."""
         if height_px and now - self._looked_s >= PERIOD_S:
             self._looked_s = now
-            texture = self._self_view.draw(now, height_px)
-            seen = self._desk.seen()
+            texture, seen = self.draw(now, height_px), desk.seen()
             picture = None if seen is None else seen.picture
             self._shown = OwnFaceView(
                 texture=None if texture is None else painter.adopt("own face", texture),
-                source=self._desk.source,
-                has_tracker=seen is not None,
-                has_face=seen is None or seen.has_face,
-                bars=() if seen is None else seen.bars,
-                camera=None if picture is None else self._upload(picture, painter),
-                camera_aspect=1.0 if picture is None else picture.shape[1] / picture.shape[0],
+                source=desk.source,
+                seen=seen,
+                camera=None if picture is None else painter.show("camera", picture),
             )
         return self._shown if height_px else NOTHING
-
-    def _upload(self, picture: Image, painter: Painter) -> int:
-        size = (picture.shape[1], picture.shape[0])
-        if self._camera is None or self._camera.size != size:
-            self._camera = self._context.texture(size, 3, alignment=1)
-        self._camera.write(np.ascontiguousarray(picture), alignment=1)
-        return painter.adopt("camera", self._camera)

@@ -24,7 +24,6 @@ MAX_FILE_BYTES = 65_536
 MAX_TEXT = 1024
 """Characters of an address, a name or a folder."""
 MIN_SIDE, MAX_SIDE = 160, 8192
-DEFAULT_SIZE = (960, 540)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -37,7 +36,7 @@ class Preferences:
     sound: SoundSettings = field(default_factory=SoundSettings)
     has_seen_hint: bool = False
     """Whether what one needs to know in the first call was dismissed."""
-    window_size: tuple[int, int] = DEFAULT_SIZE
+    window_size: tuple[int, int] = (960, 540)
     """Columns and rows, in the screen's units."""
     url: str = ""
     """The relay of the last call; empty before the first."""
@@ -64,7 +63,7 @@ class Preferences:
             if not isinstance(getattr(self, name), bool):
                 raise ValueError(f"{name} is {getattr(self, name)!r}; true or false")
         sides = self.window_size
-        if len(sides) != 2 or not all(
+        if not (isinstance(sides, tuple) and len(sides) == 2) or not all(
             type(side) is int and MIN_SIDE <= side <= MAX_SIDE for side in sides
         ):
             raise ValueError(f"window_size is {sides!r}; two of {MIN_SIDE} to {MAX_SIDE}")
@@ -78,15 +77,14 @@ class Preferences:
 
 
 class PreferencesFile:
-    """The file of one user."""
+    """The file of one user.
+
+    Args:
+        folder: Where it is; by default `preferences_folder`.
+        warn: Called, at most once, with what is wrong with it.
+    """
 
     def __init__(self, folder: Path | None = None, *, warn: Callable[[str], None] = say) -> None:
-        """Name the file.
-
-        Args:
-            folder: Where it is; by default `preferences_folder`.
-            warn: Called, at most once, with what is wrong with it.
-        """
         self.path = (preferences_folder() if folder is None else folder) / FILE_NAME
         self._warn = warn
 
@@ -100,7 +98,7 @@ class PreferencesFile:
             return _from_json(json.loads(content))
         except FileNotFoundError:
             return Preferences()
-        except (OSError, ValueError, RecursionError) as error:
+        except (OSError, ValueError, RecursionError, OptionError) as error:
             reason = error.strerror if isinstance(error, OSError) else str(error)
             self._warn(f"{self.path}: preferences cannot be used, taking defaults: {reason}")
             return Preferences()
@@ -130,27 +128,23 @@ def without_secrets(url: str) -> str:
 
 
 def _from_json(content: Any) -> Preferences:
-    """Preferences out of a file; what a later version has put there is left out.
+    """Preferences out of a file.
 
     Raises:
-        ValueError: Something in it is not as it must be.
+        ValueError, OptionError: Something in it is not as it must be.
     """
-    if not isinstance(content, dict):
-        raise ValueError("it holds no object")
-    known = {field.name for field in fields(Preferences)}
-    values = {name: value for name, value in content.items() if name in known}
+    values = _known(Preferences, content)
     for name, kind in (("settings", Settings), ("sound", SoundSettings)):
-        part = values.get(name, {})
-        if not isinstance(part, dict):
-            raise ValueError(f"{name} is no object")
-        kinds = {field.name for field in fields(kind)}
-        try:
-            values[name] = kind(**{k: v for k, v in part.items() if k in kinds})
-        except OptionError as error:
-            raise ValueError(str(error)) from error
-    size = values.get("window_size")
-    if size is not None:
-        if not isinstance(size, list):
-            raise ValueError("window_size is no pair")
-        values["window_size"] = tuple(size)
+        if name in values:
+            values[name] = kind(**_known(kind, values[name]))
+    if isinstance(values.get("window_size"), list):
+        values["window_size"] = tuple(values["window_size"])
     return Preferences(**values)
+
+
+def _known(kind: type[Preferences | Settings | SoundSettings], content: Any) -> dict[str, Any]:
+    """The values of a kind; what a later version has put beside them is left out."""
+    if not isinstance(content, dict):
+        raise ValueError(f"{content!r:.50} is no object of {kind.__name__}")
+    names = {field.name for field in fields(kind)}
+    return {name: value for name, value in content.items() if name in names}

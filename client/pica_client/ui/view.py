@@ -1,6 +1,7 @@
 """One receiver from end to end: network in a thread, decoding in others, drawing in this one."""
 
 import json
+import math
 import sys
 import time
 from collections import deque
@@ -13,10 +14,11 @@ from typing import Any
 from pica_client.avatars.cache import AvatarCache
 from pica_client.avatars.fetch import AvatarFetcher
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.call.call import Call, CallConfig
+from pica_client.call.call import Call
 from pica_client.decode.request import DecodeResult
 from pica_client.errors import OptionError, RelayUnreachableError
 from pica_client.output import check_writable, make_folder, say
+from pica_client.playout.config import PlayoutConfig
 from pica_client.publish.face_desk import FaceDesk
 from pica_client.publish.own_face import FaceChoice, OutgoingFace
 from pica_client.transport.config import LinkConfig
@@ -25,7 +27,6 @@ from pica_client.transport.link_news import LinkNews
 from pica_client.transport.monitor import CallMonitor
 from pica_client.transport.receiver import Receiver
 from pica_client.ui.call_sound import CallSound
-from pica_client.ui.controls import ControlState
 from pica_client.ui.settings import OwnChoice
 from pica_client.ui.viewer import Viewer
 from pica_client.ui.viewer_options import ViewerOptions
@@ -40,6 +41,8 @@ from pica_protocol.limits import MAX_PEERS
 MAX_LOGGED_DECODES = 100_000
 """Decodes kept for a latency analysis: eleven minutes of five avatars at 30 a second."""
 POLL_S = 0.02
+EXPECT_TIMEOUT_S = 30.0
+"""Give up waiting for those who are expected after this time."""
 NOTHING_SHOWN = {"frames_rendered": 0, "render_fps": 0.0}
 """What `View.run` returns when there was nothing to show."""
 PNG_PERIOD_S = 1.0
@@ -53,7 +56,7 @@ class ViewConfig:
     """What to show, how, and what to keep of it."""
 
     link: LinkConfig
-    call: CallConfig = field(default_factory=CallConfig)
+    playout: PlayoutConfig = field(default_factory=PlayoutConfig)
     viewer: ViewerOptions = field(default_factory=ViewerOptions)
     seconds: float = 0.0
     """How long to draw; 0 is until stopped."""
@@ -63,8 +66,6 @@ class ViewConfig:
     """Whether voices are played."""
     expect: int = 0
     """Begin to draw once this many peers are seen."""
-    expect_timeout_s: float = 30.0
-    """Give up waiting for them after this time."""
     png: Path | None = None
     """Write the last image here."""
     png_folder: Path | None = None
@@ -87,7 +88,7 @@ class View:
     """Runs a receiver and its viewer; `stop` may come from a signal handler.
 
     Attributes:
-        last_controls: How the user left the view; None before it was shown.
+        last_controls: How the user left the view.
         last_source: What plays the user's face now, if they chose it during the call; else None.
         last_window_size: And the window, in the screen's units; None without one.
         was_cancelled: Whether the user did not want to wait for the room.
@@ -100,7 +101,7 @@ class View:
         library: AvatarLibrary,
         *,
         face: OutgoingFace | None = None,
-        choice: FaceChoice | None = None,
+        choice: FaceChoice,
         window: Window | None = None,
         waiting: Callable[[], bool] | None = None,
         sound: SoundProcess | None = None,
@@ -123,10 +124,9 @@ class View:
         self._config = config
         self._fetcher = self._make_fetcher(library) if config.fetch else None
         avatars = self._fetcher or library
-        self._call = Call(avatars, config.call, log_shown=config.frame_log is not None)
+        self._call = Call(avatars, config.playout, log_shown=config.frame_log is not None)
         self._library = library
         self._publisher = None if face is None else face.publisher
-        choice = choice or FaceChoice(source="")
         self._entered_as = OwnChoice(
             name=config.link.name,
             avatar=choice.avatar or "",
@@ -138,7 +138,7 @@ class View:
         self._waiting = waiting
         self.was_cancelled = False
         doing = "looking into" if face is None else f"in, as {config.link.name},"
-        self._own_sound = SoundProcess(config.viewer.sound) if sound is None else None
+        self._own_sound = SoundProcess(config.viewer.at_first.sound) if sound is None else None
         sound = sound or self._own_sound
         assert sound is not None
         voice = sound if config.voice == "mic" else open_voice(config.voice)
@@ -155,7 +155,7 @@ class View:
             giver=None if face is None else face.giver,
             news=LinkNews(f"{doing} room {config.link.room} at {config.link.url}", say),
         )
-        self.last_controls: ControlState | None = None
+        self.last_controls = config.viewer.at_first
         self.last_window_size: tuple[int, int] | None = None
         self.last_source: str | None = None
         self._is_stopping = False
@@ -176,16 +176,12 @@ class View:
             RelayError: The relay is not there, or will not have us.
             GraphicsError: There is no way to draw.
         """
-        try:
-            return self._run()
-        finally:
-            if self._fetcher is not None:
-                self._fetcher.close()
-
-    def _run(self) -> dict[str, Any]:
         config = self._config
         self._say_recording(config.viewer.record is not None)
-        with self._receiver, ExitStack() as stack:
+        with ExitStack() as stack:
+            if self._fetcher is not None:
+                stack.callback(self._fetcher.close)
+            stack.enter_context(self._receiver)
             if self._own_sound is not None:
                 stack.callback(self._own_sound.close)
             self._wait_for_peers()
@@ -198,7 +194,13 @@ class View:
             with Viewer(
                 self._call,
                 replace(
-                    config.viewer, entered_as=self._entered_as, avatars=tuple(self._library.names)
+                    config.viewer,
+                    at_first=replace(
+                        config.viewer.at_first,
+                        entered_as=self._entered_as,
+                        choice=self._entered_as,
+                        avatars=tuple(self._library.names),
+                    ),
                 ),
                 status=CallMonitor(self._receiver).status,
                 on_decoded=self._note_decode if config.frame_log is not None else None,
@@ -239,13 +241,6 @@ class View:
             "avatars_fetched": 0 if self._fetcher is None else self._fetcher.num_fetched,
         }
 
-    def _say_trouble(self) -> None:
-        """Say once what is wrong with a device."""
-        note = "" if self._sound is None else self._sound.state.trouble
-        if note and note != self._trouble:
-            say(note)
-        self._trouble = note
-
     def _make_hearing(self, sound: SoundProcess) -> Hearing | None:
         if not self._config.hears:
             return None
@@ -266,7 +261,7 @@ class View:
 
     def _wait_for_peers(self) -> None:
         config = self._config
-        deadline = time.monotonic() + config.expect_timeout_s
+        deadline = time.monotonic() + EXPECT_TIMEOUT_S
         while not self._is_stopping:
             self._receiver.check()
             if self._receiver.is_connected and self._call.num_live >= config.expect:
@@ -277,38 +272,37 @@ class View:
             if config.expect and time.monotonic() > deadline:
                 raise RelayUnreachableError(
                     f"{self._call.num_live} of {config.expect} expected peers were seen within "
-                    f"{config.expect_timeout_s:g} s"
+                    f"{EXPECT_TIMEOUT_S:g} s"
                 )
             if self._waiting is None:
                 time.sleep(POLL_S)
 
     def _draw(self, viewer: Viewer) -> None:
         """Draw until the time is over, the user leaves, or the network gives up."""
-        config = self._config
-        begin_s = time.monotonic()
-        index = 0
-        has_ended, keeps_images = False, True
+        folder, index = self._config.png_folder, 0
+        longest_s = math.inf if folder is None else PNG_PERIOD_S
+        end_s = time.monotonic() + (self._config.seconds or math.inf)
+        has_ended = False
 
         def should_stop() -> bool:
             self._receiver.check()
-            self._say_trouble()
+            note = "" if self._sound is None else self._sound.state.trouble
+            if note and note != self._trouble:
+                say(note)
+            self._trouble = note
             return self._is_stopping
 
         while not has_ended and not self._is_stopping:
-            left_s = begin_s + config.seconds - time.monotonic() if config.seconds else None
-            if left_s is not None and left_s <= 0:
+            begin_s = time.monotonic()
+            slice_s = min(longest_s, end_s - begin_s)
+            if slice_s <= 0:
                 return
-            if config.png_folder is None:
-                viewer.run(left_s, should_stop)
-                return
-            slice_s = PNG_PERIOD_S if left_s is None else min(PNG_PERIOD_S, left_s)
-            slice_begin_s = time.monotonic()
             viewer.run(slice_s, should_stop)
             # The viewer returns early only when its user closed the window, or we stopped it.
-            has_ended = time.monotonic() - slice_begin_s < slice_s
+            has_ended = time.monotonic() - begin_s < slice_s
             index += 1
-            image = config.png_folder / f"frame-{index:05d}.png"
-            keeps_images = keeps_images and viewer.save_image(image)
+            if folder is not None and not viewer.save_image(folder / f"frame-{index:05d}.png"):
+                folder = None
 
     def _come_again(self, wanted: OwnChoice) -> str:
         """Note as whom the user wants to come again; says why that cannot be."""

@@ -141,13 +141,14 @@ def ask_and_look(
     from pica_client.ui.window import Window
 
     with ExitStack() as stack:
-        window = stack.enter_context(Window(config.viewer.title, config.viewer.size))
+        window = stack.enter_context(Window(config.viewer.size))
         sound = None if available() else stack.enter_context(closing(SoundProcess()))
         lobby = stack.enter_context(Lobby(window, library, sound))
         pool = stack.enter_context(ThreadPoolExecutor(1, thread_name_prefix="own-face"))
         while lobby.ask(form):
             typed, chosen = form.fields, form.face(face)
-            viewer = replace(config.viewer, sound=typed.sound)
+            at_first = replace(config.viewer.at_first, sound=typed.sound)
+            viewer = replace(config.viewer, at_first=at_first)
             stay = replace(config, link=form.link(), viewer=viewer, voice=typed.voice)
             try:
                 opening = pool.submit(open_own_face, chosen, stay.link, library, say)
@@ -206,11 +207,11 @@ def _keep(
         replace(
             before,
             **typed,
-            layout=before.layout if state is None else state.layout,
-            show_statistics=before.show_statistics if state is None else state.show_statistics,
-            settings=before.settings if state is None else state.settings,
-            sound=before.sound if state is None else state.sound,
-            has_seen_hint=before.has_seen_hint or (state is not None and not state.shows_hint),
+            layout=state.layout,
+            show_statistics=state.show_statistics,
+            settings=state.settings,
+            sound=state.sound,
+            has_seen_hint=before.has_seen_hint or not state.shows_hint,
             window_size=looking.last_window_size or before.window_size,
             url=config.link.url,
             room=config.link.room,

@@ -12,7 +12,6 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,31 +28,30 @@ from pica_client.errors import ClientError
 from pica_client.output import Outputs
 from pica_client.publish.face_desk import FaceDesk
 from pica_client.render.draw_clock import DrawClock
-from pica_client.render.recorder import save_png
-from pica_client.render.renderer import DrawStats, Renderer
+from pica_client.render.recorder import Recorder, save_png
+from pica_client.render.renderer import DrawStats, Renderer, RenderOptions
 from pica_client.render.scene import pick_head
 from pica_client.render.views import stereo_cameras
 from pica_client.schedule.frame_planner import FramePlanner
 from pica_client.schedule.scheduler import Plan, Scheduler
 from pica_client.ui import controls
-from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter, Seating
+from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter
 from pica_client.ui.call_sound import CallSound
 from pica_client.ui.call_surface import CallSurface
 from pica_client.ui.call_view import NOTHING, OwnFaceView
-from pica_client.ui.captures_on_disk import CapturesOnDisk, Recording
+from pica_client.ui.captures_on_disk import CapturesOnDisk
 from pica_client.ui.events import InputEvent, MouseMoved, MousePressed, MouseReleased
-from pica_client.ui.own_face import OwnFaceCorner
+from pica_client.ui.own_face import SelfView
 from pica_client.ui.settings import OwnChoice
-from pica_client.ui.viewer_options import ViewerOptions
+from pica_client.ui.viewer_options import BUDGET_SHARE, ViewerOptions
 from pica_client.ui.window import Window
 from pica_core.camera import Camera
 from pica_core.gl import create_context
 
-StatusSource = Callable[[float], CallStatus]
-
 PREPARE_TIMEOUT_S = 5.0
 """How long the first picture waits for five avatars to be loaded; here they take half a second."""
 PREPARE_POLL_S = 0.01
+RENDER = RenderOptions(fade_busts=True)
 
 
 @dataclass(slots=True, eq=False)
@@ -68,7 +66,6 @@ class Viewer(Closing):
     """Shows the faces of a source in a window or off the screen.
 
     Args:
-        options: See `ViewerOptions`.
         status: How the call stands, at a time of `clock`; asked twice a second.
         on_decoded: Told of every decode that reached the GPU, on the drawing thread; its slot is
             the peer id.
@@ -95,7 +92,7 @@ class Viewer(Closing):
         source: FaceSource,
         options: ViewerOptions | None = None,
         *,
-        status: StatusSource = lambda now: CallStatus(),
+        status: Callable[[float], CallStatus] = lambda now: CallStatus(),
         on_decoded: Callable[[DecodeResult], None] | None = None,
         on_recording: Callable[[bool], None] = lambda is_recording: None,
         desk: FaceDesk | None = None,
@@ -104,22 +101,18 @@ class Viewer(Closing):
         window: Window | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.options = options or ViewerOptions()
+        options = self.options = options or ViewerOptions()
         self._clock = clock
         self._on_rejoin = on_rejoin
+        self._desk = desk
         self._sound = sound or CallSound()
         self._on_recording = on_recording
         self._was_recording = False
         self.controls = controls.Controls(
-            controls.ControlState(
-                layout=self.options.layout,
-                show_statistics=self.options.show_statistics,
+            replace(
+                options.at_first,
                 own_face="none" if desk is None else "sent",
                 own_voice=self._sound.own_voice,
-                choice=self.options.entered_as,
-                settings=self.options.settings,
-                sound=self.options.sound,
-                shows_hint=self.options.shows_hint,
             )
         )
         self._meter = Meter()
@@ -130,38 +123,33 @@ class Viewer(Closing):
         self.last_draw: DrawStats | None = None
         with ExitStack() as stack:
             self._window = window
-            if self.options.headless:
+            if options.headless:
                 context = create_context()
                 stack.callback(context.release)
             else:
                 if self._window is None:
-                    self._window = stack.enter_context(
-                        Window(self.options.title, self.options.size)
-                    )
+                    self._window = stack.enter_context(Window(options.size))
                 context = self._window.context
-            size = self._window.size_px if self._window else self.options.size
-            self._renderer = Renderer(context, size, self.options.render)
+            size = self._window.size_px if self._window else options.size
+            self._renderer = Renderer(context, size, RENDER)
             self._surface = CallSurface(
                 context,
                 self._eye_size,
                 self._meter,
                 status,
                 has_pointer=self._window is not None,
-                entered_as=self.options.entered_as,
-                avatars=self.options.avatars,
             )
             stack.callback(self._surface.close)
             begin_sound = self._sound.begin_track
-            self._recording = Recording(self.options.record, size, self.outputs, begin_sound)
-            stack.callback(self._recording.close)
-            self._captures = CapturesOnDisk(self.options.keep_in, begin_sound)
+            self._film: Recorder | None = None
+            if options.record is not None:
+                self._film = Recorder(options.record, size, begin_sound)
+            stack.callback(self._end_film)
+            self._captures = CapturesOnDisk(options.keep_in, begin_sound)
             stack.callback(lambda: self.outputs.attempt(self._captures.close))
-            make_decoder = partial(OnnxDecoder, options=self.options.onnx)
-            self._pool = stack.enter_context(
-                DecodePool(self.options.decode, make_decoder, self._clock)
-            )
+            self._pool = stack.enter_context(DecodePool(OnnxDecoder, clock))
             self._draw_clock: DrawClock[_DrawnFrame] = DrawClock(context)
-            self._scheduler = Scheduler(self.options.scheduler)
+            self._scheduler = Scheduler(options.scheduler)
             self._presenter = AvatarPresenter(
                 source,
                 self._renderer,
@@ -172,10 +160,10 @@ class Viewer(Closing):
                 on_decoded=on_decoded,
                 clock=clock,
             )
-            self._own_face = None
+            self._self_view = None
             if desk is not None:
-                self._own_face = OwnFaceCorner(context, desk, self.options.render)
-                stack.callback(self._own_face.close)
+                self._self_view = SelfView(context, desk.publisher.reflect(), RENDER)
+                stack.callback(self._self_view.close)
             self._resources = stack.pop_all()
         self._started_s = self._clock()
 
@@ -243,22 +231,25 @@ class Viewer(Closing):
             scene,
             self._presenter,
             self.controls.state,
-            is_recording=self._recording.is_going or self._captures.is_recording,
+            is_recording=self._is_recording,
             own=self._draw_own(now),
             sound=self._sound.state(),
         )
         for order in orders:
             self.controls.obey(order)
-        if self._own_face is not None:
-            self._own_face.tell(self.controls.state.own_face)
-        trouble = self._sound.follow(self.controls.state, self._surface.participants, now)
+        if self._desk is not None and self.controls.state.own_face != "none":
+            self._desk.publisher.mode = self.controls.state.own_face
+        trouble = self._sound.follow(self.controls.state, self._surface.status.participants, now)
         if trouble:
             self._surface.notice(trouble, now)
         begin_s = self._clock()
         # What a frame cost is known some frames later, when the GPU is done with it.
         drawn = _DrawnFrame(plan.shaded_px)
         with self._draw_clock.around(drawn):
-            self.last_draw = self._draw(scene)
+            self.last_draw = self._renderer.draw(
+                scene.placements, *self._eyes(scene), room=scene.room
+            )
+            self._paint(self._renderer.image, panels=self._window is None)
         drawn.num_triangles = self.last_draw.num_triangles
         for frame, seconds in self._draw_clock.take():
             self._scheduler.costs.observe_draw(frame.num_triangles, frame.shaded_px, seconds)
@@ -266,13 +257,14 @@ class Viewer(Closing):
         if self._window is None:
             image = self._renderer.read_image()  # waits for the GPU: the draw time is a true one
         self._meter.add("draw", self._clock() - begin_s)
-        is_recording = self._recording.is_going or self._captures.is_recording
-        if is_recording != self._was_recording:
-            self._was_recording = is_recording
-            self._on_recording(is_recording)
-        if is_recording:
+        if self._is_recording != self._was_recording:
+            self._was_recording = self._is_recording
+            self._on_recording(self._was_recording)
+        if self._is_recording:
             shown = self._renderer.read_image() if image is None else image
-            self._recording.write(shown, now)
+            film = self._film
+            if film is not None and not self.outputs.attempt(lambda: film.write(shown, now)):
+                self._film = None  # a full disk ends it and nothing else
             self._keep(lambda: self._captures.write(shown, now))
         if self._window is not None:
             self._window.show(self._show)
@@ -280,6 +272,14 @@ class Viewer(Closing):
             self._obey(order, now)
         self._num_frames += 1
         return True
+
+    @property
+    def _is_recording(self) -> bool:
+        return self._film is not None or self._captures.is_recording
+
+    def _end_film(self) -> None:
+        if self._film is not None:
+            self.outputs.attempt(self._film.close)
 
     def pick(self, x_px: float, y_px: float) -> int | None:
         """Whose head is at a point of the picture, pixels, y down; see `FaceState.place`."""
@@ -297,11 +297,6 @@ class Viewer(Closing):
         return self.outputs.attempt(lambda: save_png(path, self._renderer.read_image()))
 
     @property
-    def gl_renderer(self) -> str:
-        """What draws, by the driver's own name."""
-        return self._renderer.gl_renderer
-
-    @property
     def problems(self) -> dict[str, str]:
         """Why peers are drawn as placeholders, by peer id."""
         return self._presenter.problems
@@ -317,11 +312,11 @@ class Viewer(Closing):
         return {
             "frames_rendered": self._num_frames,
             "render_fps": round(self._num_frames / elapsed_s, 2) if elapsed_s > 0 else 0.0,
-            "rendered_peers": self._presenter.num_seen,
+            "rendered_peers": len(self._presenter.seen),
             "decodes": self._presenter.num_decoded(),
             "decodes_replaced": self._pool.num_replaced,
             "errors": self._presenter.num_errors,
-            "gl_renderer": self.gl_renderer,
+            "gl_renderer": self._renderer.gl_renderer,
             "triangles": self.last_draw.num_triangles if self.last_draw else 0,
             "draw_calls": self.last_draw.num_draw_calls if self.last_draw else 0,
             **self._meter.summaries(),
@@ -329,14 +324,7 @@ class Viewer(Closing):
 
     def _arrange(self, now: float) -> CallScene:
         state = self.controls.state
-        seating = Seating(
-            layout=state.layout,
-            view=state.view,
-            pinned=state.pinned,
-            free=self._surface.free,
-            is_light=state.settings.mode == "light",
-        )
-        scene = self._presenter.arrange(now, seating, self._eye_size)
+        scene = self._presenter.arrange(now, state, self._eye_size, self._surface.free)
         if scene.limits != state.limits:
             self.controls.state = replace(state, limits=scene.limits)
         return scene
@@ -348,8 +336,9 @@ class Viewer(Closing):
         return (max(width // 2, 1), height) if self.options.eye_distance_m > 0 else (width, height)
 
     def _decide(self, scene: CallScene) -> Plan:
-        budget_s = self.controls.state.settings.detail * self.options.frame_budget_s
-        return self._presenter.decide(scene, self._eyes(scene), budget_s)
+        budget_s = self.options.frame_budget_ms * 1e-3 or BUDGET_SHARE / self.options.max_fps
+        detail = self.controls.state.settings.detail
+        return self._presenter.decide(scene, self._eyes(scene), detail * budget_s)
 
     def _eyes(self, scene: CallScene) -> tuple[Camera, ...]:
         """The cameras that a scene is drawn from: one, or the left and the right eye's."""
@@ -357,12 +346,6 @@ class Viewer(Closing):
             return (scene.camera,)
         away_m = float(np.linalg.norm(scene.plan.target_m - scene.camera.centre_m))
         return stereo_cameras(scene.camera, self.options.eye_distance_m, away_m)
-
-    def _draw(self, scene: CallScene) -> DrawStats:
-        """Draw a scene for one eye, or for two, with what is written on the picture."""
-        stats = self._renderer.draw(scene.placements, *self._eyes(scene), room=scene.room)
-        self._paint(self._renderer.image, panels=self._window is None)
-        return stats
 
     def _show(self, screen: moderngl.Framebuffer) -> None:
         """Put a frame on the window. What steers the call is there, not in what is kept of it."""
@@ -397,12 +380,14 @@ class Viewer(Closing):
 
     def _draw_own(self, now: float) -> OwnFaceView:
         """One's own face; its picture if it is to be seen and there is room for it."""
-        if self._own_face is None:
+        if self._desk is None or self._self_view is None:
             return NOTHING
-        is_shown = self.controls.state.settings.shows_self and self.options.eye_distance_m == 0
-        height_px = self._surface.self_view_px if is_shown else 0
         surface = self._surface
-        return self._own_face.draw(now, height_px, surface.painter, surface.notice)
+        for notice in self._desk.take_notices(now):
+            surface.notice(notice, now)
+        is_shown = self.controls.state.settings.shows_self and self.options.eye_distance_m == 0
+        height_px = surface.self_view_px if is_shown else 0
+        return self._self_view.look(now, height_px, self._desk, surface.painter)
 
     def _obey(self, order: controls.UserOrder, now: float) -> None:
         """Do once what the user asked for."""
@@ -414,17 +399,8 @@ class Viewer(Closing):
             case controls.Order.TOGGLE_FULL_SCREEN:
                 if self._window is not None:
                     self._window.toggle_full_screen()
-            case controls.Order.EXPLAIN_NO_FACE:
-                self._surface.notice(
-                    "You show no face: choose a face source in the settings (--send)", now
-                )
-            case controls.Order.EXPLAIN_NO_VOICE:
-                self._surface.notice(
-                    "You send no voice: choose a microphone in the settings (--voice mic)", now
-                )
-            case controls.Order.NEXT_LAYOUT:
-                layout = controls.LAYOUT_TITLES[self.controls.state.layout]
-                self._surface.notice(f"People sit: {layout}", now)
+            case controls.Say(text=text):
+                self._surface.notice(text, now)
             case controls.Order.TEST_SOUND:
                 self._sound.play_test()
             case controls.Order.REJOIN:
@@ -432,8 +408,10 @@ class Viewer(Closing):
                     self._surface.notice(trouble, now)
                 else:
                     self.controls.obey(controls.Order.LEAVE)
-            case controls.Order.CALIBRATE | OwnChoice() if self._own_face is not None:
-                self._own_face.obey(order, now)
+            case controls.Order.CALIBRATE if self._desk is not None:
+                self._desk.calibrate(now)
+            case OwnChoice(source=source) if source and self._desk is not None:
+                self._desk.choose(source)
             case controls.CopyText(text=text, notice=notice):
                 if self._window is not None:
                     self._window.copy(text)

@@ -3,15 +3,10 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from pica_client.decode.decoder import OnnxOptions
-from pica_client.decode.pool import DecodePoolOptions
 from pica_client.errors import check_ranges
-from pica_client.render.renderer import RenderOptions
-from pica_client.render.seats import Layout
 from pica_client.render.views import MAX_EYE_DISTANCE_M
 from pica_client.schedule.scheduler import SchedulerOptions
-from pica_client.ui.settings import OwnChoice, Settings
-from pica_client.voice.sound.settings import SoundSettings
+from pica_client.ui.controls import ControlState
 
 BUDGET_SHARE = 0.8
 """Part of the time between two frames: the rest is for texts, the window system and recording."""
@@ -36,32 +31,11 @@ class ViewerOptions:
     """What decoding and drawing a frame may take before detail is given up, milliseconds; 0 is
     `BUDGET_SHARE` of the time between two frames."""
     scheduler: SchedulerOptions = field(default_factory=SchedulerOptions)
-    layout: Layout = "arc"
-    """How people sit at first; see `seats`."""
-    show_statistics: bool = False
-    """Show the statistics from the start."""
     eye_distance_m: float = 0.0
     """Above 0 the picture is side by side for two eyes so far apart, metres."""
-    settings: Settings = field(default_factory=Settings)
-    """What the user has set, at first."""
-    sound: SoundSettings = field(default_factory=SoundSettings)
-    """What the user has set of sound, at first."""
-    shows_hint: bool = False
-    """Whether what one needs to know in the first call is shown."""
-    entered_as: OwnChoice = field(default_factory=OwnChoice)
-    """The name, avatar and source of the user."""
-    avatars: tuple[str, ...] = ()
-    """Those that one can come again with, by name; none where one cannot."""
-    title: str = "PiCA Telepresence"
-    render: RenderOptions = field(default_factory=lambda: RenderOptions(fade_busts=True))
-    decode: DecodePoolOptions = field(default_factory=DecodePoolOptions)
-    onnx: OnnxOptions = field(default_factory=OnnxOptions)
+    at_first: ControlState = field(default_factory=ControlState)
+    """What the user wants at first; what becomes of face and voice is the viewer's to say."""
 
     def __post_init__(self) -> None:
         check_ranges(self, max_fps=(1, 1000), frame_budget_ms=(0, 10_000))
         check_ranges(self, eye_distance_m=(0, MAX_EYE_DISTANCE_M))
-
-    @property
-    def frame_budget_s(self) -> float:
-        """What decoding and drawing a frame may take, seconds."""
-        return self.frame_budget_ms * 1e-3 or BUDGET_SHARE / self.max_fps

@@ -1,6 +1,6 @@
 """A window to show a call in: what the user does in it comes out as events. Thin, over glfw.
 
-    with Window("PiCA", (960, 540)) as window:
+    with Window((960, 540)) as window:
         renderer = Renderer(window.context, window.size_px)
         while True:
             for event in window.poll():
@@ -24,6 +24,7 @@ from pica_client.ui.display import has_display
 from pica_core.errors import GraphicsError
 from pica_core.gl import GL_VERSION
 
+TITLE = "PiCA Telepresence"
 MIN_SIZE = (320, 240)
 """The smallest window, in the screen's units: what the panels are laid out for."""
 MAX_EVENTS = 1000
@@ -57,23 +58,28 @@ class Window(Closing):
         GraphicsError: No display, or no context on it; names the fix.
     """
 
-    def __init__(self, title: str, size: tuple[int, int]) -> None:
+    def __init__(self, size: tuple[int, int]) -> None:
         self._events: list[events.InputEvent] = []
-        self._complaint = ""
+        self._complaint = "glfw gives no reason"
         self._windowed: tuple[int, int, int, int] | None = None
         glfw.set_error_callback(self._note_error)
         if not glfw.init():
-            raise GraphicsError(f"no window can be opened ({self._reason()}); {_display_advice()}")
+            advice = (
+                "check that the display server runs, or run with --headless"
+                if has_display()
+                else "DISPLAY is not set: run it from a desktop session, or with --headless"
+            )
+            raise GraphicsError(f"no window can be opened ({self._complaint}); {advice}")
         glfw.window_hint(glfw.CONTEXT_VERSION_MAJOR, GL_VERSION // 100)
         glfw.window_hint(glfw.CONTEXT_VERSION_MINOR, GL_VERSION % 100 // 10)
         glfw.window_hint(glfw.OPENGL_PROFILE, glfw.OPENGL_CORE_PROFILE)
         glfw.window_hint(glfw.OPENGL_FORWARD_COMPAT, glfw.TRUE)
         width, height = max(size[0], MIN_SIZE[0]), max(size[1], MIN_SIZE[1])
-        self._window: Any = glfw.create_window(width, height, title, None, None)
+        self._window: Any = glfw.create_window(width, height, TITLE, None, None)
         if not self._window:
             glfw.terminate()
             raise GraphicsError(
-                f"no window with OpenGL {GL_VERSION / 100:.1f} ({self._reason()}); update the "
+                f"no window with OpenGL {GL_VERSION / 100:.1f} ({self._complaint}); update the "
                 "graphics driver, or run with --headless"
             )
         no_limit = glfw.DONT_CARE
@@ -167,9 +173,6 @@ class Window(Closing):
         text = message.decode(errors="replace") if isinstance(message, bytes) else message
         self._complaint = f"glfw {code:#x}: {text}"
 
-    def _reason(self) -> str:
-        return self._complaint or "glfw gives no reason"
-
     def _note(self, event: events.InputEvent) -> None:
         if len(self._events) < MAX_EVENTS:
             self._events.append(event)
@@ -178,17 +181,14 @@ class Window(Closing):
         name = KEY_NAMES.get(key)
         if name is None:
             return
-        has_control = bool(modifiers & (glfw.MOD_CONTROL | glfw.MOD_SUPER))
-        has_shift = bool(modifiers & glfw.MOD_SHIFT)
+        held = {
+            "has_control": bool(modifiers & (glfw.MOD_CONTROL | glfw.MOD_SUPER)),
+            "has_shift": bool(modifiers & glfw.MOD_SHIFT),
+        }
         if action == glfw.RELEASE:
-            self._note(events.KeyReleased(name, has_control=has_control, has_shift=has_shift))
-            return
-        is_repeat = action == glfw.REPEAT
-        self._note(
-            events.KeyPressed(
-                name, is_repeat=is_repeat, has_control=has_control, has_shift=has_shift
-            )
-        )
+            self._note(events.KeyReleased(name, **held))
+        else:
+            self._note(events.KeyPressed(name, is_repeat=action == glfw.REPEAT, **held))
 
     def _on_button(self, window: Any, button: int, action: int, _modifiers: int) -> None:
         if button <= glfw.MOUSE_BUTTON_MIDDLE:
@@ -208,9 +208,3 @@ class Window(Closing):
         width, height = glfw.get_window_size(self._window)
         columns, rows = self.size_px
         return x * columns / max(width, 1), y * rows / max(height, 1)
-
-
-def _display_advice() -> str:
-    if has_display():
-        return "check that the display server runs, or run with --headless"
-    return "DISPLAY is not set: run it from a desktop session, or with --headless"

@@ -84,7 +84,7 @@ def moment_at(history: Sequence[Moment], now: float) -> int | None:
 class Decoder(Protocol):
     """What makes sound of packets; `voice.opus.OpusDecoder` does."""
 
-    def decode(self, payload: bytes | None, fec: bool = False) -> FloatArray:
+    def decode(self, payload: bytes | None) -> FloatArray:
         """The sound of a packet; without a payload `FRAME` samples that conceal a loss."""
 
 
@@ -109,8 +109,6 @@ class JitterBufferConfig:
     voiced_error_s: float = 0.012
     """Wrong delay that is changed in the middle of speech (chosen: a frame of 20 ms is less often
     missed, and lips do not show it)."""
-    uses_fec: bool = False
-    """Whether packets carry the frame before them once more: only datagrams get lost."""
 
     def __post_init__(self) -> None:
         check_ranges(self, ceiling_s=(FRAME_S, 2), least_jitter_s=(0, 0.2), leap_s=(0.1, 10))
@@ -144,7 +142,6 @@ class JitterBufferReport:
     target_s: float = 0.0
     """What it should wait."""
     jitter_s: float = 0.0
-    drift_ppm: float = 0.0
 
     @property
     def concealed_ratio(self) -> float:
@@ -180,6 +177,7 @@ class JitterBuffer:
         self._stood_in_s = 0.0  # for how much of what is missing after it there is a stand-in
         self._fifo = np.zeros((2, 0))  # samples, and the moment of each on the time line
         self._is_quiet, self._floor_rms = True, FIRST_FLOOR_RMS
+        self._num_broken = 0
         self._num_concealed = 0  # in a row
         self._num_stood = 0  # of these, while time stood still
         self._is_starved = False  # noise stands where speech should be
@@ -248,21 +246,15 @@ class JitterBuffer:
 
     def report(self) -> JitterBufferReport:
         """Counters since the voice began, and how it stands; do not change it."""
-        clock, report = self._sender.map, self._report
-        report.target_s = self._target_s
-        report.jitter_s = self._jitter.jitter_s
-        report.drift_ppm = 0.0 if clock is None else clock.drift_ppm
+        report = self._report
+        report.refused = self._num_broken + self._sender.num_refused
+        report.target_s, report.jitter_s = self._target_s, self._jitter.jitter_s
         return report
 
     @property
     def num_waiting(self) -> int:
         """Packets that wait to be played."""
         return len(self._waiting)
-
-    @property
-    def num_refused(self) -> int:
-        """Packets that fit nowhere in time, or that the codec does not take."""
-        return self._report.refused + self._sender.num_refused
 
     def _aim(self, now: float) -> None:
         """Wait longer at once, and less slowly."""
@@ -279,8 +271,7 @@ class JitterBuffer:
         if last is not None and received.number > last + RESTART_FRAMES:
             self.restart()
             self._last_number = last = None
-        transit_s = clock.receive(received.media_s, received.arrived_s)
-        self._jitter.receive(received.arrived_s, received.media_s, transit_s, clock)
+        self._jitter.receive(received.arrived_s, received.media_s, clock)
         self._aim(received.arrived_s)
         place = bisect_left(self._waiting, received.number, key=attrgetter("number"))
         if last is not None and received.number <= last:
@@ -331,10 +322,8 @@ class JitterBuffer:
         if not self._waiting:
             if self._is_quiet or self._num_concealed >= MAX_CONCEALED:
                 self._is_starved |= not self._is_quiet
-                if self._is_starved:
-                    self._append_noise(self._end_s, FRAME, rate=0.0)
-                else:
-                    self._append_noise(due_s, FRAME)
+                begin_s, rate = (self._end_s, 0.0) if self._is_starved else (due_s, 1.0)
+                self._append_noise(begin_s, FRAME, rate)
             else:
                 self._num_stood += 1
                 self._conceal(self._end_s)
@@ -346,9 +335,7 @@ class JitterBuffer:
             if self._num_stood:
                 self._num_stood -= 1  # what was made up stands for what is lost, as turns out now
             else:
-                is_next = following.media_s - self._end_s < 1.5 * FRAME_S
-                fec = following.payload if self.config.uses_fec and is_next else None
-                self._conceal(self._end_s, fec=fec)
+                self._conceal(self._end_s)
             self._stood_in_s += FRAME_S
             self._end_s += FRAME_S
         elif (last is None or self._is_gap) and following.media_s > due_s + 0.001:
@@ -368,12 +355,12 @@ class JitterBuffer:
         self._report.concealed += self._is_starved
         self._append(self._noise.make()[:num_samples], begin_s, rate)
 
-    def _conceal(self, begin_s: float, *, fec: bytes | None = None) -> None:
+    def _conceal(self, begin_s: float) -> None:
         self._num_concealed += 1
         self._report.concealed += 1
         rate = 1.0 if self._waiting else 0.0  # with nothing there, time stands still
         try:
-            sound = self._decoder.decode(fec, fec=fec is not None)
+            sound = self._decoder.decode(None)
         except VoiceError:
             sound = np.zeros(FRAME, np.float32)
         self._append(sound, begin_s, rate)
@@ -388,7 +375,7 @@ class JitterBuffer:
         try:
             sound = self._decoder.decode(packet.payload)
         except VoiceError:
-            self._report.refused += 1
+            self._num_broken += 1
             self._conceal(packet.media_s)
             return
         self._packet_s = len(sound) / RATE_HZ

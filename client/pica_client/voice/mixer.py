@@ -1,11 +1,11 @@
 """All voices of a call as one sound, each from its seat. Pure but for a lock.
 
 Packets come in on the network's thread, sound goes out on the loudspeaker's, and the display asks
-what is heard on its own. `mix` is called every 20 ms; who left is forgotten by `keep`.
+what is heard on its own. `mix` is called every 20 ms.
 """
 
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from pica_client.voice.spatial import Placed
 from pica_core.types import Array, FloatArray
 
 MAX_VOICES = 64
-"""People who are heard at most; more are counted, and refused."""
+"""People who are heard at most."""
 LIMIT_FROM = 0.7
 """Above it the sum is bent rather than cut."""
 
@@ -39,7 +39,6 @@ class VoiceMixer:
         volume: Of all voices, 0 to `MAX_VOLUME`.
         level: Of the last mix, as `VoicePacket.level`.
         is_spatial: Whether each voice comes from its seat, rather than all from the middle.
-        refused: Packets of people beyond `MAX_VOICES`.
         on_mixed: Is given each mixed frame with the time it leaves the loudspeaker, as for a
             recording. float32 ``[FRAME_SAMPLES, 2]``.
     """
@@ -47,7 +46,6 @@ class VoiceMixer:
     def __init__(self, make_decoder: Callable[[], Decoder]) -> None:
         self.volume, self.level = 1.0, MAX_LEVEL
         self.is_spatial = True
-        self.refused = 0
         self.on_mixed: Callable[[FloatArray, float], None] | None = None
         self._make_decoder = make_decoder
         self._lock = threading.Lock()
@@ -61,30 +59,26 @@ class VoiceMixer:
             voice = self._voices.get(peer_id)
             if voice is None:
                 if len(self._voices) >= MAX_VOICES:
-                    self.refused += 1
                     return
                 voice = self._voices[peer_id] = _Voice(self._make_decoder())
             voice.buffer.receive(packet, arrived_s)
 
-    def keep(self, peer_ids: Iterable[str]) -> None:
-        """Forget everybody else: they have left."""
+    def set_volumes(self, volumes: Mapping[str, float]) -> None:
+        """Make people louder or softer, by peer id: 1 is as sent, 0 mutes them here."""
+        for volume in volumes.values():
+            if not 0 <= volume <= MAX_VOLUME:
+                raise ValueError(f"volume is {volume}; 0 to {MAX_VOLUME} is allowed")
         with self._lock:
-            kept = set(peer_ids)
-            for homes in (self._voices, self._volumes, self._azimuths):
-                for peer_id in set(homes) - kept:
-                    del homes[peer_id]
+            self._volumes |= volumes
 
-    def set_volume(self, peer_id: str, volume: float) -> None:
-        """Make somebody louder or softer: 1 is as sent, 0 mutes them here."""
-        if not 0 <= volume <= MAX_VOLUME:
-            raise ValueError(f"volume is {volume}; 0 to {MAX_VOLUME} is allowed")
-        with self._lock:
-            self._volumes[peer_id] = volume
-
-    def seat(self, azimuths_rad: dict[str, float]) -> None:
-        """Say from where each voice comes, by peer id; positive is to the right."""
+    def seat(self, azimuths_rad: Mapping[str, float]) -> None:
+        """Say who is there and from where each voice comes, by peer id; positive is to the right.
+        Others have left, and are forgotten."""
         with self._lock:
             self._azimuths = dict(azimuths_rad)
+            for homes in (self._voices, self._volumes):
+                for peer_id in set(homes) - set(azimuths_rad):
+                    del homes[peer_id]
 
     def mix(self, now: float, latency_s: float = 0.0) -> FloatArray:
         """The next 20 ms for both ears, float32 ``[FRAME_SAMPLES, 2]`` in [-1, 1].
@@ -145,7 +139,7 @@ def _stats(buffer: JitterBuffer) -> dict[str, Any]:
         "received": report.received,
         "lost": report.lost,
         "late": report.late,
-        "refused": buffer.num_refused,
+        "refused": report.refused,
         "concealed_ratio": round(report.concealed_ratio, 4),
         "stretched_ratio": round(report.stretched_ratio, 4),
         "leaps": report.leaps,

@@ -43,11 +43,8 @@ for _name, _index in ARKIT_INDEX.items():
 
 
 def mel_filters() -> FloatArray:
-    """Triangles of equal width on the mel scale, 80 to 7600 Hz.
-
-    Returns:
-        Weights of the power spectrum. float32 ``[bins, 40]``.
-    """
+    """Triangles of equal width on the mel scale, 80 to 7600 Hz: weights of the power spectrum,
+    float32 ``[bins, 40]``."""
     mel = np.linspace(2595 * np.log10(1 + 80 / 700), 2595 * np.log10(1 + 7600 / 700), NUM_BANDS + 2)
     edges_hz = 700 * (10 ** (mel / 2595) - 1)
     bins_hz = np.fft.rfftfreq(WINDOW, 1 / SAMPLE_RATE)[:, None]
@@ -67,14 +64,8 @@ class SpeechFeatures:
         self._loudest = np.log(np.float32(QUIETEST))
 
     def push(self, pcm: FloatArray) -> FloatArray:
-        """Take sound.
-
-        Args:
-            pcm: Whole hops at 48 kHz, within [-1, 1]. float32 ``[480 * n]``.
-
-        Returns:
-            Log energies of the bands below the loudest of late, about [-2, 0]. float32 ``[n, 40]``.
-        """
+        """Take sound as `MouthFromVoice.push` does, and return log energies of the bands below the
+        loudest of late, about [-2, 0]. float32 ``[n, 40]``."""
         sound = np.concatenate([self._kept, pcm])
         self._kept = sound[len(sound) - (WINDOW - HOP) :]
         frames = np.lib.stride_tricks.sliding_window_view(sound, WINDOW)[::HOP]
@@ -90,20 +81,14 @@ class SpeechFeatures:
 
 
 class MouthFromVoice:
-    """Hears one voice, and says how the mouth stands.
-
-    Attributes:
-        num_parameters: Numbers that the network has learnt.
-    """
+    """Hears one voice, and says how the mouth stands."""
 
     def __init__(self) -> None:
         path = resources.files("pica_client.voice") / "mouth.npz"
         with path.open("rb") as file, np.load(file) as stored:
-            weights = {name: stored[name].astype(np.float32) for name in stored.files}
-        self._w = weights
-        self.num_parameters = sum(array.size for array in weights.values())
+            self._w = {name: stored[name].astype(np.float32) for name in stored.files}
         self._features = SpeechFeatures()
-        self._state = np.zeros(weights["u"].shape[0], np.float32)
+        self._state = np.zeros(len(self._w["u"]), np.float32)
         self.push(np.zeros(SAMPLE_RATE, np.float32))  # it has listened to silence before
 
     def push(self, pcm: FloatArray) -> FloatArray:

@@ -1,9 +1,9 @@
 """Opus by libopus itself, through ctypes: 20 or 40 ms of mono at 48 kHz in, one packet out, and
 back.
 
-PyAV's codec context neither conceals lost packets nor reads their redundancy, and its encoder does
-not fall silent. So the library is called directly: that of the system, or else the one that comes
-inside the wheel of PyAV (extra `video`).
+PyAV's codec context does not conceal lost packets, and its encoder does not fall silent. So the
+library is called directly: that of the system, or else the one that comes inside the wheel of PyAV
+(extra `video`).
 """
 
 import ctypes
@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pica_client.errors import VoiceError
 from pica_client.voice.packet import (
@@ -24,21 +23,17 @@ from pica_client.voice.packet import (
     PACKET_FRAMES,
     SAMPLE_RATE_HZ,
 )
-
-FloatArray = NDArray[np.float32]
+from pica_core.types import FloatArray
 
 MIN_BITRATE_BPS: Final = 6_000
 MAX_BITRATE_BPS: Final = 128_000
-EXPECTED_LOSS_PERCENT: Final = 10
-"""What the redundancy is made for (chosen)."""
 _SIZES: Final = [FRAME_SAMPLES * count for count in range(1, PACKET_FRAMES + 1)]
 _LARGEST_SILENT_BYTES: Final = 2
 """A packet of the encoder that is no longer need not be sent (opus_encode, DTX)."""
 
 _APPLICATION_VOIP = 2048
 _SIGNAL_VOICE = 3001
-_SET_BITRATE, _SET_VBR, _SET_INBAND_FEC, _SET_LOSS_PERCENT = 4002, 4006, 4012, 4014
-_SET_DTX, _SET_SIGNAL = 4016, 4024
+_SET_BITRATE, _SET_VBR, _SET_DTX, _SET_SIGNAL = 4002, 4006, 4016, 4024
 _RESET_STATE = 4028
 _BAD_PACKETS = {-1: "the packet does not hold what it says", -2: "a frame that is too long"}
 
@@ -55,7 +50,6 @@ class OpusEncoder:
 
     Args:
         bitrate: Bits a second while somebody speaks.
-        fec: Whether each packet holds the one before it once more, coarsely; for datagrams.
         dtx: Whether it falls silent with the speaker.
         is_constant: Whether all packets of speech have the same size.
 
@@ -64,26 +58,18 @@ class OpusEncoder:
     """
 
     def __init__(
-        self,
-        bitrate: int = 24_000,
-        fec: bool = False,
-        dtx: bool = True,
-        *,
-        is_constant: bool = False,
+        self, bitrate: int = 24_000, *, dtx: bool = True, is_constant: bool = False
     ) -> None:
         if not MIN_BITRATE_BPS <= bitrate <= MAX_BITRATE_BPS:
             raise VoiceError(
                 f"bitrate is {bitrate}; {MIN_BITRATE_BPS} to {MAX_BITRATE_BPS} bit/s are allowed"
             )
-        self._opus = _opened()
-        self._state = _created(self._opus, "encoder", SAMPLE_RATE_HZ, 1, _APPLICATION_VOIP)
+        self._opus, self._state = _created("encoder", SAMPLE_RATE_HZ, 1, _APPLICATION_VOIP)
         for request, value in (
             (_SET_BITRATE, bitrate),
             (_SET_SIGNAL, _SIGNAL_VOICE),
             (_SET_VBR, int(not is_constant)),
             (_SET_DTX, int(dtx)),
-            (_SET_INBAND_FEC, int(fec)),
-            (_SET_LOSS_PERCENT, EXPECTED_LOSS_PERCENT if fec else 0),
         ):
             self._opus.opus_encoder_ctl(self._state, request, ctypes.c_int(value))
         self._packet = ctypes.create_string_buffer(MAX_OPUS_BYTES)
@@ -130,16 +116,14 @@ class OpusDecoder:
     """
 
     def __init__(self) -> None:
-        self._opus = _opened()
-        self._state = _created(self._opus, "decoder", SAMPLE_RATE_HZ, 1)
+        self._opus, self._state = _created("decoder", SAMPLE_RATE_HZ, 1)
 
-    def decode(self, payload: bytes | None, fec: bool = False) -> FloatArray:
+    def decode(self, payload: bytes | None) -> FloatArray:
         """Return the next 20 or 40 ms, float32 ``[960]`` or ``[1920]`` in [-1, 1].
 
         Args:
             payload: A packet; None: it is lost, and what came before goes on for 20 ms, ever more
                 softly.
-            fec: Take, of this packet, what it holds of the 20 ms before it.
 
         Raises:
             VoiceError: The packet is none, or not of 20 or 40 ms of mono. The decoder stays usable.
@@ -148,15 +132,9 @@ class OpusDecoder:
             raise VoiceError(
                 f"an Opus packet of {len(payload)} bytes, 1 to {MAX_OPUS_BYTES} are read"
             )
-        is_made_up = payload is None or fec
-        pcm = np.zeros(_SIZES[0 if is_made_up else -1], np.float32)
+        pcm = np.zeros(_SIZES[0 if payload is None else -1], np.float32)
         num_samples = self._opus.opus_decode_float(
-            self._state,
-            payload,
-            0 if payload is None else len(payload),
-            pcm.ctypes,
-            len(pcm),
-            int(fec),
+            self._state, payload, len(payload or b""), pcm.ctypes, len(pcm), 0
         )
         if num_samples < 0:
             why = _BAD_PACKETS.get(num_samples, f"libopus error {num_samples}")
@@ -165,28 +143,20 @@ class OpusDecoder:
             raise VoiceError(f"an Opus packet of {num_samples} samples; one of {_SIZES} is read")
         return np.clip(np.nan_to_num(pcm[:num_samples], copy=False), -1.0, 1.0)
 
-    def reset(self) -> None:
-        """Forget what came before, as when a voice begins anew."""
-        self._opus.opus_decoder_ctl(self._state, _RESET_STATE)
-
     def __del__(self) -> None:
         if getattr(self, "_state", None):
             self._opus.opus_decoder_destroy(self._state)
 
 
-def _opened() -> Any:
-    library = _library()
+def _created(kind: str, *arguments: int) -> tuple[Any, ctypes.c_void_p]:
+    """The library, and a new encoder or decoder of it."""
+    library, error = _library(), ctypes.c_int()
     if library is None:
         raise VoiceError(str(available()))
-    return library
-
-
-def _created(library: Any, kind: str, *arguments: int) -> ctypes.c_void_p:
-    error = ctypes.c_int()
     state = getattr(library, f"opus_{kind}_create")(*arguments, ctypes.byref(error))
     if not state:
         raise VoiceError(f"libopus makes no {kind}: error {error.value}")
-    return ctypes.c_void_p(state)
+    return library, ctypes.c_void_p(state)
 
 
 @cache
@@ -227,7 +197,6 @@ def _declare(library: Any) -> None:
         "opus_decode_float": (number, [pointer, ctypes.c_char_p, number, pointer, number, number]),
         # Variadic: only what comes first is declared.
         "opus_encoder_ctl": (number, [pointer, number]),
-        "opus_decoder_ctl": (number, [pointer, number]),
     }
     for name, (result, arguments) in signatures.items():
         function = getattr(library, name)

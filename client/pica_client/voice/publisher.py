@@ -53,7 +53,7 @@ class VoicePublisher:
     """Sends one voice over a link, which somebody else runs.
 
     Attributes:
-        is_muted: Whether its owner has muted it; `set_muted` changes it.
+        is_muted: Whether its owner has muted it, from the next frame on; any thread may set it.
         is_muted_by_admin: Whether an admin has stopped the stream.
         level: Of the last frame that was captured for sending, as `VoicePacket.level`; None: muted.
         listeners: Take what is captured and not muted: samples, and when the first was captured.
@@ -85,10 +85,6 @@ class VoicePublisher:
         self._begun: list[FloatArray] = []  # of the next packet, and when it was captured
         self._begun_us = 0
         self._sent = self._silent = self._unheard = self._payload_bytes = 0
-
-    def set_muted(self, is_muted: bool) -> None:
-        """Mute the voice, or let it go on; holds from the next frame. Any thread may call it."""
-        self.is_muted = is_muted
 
     def receive_event(self, event: ClientEvent) -> None:
         """Take an event of the link's session."""

@@ -4,7 +4,6 @@ import asyncio
 import math
 from collections.abc import AsyncIterator
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -25,31 +24,18 @@ _LATEST_S: Final = 0.2
 """Who is later than this leaves out what it has missed: a microphone does not wait."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Turn:
-    """Whose turn it is, by the clock that all processes of a machine share."""
-
-    index: int = 0
-    """Which of the turns is ours, from 0."""
-    count: int = 1
-    """How many there are."""
-
-    def is_ours(self, now: float) -> bool:
-        """Whether we speak now."""
-        return math.floor(now / TURN_S) % self.count == self.index
-
-
 class SoundSource:
     """A sound, looped; a `publisher.VoiceSource`.
 
     Args:
         sound: float32, mono, 48 kHz, at least one sample.
-        turn: When it is heard; at other times there is silence, and the sound waits.
+        turn: In which turn it is heard, from 0, by the clock that all processes of a machine share;
+            at other times there is silence, and the sound waits.
+        num_turns: How many there are.
     """
 
-    def __init__(self, sound: FloatArray, turn: Turn | None = None) -> None:
-        self._sound = sound
-        self._turn = turn or Turn()
+    def __init__(self, sound: FloatArray, turn: int = 0, num_turns: int = 1) -> None:
+        self._sound, self._turn, self._num_turns = sound, turn, num_turns
 
     async def frames(self, stopping: asyncio.Event) -> AsyncIterator[tuple[FloatArray, int]]:
         """Return 20 ms after 20 ms; see `VoiceSource.frames`."""
@@ -60,7 +46,7 @@ class SoundSource:
             now = await wait_until(stopping, captured_s + FRAME_S)
             if stopping.is_set():
                 return
-            if self._turn.is_ours(captured_s):
+            if math.floor(captured_s / TURN_S) % self._num_turns == self._turn:
                 places = np.arange(at, at + FRAME_SAMPLES) % len(self._sound)
                 pcm, at = self._sound[places], at + FRAME_SAMPLES
             else:
@@ -98,4 +84,4 @@ def open_voice(text: str, *, cleans: bool = True) -> VoiceSource | None:
     index, _, count = turns.partition("/")
     if not (index.isdecimal() and count.isdecimal() and 1 <= int(index) <= int(count) <= 64):
         raise OptionError(f"voice is {text!r}; speech#K/N with 1 <= K <= N <= 64 is allowed")
-    return SoundSource(shipped_speech(), Turn(index=int(index) - 1, count=int(count)))
+    return SoundSource(shipped_speech(), int(index) - 1, int(count))

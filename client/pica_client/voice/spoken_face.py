@@ -87,12 +87,7 @@ class SpokenFace:
         self._own_s = -np.inf
 
     def hear(self, pcm: FloatArray, time_s: float) -> None:
-        """Take sound of this person.
-
-        Args:
-            pcm: Whole hops at 48 kHz, within [-1, 1]. float32 ``[480 * n]``.
-            time_s: When its first sample was heard, in the source's time.
-        """
+        """Take sound of this person, in the source's time; see `SpokenMouth.hear`."""
         self._mouth.hear(pcm, time_s)
 
     def fill(self, frame: ExpressionFrame, time_s: float) -> ExpressionFrame:

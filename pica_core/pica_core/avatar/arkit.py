@@ -29,10 +29,6 @@ NUM_ARKIT = 52
 ARKIT_INDEX: dict[str, int] = {name: index for index, name in enumerate(ARKIT_NAMES)}
 
 
-def _zeros(count: int) -> FloatArray:
-    return np.zeros(count, np.float32)
-
-
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ExpressionFrame:
     """One sample of a face tracker.
@@ -48,6 +44,6 @@ class ExpressionFrame:
 
     captured_us: int
     arkit: FloatArray
-    rotation: FloatArray = field(default_factory=lambda: _zeros(3))
-    translation_m: FloatArray = field(default_factory=lambda: _zeros(3))
+    rotation: FloatArray = field(default_factory=lambda: np.zeros(3, np.float32))
+    translation_m: FloatArray = field(default_factory=lambda: np.zeros(3, np.float32))
     has_face: bool = True

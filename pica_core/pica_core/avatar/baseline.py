@@ -23,14 +23,20 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from math import prod
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import safetensors
 import safetensors.numpy
 
-from pica_core.avatar.arkit import NUM_ARKIT
-from pica_core.avatar.file import naming, read_bytes, write_bytes
+from pica_core.avatar.file import (
+    MAX_FACES,
+    check_shapes,
+    encoder_shapes,
+    naming,
+    read_bytes,
+    write_bytes,
+)
+from pica_core.avatar.manifest import MAX_EXTENT_M, read_numbers
 from pica_core.avatar.spec import RGB_CHANNELS, VIEW_CHANNELS
 from pica_core.avatar.storage import check_finite
 from pica_core.errors import check_ranges
@@ -43,8 +49,6 @@ FIRST_SIZE = 4
 """Rows and columns of the texture decoder's first grid."""
 KEY = "pica_baseline"
 MAX_FILE_BYTES = 256 * 2**20
-MAX_FACES = 400_000
-MAX_EXTENT_M = 10.0
 _EXACT = ("mesh.bias", "mesh.vertex_uv")
 """Stored in float32: half a millimetre would be lost of a position in fp16."""
 
@@ -129,9 +133,10 @@ class BaselineAvatar:
     """Upper corner of all positions, head frame, metres."""
 
     def __post_init__(self) -> None:
-        for name, shape in self.spec.tensor_shapes().items():
-            if name not in self.tensors or self.tensors[name].shape != shape:
-                raise ValueError(f"tensor {name} is missing or not of shape {list(shape)}")
+        shapes = {name: array.shape for name, array in self.tensors.items()}
+        has_encoder = any(name.startswith("encoder.") for name in shapes)
+        wanted = self.spec.tensor_shapes() | (encoder_shapes(shapes) if has_encoder else {})
+        check_shapes(shapes, wanted)
         if self.vertex_uv.shape != (self.spec.num_vertices, 2):
             raise ValueError(f"vertex_uv is {self.vertex_uv.shape}; one row a vertex is needed")
         if self.faces.min() < 0 or self.faces.max() >= self.spec.num_vertices:
@@ -201,7 +206,10 @@ def _parse(data: bytes) -> BaselineAvatar:
             num_vertices=int(sizes["num_vertices"]),
             channels=tuple(int(width) for width in sizes["channels"]),
         )
-        low, high = (_corner(manifest[f"bounds_{end}_m"]) for end in ("min", "max"))
+        low, high = (
+            read_numbers(manifest, f"bounds_{end}_m", 3, -MAX_EXTENT_M, MAX_EXTENT_M)
+            for end in ("min", "max")
+        )
     except (safetensors.SafetensorError, ValueError, KeyError, TypeError) as error:
         raise ValueError(f"not a baseline file ({error})") from error
     faces = stored.pop("mesh.faces", np.zeros((0, 3), np.int32))
@@ -212,10 +220,6 @@ def _parse(data: bytes) -> BaselineAvatar:
     tensors = {name: array.astype(np.float32) for name, array in stored.items()}
     check_finite(tensors)
     vertex_uv = tensors.pop("mesh.vertex_uv", np.zeros((0, 2), np.float32))
-    _check_encoder(tensors)
-    unknown = {n for n in tensors if not n.startswith("encoder.")} - set(spec.tensor_shapes())
-    if unknown:
-        raise ValueError(f"tensor {min(unknown)!r:.80} is unknown")
     return BaselineAvatar(
         spec=spec,
         tensors=tensors,
@@ -224,24 +228,3 @@ def _parse(data: bytes) -> BaselineAvatar:
         bounds_min_m=low,
         bounds_max_m=high,
     )
-
-
-def _check_encoder(tensors: dict[str, Array]) -> None:
-    """Layers must lead from 52 values to a latent, or there must be none at all."""
-    count = sum(name.startswith("encoder.") for name in tensors)
-    width = NUM_ARKIT
-    for index in range(count // 2):
-        weight = tensors.get(f"encoder.{index}.weight", np.zeros((0, 0)))
-        bias = tensors.get(f"encoder.{index}.bias", np.zeros(0))
-        if weight.ndim != 2 or weight.shape[1] != width or bias.shape != weight.shape[:1]:
-            raise ValueError(f"tensors encoder.{index} do not fit {width} inputs")
-        width = weight.shape[0]
-    if count % 2 or (count and width != NUM_LATENT):
-        raise ValueError(f"the expression encoder ends in {width} values")
-
-
-def _corner(values: Any) -> tuple[float, float, float]:
-    x, y, z = (float(value) for value in values)
-    if not all(abs(value) <= MAX_EXTENT_M for value in (x, y, z)):
-        raise ValueError(f"bounds reach {values}; {MAX_EXTENT_M:g} m is the limit")
-    return x, y, z

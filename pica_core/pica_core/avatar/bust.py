@@ -39,23 +39,14 @@ def bust_of(avatar: Avatar) -> Bust:
 
 
 def seen_faces(faces: Array, vertices_m: Array, gone_m: float) -> Array:
-    """The triangles that reach up to where something is left of a bust: the others would only hide
-    what is behind them.
-
-    Args:
-        faces: ``[F, 3]``.
-        vertices_m: Of the mesh at rest, ``[V, 3]``.
-        gone_m: See `fade_heights_m`.
-    """
+    """The triangles ``[F, 3]`` that reach up to where something is left of a bust at rest: others
+    would only hide what is behind them."""
     is_seen: Array = vertices_m[faces, 1].max(axis=1) > gone_m
     return faces[is_seen]
 
 
 def fade_heights_m(lower_m: float) -> tuple[float, float]:
-    """Heights in the head frame at which nothing is left of a bust, and from which all is there.
-
-    Args:
-        lower_m: Where its mesh ends.
-    """
+    """Heights in the head frame at which nothing is left of a bust whose mesh ends at `lower_m`,
+    and from which all is there."""
     gone = max(lower_m + BORDER_M, LOWEST_M)
     return gone, max(min(gone + FADE_M, CHIN_M), gone + 0.005)

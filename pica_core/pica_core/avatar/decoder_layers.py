@@ -114,24 +114,16 @@ def spec_tensor_shapes(spec: AvatarSpec) -> dict[str, tuple[int, ...]]:
 
 
 def trunk_layers(spec: AvatarSpec, decoder: str, level: int) -> list[Layer]:
-    """The layers of a decoder up to an early exit: those that lead to maps of `level` rows.
-
-    The last one is the LeakyReLU after the block that makes them.
-
-    Raises:
-        ValueError: No block but the last makes maps of that size.
-    """
+    """The layers of a decoder that lead to maps of `level` rows, up to the LeakyReLU after them;
+    ValueError if no block but the last makes such maps."""
     name = f"{decoder}.{_block_of(spec, level)}.out"
     layers = decoder_layers(spec, decoder)
     return layers[: [layer.name for layer in layers].index(name) + 1]
 
 
 def trunk_channels(spec: AvatarSpec, level: int) -> int:
-    """Channels that an early exit at `level` rows finds, the same in both decoders.
-
-    Raises:
-        ValueError: No block but the last makes maps of that size.
-    """
+    """Channels that an early exit at `level` rows finds, the same in both decoders; ValueError as
+    `trunk_layers`."""
     return spec.hidden_channels[_block_of(spec, level)]
 
 
@@ -150,17 +142,15 @@ def _block(block: str, prefix: str, c_in: int, c_out: int, size: int) -> list[La
             Layer("leaky_relu", f"{prefix}.up_act", c_out, c_out, size * 2),
             Layer("conv3", f"{prefix}.conv", c_out, c_out, size * 2, has_bias=True),
         ]
-    if block == "H2":
-        return [
-            Layer("conv3", f"{prefix}.first", c_in, c_out, size),
-            Layer("untied_bias", f"{prefix}.first_bias", c_out, c_out, size),
-            Layer("leaky_relu", f"{prefix}.first_act", c_out, c_out, size),
-            *_block("B", prefix, c_out, c_out, size),
-        ]
-    return [
+    first = [
         Layer("conv3", f"{prefix}.first", c_in, c_out, size),
         Layer("untied_bias", f"{prefix}.first_bias", c_out, c_out, size),
         Layer("leaky_relu", f"{prefix}.first_act", c_out, c_out, size),
+    ]
+    if block == "H2":
+        return [*first, *_block("B", prefix, c_out, c_out, size)]
+    return [
+        *first,
         Layer("conv1", f"{prefix}.expand", c_out, 4 * c_out, size, has_bias=True),
         Layer("pixel_shuffle", f"{prefix}.shuffle", 4 * c_out, c_out, size * 2),
     ]

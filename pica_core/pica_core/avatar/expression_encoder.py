@@ -2,38 +2,26 @@
 
 A small fully connected network trained against the model's own codes; about 0.1 M multiply-adds, so
 numpy is fast enough and a sender needs no inference library.
-
-    encoder = ExpressionEncoder(avatar)
-    latent = encoder.encode(frame.arkit)
 """
 
 import itertools
-from collections.abc import Mapping
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from pica_core.avatar.arkit import NUM_ARKIT
+from pica_core.avatar.baseline import BaselineAvatar
+from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import LEAKY_SLOPE
 from pica_core.errors import ShapeError
 from pica_core.latent import LATENT_SHAPE
-from pica_core.types import Array, FloatArray
-
-
-class HasTensors(Protocol):
-    """An avatar of any kind, with ``encoder.{i}.weight`` and ``.bias`` among its tensors."""
-
-    @property
-    def tensors(self) -> Mapping[str, Array]:
-        """Arrays by name."""
-        ...
+from pica_core.types import FloatArray
 
 
 class ExpressionEncoder:
     """The expression encoder of one avatar. Keeps no state between calls."""
 
-    def __init__(self, avatar: HasTensors) -> None:
+    def __init__(self, avatar: Avatar | BaselineAvatar) -> None:
         self._layers: list[tuple[FloatArray, FloatArray]] = []
         for index in itertools.count():
             if f"encoder.{index}.weight" not in avatar.tensors:

@@ -5,9 +5,6 @@ graph, no shader, no pickle. Whoever reads one rebuilds graphs and shaders from 
 stranger's file can look ugly but cannot run. Everything is checked here, once; code behind
 `load_avatar` trusts what it gets.
 
-    avatar = load_avatar(Path("ada.pica"))
-    avatar.manifest.name, avatar.tensors["uv_encoding"].shape
-
 Tensors, float32 in memory unless stated:
 
     {decoder layers}      as `decoder_layers(spec, "geometry" | "expression")` names and shapes them
@@ -24,8 +21,7 @@ Tensors, float32 in memory unless stated:
     stream.*              tables of the latent bitstream, integers (`stream_profile`); may be absent
     level.*               levels of detail (`level_tensors`); may be absent
 
-In the file big maps may be smaller than in memory: fp16, or 8 or 16 bit integers q with value =
-offset + scale * q per last-axis channel, the two tables standing in the metadata key ``storage``.
+In the file big maps may be smaller than in memory: see `storage`.
 """
 
 import hashlib
@@ -46,7 +42,7 @@ from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.avatar.decoder_layers import spec_tensor_shapes
 from pica_core.avatar.level_tensors import PREFIX as LEVEL_PREFIX
 from pica_core.avatar.levels import LevelErrors
-from pica_core.avatar.linear import check_linear, linear_shapes, mean_vertices
+from pica_core.avatar.linear import check_linear, linear_shapes
 from pica_core.avatar.manifest import Manifest
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.avatar.storage import (
@@ -78,7 +74,10 @@ _STREAM_TYPES = {"I32", "I16", "U16", "U8"}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Avatar:
-    """A checked avatar. Arrays are read-only."""
+    """A checked avatar. Arrays are read-only.
+
+    What takes a level raises ValueError where the avatar does not have it.
+    """
 
     manifest: Manifest
     tensors: Mapping[str, Array]
@@ -94,11 +93,7 @@ class Avatar:
         return level_tensors.levels_of(self.spec, self.tensors)
 
     def level_faces(self, level: int) -> IntArray:
-        """Triangles to draw at a level, int32 ``[F, 3]``.
-
-        Raises:
-            ValueError: The avatar does not have this level.
-        """
+        """Triangles to draw at a level, int32 ``[F, 3]``."""
         if level not in self.levels:
             known = ", ".join(map(str, self.levels))
             raise ValueError(f"level is {level}; this avatar has {known}")
@@ -108,11 +103,7 @@ class Avatar:
 
     def position_rows(self, level: int) -> int:
         """Rows of what the geometry decoder makes at a level: of the position map at the full one,
-        of a sheet of vertices below it. Both have as many columns as the level has texels.
-
-        Raises:
-            ValueError: The avatar does not have this level.
-        """
+        of a sheet of vertices below it. Both have as many columns as the level has texels."""
         used = self.sheet_vertices(level)
         return level if used is None else level_tensors.sheet_rows(len(used), level)
 
@@ -121,16 +112,13 @@ class Avatar:
         """The mesh at rest, float32 ``[V, 3]``."""
         uv = self.tensors["mesh.vertex_uv"]
         if self.spec.geometry == "bases":
-            return mean_vertices(self.tensors, len(uv))
+            mean: FloatArray = self.tensors["linear.mean"].reshape(-1, 3)[: len(uv)]
+            return mean
         return sample_vertices(self.tensors["geometry.mean"], uv)
 
     def sheet_vertices(self, level: int) -> IntArray | None:
         """The vertices whose positions a decode at a level makes, by their numbers, in the order
-        of its sheet; None where it makes a map.
-
-        Raises:
-            ValueError: The avatar does not have this level.
-        """
+        of its sheet; None where it makes a map."""
         faces = self.level_faces(level)
         if level != self.spec.map_size:
             used: IntArray = np.unique(faces)
@@ -140,11 +128,7 @@ class Avatar:
         return None
 
     def sheet_places(self, level: int) -> IntArray:
-        """The vertex at each place of a sheet that bases make; the last one fills its last row.
-
-        Raises:
-            ValueError: The avatar does not have this level.
-        """
+        """The vertex at each place of a sheet that bases make; the last one fills its last row."""
         used = self.sheet_vertices(level)
         assert used is not None  # of bases
         if level == self.spec.map_size:  # what fills it stands in the file
@@ -155,11 +139,7 @@ class Avatar:
 
     def vertices_of(self, position_map: FloatArray, level: int) -> FloatArray:
         """The vertices that a decode at a level made, ``[V, 3]``: all of the mesh, or those of
-        `sheet_vertices`.
-
-        Raises:
-            ValueError: The avatar does not have this level.
-        """
+        `sheet_vertices`."""
         used = self.sheet_vertices(level)
         if used is None:
             return sample_vertices(position_map, self.tensors["mesh.vertex_uv"])
@@ -201,8 +181,7 @@ def save_avatar(
     """Write an avatar file, after the same checks as when one is read.
 
     Args:
-        path: Where to; replaced if it exists.
-        avatar: Manifest and tensors in their in-memory form.
+        path: Replaced if it exists.
         storage: How to store a tensor, by name. Unnamed ones: fp16 for decoders and expression
             encoder, else float32.
         like: An avatar file that this avatar was made from. Tensors that have not changed are
@@ -268,11 +247,7 @@ def load_avatar(source: Path | str | bytes, name: str | None = None) -> Avatar:
 
 
 def read_bytes(path: Path | str, limit: int) -> bytes:
-    """The content of a file that is not larger than a limit.
-
-    Raises:
-        AvatarFileError: It cannot be read, or it is larger.
-    """
+    """The content of a file; AvatarFileError if it cannot be read, or is larger than a limit."""
     try:
         with Path(path).open("rb") as file:
             data = file.read(limit + 1)
@@ -284,11 +259,7 @@ def read_bytes(path: Path | str, limit: int) -> bytes:
 
 
 def write_bytes(path: Path | str, data: bytes) -> None:
-    """Write a file, whole or not at all.
-
-    Raises:
-        AvatarFileError: It cannot be written.
-    """
+    """Write a file, whole or not at all; AvatarFileError if it cannot be written."""
     try:
         with replacing(Path(path)) as unfinished:
             unfinished.write_bytes(data)
@@ -298,11 +269,7 @@ def write_bytes(path: Path | str, data: bytes) -> None:
 
 @contextmanager
 def naming(where: Path | str) -> Iterator[None]:
-    """Turn what is wrong with a file's content into an error that names the file.
-
-    Raises:
-        AvatarFileError: In place of each ValueError.
-    """
+    """Turn each ValueError about a file's content into an AvatarFileError that names the file."""
     try:
         yield
     except ValueError as error:
@@ -386,22 +353,7 @@ def _check_header(spec: AvatarSpec, header: Mapping[str, Any]) -> None:
 
 
 def _check_shapes(spec: AvatarSpec, shapes: Mapping[str, tuple[int, ...]]) -> None:
-    wanted = spec_tensor_shapes(spec)
-    num_layers = sum(name.startswith("encoder.") and name.endswith(".weight") for name in shapes)
-    if not 1 <= num_layers <= MAX_ENCODER_LAYERS:
-        raise ValueError(f"encoder has {num_layers} layers; allowed are 1 to {MAX_ENCODER_LAYERS}")
-    width = NUM_ARKIT
-    for index in range(num_layers):
-        rows = (*shapes.get(f"encoder.{index}.weight", ()), 0)[0]
-        out = NUM_LATENT if index + 1 == num_layers else rows
-        if not 1 <= out <= MAX_ENCODER_WIDTH:
-            raise ValueError(
-                f"tensor encoder.{index}.weight is missing or has {out} outputs; "
-                f"allowed are 1 to {MAX_ENCODER_WIDTH}"
-            )
-        wanted[f"encoder.{index}.weight"] = (out, width)
-        wanted[f"encoder.{index}.bias"] = (out,)
-        width = out
+    wanted = spec_tensor_shapes(spec) | encoder_shapes(shapes)
     for name, columns, limit in (("mesh.vertex_uv", 2, MAX_VERTICES), ("mesh.faces", 3, MAX_FACES)):
         rows = (*shapes.get(name, ()), 0)[0]
         if rows > limit:
@@ -417,6 +369,35 @@ def _check_shapes(spec: AvatarSpec, shapes: Mapping[str, tuple[int, ...]]) -> No
     }
     if stream:
         wanted |= {STREAM_PREFIX + name: shape for name, shape in profile_shapes(stream).items()}
+    check_shapes(shapes, wanted)
+
+
+def encoder_shapes(shapes: Mapping[str, tuple[int, ...]]) -> dict[str, tuple[int, ...]]:
+    """Shapes that the expression encoder of a file must have, by those of all its tensors;
+    ValueError if a number of layers or outputs is out of its limits."""
+    wanted: dict[str, tuple[int, ...]] = {}
+    num_layers = sum(name.startswith("encoder.") and name.endswith(".weight") for name in shapes)
+    if not 1 <= num_layers <= MAX_ENCODER_LAYERS:
+        raise ValueError(f"encoder has {num_layers} layers; allowed are 1 to {MAX_ENCODER_LAYERS}")
+    width = NUM_ARKIT
+    for index in range(num_layers):
+        rows = (*shapes.get(f"encoder.{index}.weight", ()), 0)[0]
+        out = NUM_LATENT if index + 1 == num_layers else rows
+        if not 1 <= out <= MAX_ENCODER_WIDTH:
+            raise ValueError(
+                f"tensor encoder.{index}.weight is missing or has {out} outputs; "
+                f"allowed are 1 to {MAX_ENCODER_WIDTH}"
+            )
+        wanted[f"encoder.{index}.weight"] = (out, width)
+        wanted[f"encoder.{index}.bias"] = (out,)
+        width = out
+    return wanted
+
+
+def check_shapes(
+    shapes: Mapping[str, tuple[int, ...]], wanted: Mapping[str, tuple[int, ...]]
+) -> None:
+    """Raise a ValueError that names a tensor which is missing, unknown or of another shape."""
     if missing := sorted(set(wanted) - set(shapes)):
         raise ValueError(f"tensor {missing[0]} is missing ({len(missing)} in total)")
     if unknown := sorted(set(shapes) - set(wanted)):

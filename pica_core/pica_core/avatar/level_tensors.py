@@ -60,11 +60,8 @@ def is_faces(name: str) -> bool:
 
 def is_index(name: str) -> bool:
     """Whether a tensor of an avatar holds whole numbers: triangles, texels of a trunk, or ranks."""
-    return (
-        name == RANK
-        or is_faces(name)
-        or (name.startswith(PREFIX) and name.endswith(".geometry.texel"))
-    )
+    is_texel = name.startswith(PREFIX) and name.endswith(".geometry.texel")
+    return name == RANK or is_faces(name) or is_texel
 
 
 def sheet_rows(num_vertices: int, level: int) -> int:
@@ -105,13 +102,8 @@ def spread_local(local: Array, num_codes: int) -> Array:
 def exit_shapes(
     spec: AvatarSpec, level: int, rows: int, num_texels: int
 ) -> dict[str, tuple[int, ...]]:
-    """Name and shape of the tensors that make an exit, its mesh excepted.
-
-    Args:
-        level: Columns of its sheet.
-        rows: Rows of its sheet.
-        num_texels: Texels of the trunk that a vertex is made of.
-    """
+    """Name and shape of the tensors that make an exit, its mesh excepted: of the rows of its sheet,
+    and with so many texels of the trunk to a vertex."""
     channels, prefix = trunk_channels(spec, level), f"{PREFIX}{level}"
     codes = spec.expression_channels
     expression: dict[str, tuple[int, ...]] = {
@@ -139,15 +131,9 @@ def levels_of(spec: AvatarSpec, names: Iterable[str]) -> tuple[int, ...]:
 def wanted_shapes(
     spec: AvatarSpec, shapes: Mapping[str, tuple[int, ...]], max_faces: int
 ) -> dict[str, tuple[int, ...]]:
-    """Shapes that the ``level.*`` tensors of a file must have, judged by which of them it has.
-
-    Args:
-        max_faces: Most triangles of a mesh.
-
-    Raises:
-        ValueError: A number of triangles or heights is out of its limits. Unknown names are left to
-            the caller, who compares names.
-    """
+    """Shapes that the ``level.*`` tensors of a file must have, judged by which of them it has;
+    ValueError if a number of triangles or heights is out of its limits. Unknown names are left to
+    the caller."""
 
     def rows(name: str, limit: int) -> int:
         count = (*shapes.get(name, (1,)), 0)[0]
@@ -184,11 +170,8 @@ def wanted_shapes(
 
 def check_sheets(spec: AvatarSpec, tensors: Mapping[str, Array]) -> None:
     """Compare the sheets of an avatar's levels with their meshes; names and shapes fit already.
-
-    Raises:
-        ValueError: A sheet has more or fewer rows than its vertices need, or a vertex is made of a
-            texel that is not there.
-    """
+    ValueError if a sheet has more or fewer rows than its vertices need, or a vertex is made of a
+    texel that is not there."""
     exits = levels_of(spec, tensors)[:-1] if spec.geometry == "decoder" else ()
     for level in exits:
         mean, texel = (f"{PREFIX}{level}.geometry.{name}" for name in ("mean", "texel"))
@@ -203,11 +186,7 @@ def check_sheets(spec: AvatarSpec, tensors: Mapping[str, Array]) -> None:
 
 
 def check_indices(name: str, indices: Array, count: int, what: str) -> None:
-    """Refuse indices that do not lie below a count.
-
-    Raises:
-        ValueError: Names the tensor, its lowest and highest index and the limit.
-    """
+    """Raise a ValueError that names the tensor whose indices do not all lie below a count."""
     low, high = indices.min(), indices.max()
     if low < 0 or high >= count:
         raise ValueError(

@@ -14,10 +14,6 @@ of it eyes and lips do not follow (vertices 0.27 mm off on average in a face tha
 0.05 mm like this). The mesh of a level can also be drawn with the full maps.
 
 An avatar may have exits at a quarter and a half of its full map: 64 and 128 of 256.
-
-    avatar.levels                                   (64, 128, 256)
-    avatar.level_faces(64)                          int32 [F, 3]
-    avatar.level_errors.at(64, head_px=200.0)       MSE, 0-255
 """
 
 from dataclasses import dataclass
@@ -64,7 +60,7 @@ class LevelErrors:
     """The rendered error that levels leave, by the size of the head on screen.
 
     Errors are mean squared differences on 0-255 values over the head's pixels, against the full
-    level drawn with supersampling.
+    level drawn with supersampling. Names and shapes are checked with the file's.
     """
 
     levels: tuple[int, ...]
@@ -82,32 +78,19 @@ class LevelErrors:
     at `SENSITIVITY_HEAD_PX`."""
 
     def __post_init__(self) -> None:
-        num_levels, num_heights = len(self.levels), len(self.head_px)
-        if num_levels < 1 or list(self.levels) != sorted(set(self.levels)):
-            raise ValueError(f"levels are {self.levels}; one or more are needed, ascending")
-        heights = np.asarray(self.head_px)
-        ascending = heights.ndim == 1 and num_heights >= 1 and bool(np.all(np.diff(heights) > 0))
-        if not ascending or not (heights[0] > 0 and np.isfinite(heights[-1])):
+        heights = self.head_px
+        if not ((np.diff(heights) > 0).all() and heights[0] > 0 and np.isfinite(heights[-1])):
             raise ValueError("head_px must be one or more heights above 0, finite and ascending")
-        wanted = (num_levels, NUM_DRAWINGS, num_heights)
-        if self.mse.shape != wanted:
-            raise ValueError(f"errors have shape {list(self.mse.shape)}; {list(wanted)} is needed")
         sensitivities = (self.view_mse_per_rad2, self.latent_mse_per_unit2)
         for name, values in (("errors", self.mse), ("sensitivity", np.array(sensitivities))):
             if not (np.isfinite(values).all() and values.min() >= 0):
                 raise ValueError(f"{name} must be finite and at least 0")
 
     def at(self, level: int, head_px: float, *, full_maps: bool = False) -> float:
-        """The error of one choice.
+        """The MSE of a level, or of the full maps on its mesh, at a height of the head in pixels.
 
-        Args:
-            level: One of `levels`.
-            head_px: Height of the head, pixels.
-            full_maps: Draw the mesh of the level with the full maps.
-
-        Returns:
-            MSE. Between the table's heights its logarithm runs straight over the logarithm of the
-            height; beyond them the nearest entry holds.
+        Between the table's heights its logarithm runs straight over the logarithm of the height;
+        beyond them the nearest entry holds.
 
         Raises:
             ValueError: An unknown level.

@@ -38,11 +38,8 @@ MAX_DIRECTIONS = 8192
 def linear_shapes(
     shapes: Mapping[str, tuple[int, ...]], num_vertices: int
 ) -> dict[str, tuple[int, ...]]:
-    """Shapes that the ``linear.*`` tensors of a file must have, by those that it has.
-
-    Raises:
-        ValueError: A number of bases or directions is out of its limits.
-    """
+    """Shapes that the ``linear.*`` tensors of a file must have, by those that it has; ValueError if
+    a number of bases or directions is out of its limits."""
     mix = (*shapes.get(f"{PREFIX}mix", ()), 0, 0)
     for what, count, limit in (("rows", mix[0], MAX_DIRECTIONS), ("columns", mix[1], MAX_BASES)):
         if not 1 <= count <= limit:
@@ -59,11 +56,8 @@ def linear_shapes(
 
 
 def check_linear(tensors: Mapping[str, Array]) -> None:
-    """Compare ranks with directions; names and shapes fit already.
-
-    Raises:
-        ValueError: A rank below 0 or above the number of weights, or ranks that do not add up.
-    """
+    """Raise a ValueError for a rank below 0 or above the number of weights, or if ranks do not add
+    up to the directions; names and shapes fit already."""
     rank, (directions, count) = tensors[RANK], tensors[f"{PREFIX}mix"].shape
     if rank.min() < 0 or rank.max() > count:
         raise ValueError(
@@ -71,12 +65,6 @@ def check_linear(tensors: Mapping[str, Array]) -> None:
         )
     if (total := int(rank.sum(dtype=np.int64))) != directions:
         raise ValueError(f"tensor {RANK} adds up to {total}; linear.mix has {directions} rows")
-
-
-def mean_vertices(tensors: Mapping[str, Array], num_vertices: int) -> FloatArray:
-    """The mean mesh, metres, ``[V, 3]``."""
-    mean: FloatArray = tensors[f"{PREFIX}mean"].reshape(-1, POSITION_CHANNELS)[:num_vertices]
-    return mean
 
 
 def weights_of_latent(tensors: Mapping[str, Array], latent: Array) -> Array:
@@ -89,15 +77,8 @@ def weights_of_latent(tensors: Mapping[str, Array], latent: Array) -> Array:
 def components_of(
     tensors: Mapping[str, Array], scale_m: float, vertices: IntArray | None = None
 ) -> FloatArray:
-    """What a unit of each weight moves, regions put together again, metres.
-
-    Args:
-        scale_m: The manifest's `position_scale_m`.
-        vertices: Numbers of the vertices that are wanted; None for all places of the sheet.
-
-    Returns:
-        float32 ``[K, V, 3]``.
-    """
+    """What a unit of each weight moves, regions put together again, metres: float32 ``[K, V, 3]``
+    of the vertices with these numbers, or of all places of the sheet."""
     mix, basis = tensors[f"{PREFIX}mix"], tensors[f"{PREFIX}basis"]
     ends = np.cumsum(tensors[RANK])
     starts = ends - tensors[RANK]

@@ -117,20 +117,20 @@ class Manifest:
                     f"manifest.spec.{part} is {has!r}; variant {variant} has {wanted!r}"
                 )
         corners = {
-            name: _numbers(values, name, 3, -MAX_EXTENT_M, MAX_EXTENT_M)
+            name: read_numbers(values, name, 3, -MAX_EXTENT_M, MAX_EXTENT_M)
             for name in ("bounds_min_m", "bounds_max_m")
         }
         if not all(a < b for a, b in zip(*corners.values(), strict=True)):
             raise ValueError("manifest.bounds_min_m is not below bounds_max_m")
         if "view_span" in values:
-            span = ViewSpan(*_numbers(values, "view_span", 4, -180.0, 180.0))
+            span = ViewSpan(*read_numbers(values, "view_span", 4, -180.0, 180.0))
             if not (span.min_yaw < 0 < span.max_yaw and span.min_pitch < 0 < span.max_pitch):
                 raise ValueError("manifest.view_span does not hold the view from the front")
             found["view_span"] = span
         scale_m = values["position_scale_m"]
         found |= {
             **corners,
-            "latent_scale": _numbers(values, "latent_scale", LATENT_CHANNELS, 1e-6, MAX_LATENT),
+            "latent_scale": read_numbers(values, "latent_scale", LATENT_CHANNELS, 1e-6, MAX_LATENT),
             "position_scale_m": _number("position_scale_m", scale_m, 1e-9, MAX_POSITION_SCALE_M),
         }
         return cls(spec=spec, model_card=_card(values["model_card"]), **found)
@@ -162,9 +162,10 @@ def _number(name: str, value: Any, low: float, high: float) -> float:
     return float(value)
 
 
-def _numbers(
+def read_numbers(
     values: Mapping[str, Any], name: str, count: int, low: float, high: float
-) -> tuple[float, ...]:
+) -> tuple[Any, ...]:
+    """So many numbers of a manifest's field, each within a range; ValueError if it is other."""
     found = values[name]
     if not isinstance(found, list) or len(found) != count:
         raise ValueError(f"manifest.{name} must be {count} numbers")

@@ -1,7 +1,7 @@
 """How an avatar's tensors are made small in its file, and large again in memory.
 
 fp16, or 8 or 16 bit integers q with value = offset + scale * q per last-axis channel; the two
-tables stand in the file's metadata. Integers that are integers anyway stay so.
+tables stand in the file's metadata key ``storage``. Integers that are integers anyway stay so.
 """
 
 from collections.abc import Iterable, Mapping
@@ -41,12 +41,8 @@ texels in 8 bits, its bias in fp16, the rest of it in float32.
 and over a UV 1/64 of a texel, where fp16 would be 60 micrometres and half a texel.
 """
 
-
 Precision = Literal["mixed", "f32", "f16", "u8"]
 """Ways to store a whole avatar: see `storage_of`."""
-_ALWAYS: Mapping[str, Storage] = MappingProxyType(
-    {"geometry.mean": "u16", "mesh.vertex_uv": "u16", "linear.mean": "u16", "linear.basis": "s8"}
-)
 SIGNED_STEP = float(np.float32(1 / 127))
 """Step of "s8": values from -1 to 1 in 8 bits, 0 exactly."""
 
@@ -66,8 +62,9 @@ def storage_of(precision: Precision, names: Iterable[str]) -> dict[str, Storage]
     if precision == "f32":
         return dict.fromkeys(own, "f32")
     weights = [name for name in own if not name.startswith(("xyz.", "pixel."))]
-    stored = {**dict.fromkeys(weights, precision), **_ALWAYS}
-    return {name: kind for name, kind in stored.items() if name in own}
+    always = ("geometry.mean", "mesh.vertex_uv", "linear.mean", "linear.basis")
+    stored = dict.fromkeys(weights, precision)
+    return stored | {name: DEFAULT_STORAGE[name] for name in always if name in own}
 
 
 def to_storage(
@@ -147,20 +144,13 @@ def round_signed(array: Array) -> Array:
 
 
 def check_finite(tensors: Mapping[str, Array]) -> None:
-    """Refuse values that are not finite, or too large.
-
-    Raises:
-        ValueError: Names the tensor and the limit.
-    """
+    """Raise a ValueError that names a tensor with values that are not finite, or too large."""
     for name, array in tensors.items():
         # One pass: NaN fails both comparisons' negation.
         if not (array.min() >= -MAX_MAGNITUDE and array.max() <= MAX_MAGNITUDE):
             raise ValueError(
                 f"tensor {name} has values that are not finite or beyond {MAX_MAGNITUDE:g}"
             )
-
-
-_HALF = ("geometry.", "expression.", "encoder.")
 
 
 def _usual(name: str) -> Storage:
@@ -170,7 +160,7 @@ def _usual(name: str) -> Storage:
         return "f16" if name.endswith(".expression.bias") else "f32"
     if name.endswith(".gain.weight"):
         return "u8"
-    return "f16" if name.startswith(_HALF) else "f32"
+    return "f16" if name.startswith(("geometry.", "expression.", "encoder.")) else "f32"
 
 
 def _to_affine(array: Array, dtype: type[np.unsignedinteger[Any]]) -> tuple[Array, dict[str, Any]]:

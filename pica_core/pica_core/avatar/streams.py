@@ -6,15 +6,13 @@ or nothing for the plain 8-bit format, which every avatar can be sent in.
 
 from pica_core.avatar.file import Avatar
 from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
-from pica_core.codec.plain_stream import LatentProfile, PlainDecoder, PlainEncoder
+from pica_core.codec.plain_stream import PlainDecoder, PlainEncoder
 from pica_core.errors import ProfileError
 
 PLAIN = ""
 """The name of the plain format."""
 FaceEncoder = LatentEncoder | PlainEncoder
-"""The sending end of a stream, in either format."""
 FaceDecoder = LatentDecoder | PlainDecoder
-"""The receiving end of a stream, in either format."""
 
 
 def open_encoder(
@@ -30,21 +28,18 @@ def open_encoder(
     """
     profile = None if plain else avatar.stream_profile()
     if profile is None:
-        return PlainEncoder(LatentProfile(latent_scale=avatar.manifest.latent_scale)), PLAIN
+        return PlainEncoder(avatar.manifest.latent_scale), PLAIN
     return LatentEncoder(profile, config), profile.hash
 
 
 def open_decoder(avatar: Avatar, name: str) -> FaceDecoder:
-    """The receiving end.
-
-    Args:
-        name: The format, as the sender names it.
+    """The receiving end, for the format as the sender names it.
 
     Raises:
         ProfileError: The sender uses tables that this avatar file does not hold.
     """
     if name == PLAIN:
-        return PlainDecoder(LatentProfile(latent_scale=avatar.manifest.latent_scale))
+        return PlainDecoder(avatar.manifest.latent_scale)
     profile = avatar.stream_profile()
     if profile is None or profile.hash != name:
         raise ProfileError(

@@ -11,11 +11,11 @@ import tyro
 from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.avatar.decoder_layers import decoder_layers
 from pica_core.avatar.expression_encoder import ExpressionEncoder
-from pica_core.avatar.file import Avatar, avatar_id, load_avatar
+from pica_core.avatar.file import avatar_id, load_avatar
 from pica_core.avatar.shipped import avatar_file
 from pica_core.avatar.variants import pixel_codec_cost
-from pica_core.codec.plain_stream import LatentProfile, decode_latent, encode_latent
-from pica_core.errors import AvatarFileError
+from pica_core.codec.plain_stream import decode_latent, encode_latent
+from pica_core.errors import AvatarFileError, check_ranges
 from pica_core.reference.pixel import count_parameters
 from pica_core.reference.precision import measure_precisions
 
@@ -48,57 +48,15 @@ class AvatarPrecisionOptions:
     """Frames of a sentence to decode, at 30 a second."""
 
     def __post_init__(self) -> None:
-        if not 2 <= self.frames <= 10_000:
-            raise AvatarFileError(f"frames is {self.frames}; 2 to 10000 is allowed")
+        check_ranges(self, AvatarFileError, frames=(2, 10_000))
 
 
 def avatar_info(options: AvatarInfoOptions) -> dict[str, Any]:
     """Show what an avatar file holds: who, how large, trained on what."""
-    file = avatar_file(options.file)
-    found = _describe(file, load_avatar(file))
-    for name, value in found.items():
-        print(f"{name:>16}  {value}", file=sys.stderr)
-    return found
-
-
-def avatar_verify(options: AvatarVerifyOptions) -> dict[str, Any]:
-    """Check an avatar file: everything a receiver checks, then one trip through the sender's
-    half."""
-    file = avatar_file(options.file)
-    avatar = load_avatar(file)
-    identity = avatar_id(file)
-    if options.sha256 and options.sha256.lower() != identity:
-        raise AvatarFileError(
-            f"{file}: sha256 is {identity}; {options.sha256.lower():.64} was expected"
-        )
-    latents = ExpressionEncoder(avatar).encode(np.eye(NUM_ARKIT, dtype=np.float32))
-    if not np.isfinite(latents).all():
-        raise AvatarFileError(f"{file}: the expression encoder's output is not finite")
-    profile = LatentProfile(latent_scale=avatar.manifest.latent_scale)
-    sent = encode_latent(latents[0], np.zeros(3), np.zeros(3), profile)
-    decode_latent(sent, profile)
-    beyond = float((np.abs(latents) > np.asarray(avatar.manifest.latent_scale)).mean())
-    print(f"{file}: ok, {identity}", file=sys.stderr)
-    return {"file": str(file), "ok": True, "sha256": identity, "clamped_ratio": beyond}
-
-
-def avatar_precision(options: AvatarPrecisionOptions) -> dict[str, Any]:
-    """Measure what storing an avatar in 32, 16 or 8 bits costs: error, and flicker."""
-    file = avatar_file(options.file)
-    avatar = load_avatar(file)
-    found = [asdict(cost) for cost in measure_precisions(avatar, options.frames)]
-    for row in found:
-        print(
-            f"{row['precision']:6} {row['bytes'] / 1e6:7.3f} MB  MSE {row['mse']:9.5f}  "
-            f"flicker {row['flicker_mse']:9.5f}  positions {row['position_error_um']:7.2f} um",
-            file=sys.stderr,
-        )
-    return {"file": str(file), "rows": found}
-
-
-def _describe(path: Path, avatar: Avatar) -> dict[str, Any]:
+    path = avatar_file(options.file)
+    avatar = load_avatar(path)
     manifest, spec = avatar.manifest, avatar.spec
-    return {
+    found = {
         "name": manifest.name,
         "identity": manifest.identity,
         "sha256": avatar_id(path),
@@ -124,3 +82,40 @@ def _describe(path: Path, avatar: Avatar) -> dict[str, Any]:
         "latent_scale": list(manifest.latent_scale),
         "model_card": dict(manifest.model_card),
     }
+    for name, value in found.items():
+        print(f"{name:>16}  {value}", file=sys.stderr)
+    return found
+
+
+def avatar_verify(options: AvatarVerifyOptions) -> dict[str, Any]:
+    """Check an avatar file: everything a receiver checks, then one trip through the sender's
+    half."""
+    file = avatar_file(options.file)
+    avatar = load_avatar(file)
+    identity = avatar_id(file)
+    if options.sha256 and options.sha256.lower() != identity:
+        raise AvatarFileError(
+            f"{file}: sha256 is {identity}; {options.sha256.lower():.64} was expected"
+        )
+    latents = ExpressionEncoder(avatar).encode(np.eye(NUM_ARKIT, dtype=np.float32))
+    if not np.isfinite(latents).all():
+        raise AvatarFileError(f"{file}: the expression encoder's output is not finite")
+    scale = avatar.manifest.latent_scale
+    decode_latent(encode_latent(latents[0], np.zeros(3), np.zeros(3), scale), scale)
+    beyond = float((np.abs(latents) > np.asarray(scale)).mean())
+    print(f"{file}: ok, {identity}", file=sys.stderr)
+    return {"file": str(file), "ok": True, "sha256": identity, "clamped_ratio": beyond}
+
+
+def avatar_precision(options: AvatarPrecisionOptions) -> dict[str, Any]:
+    """Measure what storing an avatar in 32, 16 or 8 bits costs: error, and flicker."""
+    file = avatar_file(options.file)
+    avatar = load_avatar(file)
+    found = [asdict(cost) for cost in measure_precisions(avatar, options.frames)]
+    for row in found:
+        print(
+            f"{row['precision']:6} {row['bytes'] / 1e6:7.3f} MB  MSE {row['mse']:9.5f}  "
+            f"flicker {row['flicker_mse']:9.5f}  positions {row['position_error_um']:7.2f} um",
+            file=sys.stderr,
+        )
+    return {"file": str(file), "rows": found}

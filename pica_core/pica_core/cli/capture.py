@@ -2,6 +2,7 @@
 
 import re
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,7 +15,7 @@ from pica_core.capture.dataset.check import PIXEL_FRAMES, check_capture
 from pica_core.capture.dataset.sheet import write_sheet
 from pica_core.capture.procedural.subject import StageOptions, render_capture
 from pica_core.capture.stage.progress import rendering_bar
-from pica_core.capture.stage.synth import RenderOptions
+from pica_core.capture.stage.synth import Progress, RenderOptions
 from pica_core.errors import CaptureError
 
 SHOWN_PROBLEMS = 20
@@ -53,6 +54,17 @@ class RenderArguments:
         width, height = (int(number) for number in found.groups())
         more = {"width": width, "height": height, "take": str(self.take or "")}
         return {name: getattr(self, name) for name in names} | more
+
+    def render(
+        self, console: Console, work: Callable[[Progress], dict[str, Any]]
+    ) -> dict[str, Any]:
+        """Show how far a render is, and what it made; returns its counts and how long it took."""
+        started = time.monotonic()
+        with rendering_bar(console, self.frames) as show:
+            counts = work(show)
+        seconds = time.monotonic() - started
+        console.print(f"{counts['images']} images in {self.out}, {seconds:.1f} s")
+        return {"out": str(self.out), "seconds": round(seconds, 3), **counts}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -103,13 +115,8 @@ def synth(options: SynthOptions) -> dict[str, Any]:
         depth_every=options.depth_every,
         **options.values(),
     )
-    started = time.monotonic()
     console = Console(stderr=True)
-    with rendering_bar(console, options.frames) as show:
-        counts = render_capture(stage, options.out, show)
-    seconds = time.monotonic() - started
-    console.print(f"{counts['images']} images of {options.head} in {options.out}, {seconds:.1f} s")
-    return {"out": str(options.out), "seconds": round(seconds, 3), **counts}
+    return options.render(console, lambda show: render_capture(stage, options.out, show))
 
 
 def check(options: CheckOptions) -> dict[str, Any]:

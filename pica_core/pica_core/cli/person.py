@@ -1,6 +1,5 @@
 """`pica capture person`."""
 
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ from rich.console import Console
 from pica_core.capture.dataset.multiface import write_aside
 from pica_core.capture.person.choices import (
     CLIP,
+    NAMED,
     Person,
     draw_person,
     read_coefficients,
@@ -18,7 +18,6 @@ from pica_core.capture.person.choices import (
 )
 from pica_core.capture.person.model import FaceModel, read_model
 from pica_core.capture.person.subject import PersonSubject
-from pica_core.capture.stage.progress import rendering_bar
 from pica_core.capture.stage.synth import RenderOptions, render_subject
 from pica_core.cli.capture import RenderArguments, baked_side
 from pica_core.errors import CaptureError
@@ -57,10 +56,7 @@ class PersonOptions(RenderArguments):
 
     def choose(self, model: FaceModel) -> tuple[Person, int]:
         """The person that is meant, and how many coefficients were clipped."""
-        names = (
-            "sex", "age", "skin", "hair", "hair_colour", "beard", "eyes", "clothes",
-            "clothes_colour",
-        )  # fmt: skip
+        names = (*NAMED, "age", "skin")
         chosen = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
         if self.person is not None:
             if chosen or self.coefficients is not None:
@@ -76,7 +72,6 @@ class PersonOptions(RenderArguments):
 def person(options: PersonOptions) -> dict[str, Any]:
     """Render a person of the ICT-FaceKit face model into a capture directory."""
     stage = RenderOptions(**options.values())
-    started = time.monotonic()
     console = Console(stderr=True, highlight=False)
     model = read_model(options.facekit)
     who, clipped = options.choose(model)
@@ -95,13 +90,11 @@ def person(options: PersonOptions) -> dict[str, Any]:
         notes.extend(subject.notes)
         return subject
 
-    with rendering_bar(console, options.frames) as show:
-        counts = render_subject(make, stage, options.out, show)
+    made = options.render(console, lambda show: render_subject(make, stage, options.out, show))
     write_aside(options.out / FILE, who.as_json().encode())
-    seconds = time.monotonic() - started
-    console.print(f"{counts['images']} images in {options.out}, {seconds:.1f} s")
-    limits = float(np.abs(who.coefficients).max())
-    return {
-        "out": str(options.out), "seconds": round(seconds, 3), **counts, "notes": notes,
-        "clipped": clipped, "largest_coefficient": limits, "person": str(options.out / FILE),
-    }  # fmt: skip
+    return made | {
+        "notes": notes,
+        "clipped": clipped,
+        "largest_coefficient": float(np.abs(who.coefficients).max()),
+        "person": str(options.out / FILE),
+    }

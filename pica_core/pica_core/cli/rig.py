@@ -1,13 +1,11 @@
 """`pica capture rig`."""
 
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
-from pica_core.capture.stage.progress import rendering_bar
 from pica_core.capture.stage.rig import RigSubject
 from pica_core.capture.stage.synth import RenderOptions, render_subject
 from pica_core.cli.capture import RenderArguments, baked_side
@@ -29,7 +27,6 @@ class RigOptions(RenderArguments):
 def rig(options: RigOptions) -> dict[str, Any]:
     """Render a head of your own, one with blendshapes, into a capture directory."""
     stage = RenderOptions(**options.values())
-    started = time.monotonic()
     console = Console(stderr=True)
     about: dict[str, Any] = {}
 
@@ -39,11 +36,8 @@ def rig(options: RigOptions) -> dict[str, Any]:
         _tell(console, about)
         return subject
 
-    with rendering_bar(console, options.frames) as show:
-        counts = render_subject(make, stage, options.out, show)
-    seconds = time.monotonic() - started
-    console.print(f"{counts['images']} images in {options.out}, {seconds:.1f} s")
-    return {"out": str(options.out), "seconds": round(seconds, 3), **counts, **about}
+    made = options.render(console, lambda show: render_subject(make, stage, options.out, show))
+    return made | about
 
 
 def _tell(console: Console, about: dict[str, Any]) -> None:

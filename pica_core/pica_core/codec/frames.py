@@ -91,10 +91,7 @@ def predict(profile: StreamProfile, kind: int, reference: FrameState | None) -> 
     """What a frame of a type is expected to be. int64 ``[C]``."""
     if reference is None:
         return np.zeros(profile.num_coefficients, np.int64)
-    prediction: Int64Array = reference.coefficients + (
-        (profile.gains[kind] * reference.motion) >> 6
-    )
-    return prediction
+    return reference.coefficients + ((profile.gains[kind] * reference.motion) >> 6)
 
 
 def quantise(
@@ -104,8 +101,7 @@ def quantise(
     magnitudes = ((np.abs(residual) << DEAD_ZONE_BITS) + rounding * steps) // (
         steps << DEAD_ZONE_BITS
     )
-    quantised: Int64Array = np.where(residual < 0, -magnitudes, magnitudes)
-    return quantised
+    return np.where(residual < 0, -magnitudes, magnitudes)
 
 
 def motion_levels(

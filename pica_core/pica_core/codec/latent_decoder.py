@@ -54,7 +54,11 @@ class LatentDecoder:
         try:
             frames = [self._decode(frame, frame.arrived_s)]
         except MissingReferenceError:
-            self._wait(frame)
+            self._pending[number] = frame
+            if len(self._pending) > MAX_PENDING:
+                del self._pending[min(self._pending)]
+                self.num_unreferenced += 1
+            self.needs_keyframe |= self._is_broken
             return []
         except LatentError:
             self.needs_keyframe |= frame.layer == 0
@@ -131,10 +135,3 @@ class LatentDecoder:
         for waiting in [waiting for waiting in self._pending if waiting < oldest]:
             del self._pending[waiting]
             self.num_unreferenced += 1
-
-    def _wait(self, frame: ReceivedFrame) -> None:
-        self._pending[frame.number] = frame
-        if len(self._pending) > MAX_PENDING:
-            del self._pending[min(self._pending)]
-            self.num_unreferenced += 1
-        self.needs_keyframe |= self._is_broken

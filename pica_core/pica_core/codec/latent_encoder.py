@@ -36,6 +36,12 @@ QUIET_ROUNDING = 22
 """The same for telling whether a face is still: what no frame would say must not keep it awake, so
 no more than any of a base frame's."""
 DEFAULT_QUALITY = 3
+KEYFRAME_PAUSE_S = 0.25
+"""Shortest time between two keyframes; requests in between are answered together."""
+STILL_AFTER_US = 250_000
+"""A face that has not changed for so long falls silent."""
+HEARTBEAT_US = 1_000_000
+"""Time between two frames of a silent face."""
 MAX_POSE = np.repeat((np.pi, 1.0), 3)
 """Rotation vectors (radians) and offsets (metres) are clamped to this: half a turn, an arm's length
 about the chair."""
@@ -56,16 +62,9 @@ class StreamConfig:
     """1 to 3 temporal layers; None chooses by `fps`."""
     keyframe_interval_s: float = 10.0
     """A keyframe at least this often, for whoever could not ask for one."""
-    keyframe_pause_s: float = 0.25
-    """Shortest time between two keyframes; requests in between are answered together."""
-    still_after_s: float = 0.25
-    """A face that has not changed for so long falls silent."""
-    heartbeat_s: float = 1.0
-    """Time between two frames of a silent face."""
 
     def __post_init__(self) -> None:
         check_ranges(self, fps=(0.1, 1000), num_layers=(1, 3), keyframe_interval_s=(0.1, 3600))
-        check_ranges(self, keyframe_pause_s=(0, 60), still_after_s=(0, 60), heartbeat_s=(0.1, 60))
         check_ranges(self, quality=(0, 15), target_bps=(100, 1e7))
 
     @property
@@ -82,13 +81,8 @@ class StreamConfig:
 
 def rounding_by_type(num_components: int) -> Int64Array:
     """What is added before residuals are cut off, in 64ths of a step. int64 ``[types, C]``."""
-    return np.array(
-        [
-            [latent] * num_components + [pose] * NUM_POSE
-            for latent, pose in zip(ROUNDING, POSE_ROUNDING, strict=True)
-        ],
-        np.int64,
-    )
+    by_part = np.array([ROUNDING, POSE_ROUNDING], np.int64).T
+    return np.repeat(by_part, (num_components, NUM_POSE), axis=1)
 
 
 class LatentEncoder:
@@ -166,7 +160,7 @@ class LatentEncoder:
             self._is_silent &= is_quiet
             return self._send(wanted, 0, None, now_us, is_still=self._is_silent)
         if self._is_silent:
-            if is_quiet and now_us - self._sent_us < self.config.heartbeat_s * 1e6:
+            if is_quiet and now_us - self._sent_us < HEARTBEAT_US:
                 return None
             self._is_silent = is_quiet
             self._phase = 0
@@ -176,8 +170,7 @@ class LatentEncoder:
         layer = self._pattern[self._phase]
         if layer == 0:
             is_still = (
-                self._quiet_since_us is not None
-                and now_us - self._quiet_since_us >= self.config.still_after_s * 1e6
+                self._quiet_since_us is not None and now_us - self._quiet_since_us >= STILL_AFTER_US
             )
             self._is_silent = is_still
             return self._send(wanted, 0, base, now_us, is_still=is_still)
@@ -187,7 +180,7 @@ class LatentEncoder:
         if self._keyframe_us is None:
             return True
         since_s = (now_us - self._keyframe_us) / 1e6
-        if self._is_keyframe_wanted and since_s >= self.config.keyframe_pause_s:
+        if self._is_keyframe_wanted and since_s >= KEYFRAME_PAUSE_S:
             return True
         return since_s >= self.config.keyframe_interval_s
 
@@ -215,13 +208,6 @@ class LatentEncoder:
         steps = self.profile.steps[self._quality]
         return not frames.quantise(wanted - base.coefficients, steps, QUIET_ROUNDING).any()
 
-    def _residual(
-        self, wanted: Int64Array, reference: frames.FrameState | None, kind: int, quality: int
-    ) -> Int64Array:
-        """Quantised difference from what a frame type predicts."""
-        expected = frames.predict(self.profile, kind, reference)
-        return frames.quantise(wanted - expected, self.profile.steps[quality], self._rounding[kind])
-
     @property
     def _quality(self) -> int:
         return self.config.quality if self._controller is None else self._controller.quality
@@ -239,16 +225,20 @@ class LatentEncoder:
         sequence = self._sequence + 1
         if reference is not None and sequence - reference.sequence > MAX_DISTANCE:
             layer, reference = 0, None
-        kind = frames.frame_type(layer, reference)
         controller, now_s = self._controller, now_us / 1e6
         quality = self._quality if controller is None else controller.propose(layer)
         quality = min(quality + is_still, self.profile.num_qualities - 1)
         while True:
-            residual = self._residual(wanted, reference, kind, quality)
+            kind = frames.frame_type(layer, reference)
+            residual = frames.quantise(
+                wanted - frames.predict(self.profile, kind, reference),
+                self.profile.steps[quality],
+                self._rounding[kind],
+            )
             if reference is not None and np.abs(residual).max() > frames.MAX_RESIDUAL:
                 # A leap that no face makes, as when a tracker takes one side for the other.
-                layer, reference, kind = 0, None, frames.frame_type(0, None)
-                residual = self._residual(wanted, None, kind, quality)
+                layer, reference = 0, None
+                continue
             payload, state = frames.encode_frame(
                 self.profile,
                 np.clip(residual, -frames.MAX_RESIDUAL, frames.MAX_RESIDUAL),

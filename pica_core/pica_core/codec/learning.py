@@ -13,6 +13,7 @@
 Nothing here needs torch or GL; the metric comes from outside (`pica_core.train.stream_metric`).
 """
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -33,6 +34,7 @@ from pica_core.codec.profile import (
     MAX_SYNTHESIS_SHIFT,
     NUM_CONTEXTS,
     NUM_HEADERS,
+    NUM_LAYERS,
     NUM_POSE,
     NUM_SYMBOLS,
     NUM_TYPES,
@@ -59,6 +61,8 @@ reference did, the middle one half as far, the top one a quarter or half."""
 TRAINING_QUALITIES = (1, 3, 4, 6)
 MIN_LATENTS = 100
 """Fewer say nothing about what is likely."""
+TURN_FRAMES = 8000
+"""Frames that the turning for sparseness looks at."""
 LEAST_GAIN = 1e-3
 """Directions of less effect on the image than this share of the strongest count as that strong."""
 
@@ -73,13 +77,9 @@ class LearningConfig:
     """Probability tables (64 gained nothing)."""
     turn_sweeps: int = 6
     """Passes over all pairs of components when turning for sparseness; 0 keeps the plain KLT."""
-    turn_frames: int = 8000
-    """Frames that the turning looks at."""
-    seed: int = 0
 
     def __post_init__(self) -> None:
-        check_ranges(self, num_components=(1, 128), num_tables=(1, 256))
-        check_ranges(self, turn_sweeps=(0, 100), turn_frames=(100, 1_000_000))
+        check_ranges(self, num_components=(1, 128), num_tables=(1, 256), turn_sweeps=(0, 100))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,14 +109,14 @@ def learn_profile(
     """
     config = config or LearningConfig()
     codes = _checked(sequences, metric)
-    rng = np.random.default_rng(config.seed)
+    rng = np.random.default_rng(0)
     mean = np.concatenate(codes).mean(axis=0)
     forward, backward = _transform(codes, mean, metric, config, rng)
     empty = _without_tables(mean, forward, backward)
-    counts = _count(empty, codes, rng)
-    tables, index = _gather(counts.residuals, config.num_tables, rng)
-    headers = np.stack([_frequencies(row + 0.5) for row in counts.headers])
-    return replace(empty, tables=tables, table_index=index, header_tables=headers)
+    residuals, headers = _count(empty, codes, rng)
+    tables, index = _gather(residuals, config.num_tables, rng)
+    header_tables = np.stack([_frequencies(row + 0.5) for row in headers])
+    return replace(empty, tables=tables, table_index=index, header_tables=header_tables)
 
 
 def _checked(
@@ -160,8 +160,8 @@ def _transform(
     spread, axes = np.linalg.eigh(np.cov(np.concatenate(seen).T))
     axes = axes[:, np.argsort(spread)[::-1][: config.num_components]]
     changes = np.concatenate([_changes(part @ axes) for part in seen])
-    if len(changes) > config.turn_frames:
-        changes = changes[rng.choice(len(changes), config.turn_frames, replace=False)]
+    if len(changes) > TURN_FRAMES:
+        changes = changes[rng.choice(len(changes), TURN_FRAMES, replace=False)]
     turn = _sparse_turn(changes, config.turn_sweeps, LATENT_STEPS[4] / UNITS_PER_RMSE)
     # Busy components first: by then the context knows how lively the frame is.
     turn = turn[:, np.argsort(-np.abs(changes @ turn).mean(axis=0))]
@@ -171,12 +171,9 @@ def _transform(
 
 def _changes(coefficients: Float64Array) -> Float64Array:
     """Differences between frames and their references, as the layers of a stream have them."""
-    pattern = LAYER_PATTERNS[3]
-    back = {0: 4, 1: 2, 2: 1}
-    steps = np.array([back[layer] for layer in pattern])
-    times = np.arange(len(pattern), len(coefficients))
-    changes: Float64Array = coefficients[times] - coefficients[times - steps[times % len(pattern)]]
-    return changes
+    back = np.array([{0: 4, 1: 2, 2: 1}[layer] for layer in LAYER_PATTERNS[3]])
+    times = np.arange(len(back), len(coefficients))
+    return coefficients[times] - coefficients[times - back[times % len(back)]]
 
 
 def _sparse_turn(changes: Float64Array, sweeps: int, step: float) -> Float64Array:
@@ -189,26 +186,23 @@ def _sparse_turn(changes: Float64Array, sweeps: int, step: float) -> Float64Arra
     turn = np.eye(count)
     angles = np.linspace(-np.pi / 4, np.pi / 4, 17)
 
-    def bits(values: Float64Array) -> float:
-        return float(np.log1p(values * values).sum())
+    def bits(a: Float64Array, b: Float64Array) -> float:
+        return float(np.log1p(a * a).sum()) + float(np.log1p(b * b).sum())
+
+    def turned(a: Float64Array, b: Float64Array, angle: float) -> tuple[Float64Array, Float64Array]:
+        c, s = np.cos(angle), np.sin(angle)
+        return c * a + s * b, c * b - s * a
 
     for _ in range(sweeps):
-        for i in range(count):
-            for j in range(i + 1, count):
-                a, b = parts[i], parts[j]
-                best, best_angle = bits(a) + bits(b), 0.0
-                for angle in angles:
-                    c, s = np.cos(angle), np.sin(angle)
-                    cost = bits(c * a + s * b) + bits(c * b - s * a)
-                    if cost < best:
-                        best, best_angle = cost, angle
-                if best_angle:
-                    c, s = np.cos(best_angle), np.sin(best_angle)
-                    parts[i], parts[j] = c * a + s * b, c * b - s * a
-                    turn[:, i], turn[:, j] = (
-                        c * turn[:, i] + s * turn[:, j],
-                        c * turn[:, j] - s * turn[:, i],
-                    )
+        for i, j in itertools.combinations(range(count), 2):
+            best, best_angle = bits(parts[i], parts[j]), 0.0
+            for angle in angles:
+                cost = bits(*turned(parts[i], parts[j], angle))
+                if cost < best:
+                    best, best_angle = cost, angle
+            if best_angle:
+                parts[i], parts[j] = turned(parts[i], parts[j], best_angle)
+                turn[:, i], turn[:, j] = turned(turn[:, i], turn[:, j], best_angle)
         angles *= 0.6
     return turn
 
@@ -230,63 +224,37 @@ def _without_tables(
                 "Does the image change at all with the latent?"
             )
     count = forward.shape[1]
-    steps = [
-        [latent] * count + [rotation] * 3 + [translation] * 3
-        for latent, rotation, translation in zip(
-            LATENT_STEPS, ROTATION_STEPS, TRANSLATION_STEPS, strict=True
-        )
-    ]
+    steps = np.array([LATENT_STEPS, ROTATION_STEPS, TRANSLATION_STEPS], np.int32).T
     gains = np.zeros((NUM_TYPES, count + NUM_POSE), np.int32)
     gains[:, count:] = np.array(POSE_GAINS)[:, None]
-    flat = _frequencies(np.ones(NUM_SYMBOLS))
+    # Quality mostly stays, and where a bitrate is kept goes by one (chosen).
+    changes = np.full(len(steps), 0.5)
+    changes[[0, 1, -1]] = 100, 6, 6
+    # How far back references are: what the layer patterns make, all else possible (chosen).
+    distances = np.ones((NUM_LAYERS, MAX_DISTANCE))
+    distances[0, :4] = 40, 40, 10, 1000
+    distances[1, :2] = 60, 1000
+    distances[2, :2] = 1000, 10
     return StreamProfile(
         mean=np.rint(mean * units).astype(np.int32),
         analysis=analysis.astype(np.int16),
         synthesis=synthesis.astype(np.int16),
         synthesis_shift=np.array([shift], np.int32),
-        steps=np.array(steps, np.int32),
+        steps=np.repeat(steps, (count, 3, 3), axis=1),
         gains=gains,
-        tables=flat[None],
+        tables=_frequencies(np.ones(NUM_SYMBOLS))[None],
         table_index=np.zeros((NUM_TYPES, count + NUM_POSE, NUM_CONTEXTS), np.uint8),
         header_tables=np.stack([_frequencies(np.ones(NUM_HEADERS))] * NUM_TYPES),
-        distance_tables=_distance_tables(),
-        quality_table=_quality_table(len(steps)),
+        distance_tables=np.stack([_frequencies(row) for row in distances]),
+        quality_table=_frequencies(changes),
     )
 
 
-def _quality_table(count: int) -> npt.NDArray[np.uint16]:
-    """Quality mostly stays, and where a bitrate is kept goes by one (chosen)."""
-    weights = np.full(count, 0.5)
-    weights[0] = 100.0
-    weights[[1 % count, -1]] = np.maximum(weights[[1 % count, -1]], 6.0)
-    return _frequencies(weights)
-
-
-def _distance_tables() -> npt.NDArray[np.uint16]:
-    """How far back references are: what the layer patterns make, all else possible (chosen)."""
-    likely: tuple[dict[int, float], ...] = (
-        {4: 1000, 1: 40, 2: 40, 3: 10},
-        {2: 1000, 1: 60},
-        {1: 1000, 2: 10},
-    )
-    return np.stack(
-        [
-            _frequencies(np.array([weights.get(d + 1, 1.0) for d in range(MAX_DISTANCE)]))
-            for weights in likely
-        ]
-    )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Counts:
-    residuals: Float64Array
-    """``[types, C, contexts, symbols]``."""
-    headers: Float64Array
-    """Symbols of the header counted by frame type, ``[types, headers]``."""
-
-
-def _count(profile: StreamProfile, codes: list[Float64Array], rng: np.random.Generator) -> _Counts:
-    """Run performances through the prediction and count what would be written."""
+def _count(
+    profile: StreamProfile, codes: list[Float64Array], rng: np.random.Generator
+) -> tuple[Float64Array, Float64Array]:
+    """Run performances through the prediction and count what would be written: residuals
+    ``[types, C, contexts, symbols]`` and headers ``[types, headers]``."""
     count = profile.num_coefficients
     residuals = np.zeros((NUM_TYPES, count, NUM_CONTEXTS, NUM_SYMBOLS))
     headers = np.zeros((NUM_TYPES, NUM_HEADERS))
@@ -308,7 +276,7 @@ def _count(profile: StreamProfile, codes: list[Float64Array], rng: np.random.Gen
             header += frames.HAS_POSE * quantised[:, -NUM_POSE:].any(axis=1)
             np.add.at(headers, (kinds, header), 1)
             np.add.at(headers, (kinds[header == 0], frames.IS_STILL), 0.2)
-    return _Counts(residuals, headers)
+    return residuals, headers
 
 
 def _frames(
@@ -358,8 +326,7 @@ def _wandering_pose(length: int, rng: np.random.Generator) -> npt.NDArray[np.int
         pose += strength * np.sin(2 * np.pi * times / period_s + phase)
     pose *= np.array([0.05] * 3 + [0.006] * 3) * rng.choice([0.0, 0.3, 1.0])
     noise = rng.normal(0, [0.0005] * 3 + [0.0001] * 3, (length, NUM_POSE)) * rng.choice([0.0, 1.0])
-    units: npt.NDArray[np.int64] = np.rint((pose + noise) * (1 << POSE_BITS)).astype(np.int64)
-    return units
+    return np.rint((pose + noise) * (1 << POSE_BITS)).astype(np.int64)
 
 
 def _gather(
@@ -402,5 +369,4 @@ def _frequencies(weights: Float64Array) -> npt.NDArray[np.uint16]:
     floors = np.floor(exact).astype(np.int64)
     order = np.argsort(-(exact - floors), kind="stable")
     floors[order[: spare - int(floors.sum())]] += 1
-    frequencies: npt.NDArray[np.uint16] = (floors + 1).astype(np.uint16)
-    return frequencies
+    return (floors + 1).astype(np.uint16)

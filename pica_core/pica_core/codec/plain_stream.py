@@ -15,15 +15,14 @@ stops there.
 """
 
 import struct
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from pica_core.codec.latent_sample import DecodedFrame, EncodedFrame, LatentSample, ReceivedFrame
 from pica_core.errors import LatentError, ShapeError
-from pica_core.latent import LATENT_CHANNELS, LATENT_SHAPE, NUM_LATENT
+from pica_core.latent import LATENT_SHAPE, NUM_LATENT
+from pica_core.types import Float64Array
 
 FORMAT_PLAIN = 1
 ROTATION_RANGE = float(np.pi)
@@ -37,25 +36,11 @@ _LATENT_LEVELS = 127
 PLAIN_BYTES = _POSE.size + NUM_LATENT
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class LatentProfile:
-    """What both ends must know of an avatar to read its latents; comes with the avatar file."""
-
-    latent_scale: tuple[float, float, float, float]
-    """Largest absolute value per channel."""
-
-    def __post_init__(self) -> None:
-        if len(self.latent_scale) != LATENT_CHANNELS or not all(
-            0 < scale < np.inf for scale in self.latent_scale
-        ):
-            raise ValueError(f"latent_scale is {self.latent_scale}; 4 positive numbers are needed")
-
-
 def encode_latent(
     latent: npt.ArrayLike,
     rotation: npt.ArrayLike,
     translation_m: npt.ArrayLike,
-    profile: LatentProfile,
+    latent_scale: tuple[float, ...],
 ) -> bytes:
     """Quantise a latent and a head pose.
 
@@ -63,6 +48,7 @@ def encode_latent(
         latent: Expression code ``[8, 8, 4]``.
         rotation: Rotation vector, radians ``[3]``.
         translation_m: Offset from the seat, metres ``[3]``.
+        latent_scale: Largest absolute value per channel, as the avatar's manifest says.
 
     Returns:
         269 bytes. Within range the error is at most half a unit of the table above.
@@ -74,14 +60,13 @@ def encode_latent(
     values = _checked("latent", latent, LATENT_SHAPE)
     turn = _checked("rotation", rotation, (3,))
     offset = _checked("translation_m", translation_m, (3,))
-    codes = _quantise(values / np.asarray(profile.latent_scale), _LATENT_LEVELS).astype(np.int8)
-    pose = _quantise(
-        np.concatenate([turn / ROTATION_RANGE, offset / TRANSLATION_RANGE_M]), _POSE_LEVELS
-    )
-    return _POSE.pack(FORMAT_PLAIN, *map(int, pose)) + codes.tobytes()
+    ratios = np.concatenate([turn / ROTATION_RANGE, offset / TRANSLATION_RANGE_M])
+    pose = np.rint(_POSE_LEVELS * np.clip(ratios, -1, 1))
+    codes = np.rint(_LATENT_LEVELS * np.clip(values / np.asarray(latent_scale), -1, 1))
+    return _POSE.pack(FORMAT_PLAIN, *map(int, pose)) + codes.astype(np.int8).tobytes()
 
 
-def decode_latent(payload: bytes, profile: LatentProfile) -> LatentSample:
+def decode_latent(payload: bytes, latent_scale: tuple[float, ...]) -> LatentSample:
     """Read a payload.
 
     Raises:
@@ -98,7 +83,7 @@ def decode_latent(payload: bytes, profile: LatentProfile) -> LatentSample:
     if pose.min() < -_POSE_LEVELS or codes.min() < -_LATENT_LEVELS:
         raise LatentError("payload uses a code that no encoder writes (-128 or -32768)")
     pose /= _POSE_LEVELS
-    step = np.asarray(profile.latent_scale, np.float32) / np.float32(_LATENT_LEVELS)
+    step = np.asarray(latent_scale, np.float32) / np.float32(_LATENT_LEVELS)
     return LatentSample(
         latent=codes.astype(np.float32) * step,
         rotation=pose[:3] * np.float32(ROTATION_RANGE),
@@ -106,8 +91,8 @@ def decode_latent(payload: bytes, profile: LatentProfile) -> LatentSample:
     )
 
 
-def _checked(name: str, value: npt.ArrayLike, shape: tuple[int, ...]) -> npt.NDArray[np.float64]:
-    array: npt.NDArray[np.float64] = np.asarray(value, np.float64)
+def _checked(name: str, value: npt.ArrayLike, shape: tuple[int, ...]) -> Float64Array:
+    array = np.asarray(value, np.float64)
     if array.shape != shape:
         raise ShapeError(f"{name} is {array.shape}; {shape} is needed")
     if not np.isfinite(array).all():
@@ -115,15 +100,11 @@ def _checked(name: str, value: npt.ArrayLike, shape: tuple[int, ...]) -> npt.NDA
     return array
 
 
-def _quantise(ratio: npt.NDArray[np.float64], levels: int) -> npt.NDArray[Any]:
-    return np.clip(np.rint(ratio * levels), -levels, levels)
-
-
 class PlainEncoder:
     """The plain format as a stream: every frame is a keyframe of layer 0."""
 
-    def __init__(self, profile: LatentProfile) -> None:
-        self._profile = profile
+    def __init__(self, latent_scale: tuple[float, ...]) -> None:
+        self._latent_scale = latent_scale
 
     def encode(
         self,
@@ -133,7 +114,7 @@ class PlainEncoder:
         now_us: int,
     ) -> EncodedFrame | None:
         """Code a face, as `LatentEncoder.encode` does; the result is never None."""
-        return EncodedFrame(encode_latent(latent, rotation, translation_m, self._profile))
+        return EncodedFrame(encode_latent(latent, rotation, translation_m, self._latent_scale))
 
     def request_keyframe(self) -> None:
         """Nothing to do."""
@@ -148,9 +129,9 @@ class PlainDecoder:
     needs_keyframe = False
     num_unreferenced = 0
 
-    def __init__(self, profile: LatentProfile) -> None:
-        self._profile = profile
+    def __init__(self, latent_scale: tuple[float, ...]) -> None:
+        self._latent_scale = latent_scale
 
     def receive(self, frame: ReceivedFrame) -> list[DecodedFrame]:
         """Decode a frame, as `LatentDecoder.receive` does."""
-        return [frame.decoded(decode_latent(frame.payload, self._profile))]
+        return [frame.decoded(decode_latent(frame.payload, self._latent_scale))]

@@ -219,8 +219,7 @@ class StreamProfile:
         scaled = np.rint(latent.astype(np.float64) * (1 << LATENT_BITS))
         offset = np.clip(scaled, -MAX_LATENT, MAX_LATENT) - self.mean
         sums = np.matmul(offset, self._analysis_exact).astype(np.int64)
-        rounded: npt.NDArray[np.int64] = (sums + (1 << (ANALYSIS_SHIFT - 1))) >> ANALYSIS_SHIFT
-        return rounded
+        return (sums + (1 << (ANALYSIS_SHIFT - 1))) >> ANALYSIS_SHIFT
 
     def synthesise(self, coefficients: npt.NDArray[np.int64]) -> npt.NDArray[np.float32]:
         """The latent of coefficients ``[K]``; float32 ``[256]``, exact, within ±256."""
@@ -229,8 +228,7 @@ class StreamProfile:
         units = ((sums + ((1 << shift) >> 1)) >> shift) + self.mean
         np.clip(units, -MAX_LATENT, MAX_LATENT, out=units)
         # 21 bits at most: exact in float32.
-        latent: npt.NDArray[np.float32] = (units / (1 << LATENT_BITS)).astype(np.float32)
-        return latent
+        return (units / (1 << LATENT_BITS)).astype(np.float32)
 
 
 _TYPES: Mapping[str, type[np.integer[Any]]] = {

@@ -32,8 +32,6 @@ class RateController:
     """
 
     def __init__(self, target_bps: float, num_qualities: int, start: int) -> None:
-        if not target_bps > 0:
-            raise ValueError(f"target_bps is {target_bps}; it must be above 0")
         self._target_bps = target_bps
         self._highest = num_qualities - 1
         self.quality = start

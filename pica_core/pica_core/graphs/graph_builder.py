@@ -44,14 +44,6 @@ class GraphBuilder:
         self.nodes.append(helper.make_node(operator, inputs, [made], name=name, **attributes))
         return made
 
-    def split(self, value: str, sizes: tuple[int, ...], axis: int) -> list[str]:
-        """Cut a value into pieces of these sizes along an axis."""
-        name = f"Split_{len(self.nodes)}"
-        made = [f"{name}_out_{index}" for index in range(len(sizes))]
-        inputs = [value, self.sizes(*sizes)]
-        self.nodes.append(helper.make_node("Split", inputs, made, name=name, axis=axis))
-        return made
-
     def serialise(self, inputs: dict[str, Shape], outputs: dict[str, Shape]) -> bytes:
         """The model with float32 inputs and outputs of these names and shapes."""
 

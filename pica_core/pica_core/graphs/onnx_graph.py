@@ -86,9 +86,12 @@ def decoder_graph(
         trunk, last, tensors = _expression(avatar, size)
         found = arrange(graph, trunk, tensors, graph.add("Concat", grid, tiled, axis=1))
         value = arrange(graph, last, tensors, found)
-        if local_name(size) in tensors:
-            value = graph.add("Add", value, _weigh_per_block(graph, avatar, size, found))
         channels = avatar.spec.expression_channels
+        if local_name(size) in tensors:  # what each block of texels adds by weights of its own
+            own = graph.floats(spread_local(tensors[local_name(size)], channels))
+            weighed = graph.add("Mul", found, own)
+            added = graph.add("ReduceSum", weighed, graph.sizes(1), keepdims=0)
+            value = graph.add("Add", value, added)
         _channel_last(graph, value, size, channels, output="expression_map")
         outputs["expression_map"] = [size, size, channels]
     return graph.serialise(inputs, outputs)
@@ -97,44 +100,31 @@ def decoder_graph(
 def _position_map(
     graph: GraphBuilder, avatar: Avatar, size: int, grid: str, *, plain: bool
 ) -> None:
+    """The geometry decoder, plain or with the scale in its last weights and, at the full level,
+    the bias of its last layer in the mean."""
     arrange = _plain if plain else _fast
-    layers, tensors = _geometry(avatar, size, fold=not plain)
-    value = arrange(graph, layers, tensors, grid)
-    if size == avatar.spec.map_size:
-        value = _channel_last(graph, value, size, POSITION_CHANNELS)
-    else:
+    tensors, scale = dict(avatar.tensors), np.float64(avatar.manifest.position_scale_m)
+    if size != avatar.spec.map_size:
+        mean = tensors[f"level.{size}.geometry.mean"]
+        value = arrange(graph, trunk_layers(avatar.spec, "geometry", size), tensors, grid)
         value = _weigh_per_vertex(graph, avatar, size, value, fold=not plain)
-    if plain:
-        value = graph.add("Mul", value, graph.floats(avatar.manifest.position_scale_m))
-    graph.add("Add", value, graph.floats(tensors["mean"]), output="position_map")
-
-
-def _geometry(avatar: Avatar, size: int, *, fold: bool) -> tuple[list[Layer], dict[str, Array]]:
-    """Layers of the geometry decoder at a level; its tensors, with the map's ``mean``.
-
-    With `fold` the scale is in the last weights and the bias of the last layer in the mean.
-    """
-    tensors = dict(avatar.tensors)
-    if size == avatar.spec.map_size:
-        layers = decoder_layers(avatar.spec, "geometry")
-        tensors["mean"] = tensors["geometry.mean"]
     else:
-        tensors["mean"] = tensors[f"level.{size}.geometry.mean"]
-        return trunk_layers(avatar.spec, "geometry", size), tensors
-    if not fold:
-        return layers, tensors
-    last = [layer for layer in layers if layer.tensor_shapes()][-1]
-    scale = np.float64(avatar.manifest.position_scale_m)
-    tensors[f"{last.name}.weight"] = tensors[f"{last.name}.weight"] * scale
-    if last.has_bias:
-        bias = f"{last.name}.bias"
-        offset = tensors[bias] * scale
-        tensors[bias] = np.zeros_like(tensors[bias])
-        if last.kind == "conv1":  # four phases per channel, as `_expand_and_shuffle` says
-            phases = offset.reshape(-1, 2, 2).transpose(1, 2, 0)
-            offset = np.tile(phases, (size // 2, size // 2, 1))
-        tensors["mean"] = tensors["mean"].astype(np.float64) + offset
-    return layers, tensors
+        mean, layers = tensors["geometry.mean"], decoder_layers(avatar.spec, "geometry")
+        last = [layer for layer in layers if layer.tensor_shapes()][-1]
+        if not plain:
+            tensors[f"{last.name}.weight"] = tensors[f"{last.name}.weight"] * scale
+        if not plain and last.has_bias:
+            bias = f"{last.name}.bias"
+            offset = tensors[bias] * scale
+            tensors[bias] = np.zeros_like(tensors[bias])
+            if last.kind == "conv1":  # four phases per channel, as `_expand_and_shuffle` says
+                phases = offset.reshape(-1, 2, 2).transpose(1, 2, 0)
+                offset = np.tile(phases, (size // 2, size // 2, 1))
+            mean = mean.astype(np.float64) + offset
+        value = _channel_last(graph, arrange(graph, layers, tensors, grid), size, POSITION_CHANNELS)
+    if plain:
+        value = graph.add("Mul", value, graph.floats(scale))
+    graph.add("Add", value, graph.floats(mean), output="position_map")
 
 
 def _expression(avatar: Avatar, size: int) -> tuple[list[Layer], list[Layer], dict[str, Array]]:
@@ -148,13 +138,6 @@ def _expression(avatar: Avatar, size: int) -> tuple[list[Layer], list[Layer], di
     bias = Layer("untied_bias", f"{name}.untied", out_channels, out_channels, size)
     tensors[f"{bias.name}.weight"] = tensors[f"{name}.bias"]
     return trunk_layers(avatar.spec, "expression", size), [last, bias], tensors
-
-
-def _weigh_per_block(graph: GraphBuilder, avatar: Avatar, size: int, trunk: str) -> str:
-    """What each block of texels adds to an exit's map by weights of its own, ``[4, S, S]``."""
-    own = spread_local(avatar.tensors[local_name(size)], avatar.spec.expression_channels)
-    weighed = graph.add("Mul", trunk, graph.floats(own))
-    return graph.add("ReduceSum", weighed, graph.sizes(1), keepdims=0)
 
 
 def _weigh_per_vertex(

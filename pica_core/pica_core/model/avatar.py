@@ -24,22 +24,12 @@ from pica_core.model.decoders import (
 )
 from pica_core.model.encoder import make_encoder
 from pica_core.model.linear import LinearEncoder, LinearGeometry
-from pica_core.model.pixel_decoder import FIRST_FREQUENCY, PixelDecoder
+from pica_core.model.options import ModelOptions
+from pica_core.model.pixel_decoder import PixelDecoder
 
 
 class PixelCodecAvatar(interface.AvatarModel):
-    """Encoder, decoders and pixel decoder of one person.
-
-    Args:
-        spec: Sizes and block.
-        prior: Mean map, scale of offsets and meshes of the person.
-        topology: Which mesh to draw.
-        encoder: "paper" or "light".
-        encoding_amplitude: Half-width of the encodings' uniform start (paper: 1).
-        first_frequency: Scale of the first sine layers.
-        texture_contrast: Begin m_uv with the mean texture, of this contrast; 0 for a uniform start,
-            as the paper.
-    """
+    """Encoder, decoders and pixel decoder of one person, to draw the mesh of one topology."""
 
     position_mean: Tensor
     _drawn_uv: Tensor
@@ -49,12 +39,9 @@ class PixelCodecAvatar(interface.AvatarModel):
         self,
         spec: AvatarSpec,
         prior: interface.FacePrior,
+        options: ModelOptions,
         *,
         topology: TopologyName = "dense",
-        encoder: str = "light",
-        encoding_amplitude: float = 1.0,
-        first_frequency: float = FIRST_FREQUENCY,
-        texture_contrast: float = 0.0,
     ) -> None:
         super().__init__()
         self.spec = spec
@@ -69,7 +56,7 @@ class PixelCodecAvatar(interface.AvatarModel):
         self.register_buffer("_drawn_uv", interface.uv_buffer(drawn), persistent=False)
         self.register_buffer("_tracked_uv", interface.uv_buffer(prior.tracked_uv), persistent=False)
         self._draws_tracked = drawn is prior.tracked_uv
-        self.encoder: interface.LatentEncoder = make_encoder(encoder)
+        self.encoder: interface.LatentEncoder = make_encoder(options.encoder)
         self.geometry: MapDecoder | LinearGeometry
         if spec.geometry == "bases":
             assert prior.linear is not None  # whoever makes the prior asks the variant
@@ -79,25 +66,16 @@ class PixelCodecAvatar(interface.AvatarModel):
             self.geometry = MapDecoder(spec, "geometry")
         self.expression = MapDecoder(spec, "expression")
         self.pixel_decoder = PixelDecoder(
-            spec, encoding_amplitude=encoding_amplitude, first_frequency=first_frequency
+            spec,
+            encoding_amplitude=options.encoding_amplitude,
+            first_frequency=options.first_frequency,
         )
-        if texture_contrast:
+        if options.texture_contrast:
             texture = torch.as_tensor(prior.texture_mean, dtype=torch.float32).permute(2, 0, 1)
             xyz_m = sample_map(self.position_mean[None], self._drawn_uv)[0]
             uv = torch.from_numpy(np.ascontiguousarray(drawn, np.float32))
-            self.pixel_decoder.start_from(texture, texture_contrast, xyz_m, uv)
+            self.pixel_decoder.start_from(texture, options.texture_contrast, xyz_m, uv)
         self.expression_encoder = interface.ExpressionEncoder()
-
-    def decode_geometry(self, latent: Tensor) -> Tensor:
-        """Latents ``[N, 4, 8, 8]`` to position maps in metres ``[N, 3, 256, 256]``."""
-        offset: Tensor = self.geometry(latent)
-        return self.position_mean + self.position_scale_m * offset
-
-    def decode_expression(self, latent: Tensor, view_direction: Tensor) -> Tensor:
-        """Latents ``[N, 4, 8, 8]`` and view directions ``[N, 3]`` to ``[N, 4, 256, 256]``."""
-        grid = torch.cat([latent, tile_view_direction(view_direction)], 1)
-        codes: Tensor = self.expression(grid)
-        return codes
 
     def decode_mesh(self, latent: Tensor) -> interface.DecodedMesh:
         """The position map of each latent and what the vertices find in it, or the vertices that
@@ -105,17 +83,17 @@ class PixelCodecAvatar(interface.AvatarModel):
         if isinstance(self.geometry, LinearGeometry):
             dense_m, tracked_m = self.geometry(latent)
             return interface.DecodedMesh(dense_m, tracked_m, None)
-        position_map = self.decode_geometry(latent)
-        vertices_m = sample_map(position_map, self._drawn_uv)
-        if self._draws_tracked:
-            return interface.DecodedMesh(vertices_m, vertices_m, position_map)
-        return interface.DecodedMesh(
-            vertices_m, sample_map(position_map, self._tracked_uv), position_map
-        )
+        position_map = self.position_mean + self.position_scale_m * self.geometry(latent)
+        drawn_m = tracked_m = sample_map(position_map, self._drawn_uv)
+        if not self._draws_tracked:
+            tracked_m = sample_map(position_map, self._tracked_uv)
+        return interface.DecodedMesh(drawn_m, tracked_m, position_map)
 
     def appearance(self, latent: Tensor, view_direction: Tensor) -> Tensor:
         """Expression maps, ``[N, 4, 256, 256]``."""
-        return self.decode_expression(latent, view_direction)
+        grid = torch.cat([latent, tile_view_direction(view_direction)], 1)
+        codes: Tensor = self.expression(grid)
+        return codes
 
     def shade(
         self, appearance: Tensor, surface: interface.Surface, *, detach_xyz: bool = True

@@ -31,8 +31,9 @@ from pica_core.avatar.spec import LEAKY_SLOPE, VIEW_CHANNELS, AvatarSpec
 from pica_core.avatar.variants import ModelCost
 from pica_core.latent import NUM_LATENT
 from pica_core.model import interface
-from pica_core.model.decoders import UntiedBias, sample_map, sample_per_image
+from pica_core.model.decoders import Untied, sample_map, sample_per_image
 from pica_core.model.encoder import resize_texture
+from pica_core.model.options import ModelOptions
 
 TEXTURE_SCALE = 0.25
 """Unit of the texture decoder's output, where 1.0 is white (chosen: about the deviation of a
@@ -110,12 +111,9 @@ class Doubling(EqualizedLayer):
 
 
 class DeepAppearanceEncoder(interface.LatentEncoder):
-    """Average texture and tracked vertices to the latent.
+    """Average texture and tracked vertices to the latent, "paper" or "light".
 
-    Args:
-        name: "paper" or "light".
-        prior: For the tracked mesh's UVs: vertices are read from the position map that all models'
-            encoders are given.
+    Vertices are read from the position map that all models' encoders are given.
 
     Raises:
         ValueError: An unknown name.
@@ -162,12 +160,12 @@ class TextureDecoder(nn.Module):
         self.grid = Connected(
             spec.num_latent + VIEW_FEATURES, spec.num_latent * FIRST_SIZE * FIRST_SIZE
         )
-        self.layers: list[tuple[Doubling, UntiedBias]] = []
+        self.layers: list[tuple[Doubling, Untied]] = []
         size = FIRST_SIZE
         for c_in, c_out in pairwise((spec.num_latent, *spec.channels)):
             size *= 2
             gain = 0.1 * _GAIN if size == spec.texture_size else _GAIN
-            self.layers.append((Doubling(c_in, c_out, gain), UntiedBias(c_out, size)))
+            self.layers.append((Doubling(c_in, c_out, gain), Untied(c_out, size)))
         self.convolutions = nn.ModuleList(convolution for convolution, _ in self.layers)
         self.biases = nn.ModuleList(bias for _, bias in self.layers)
 
@@ -185,12 +183,6 @@ class TextureDecoder(nn.Module):
 class DeepAppearanceModel(interface.AvatarModel):
     """Encoder and decoders of one person.
 
-    Args:
-        spec: Sizes that all models share; the texture has its own.
-        prior: Mean mesh, its unit, UVs and mean texture of the person.
-        encoder: "paper" or "light".
-        texture_size: Rows and columns of the texture, texels.
-
     Raises:
         ValueError: An unknown encoder, or a texture that no number of layers makes.
     """
@@ -198,30 +190,24 @@ class DeepAppearanceModel(interface.AvatarModel):
     topology = "tracked"
     tracked_mean_m: Tensor
 
-    def __init__(
-        self,
-        spec: AvatarSpec,
-        prior: interface.FacePrior,
-        *,
-        encoder: str = "light",
-        texture_size: int = 1024,
-    ) -> None:
+    def __init__(self, spec: AvatarSpec, prior: interface.FacePrior, options: ModelOptions) -> None:
         super().__init__()
         self.spec = spec
         self.baseline_spec = BaselineSpec(
-            num_vertices=len(prior.tracked_uv), channels=baseline_channels(texture_size)
+            num_vertices=len(prior.tracked_uv), channels=baseline_channels(options.texture_size)
         )
         self.position_scale_m = prior.position_scale_m
         mean = torch.as_tensor(prior.tracked_mean_m, dtype=torch.float32)
         self.register_buffer("tracked_mean_m", mean.clone())
-        self.encoder = DeepAppearanceEncoder(encoder, prior)
+        self.encoder = DeepAppearanceEncoder(options.encoder, prior)
         code = self.baseline_spec.num_latent
         self.latent = Connected(code, code)
         self.mesh = Connected(code, 3 * self.baseline_spec.num_vertices, gain=0.1)
         self.view = Connected(VIEW_CHANNELS, VIEW_FEATURES)
         self.texture = TextureDecoder(self.baseline_spec)
         texture = torch.as_tensor(prior.texture_mean, dtype=torch.float32).permute(2, 0, 1)[None]
-        self._texel_bias.data.copy_(resize_texture(texture, texture_size)[0] / TEXTURE_SCALE)
+        resized = resize_texture(texture, options.texture_size)[0]
+        self._texel_bias.data.copy_(resized / TEXTURE_SCALE)
         self.expression_encoder = interface.ExpressionEncoder()
 
     def decode_mesh(self, latent: Tensor) -> interface.DecodedMesh:

@@ -175,15 +175,11 @@ class SplitBases:
     """What the weights of the whole are to each direction, metres, ``[L, K]``."""
 
 
-def split_bases(
-    bases: Bases, vertex_uv: FloatArray, tolerance_m: float = TOLERANCE_M
-) -> SplitBases:
+def split_bases(bases: Bases, vertex_uv: FloatArray) -> SplitBases:
     """Cut bases along the chart, prune each region, and round to what a file holds.
 
     Args:
-        bases: Of the whole mesh.
-        vertex_uv: Where its vertices lie in the chart, ``[V, 2]``.
-        tolerance_m: Root mean square distance that a region may lose.
+        vertex_uv: Where vertices lie in the chart, ``[V, 2]``.
     """
     count = len(bases.components_m)
     regions = _cut(vertex_uv, np.arange(len(vertex_uv), dtype=np.int32))
@@ -192,7 +188,7 @@ def split_bases(
         part = bases.components_m[:, vertices].astype(np.float64).reshape(count, -1)
         square, left = np.linalg.eigh(part @ part.T)
         lost_m = np.sqrt(np.cumsum(square.clip(0)) / len(vertices))
-        left = left[:, lost_m > tolerance_m][:, ::-1]
+        left = left[:, lost_m > TOLERANCE_M][:, ::-1]
         offsets = left.T @ part
         reach_m = np.abs(offsets).max(1, initial=0, keepdims=True)
         found.append((left.shape[1], vertices, left.T * reach_m, offsets / reach_m))
@@ -222,10 +218,7 @@ def unexplained_m(
     a lack of meshes then.
 
     Args:
-        meshes_m: Good ones, ``[F, V, 3]``.
-        num_bases: As for `fit_bases`.
-        vertex_weights: The same, ``[V]``.
-        vertex_uv: ``[V, 2]``.
+        meshes_m: Good ones, ``[F, V, 3]``; the others as for `fit_bases` and `split_bases`.
     """
     if len(meshes_m) < 2 * num_bases:
         return 0.0

@@ -14,28 +14,18 @@ from pica_core.latent import LATENT_SIZE
 from pica_core.model.interface import Surface
 
 
-class UntiedBias(nn.Module):
-    """A bias per channel and location, ``[C, H, W]`` (Lombardi et al. 2018)."""
+class Untied(nn.Module):
+    """A bias (Lombardi et al. 2018) or a factor per channel and location, ``[C, H, W]``; 0 or 1 at
+    first."""
 
-    def __init__(self, channels: int, size: int) -> None:
+    def __init__(self, channels: int, size: int, *, is_gain: bool = False) -> None:
         super().__init__()
-        self.weight = nn.Parameter(torch.zeros(channels, size, size))
+        self._is_gain = is_gain
+        self.weight = nn.Parameter(torch.full((channels, size, size), float(is_gain)))
 
     def forward(self, features: Tensor) -> Tensor:
-        """Features ``[N, C, H, W]`` with the bias added."""
-        return features + self.weight
-
-
-class UntiedGain(nn.Module):
-    """A factor per channel and location, ``[C, H, W]``; 1 at first."""
-
-    def __init__(self, channels: int, size: int) -> None:
-        super().__init__()
-        self.weight = nn.Parameter(torch.ones(channels, size, size))
-
-    def forward(self, features: Tensor) -> Tensor:
-        """Features ``[N, C, H, W]`` times the factors."""
-        return features * self.weight
+        """Features ``[N, C, H, W]`` with the bias added, or times the factors."""
+        return features * self.weight if self._is_gain else features + self.weight
 
 
 def _module(layer: Layer) -> nn.Module:
@@ -47,10 +37,9 @@ def _module(layer: Layer) -> nn.Module:
             return nn.Conv2d(*channels, 1, bias=bias)
         case "deconv4":
             return nn.ConvTranspose2d(*channels, 4, stride=2, padding=1, bias=bias)
-        case "untied_bias":
-            return UntiedBias(layer.out_channels, layer.size)
-        case "untied_gain":
-            return UntiedGain(layer.out_channels, layer.size)
+        case "untied_bias" | "untied_gain":
+            is_gain = layer.kind == "untied_gain"
+            return Untied(layer.out_channels, layer.size, is_gain=is_gain)
         case "leaky_relu":
             return nn.LeakyReLU(LEAKY_SLOPE)
         case "pixel_shuffle":
@@ -101,14 +90,12 @@ def tile_view_direction(view_direction: Tensor) -> Tensor:
 
 
 def sample_map(values: Tensor, uv: Tensor) -> Tensor:
-    """Look maps up at UV points, bilinear, texel centres at (i + 0.5) / W, clamped at the edge.
+    """Look maps up at UV points, bilinear, texel centres at (i + 0.5) / W, clamped at the edge:
+    ``[N, P, C]``.
 
     Args:
         values: ``[N, C, H, W]``.
         uv: Points in [0, 1], ``[N, P, 2]``, or ``[P, 2]`` for the same points in every map.
-
-    Returns:
-        ``[N, P, C]``.
     """
     if uv.ndim == 2:
         uv = uv.expand(len(values), -1, -1)
@@ -119,14 +106,9 @@ def sample_map(values: Tensor, uv: Tensor) -> Tensor:
 
 
 def sample_per_image(maps: Tensor, surface: Surface) -> Tensor:
-    """Look every pixel up in the map of its own image.
+    """Look every pixel of a surface, sorted by image, up in the map of its own image.
 
-    Args:
-        maps: One for each image, ``[N, C, H, W]``.
-        surface: Pixels sorted by image.
-
-    Returns:
-        ``[P, C]``.
+    Maps are ``[N, C, H, W]``, what is found ``[P, C]``.
     """
     counts = torch.bincount(surface.image, minlength=len(maps))
     parts = torch.split(surface.uv, counts.tolist())

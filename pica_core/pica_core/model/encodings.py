@@ -6,7 +6,7 @@ Each class is one part; an encoding is several side by side. What they compute, 
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import final
 
 import torch
@@ -47,8 +47,8 @@ class JointMap(SurfaceEncoding):
     def __init__(self, spec: AvatarSpec, amplitude: float) -> None:
         super().__init__()
         size, self.channels = spec.uv_encoding_size, spec.uv_encoding_channels
-        self.values = nn.Parameter(torch.empty(1, self.channels, size, size))
-        nn.init.uniform_(self.values, -amplitude, amplitude)
+        values = torch.empty(1, self.channels, size, size).uniform_(-amplitude, amplitude)
+        self.values = nn.Parameter(values)
 
     @torch.no_grad()
     def start_from(self, texture: Tensor, contrast: float) -> None:
@@ -76,10 +76,9 @@ class AxisTables(SurfaceEncoding):
         entries, single = spec.axis_encoding_size, spec.axis_encoding_channels
         self.channels = 2 * single
         self.along_u, self.along_v = (
-            nn.Parameter(torch.empty(1, single, 1, entries)) for _ in range(2)
+            nn.Parameter(torch.empty(1, single, 1, entries).uniform_(-amplitude, amplitude))
+            for _ in range(2)
         )
-        for values in (self.along_u, self.along_v):
-            nn.init.uniform_(values, -amplitude, amplitude)
 
     def forward(self, uv: Tensor) -> Tensor:
         """Look each table up between its two nearest entries."""
@@ -97,9 +96,7 @@ class AxisTables(SurfaceEncoding):
 class RawUv(SurfaceEncoding):
     """The coordinates in [-1, 1]; no weights."""
 
-    def __init__(self, spec: AvatarSpec, amplitude: float) -> None:
-        super().__init__()
-        self.channels = 2
+    channels = 2
 
     def forward(self, uv: Tensor) -> Tensor:
         """2 uv - 1."""
@@ -110,9 +107,7 @@ class RawUv(SurfaceEncoding):
 class Sinusoids(SurfaceEncoding):
     """Ten octaves of sines and cosines; no weights."""
 
-    def __init__(self, spec: AvatarSpec, amplitude: float) -> None:
-        super().__init__()
-        self.channels = 4 * NUM_FREQUENCIES
+    channels = 4 * NUM_FREQUENCIES
 
     def forward(self, uv: Tensor) -> Tensor:
         """Whole turns are taken off first, which is exact in any precision."""
@@ -124,15 +119,27 @@ class Sinusoids(SurfaceEncoding):
         return torch.cat(octaves, 1)
 
 
+PARTS: dict[str, Callable[[AvatarSpec, float], SurfaceEncoding]] = {
+    "joint": JointMap,
+    "axes": AxisTables,
+    "uv": lambda spec, amplitude: RawUv(),
+    "sinusoids": lambda spec, amplitude: Sinusoids(),
+}
+
+
 @final
 class SideBySide(SurfaceEncoding):
-    """Several parts, one after another; none at all makes codes of width 0."""
+    """The parts that a spec names, one after another; none at all makes codes of width 0.
 
-    def __init__(self, parts: Sequence[SurfaceEncoding]) -> None:
+    Args:
+        amplitude: Half-width of the tables' uniform start, 1 in the paper.
+    """
+
+    def __init__(self, spec: AvatarSpec, amplitude: float) -> None:
         super().__init__()
-        self.parts = nn.ModuleList(parts)
-        self._encodings = tuple(parts)
-        self.channels = sum(part.channels for part in parts)
+        self._encodings = [PARTS[part](spec, amplitude) for part in spec.encoding_channels]
+        self.parts = nn.ModuleList(self._encodings)
+        self.channels = sum(part.channels for part in self._encodings)
 
     def start_from(self, texture: Tensor, contrast: float) -> None:
         """Let each part begin with the texture."""
@@ -146,17 +153,3 @@ class SideBySide(SurfaceEncoding):
     def named_tensors(self) -> dict[str, Tensor]:
         """All parts' weights."""
         return {name: t for part in self._encodings for name, t in part.named_tensors().items()}
-
-
-PARTS: dict[str, Callable[[AvatarSpec, float], SurfaceEncoding]] = {
-    "joint": JointMap,
-    "axes": AxisTables,
-    "uv": RawUv,
-    "sinusoids": Sinusoids,
-}
-
-
-def make_encoding(spec: AvatarSpec, amplitude: float) -> SurfaceEncoding:
-    """The encoding that a spec names; `amplitude` is the half-width of the tables' uniform start,
-    1 in the paper."""
-    return SideBySide([PARTS[part](spec, amplitude) for part in spec.encoding_channels])

@@ -71,8 +71,7 @@ class LinearPrior(NamedTuple):
         texels: Texels of the position map that the encoder reads, row * S + column, ``[P]``.
         projection: From their three coordinates to the weights, in position scales, ``[K, 3 P]``.
         deviation_m: Root mean square movement of each basis, ``[K]``.
-        left_out: Names of training frames whose meshes were not used.
-        unexplained_m: What bases do not explain (`unexplained_m` of `model.bases`), metres.
+        notes: What is wrong with the meshes, in words.
     """
 
     tracked: Bases
@@ -80,8 +79,7 @@ class LinearPrior(NamedTuple):
     texels: IntArray
     projection: FloatArray
     deviation_m: FloatArray
-    left_out: tuple[str, ...] = ()
-    unexplained_m: float = 0.0
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -263,10 +261,6 @@ class AvatarModel(nn.Module, ABC):
     def vertices(self, latent: Tensor) -> Tensor:
         """Vertices to draw, metres, ``[N, V, 3]``."""
         return self.decode_mesh(latent).vertices_m
-
-    def tracked_vertices(self, latent: Tensor) -> Tensor:
-        """Vertices of the tracked topology, metres, ``[N, Vt, 3]``, for the mesh loss."""
-        return self.decode_mesh(latent).tracked_m
 
 
 def grid_of_latent(values: Tensor) -> Tensor:

@@ -28,7 +28,6 @@ class LinearGeometry(nn.Module):
     """Latents to vertices. All its tensors are buffers that a checkpoint holds.
 
     Args:
-        prior: Of the capture.
         scale_m: Unit of the file's directions, the manifest's `position_scale_m`.
     """
 
@@ -116,12 +115,7 @@ class LinearGeometry(nn.Module):
 
 
 class LinearEncoder(LatentEncoder):
-    """An encoder whose first channel is the closed form's.
-
-    Args:
-        trained: Makes the other channels.
-        prior: Of the capture.
-    """
+    """An encoder whose first channel is the closed form's; a trained one makes the others."""
 
     texels: Tensor
     projection: Tensor

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.model.decoders import sample_map
-from pica_core.model.encodings import SurfaceEncoding, make_encoding
+from pica_core.model.encodings import SideBySide
 
 XYZ_UNIT_M = 0.1
 """Head-frame coordinates enter the network in this unit, which brings a face to about [-1, 1]."""
@@ -64,10 +64,8 @@ class Siren(nn.Module):
 
     def forward(self, values: Tensor) -> Tensor:
         """``[P, in]`` to ``[P, out]``."""
-        if not self.linear_output:
-            return torch.sin(self.last(self.hidden(values)))
         output: Tensor = self.last(self.hidden(values))
-        return output
+        return output if self.linear_output else torch.sin(output)
 
     @property
     def last(self) -> nn.Linear:
@@ -104,7 +102,7 @@ class PixelDecoder(nn.Module):
     ) -> None:
         super().__init__()
         self.expression_channels = spec.expression_channels
-        self.encoding: SurfaceEncoding = make_encoding(spec, encoding_amplitude)
+        self.encoding = SideBySide(spec, encoding_amplitude)
         self.xyz = Siren(3, spec.xyz_channels, linear_output=False, first_frequency=first_frequency)
         self.colour = Siren(
             spec.expression_channels + spec.xyz_channels[-1] + self.encoding.channels,
@@ -121,8 +119,7 @@ class PixelDecoder(nn.Module):
         the texture at rest; it keeps that layer.
 
         Args:
-            texture: See `SurfaceEncoding.start_from`.
-            contrast: The same.
+            texture: See `SurfaceEncoding.start_from`, also for `contrast`.
             xyz_m: Points of the surface at rest, ``[P, 3]``.
             uv: Where they lie in the texture, ``[P, 2]``.
         """

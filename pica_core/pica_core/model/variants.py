@@ -7,33 +7,19 @@ from pica_core.avatar.variants import VARIANTS, Variant
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.baseline import DeepAppearanceModel
 from pica_core.model.interface import AvatarModel, FacePrior
-from pica_core.model.pixel_decoder import FIRST_FREQUENCY
-
-__all__ = ["VARIANTS", "make_model"]
+from pica_core.model.options import ModelOptions
 
 
 def make_model(
     variant: str,
     spec: AvatarSpec,
     prior: FacePrior,
-    *,
-    encoder: str = "light",
-    encoding_amplitude: float = 1.0,
-    first_frequency: float = FIRST_FREQUENCY,
-    texture_contrast: float = 0.0,
-    texture_size: int = 1024,
+    options: ModelOptions,
 ) -> AvatarModel:
-    """Build a model.
+    """Build a model of `VARIANTS`.
 
     Args:
-        variant: A key of `VARIANTS`.
         spec: Sizes of the full model; the row replaces its encoding and geometry.
-        prior: What is known of the person.
-        encoder: "paper" or "light".
-        encoding_amplitude: Half-width of the learned encodings' uniform start.
-        first_frequency: Scale of the first sine layers.
-        texture_contrast: Contrast of the mean texture that m_uv begins with; 0 for a uniform start.
-        texture_size: Side of the baseline's texture, texels.
 
     Raises:
         ValueError: An unknown variant or encoder.
@@ -44,14 +30,6 @@ def make_model(
     spec = replace(spec, encoding=row.encoding, geometry=row.geometry)
     match row.network:
         case "pixel_codec":
-            return PixelCodecAvatar(
-                spec,
-                prior,
-                topology=row.topology,
-                encoder=encoder,
-                encoding_amplitude=encoding_amplitude,
-                first_frequency=first_frequency,
-                texture_contrast=texture_contrast,
-            )
+            return PixelCodecAvatar(spec, prior, options, topology=row.topology)
         case "deep_appearance":
-            return DeepAppearanceModel(spec, prior, encoder=encoder, texture_size=texture_size)
+            return DeepAppearanceModel(spec, prior, options)

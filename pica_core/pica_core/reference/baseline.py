@@ -78,8 +78,7 @@ def bake_texture(avatar: Avatar, size: int) -> FloatArray:
 def _mean_map(avatar: Avatar) -> FloatArray:
     """The mesh at rest as a map ``[S, S, 3]``; of bases, the mean of each texel's vertices."""
     if avatar.spec.geometry == "decoder":
-        mean: FloatArray = avatar.tensors["geometry.mean"]
-        return mean
+        return avatar.tensors["geometry.mean"]
     size = avatar.spec.map_size
     texel = np.minimum((avatar.tensors["mesh.vertex_uv"] * size).astype(int), size - 1)
     sums = np.zeros((size, size, POSITION_CHANNELS + 1))
@@ -89,8 +88,7 @@ def _mean_map(avatar: Avatar) -> FloatArray:
         empty = sums[..., 3] == 0
         near = np.sum([np.roll(sums, step, axis) for step in (-1, 1) for axis in (0, 1)], axis=0)
         sums[empty] = near[empty]
-    filled: FloatArray = (sums[..., :3] / sums[..., 3:]).astype(np.float32)
-    return filled
+    return (sums[..., :3] / sums[..., 3:]).astype(np.float32)
 
 
 def _random_weights(spec: BaselineSpec, seed: int) -> dict[str, Array]:

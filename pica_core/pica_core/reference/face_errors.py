@@ -4,13 +4,13 @@ should be.
 A mean over all pixels hides what people see first, an eyeball that shows through a closed lid.
 These figures compare a face with its truth, both posed by the same values:
 
-    poke_ratio         share of the head's pixels that show another part than the truth does
-                       anywhere near: teeth through a lip, an eyeball through a lid, skin over an
-                       open eye. Silhouettes do not count, the error of the picture has them.
+    poking             pixels of the head that show another part than the truth does anywhere near:
+                       teeth through a lip, an eyeball through a lid, skin over an open eye.
+                       Silhouettes do not count, the error of the picture has them.
     region_errors_mm   mean distance of a region's vertices from where they should be
 
 Pictures of parts are masks as captures hold them: 0 where no head is, else the part's index in
-`PARTS` + 1.
+`MATERIALS` + 1.
 """
 
 from collections.abc import Mapping
@@ -19,10 +19,9 @@ from typing import Final
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.types import BoolArray, ByteArray, FloatArray
 
-PARTS: Final = ("skin", "eye", "teeth", "tongue", "mouth_bag", "collar", "hair")
-"""Parts of a head that can poke through each other; masks of captures use the same order."""
 REACH_PX: Final = 1
 """How far an edge may be off before it counts, pixels: who owns a pixel at an edge is chance."""
 _REGIONS: Final = {
@@ -36,7 +35,7 @@ _REGIONS: Final = {
 
 
 def vertex_parts(regions: Mapping[str, BoolArray], num_vertices: int) -> ByteArray:
-    """The part of each vertex, as the pixels of a mask say it: index in `PARTS` + 1.
+    """The part of each vertex, as the pixels of a mask say it: index in `MATERIALS` + 1.
 
     A triangle is of its last corner's part.
 
@@ -45,10 +44,10 @@ def vertex_parts(regions: Mapping[str, BoolArray], num_vertices: int) -> ByteArr
             told from skin.
         num_vertices: V.
     """
-    parts = np.full(num_vertices, PARTS.index("skin") + 1, np.uint8)
+    parts = np.full(num_vertices, MATERIALS.index("skin") + 1, np.uint8)
     for region, part in _REGIONS.items():
         if region in regions:
-            parts[regions[region]] = PARTS.index(part) + 1
+            parts[regions[region]] = MATERIALS.index(part) + 1
     return parts
 
 
@@ -65,13 +64,7 @@ def poking(shown: ByteArray, truth: ByteArray) -> BoolArray:
     side = 2 * REACH_PX + 1
     around = sliding_window_view(np.pad(truth, REACH_PX), (side, side))
     elsewhere = (around != shown[..., None, None]).all(axis=(-2, -1))
-    found: BoolArray = elsewhere & (shown > 0) & (truth > 0)
-    return found
-
-
-def poke_ratio(shown: ByteArray, truth: ByteArray) -> float:
-    """Pixels that poke out as a share of those on which the truth shows a head; 0 if none does."""
-    return float(poking(shown, truth).sum() / max(np.count_nonzero(truth), 1))
+    return elsewhere & (shown > 0) & (truth > 0)
 
 
 def region_errors_mm(

@@ -58,5 +58,4 @@ def _neighbours(t: Array, count: int) -> tuple[Array, Array, Array]:
 
 
 def _mix(a: Array, b: Array, weight: Array) -> Array:
-    mixed: Array = a + (b - a) * weight
-    return mixed
+    return a + (b - a) * weight

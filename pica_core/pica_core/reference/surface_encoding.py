@@ -42,19 +42,10 @@ def encode_surface(spec: AvatarSpec, tensors: Tensors, uv: npt.ArrayLike, dtype:
     return np.concatenate([nothing, *parts], axis=-1)
 
 
-def _joint(tensors: Tensors, uv: Array, dtype: Dtype) -> Array:
-    return sample_bilinear(tensors["uv_encoding"], uv, dtype)
-
-
 def _axes(tensors: Tensors, uv: Array, dtype: Dtype) -> Array:
     along_u = sample_linear(tensors["u_encoding"], uv[..., 0], dtype)
     along_v = sample_linear(tensors["v_encoding"], uv[..., 1], dtype)
     return np.concatenate([along_u, along_v], axis=-1)
-
-
-def _uv(tensors: Tensors, uv: Array, dtype: Dtype) -> Array:
-    centred: Array = 2 * uv - dtype(1)
-    return centred
 
 
 def _sinusoids(tensors: Tensors, uv: Array, dtype: Dtype) -> Array:
@@ -68,8 +59,8 @@ def _sinusoids(tensors: Tensors, uv: Array, dtype: Dtype) -> Array:
 
 
 _PARTS: Mapping[str, Callable[[Tensors, Array, Dtype], Array]] = {
-    "joint": _joint,
+    "joint": lambda tensors, uv, dtype: sample_bilinear(tensors["uv_encoding"], uv, dtype),
     "axes": _axes,
-    "uv": _uv,
+    "uv": lambda tensors, uv, dtype: 2 * uv - dtype(1),
     "sinusoids": _sinusoids,
 }

@@ -22,7 +22,7 @@ from pica_core.avatar.spec import AvatarSpec
 from pica_core.avatar.variants import VARIANTS
 from pica_core.errors import CheckpointError, TrainingOptionError, check_ranges
 from pica_core.model.interface import AvatarModel, FacePrior
-from pica_core.model.pixel_decoder import FIRST_FREQUENCY
+from pica_core.model.options import ModelOptions
 from pica_core.model.variants import make_model
 
 MeshSource = Literal["truth", "tracked"]
@@ -31,29 +31,17 @@ PHASES = ("geometry", "joint", "driver")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class ModelConfig:
+class ModelConfig(ModelOptions):
     """What is built."""
 
     variant: str = "full"
     """Which model of the paper's tables (`VARIANTS`)."""
     block: str = "G"
     """Block of the per-object decoders: B, H2, C or G (docs/training.md has the reason)."""
-    encoder: str = "light"
-    """"paper" (161.7 G multiply-adds a frame) or "light"."""
     uv_encoding_size: int = 512
     """Rows and columns of m_uv; 1024 in the paper, for images of 2048 x 1334."""
     axis_encoding_size: int = 10_000
     """Entries of m_u and of m_v."""
-    encoding_amplitude: float = 0.1
-    """Half-width of the encodings' uniform start; 1 in the paper. Smaller leaves less noise in
-    texels that few images saw."""
-    first_frequency: float = FIRST_FREQUENCY
-    """Scale of the first sine layers."""
-    texture_contrast: float = 0.3
-    """Begin m_uv with the mean texture, black and white at minus and plus this; 0 for a uniform
-    start, as the paper."""
-    texture_size: int = 512
-    """Rows and columns of the baseline's texture; 1024 in the paper."""
 
     def __post_init__(self) -> None:
         if self.variant not in VARIANTS:
@@ -62,27 +50,16 @@ class ModelConfig:
             )
 
     def spec(self) -> AvatarSpec:
-        """The sizes as an `AvatarSpec`."""
+        """The sizes as an `AvatarSpec`; `make_model` adds what the variant says."""
         return AvatarSpec(
             block=self.block,
             uv_encoding_size=self.uv_encoding_size,
             axis_encoding_size=self.axis_encoding_size,
-            encoding=VARIANTS[self.variant].encoding,
-            geometry=VARIANTS[self.variant].geometry,
         )
 
     def build(self, prior: FacePrior) -> AvatarModel:
         """A model with fresh weights, for the person that the prior describes."""
-        return make_model(
-            self.variant,
-            self.spec(),
-            prior,
-            encoder=self.encoder,
-            encoding_amplitude=self.encoding_amplitude,
-            first_frequency=self.first_frequency,
-            texture_contrast=self.texture_contrast,
-            texture_size=self.texture_size,
-        )
+        return make_model(self.variant, self.spec(), prior, self)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -168,11 +145,8 @@ class TrainConfig:
     """A whole run."""
 
     model: ModelConfig = field(default_factory=ModelConfig)
-    """What is built."""
     losses: LossConfig = field(default_factory=LossConfig)
-    """What is minimised."""
     schedule: ScheduleConfig = field(default_factory=ScheduleConfig)
-    """How long and how fast."""
     detach_pixel_xyz: bool = True
     """No gradient to the geometry through the pixel decoder's xyz input (paper A.3)."""
     mesh_source: MeshSource = "truth"
@@ -196,9 +170,8 @@ class TrainConfig:
             schedule,
             TrainingOptionError,
             frame_balance=(0, 2),
-            **dict.fromkeys(("geometry_steps", "joint_steps", "driver_steps"), any_size),
-            live_steps=any_size,
-            **dict.fromkeys(("geometry_batch", "joint_batch", "driver_batch", "live_batch"), many),
+            **{f"{kind}_steps": any_size for kind in (*PHASES, "live")},
+            **{f"{kind}_batch": many for kind in (*PHASES, "live")},
             pixels_per_image=any_size,
             clip_norm=(0, _FINITE),
         )

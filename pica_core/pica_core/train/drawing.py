@@ -4,6 +4,7 @@ The driver says once a step which triangle covers which pixel. From then on ever
 P pixels of all images together, on the device of the meshes.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ from pica_core.camera import Camera
 from pica_core.capture.dataset.dataset import Topology
 from pica_core.model.interface import Surface
 from pica_core.train.losses import screen_normals
-from pica_core.train.rasterise import Hits, Rasteriser, Views, hit_points
+from pica_core.train.rasterise import Rasteriser, Views, hit_points
 from pica_core.types import FloatArray, Int64Array, IntArray
 
 NORMAL_SHARE = 4
@@ -37,6 +38,7 @@ class DrawnPixels(NamedTuple):
     """What interpolation finds at the pixels of a step.
 
     Attributes:
+        ids: The triangle of every pixel of N images, -1 where none, int32 ``[N, H, W]``.
         depth_pixels: Those whose depth is asked for: the same and, with normals, neighbours.
         depth_m: Their depths; differentiable, ``[Q]``.
         depth_image: Which image they are of, int64 ``[Q]``.
@@ -46,6 +48,7 @@ class DrawnPixels(NamedTuple):
         below: Of the neighbours below.
     """
 
+    ids: IntArray
     pixels: PixelList
     surface: Surface
     depth_pixels: PixelList
@@ -70,127 +73,92 @@ class MeshDrawer:
 
     Args:
         rasteriser: Made for that topology; it stays its owner's.
-        face_weights: How much more often than others a pixel of each triangle is drawn, ``[F]``.
+        face_weights: How much more often than others a pixel of each triangle is drawn, ``[F]``;
+            all alike without.
     """
 
     def __init__(
         self,
         rasteriser: Rasteriser,
         topology: Topology,
-        face_weights: FloatArray,
+        face_weights: FloatArray | None = None,
         device: torch.device | str = "cpu",
     ) -> None:
         self.rasteriser = rasteriser
         faces = topology.faces.astype(np.int64)
         self._faces = torch.from_numpy(faces).to(device)
         self._face_uv = torch.from_numpy(np.float32(topology.vertex_uv[faces])).to(device)
-        self._face_weights = np.append(face_weights, 0).astype(np.float32)
-        self._ids = np.zeros((0, 0), np.int32)
-        self._cameras: list[Camera] = []
-
-    def rasterise(self, vertices_m: Tensor, cameras: list[Camera]) -> None:
-        """Find the triangle of every pixel of N images.
-
-        Args:
-            vertices_m: ``[N, V, 3]``.
-        """
-        meshes = vertices_m.detach().to("cpu", torch.float32).numpy()
-        self._ids = self.rasteriser.batch_ids(meshes, cameras).reshape(len(cameras), -1)
-        self._cameras = cameras
+        self._face_weights = np.ones(len(faces), np.float32)
+        if face_weights is not None:
+            self._face_weights = face_weights.astype(np.float32)
 
     def draw(
         self,
         vertices_m: Tensor,
-        rngs: list[np.random.Generator],
+        cameras: list[Camera],
+        rngs: list[np.random.Generator] | None = None,
         *,
-        pixels_per_image: int,
-        normals: bool,
-        detach_xyz: bool,
+        pixels_per_image: int = 0,
+        normals: bool = False,
     ) -> DrawnPixels:
-        """Draw covered pixels of the images that `rasterise` saw, and interpolate there.
+        """Find the triangle of every pixel of N images, draw covered ones, and interpolate there.
 
         Args:
-            vertices_m: As for `rasterise`; gradients flow there.
+            vertices_m: ``[N, V, 3]``; gradients flow there.
+            rngs: Choose among the pixels of each image; without, all are drawn.
             pixels_per_image: About how many; 0 for all.
         """
-        size = self._ids.shape[1]
+        meshes = vertices_m.detach().to("cpu", torch.float32).numpy()
+        ids = self.rasteriser.batch_ids(meshes, cameras)
+        size, width = ids[0].size, cameras[0].width
+        choices: Sequence[np.random.Generator | None] = rngs or [None] * len(ids)
         parts = [
-            index * size + self._choose(ids, rng, pixels_per_image)
-            for index, (ids, rng) in enumerate(zip(self._ids, rngs, strict=True))
+            index * size + self._choose(own.reshape(-1), rng, pixels_per_image)
+            for index, (own, rng) in enumerate(zip(ids, choices, strict=True))
         ]
-        chosen = np.concatenate(parts)
-        centre = np.zeros(0, np.int64)
-        width = self._cameras[0].width
-        wanted = chosen
+        wanted = chosen = np.concatenate(parts)
         if normals:
             every = 1 if pixels_per_image == 0 else NORMAL_SHARE
-            centre = self._with_neighbours(np.concatenate([part[::every] for part in parts]))
-            mark = np.zeros(self._ids.size, bool)
+            centre = _with_neighbours(ids, np.concatenate([part[::every] for part in parts]))
+            mark = np.zeros(ids.size, bool)
             for places in (chosen, centre + 1, centre + width):
                 mark[places] = True
             wanted = np.flatnonzero(mark)
             place = np.cumsum(mark) - 1
-        hits, triangles = self._hits(vertices_m, wanted)
-        pixels = self._list(chosen)
-        own, at = None, [hits.image[:0]] * 3
+        views, listed = Views.of(cameras, vertices_m), PixelList(*np.divmod(wanted, size))
+        triangle = ids.reshape(-1)[wanted].astype(np.int64)
+        image, pixel, triangles = (
+            torch.from_numpy(values).to(vertices_m.device) for values in (*listed, triangle)
+        )
+        hits = hit_points(views.see(vertices_m), self._faces, views, image, pixel, triangles)
+        points, at = [*hits, triangles], [image[:0]] * 3
         if normals:
             own, *at = (
-                torch.from_numpy(place[places]).to(hits.image.device)
+                torch.from_numpy(place[places]).to(image.device)
                 for places in (chosen, centre, centre + 1, centre + width)
             )
-        surface = self._surface(vertices_m, hits, triangles, own, detach_xyz=detach_xyz)
-        return DrawnPixels(
-            pixels, surface, self._list(wanted), hits.depth_m, hits.image, hits.rays, *at
-        )
-
-    def _hits(self, vertices_m: Tensor, wanted: Int64Array) -> tuple[Hits, Tensor]:
-        pixels, device = self._list(wanted), vertices_m.device
-        triangles = torch.from_numpy(self._ids.reshape(-1)[wanted].astype(np.int64)).to(device)
-        views = Views.of(self._cameras, vertices_m)
-        image, pixel = (torch.from_numpy(values).to(device) for values in pixels)
-        hits = hit_points(views.see(vertices_m), self._faces, views, image, pixel, triangles)
-        return hits, triangles
-
-    def _surface(
-        self,
-        vertices_m: Tensor,
-        hits: Hits,
-        triangles: Tensor,
-        own: Tensor | None,
-        *,
-        detach_xyz: bool,
-    ) -> Surface:
-        """Surface points of all hits, or of some by their indices."""
-        weights, depth_m, rays, image = hits.weights, hits.depth_m, hits.rays, hits.image
-        if own is not None:
-            weights, depth_m = weights.index_select(0, own), depth_m.index_select(0, own)
-            rays, image, triangles = rays[own], image[own], triangles[own]
+            points = [values.index_select(0, own) for values in points]
+        image, weights, depth_m, rays, triangles = points
         uv = (weights[:, :, None] * self._face_uv.index_select(0, triangles)).sum(1)
-        if detach_xyz:
-            depth_m = depth_m.detach()
-        xyz_m = Views.of(self._cameras, vertices_m).to_head(image, rays * depth_m[:, None])
-        return Surface(image, uv, xyz_m)
+        surface = Surface(image, uv, views.to_head(image, rays * depth_m[:, None]))
+        pixels = PixelList(*np.divmod(chosen, size))
+        return DrawnPixels(ids, pixels, surface, listed, hits.depth_m, hits.image, hits.rays, *at)
 
-    def _list(self, flat: Int64Array) -> PixelList:
-        image = flat // self._ids.shape[1]
-        return PixelList(image, flat - image * self._ids.shape[1])
-
-    def _choose(self, ids: IntArray, rng: np.random.Generator, wanted: int) -> Int64Array:
+    def _choose(self, ids: IntArray, rng: np.random.Generator | None, wanted: int) -> Int64Array:
         """Covered pixels of an image, each with its chance, so that about `wanted` come."""
         covered: Int64Array = np.flatnonzero(ids >= 0)
-        if wanted == 0 or len(covered) <= wanted:
+        if rng is None or wanted == 0 or len(covered) <= wanted:
             return covered
         weights = self._face_weights[ids[covered]]
         drawn = rng.random(len(covered), np.float32) * np.float32(weights.sum() / wanted) < weights
         chosen: Int64Array = covered[drawn]
         return chosen
 
-    def _with_neighbours(self, places: Int64Array) -> Int64Array:
-        """Those of some pixels whose right and lower neighbours are covered, too."""
-        camera = self._cameras[0]
-        column = places % camera.width
-        row = places // camera.width % camera.height
-        places = places[(column + 1 < camera.width) & (row + 1 < camera.height)]
-        flat = self._ids.reshape(-1)
-        kept: Int64Array = places[(flat[places + 1] >= 0) & (flat[places + camera.width] >= 0)]
-        return kept
+
+def _with_neighbours(ids: IntArray, places: Int64Array) -> Int64Array:
+    """Those of some covered pixels whose right and lower neighbours are covered, too."""
+    covered = ids >= 0
+    both = np.zeros_like(covered)
+    both[:, :-1, :-1] = covered[:, :-1, 1:] & covered[:, 1:, :-1]
+    kept: Int64Array = places[both.reshape(-1)[places]]
+    return kept

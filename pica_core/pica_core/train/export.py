@@ -11,7 +11,6 @@ from pica_core.avatar.baseline import BaselineAvatar
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.linear import RANK
 from pica_core.avatar.manifest import Manifest, ViewSpan
-from pica_core.codec.profile import StreamProfile
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.baseline import DeepAppearanceModel
 from pica_core.model.interface import AvatarModel
@@ -28,19 +27,12 @@ LATENT_HEADROOM = 1.25
 
 
 def avatar_tensors(
-    model: PixelCodecAvatar,
-    vertex_uv: FloatArray,
-    faces: IntArray,
+    model: PixelCodecAvatar, vertex_uv: FloatArray, faces: IntArray
 ) -> dict[str, npt.NDArray[np.generic]]:
-    """A model's weights as the avatar file's tensors.
+    """A model's weights as the avatar file's tensors, with UVs ``[V, 2]`` and triangles ``[F, 3]``.
 
     The unit of the xyz input is folded into the first xyz layer, so that the file's weights apply
     to metres.
-
-    Args:
-        model: The trained model.
-        vertex_uv: ``[V, 2]``.
-        faces: ``[F, 3]``.
     """
     pixel = model.pixel_decoder
     tensors: dict[str, Tensor] = {
@@ -78,17 +70,15 @@ def make_avatar(
     licence: str,
     model_card: Mapping[str, str],
     variant: str = "full",
-    stream: StreamProfile | None = None,
 ) -> Avatar:
-    """The avatar of a trained model, with the mesh that it draws, and the tables of its latent
-    stream if there are any.
+    """The avatar of a trained model, with the mesh that it draws.
 
     The latent's 8-bit range comes from the expression encoder's codes of all training frames, since
     those are what a sender sends.
     """
     with torch.no_grad():
         codes = model.expression_encoder(data.arkit[data.train_frames])
-    scale = codes.abs().amax(dim=(0, 2, 3)).clamp_min(1e-3) * LATENT_HEADROOM
+    scale = (codes.abs().amax(dim=(0, 2, 3)).clamp_min(1e-3) * LATENT_HEADROOM).tolist()
     low_m, high_m = _bounds_m(data)
     manifest = Manifest(
         name=name,
@@ -96,7 +86,7 @@ def make_avatar(
         licence=licence,
         spec=model.spec,
         position_scale_m=model.position_scale_m,
-        latent_scale=_four(scale.tolist()),
+        latent_scale=(scale[0], scale[1], scale[2], scale[3]),
         bounds_min_m=low_m,
         bounds_max_m=high_m,
         variant=variant,
@@ -105,8 +95,6 @@ def make_avatar(
     )
     topology = data.meshes.topology(model.topology)
     tensors = avatar_tensors(model, topology.vertex_uv, topology.faces)
-    if stream is not None:
-        tensors |= stream.to_tensors()
     return Avatar(manifest, tensors)
 
 
@@ -139,8 +127,8 @@ def _bounds_m(
 ) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
     """A box around all training meshes, head frame, metres."""
     train = data.meshes.dense_m[data.train_frames]
-    low, high = train.min((0, 1)) - MARGIN_M, train.max((0, 1)) + MARGIN_M
-    return _three(low.tolist()), _three(high.tolist())
+    low, high = (train.min((0, 1)) - MARGIN_M).tolist(), (train.max((0, 1)) + MARGIN_M).tolist()
+    return (low[0], low[1], low[2]), (high[0], high[1], high[2])
 
 
 def _view_span(data: TrainingData) -> ViewSpan:
@@ -158,11 +146,3 @@ def _view_span(data: TrainingData) -> ViewSpan:
     low, high = np.percentile(angles, [1, 99], axis=1).round(1)
     low, high = np.minimum(low, -1.0), np.maximum(high, 1.0)
     return ViewSpan(float(low[0]), float(high[0]), float(low[1]), float(high[1]))
-
-
-def _three(values: list[float]) -> tuple[float, float, float]:
-    return values[0], values[1], values[2]
-
-
-def _four(values: list[float]) -> tuple[float, float, float, float]:
-    return values[0], values[1], values[2], values[3]

@@ -24,15 +24,8 @@ class DivergenceGuard:
         self._high = 0
 
     def check(self, phase: str, losses: Mapping[str, float]) -> str | None:
-        """Take the losses of a step.
-
-        Args:
-            phase: A new phase begins a new memory.
-            losses: Weighted, by name.
-
-        Returns:
-            What is wrong, in words, or None.
-        """
+        """Take the losses of a step, weighted, by name, and say what is wrong with them. A new
+        phase begins a new memory."""
         if phase != self._phase:
             self._phase, self._steps, self._high = phase, 0, 0
         broken = [name for name, value in losses.items() if not math.isfinite(value)]
@@ -49,7 +42,3 @@ class DivergenceGuard:
         self._usual = total if self._steps == 0 else MEMORY * usual + (1 - MEMORY) * total
         self._steps += 1
         return None
-
-    def forget(self) -> None:
-        """Begin anew, after a run went back."""
-        self._phase = ""

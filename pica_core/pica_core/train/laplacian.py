@@ -20,19 +20,18 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from pica_core.capture.dataset.dataset import Topology
 from pica_core.train.losses import MILLIMETRES, mean_norm
-from pica_core.types import BoolArray, Float64Array, FloatArray, Int64Array
+from pica_core.types import Float64Array, FloatArray, Int64Array
 
 COTANGENT_LIMIT = 50.0
 """Largest size of a cotangent (chosen: angles from 1 to 179 degrees go through)."""
 LEAST_WEIGHT = 1e-6
 """Smallest weight of an edge: a row without any other averages its neighbours alike."""
-ROUGH_WEIGHT = 1.25
-"""W_L at hair and mouth (paper A.2)."""
+ROUGH_WEIGHTS = {"hair": 1.25, "mouth": 1.25}
+"""W_L by region of a topology (paper A.2)."""
 PLAIN_WEIGHT = 0.25
 """W_L elsewhere (paper A.2)."""
-ROUGH_REGIONS = ("hair", "mouth")
-"""Regions of a topology that take `ROUGH_WEIGHT`."""
 MEAN_RATE = 1e-4
 """How fast the mean mesh follows a batch (paper A.2, lambda_mu)."""
 
@@ -67,13 +66,9 @@ def cotangent_weights(
     return unique, np.maximum(weights, LEAST_WEIGHT)
 
 
-def smoothness_weights(regions: dict[str, BoolArray], num_vertices: int) -> FloatArray:
-    """The diagonal of W_L: 1.25 on hair and mouth, 0.25 elsewhere. float32 ``[V]``."""
-    weights = np.full(num_vertices, PLAIN_WEIGHT, np.float32)
-    for name in ROUGH_REGIONS:
-        if name in regions:
-            weights[regions[name]] = ROUGH_WEIGHT
-    return weights
+def smoothness_weights(topology: Topology) -> FloatArray:
+    """The diagonal of W_L. float32 ``[V]``."""
+    return topology.by_region(ROUGH_WEIGHTS, PLAIN_WEIGHT).astype(np.float32)
 
 
 class _SparseProduct(torch.autograd.Function):
@@ -159,12 +154,9 @@ def laplacian_smoothness(
 
 @torch.no_grad()
 def follow_mean(mean_m: Tensor, vertices_m: Tensor) -> None:
-    """V_mu <- (1 - rate) V_mu + rate times the batch's mean, in place, without gradient.
+    """V_mu <- (1 - rate) V_mu + rate times the mean of a batch of meshes ``[N, V, 3]``, in place,
+    without gradient.
 
     Source: appendix A.2, the update of the regularisation target; the rate is `MEAN_RATE`.
-
-    Args:
-        mean_m: V_mu, metres, ``[V, 3]``.
-        vertices_m: Decoded meshes of a batch, metres, ``[N, V, 3]``.
     """
     mean_m.lerp_(vertices_m.detach().mean(0), MEAN_RATE)

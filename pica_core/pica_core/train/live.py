@@ -24,12 +24,8 @@ CHUNK = 64
 
 
 def regress(arkit: Tensor, wanted: Tensor) -> tuple[Tensor, Tensor]:
-    """Matrix ``[D, 52 + B]`` and offset ``[D]`` from lifted expressions to values, float64.
-
-    Args:
-        arkit: Expressions ``[N, 52]``.
-        wanted: ``[N, D]``.
-    """
+    """Matrix ``[D, 52 + B]`` and offset ``[D]`` from lifted expressions, of ``[N, 52]``, to values
+    ``[N, D]``, float64."""
     given, wanted = ExpressionEncoder.lifted(arkit.double()), wanted.double()
     mean, rest = given.mean(0), wanted.mean(0)
     offsets = given - mean

@@ -12,7 +12,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,6 @@ from pica_core.errors import (
     TrainingDivergedError,
     TrainingMemoryError,
 )
-from pica_core.model.bases import BENT_M
 from pica_core.train.checkpoint import NAME, read_checkpoint, write_checkpoint
 from pica_core.train.config import PHASES, TrainConfig
 from pica_core.train.data.training import TrainingData
@@ -36,13 +35,7 @@ from pica_core.train.guard import DivergenceGuard
 from pica_core.train.held_out import draw_held_out
 from pica_core.train.monitor import Monitor
 from pica_core.train.objectives import Objectives
-from pica_core.train.optimiser import (
-    clip_groups,
-    make_optimiser,
-    parameters_of,
-    rate_ratio,
-    set_rates,
-)
+from pica_core.train.optimiser import clip_groups, make_optimiser, rate_ratio
 from pica_core.train.parallel import Ranks
 from pica_core.train.prior import face_prior
 from pica_core.train.rasterise import Rasteriser
@@ -67,11 +60,8 @@ class Trainer:
     """Trains one avatar on one capture.
 
     Args:
-        data: The capture as tensors.
-        config: Options of the run.
         run_dir: Where ``checkpoint.pt`` and ``metrics.jsonl`` go; made if missing.
         rasteriser: Made for the mesh that the model draws; it stays its owner's.
-        device: Where to compute.
         ranks: This process among those that train together.
 
     Attributes:
@@ -116,23 +106,12 @@ class Trainer:
             driver = live if self._has_live_steps else min(driver, 1)
             joint -= live if self._has_live_steps else 0
         self._steps = geometry, joint, driver
-        if prior.linear is not None and prior.linear.unexplained_m > BENT_M:
-            self.objectives.notes.append(
-                f"bases of three in four training meshes leave "
-                f"{1e3 * prior.linear.unexplained_m:.2f} mm in the worst region of the others: "
-                "the face bends much, or more frames are needed"
-            )
-        if prior.linear is not None and prior.linear.left_out:
-            named = ", ".join(prior.linear.left_out[:8])
-            self.objectives.notes.append(
-                f"{len(prior.linear.left_out)} meshes are unlike all others and made no bases: "
-                f"{named}"
-            )
-        trains = dict(zip(PHASES, PHASES, strict=True))
-        trains |= {"driver": "live"} if self._has_live_steps else {}
+        if prior.linear is not None:
+            self.objectives.notes += prior.linear.notes
+        last = "live" if self._has_live_steps else "driver"
         self._optimisers = {
             phase: make_optimiser(self.model, config.schedule, what)
-            for phase, what in trains.items()
+            for phase, what in zip(PHASES, (*PHASES[:-1], last), strict=True)
         }
 
     @property
@@ -151,9 +130,7 @@ class Trainer:
     def run(self, on_step: Callable[[int, str, Losses], bool] | None = None) -> None:
         """Train from the current step to the end, with checkpoints on the way and at the end.
 
-        Args:
-            on_step: Called after every step with the step's number, phase and losses; returns
-                whether to go on.
+        `on_step` is told each step's number, phase and losses, and says whether to go on.
 
         Raises:
             TrainingDivergedError: Losses are not finite or explode, and going back has not helped.
@@ -161,13 +138,10 @@ class Trainer:
             TrainingMemoryError: A batch does not fit.
             CheckpointError: A checkpoint cannot be written. The one before stays.
         """
-        monitor = Monitor(self.run_dir, is_silent=not self.ranks.is_first)
-        try:
+        with closing(Monitor(self.run_dir, is_silent=not self.ranks.is_first)) as monitor:
             for note in self.objectives.notes:
                 monitor.note(self.step, note)
             self._run(monitor, on_step)
-        finally:
-            monitor.close()
 
     def _run(self, monitor: Monitor, on_step: Callable[[int, str, Losses], bool] | None) -> None:
         guard = DivergenceGuard()
@@ -184,7 +158,7 @@ class Trainer:
                 problem = "weights not finite"
             if problem is not None:
                 self._go_back(monitor, phase, problem)
-                guard.forget()
+                guard = DivergenceGuard()
                 first, first_s = self.step, self.seconds
                 continue
             if self.step % METRICS_EVERY == 0:
@@ -200,8 +174,8 @@ class Trainer:
                 self.save()
                 saved_at = self.step
             goes_on = on_step is None or on_step(self.step, phase, losses)
-            if not self._all_go_on(goes_on):
-                break
+            if self.ranks.average(torch.tensor(float(goes_on))) < 1:
+                break  # all processes stop if one does
         if saved_at != self.step:
             self.save()
 
@@ -221,7 +195,9 @@ class Trainer:
         noise = torch.Generator().manual_seed(self.config.seed * 1_000_003 + self.step)
         optimiser, kind = self._optimisers[phase], self._kind_of(self.step)
         ratio = 1.0 if schedule.constant_rate else rate_ratio(index, length)
-        set_rates(optimiser, self._rate_scale * ratio)
+        groups = optimiser.param_groups
+        for group in groups:
+            group["lr"] = group["peak"] * (self._rate_scale * ratio)
         optimiser.zero_grad(set_to_none=True)
         after = self.step + 1
         if after < self.total_steps and self._kind_of(after) == "joint":
@@ -231,12 +207,13 @@ class Trainer:
             with record_function("backward"):
                 total = sum(losses.values(), torch.zeros((), device=self.device))
                 total.backward()  # type: ignore[no-untyped-call]
-                self.ranks.average_gradients(parameters_of(optimiser))
+                self.ranks.average_gradients(p for group in groups for p in group["params"])
             with record_function("optimiser"):
                 clip_groups(optimiser, schedule.clip_norm)
                 optimiser.step()
         except (MemoryError, RuntimeError) as error:
-            if isinstance(error, PicaCoreError) or not _is_out_of_memory(error):
+            told = isinstance(error, MemoryError) or any(text in str(error) for text in _NO_MEMORY)
+            if isinstance(error, PicaCoreError) or not told:
                 raise
             batch = getattr(schedule, f"{kind}_batch")
             pixels = schedule.pixels_per_image or "all"
@@ -267,10 +244,6 @@ class Trainer:
                 return self.objectives.live(rng, [self.config.seed, self.step])
             case _:
                 return self.objectives.driver(rng)
-
-    def encode(self, frames: list[int]) -> tuple[Tensor, Tensor]:
-        """The encoder's mean and log-variance of frames, ``[N, 4, 8, 8]`` each."""
-        return self.objectives.encode(frames)
 
     def save(self) -> Path:
         """Write the checkpoint aside, then move it into place; the first process does it for all.
@@ -368,21 +341,12 @@ class Trainer:
             sums = torch.stack([p.sum() for p in self.model.parameters()])
         return bool(torch.isfinite(sums).all())
 
-    def _all_go_on(self, goes_on: bool) -> bool:
-        if self.ranks.count == 1:
-            return goes_on
-        return float(self.ranks.average(torch.tensor(float(goes_on)))) == 1.0
-
     def _watch(self, monitor: Monitor) -> None:
         if self.ranks.is_first:
             mse, picture = draw_held_out(self.objectives)
             monitor.row(self.step, "held_out", {"seconds": round(self.seconds, 2), "mse": mse})
             monitor.picture(self.step, picture)
         self.ranks.wait()
-
-
-def _is_out_of_memory(error: BaseException) -> bool:
-    return isinstance(error, MemoryError) or any(text in str(error) for text in _NO_MEMORY)
 
 
 @contextmanager

@@ -35,15 +35,11 @@ def equal_shares(
     *,
     dtype: torch.dtype = torch.float32,
 ) -> Tensor:
-    """Weights of pixels by which each image's pixels add up to 1 / N.
+    """Weights of pixels, ``[P]``, by which each image's pixels add up to 1 / N.
 
     Args:
         image: Which image each pixel is of, int64 ``[P]``.
-        num_images: N.
         mask: Pixels that count, bool ``[P]``; all without it. An image without any adds up to 0.
-
-    Returns:
-        ``[P]``.
     """
     counted = torch.ones_like(image, dtype=dtype) if mask is None else mask.to(dtype)
     counts = counted.new_zeros(num_images).index_add(0, image, counted)
@@ -51,11 +47,9 @@ def equal_shares(
 
 
 def image_loss(predicted: Tensor, observed: Tensor, share: Tensor, chroma: float = 0.0) -> Tensor:
-    """Mean squared difference of colours, where 1.0 is 255 of 8-bit sRGB.
+    """Mean squared difference of colours ``[P, 3]``, where 1.0 is 255 of 8-bit sRGB.
 
     Args:
-        predicted: ``[P, 3]``.
-        observed: ``[P, 3]``.
         share: From `equal_shares`, ``[P]``.
         chroma: How much more what is left of the difference counts when that of the luma (ITU-R
             BT.601) is taken off.
@@ -72,20 +66,17 @@ def depth_mask(predicted_m: Tensor, observed_m: Tensor, limit_m: float = DEPTH_L
     Args:
         predicted_m: Depth of the decoded mesh along the camera's axis, metres, ``[P]``.
         observed_m: Measured depth, metres, 0 where unknown, ``[P]``.
-        limit_m: Largest error that counts, metres.
     """
     return (observed_m > 0) & ((predicted_m.detach() - observed_m).abs() < limit_m)
 
 
 def depth_loss(predicted_m: Tensor, observed_m: Tensor, mask: Tensor, share: Tensor) -> Tensor:
-    """Mean absolute depth error, millimetres, over pixels of known depth.
+    """Mean absolute depth error, millimetres, over P pixels of known depth.
 
     Pixels outside `mask` count as 0: the more of them, the weaker the loss. 0 where nothing is
     known.
 
     Args:
-        predicted_m: ``[P]``.
-        observed_m: ``[P]``, 0 where unknown.
         mask: From `depth_mask`, ``[P]``.
         share: From `equal_shares` of the pixels with known depth, ``[P]``.
     """
@@ -94,15 +85,13 @@ def depth_loss(predicted_m: Tensor, observed_m: Tensor, mask: Tensor, share: Ten
 
 
 def screen_normals(points: Tensor, right: Tensor, below: Tensor) -> Tensor:
-    """Unit normals of a depth image by forward differences, towards the camera.
+    """Unit normals of a depth image by forward differences, towards the camera, ``[P, 3]``; the
+    zero vector where the three points lie on a line.
 
     Args:
         points: Surface points of P pixels in camera axes (x right, y down, z forward), ``[P, 3]``.
         right: The same of each pixel's right neighbour, ``[P, 3]``.
         below: The same of the neighbour below, ``[P, 3]``.
-
-    Returns:
-        ``[P, 3]``; the zero vector where the three points lie on a line.
     """
     normals = torch.linalg.cross(below - points, right - points)
     # Points are metres apart by fractions of a millimetre: keep the smallest useful area.
@@ -111,11 +100,9 @@ def screen_normals(points: Tensor, right: Tensor, below: Tensor) -> Tensor:
 
 
 def normal_loss(predicted: Tensor, observed: Tensor, share: Tensor) -> Tensor:
-    """Mean squared distance of unit normals, 0 to 4.
+    """Mean squared distance of unit normals ``[P, 3]``, 0 to 4.
 
     Args:
-        predicted: ``[P, 3]``.
-        observed: ``[P, 3]``.
         share: From `equal_shares` of the pixels whose own depth and neighbours' depths pass
             `depth_mask`, ``[P]``.
     """
@@ -142,12 +129,10 @@ def mean_norm(values: Tensor) -> Tensor:
 
 
 def gradient_smoothness(position_map_m: Tensor) -> Tensor:
-    """Differences of neighbouring texels along rows and along columns: RMS of each, added, mm.
+    """Differences of neighbouring texels of position maps G (metres, ``[N, 3, H, W]``) along rows
+    and along columns: RMS of each, added, mm.
 
     Source: appendix A.2, "Gradient Smoothness".
-
-    Args:
-        position_map_m: Decoded position maps G, metres, ``[N, 3, H, W]``.
     """
     map_mm = position_map_m * MILLIMETRES
     along_x = map_mm[..., :, 1:] - map_mm[..., :, :-1]

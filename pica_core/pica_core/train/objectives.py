@@ -6,6 +6,7 @@ driver      code, mesh
 live        image, of poses by the live encoder
 """
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -44,6 +45,7 @@ from pica_core.train.losses import (
 )
 from pica_core.train.parallel import Ranks
 from pica_core.train.rasterise import Rasteriser
+from pica_core.types import Array, Image
 
 DRIVER_MESHES = 8
 """A step of the driver phase decodes the mesh of every eighth frame of its batch."""
@@ -51,21 +53,16 @@ MASKED_REGION = "mouth"
 """Where a tracked mesh teaches nothing (paper 5, W_M)."""
 MAX_PICTURES = 1024
 """Pictures of poses that are kept in memory."""
-Image = tuple[int, str]
-Images = list[Image]
-"""Frame and camera of each image of a batch."""
+Place = tuple[int, str]
+"""Frame and camera of an image."""
 
 
 class Objectives:
     """Losses of one model on one capture.
 
     Args:
-        data: The capture.
-        config: Weights and batch sizes.
-        model: The model, on `device`.
         rasteriser: Made for the mesh that the model draws; it stays its owner's.
         ranks: Which part of every batch is this process's.
-        device: Where models and batches are.
 
     Attributes:
         drawer: Draws the model's mesh.
@@ -107,8 +104,7 @@ class Objectives:
         self._laplacian: MeshLaplacian | None = None
         if losses.smooth and losses.laplacian:
             self._laplacian = MeshLaplacian(neutral_m, topology.faces, device=device)
-            rough = smoothness_weights(topology.regions, len(topology.vertex_uv))
-            self._rough = torch.from_numpy(rough).to(device)
+            self._rough = torch.from_numpy(smoothness_weights(topology)).to(device)
         self._codes: tuple[dict[int, Tensor], Tensor] | None = None
         self._poses = None
         if isinstance(getattr(model, "geometry", None), LinearGeometry):
@@ -153,29 +149,29 @@ class Objectives:
             noise: Draws latents, the same in all processes.
             pixel_seed: Seed of the choice of pixels; the image's number in the batch is added.
         """
-        config, weights = self.config, self.config.losses
         images, numbers = self._draw_images(rng)
         rngs = [np.random.default_rng([*pixel_seed, number]) for number in numbers]
         with record_function("data"):
             images = [self._readable(image, rng_) for image, rng_ in zip(images, rngs, strict=True)]
         frames = [frame for frame, _ in images]
         cameras = [self.data.images.camera(frame, name) for frame, name in images]
-        view = torch.from_numpy(np.stack([view_direction(camera) for camera in cameras]))
         with record_function("encode"):
             latent, kl = self._latent(frames, noise)
         with record_function("decode"):
             mesh = self.model.decode_mesh(latent)
-            appearance = self.model.appearance(latent, view.to(self.device))
-        drawn = self._drawn(mesh, cameras, rngs, normals=weights.normal > 0 and self._wants_depth)
+        wants_normals = self.config.losses.normal > 0 and self._wants_depth
+        drawn, colours = self._shaded(
+            latent,
+            mesh,
+            cameras,
+            rngs,
+            normals=wants_normals,
+            detach_xyz=self.config.detach_pixel_xyz,
+        )
         with record_function("data"):
-            observed = self.colours(images, drawn.pixels)
-        with record_function("pixel"):
-            colours = self.model.shade(
-                appearance, drawn.surface, detach_xyz=config.detach_pixel_xyz
-            )
+            pictures = [self.data.images.image(frame, name) for frame, name in images]
         with record_function("loss"):
-            share = equal_shares(drawn.surface.image, len(frames))
-            losses = {"image": weights.image * image_loss(colours, observed, share, weights.chroma)}
+            losses = {"image": self._image(colours, pictures, drawn)}
             losses |= self._depth(images, drawn)
             losses["mesh"] = self._mesh(mesh, frames)
             losses |= self._priors(mesh, kl)
@@ -187,36 +183,27 @@ class Objectives:
         Args: as for `joint`.
         """
         assert self._poses is not None
-        weights, count = self.config.losses, self.config.schedule.live_batch * self.ranks.count
+        count = self.config.schedule.live_batch * self.ranks.count
         poses = self.ranks.mine(rng.integers(len(self._poses.arkit), size=count).tolist())
         rngs = [np.random.default_rng([*pixel_seed, n]) for n in self.ranks.mine([*range(count)])]
         cameras = [self.data.capture.camera(self._poses.cameras[pose]) for pose in poses]
-        view = torch.from_numpy(np.stack([view_direction(camera) for camera in cameras]))
         with record_function("data"):
-            pictures = np.stack([self._picture(pose) for pose in poses])
+            pictures = [self._picture(pose) for pose in poses]
         with record_function("decode"):
             arkit = torch.from_numpy(self._poses.arkit[poses]).to(self.device)
             latent = self.model.expression_encoder(arkit)
             latent = torch.cat([latent[:, :1].detach(), latent[:, 1:]], 1)
             mesh = self.model.decode_mesh(latent)
-            appearance = self.model.appearance(latent, view.to(self.device))
-        drawn = self._drawn(mesh, cameras, rngs, share=2)
-        with record_function("pixel"):
-            colours = self.model.shade(appearance, drawn.surface)
+        drawn, colours = self._shaded(latent, mesh, cameras, rngs, share=2)
         with record_function("loss"):
-            image, pixel = drawn.pixels
-            observed = torch.from_numpy(pictures.reshape(len(poses), -1, 3)[image, pixel])
-            observed = observed.to(self.device, torch.float32) / 255
-            share = equal_shares(drawn.surface.image, len(poses))
-            loss = image_loss(colours, observed, share, weights.chroma)
-            return {"live": weights.image * loss}
+            return {"live": self._image(colours, pictures, drawn)}
 
     def expect(self, rng: np.random.Generator) -> None:
         """Have the images decoded that a joint step with this `rng` will need."""
         images, _ = self._draw_images(rng)
         self.data.images.expect(images, depth=self._wants_depth)
 
-    def _draw_images(self, rng: np.random.Generator) -> tuple[Images, list[int]]:
+    def _draw_images(self, rng: np.random.Generator) -> tuple[list[Place], list[int]]:
         """This process's images of a joint batch, and their numbers in the whole batch."""
         frames, numbers = self._draw(self.config.schedule.joint_batch, rng)
         places = self.ranks.mine(rng.random(len(frames) * self.ranks.count).tolist())
@@ -226,7 +213,7 @@ class Objectives:
             images.append((frame, names[int(place * len(names))]))
         return images, numbers
 
-    def _readable(self, image: Image, rng: np.random.Generator) -> Image:
+    def _readable(self, image: Place, rng: np.random.Generator) -> Place:
         """The image, or one of another camera if it cannot be read."""
         frame, name = image
         while True:
@@ -265,40 +252,52 @@ class Objectives:
             matrix[GEOMETRY], offset[GEOMETRY] = regress_geometry(self._poses, bases, weight)
         self.model.expression_encoder.start_from(matrix.float(), offset.float())
 
-    def _drawn(
+    def _shaded(
         self,
+        latent: Tensor,
         mesh: DecodedMesh,
         cameras: list[Camera],
         rngs: list[np.random.Generator],
         *,
         normals: bool = False,
+        detach_xyz: bool = True,
         share: int = 1,
-    ) -> DrawnPixels:
+    ) -> tuple[DrawnPixels, Tensor]:
         """Pixels of meshes through cameras, a generator's choice in each image: 1 / `share` of the
-        usual number."""
+        usual number; and the model's colours of them."""
+        view = torch.from_numpy(np.stack([view_direction(camera) for camera in cameras]))
+        with record_function("decode"):
+            appearance = self.model.appearance(latent, view.to(self.device))
         with record_function("raster"):
-            self.drawer.rasterise(mesh.vertices_m, cameras)
-            return self.drawer.draw(
+            drawn = self.drawer.draw(
                 mesh.vertices_m,
+                cameras,
                 rngs,
                 pixels_per_image=self.config.schedule.pixels_per_image // share,
                 normals=normals,
-                detach_xyz=self.config.detach_pixel_xyz,
             )
+        with record_function("pixel"):
+            return drawn, self.model.shade(appearance, drawn.surface, detach_xyz=detach_xyz)
 
-    def colours(self, images: Images, pixels: PixelList) -> Tensor:
-        """What the capture shows at pixels, 0 to 1, ``[P, 3]``."""
-        parts = []
-        for index, (frame, name) in enumerate(images):
-            here = pixels.pixel[pixels.image == index]
-            parts.append(self.data.images.image(frame, name).reshape(-1, 3)[here])
-        values = torch.from_numpy(np.concatenate(parts)).to(self.device)
-        return values.to(torch.float32) / 255
+    def _image(self, colours: Tensor, pictures: list[Image], drawn: DrawnPixels) -> Tensor:
+        """The image loss against one picture for each image of a batch."""
+        weights = self.config.losses
+        observed = self._at(pictures, drawn.pixels).to(torch.float32) / 255
+        share = equal_shares(drawn.surface.image, len(pictures))
+        return weights.image * image_loss(colours, observed, share, weights.chroma)
+
+    def _at(self, images: Sequence[Array], pixels: PixelList) -> Tensor:
+        """What images ``[H, W, ...]`` hold at pixels, ``[P, ...]``."""
+        parts = [
+            image.reshape(-1, *image.shape[2:])[pixels.pixel[pixels.image == index]]
+            for index, image in enumerate(images)
+        ]
+        return torch.from_numpy(np.concatenate(parts)).to(self.device)
 
     def _draw(self, count: int, rng: np.random.Generator) -> tuple[list[int], list[int]]:
         """This process's frames of a batch, and their numbers in the whole batch."""
         balance = self.config.schedule.frame_balance
-        frames = self.data.sampler.draw(count * self.ranks.count, balance, rng)
+        frames = self.data.draw(count * self.ranks.count, balance, rng)
         return self.ranks.mine(frames), self.ranks.mine(list(range(len(frames))))
 
     def _latent(self, frames: list[int], noise: torch.Generator) -> tuple[Tensor, Tensor]:
@@ -312,18 +311,13 @@ class Objectives:
     def _mesh_weights(self) -> Tensor:
         """Importance of vertices in the mesh loss."""
         losses, data = self.config.losses, self.data
-        if data.meshes.source == "tracked":
-            regions = data.meshes.topology("tracked").regions
-            weights = np.ones(len(data.meshes.topology("tracked").vertex_uv), np.float32)
-            if MASKED_REGION in regions:
-                weights[regions[MASKED_REGION]] = 0
-            if self.model.topology == "tracked" and COVER in regions:
-                weights[regions[COVER]] = 1
-            return torch.from_numpy(weights)
         topology = data.meshes.topology(self.model.topology)
-        return torch.from_numpy(
-            vertex_importance(topology, losses.region_weight, losses.lid_weight)
-        )
+        weights = vertex_importance(topology, losses.region_weight, losses.lid_weight)
+        if data.meshes.source == "tracked":
+            covered = {COVER: 1.0} if self.model.topology == "tracked" else {}
+            tracked = data.meshes.topology("tracked")
+            weights = tracked.by_region({MASKED_REGION: 0.0, **covered}, 1.0).astype(np.float32)
+        return torch.from_numpy(weights)
 
     def _mesh(self, mesh: DecodedMesh, frames: list[int]) -> Tensor:
         if self.data.meshes.source == "truth" and self.model.topology == "dense":
@@ -351,16 +345,12 @@ class Objectives:
         losses["smooth"] = weights.smooth * smooth
         return losses
 
-    def _depth(self, images: Images, drawn: DrawnPixels) -> dict[str, Tensor]:
+    def _depth(self, images: list[Place], drawn: DrawnPixels) -> dict[str, Tensor]:
         weights = self.config.losses
         if not self._wants_depth:
             return {}
-        parts = []
-        for index, (frame, name) in enumerate(images):
-            here = drawn.depth_pixels.pixel[drawn.depth_pixels.image == index]
-            depth_m = self.data.images.depth_m(frame, name)
-            parts.append(np.zeros(len(here), np.float32) if depth_m is None else depth_m.flat[here])
-        observed_m = torch.from_numpy(np.concatenate(parts)).to(self.device)
+        depths_m = [self.data.images.depth_m(frame, name) for frame, name in images]
+        observed_m = self._at(depths_m, drawn.depth_pixels)
         mask = depth_mask(drawn.depth_m, observed_m)
         losses = {}
         if weights.depth:

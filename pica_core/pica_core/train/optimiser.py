@@ -12,18 +12,13 @@ WARMUP_RATIO = 0.02
 """Part of a phase in which the learning rate rises linearly."""
 FINAL_RATE_RATIO = 0.02
 """Learning rate at the end of a phase, against its peak; between them half a cosine."""
-
-
 LIVE_RATE_RATIO = 0.5
 """Rates on pictures of poses, when all is learned but for what they add, against the joint ones."""
 
 
 def make_optimiser(model: AvatarModel, schedule: ScheduleConfig, phase: str) -> torch.optim.Adam:
-    """Adam over the parameters of a phase; each group keeps its peak rate as ``"peak"``.
-
-    Args:
-        phase: One of `PHASES`, or "live": a driver phase with pictures of poses.
-    """
+    """Adam over the parameters of a phase, one of `PHASES` or "live", a driver phase with pictures
+    of poses; each group keeps its peak rate as ``"peak"``."""
     of = model.parameter_groups()
     match phase:
         case "geometry":
@@ -44,17 +39,6 @@ def make_optimiser(model: AvatarModel, schedule: ScheduleConfig, phase: str) -> 
         [{"params": params, "lr": rate, "peak": rate} for params, rate in groups if params],
         fused=True,
     )
-
-
-def parameters_of(optimiser: torch.optim.Optimizer) -> list[nn.Parameter]:
-    """All parameters that it trains."""
-    return [p for group in optimiser.param_groups for p in group["params"]]
-
-
-def set_rates(optimiser: torch.optim.Optimizer, ratio: float) -> None:
-    """Set every group's rate to a part of its peak."""
-    for group in optimiser.param_groups:
-        group["lr"] = group["peak"] * ratio
 
 
 def clip_groups(optimiser: torch.optim.Optimizer, norm: float) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_core.avatar.variants import VARIANTS
-from pica_core.model.bases import fit_bases, split_bases, unexplained_m
+from pica_core.model.bases import BENT_M, fit_bases, split_bases, unexplained_m
 from pica_core.model.interface import FacePrior, LinearPrior
 from pica_core.model.linear import CODE_SIZE
 from pica_core.train.data.meshes import vertex_importance
@@ -67,14 +67,25 @@ def linear_prior(data: TrainingData) -> LinearPrior:
     read = maps[:, :, texels].reshape(len(used), -1).astype(np.float64)
     products = read @ read.T
     products += RIDGE * np.trace(products) / len(products) * np.eye(len(products))
+    notes = []
+    left_m = unexplained_m(dense_m[used], CODE_SIZE, counts[:num_dense], uv)
+    if left_m > BENT_M:
+        notes.append(
+            f"bases of three in four training meshes leave {1e3 * left_m:.2f} mm in the worst "
+            "region of the others: the face bends much, or more frames are needed"
+        )
+    if both.left_out:
+        named = ", ".join(data.capture.frames[frames[i]].name for i in both.left_out[:8])
+        notes.append(
+            f"{len(both.left_out)} meshes are unlike all others and made no bases: {named}"
+        )
     return LinearPrior(
         tracked=both.select(np.arange(num_dense, len(counts), dtype=np.int32)),
         parts=split_bases(dense, uv),
         texels=texels.astype(np.int32),
         projection=_float32(np.linalg.solve(products, weights).T @ read),
         deviation_m=_float32(np.sqrt(np.square(dense.components_m).sum(2).mean(1))),
-        left_out=tuple(data.capture.frames[frames[i]].name for i in both.left_out),
-        unexplained_m=unexplained_m(dense_m[used], CODE_SIZE, counts[:num_dense], uv),
+        notes=tuple(notes),
     )
 
 

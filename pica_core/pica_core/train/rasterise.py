@@ -34,7 +34,7 @@ from pica_core.camera import Camera
 from pica_core.capture.dataset.dataset import Topology
 from pica_core.errors import GraphicsError, ShapeError
 from pica_core.gl import create_context, link_program
-from pica_core.types import FloatArray, Int64Array, IntArray
+from pica_core.types import FloatArray, IntArray
 
 # Most wheels of torch bring Triton, which has an LLVM of its own. Mesa's software GL has another;
 # when that comes first, the process dies as soon as torch's first optimiser imports Triton.
@@ -68,7 +68,6 @@ class Rasteriser:
 
     Args:
         faces: Triangles, counter-clockwise seen from outside, int32 ``[F, 3]``.
-        num_vertices: V.
 
     Raises:
         GraphicsError: No GL context, or more than 2^24 triangles.
@@ -97,9 +96,6 @@ class Rasteriser:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.release()
-
-    def release(self) -> None:
         """Give the context back; the rasteriser is useless afterwards."""
         self._target = None
         self._meshes.clear()
@@ -107,45 +103,26 @@ class Rasteriser:
         self._context.release()
 
     def triangle_ids(self, vertices_m: FloatArray, camera: Camera) -> IntArray:
-        """The triangle that each pixel centre sees; -1 where none. int32 ``[H, W]``, row 0 on top.
-
-        Args:
-            vertices_m: Head-frame metres, float32 ``[V, 3]``.
-            camera: Head-to-camera pose and intrinsics.
-        """
+        """The triangle that each pixel centre sees of a mesh in head-frame metres, ``[V, 3]``; -1
+        where none. int32 ``[H, W]``, row 0 on top."""
         ids: IntArray = self.batch_ids(vertices_m[None], [camera])[0]
         return ids
 
     def batch_ids(self, vertices_m: FloatArray, cameras: Sequence[Camera]) -> IntArray:
-        """`triangle_ids` of N meshes, each through its camera, read back at once.
-
-        Args:
-            vertices_m: Head-frame metres, float32 ``[N, V, 3]``.
-            cameras: One for each mesh, all of one image size.
-
-        Returns:
-            int32 ``[N, H, W]``.
-        """
-        target = self._draw(vertices_m, cameras)
-        ids = np.frombuffer(target.read(components=1, dtype="f4"), np.float32)
-        return self._images(ids, cameras).astype(np.int32) - 1
+        """`triangle_ids` of N meshes ``[N, V, 3]``, each through its camera, all of one image size,
+        read back at once: ``[N, H, W]``."""
+        self._draw(vertices_m, cameras)
+        return self._read(cameras, 0).astype(np.int32) - 1
 
     def batch_depths_m(self, cameras: Sequence[Camera]) -> FloatArray:
-        """Depths along the cameras' axes of what `batch_ids` drew last, 0 where nothing is.
-
-        Returns:
-            Metres, good to about 0.01 mm at 1 m; float32 ``[N, H, W]``.
-        """
-        assert self._target is not None
-        window = np.frombuffer(
-            self._target.read(components=1, attachment=-1, dtype="f4"), np.float32
-        )
-        window = self._images(window, cameras)
+        """Depths along the cameras' axes of what `batch_ids` drew last, 0 where nothing is: metres,
+        good to about 0.01 mm at 1 m, float32 ``[N, H, W]``."""
+        window = self._read(cameras, -1)
         near, far = NEAR_M, FAR_M
         depths = near * far / (far - window * (far - near))
         return np.where(window < 1, depths, 0).astype(np.float32)
 
-    def _draw(self, vertices_m: FloatArray, cameras: Sequence[Camera]) -> moderngl.Framebuffer:
+    def _draw(self, vertices_m: FloatArray, cameras: Sequence[Camera]) -> None:
         if vertices_m.shape != (len(cameras), self.num_vertices, 3):
             raise ShapeError(
                 f"vertices_m is {vertices_m.shape}; "
@@ -158,7 +135,10 @@ class Rasteriser:
         target.use()
         target.clear(0.0, 0.0, 0.0, 0.0)
         while len(self._meshes) < len(cameras):
-            self._meshes.append(self._mesh())
+            positions = self._context.buffer(reserve=self.num_vertices * 12, dynamic=True)
+            content = [(positions, "3f", "position_m")]
+            mesh = self._context.vertex_array(self._program, content, index_buffer=self._indices)
+            self._meshes.append((positions, mesh))
         for index, camera in enumerate(cameras):
             positions, vertex_array = self._meshes[index]
             positions.write(np.ascontiguousarray(vertices_m[index], np.float32))
@@ -167,18 +147,13 @@ class Rasteriser:
             target.viewport = (0, index * height, width, height)
             vertex_array.render()
         target.viewport = (0, 0, width, height * len(cameras))
-        return target
 
-    def _mesh(self) -> tuple[moderngl.Buffer, moderngl.VertexArray]:
-        positions = self._context.buffer(reserve=self.num_vertices * 12, dynamic=True)
-        vertex_array = self._context.vertex_array(
-            self._program, [(positions, "3f", "position_m")], index_buffer=self._indices
-        )
-        return positions, vertex_array
-
-    def _images(self, values: FloatArray, cameras: Sequence[Camera]) -> FloatArray:
-        """What a framebuffer read gives as ``[N, H, W]`` with row 0 on top."""
-        return values.reshape(len(cameras), cameras[0].height, cameras[0].width)[:, ::-1]
+    def _read(self, cameras: Sequence[Camera], attachment: int) -> FloatArray:
+        """What is drawn, as ``[N, H, W]`` with row 0 on top."""
+        assert self._target is not None
+        content = self._target.read(components=1, attachment=attachment, dtype="f4")
+        size = len(cameras), cameras[0].height, cameras[0].width
+        return np.frombuffer(content, np.float32).reshape(size)[:, ::-1]
 
     def _framebuffer(self, width: int, height: int) -> moderngl.Framebuffer:
         if self._target is None or self._target.size != (width, height):
@@ -203,14 +178,12 @@ class Views(NamedTuple):
     Attributes:
         rotation: Head to camera, ``[N, 3, 3]``.
         translation_m: ``[N, 3]``.
-        intrinsics: ``[N, 3, 3]``.
         inverse: Of the intrinsics, ``[N, 3, 3]``.
         width: Image columns, the same for all.
     """
 
     rotation: Tensor
     translation_m: Tensor
-    intrinsics: Tensor
     inverse: Tensor
     width: int
 
@@ -224,7 +197,6 @@ class Views(NamedTuple):
         return cls(
             stack([camera.rotation for camera in cameras]),
             stack([camera.translation_m for camera in cameras]),
-            stack([camera.intrinsics for camera in cameras]),
             stack([np.linalg.inv(camera.intrinsics) for camera in cameras]),
             cameras[0].width,
         )
@@ -234,15 +206,8 @@ class Views(NamedTuple):
         return vertices_m @ self.rotation.mT + self.translation_m[:, None]
 
     def rays(self, image: Tensor, pixels: Tensor) -> Tensor:
-        """Directions through pixel centres in camera axes, z = 1.
-
-        Args:
-            image: Which camera, int64 ``[P]``.
-            pixels: Flat index (row * W + column), int64 ``[P]``.
-
-        Returns:
-            ``[P, 3]``.
-        """
+        """Directions through pixel centres in camera axes, z = 1, ``[P, 3]``, by camera and flat
+        index (row * W + column), int64 ``[P]`` both."""
         dtype = self.inverse.dtype
         rows = torch.div(pixels, self.width, rounding_mode="floor")
         x, y = (pixels - rows * self.width).to(dtype) + 0.5, rows.to(dtype) + 0.5
@@ -260,14 +225,12 @@ class Hits(NamedTuple):
 
     Attributes:
         image: Which of the N images, int64 ``[P]``.
-        corners: Vertices of the triangle, as indices into all ``[N * V]``, int64 ``[P, 3]``.
-        weights: Of those vertices, summing to 1, ``[P, 3]``; differentiable.
+        weights: Of the triangle's vertices, summing to 1, ``[P, 3]``; differentiable.
         depth_m: Along the camera's axis, ``[P]``; differentiable.
         rays: Directions in camera axes with z = 1, ``[P, 3]``.
     """
 
     image: Tensor
-    corners: Tensor
     weights: Tensor
     depth_m: Tensor
     rays: Tensor
@@ -289,7 +252,7 @@ def hit_points(
     rays = views.rays(image, pixels)
     points = seen_m.reshape(-1, 3).index_select(0, corners.view(-1)).view(-1, 3, 3)
     weights, depth_m = interpolation_weights(points, rays)
-    return Hits(image, corners, weights, depth_m, rays)
+    return Hits(image, weights, depth_m, rays)
 
 
 def interpolation_weights(corners: Tensor, rays: Tensor) -> tuple[Tensor, Tensor]:
@@ -316,34 +279,3 @@ def interpolation_weights(corners: Tensor, rays: Tensor) -> tuple[Tensor, Tensor
     total = torch.where(is_sound, total, 1.0)
     weights = torch.where(is_sound[:, None], volumes / total[:, None], 1 / 3)
     return weights, (weights * depths).sum(1)
-
-
-def interpolate(
-    vertices_m: Tensor,
-    vertex_uv: Tensor,
-    faces: Tensor,
-    camera: Camera,
-    triangle_ids: IntArray,
-    pixels: Int64Array | Sequence[int],
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Surface coordinates, positions and depths of some covered pixels of one image.
-
-    Args:
-        vertices_m: Head-frame metres, ``[V, 3]``; gradients flow back to it.
-        vertex_uv: ``[V, 2]``.
-        faces: int64 ``[F, 3]``.
-        triangle_ids: From `Rasteriser.triangle_ids`, ``[H, W]``.
-        pixels: Flat indices (row * W + column) of covered pixels, ``[P]``.
-
-    Returns:
-        uv ``[P, 2]``, head-frame positions in metres ``[P, 3]``, depths in metres ``[P]``.
-    """
-    chosen = np.asarray(pixels, np.int64)
-    triangles = torch.from_numpy(triangle_ids.reshape(-1)[chosen].astype(np.int64))
-    flat = torch.from_numpy(chosen)
-    views = Views.of([camera], vertices_m)
-    seen = views.see(vertices_m[None])
-    hits = hit_points(seen, faces, views, torch.zeros_like(flat), flat, triangles)
-    uv = (hits.weights[:, :, None] * vertex_uv[faces[triangles]]).sum(1)
-    xyz_m = views.to_head(hits.image, hits.rays * hits.depth_m[:, None])
-    return uv, xyz_m, hits.depth_m

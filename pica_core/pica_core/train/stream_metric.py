@@ -11,13 +11,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pica_core.camera import Camera
 from pica_core.capture.stage.dome import dome_cameras
 from pica_core.capture.stage.stream_training_faces import stream_training_performances
 from pica_core.codec.learning import RenderMetric, learn_profile
 from pica_core.codec.profile import StreamProfile
 from pica_core.latent import LATENT_SHAPE, NUM_LATENT
-from pica_core.train.painter import ModelPainter
+from pica_core.train.eval.model_evaluator import ModelEvaluator, Picture
 from pica_core.types import Float64Array
 
 BACKGROUND = 0.25
@@ -37,12 +36,8 @@ IMAGE_SIZE = 192
 """Rows and columns of the pictures."""
 
 
-def make_stream_profile(painter: ModelPainter) -> StreamProfile:
-    """Learn the stream of a trained avatar from codes as a live sender makes them.
-
-    Args:
-        painter: Draws the trained model, whose expression encoder makes the codes.
-    """
+def make_stream_profile(painter: ModelEvaluator) -> StreamProfile:
+    """Learn the stream of a trained avatar from codes as a live sender makes them."""
     with torch.no_grad():
         sequences = [
             painter.model.expression_encoder(torch.from_numpy(arkit)).permute(0, 2, 3, 1).numpy()
@@ -53,24 +48,19 @@ def make_stream_profile(painter: ModelPainter) -> StreamProfile:
     return learn_profile(sequences, metric)
 
 
-def _paint(painter: ModelPainter, code: Float64Array, cameras: list[Camera]) -> tuple[Tensor, int]:
-    """Pictures of a latent ``[256]`` behind each other, 0-255, and how many pixels are covered."""
-    grid = torch.from_numpy(code.astype(np.float32)).view(1, *LATENT_SHAPE).permute(0, 3, 1, 2)
-    vertices_m, values, covered = painter.vertices_m(grid), [], 0
-    for camera in cameras:
-        picture = painter.draw(grid, camera, vertices_m=vertices_m)
-        plain = np.full((camera.height, camera.width, 3), BACKGROUND * 255, np.float32)
-        values.append(torch.from_numpy(picture.on(plain).reshape(-1)))
-        covered += len(picture.pixels)
-    return torch.cat(values), covered
-
-
-def _measure(painter: ModelPainter, codes: Float64Array) -> RenderMetric:
+def _measure(painter: ModelEvaluator, codes: Float64Array) -> RenderMetric:
     by_name = {camera.name: camera for camera in dome_cameras(5, IMAGE_SIZE, IMAGE_SIZE)}
-    cameras = [by_name[name] for name in VIEWS]
+    plain = np.full((IMAGE_SIZE, IMAGE_SIZE, 3), BACKGROUND * 255, np.float32)
+
+    def draw(code: Float64Array) -> list[Picture]:
+        grid = torch.from_numpy(code.astype(np.float32)).view(1, *LATENT_SHAPE).permute(0, 3, 1, 2)
+        vertices_m = painter.vertices_m(grid)
+        return [painter.draw(grid, by_name[name], vertices_m=vertices_m) for name in VIEWS]
 
     def paint(code: Float64Array) -> Tensor:
-        return _paint(painter, code, cameras)[0]
+        """Pictures of a latent ``[256]`` behind each other, 0-255."""
+        pictures = [picture.on(plain).reshape(-1) for picture in draw(code)]
+        return torch.from_numpy(np.concatenate(pictures))
 
     rng = np.random.default_rng(0)
     variance, axes = np.linalg.eigh(np.cov(codes.T, bias=True))
@@ -79,7 +69,7 @@ def _measure(painter: ModelPainter, codes: Float64Array) -> RenderMetric:
     reach = np.maximum(REACH * np.sqrt(np.maximum(variance[largest], 0)), LEAST_REACH)
     gram = np.zeros((len(directions), len(directions)))
     for code in codes[rng.choice(len(codes), FACES, replace=False)]:
-        covered = _paint(painter, code, cameras)[1]
+        covered = sum(len(picture.pixels) for picture in draw(code))
         slopes = torch.stack(
             [
                 (paint(code + step) - paint(code - step)) / (2 * length)

@@ -128,7 +128,8 @@ class Admin:
             case ():
                 _allow(method, "GET", "DELETE")
                 if method == "GET":
-                    return _ok(self._details(room))
+                    peers = [self._peer_details(room, peer) for peer in room.peers]
+                    return _ok({**_summary(room), "peers": peers})
                 return _ok({"room": name, "removed": hub.moderation.close_room(name, now)})
             case ("peers", peer_id):
                 _allow(method, "GET", "DELETE")
@@ -156,10 +157,6 @@ class Admin:
             self._hub.moderation.mute(room.name, number, is_muted=is_muted, now=now)
         return _ok({"room": room.name, "streams": streams, "muted": is_muted})
 
-    def _details(self, room: Room) -> dict[str, Any]:
-        peers = [self._peer_details(room, peer) for peer in room.peers]
-        return {**_summary(room), "peers": peers}
-
     def _peer_details(self, room: Room, peer: Peer) -> dict[str, Any]:
         connection = self._hub.connections.by_peer.get(peer.peer_id)
         outbox = None if connection is None else connection.outbox
@@ -167,7 +164,7 @@ class Admin:
         return {
             "peer_id": peer.peer_id,
             "name": peer.name,
-            "identity": room.identity_of(peer.peer_id),
+            "identity": peer.identity,
             "away": peer.peer_id in room.away,
             "node": room.node_of(peer.peer_id),
             "metadata": dict(peer.metadata),

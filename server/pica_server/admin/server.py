@@ -33,11 +33,7 @@ class AdminServer:
     """Listens for admins."""
 
     def __init__(self, admin: Admin, after: Callable[[], object]) -> None:
-        """Prepare.
-
-        Args:
-            after: Called after every request, which may have changed something.
-        """
+        """Prepare; ``after`` is called after every request, which may have changed something."""
         self._admin = admin
         self._after = after
         self._server: asyncio.Server | None = None

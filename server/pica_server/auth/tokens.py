@@ -11,7 +11,6 @@ import base64
 import binascii
 import math
 import os
-import re
 import secrets
 import stat
 from collections.abc import Mapping, Sequence
@@ -24,6 +23,7 @@ import jwt
 from pica_protocol.errors import CloseCode
 from pica_protocol.limits import MAX_PASS_BYTES, check_name, check_token, quoted
 from pica_protocol.messages import Join
+from pica_protocol.store import is_avatar_id
 from pica_server.errors import AdmissionError, KeyFileError
 
 ALGORITHM: Final = "HS256"
@@ -40,8 +40,6 @@ MAX_AVATARS: Final = 14
 
 _MAX_TIME_S: Final = 2.0**53
 """Seconds since 1970 that a float still counts one by one."""
-
-_SHA256_HEX = re.compile(r"[0-9a-f]{64}")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -121,10 +119,7 @@ class KeyRing:
 
 
 def load_keys(path: Path, *, max_token_s: float = math.inf) -> KeyRing:
-    """Read a key file.
-
-    Args:
-        max_token_s: The longest time that a token may hold to be taken.
+    """Read a key file; a token that holds for longer than ``max_token_s`` is not taken.
 
     Raises:
         KeyFileError: It cannot be read, or used, or anybody may write their own key into it.
@@ -164,7 +159,7 @@ def mint(
     if len(admission.avatars) > MAX_AVATARS:
         raise ValueError(f"avatars must have at most {MAX_AVATARS}, got {len(admission.avatars)}")
     for avatar in admission.avatars:
-        if avatar != ANY_AVATAR and not _SHA256_HEX.fullmatch(avatar):
+        if avatar != ANY_AVATAR and not is_avatar_id(avatar):
             raise ValueError(f"avatars must be SHA-256 in hexadecimal or *, got {quoted(avatar)}")
     if not 0 <= starts_s < lasts_s:
         raise ValueError(f"it must begin before it ends, got {starts_s:g} and {lasts_s:g} s")
@@ -231,11 +226,8 @@ def _check_publishing(may_publish: bool, allowed: Sequence[str], worn: Sequence[
 
 
 def admit_upload(keys: KeyRing, token: str, avatar: str, *, now: float) -> None:
-    """Check that a token, for any room, lets its owner publish with an avatar, and so upload it.
-
-    Raises:
-        AdmissionError: As `admit`.
-    """
+    """Check that a token, for any room, lets its owner publish with an avatar, and so upload it;
+    raises as `admit`."""
     claims = _claims_that_hold(keys, token, now)
     _check_publishing(claims.get("publish") is True, _avatars(claims), [avatar])
 

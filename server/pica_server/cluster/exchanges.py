@@ -11,12 +11,7 @@ from pica_protocol.errors import RemoteProtocolError
 from pica_protocol.frames import scan_frames
 from pica_protocol.session import Media
 from pica_server.cluster.media import Exchange, NodeLink
-from pica_server.cluster.messages import (
-    MEDIA_HEADER_BYTES,
-    Interest,
-    NodeId,
-    decode_media_header,
-)
+from pica_server.cluster.messages import MEDIA_HEADER_BYTES, Interest, NodeId, decode_media_header
 from pica_server.cluster.room import SharedRoom
 from pica_server.errors import ClusterMessageError
 from pica_server.room.hub import Hub
@@ -71,10 +66,8 @@ class ClusterExchanges:
         return False
 
     def take_media(self, now: float) -> Iterator[tuple[int, str, bytes]]:
-        """Take the media messages that wait: slot of the receiver, room key, bytes.
-
-        What is not taken stays, and is thinned like a slow reader's.
-        """
+        """Take the media messages that wait: slot of the receiver, room key, bytes. What is not
+        taken stays, and is thinned like a slow reader's."""
         for link in list(self._hub.forwarding.ready_links):
             while (taken := link.take(now)) is not None:
                 data, num_frames = taken

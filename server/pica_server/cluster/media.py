@@ -17,12 +17,7 @@ from collections.abc import Iterable, Mapping
 from typing import Final
 
 from pica_protocol.stream_queue import Put
-from pica_server.cluster.messages import (
-    Interest,
-    MediaHeader,
-    encode_media,
-    slot_of,
-)
+from pica_server.cluster.messages import Interest, MediaHeader, encode_media, slot_of
 from pica_server.room.outbox import ArrivedFrame, Outbox
 
 EPOCH_INTERVAL_S: Final = 0.5
@@ -39,18 +34,6 @@ class NodeLink:
         layers: What it wants: stream to highest layer.
         epoch: Of its subscriptions; -1 before the first ones.
     """
-
-    __slots__ = (
-        "_drops",
-        "_my_slot",
-        "_number",
-        "epoch",
-        "layers",
-        "node",
-        "outbox",
-        "room_key",
-        "slot",
-    )
 
     def __init__(self, node: str, my_slot: int, room_key: str, drops: Counter[str]) -> None:
         self.node = node
@@ -108,11 +91,7 @@ class Exchange:
     """
 
     def __init__(self, room_key: str, me: str, epoch: int) -> None:
-        """Begin.
-
-        Args:
-            epoch: Higher than any that this node used for this room before.
-        """
+        """Begin with an epoch that is higher than any that this node used for this room before."""
         self.is_lossy = False
         self._is_stale = False
         self._room_key = room_key
@@ -165,11 +144,8 @@ class Exchange:
     def announce(
         self, layers: Mapping[int, int], revision: int, nodes: Iterable[str], epoch: int, now: float
     ) -> list[tuple[str, Interest]]:
-        """Return what must be told, and to which nodes.
-
-        Args:
-            epoch: The next one, if one is due.
-        """
+        """Return what must be told, and to which nodes; ``epoch`` is the next one, if one is
+        due."""
         nodes = set(nodes)
         self._told &= nodes
         self._answers &= nodes

@@ -183,10 +183,12 @@ def decode_record(data: bytes) -> Record:
         raise ClusterMessageError("record of another version: run the same release on all nodes")
     if not isinstance(members, list) or not isinstance(rulings, list):
         raise ClusterMessageError("malformed members of a record")
+    if not isinstance(farewells, dict):
+        raise ClusterMessageError("malformed farewells of a record")
     slot_of(_text(writer))
     return Record(
         tuple(map(_read_member, members)),
-        _texts(farewells),
+        {_text(peer_id): _text(word) for peer_id, word in farewells.items()},
         writer,
         dict(map(_read_ruling, rulings)),
     )
@@ -315,12 +317,6 @@ def _read_ruling(item: Any) -> tuple[Subject, Ruling]:
         return (_text(key), _text(kind)), ruling
     except (ValueError, TypeError) as error:
         raise ClusterMessageError("malformed ruling in a record") from error
-
-
-def _texts(value: object) -> dict[str, str]:
-    if not isinstance(value, dict):
-        raise ClusterMessageError("malformed farewells of a record")
-    return {_text(key): _text(word) for key, word in value.items()}
 
 
 def _text(value: object) -> str:

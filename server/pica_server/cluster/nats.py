@@ -81,7 +81,6 @@ class Cluster:
 
         Args:
             url: Of NATS; several of one NATS cluster with commas between.
-            capacity: Peers in one room.
             on_news: Called on the loop when the hub may have got something to send.
         """
         self._urls = url.split(",")
@@ -126,7 +125,7 @@ class Cluster:
                 while self.node.num_rooms and self._client.is_connected:
                     self.step()
                     await asyncio.sleep(0.01)
-                await self._store.give_up(self.node.slot, self._revision)
+                await self._store.give_up(self.node.me.slot, self._revision)
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
@@ -208,7 +207,7 @@ class Cluster:
         )
 
     async def _subscribe(self) -> None:
-        slot = self.node.slot
+        slot = self.node.me.slot
         for subject, callback, limits in (
             ("pica.beat.*", self._on_beat, _NODE_LIMITS),
             (f"pica.node.{slot}", self._on_node_message, _NODE_LIMITS),
@@ -280,7 +279,9 @@ class Cluster:
             try:
                 if self._client.is_closed:
                     await self._connect_anew()
-                revision = await self._store.renew(self.node.slot, self.node.name, self._revision)
+                revision = await self._store.renew(
+                    self.node.me.slot, self.node.me.name, self._revision
+                )
                 if revision is None:
                     await self._begin_anew()
                 else:
@@ -381,7 +382,7 @@ class Cluster:
             if not self._client.is_connected:
                 continue  # it stays, and is thinned
             try:
-                for slot, key, data in self.node.take_media(self._now()):
+                for slot, key, data in self.node.exchanges.take_media(self._now()):
                     await self._client.publish(f"pica.media.{slot}.{key}", data)
                     if self._client.pending_data_size > _MAX_UNSENT_BYTES:
                         break

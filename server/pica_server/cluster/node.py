@@ -1,11 +1,10 @@
 """One node of a cluster: the rooms it shares, and what passes between its hub and the others.
 
 Pure. The shell tells the node what NATS brought (``receive_*``), calls ``step`` after anything has
-happened, here or there, and then does what ``take_commands`` and ``take_media`` say. The node tells
-its hub who may come in, who is in a room elsewhere, and which frames came from there.
+happened, here or there, and then does what ``take_commands`` and ``exchanges.take_media`` say. The
+node tells its hub who may come in, who is in a room elsewhere, and which frames came from there.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -73,38 +72,29 @@ class _Place:
 
 
 class ClusterNode:
-    """The cluster as one hub's cluster_peers; see `pica_server.cluster.peers`."""
+    """The cluster as one hub's cluster_peers; see `pica_server.cluster.peers`.
+
+    Attributes:
+        me: This node, as the others know it.
+        exchanges: Holds the frames that wait for others.
+    """
 
     def __init__(self, hub: Hub, me: messages.NodeId, capacity: int, now: float) -> None:
-        """Begin with a lease that was confirmed just now.
-
-        Args:
-            capacity: Peers in one room.
-        """
+        """Begin with a lease that was confirmed just now; ``capacity`` is of one room."""
         self.liveness = Liveness(now)
         self._hub = hub
-        self._me = me
+        self.me = me
         self._capacity = capacity
         self._stats = hub.stats
         self.standing = Standing.CLUSTERED
         self._rooms: dict[str, SharedRoom] = {}
-        self._exchanges = ClusterExchanges(hub, me)
+        self.exchanges = ClusterExchanges(hub, me)
         self._places: dict[str, _Place] = {}  # bounded by the number of connections
         self._dirty: dict[str, None] = {}
         self._commands: list[Command] = []
         self._last_stream = 0
         self._tick_s = now + TICK_S
         self._alive: list[str] = []
-
-    @property
-    def name(self) -> str:
-        """This node, as the others know it."""
-        return self._me.name
-
-    @property
-    def slot(self) -> int:
-        """The slot of this node."""
-        return self._me.slot
 
     @property
     def num_rooms(self) -> int:
@@ -208,7 +198,7 @@ class ClusterNode:
         if shared is not None:
             shared.doubt()
             self._dirty[key] = None
-        self._exchanges.suspect_loss(key)
+        self.exchanges.suspect_loss(key)
 
     def receive_loss_of_all(self) -> None:
         """Note that news of any room may have been lost."""
@@ -219,7 +209,7 @@ class ClusterNode:
         """Take news of a lease: the name of the node that renewed it, or nothing if it was given
         up."""
         name = data.decode("ascii", "replace")
-        if data and name != self._me.name:
+        if data and name != self.me.name:
             self.liveness.receive_beat(name, now)
             if name not in self._alive:
                 self._look(now)
@@ -281,7 +271,7 @@ class ClusterNode:
         """Take frames from another node."""
         shared = self._rooms.get(key)
         room = None if shared is None else self._hub.room(shared.name)
-        if room is not None and self._exchanges.receive_media(key, room, data, now):
+        if room is not None and self.exchanges.receive_media(key, room, data, now):
             self._dirty[key] = None
 
     # What must be done.
@@ -306,10 +296,10 @@ class ClusterNode:
             reason = "this relay was away for too long, come again"
             self._hub.close(place.connection, CloseCode.GOING_AWAY, reason, now)
         self._commands += [Unwatch(key) for key in self._rooms]
-        for kept in (self._rooms, self._dirty):
-            kept.clear()
-        self._me = me
-        self._exchanges.restart(me)
+        self._rooms.clear()
+        self._dirty.clear()
+        self.me = me
+        self.exchanges.restart(me)
         self.liveness = Liveness(now)
         self._look(now)
 
@@ -327,7 +317,7 @@ class ClusterNode:
             request = shared.take_request()
             if request is not None:
                 self._commands.append(request)
-            for node, interest in self._exchanges.announce(shared, now):
+            for node, interest in self.exchanges.announce(shared, now):
                 self._tell(node, interest)
             if shared.is_over and key not in self._dirty:
                 del self._rooms[key]
@@ -337,13 +327,6 @@ class ClusterNode:
         """Take what the shell has to do."""
         commands, self._commands = self._commands, []
         return commands
-
-    def take_media(self, now: float) -> Iterator[tuple[int, str, bytes]]:
-        """Take the media messages that wait: slot of the receiver, room key, bytes.
-
-        What is not taken stays, and is thinned like a slow reader's.
-        """
-        return self._exchanges.take_media(now)
 
     def _handle(self, shared: SharedRoom, event: SharedRoomEvent, now: float) -> None:
         match event:
@@ -388,7 +371,7 @@ class ClusterNode:
         if interest.revision > shared.revision and shared.revision > 0:
             shared.doubt()  # news was lost
             self._dirty[shared.key] = None
-        if self._exchanges.follow(shared, room, interest, now):
+        if self.exchanges.follow(shared, room, interest, now):
             self._dirty[shared.key] = None
 
     def _obey(self, room: Room, order: messages.Order, now: float) -> None:
@@ -412,11 +395,11 @@ class ClusterNode:
             self._count(standing.value)
         self.standing, self._alive = standing, alive
         for key, shared in self._rooms.items():
-            if has_changed or shared.is_unsettled or self._exchanges.is_due(key, now):
+            if has_changed or shared.is_unsettled or self.exchanges.is_due(key, now):
                 self._dirty[key] = None
 
     def _room(self, name: str) -> SharedRoom:
-        shared = SharedRoom(name, self._capacity, self._me, self._hub.rulings)
+        shared = SharedRoom(name, self._capacity, self.me, self._hub.rulings)
         found = self._rooms.setdefault(shared.key, shared)
         if found is shared:
             self._commands.append(Watch(shared.key))
@@ -426,7 +409,7 @@ class ClusterNode:
         # Counting up over all rooms: a late frame of a departed peer must not find a new owner.
         while True:
             self._last_stream = self._last_stream % (messages.STREAMS_PER_SLOT - 1) + 1
-            stream = self._me.slot * messages.STREAMS_PER_SLOT + self._last_stream
+            stream = self.me.slot * messages.STREAMS_PER_SLOT + self._last_stream
             if not shared.uses(stream):
                 return stream
 

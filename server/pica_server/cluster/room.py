@@ -221,7 +221,9 @@ class SharedRoom:
         """Give up a place, or the request for one."""
         self._pending.pop(peer_id, None)
         if self._own.pop(peer_id, None) is not None:
-            self._note_farewell(peer_id, reason)
+            if len(self._farewells) >= _MAX_FAREWELLS:
+                self._farewells.pop(next(iter(self._farewells)))
+            self._farewells[peer_id] = reason
         if not self._own:
             self._shown.clear()
 
@@ -404,12 +406,10 @@ class SharedRoom:
         nodes = {m.node for m in self._record.members if m.node != self._me}
         for peer_id, member in list(self._pending.items()):
             since_s = self._since_s[peer_id]
-            if self._rulings.holds(self.name, member.peer.identity):
+            is_barred = self._rulings.holds(self.name, member.peer.identity)
+            if is_barred or all(liveness.was_heard_since(node, since_s) for node in nodes):
                 del self._pending[peer_id]
-                self._events.append(Refused(peer_id, is_barred=True))
-            elif all(liveness.was_heard_since(node, since_s) for node in nodes):
-                del self._pending[peer_id]
-                self._events.append(Refused(peer_id))
+                self._events.append(Refused(peer_id, is_barred))
         self._forget_times()
 
     def _forget_times(self) -> None:
@@ -420,8 +420,7 @@ class SharedRoom:
         """Tell the peers here who is in the room on other nodes."""
         if self._own:
             others = [m for m in record.members if m.node != self._me]
-            dead = {m.node for m in others if liveness.is_expired(m.node, now)}
-            self._show_members([m for m in others if m.node not in dead])
+            self._show_members([m for m in others if not liveness.is_expired(m.node, now)])
 
     def _show_members(self, members: list[messages.Member]) -> None:
         shown = {member.peer.peer_id: member for member in members}
@@ -451,11 +450,6 @@ class SharedRoom:
                 continue
             self._own[peer_id] = self._as_ordered(member)
             self._events.append(Admitted(member.peer))
-
-    def _note_farewell(self, peer_id: str, reason: str) -> None:
-        if len(self._farewells) >= _MAX_FAREWELLS:
-            self._farewells.pop(next(iter(self._farewells)))
-        self._farewells[peer_id] = reason
 
 
 def _is_nothing(record: messages.Record) -> bool:

@@ -1,6 +1,5 @@
 """Everything an operator may set, with unit and range."""
 
-import ipaddress
 import re
 import socket
 from dataclasses import dataclass, field
@@ -11,7 +10,7 @@ from urllib.parse import urlsplit
 from pica_protocol.limits import MAX_PEERS, check_url
 from pica_server.config.ranges import Range, check_ranges
 from pica_server.errors import ConfigurationError
-from pica_server.net.proxies import networks
+from pica_server.net.proxies import is_loopback, networks
 from pica_server.store.config import StoreConfig
 
 _HTTP_URL = re.compile(r"https?://([A-Za-z0-9._-]+|\[[0-9a-fA-F:.]+\])(:\d{1,5})?(/[!-~]*)?")
@@ -211,14 +210,4 @@ def _is_http_url(text: str) -> bool:
     try:
         return _HTTP_URL.fullmatch(text) is not None and urlsplit(text).port != 0
     except ValueError:  # a port that no host has
-        return False
-
-
-def is_loopback(host: str) -> bool:
-    """Say whether an address to listen on is one that only this machine reaches."""
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
         return False

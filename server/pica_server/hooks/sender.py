@@ -19,7 +19,6 @@ import httpx
 from pica_server.config.relay import WebhookConfig
 from pica_server.errors import ConfigurationError
 from pica_server.hooks import webhooks
-from pica_server.hooks.events import RoomEvent
 from pica_server.ops.certificate import trusting
 
 MIN_SECRET_BYTES: Final = 16
@@ -60,7 +59,7 @@ class WebhookSender:
         self._task: asyncio.Task[None] | None = None
         self._has_failed = False
 
-    def notify(self, event: RoomEvent) -> None:
+    def notify(self, event: webhooks.RoomEvent) -> None:
         """Queue an event."""
         now = asyncio.get_running_loop().time()
         self.queue.offer(event, unix_s=self._unix_time(), now=now)

@@ -14,14 +14,29 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Final
 
-from pica_server.hooks.events import RoomEvent
-
 FIRST_WAIT_S: Final = 0.5
 LONGEST_WAIT_S: Final = 60.0
 """Before a delivery is tried again: doubles from the first to the longest, each shortened by chance
 to between half and all of it (chosen: a receiver that restarts is back within seconds)."""
 SIGNATURE_HEADER: Final = "Pica-Signature"
 ID_HEADER: Final = "Pica-Event-Id"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RoomEvent:
+    """Something that happened in a room. A peer that is away for a moment has not left."""
+
+    event: str
+    """``room_started``, ``room_ended``, ``peer_joined`` or ``peer_left``."""
+    room: str
+    peer_id: str = ""
+    """Empty for events of the room."""
+    identity: str = ""
+    """Who it is for sure; empty without tokens."""
+    name: str = ""
+    """What they are called."""
+    reason: str = ""
+    """Why a peer left: ``left``, ``lost`` or ``removed``."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -57,14 +57,8 @@ class SocketGuard:
     """Counts sockets from their first byte on, when there is no websocket yet to be told why."""
 
     def __init__(self, *, handshakes: int, per_address: int, per_s: float, burst: float) -> None:
-        """Begin without any.
-
-        Args:
-            handshakes: Of everybody at once.
-            per_address: Of one address at once.
-            per_s: New ones of one address, on average.
-            burst: New ones of one address at once.
-        """
+        """Begin without any: so many handshakes of everybody and so many sockets of one address at
+        once; new ones of an address come at ``per_s`` on average and ``burst`` at once."""
         self._handshakes = handshakes
         self._per_address = per_address
         self._per_s, self._burst = per_s, burst

@@ -28,11 +28,8 @@ def networks(names: Sequence[str]) -> tuple[Network, ...]:
 
 
 def client_of(peer: str, headers: Sequence[str], trusted: Sequence[Network]) -> str:
-    """Return the address of the first one on the way back who is no trusted proxy.
-
-    Args:
-        headers: All ``X-Forwarded-For`` of the request, in order.
-    """
+    """Return the address of the first one on the way back who is no trusted proxy; ``headers`` are
+    all ``X-Forwarded-For`` of the request, in order."""
     nearest = peer
     hops = [hop for header in headers for hop in header.rsplit(",", _MOST_HOPS)]
     for hop in reversed(hops):
@@ -52,8 +49,15 @@ def is_in(host: str, networks: Sequence[Network]) -> bool:
 def names_this_machine(host: str) -> bool:
     """Say whether a ``Host`` header is one that no stranger's name server can have made."""
     try:
-        name = urlsplit(f"//{host}").hostname or ""
-        return name == "localhost" or ipaddress.ip_address(name).is_loopback
+        return is_loopback(urlsplit(f"//{host}").hostname or "")
+    except ValueError:
+        return False
+
+
+def is_loopback(host: str) -> bool:
+    """Say whether an address is one that only this machine reaches."""
+    try:
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
     except ValueError:
         return False
 

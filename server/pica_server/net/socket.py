@@ -39,13 +39,7 @@ except ImportError:  # the library was installed without its C extension
 from pica_protocol.errors import CloseCode
 from pica_protocol.tls_buffer import bound_tls_buffer
 from pica_server.net.limits import SocketGuard, TokenBucket, address_group
-from pica_server.net.proxies import (
-    PROXY_HEADERS,
-    Network,
-    client_of,
-    is_in,
-    names_this_machine,
-)
+from pica_server.net.proxies import PROXY_HEADERS, Network, client_of, is_in, names_this_machine
 from pica_server.ops.descriptors import Descriptors
 from pica_server.ops.stats import RelayStats
 
@@ -331,7 +325,7 @@ class RelaySocket(ServerConnection):
         if writes[-1]:
             return
         # An empty one is the last, and means the end.
-        if self._has_written_all():
+        if not self.transport.get_write_buffer_size() and not self.transport.is_closing():
             self.protocol.writes = [b""]
             super().send_data()
         else:
@@ -345,16 +339,13 @@ class RelaySocket(ServerConnection):
                 self._on_message(bytes(event.data))
                 return
             self._uses_recv, self._on_message = True, None
-        if isinstance(event, Frame) and (event.opcode not in _DATA or not event.fin):
-            self._count_extra()
-        super().process_event(event)
-
-    def _count_extra(self) -> None:
-        """Count a frame that is no message; close after too many."""
-        if self.state is State.OPEN and not self._extra_frames.take(self.loop.time()):
+        is_extra = isinstance(event, Frame) and (event.opcode not in _DATA or not event.fin)
+        is_counted = is_extra and self.state is State.OPEN
+        if is_counted and not self._extra_frames.take(self.loop.time()):
             self.stats.limits_hit["extra_frames"] += 1
             self.protocol.fail(CloseCode.TOO_FAST, "too many pings or fragments")
             self.send_data()
+        super().process_event(event)
 
     def _awaits_frame(self) -> bool:
         """Say whether the library holds no part of a frame. Its buffer does not tell: it takes the
@@ -372,10 +363,6 @@ class RelaySocket(ServerConnection):
         if not self._is_open or transport.is_closing():
             return False
         transport.write(framed)
-        return not transport.get_write_buffer_size() and not transport.is_closing()
-
-    def _has_written_all(self) -> bool:
-        transport = self.transport
         return not transport.get_write_buffer_size() and not transport.is_closing()
 
 

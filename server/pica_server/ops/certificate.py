@@ -38,11 +38,7 @@ class Certificate:
         return self._look() != self._stamp
 
     def reload(self) -> None:
-        """Read the files again.
-
-        Raises:
-            ConfigurationError: As at first; the old certificate stays.
-        """
+        """Read the files again; if that raises, as at first, the old certificate stays."""
         self._stamp = self._look()
         _context(self._cert, self._key)
         self.context.load_cert_chain(self._cert, self._key, password=_no_password)
@@ -62,12 +58,8 @@ class Certificate:
 def trusting(flag: str, ca_file: Path | None) -> ssl.SSLContext:
     """Return the TLS settings of a client that trusts the system's certificates and a file's.
 
-    Args:
-        flag: The setting that names the file, for the error.
-        ca_file: The file; None for none.
-
     Raises:
-        ConfigurationError: It cannot be read.
+        ConfigurationError: The file cannot be read; ``flag`` is the setting that names it.
     """
     context = ssl.create_default_context()
     if ca_file is not None:

@@ -56,11 +56,7 @@ _LABELLED_COUNTERS: Final = (
 
 
 def metrics_text(stats: RelayStats, gauges: Mapping[str, tuple[str, float]]) -> str:
-    """Return the page.
-
-    Args:
-        gauges: What is so now: name without prefix to explanation and value.
-    """
+    """Return the page; ``gauges`` are so now: name without prefix to explanation and value."""
     registry = CollectorRegistry()
     registry.register(_Page(stats, gauges))
     return generate_latest(registry).decode()

@@ -125,10 +125,7 @@ class RelayStats:
             if each.name != "forwarding"
         }
         percentiles = {f"p{p}": self.forwarding.percentile_s(p) for p in (50, 95, 99)}
-        forward_ms = {
-            name: None if value is None else round(value * 1000, 4)
-            for name, value in percentiles.items()
-        }
+        forward_ms = {p: s if s is None else round(s * 1000, 4) for p, s in percentiles.items()}
         return {**counters, "forward_ms": forward_ms}
 
 

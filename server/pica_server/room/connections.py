@@ -76,11 +76,12 @@ class Connections:
         rides = "ride" not in config.without
         drops = self.stats.dropped
         outbox = Outbox(config.max_control_bytes, drops, flows=flows, rides=rides, brake=self.brake)
-        connection = Connection(next(self._serials), session, outbox, limits, address, now)
-        connection.peer_id = f"{self.prefix}{connection.serial}"
+        serial = next(self._serials)
+        peer_id = f"{self.prefix}{serial}"
+        connection = Connection(serial, session, outbox, limits, address, now, peer_id)
         self.stats.connections += 1
         is_full = len(self.by_peer) >= config.max_connections
-        self.by_peer[connection.peer_id] = connection
+        self.by_peer[peer_id] = connection
         self._push_timer(connection, now)
         if address:
             self._by_address[address] += 1
@@ -88,8 +89,8 @@ class Connections:
         if self.is_draining:
             self.send_elsewhere([connection], now)
         elif is_full:
-            self.stats.limits_hit["connections"] += 1
-            self.close(connection, CloseCode.RELAY_FULL, "the relay is full", now)
+            reason = "the relay is full"
+            self.refuse(connection, "connections", CloseCode.RELAY_FULL, reason, now)
         return connection
 
     def rename(self, connection: Connection, peer_id: str) -> None:
@@ -123,14 +124,20 @@ class Connections:
         for connection in connections:
             self.on_over(connection, now)
 
+    def refuse(
+        self, connection: Connection, limit: str, code: CloseCode, reason: str, now: float
+    ) -> None:
+        """Close who has reached a limit, and count it, unless it is over."""
+        if connection.closed is None:
+            self.stats.limits_hit[limit] += 1
+            self.close(connection, code, reason, now)
+
     def close_too_fast(self, connection: Connection, what: str, now: float) -> None:
         """Close who sends more ``messages`` or ``bytes`` than a client may."""
-        if connection.closed is None:
-            self.stats.limits_hit[what] += 1
-            limits = self.config.limits
-            rate = limits.bytes_per_s if what == "bytes" else limits.messages_per_s
-            reason = f"more than {rate:g} {what} a second"
-            self.close(connection, CloseCode.TOO_FAST, reason, now)
+        limits = self.config.limits
+        rate = limits.bytes_per_s if what == "bytes" else limits.messages_per_s
+        reason = f"more than {rate:g} {what} a second"
+        self.refuse(connection, what, CloseCode.TOO_FAST, reason, now)
 
     def send_elsewhere(self, connections: Sequence[Connection], now: float) -> None:
         """Close some because the relay is stopping, and tell them of another to go to."""
@@ -206,6 +213,5 @@ class Connections:
         try:
             connection.outbox.put_control(data)
         except OutboxFullError as error:
-            self.stats.limits_hit["control"] += 1
-            self.close(connection, CloseCode.TOO_SLOW, str(error), now)
+            self.refuse(connection, "control", CloseCode.TOO_SLOW, str(error), now)
         self.ready[connection] = None

@@ -17,8 +17,7 @@ def departures(
 
     Args:
         sizes: How many peers each room has.
-        per_s: Joins a second that the other relay takes.
-        burst: Joins that it takes at once.
+        per_s: Joins a second that the other relay takes; ``burst`` are those that it takes at once.
         longest_s: How long the drain may take.
     """
     offsets_s = []

@@ -24,7 +24,7 @@ from pica_protocol.session import Closed, Media, ServerEvent
 from pica_server.auth.tokens import Admission
 from pica_server.cluster.peers import ClusterPeers
 from pica_server.config.relay import RelayConfig
-from pica_server.hooks.events import RoomEvent
+from pica_server.hooks.webhooks import RoomEvent
 from pica_server.ops.stats import RelayStats
 from pica_server.room.connection import Connection
 from pica_server.room.connections import Connections
@@ -96,11 +96,8 @@ class Hub:
         self._held: list[tuple[float, int, Connection]] = []
 
     def meet(self, cluster_peers: ClusterPeers, prefix: str) -> None:
-        """Be one node of a cluster from now on; nobody is here yet.
-
-        Args:
-            prefix: Begins the id of every peer of this node, and of no other one's.
-        """
+        """Be one node of a cluster from now on; nobody is here yet. ``prefix`` begins the id of
+        every peer of this node, and of no other one's."""
         self.connections.cluster_peers, self.connections.prefix = cluster_peers, prefix
 
     @property

@@ -12,7 +12,6 @@ from pica_protocol.errors import CloseCode
 from pica_protocol.messages import (
     Join,
     Joined,
-    Message,
     Peer,
     PeerAway,
     PeerBack,
@@ -26,7 +25,7 @@ from pica_protocol.session import Closed
 from pica_server.auth.tokens import Admission
 from pica_server.cluster.messages import Member
 from pica_server.errors import AdmissionError, RoomFullError
-from pica_server.hooks.events import RoomEvent
+from pica_server.hooks.webhooks import RoomEvent
 from pica_server.net.limits import TokenBucket
 from pica_server.room.connection import Connection
 from pica_server.room.connections import Connections
@@ -73,34 +72,30 @@ class Membership:
 
     def join(self, connection: Connection, join: Join, now: float) -> None:
         """Let somebody into a room, or close them."""
-        limits = self._connections.config.limits
-        if connection.is_crowded and not self._tickets.opens_a_place(join.room, join.resume):
-            self._stats.limits_hit["address"] += 1
+        limits, refuse = self._connections.config.limits, self._connections.refuse
+        if connection.is_crowded and self._tickets.place_of(join.room, join.resume) is None:
             reason = f"{limits.connections_per_address} connections from one address"
-            self._connections.close(connection, CloseCode.TOO_MANY, reason, now)
+            refuse(connection, "address", CloseCode.TOO_MANY, reason, now)
             return
         # First of all: who has no token must not use up the joins of those who have one.
         try:
             admission = self._admit(join)
         except AdmissionError as error:
-            self._stats.limits_hit["admission"] += 1
-            self._connections.close(connection, error.code, str(error), now)
+            refuse(connection, "admission", error.code, str(error), now)
             return
         if self._joins is None:
             self._joins = TokenBucket(limits.joins_per_s, limits.joins_burst, now)
         if not self._joins.take(now):
-            self._stats.limits_hit["joins"] += 1
             reason = "too many join at once, try again"
-            self._connections.close(connection, CloseCode.BUSY, reason, now)
+            refuse(connection, "joins", CloseCode.BUSY, reason, now)
             return
         connection.is_resumable = join.resumable
         if join.resume and self._come_back(connection, join, admission, now):
             return
         room, brake = self.rooms.get(join.room), self._connections.brake
         if brake.level and (room is None or room.peer_of(admission.identity) is None):
-            self._stats.limits_hit["late"] += 1
             reason = f"the relay has too much to do, try again in {brake.retry_after_s:g} s"
-            self._connections.close(connection, CloseCode.BUSY, reason, now)
+            refuse(connection, "late", CloseCode.BUSY, reason, now)
             return
         self._replace(connection, join, admission.identity, now)
         if self._rulings.holds(join.room, admission.identity):
@@ -129,24 +124,21 @@ class Membership:
 
     def refuse(self, connection: Connection, name: str, now: float) -> None:
         """Close somebody for whom a room has no place."""
-        self._stats.limits_hit["room"] += 1
         reason = f"room {name} is full: {self._connections.config.room_capacity} peers"
-        self._connections.close(connection, CloseCode.ROOM_FULL, reason, now)
+        self._connections.refuse(connection, "room", CloseCode.ROOM_FULL, reason, now)
 
     def refuse_barred(self, connection: Connection, now: float) -> None:
         """Close somebody whom an admin keeps out."""
-        self._stats.limits_hit["admission"] += 1
         reason = "an admin has removed you"
-        self._connections.close(connection, CloseCode.FORBIDDEN, reason, now)
+        self._connections.refuse(connection, "admission", CloseCode.FORBIDDEN, reason, now)
 
     def update_metadata(self, connection: Connection, update: UpdateMetadata, now: float) -> None:
         """Note what somebody says of themselves, and tell the others."""
         room, metadata, connections = connection.room, update.metadata, self._connections
         assert room is not None
         if not connection.updates.take(now):
-            self._stats.limits_hit["metadata"] += 1
             reason = "metadata changes too often"
-            connections.close(connection, CloseCode.TOO_FAST, reason, now)
+            connections.refuse(connection, "metadata", CloseCode.TOO_FAST, reason, now)
         elif room.update_metadata(connection.peer_id, metadata):
             news = PeerUpdated(peer_id=connection.peer_id, metadata=metadata)
             connections.tell_others(room, connection.peer_id, news, now)
@@ -260,11 +252,10 @@ class Membership:
         self._stats.joins += 1
         self._note(room, connection.peer_id, "peer_joined")
         self._accept(connection, room, joined, now)
-        news: list[Message] = [PeerJoined(peer=peer)]
-        muted = room.muted_of(peer.peer_id)
-        news += [StreamMuted(stream=number, is_muted=True) for number in muted]
-        for message in news:
-            self._connections.tell_others(room, peer.peer_id, message, now)
+        tell_others = self._connections.tell_others
+        tell_others(room, peer.peer_id, PeerJoined(peer=peer), now)
+        for number in room.muted_of(peer.peer_id):
+            tell_others(room, peer.peer_id, StreamMuted(stream=number, is_muted=True), now)
         if admission.may_subscribe:
             self._forwarding.catch_up(connection, room, now)
 
@@ -326,7 +317,7 @@ class Membership:
         identity: else whoever comes and drops connections keeps a room full of nobody."""
         room = self.rooms.get(room_name)
         if room is not None and room.is_full:
-            nobodies = [p for p in self._away if p in room and not room.identity_of(p)]
+            nobodies = [p for p in self._away if p in room and not room.peer(p).identity]
             for peer_id in nobodies[:1]:
                 self._tickets.forget(peer_id)
                 self.give_up(peer_id, "lost", now)
@@ -372,13 +363,14 @@ class Membership:
 
     def _note(self, room: Room, peer_id: str, event: str, reason: str = "") -> None:
         """Tell whoever keeps books about a peer of this node."""
+        peer = room.peer(peer_id)
         self._notify(
             RoomEvent(
                 event=event,
                 room=room.name,
                 peer_id=peer_id,
-                identity=room.identity_of(peer_id),
-                name=room.peer(peer_id).name,
+                identity=peer.identity,
+                name=peer.name,
                 reason=reason,
             )
         )

@@ -95,10 +95,8 @@ class Moderation:
         return num_peers
 
     def mute(self, room_name: str, number: int, *, is_muted: bool, now: float) -> bool:
-        """Stop a stream, or let it go on, and tell everybody; return whether it is there.
-
-        It stays so when its owner joins again, if they have an identity.
-        """
+        """Stop a stream, or let it go on, and tell everybody; return whether it is there. It stays
+        so when its owner joins again, if they have an identity."""
         room = self._membership.rooms.get(room_name)
         stream = None if room is None else room.stream(number)
         if room is None or stream is None:

@@ -25,11 +25,7 @@ class ResumeTickets:
     """The places of one relay that may be come back to; as many as there are peers."""
 
     def __init__(self, grace_s: float, new_secret: Callable[[], str]) -> None:
-        """Begin empty.
-
-        Args:
-            grace_s: How long a place is kept; 0: no place is ever kept.
-        """
+        """Begin empty; ``grace_s`` is how long a place is kept, 0: none ever is."""
         self.grace_s = grace_s
         self._new_secret = new_secret
         self._places: dict[str, _Place] = {}
@@ -48,20 +44,17 @@ class ResumeTickets:
         self._by_digest[digest] = peer_id
         return secret
 
-    def opens_a_place(self, room: str, secret: str) -> bool:
-        """Say whether ``redeem`` would return somebody."""
-        return self._place_of(room, secret) is not None
+    def place_of(self, room: str, secret: str) -> str | None:
+        """Return whose place a secret opens, or None."""
+        peer_id = self._by_digest.get(_digest(secret))
+        return None if peer_id is None or self._places[peer_id].room != room else peer_id
 
     def redeem(self, room: str, secret: str) -> str | None:
-        """Take a secret and return whose place it opens, or None; it opens nothing any more."""
-        peer_id = self._place_of(room, secret)
+        """As `place_of`; the secret opens nothing any more."""
+        peer_id = self.place_of(room, secret)
         if peer_id is not None:
             self.forget(peer_id)
         return peer_id
-
-    def _place_of(self, room: str, secret: str) -> str | None:
-        peer_id = self._by_digest.get(_digest(secret))
-        return None if peer_id is None or self._places[peer_id].room != room else peer_id
 
     def go_away(self, peer_id: str, now: float) -> bool:
         """Note that a peer lost its connection; return whether its place is kept."""

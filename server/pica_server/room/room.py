@@ -252,16 +252,10 @@ class Room:
         """Those of them who were on this node."""
         return tuple(peer_id for peer_id in self.away if not self.node_of(peer_id))
 
-    def identity_of(self, peer_id: str) -> str:
-        """Return who a peer is for sure, or empty."""
-        return self._members[peer_id].peer.identity
-
     def peer_of(self, identity: str) -> str | None:
         """Return the peer id of somebody who is on this node for sure, or None."""
-        for peer in self.peers_here:
-            if identity and peer.identity == identity:
-                return peer.peer_id
-        return None
+        found = (peer.peer_id for peer in self.peers_here if identity == peer.identity)
+        return next(found, None) if identity else None
 
     def peer(self, peer_id: str) -> Peer:
         """Return one member as the others see it."""
@@ -295,11 +289,8 @@ class Room:
             found.chain, found.num_bytes, found.is_whole = [], 0, False
 
     def want(self, peer_id: str, stream: int, layer: int | None) -> bool:
-        """Note a layer subscription; one for a stream that has just ended changes nothing.
-
-        Returns:
-            Whether the peer wants frames of the stream after it wanted none.
-        """
+        """Note a layer subscription, if the stream has not just ended; return whether the peer
+        wants frames of it after it wanted none."""
         if stream not in self._streams:
             return False
         member = self._members[peer_id]

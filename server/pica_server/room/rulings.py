@@ -47,11 +47,7 @@ class Rulings:
     """The rulings of all rooms that one relay knows of."""
 
     def __init__(self, unix_time: Callable[[], float]) -> None:
-        """Begin without any.
-
-        Args:
-            unix_time: The clock that rulings end by, seconds since 1970.
-        """
+        """Begin without any; they end by the clock ``unix_time``, seconds since 1970."""
         self._unix_time = unix_time
         self._rooms: dict[str, dict[Subject, Ruling]] = {}
 

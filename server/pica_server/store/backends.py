@@ -52,10 +52,7 @@ class Backend:
     """Files by id in one folder of one file system; what comes in is spooled on this machine."""
 
     def __init__(self, where: str) -> None:
-        """Find the driver.
-
-        Args:
-            where: ``temporary``, a folder, or an fsspec URL.
+        """Find the driver of ``temporary``, a folder, or an fsspec URL.
 
         Raises:
             StoreError: There is no driver, or the URL is wrong.

@@ -58,11 +58,7 @@ class StructureCheck:
             self._head.clear()
 
     def finish(self) -> None:
-        """Take note that the file has ended.
-
-        Raises:
-            UnfitFileError: Before its header did.
-        """
+        """Take note that the file has ended; raise `UnfitFileError` if it did before its header."""
         if not self.is_done:
             raise UnfitFileError("it ends within its header")
 

@@ -32,15 +32,6 @@ _NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _T = TypeVar("_T")
 
 
-def open_store(where: str, config: StoreConfig) -> "AvatarStore | None":
-    """Open what the setting ``--avatar-store`` names; None for ``none``.
-
-    Raises:
-        StoreError: It cannot be used.
-    """
-    return None if where == "none" else AvatarStore(Backend(where), config)
-
-
 class AvatarStore:
     """Files by id, within a quota.
 

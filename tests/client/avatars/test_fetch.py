@@ -6,7 +6,7 @@ import asyncio
 import hashlib
 import os
 import threading
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
 from contextlib import asynccontextmanager, contextmanager
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -32,11 +32,13 @@ from pica_client.avatars.download import (
 )
 from pica_client.avatars.fetch import AvatarFetcher
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.avatars.upload import AvatarGiver, Push, PushError, push_avatar
+from pica_client.avatars.upload import AvatarGiver, PushError, push_avatar
 from pica_client.errors import OptionError
+from pica_client.transport.config import LinkConfig
 from pica_client.transport.connect import trusting
 from pica_core.avatar.file import avatar_id, save_avatar
 from pica_core.errors import AvatarFileError
+from pica_protocol.store import Stored
 
 pytestmark = pytest.mark.call
 
@@ -393,17 +395,24 @@ def test_more_wanted_avatars_than_can_be_forget_the_one_asked_for_longest_ago(
 # Giving
 
 
-def push_of(path: Path, **settings: object) -> Push:
-    identity = id_of(path.read_bytes())
-    return Push(path=path, identity=identity, **settings)  # type: ignore[arg-type]
+def push(
+    url: str, path: Path, progress: Callable[[float], None] = lambda ratio: None, **settings: Path
+) -> Coroutine[None, None, Stored]:
+    identity = id_of(path.read_bytes()) if path.exists() else ID
+    link = LinkConfig(url=url, **settings)  # type: ignore[arg-type]
+    return push_avatar(url, link, path, identity, progress)
+
+
+def giver_of(toy: AvatarFile, say: Callable[[str], None]) -> AvatarGiver:
+    return AvatarGiver(LinkConfig(), toy.path, toy.identity, say)
 
 
 @pytest.mark.asyncio
 async def test_an_avatar_is_given_once_and_known_after_that(toy: AvatarFile) -> None:
     ratios: list[float] = []
     async with store_relay() as relay:
-        first = await push_avatar(relay.url, push_of(toy.path), ratios.append)
-        second = await push_avatar(relay.url, push_of(toy.path))
+        first = await push(relay.url, toy.path, ratios.append)
+        second = await push(relay.url, toy.path)
         reply = await ask(relay, f"/avatars/{toy.identity}")
     assert (first.checked, second.checked) == ("structure", "")
     assert reply.body == toy.data
@@ -419,8 +428,8 @@ async def test_under_tls_avatars_go_both_ways_for_who_trusts_the_relay(
     async with store_relay(config=config) as relay:
         assert relay.url.startswith("wss://")
         with pytest.raises(PushError):
-            await push_avatar(relay.url, push_of(toy.path))
-        await push_avatar(relay.url, push_of(toy.path, ca_file=cert))
+            await push(relay.url, toy.path)
+        await push(relay.url, toy.path, ca_file=cert)
         with pytest.raises(DownloadError):
             await asyncio.to_thread(download, relay.url, toy.identity, tmp_path / "untrusted")
         got = tmp_path / "got"
@@ -435,30 +444,29 @@ async def test_a_refused_avatar_says_why_and_whether_later_will_help(
     (tmp_path / "bad.pica").write_bytes(b"x" * 100_000)
     async with store_relay() as relay:
         with pytest.raises(PushError, match="no avatar file") as caught:
-            await push_avatar(relay.url, push_of(tmp_path / "bad.pica"))
+            await push(relay.url, tmp_path / "bad.pica")
         assert not caught.value.is_worth_retrying
     async with store_relay("none") as relay:
         with pytest.raises(PushError, match="keeps no avatars") as caught:
-            await push_avatar(relay.url, push_of(toy.path))
+            await push(relay.url, toy.path)
         assert not caught.value.is_worth_retrying
     with pytest.raises(PushError, match="nobody answers") as caught:
-        await push_avatar("ws://127.0.0.1:9", push_of(toy.path))
+        await push("ws://127.0.0.1:9", toy.path)
     assert caught.value.is_worth_retrying
 
 
 @pytest.mark.asyncio
 async def test_files_that_cannot_be_read_are_named(toy: AvatarFile, tmp_path: Path) -> None:
-    push = Push(path=tmp_path / "nowhere.pica", identity=ID)
     with pytest.raises(AvatarFileError, match=r"nowhere\.pica: cannot be read"):
-        await push_avatar("ws://127.0.0.1:9", push)
+        await push("ws://127.0.0.1:9", tmp_path / "nowhere.pica")
     with pytest.raises(OptionError, match="token-file"):
-        await push_avatar("ws://127.0.0.1:9", push_of(toy.path, token_file=tmp_path / "nowhere"))
+        await push("ws://127.0.0.1:9", toy.path, token_file=tmp_path / "nowhere")
 
 
 @pytest.mark.asyncio
 async def test_a_giver_gives_to_each_relay_and_tells_once_what_went_wrong(toy: AvatarFile) -> None:
     said: list[str] = []
-    giver = AvatarGiver(push_of(toy.path), said.append)
+    giver = giver_of(toy, said.append)
     async with store_relay() as one, store_relay("none") as other:
         giver.begin(one.url)
         giver.begin(one.url)  # is at it already
@@ -476,7 +484,7 @@ async def test_a_giver_gives_to_each_relay_and_tells_once_what_went_wrong(toy: A
 @pytest.mark.asyncio
 async def test_a_giver_that_is_told_to_come_later_does(toy: AvatarFile) -> None:
     async with store_relay(uploads=1, bytes_per_s=4e6) as relay:
-        givers = [AvatarGiver(push_of(toy.path), print) for _ in range(3)]
+        givers = [giver_of(toy, print) for _ in range(3)]
         for giver in givers:
             giver.begin(relay.url)
         await until(lambda: all(giver.outcome for giver in givers))

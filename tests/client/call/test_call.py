@@ -26,7 +26,7 @@ from pica_client.call.call import Call
 from pica_client.errors import AvatarLookupError
 from pica_core.avatar.file import Avatar, save_avatar
 from pica_core.codec.latent_stream import LatentDecoder
-from pica_core.codec.plain_stream import LatentProfile, encode_latent
+from pica_core.codec.plain_stream import encode_latent
 from pica_core.errors import AvatarFileError
 from pica_protocol.frames import Frame
 from pica_protocol.messages import (
@@ -45,7 +45,7 @@ pytestmark = pytest.mark.unit
 
 TOY = make_toy_avatar()
 TOY_ID = "a" * 64
-PROFILE = LatentProfile(latent_scale=TOY.manifest.latent_scale)
+SCALE = TOY.manifest.latent_scale
 
 
 def peer(peer_id: str, name: str, stream: int, avatar: str = TOY_ID, kind: str = "face") -> Peer:
@@ -55,7 +55,7 @@ def peer(peer_id: str, name: str, stream: int, avatar: str = TOY_ID, kind: str =
 
 
 def frame(stream: int, sequence: int, captured_us: int, value: float = 1.0) -> Frame:
-    payload = encode_latent(np.full((8, 8, 4), value), np.zeros(3), np.zeros(3), PROFILE)
+    payload = encode_latent(np.full((8, 8, 4), value), np.zeros(3), np.zeros(3), SCALE)
     return Frame(stream=stream, sequence=sequence, captured_us=captured_us, payload=payload)
 
 

@@ -9,7 +9,7 @@ from helpers.senders import LoadedAvatars
 from helpers.toy import make_toy_avatar
 from pica_client.call.call import Call
 from pica_client.publish.face_track import FACE_KEY
-from pica_core.codec.plain_stream import LatentProfile, encode_latent
+from pica_core.codec.plain_stream import encode_latent
 from pica_protocol.frames import Frame
 from pica_protocol.messages import (
     Joined,
@@ -25,8 +25,8 @@ pytestmark = pytest.mark.unit
 
 TOY_ID = "1" * 64
 TOY = make_toy_avatar()
-PROFILE = LatentProfile(latent_scale=TOY.manifest.latent_scale)
-PAYLOAD = encode_latent(np.zeros((8, 8, 4)), np.zeros(3), np.zeros(3), PROFILE)
+SCALE = TOY.manifest.latent_scale
+PAYLOAD = encode_latent(np.zeros((8, 8, 4)), np.zeros(3), np.zeros(3), SCALE)
 
 
 def ada(peer_id: str, stream: int) -> Peer:

@@ -8,17 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pica_client.call.layer_subscription import (
-    NOTHING,
-    LayerSubscription,
-    LayerSubscriptionConfig,
-)
-from pica_client.errors import OptionError
+from pica_client.call.layer_subscription import LOWER_INTERVAL_S, NOTHING, LayerSubscription
 from pica_protocol.limits import MAX_LAYER
 
 pytestmark = pytest.mark.unit
-
-CONFIG = LayerSubscriptionConfig(lower_after_s=0.5, lower_interval_s=1.0)
 
 
 def tell(subscription: LayerSubscription, now: float) -> int | None:
@@ -30,7 +23,7 @@ def tell(subscription: LayerSubscription, now: float) -> int | None:
 
 
 def test_a_relay_that_was_told_nothing_sends_everything() -> None:
-    made = LayerSubscription(CONFIG)
+    made = LayerSubscription()
     assert made.told == MAX_LAYER
     assert not made.subscribe(MAX_LAYER, now=0.0)
     assert made.due(0.0) is None
@@ -38,7 +31,7 @@ def test_a_relay_that_was_told_nothing_sends_everything() -> None:
 
 
 def test_less_is_asked_for_late() -> None:
-    made = LayerSubscription(CONFIG)
+    made = LayerSubscription()
     assert made.subscribe(None, now=10.0)
     assert tell(made, 10.4) is None
     assert made.next_timer() == 10.5
@@ -48,7 +41,7 @@ def test_less_is_asked_for_late() -> None:
 
 
 def test_more_is_asked_for_at_once() -> None:
-    made = LayerSubscription(CONFIG)
+    made = LayerSubscription()
     made.subscribe(None, now=0.0)
     tell(made, 0.5)
     assert made.subscribe(2, now=0.51)
@@ -58,7 +51,7 @@ def test_more_is_asked_for_at_once() -> None:
 
 
 def test_a_glance_aside_tells_nothing() -> None:
-    made = LayerSubscription(CONFIG)
+    made = LayerSubscription()
     made.subscribe(None, now=0.0)
     made.subscribe(MAX_LAYER, now=0.4)
     assert tell(made, 5.0) is None
@@ -66,7 +59,7 @@ def test_a_glance_aside_tells_nothing() -> None:
 
 
 def test_what_was_wanted_meanwhile_is_not_taken_away() -> None:
-    made = LayerSubscription(CONFIG)
+    made = LayerSubscription()
     made.subscribe(0, now=0.0)
     made.subscribe(2, now=0.3)
     made.subscribe(1, now=0.4)
@@ -76,7 +69,7 @@ def test_what_was_wanted_meanwhile_is_not_taken_away() -> None:
 
 
 def test_what_could_not_be_told_stays_due() -> None:
-    made = LayerSubscription(CONFIG)
+    made = LayerSubscription()
     made.subscribe(None, now=0.0)
     assert made.due(0.5) == NOTHING
     assert made.told == MAX_LAYER
@@ -88,18 +81,12 @@ def test_what_could_not_be_told_stays_due() -> None:
 
 @pytest.mark.parametrize(("layer", "told"), [(None, NOTHING), (1, 1), (MAX_LAYER, None)])
 def test_a_new_connection_is_told_every_wish_for_less(layer: int | None, told: int | None) -> None:
-    made = LayerSubscription(CONFIG)
+    made = LayerSubscription()
     made.subscribe(layer, now=0.0)
     tell(made, 0.5)
     made.begin(now=20.0)
     assert made.told == MAX_LAYER
     assert tell(made, 20.0) == told
-
-
-@pytest.mark.parametrize("name", ["lower_after_s", "lower_interval_s"])
-def test_patience_out_of_range_is_refused(name: str) -> None:
-    with pytest.raises(OptionError, match=f"{name} is -1"):
-        LayerSubscriptionConfig(**{name: -1})
 
 
 layers = st.one_of(st.none(), st.integers(0, MAX_LAYER))
@@ -110,7 +97,7 @@ steps = st.lists(st.tuples(st.floats(0, 0.4), layers, st.booleans()), min_size=1
 def test_whatever_is_wanted_the_relay_hears_the_last_of_it_and_little_else(
     chosen: list[tuple[float, int | None, bool]],
 ) -> None:
-    made, now, told, lowered = LayerSubscription(CONFIG), 0.0, MAX_LAYER, []
+    made, now, told, lowered = LayerSubscription(), 0.0, MAX_LAYER, []
     for elapsed_s, layer, can_tell in chosen:
         now += elapsed_s
         made.subscribe(layer, now)
@@ -129,4 +116,4 @@ def test_whatever_is_wanted_the_relay_hears_the_last_of_it_and_little_else(
             told = said
     assert told == (NOTHING if chosen[-1][1] is None else chosen[-1][1])
     gaps = [after - before for before, after in pairwise(lowered)]
-    assert all(gap >= CONFIG.lower_interval_s - 1e-9 for gap in gaps)
+    assert all(gap >= LOWER_INTERVAL_S - 1e-9 for gap in gaps)

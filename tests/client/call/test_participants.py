@@ -19,7 +19,7 @@ from pica_client.call.participants import (
     recorders,
 )
 from pica_client.call.roster import News
-from pica_core.codec.plain_stream import LatentProfile, encode_latent
+from pica_core.codec.plain_stream import encode_latent
 from pica_protocol.frames import Frame
 from pica_protocol.messages import (
     Joined,
@@ -168,9 +168,9 @@ def test_how_long_a_call_has_lasted_reads_like_a_clock(seconds: float, text: str
 def test_what_is_encrypted_is_not_drawn_without_the_secret() -> None:
     avatar = make_toy_avatar()
     call = call_with(person("p1", "Ada", 1))
-    profile = LatentProfile(latent_scale=avatar.manifest.latent_scale)
     # Ciphertext that happens to be a latent: one in some seconds of frames is.
-    payload = encode_latent(np.ones((8, 8, 4)), np.zeros(3), np.zeros(3), profile)
+    scale = avatar.manifest.latent_scale
+    payload = encode_latent(np.ones((8, 8, 4)), np.zeros(3), np.zeros(3), scale)
     call.receive_event(Frame(stream=1, sequence=0, captured_us=0, payload=payload), now=1.0)
     assert call.faces(1.2)[0].latent is not None
     call.receive_event(Whisper(peer_id="p1", data=b"a note about keys"), now=1.3)

@@ -16,7 +16,7 @@ from pica_client.decode.decoder import (
     OnnxOptions,
 )
 from pica_client.decode.onnx_runtime import onnxruntime
-from pica_client.decode.pool import DecodePool, DecodePoolOptions
+from pica_client.decode.pool import DecodePool
 from pica_client.decode.request import DecodedMaps, DecodeRequest, Parts
 from pica_client.errors import OptionError
 from pica_core.avatar.file import Avatar
@@ -151,15 +151,13 @@ def test_a_provider_written_otherwise_is_refused(text: str) -> None:
         OnnxOptions.for_provider(text)
 
 
-@pytest.mark.parametrize("options", [OnnxOptions, DecodePoolOptions])
-def test_no_threads_are_refused(options: type) -> None:
-    name = "threads" if options is OnnxOptions else "workers"
-    with pytest.raises(OptionError, match=f"{name} is 0; allowed are 1 to 64"):
-        options(**{name: 0})
+def test_no_threads_are_refused() -> None:
+    with pytest.raises(OptionError, match="threads is 0; 1 to 64 is allowed"):
+        OnnxOptions(threads=0)
 
 
 def test_a_pool_decodes_every_avatar_and_hands_the_capture_time_through() -> None:
-    with DecodePool(DecodePoolOptions(workers=2), OnnxDecoder) as pool:
+    with DecodePool(OnnxDecoder, workers=2) as pool:
         for index in range(3):
             pool.add(f"peer-{index}", TOY)
             pool.submit(f"peer-{index}", request(0.1 * index, captured_us=1000 + index))
@@ -175,7 +173,7 @@ def test_a_pool_decodes_every_avatar_and_hands_the_capture_time_through() -> Non
 
 
 def test_a_result_is_handed_out_once() -> None:
-    with DecodePool(DecodePoolOptions(), lambda avatar: Echo()) as pool:
+    with DecodePool(lambda avatar: Echo()) as pool:
         pool.add("a", TOY)
         pool.submit("a", request(1))
         assert pool.wait_idle(PATIENCE_S)
@@ -185,7 +183,7 @@ def test_a_result_is_handed_out_once() -> None:
 
 def test_while_a_decode_runs_only_the_newest_request_waits() -> None:
     gate = Gate()
-    with DecodePool(DecodePoolOptions(), lambda avatar: gate) as pool:
+    with DecodePool(lambda avatar: gate) as pool:
         pool.add("a", TOY)
         pool.submit("a", request(1))
         assert gate.entered.wait(PATIENCE_S)
@@ -199,7 +197,7 @@ def test_while_a_decode_runs_only_the_newest_request_waits() -> None:
 
 def test_a_request_for_one_map_does_not_cancel_one_for_both() -> None:
     gate = Gate()
-    with DecodePool(DecodePoolOptions(), lambda avatar: gate) as pool:
+    with DecodePool(lambda avatar: gate) as pool:
         pool.add("a", TOY)
         pool.submit("a", request(1, parts="expression"))
         assert gate.entered.wait(PATIENCE_S)
@@ -212,7 +210,7 @@ def test_a_request_for_one_map_does_not_cancel_one_for_both() -> None:
 
 
 def test_a_result_of_one_map_keeps_the_other_that_nobody_has_taken_yet() -> None:
-    with DecodePool(DecodePoolOptions(), lambda avatar: Echo()) as pool:
+    with DecodePool(lambda avatar: Echo()) as pool:
         pool.add("a", TOY)
         pool.submit("a", request(1, captured_us=1))
         assert pool.wait_idle(PATIENCE_S)
@@ -231,7 +229,7 @@ def test_a_result_of_one_map_keeps_the_other_that_nobody_has_taken_yet() -> None
 
 
 def test_a_request_is_decoded_at_its_level() -> None:
-    with DecodePool(DecodePoolOptions(), OnnxDecoder) as pool:
+    with DecodePool(OnnxDecoder) as pool:
         pool.add("a", LEVELLED)
         pool.submit("a", request(1, level=64))
         assert pool.wait_idle(PATIENCE_S)
@@ -252,7 +250,7 @@ class Preparing(Echo):
 
 def test_idle_workers_get_ready_for_every_level_the_finest_first() -> None:
     decoder = Preparing()
-    with DecodePool(DecodePoolOptions(), lambda avatar: decoder) as pool:
+    with DecodePool(lambda avatar: decoder) as pool:
         pool.add("a", LEVELLED)
         assert pool.wait_idle(PATIENCE_S)
         while len(decoder.prepared) < 2 * len(LEVELS):
@@ -274,7 +272,7 @@ def test_a_request_comes_before_getting_ready() -> None:
             order.append("ahead" if level is not None else "asked")
 
     decoders = iter([gate, Noting()])
-    with DecodePool(DecodePoolOptions(), lambda avatar: next(decoders)) as pool:
+    with DecodePool(lambda avatar: next(decoders)) as pool:
         pool.add("first", TOY)
         pool.submit("first", request(1))
         assert gate.entered.wait(PATIENCE_S)
@@ -292,7 +290,7 @@ def test_a_level_that_cannot_be_had_breaks_its_avatar_alone() -> None:
                 raise OptionError("provider X does not take level 64")
 
     decoders = iter([Coarseless(), Echo()])
-    with DecodePool(DecodePoolOptions(), lambda avatar: next(decoders)) as pool:
+    with DecodePool(lambda avatar: next(decoders)) as pool:
         pool.add("bad", LEVELLED)
         errors: list[str | None] = []
         while not errors:
@@ -314,8 +312,7 @@ def test_building_a_session_does_not_count_as_decoding() -> None:
             for _ in range(100):
                 next(times)
 
-    options = DecodePoolOptions(prepares_ahead=False)
-    with DecodePool(options, lambda avatar: Slow(), lambda: next(times)) as pool:
+    with DecodePool(lambda avatar: Slow(), lambda: next(times), prepares_ahead=False) as pool:
         pool.add("a", TOY)
         pool.submit("a", request(1))
         assert pool.wait_idle(PATIENCE_S)
@@ -325,7 +322,7 @@ def test_building_a_session_does_not_count_as_decoding() -> None:
 
 def test_one_avatar_is_never_decoded_by_two_workers_at_once() -> None:
     gate = Gate()
-    with DecodePool(DecodePoolOptions(workers=4), lambda avatar: gate) as pool:
+    with DecodePool(lambda avatar: gate, workers=4) as pool:
         pool.add("a", TOY)
         pool.submit("a", request(1))
         assert gate.entered.wait(PATIENCE_S)
@@ -342,7 +339,7 @@ def test_one_avatar_is_never_decoded_by_two_workers_at_once() -> None:
 
 def test_a_broken_avatar_is_reported_and_the_others_decode_on() -> None:
     decoders = iter([Broken(), Echo()])
-    with DecodePool(DecodePoolOptions(), lambda avatar: next(decoders)) as pool:
+    with DecodePool(lambda avatar: next(decoders)) as pool:
         pool.add("bad", TOY)
         pool.submit("bad", request(1))
         assert pool.wait_idle(PATIENCE_S)
@@ -360,7 +357,7 @@ def test_an_avatar_whose_decoder_cannot_be_built_is_reported_without_a_request()
     def refuse(avatar: Avatar) -> Echo:
         raise OptionError("provider X does not start")
 
-    with DecodePool(DecodePoolOptions(), refuse) as pool:
+    with DecodePool(refuse) as pool:
         pool.add("a", TOY)
         assert pool.wait_idle(PATIENCE_S)
         (result,) = pool.take_results()
@@ -369,7 +366,7 @@ def test_an_avatar_whose_decoder_cannot_be_built_is_reported_without_a_request()
 
 def test_a_removed_avatar_leaves_nothing_behind() -> None:
     gate = Gate()
-    with DecodePool(DecodePoolOptions(), lambda avatar: gate) as pool:
+    with DecodePool(lambda avatar: gate) as pool:
         pool.add("a", TOY)
         pool.submit("a", request(1))
         assert gate.entered.wait(PATIENCE_S)
@@ -383,7 +380,7 @@ def test_a_removed_avatar_leaves_nothing_behind() -> None:
 
 def test_closing_drops_what_waits_and_ends_the_threads() -> None:
     before = threading.active_count()
-    pool = DecodePool(DecodePoolOptions(workers=3), lambda avatar: Echo())
+    pool = DecodePool(lambda avatar: Echo(), workers=3)
     pool.add("a", TOY)
     pool.close()
     assert threading.active_count() == before

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from helpers.playout_trial import face
 from pica_client.playout.clock_map import FALL_S, ClockMap, hull_line
+from pica_client.playout.config import PlayoutConfig
 from pica_client.playout.frame_interval import FrameInterval
 from pica_client.playout.jitter import JitterEstimate
 from pica_client.playout.motion import Correction, Distance, blend, coasted_s, distance
@@ -138,8 +139,7 @@ def test_jitter_is_what_a_plain_sort_of_the_windows_says() -> None:
         media_s, before_s = index * FRAME_S, arrived_s
         lateness_s = rng.expovariate(50) if index % 100 < 50 else 0.0
         arrived_s = max(arrived_s, media_s + lateness_s)
-        transit_s = clock.receive(media_s, arrived_s)
-        estimate.receive(arrived_s, media_s, transit_s, clock)
+        estimate.receive(arrived_s, media_s, clock)
         frames.append((media_s, arrived_s, arrived_s - before_s >= 0.5 * FRAME_S))
         recent = [frame for frame in frames if frame[1] >= arrived_s - 6.0]
         late_s = [at - captured - clock.fastest_transit_s(captured) for captured, at, _ in recent]
@@ -159,7 +159,7 @@ def test_a_stall_now_and_then_is_not_waited_for() -> None:
         media_s = index * FRAME_S
         since_s = media_s % 2.0
         arrived_s = media_s + (0.4 - since_s if since_s < 0.4 else 0.0)
-        estimate.receive(arrived_s, media_s, clock.receive(media_s, arrived_s), clock)
+        estimate.receive(arrived_s, media_s, clock)
         assert index < 100 or estimate.jitter_s == pytest.approx(0, abs=1e-9)
 
 
@@ -170,7 +170,7 @@ def test_three_delays_in_a_second_are_enough_to_be_waited_for() -> None:
         media_s = index * FRAME_S
         delay_s = 0.08 if index in (280, 286, 292) else 0.0
         arrived_s = max(arrived_s, media_s + delay_s)  # those behind it wait, too
-        estimate.receive(arrived_s, media_s, clock.receive(media_s, arrived_s), clock)
+        estimate.receive(arrived_s, media_s, clock)
         if index == 291:
             assert estimate.jitter_s <= 0.014
     assert estimate.jitter_s == pytest.approx(0.08, abs=1e-9)
@@ -181,7 +181,7 @@ def test_what_all_frames_have_in_common_is_no_jitter() -> None:
     for index in range(600):
         media_s = index * FRAME_S
         arrived_s = media_s + (0.3 if index > 200 else 0.0)
-        estimate.receive(arrived_s, media_s, clock.receive(media_s, arrived_s), clock)
+        estimate.receive(arrived_s, media_s, clock)
     assert estimate.base_s == pytest.approx(0.3, abs=1e-6)
     assert estimate.jitter_s == pytest.approx(0, abs=1e-6)
 
@@ -225,7 +225,7 @@ def test_frames_that_are_merely_overtaken_are_not_lost() -> None:
 
 
 def test_display_time_speeds_up_by_a_tenth_and_slows_down_by_a_quarter() -> None:
-    media = Playhead(faster=0.1, slower=0.25, leap_s=1.0)
+    media = Playhead(PlayoutConfig(leap_s=1.0))
     media.advance(0.0, 10.0, math.inf)
     assert media.advance(0.1, 10.5, math.inf).moved_s == pytest.approx(0.11)
     assert media.advance(0.2, 10.0, math.inf).moved_s == pytest.approx(0.075)
@@ -233,7 +233,7 @@ def test_display_time_speeds_up_by_a_tenth_and_slows_down_by_a_quarter() -> None
 
 
 def test_display_time_that_is_far_behind_leaps_and_never_back() -> None:
-    media = Playhead(faster=0.1, slower=0.25, leap_s=1.0)
+    media = Playhead(PlayoutConfig(leap_s=1.0))
     media.advance(0.0, 10.0, math.inf)
     assert media.advance(0.1, 15.0, math.inf).is_leap
     assert (media.position_s, media.num_leaps) == (15.0, 1)
@@ -242,7 +242,7 @@ def test_display_time_that_is_far_behind_leaps_and_never_back() -> None:
 
 
 def test_where_nothing_moves_any_more_display_time_may_fall_back() -> None:
-    media = Playhead(faster=0.1, slower=0.25, leap_s=1.0)
+    media = Playhead(PlayoutConfig(leap_s=1.0))
     media.advance(0.0, 10.0, math.inf)
     media.advance(1.0, 11.0, 10.3)
     assert media.advance(1.1, 10.6, 10.3).moved_s == 0
@@ -252,7 +252,7 @@ def test_where_nothing_moves_any_more_display_time_may_fall_back() -> None:
 
 
 def test_a_clock_that_steps_back_stops_the_display() -> None:
-    media = Playhead(faster=0.1, slower=0.25, leap_s=1.0)
+    media = Playhead(PlayoutConfig(leap_s=1.0))
     media.advance(5.0, 10.0, math.inf)
     media.advance(4.0, 9.0, math.inf)
     assert media.position_s == 10.0

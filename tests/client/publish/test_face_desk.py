@@ -13,7 +13,7 @@ import pytest
 from helpers.toy import make_toy_avatar
 from pica_client.publish.face_desk import REST_S, FaceDesk
 from pica_client.publish.publisher import Publisher, SenderConfig
-from pica_client.sources import LiveSource, open_source
+from pica_client.sources import Tracker, open_source
 from pica_client.sources.live.calibration import Calibration, CalibrationStore
 from pica_client.sources.live.sample import TrackerSample
 from pica_client.sources.live.udp import UdpTracker
@@ -77,7 +77,7 @@ def test_another_source_plays_the_face_from_then_on(desk_for: Desks, livelink: s
     desk.choose(livelink)
     assert notices_of(desk) == [f"Your face comes from {livelink}"]
     assert desk.source == livelink
-    assert isinstance(desk.publisher.source, LiveSource)
+    assert isinstance(desk.publisher.source, Tracker)
     desk.choose(f"{livelink}/Ada")  # wants the port of the one before
     assert notices_of(desk) == [f"Your face comes from {livelink}/Ada"]
     desk.choose(TALK)
@@ -92,7 +92,7 @@ def test_the_source_before_goes_on_when_another_cannot_be_opened(
     (notice,) = notices_of(desk)
     assert "/nowhere.csv" in notice
     assert desk.source == livelink
-    assert isinstance(desk.publisher.source, LiveSource)
+    assert isinstance(desk.publisher.source, Tracker)
 
 
 def test_calibrating_takes_the_resting_face_away_and_keeps_it_for_the_next_call(

@@ -8,12 +8,12 @@ import moderngl
 import numpy as np
 import pytest
 
+from helpers.painted import painted_head
 from helpers.toy import make_toy_avatar
 from pica_client.avatars.library import shipped_avatar_files
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.request import DecodedMaps
 from pica_client.render.gpu_avatar import PLACEHOLDER_PROFILE_M, placeholder_map
-from pica_client.render.gpu_textured import TexturedMesh
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.room import Room
 from pica_client.render.scene import Placement
@@ -125,7 +125,7 @@ def test_where_nothing_is_left_of_a_bust_one_sees_who_is_behind(
 def test_a_textured_head_fades_as_a_decoded_one(context: moderngl.Context) -> None:
     low, high = -0.27, 0.14
     corners = np.array([[-0.1, low, 0], [0.1, low, 0], [0.1, high, 0], [-0.1, high, 0]], np.float32)
-    mesh = TexturedMesh(
+    mesh = painted_head(
         vertex_uv=np.array([[0, 1], [1, 1], [1, 0], [0, 0]], np.float32),
         faces=np.array([[0, 1, 2], [0, 2, 3]], np.int32),
         low_m=(-0.2, low, -0.1),

@@ -163,7 +163,9 @@ def test_an_avatar_whose_shader_fails_leaves_the_others_alone(
     renderer.draw(both[:1], camera)
     alone, heads = renderer.read_image(), renderer.read_surface()[2]
     monkeypatch.setattr(
-        gpu_avatar, "siren_source", lambda *_: "vec4 encode_xyz(vec3 x) { return odd_driver; }"
+        gpu_avatar,
+        "siren_source",
+        lambda *_, **__: "vec4 encode_xyz(vec3 x) { return odd_driver; }",
     )
     with pytest.raises(ShaderError, match="odd_driver"):
         renderer.add_avatar("p1", SISTER)

@@ -323,7 +323,6 @@ def test_a_shader_that_the_driver_refuses_is_named(context: moderngl.Context) ->
     broken = compose(
         "pixel_decoder.frag",
         TOY.spec,
-        choices={"ENCODING": "encoding_full.glsl"},
         generated={"SIREN": "vec4 encode_xyz(vec3 x) { return nonsense; }"},
     )
     with pytest.raises(ShaderError, match=r"generated SIREN:1: .*nonsense"):
@@ -353,7 +352,6 @@ def test_the_browsers_dialect_compiles(
             name,
             TOY.spec,
             dialect="300 es",
-            choices={"ENCODING": "encoding_full.glsl"},
             generated={"SIREN": siren_source(TOY.spec)},
             defines={"FILTERED": ""},
         )

@@ -11,13 +11,14 @@ import moderngl
 import numpy as np
 import pytest
 
+from helpers.painted import painted_head
 from helpers.toy import make_toy_avatar, with_toy_levels
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.render.gpu_avatar import axis_table
-from pica_client.render.gpu_textured import TexturedMesh
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.scene import Placement, head_matrix
 from pica_client.render.shader_source import axis_levels
+from pica_core.avatar.baseline import BaselineAvatar
 from pica_core.avatar.level_tensors import STILL_NAME
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.camera import Camera, look_at
@@ -332,10 +333,10 @@ def test_far_heads_average_what_their_pixels_cover(context: moderngl.Context, ma
     assert errors[0] < 0.6 * errors[1]
 
 
-def textured_toy() -> tuple[TexturedMesh, np.ndarray, np.ndarray]:
+def textured_toy() -> tuple[BaselineAvatar, np.ndarray, np.ndarray]:
     """The toy's mesh with a texture whose colours say where they are."""
     uv = TOY.tensors["mesh.vertex_uv"]
-    mesh = TexturedMesh(
+    mesh = painted_head(
         vertex_uv=uv,
         faces=TOY.tensors["mesh.faces"],
         low_m=TOY.manifest.bounds_min_m,

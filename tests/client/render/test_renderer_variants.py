@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 
 import moderngl
@@ -12,11 +13,10 @@ from helpers import tolerances
 from helpers.shader_weights import unpack_weights
 from helpers.toy import make_toy_avatar
 from pica_client.decode.decoder import OnnxDecoder
-from pica_client.render.gpu_avatar import encoding_file
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.scene import Placement, head_matrix
 from pica_client.render.shader_source import compose
-from pica_client.render.shader_weights import pack_weights, siren_source
+from pica_client.render.shader_weights import pack_weights, pixel_input_vectors, siren_source
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import ENCODINGS, AvatarSpec
 from pica_core.camera import look_at
@@ -114,14 +114,14 @@ def test_weights_of_every_encoding_come_back_from_their_block(encoding: str) -> 
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
-def test_every_encoding_is_one_file_in_both_dialects(encoding: str) -> None:
+def test_every_encoding_gives_the_decoder_its_vectors_in_both_dialects(encoding: str) -> None:
     spec = AVATARS[encoding].spec
     for dialect in ("330 core", "300 es"):
         text = compose(
             "pixel_decoder.frag",
             spec,
             dialect=dialect,  # type: ignore[arg-type]
-            choices={"ENCODING": encoding_file(spec)},
             generated={"SIREN": siren_source(spec)},
         ).text
-        assert "vec3 colour_pixel(" in text
+        (codes,) = re.findall(r"^#define SURFACE_CODES\b(.*)$", text, re.MULTILINE)
+        assert codes.count("(") == pixel_input_vectors(spec) - 2

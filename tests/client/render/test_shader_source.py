@@ -23,7 +23,6 @@ from pica_core.avatar.spec import AvatarSpec
 pytestmark = pytest.mark.unit
 
 TOY = make_toy_avatar(grid=4)
-CHOICES = {"ENCODING": "encoding_full.glsl"}
 NARROW = AvatarSpec(
     uv_encoding_size=8,
     axis_encoding_size=8,
@@ -40,7 +39,6 @@ def decoder_text(dialect: shader_source.Dialect = "330 core") -> str:
         "pixel_decoder.frag",
         TOY.spec,
         dialect=dialect,
-        choices=CHOICES,
         generated={"SIREN": siren_source(TOY.spec)},
     ).text
 
@@ -107,7 +105,7 @@ def test_a_message_without_errors_is_told_as_it_is() -> None:
     [
         ('#include "nowhere.glsl"', r"'nowhere\.glsl', wanted by a\.glsl:1, does not exist"),
         ('#include "../secret.glsl"', "does not exist"),
-        ("#include NOTHING", r"a\.glsl:1: nothing chosen for NOTHING"),
+        ("#include NOTHING", r"a\.glsl:1: nothing generated for NOTHING"),
         ("#include <angle>", "not an include"),
     ],
 )

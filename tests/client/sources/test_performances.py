@@ -90,8 +90,7 @@ def test_both_eyes_blink_together_every_two_to_six_seconds(
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_blink_lasts_150_to_300_milliseconds(seed: int) -> None:
-    times_s = tracks.sample_times(120)
-    lids = tracks.blinks(np.random.default_rng(seed), times_s)
+    lids = tracks.Player(np.random.default_rng(seed), 120).blinks()
     lengths_s = [(end - begin + 1) / tracks.SAMPLE_FPS for begin, end in spans(lids > 0)]
     assert len(lengths_s) >= 20
     assert min(lengths_s) >= 0.150
@@ -100,8 +99,7 @@ def test_a_blink_lasts_150_to_300_milliseconds(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_speech_has_four_to_five_syllables_a_second_and_pauses(seed: int) -> None:
-    times_s = tracks.sample_times(120)
-    jaw = tracks.speech(np.random.default_rng(seed), times_s).jaw
+    jaw = tracks.Player(np.random.default_rng(seed), 120).speech()["jaw"]
     phrases = [span for span in spans(jaw > 0.02) if span[1] - span[0] > 0.5 * tracks.SAMPLE_FPS]
     talking = sum(end - begin for begin, end in phrases)
     peaks = np.flatnonzero((jaw[1:-1] > jaw[:-2]) & (jaw[1:-1] >= jaw[2:]) & (jaw[1:-1] > 0.1))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 
 from pica_client.errors import OptionError, RelayRefusedError, RelayUnreachableError
-from pica_client.transport.backoff import BackoffConfig
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.dialer import Addresses
 from pica_client.transport.refusals import RETURN_S, Refusals, refusal_of
@@ -19,7 +18,7 @@ FULL = RelayRefusedError("full", may_pass=True)
 
 
 def watch(chance: float = 1.0) -> Silence:
-    return Silence(lambda: chance, BackoffConfig())
+    return Silence(lambda: chance)
 
 
 def steps(silence: Silence, heard_s: float, until_s: float) -> list[tuple[str, float]]:

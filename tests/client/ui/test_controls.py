@@ -11,12 +11,16 @@ from pica_client.render.views import ViewState
 from pica_client.ui.controls import (
     BINDINGS,
     CHANGES,
+    LAYOUT_TITLES,
+    NO_FACE,
+    NO_VOICE,
     ChooseLayout,
     Controls,
     ControlState,
     CopyText,
     Order,
     Pin,
+    Say,
     help_lines,
 )
 from pica_client.ui.events import (
@@ -82,20 +86,19 @@ def test_the_key_to_talk_is_held() -> None:
     assert controls.state.is_heard
 
 
-def test_every_order_is_given_by_a_key_or_by_a_button_or_explains_one() -> None:
+def test_every_order_is_given_by_a_key_or_by_a_button() -> None:
     by_key = {binding.order for binding in BINDINGS}
     by_button = {Order.STAY, Order.LEAVE, Order.DISMISS_HINT, Order.REJOIN, Order.TEST_SOUND}
-    explained = {Order.EXPLAIN_NO_FACE, Order.EXPLAIN_NO_VOICE}
-    assert set(Order) - by_key == by_button | explained
+    assert set(Order) - by_key == by_button
 
 
 def test_a_button_gives_the_orders_of_keys_and_some_that_name_somebody() -> None:
     controls = Controls()
     controls.obey(ChooseLayout("grid"))
     controls.obey(Pin(4))
-    controls.obey(CopyText("pica://relay"))
+    controls.obey(CopyText("pica://relay", "Copied"))
     assert (controls.state.pinned, controls.state.layout) == (4, "grid")
-    assert controls.take_orders() == [CopyText("pica://relay")]
+    assert controls.take_orders() == [CopyText("pica://relay", "Copied")]
     assert all(order not in CHANGES for order in (Order.SCREENSHOT, Order.TOGGLE_RECORDING))
 
 
@@ -128,7 +131,8 @@ def test_layouts_follow_each_other_and_come_round() -> None:
     assert seen == list(LAYOUTS)
     assert controls.state.layout == LAYOUTS[0]
     assert controls.state.pinned is None  # else nothing would be seen of them
-    assert controls.take_orders() == [Order.NEXT_LAYOUT] * len(LAYOUTS)
+    said = [Say(f"People sit: {LAYOUT_TITLES[each]}") for each in (*LAYOUTS[1:], LAYOUTS[0])]
+    assert controls.take_orders() == said
 
 
 @pytest.mark.parametrize("key", ["Q", "Escape"])
@@ -240,7 +244,7 @@ def test_ones_own_voice_is_muted_by_those_who_send_one_and_explained_to_others()
     watcher = Controls()
     press(watcher, "T")
     assert watcher.state.own_voice == "none"
-    assert watcher.take_orders() == [Order.EXPLAIN_NO_VOICE]
+    assert watcher.take_orders() == [NO_VOICE]
     controls = Controls(ControlState(own_voice="sent"))
     steps = []
     for _ in range(3):
@@ -284,7 +288,7 @@ def test_who_shows_no_face_is_told_what_to_do_for_one(key: str) -> None:
     controls = Controls(ControlState())
     controls.receive(KeyPressed(key))
     assert controls.state.own_face == "none"
-    assert controls.take_orders() == [Order.EXPLAIN_NO_FACE]
+    assert controls.take_orders() == [NO_FACE]
 
 
 def test_settings_are_an_order_that_replaces_them() -> None:

@@ -68,6 +68,7 @@ def test_before_the_first_call_there_are_defaults_and_no_warning(kept: Kept) -> 
         '{"layout": "pyramid"}',
         '{"window_size": [0, 5]}',
         '{"window_size": "big"}',
+        '{"window_size": null}',
         '{"window_size": [1280.5, 720]}',
         '{"show_statistics": 1}',
         '{"settings": 5}',

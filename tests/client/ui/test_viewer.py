@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -24,6 +25,7 @@ from pica_client.publish.publisher import Publisher, SenderConfig
 from pica_client.render.thumbnail import draw_thumbnail
 from pica_client.schedule.scheduler import SchedulerOptions
 from pica_client.sources import open_source
+from pica_client.ui.controls import ControlState
 from pica_client.ui.events import KeyPressed, MouseMoved, MousePressed, MouseReleased, Scrolled
 from pica_client.ui.viewer import Viewer
 from pica_client.ui.viewer_options import ViewerOptions
@@ -36,6 +38,7 @@ pytestmark = pytest.mark.render
 
 TOY = make_toy_avatar(spec=AvatarSpec(uv_encoding_size=64, axis_encoding_size=64), grid=24)
 SMALL = ViewerOptions(headless=True, size=(160, 90))
+GRID = ControlState(layout="grid")
 PATIENCE_S = 20.0
 
 
@@ -207,7 +210,9 @@ def test_how_the_call_stands_is_asked_for_twice_a_second_and_not_per_frame() -> 
         asked.append(now)
         return CallStatus(summary=(("in", "65 kbit/s"),))
 
-    with Viewer(Faces("ada"), replace(SMALL, show_statistics=True), status=status) as viewer:
+    with Viewer(
+        Faces("ada"), replace(SMALL, at_first=ControlState(show_statistics=True)), status=status
+    ) as viewer:
         for step in range(10):
             viewer.step(1.0 + 0.1 * step)
     assert asked == [1.0, 1.5]
@@ -256,7 +261,7 @@ def test_who_comes_moves_the_others_aside_step_by_step() -> None:
 
 
 def test_a_click_on_the_bar_is_not_one_on_the_head_behind_it() -> None:
-    with Viewer(Faces("ada"), replace(SMALL, size=(640, 360), layout="grid")) as viewer:
+    with Viewer(Faces("ada"), replace(SMALL, size=(640, 360), at_first=GRID)) as viewer:
         viewer.receive(Scrolled(40))
         viewer.receive(MouseMoved(320, 340))
         step_until_decoded(viewer)
@@ -300,7 +305,9 @@ def test_the_statistics_and_the_help_are_drawn_over_the_picture() -> None:
 
 def test_the_help_covers_nobody() -> None:
     source = Faces(*"abcde")
-    options = replace(SMALL, size=(1280, 720), show_statistics=True, layout="line")
+    options = replace(
+        SMALL, size=(1280, 720), at_first=ControlState(show_statistics=True, layout="line")
+    )
     with Viewer(source, options, clock=lambda: 5.0) as viewer:
         viewer.receive(KeyPressed("H"))
         for step in range(3):
@@ -427,7 +434,7 @@ def test_without_a_display_a_window_says_what_to_do(monkeypatch: pytest.MonkeyPa
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(GraphicsError, match=r"DISPLAY is not set.*--headless"):
-        Window("test", (64, 64))
+        Window((64, 64))
 
 
 def test_a_thumbnail_shows_the_avatar() -> None:
@@ -466,7 +473,7 @@ def test_a_viewer_short_of_time_gives_up_detail_and_says_which() -> None:
     for budget_ms in (0.01, 10_000.0):
         source = Faces("ada")
         source.avatars["toy"] = with_toy_levels(TOY)
-        options = replace(SMALL, size=(640, 360), layout="grid", frame_budget_ms=budget_ms)
+        options = replace(SMALL, size=(640, 360), at_first=GRID, frame_budget_ms=budget_ms)
         with Viewer(source, options) as viewer:
             for frame in range(12):
                 source.latent = np.full((8, 8, 4), 0.1 * frame, np.float32)
@@ -490,3 +497,9 @@ def test_the_call_is_told_what_is_worth_having_of_each_stream() -> None:
 def test_a_frame_budget_out_of_range_is_refused_by_name() -> None:
     with pytest.raises(OptionError, match="frame_budget_ms"):
         ViewerOptions(frame_budget_ms=-1.0)
+
+
+@pytest.mark.parametrize("distance_m", [-0.01, 0.3, math.nan])
+def test_eyes_of_no_person_are_refused(distance_m: float) -> None:
+    with pytest.raises(OptionError, match=r"eye_distance_m is .*; 0 to 0\.2 is allowed"):
+        ViewerOptions(eye_distance_m=distance_m)

@@ -16,7 +16,7 @@ pytestmark = [
 
 OPEN = """
 from pica_client.ui.window import Window
-with Window("small", (60, 40)) as window:
+with Window((60, 40)) as window:
     window.poll()
     print(*window.size_px)
 """

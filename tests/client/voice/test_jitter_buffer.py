@@ -254,7 +254,7 @@ def test_a_packet_that_the_codec_refuses_is_concealed_and_counted():
 
     play(buffer, arrivals, 1.5)
 
-    assert buffer.num_refused == 1
+    assert buffer.report().refused == 1
     assert decoder.concealed == 1
 
 

@@ -43,7 +43,7 @@ def sent(frames: list[int], *, muted_from: int = 1 << 30) -> list[tuple[int, int
         opus.OpusDecoder(),
     )
     for index in frames:
-        publisher.set_muted(index >= muted_from)
+        publisher.is_muted = index >= muted_from
         publisher.send(link, LOUD, index * FRAME_US)  # type: ignore[arg-type]
     return [
         (

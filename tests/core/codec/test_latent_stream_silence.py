@@ -111,7 +111,7 @@ def test_a_face_that_only_trembles_within_the_dead_zone_is_still() -> None:
 
 
 def test_keyframe_requests_are_answered_together_after_a_pause() -> None:
-    publisher = Publisher(StreamConfig(keyframe_pause_s=0.25))
+    publisher = Publisher()
     faces, poses = toy_faces(1, 90), toy_pose(1, 90)
     for index in range(90):
         publisher.encoder.request_keyframe()

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from pica_core.codec.plain_stream import (
     PLAIN_BYTES,
-    LatentProfile,
     decode_latent,
     encode_latent,
 )
@@ -17,18 +16,18 @@ from pica_core.errors import LatentError, ShapeError
 
 pytestmark = pytest.mark.unit
 
-PROFILE = LatentProfile(latent_scale=(0.5, 1.0, 2.0, 4.0))
+SCALE = (0.5, 1.0, 2.0, 4.0)
 STILL = np.zeros(3)
 
 
 def some_sample(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
-    latent = rng.uniform(-1, 1, (8, 8, 4)) * PROFILE.latent_scale
+    latent = rng.uniform(-1, 1, (8, 8, 4)) * SCALE
     return latent, rng.uniform(-3, 3, 3), rng.uniform(-1, 1, 3)
 
 
 def test_a_payload_has_269_bytes_and_starts_with_its_format() -> None:
-    payload = encode_latent(*some_sample(0), PROFILE)
+    payload = encode_latent(*some_sample(0), SCALE)
     assert len(payload) == PLAIN_BYTES == 269
     assert payload[0] == 1
 
@@ -37,8 +36,8 @@ def test_a_payload_has_269_bytes_and_starts_with_its_format() -> None:
 @given(seed=st.integers(0, 2**32 - 1))
 def test_a_sample_comes_back_within_half_a_step(seed: int) -> None:
     latent, rotation, translation_m = some_sample(seed)
-    sample = decode_latent(encode_latent(latent, rotation, translation_m, PROFILE), PROFILE)
-    half_step = np.asarray(PROFILE.latent_scale) / 127 / 2
+    sample = decode_latent(encode_latent(latent, rotation, translation_m, SCALE), SCALE)
+    half_step = np.asarray(SCALE) / 127 / 2
     assert (np.abs(sample.latent - latent) <= half_step * 1.0001).all()
     assert np.abs(sample.rotation - rotation).max() <= np.pi / 32767 * 0.501
     assert np.abs(sample.translation_m - translation_m).max() <= 1 / 32767 * 0.501
@@ -47,9 +46,9 @@ def test_a_sample_comes_back_within_half_a_step(seed: int) -> None:
 @settings(max_examples=100, derandomize=True, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_encoding_what_was_decoded_gives_the_same_bytes(seed: int) -> None:
-    payload = encode_latent(*some_sample(seed), PROFILE)
-    sample = decode_latent(payload, PROFILE)
-    again = encode_latent(sample.latent, sample.rotation, sample.translation_m, PROFILE)
+    payload = encode_latent(*some_sample(seed), SCALE)
+    sample = decode_latent(payload, SCALE)
+    again = encode_latent(sample.latent, sample.rotation, sample.translation_m, SCALE)
     assert again == payload
 
 
@@ -62,7 +61,7 @@ def test_encoding_what_was_decoded_gives_the_same_bytes(seed: int) -> None:
 )
 def test_any_bytes_decode_to_finite_values_or_raise_a_latent_error(payload: bytes) -> None:
     try:
-        sample = decode_latent(payload, PROFILE)
+        sample = decode_latent(payload, SCALE)
     except LatentError:
         return
     assert sample.latent.shape == (8, 8, 4)
@@ -71,23 +70,23 @@ def test_any_bytes_decode_to_finite_values_or_raise_a_latent_error(payload: byte
 
 
 def test_values_beyond_the_range_are_clamped() -> None:
-    payload = encode_latent(np.full((8, 8, 4), 1e6), STILL, [9.0, -9.0, 0.0], PROFILE)
-    sample = decode_latent(payload, PROFILE)
-    np.testing.assert_allclose(sample.latent[0, 0], PROFILE.latent_scale, rtol=1e-6)
+    payload = encode_latent(np.full((8, 8, 4), 1e6), STILL, [9.0, -9.0, 0.0], SCALE)
+    sample = decode_latent(payload, SCALE)
+    np.testing.assert_allclose(sample.latent[0, 0], SCALE, rtol=1e-6)
     np.testing.assert_allclose(sample.translation_m, [1, -1, 0])
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_a_value_that_is_not_finite_is_not_sent(value: float) -> None:
     with pytest.raises(LatentError, match="latent holds a value that is not finite"):
-        encode_latent(np.full((8, 8, 4), value), STILL, STILL, PROFILE)
+        encode_latent(np.full((8, 8, 4), value), STILL, STILL, SCALE)
     with pytest.raises(LatentError, match="rotation"):
-        encode_latent(np.zeros((8, 8, 4)), [0, value, 0], STILL, PROFILE)
+        encode_latent(np.zeros((8, 8, 4)), [0, value, 0], STILL, SCALE)
 
 
 def test_a_latent_of_another_shape_is_refused() -> None:
     with pytest.raises(ShapeError, match=r"latent is \(4, 8, 8\)"):
-        encode_latent(np.zeros((4, 8, 8)), STILL, STILL, PROFILE)
+        encode_latent(np.zeros((4, 8, 8)), STILL, STILL, SCALE)
 
 
 @pytest.mark.parametrize(
@@ -103,9 +102,4 @@ def test_a_latent_of_another_shape_is_refused() -> None:
 )
 def test_bytes_that_no_encoder_writes_are_refused(payload: bytes, message: str) -> None:
     with pytest.raises(LatentError, match=message):
-        decode_latent(payload, PROFILE)
-
-
-def test_a_profile_needs_four_positive_scales() -> None:
-    with pytest.raises(ValueError, match="latent_scale"):
-        LatentProfile(latent_scale=(1.0, 1.0, 0.0, 1.0))
+        decode_latent(payload, SCALE)

@@ -158,13 +158,3 @@ def test_bytes_that_are_left_are_an_error() -> None:
     reader.read(FLAT)
     with pytest.raises(LatentError, match="3 bytes too many"):
         reader.finish()
-
-
-@pytest.mark.parametrize(
-    "frequencies",
-    [[], [TOTAL - 1], [TOTAL, 0], [TOTAL + 1, -1], [1] * 257, [[TOTAL // 2] * 2]],
-    ids=["none", "too few", "a zero", "negative", "too many symbols", "two rows"],
-)
-def test_a_table_that_does_not_add_up_is_refused(frequencies: list[int]) -> None:
-    with pytest.raises(ValueError, match=r"frequencies|allowed"):
-        make_table(frequencies)

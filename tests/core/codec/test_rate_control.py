@@ -71,12 +71,6 @@ def test_a_clock_that_stands_or_runs_backwards_fills_nothing() -> None:
     assert not controller.has_room(1, 0, 5.0)
 
 
-@pytest.mark.parametrize("target_bps", [0, -1, float("nan")])
-def test_a_target_must_be_above_zero(target_bps: float) -> None:
-    with pytest.raises(ValueError, match="target_bps"):
-        RateController(target_bps, 8, 3)
-
-
 @settings(max_examples=50)
 @given(data=st.data())
 def test_frames_with_room_never_make_more_than_the_rate_and_what_the_bucket_holds(

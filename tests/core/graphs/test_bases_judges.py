@@ -19,6 +19,7 @@ from pica_core.errors import AvatarFileError
 from pica_core.graphs.onnx_graph import decoder_graph
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.linear import CODE_LOG_VARIANCE
+from pica_core.model.options import ModelOptions
 from pica_core.reference.decoders import decode_position_map
 from pica_core.train.export import avatar_tensors
 from pica_core.types import Array
@@ -35,7 +36,11 @@ MEAN_ROUNDING_M = 5e-6
 def model() -> PixelCodecAvatar:
     torch.manual_seed(1)
     spec = AvatarSpec(uv_encoding_size=16, axis_encoding_size=20, geometry="bases", block="G")
-    return PixelCodecAvatar(spec, toy_linear_prior(dense=GRID))
+    return PixelCodecAvatar(
+        spec,
+        toy_linear_prior(dense=GRID),
+        ModelOptions(encoding_amplitude=1.0, texture_contrast=0.0),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +120,11 @@ def test_the_encoders_first_channel_is_the_closed_forms(model: PixelCodecAvatar)
 
 
 def test_a_checkpoint_brings_its_own_regions(model: PixelCodecAvatar) -> None:
-    other = PixelCodecAvatar(model.spec, toy_linear_prior(dense=GRID))
+    other = PixelCodecAvatar(
+        model.spec,
+        toy_linear_prior(dense=GRID),
+        ModelOptions(encoding_amplitude=1.0, texture_contrast=0.0),
+    )
     state = {name: values.clone() for name, values in model.state_dict().items()}
     state["geometry.mix"], state["geometry.basis"] = (
         torch.cat([state[f"geometry.{name}"]] * 2) for name in ("mix", "basis")

@@ -22,6 +22,7 @@ from pica_core.avatar.spec import BLOCKS, AvatarSpec
 from pica_core.graphs.onnx_graph import decoder_graph
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.interface import Surface
+from pica_core.model.options import ModelOptions
 from pica_core.reference.decoders import decode_expression_map
 from pica_core.reference.pixel import count_parameters, decode_pixels
 from pica_core.reference.sampling import sample_bilinear
@@ -37,7 +38,9 @@ def trained_looking_model(block: str) -> PixelCodecAvatar:
     """Random weights as large as trained ones: every path carries signal."""
     torch.manual_seed(3)
     spec = AvatarSpec(block=block, uv_encoding_size=64)
-    model = PixelCodecAvatar(spec, toy_prior())
+    model = PixelCodecAvatar(
+        spec, toy_prior(), ModelOptions(encoding_amplitude=1.0, texture_contrast=0.0)
+    )
     with torch.no_grad():
         for decoder in (model.geometry, model.expression):
             for name, values in decoder.named_tensors().items():
@@ -72,8 +75,9 @@ def decoded(model: PixelCodecAvatar) -> tuple[torch.Tensor, ...]:
     latent = torch.randn(1, 4, 8, 8)
     view = torch.nn.functional.normalize(torch.randn(1, 3))
     with torch.no_grad():
-        position = model.decode_geometry(latent)
-        return latent, view, position, model.decode_expression(latent, view)
+        position = model.decode_mesh(latent).position_map_m
+        assert position is not None
+        return latent, view, position, model.appearance(latent, view)
 
 
 @pytest.mark.parametrize("block", BLOCKS)

@@ -67,7 +67,7 @@ def test_regions_stay_within_their_tolerance_and_rest_where_nothing_moves(
 ) -> None:
     bases = fit_bases(meshes_m, RANK)
     uv = np.stack([np.linspace(0, 1, VERTICES), np.zeros(VERTICES)], axis=1).astype(np.float32)
-    parts = split_bases(bases, uv, tolerance_m=1e-5)
+    parts = split_bases(bases, uv)
     assert len(parts.rank) == -(-VERTICES // REGION)
     assert parts.rank[1] <= RANK
     assert parts.rank[-1] == 0  # the last region lies in the half that is at rest

@@ -18,7 +18,7 @@ from pica_core.avatar.arkit import ARKIT_INDEX
 from pica_core.avatar.file import Avatar, load_avatar, save_avatar
 from pica_core.avatar.manifest import DRAWN_VARIANTS, Manifest
 from pica_core.avatar.spec import AvatarSpec
-from pica_core.avatar.variants import FULL, TABLE_1, TABLE_2
+from pica_core.avatar.variants import FULL, TABLE_1, TABLE_2, VARIANTS
 from pica_core.errors import AvatarFileError
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.interface import (
@@ -28,7 +28,8 @@ from pica_core.model.interface import (
     Surface,
     flat_latent,
 )
-from pica_core.model.variants import VARIANTS, make_model
+from pica_core.model.options import ModelOptions
+from pica_core.model.variants import make_model
 from pica_core.reference.pixel import count_parameters, decode_pixels
 from pica_core.reference.surface_encoding import encode_surface
 from pica_core.train.export import avatar_tensors
@@ -37,6 +38,7 @@ pytestmark = pytest.mark.train
 
 SMALL = AvatarSpec(map_size=32, hidden_channels=(6,), uv_encoding_size=32, axis_encoding_size=200)
 PRIOR = toy_prior(map_size=32)
+OPTIONS = ModelOptions(encoding_amplitude=1.0, texture_contrast=0.0, texture_size=64)
 NUM_PIXELS = 500
 DECODED = [name for name, row in VARIANTS.items() if row.geometry == "decoder"]
 """Rows of any map size; those with bases have tests of their own (`graphs/test_bases_judges`)."""
@@ -54,7 +56,7 @@ PIXEL_PARAMETERS = {
 
 def small_model(variant: str) -> AvatarModel:
     torch.manual_seed(2)
-    return make_model(variant, SMALL, PRIOR, texture_size=64)
+    return make_model(variant, SMALL, PRIOR, OPTIONS)
 
 
 def exported(variant: str) -> tuple[PixelCodecAvatar, Avatar]:
@@ -109,9 +111,9 @@ def test_the_cost_counts_the_weights_that_a_receiver_runs(variant: str) -> None:
 
 
 def test_the_papers_model_and_its_baseline_have_their_published_sizes() -> None:
-    prior = replace_tracked(7306)
-    full = make_model("full", PAPER_SPEC, toy_prior()).cost
-    baseline = make_model("baseline", PAPER_SPEC, prior).cost
+    prior, paper = replace_tracked(7306), replace(OPTIONS, texture_size=1024)
+    full = make_model("full", PAPER_SPEC, toy_prior(), paper).cost
+    baseline = make_model("baseline", PAPER_SPEC, prior, paper).cost
 
     assert abs(full.parameters - 5_470_000) < 0.005 * 5_470_000
     assert 17_000_000 < baseline.parameters < 19_080_000
@@ -219,7 +221,7 @@ def test_an_unknown_encoding_is_refused() -> None:
 
 def test_an_unknown_variant_is_refused_by_name() -> None:
     with pytest.raises(ValueError, match="variant is 'fuller'; known are full"):
-        make_model("fuller", SMALL, PRIOR)
+        make_model("fuller", SMALL, PRIOR, OPTIONS)
 
 
 @pytest.mark.parametrize("variant", DECODED)

@@ -20,7 +20,7 @@ TINY = PRESETS["tiny"]
 
 
 def test_encodings_leave_the_geometry_phase_alone_bit_for_bit(tmp_path: Path) -> None:
-    data = TrainingData(Capture.open(render_small(tmp_path / "capture")), 256)
+    data = TrainingData(Capture.open(render_small(tmp_path / "capture")))
     schedule = replace(TINY.schedule, geometry_steps=3, joint_steps=0, driver_steps=0)
     states = []
     for variant in ("full", "no_uv", "pe_1d", "nerf_pe"):

@@ -10,7 +10,7 @@ from PIL import Image
 
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.avatar.file import Avatar, load_avatar
-from pica_core.avatar.linear import components_of, mean_vertices
+from pica_core.avatar.linear import components_of
 from pica_core.avatar.shipped import avatar_file
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.procedural.subject import StageOptions, render_capture
@@ -71,7 +71,7 @@ def test_what_bends_where_the_encoder_does_is_found() -> None:
 def test_geometry_follows_poses_whatever_the_frames_are(nora: Avatar) -> None:
     count = len(nora.tensors["mesh.vertex_uv"])
     components_m = components_of(nora.tensors, nora.manifest.position_scale_m)[:, :count]
-    mean_m = mean_vertices(nora.tensors, count)
+    mean_m = nora.tensors["linear.mean"].reshape(-1, 3)[:count]
     bases = Bases(
         mean_m=mean_m, components_m=components_m, vertex_weights=np.ones(count, np.float32)
     )
@@ -142,7 +142,7 @@ def test_a_capture_shows_every_pose_by_one_of_its_cameras(captured: Path) -> Non
 def test_live_colours_are_learned_from_pictures_of_poses_and_geometry_stays(
     captured: Path, tmp_path: Path
 ) -> None:
-    data = TrainingData(Capture.open(captured), 256)
+    data = TrainingData(Capture.open(captured))
     config = PRESETS["tiny"].changed(
         model={"variant": "linear"}, schedule={"joint_steps": 80, "live_steps": 60}
     )
@@ -172,7 +172,7 @@ def test_without_pictures_the_live_encoder_is_the_regression(
     shutil.copytree(captured, copy)
     write_poses(copy, poses._replace(cameras=()))
     with open_trainer(
-        TrainingData(Capture.open(copy), 256),
+        TrainingData(Capture.open(copy)),
         PRESETS["tiny"].changed(model={"variant": "linear"}),
         tmp_path / "run",
     ) as trainer:

@@ -10,6 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from pica_core.capture.dataset.dataset import Topology
 from pica_core.train import losses
 from pica_core.train.laplacian import (
     MeshLaplacian,
@@ -331,8 +332,13 @@ def test_triangles_without_area_leave_the_laplacian_finite() -> None:
 
 def test_hair_and_mouth_are_held_five_times_as_hard() -> None:
     regions = {"hair": np.array([True, False, False]), "mouth": np.array([False, True, False])}
+    triangle = Topology(
+        vertex_uv=np.zeros((3, 2), np.float32),
+        faces=np.array([[0, 1, 2]], np.int32),
+        regions=regions,
+    )
 
-    assert smoothness_weights(regions, 3).tolist() == [1.25, 1.25, 0.25]
+    assert smoothness_weights(triangle).tolist() == [1.25, 1.25, 0.25]
 
 
 def test_the_mean_mesh_follows_slowly_and_without_gradient() -> None:

@@ -12,12 +12,13 @@ import pytest
 import torch
 
 from pica_core.camera import Camera, look_at
+from pica_core.capture.dataset.dataset import Topology
 from pica_core.errors import ShapeError
+from pica_core.train.drawing import MeshDrawer
 from pica_core.train.rasterise import (
     Rasteriser,
     Views,
     hit_points,
-    interpolate,
     interpolation_weights,
 )
 
@@ -32,6 +33,7 @@ def front_camera(size: int = 64) -> Camera:
 
 TRIANGLE = np.array([[-0.1, -0.1, 0.0], [0.1, -0.1, 0.05], [0.0, 0.12, -0.05]], np.float32)
 FACE = np.array([[0, 1, 2]], np.int32)
+TOPOLOGY = Topology(vertex_uv=np.eye(3, 2, dtype=np.float32), faces=FACE, regions={})
 
 
 def test_a_triangle_in_the_upper_image_half_lands_in_upper_rows() -> None:
@@ -73,19 +75,15 @@ def test_the_nearer_of_two_triangles_is_seen() -> None:
 
 def test_interpolated_points_project_back_to_their_pixel_centres() -> None:
     camera = front_camera()
-    with Rasteriser(FACE, 3) as rasteriser:
-        ids = rasteriser.triangle_ids(TRIANGLE, camera)
-    pixels = np.flatnonzero(ids >= 0)
-    uv = torch.rand(3, 2)
+    with Rasteriser.of(TOPOLOGY) as rasteriser:
+        drawn = MeshDrawer(rasteriser, TOPOLOGY).draw(torch.from_numpy(TRIANGLE)[None], [camera])
+    pixels = drawn.pixels.pixel
 
-    _, xyz, depth = interpolate(
-        torch.from_numpy(TRIANGLE), uv, torch.from_numpy(FACE).long(), camera, ids, pixels
-    )
-
-    seen, depths = camera.project(xyz.numpy())
+    seen, depths = camera.project(drawn.surface.xyz_m.numpy())
+    assert np.array_equal(pixels, np.flatnonzero(drawn.ids >= 0))
     assert np.allclose(seen[:, 0], pixels % 64 + 0.5, atol=1e-3)
     assert np.allclose(seen[:, 1], pixels // 64 + 0.5, atol=1e-3)
-    assert np.allclose(depths, depth.numpy(), atol=1e-6)
+    assert np.allclose(depths, drawn.depth_m.numpy(), atol=1e-6)
 
 
 def test_weights_are_perspective_correct() -> None:
@@ -192,21 +190,12 @@ def test_a_batch_gives_what_its_images_give_one_by_one() -> None:
 
 def test_the_driver_and_the_interpolation_see_the_same_depth() -> None:
     camera = several_views(1)[0]
-    with Rasteriser(FACE, 3) as rasteriser:
-        ids = rasteriser.triangle_ids(TRIANGLE, camera)
+    with Rasteriser.of(TOPOLOGY) as rasteriser:
+        drawn = MeshDrawer(rasteriser, TOPOLOGY).draw(torch.from_numpy(TRIANGLE)[None], [camera])
         (depth_m,) = rasteriser.batch_depths_m([camera])
-    pixels = np.flatnonzero(ids >= 0)
 
-    _, _, interpolated_m = interpolate(
-        torch.from_numpy(TRIANGLE),
-        torch.rand(3, 2),
-        torch.from_numpy(FACE).long(),
-        camera,
-        ids,
-        pixels,
-    )
-
-    assert np.abs(depth_m.reshape(-1)[pixels] - interpolated_m.numpy()).max() < 2e-5
+    interpolated_m = drawn.depth_m.numpy()
+    assert np.abs(depth_m.reshape(-1)[drawn.pixels.pixel] - interpolated_m).max() < 2e-5
 
 
 def test_cameras_of_two_sizes_make_no_batch() -> None:

@@ -44,7 +44,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> TrainingData:
     folder = tmp_path_factory.mktemp("capture")
     options = StageOptions(frames=12, cameras=2, width=128, height=128, texture_size=64)
     render_capture(options, folder)
-    return TrainingData(Capture.open(folder), 256)
+    return TrainingData(Capture.open(folder))
 
 
 def short(geometry: int, joint: int, driver: int) -> TrainConfig:
@@ -74,7 +74,7 @@ def trained(data: TrainingData, tmp_path_factory: pytest.TempPathFactory) -> Tra
         trainer.run()
         after = evaluate(trainer, max_frames=1)
         with torch.no_grad():
-            codes, _ = trainer.encode(data.train_frames)
+            codes, _ = trainer.objectives.encode(data.train_frames)
         views = {name: view_error(trainer, name) for name in data.images.camera_names}
         with FAILURES.spoil(data, FAILURES.Failure(wrong_camera=True)):
             spoilt = {name: view_error(trainer, name) for name in data.images.camera_names}
@@ -224,12 +224,12 @@ def test_a_run_does_not_start_from_another_model(data: TrainingData, tmp_path: P
 
 def test_frames_far_from_the_mean_are_drawn_more_often(data: TrainingData) -> None:
     rng = np.random.default_rng(0)
-    rarest = data.train_frames[int(np.argmax(data.sampler.weights))]
+    rarest = data.train_frames[int(np.argmax(data.rarity))]
 
-    balanced = data.sampler.draw(4000, 1.0, rng).count(rarest)
-    alike = data.sampler.draw(4000, 0.0, rng).count(rarest)
+    balanced = data.draw(4000, 1.0, rng).count(rarest)
+    alike = data.draw(4000, 0.0, rng).count(rarest)
 
-    ratio = data.sampler.weights.max() / data.sampler.weights.mean()
+    ratio = data.rarity.max() / data.rarity.mean()
     assert ratio > 1.2
     assert balanced / alike == pytest.approx(ratio, rel=0.2)
 

@@ -35,7 +35,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def data(folder: Path) -> TrainingData:
-    return TrainingData(Capture.open(folder), 256)
+    return TrainingData(Capture.open(folder))
 
 
 def short(geometry: int, joint: int = 0, **changes: Any) -> TrainConfig:
@@ -193,7 +193,7 @@ def test_a_capture_without_depth_switches_its_losses_off_and_says_so_once(
             (bare / entry.name).symlink_to(entry)
     config = short(0, 2, losses=LossConfig(depth=10, normal=1))
 
-    with open_trainer(TrainingData(Capture.open(bare), 256), config, tmp_path / "run") as trainer:
+    with open_trainer(TrainingData(Capture.open(bare)), config, tmp_path / "run") as trainer:
         losses = trainer.train_step()
         trainer.run()
 

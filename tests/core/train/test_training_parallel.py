@@ -53,7 +53,7 @@ def test_two_processes_train_as_one_with_the_doubled_batch(tmp_path: Path) -> No
         [sys.executable, "-m", *torchrun, *words, json.dumps(config(1).to_json())],
         stderr=subprocess.PIPE,
     )
-    data = TrainingData(Capture.open(capture), 256)
+    data = TrainingData(Capture.open(capture))
     with open_trainer(data, config(2), tmp_path / "one") as trainer:
         start = {name: values.clone() for name, values in trainer.model.state_dict().items()}
         trainer.run()

@@ -40,7 +40,7 @@ def test_a_published_capture_with_holes_is_trained_on(original: Path, tmp_path: 
     (original / "images" / SEGMENTS[1] / "front" / "000001.png").unlink()
     for name in ("000000", "000002"):
         (original / "images" / SEGMENTS[0] / "left" / f"{name}.png").write_bytes(b"no image")
-    data = TrainingData(Capture.open(original), 256)
+    data = TrainingData(Capture.open(original))
 
     with open_trainer(data, CONFIG, tmp_path / "run") as trainer:
         trainer.run()
@@ -61,7 +61,7 @@ def test_a_frame_without_any_readable_image_is_named(original: Path, tmp_path: P
     for path in (original / "images").glob("*/*/*.png"):
         if path.name != "000003.png":
             path.write_bytes(b"no image")
-    data = TrainingData(Capture.open(original), 256)
+    data = TrainingData(Capture.open(original))
     config = replace(CONFIG, schedule=replace(CONFIG.schedule, geometry_steps=0))
     with (
         open_trainer(data, config, tmp_path / "run") as trainer,
@@ -73,7 +73,7 @@ def test_a_frame_without_any_readable_image_is_named(original: Path, tmp_path: P
 def test_the_neutral_frame_of_a_capture_without_expressions_is_the_mean_one(
     original: Path,
 ) -> None:
-    data = TrainingData(Capture.open(original), 256)
+    data = TrainingData(Capture.open(original))
     away = np.abs(data.meshes.neutral_m("tracked", data.arkit) - data.meshes.tracked_mean_m).max()
     every = np.abs(data.meshes.tracked_m[data.train_frames] - data.meshes.tracked_mean_m).max(
         (1, 2)
@@ -82,7 +82,7 @@ def test_the_neutral_frame_of_a_capture_without_expressions_is_the_mean_one(
 
 
 def test_without_expressions_no_avatar_is_exported(original: Path, tmp_path: Path) -> None:
-    data = TrainingData(Capture.open(original), 256)
+    data = TrainingData(Capture.open(original))
     config = replace(CONFIG, schedule=replace(CONFIG.schedule, joint_steps=0))
     with open_trainer(data, config, tmp_path / "run") as trainer:
         trainer.run()

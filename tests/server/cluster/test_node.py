@@ -18,6 +18,8 @@ from pica_protocol.messages import (
     PeerUpdated,
     StreamMuted,
     Track,
+    UpdateMetadata,
+    Want,
     Whisper,
 )
 from pica_server.auth.tokens import Admission
@@ -62,7 +64,7 @@ class Nodes:
             self.nodes[slot].receive_renewed(now, now)
             for other in self.nodes:
                 if other.standing is Standing.CLUSTERED:
-                    other.receive_lease(str(slot), self.nodes[slot].name.encode(), now)
+                    other.receive_lease(str(slot), self.nodes[slot].me.name.encode(), now)
 
     def live(self, start: float, end: float, *slots: int) -> None:
         """Let time pass for these nodes alone."""
@@ -116,7 +118,7 @@ class Nodes:
                     node.receive_answer(key, ticket, Found(*self._records.get(key, (b"", 0))), now)
                 case _:
                     self._write(slot, command.key, command.ticket, command, now)
-        for to, key, data in node.take_media(now):
+        for to, key, data in node.exchanges.take_media(now):
             is_busy = True
             if not self.loses():
                 self.nodes[to].receive_media(key, data, now)
@@ -151,8 +153,8 @@ def test_a_peer_elsewhere_comes_speaks_whispers_is_asked_and_goes() -> None:
     ada.send_frame(b"hello", 0.0)
     nodes.pump(0.0)
     assert [frame.payload for frame in told(bob, Frame)] == [b"hello"]
-    bob.session.whisper(ada.peer_id, b"psst")
-    bob.session.request_keyframe(ada.stream)
+    bob.session.tell(Whisper(peer_id=ada.peer_id, data=b"psst"))
+    bob.session.tell(KeyframeRequest(stream=ada.stream))
     bob.speak(0.0)
     nodes.pump(0.0)
     heard = ada.listen(0.0)
@@ -172,7 +174,7 @@ def test_voices_cross_whole_and_in_order_before_faces_and_none_that_is_too_old()
     nodes.pump(0.0)
     for each in (ada, bob, cleo):
         each.listen(0.0)
-    cleo.session.want(ada.session.tracks[1].stream, None)
+    cleo.session.tell(Want(stream=ada.session.tracks[1].stream, layer=None))
     cleo.speak(0.0)
     nodes.pump(0.0)
 
@@ -210,7 +212,7 @@ def test_what_a_peer_says_of_itself_is_known_on_all_nodes_then_and_later() -> No
     nodes = Nodes(2)
     ada = nodes.join(0, "Ada")
     bob = nodes.join(1, "Bob")
-    ada.session.update_metadata((("hand", "up"),))
+    ada.session.tell(UpdateMetadata(metadata=(("hand", "up"),)))
     ada.speak(0.0)
     nodes.pump(0.0)
     assert told(bob, PeerUpdated) == [PeerUpdated(peer_id=ada.peer_id, metadata=(("hand", "up"),))]
@@ -334,7 +336,7 @@ def test_who_lost_the_slot_sends_everybody_away_to_come_again() -> None:
     again = Member(nodes.hubs[0], "Ada", now=1.0)
     nodes.nodes[0].step(1.0)
     assert again.closed_code is None
-    assert nodes.nodes[0].slot == 5
+    assert nodes.nodes[0].me.slot == 5
 
 
 def test_what_no_node_sends_is_counted_and_costs_nothing() -> None:

@@ -10,8 +10,7 @@ import pytest
 
 from pica_server.config.relay import RelayConfig, WebhookConfig
 from pica_server.errors import ConfigurationError
-from pica_server.hooks.events import RoomEvent
-from pica_server.hooks.webhooks import Delivery, WebhookQueue, signature
+from pica_server.hooks.webhooks import Delivery, RoomEvent, WebhookQueue, signature
 
 pytestmark = pytest.mark.unit
 

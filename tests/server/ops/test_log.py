@@ -172,7 +172,7 @@ def test_nobody_can_be_found_in_the_log_of_a_relay(style: Style, tmp_path: Path)
         ):
             await ada.send_frame(PAYLOAD)
             await bob.until(Frame)
-            ada.session.whisper(str(bob.session.peer_id), WHISPERED)
+            ada.session.tell(Whisper(peer_id=str(bob.session.peer_id), data=WHISPERED))
             await ada.flush()
             await bob.until(Whisper)
             await misbehave(url, b"\x01" + PAYLOAD)

@@ -95,7 +95,7 @@ def test_what_waits_for_somebody_goes_out_before_their_goodbye() -> None:
     hub = draining_hub()
     ada, bob = Guest(hub, "tea"), Guest(hub, "tea")
     ada.hear(0.0)
-    bob.session.whisper(str(ada.session.peer_id), b"wait")
+    bob.session.tell(Whisper(peer_id=str(ada.session.peer_id), data=b"wait"))
     bob.speak(1.0)
     bob.session.leave(1.0)
     bob.speak(1.0)
@@ -112,7 +112,7 @@ def test_rooms_follow_one_after_the_other_and_talk_on_until_then() -> None:
     assert hub.next_timer() is not None
     assert hub.num_connections == 2
     hub.handle_timer(now=21.9)
-    second[0].session.whisper(str(second[1].session.peer_id), b"still here")
+    second[0].session.tell(Whisper(peer_id=str(second[1].session.peer_id), data=b"still here"))
     second[0].speak(21.9)
     assert second[1].hear(21.9) == [
         Whisper(peer_id=str(second[0].session.peer_id), data=b"still here")

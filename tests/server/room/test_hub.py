@@ -243,7 +243,7 @@ def test_an_empty_room_is_forgotten() -> None:
 def test_reports_are_added_up() -> None:
     hub, (ada, bob) = hub_with("Ada", "Bob")
     report = Report(streams=(StreamReport(stream=1, received=9, lost=2, concealed=1),) * 2)
-    bob.session.report(report)
+    bob.session.tell(report)
     bob.speak(now=1.0)
     assert (hub.stats.reported_lost, hub.stats.reported_concealed) == (4, 2)
     assert ada.listen(now=1.0) == []
@@ -251,7 +251,7 @@ def test_reports_are_added_up() -> None:
 
 def test_a_whisper_reaches_one_peer_under_its_senders_name() -> None:
     hub, (ada, bob, cyd) = hub_with("Ada", "Bob", "Cyd")
-    ada.session.whisper(bob.session.peer_id, b"key")
+    ada.session.tell(Whisper(peer_id=bob.session.peer_id, data=b"key"))
     ada.speak(now=1.0)
     assert bob.listen(now=1.0) == [Whisper(peer_id=ada.session.peer_id, data=b"key")]
     assert ada.listen(now=1.0) == cyd.listen(now=1.0) == []
@@ -262,7 +262,7 @@ def test_a_whisper_stays_in_its_room() -> None:
     hub, (ada,) = hub_with("Ada")
     eve = Member(hub, "Eve", room="elsewhere")
     for receiver in (eve.session.peer_id, ada.session.peer_id, "p99"):
-        ada.session.whisper(receiver, b"key")
+        ada.session.tell(Whisper(peer_id=receiver, data=b"key"))
     ada.speak(now=1.0)
     assert eve.listen(now=1.0) == ada.listen(now=1.0) == []
     assert hub.stats.whispers_dropped == {"nobody": 3}
@@ -273,7 +273,7 @@ def test_who_whispers_too_much_is_not_heard_for_a_while() -> None:
     heard = []
     for now in (1.0, 1.5, 100.0):
         for _ in range(200):
-            ada.session.whisper(bob.session.peer_id, b"x")
+            ada.session.tell(Whisper(peer_id=bob.session.peer_id, data=b"x"))
         ada.speak(now)
         heard.append(len(bob.listen(now)))
     assert heard == [128, 8, 128]
@@ -285,7 +285,7 @@ def test_whispers_do_not_get_a_slow_reader_closed() -> None:
     hub, (ada, bob) = hub_with("Ada", "Bob", config=RelayConfig(max_control_bytes=65_536))
     for second in range(60):
         for _ in range(100):
-            ada.session.whisper(bob.session.peer_id, bytes(512))
+            ada.session.tell(Whisper(peer_id=bob.session.peer_id, data=bytes(512)))
         ada.speak(now=float(second))
     assert bob.connection.closed is None
     assert bob.connection.outbox.waiting_control_bytes < 20_000

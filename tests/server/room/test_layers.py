@@ -11,7 +11,7 @@ from hypothesis.stateful import RuleBasedStateMachine, precondition, rule
 
 from pica_protocol.client_session import ClientSession
 from pica_protocol.frames import Frame
-from pica_protocol.messages import KeyframeRequest, PeerJoined, Track
+from pica_protocol.messages import KeyframeRequest, PeerJoined, Track, Want
 from pica_protocol.session import Closed, State
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
@@ -182,7 +182,7 @@ async def test_each_layer_can_be_dropped_and_taken_up_again_at_any_moment() -> N
         stream = ada.peer.session.tracks[0].stream
         rates = {}
         for step, layer in enumerate((2, 1, 0, 2, None, 2, 0, 1, None, 0, 2)):
-            bob.session.want(stream, layer)
+            bob.session.tell(Want(stream=stream, layer=layer))
             await bob.flush()
             before = len(bob.arrivals)
             await asyncio.sleep(2 + step / 90)  # at every place of the pattern
@@ -310,7 +310,7 @@ class RelayMachine(RuleBasedStateMachine):
         member = self.members[index % len(self.members)]
         publisher = self.members[other % len(self.members)]
         if publisher.session.tracks and publisher is not member:
-            member.session.want(publisher.stream, layer)
+            member.session.tell(Want(stream=publisher.stream, layer=layer))
             member.wishes[publisher.stream] = layer
             member.speak(self.at)
 

@@ -8,7 +8,7 @@ from pica_protocol.frames import Frame
 from pica_protocol.messages import KeyframeRequest, PeerLeft, StreamMuted
 from pica_server.auth.tokens import Admission
 from pica_server.config.relay import RelayConfig
-from pica_server.hooks.events import RoomEvent
+from pica_server.hooks.webhooks import RoomEvent
 from pica_server.room.hub import Hub
 from pica_server.room.rulings import RULING_S
 

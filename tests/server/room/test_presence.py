@@ -19,6 +19,7 @@ from pica_protocol.messages import (
     PeerJoined,
     PeerLeft,
     PeerUpdated,
+    UpdateMetadata,
 )
 from pica_protocol.session import State
 from pica_server.auth.tokens import Admission
@@ -288,7 +289,7 @@ def test_nobody_is_kept_while_a_relay_drains() -> None:
 def test_what_a_peer_says_of_itself_reaches_the_others_and_those_who_come_later() -> None:
     hub, (ada, bob) = hub_with("Ada", "Bob")
     for metadata in ((("hand", "up"),), (("hand", "up"),), (("hand", "down"),)):
-        ada.session.update_metadata(metadata)
+        ada.session.tell(UpdateMetadata(metadata=metadata))
         ada.speak(now=1.0)
     assert bob.listen(now=1.0) == [
         PeerUpdated(peer_id=ada.peer_id, metadata=(("hand", "up"),)),
@@ -315,7 +316,7 @@ def test_who_changes_what_it_says_too_often_is_closed() -> None:
     _hub, (ada, bob) = hub_with("Ada", "Bob")
     for i in range(30):
         if ada.session.state is State.JOINED:
-            ada.session.update_metadata((("n", str(i)),))
+            ada.session.tell(UpdateMetadata(metadata=(("n", str(i)),)))
             ada.speak(now=1.0)
             ada.listen(now=1.0)
     assert ada.closed_code == CloseCode.TOO_FAST

@@ -4,15 +4,9 @@ The truth is a built-in head, a rig, or a person of the face model, posed by wha
 avatar is driven by the same values through each step of a live call (`drive.steps`) and shown at
 each level of detail.
 
-    mse         over the pixels that the avatar covers, 0-255, mean over moments and views
-    p95_mse     95th percentile of single pictures
-    lid_mm      mean distance of the lids' vertices from the truth
-    lip_mm      the same of the lips
-    poke_ratio  share of the head's pixels that show another part than the truth within a pixel
-                (`reference.face_errors`), p95 and most of single pictures
-
-What it does not show: people. The truth is synthetic, a tracker's own mistakes are none of it but
-in the stage ``webcam``, and delay is no error here.
+The fields of its rows stand in ``docs/benches.md``. What it does not show: people. The truth is
+synthetic, a tracker's own mistakes are none of it but in the stage ``webcam``, and delay is no
+error here.
 """
 
 from collections.abc import Sequence
@@ -28,7 +22,7 @@ from pica_client.bench.codec import FPS
 from pica_client.bench.difference_sheet import AMPLIFIED
 from pica_client.bench.drive import steps
 from pica_client.bench.head import FaceRenderer, evaluation_cameras
-from pica_client.bench.option_types import Words
+from pica_client.bench.option_types import Words, check_names
 from pica_client.errors import OptionError, check_ranges
 from pica_client.output import make_folder, say, writing
 from pica_client.render.drawing import masked_mse
@@ -84,9 +78,7 @@ class DriveBenchConfig:
     def __post_init__(self) -> None:
         check_ranges(self, seconds=(1, 600), moments=(1, 2000))
         check_ranges(self, image_size=(64, 1024), num_worst=(1, 32))
-        known = (*steps.STAGES, WEBCAM)
-        if unknown := sorted(set(self.stages) - set(known)):
-            raise OptionError(f"stage {unknown[0]!r} is unknown; known are {', '.join(known)}")
+        check_names("stage", self.stages, (*steps.STAGES, WEBCAM))
 
 
 class _Truth(NamedTuple):

@@ -16,7 +16,6 @@ from pica_client.sources.live.sample import TrackerSample
 from pica_client.sources.live.smoothing import BLINKS
 from pica_client.sources.webcam.face_finder import FaceFinder
 from pica_client.sources.webcam.model import load_networks
-from pica_client.sources.webcam.networks import FaceNetworks
 from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.camera import look_at
 from pica_core.capture.stage.subject import Subject
@@ -41,7 +40,7 @@ class SeenByWebcam:
 
     def __init__(self, subject: Subject) -> None:
         self._subject = subject
-        self._finder = FaceFinder(FaceNetworks(*load_networks()))
+        self._finder = FaceFinder(load_networks())
         self._camera = look_at(
             name="webcam",
             centre_m=(0.0, 0.02, DISTANCE_M),

@@ -116,13 +116,6 @@ class FramePath:
             arrived += [(arrival_s, frame) for frame in decode_media(data)]
         return arrived
 
-    def next_timer(self) -> float | None:
-        """When there may be something to take, or None."""
-        timers = [self._under_way[0][0]] if self._under_way else []
-        if self._queue:
-            timers.append(self._way.free_s)
-        return min(timers, default=None)
-
     @property
     def counters(self) -> PathCounters:
         """What became of the frames so far."""

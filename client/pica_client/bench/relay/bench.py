@@ -10,7 +10,7 @@ The fields of its rows stand in ``docs/benches.md``. What it does not show: real
 
 import json
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from typing import Annotated, Any, Final
@@ -26,6 +26,7 @@ from pica_client.bench.relay.figures import (
     percentiles,
     relay_percentiles,
 )
+from pica_client.bench.relay.peer import JOIN_TIMEOUT_S
 from pica_client.bench.relay.processes import (
     START_TIMEOUT_S,
     Workers,
@@ -34,7 +35,6 @@ from pica_client.bench.relay.processes import (
     pin,
     relay_metrics,
     share_cores,
-    split_evenly,
     summed,
 )
 from pica_client.bench.relay.swarm import DRAIN_S, SwarmConfig
@@ -126,28 +126,23 @@ class Load:
         self._workers = workers
         self._connected = 0
         _, cores = share_cores()
-        rate = config.joins_per_s or (40.0 if target.pid is None else OWN_JOINS_PER_S)
-        self._rate = rate
+        self._rate = config.joins_per_s or (40.0 if target.pid is None else OWN_JOINS_PER_S)
         names = [self.room(index) for index in range(config.most_rooms)]
-        self._swarms = [
-            workers.start(
-                "swarm",
-                json.dumps(
-                    asdict(
-                        SwarmConfig(
-                            url=target.url,
-                            rooms=rooms,
-                            peers=config.peers,
-                            fps=config.fps,
-                            joins_per_s=rate / config.processes,
-                            voices=config.voices,
-                            seed=f"{config.seed}/{part}",
-                        )
-                    )
-                ),
-                core=cores[part % len(cores)],
+        swarms = [
+            SwarmConfig(
+                url=target.url,
+                rooms=names[part :: config.processes],
+                peers=config.peers,
+                fps=config.fps,
+                joins_per_s=self._rate / config.processes,
+                voices=config.voices,
+                seed=f"{config.seed}/{part}",
             )
-            for part, rooms in enumerate(split_evenly(names, config.processes))
+            for part in range(config.processes)
+        ]
+        self._swarms = [
+            workers.start("swarm", json.dumps(asdict(swarm)), core=cores[part % len(cores)])
+            for part, swarm in enumerate(swarms)
         ]
         self._idle_bytes = None if target.pid is None else memory_bytes(target.pid)
 
@@ -169,9 +164,10 @@ class Load:
         if rooms <= self._connected:
             return
         new = (rooms - self._connected) * self._config.peers
-        answers = self._ask(
-            lambda part: {"do": "connect", "rooms": part}, rooms, new / self._rate + 10.0
-        )
+        for swarm, part in zip(self._swarms, self._parts(rooms), strict=True):
+            swarm.order(do="connect", rooms=part)
+        timeout_s = new / self._rate + JOIN_TIMEOUT_S + PATIENCE_S
+        answers = [swarm.answer(timeout_s) for swarm in self._swarms]
         live = sum(answer["live"] for answer in answers)
         if live < rooms * self._config.peers:
             raise CallProcessError(
@@ -282,13 +278,6 @@ class Load:
                 "reads_per_s": round(total["reads"] / seconds, 1),
             },
         }
-
-    def _ask(
-        self, order: Callable[[int], dict[str, Any]], rooms: int, timeout_s: float
-    ) -> list[dict[str, Any]]:
-        for swarm, part in zip(self._swarms, self._parts(rooms), strict=True):
-            swarm.order(**order(part))
-        return [swarm.answer(timeout_s + PATIENCE_S) for swarm in self._swarms]
 
     def _parts(self, rooms: int) -> list[int]:
         """How many rooms of each swarm are the first so many of all."""

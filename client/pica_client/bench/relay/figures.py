@@ -1,7 +1,9 @@
 """What is made of a relay bench's counts: percentiles, sums, and a line to read."""
 
+from bisect import bisect_left
 from collections import Counter
 from collections.abc import Sequence
+from itertools import accumulate
 from typing import Any
 
 from pica_client.bench.relay.tally import STEP_US
@@ -40,17 +42,14 @@ def merged(answers: Sequence[dict[str, Any]], key: str) -> Counter[int]:
 
 def percentiles(steps: Counter[int]) -> dict[str, float | None]:
     """Percentiles of a histogram of the swarms, upper edges, in milliseconds."""
-    total = sum(steps.values())
+    ordered = sorted(steps)
+    seen = list(accumulate(steps[step] for step in ordered))
     found: dict[str, float | None] = {}
-    ordered = sorted(steps.items())
     for percent in (50, 95, 99):
-        seen, rank = 0, max(1, -(-total * percent // 100))
-        found[f"p{percent}"] = None
-        for step, count in ordered:
-            seen += count
-            if seen >= rank:
-                found[f"p{percent}"] = round((step + 1) * STEP_US / 1e3, 3)
-                break
+        place = bisect_left(seen, seen[-1] * percent / 100) if seen else None
+        found[f"p{percent}"] = (
+            None if place is None else round((ordered[place] + 1) * STEP_US / 1e3, 3)
+        )
     return found
 
 

@@ -16,7 +16,6 @@ import socket
 import ssl
 import struct
 from typing import Final
-from urllib.parse import urlsplit
 
 from websockets.client import ClientProtocol
 from websockets.typing import Subprotocol
@@ -33,6 +32,7 @@ from pica_protocol.messages import Joined, KeyframeRequest, Track
 from pica_protocol.session import State
 
 CONNECT_TIMEOUT_S: Final = 5.0
+JOIN_TIMEOUT_S: Final = 10.0
 _VOICE: Final = Track(kind="voice", policy="ordered", deadline_ms=200)
 _READ_BYTES: Final = 65_536
 _OUT = struct.Struct(">IBHHBBHQ")
@@ -59,8 +59,8 @@ class SwarmPeer:
         rng: random.Random,
         tally: Tally,
         now: float,
-        timeout_s: float,
-        has_voice: bool = False,
+        *,
+        has_voice: bool,
     ) -> None:
         """Connect, and ask for the websocket.
 
@@ -78,7 +78,7 @@ class SwarmPeer:
             name=name,
             tracks=(Track(kind="load"), _VOICE)[: 1 + has_voice],
             now=now,
-            timeout_s=timeout_s,
+            timeout_s=JOIN_TIMEOUT_S,
         )
         self.sock = _connect(url)
         self._handshake: ClientProtocol | None = ClientProtocol(
@@ -106,16 +106,7 @@ class SwarmPeer:
         begin = bytes((_FIN | _BINARY, _MASK | min(length, 126)))
         if length >= 126:
             begin += length.to_bytes(2, "big")
-        head = begin + _OUT.pack(
-            0,
-            MEDIA_KIND,
-            stream,
-            sequence,
-            layer,
-            is_keyframe,
-            size,
-            now_us,
-        )
+        head = begin + _OUT.pack(0, MEDIA_KIND, stream, sequence, layer, is_keyframe, size, now_us)
         if self._unsent:
             self._write(b"")
             if self._unsent:
@@ -243,13 +234,11 @@ class SwarmPeer:
 
 
 def _connect(url: str) -> socket.socket:
-    parts = urlsplit(url)
-    host, is_secure = parts.hostname or "", parts.scheme == "wss"
-    port = parts.port or (443 if is_secure else 80)
+    uri = parse_uri(url)
     try:
-        sock = socket.create_connection((host, port), timeout=CONNECT_TIMEOUT_S)
-        if is_secure:
-            sock = ssl.create_default_context().wrap_socket(sock, server_hostname=host)
+        sock = socket.create_connection((uri.host, uri.port), timeout=CONNECT_TIMEOUT_S)
+        if uri.secure:
+            sock = ssl.create_default_context().wrap_socket(sock, server_hostname=uri.host)
     except OSError as error:
         raise RelayUnreachableError(
             f"nobody answers at {url}: {error.strerror or error}; start one with: pica relay"

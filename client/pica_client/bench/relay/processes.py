@@ -8,7 +8,7 @@ import urllib.error
 import urllib.request
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any, Self
+from typing import Any, Self
 
 from pica_client.errors import CallProcessError, OptionError
 from pica_client.local_call.processes import ChildProcess, end_all
@@ -32,9 +32,10 @@ class Worker(ChildProcess):
         Raises:
             CallProcessError: It has ended.
         """
+        assert self._process.stdin is not None
         try:
-            self._in.write(json.dumps(order).encode() + b"\n")
-            self._in.flush()
+            self._process.stdin.write(json.dumps(order).encode() + b"\n")
+            self._process.stdin.flush()
         except OSError as error:
             raise self._failure() from error
 
@@ -68,11 +69,6 @@ class Worker(ChildProcess):
         super().wait(deadline)
         assert self._process.stdout is not None
         self._process.stdout.close()
-
-    @property
-    def _in(self) -> IO[bytes]:
-        assert self._process.stdin is not None
-        return self._process.stdin
 
     def _failure(self) -> CallProcessError:
         code = self.exit_code
@@ -168,8 +164,3 @@ def summed(metrics: Mapping[str, float], name: str) -> float:
     return sum(
         value for key, value in metrics.items() if key == name or key.startswith(f"{name}{{")
     )
-
-
-def split_evenly(items: Sequence[str], num_parts: int) -> list[list[str]]:
-    """Deal items to parts in turn."""
-    return [list(items[part::num_parts]) for part in range(num_parts)]

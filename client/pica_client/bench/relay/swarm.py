@@ -3,7 +3,7 @@
 One loop: send the frames that are due, wait, read what has come. It takes its orders from standard
 input, a JSON object a line, and answers each with one on standard output; when the input ends, so
 does it. Orders: ``connect`` (come in, so many a second), ``window`` (send, and count the frames
-captured between two moments), ``farewell`` (until the relay has closed everybody), ``leave``.
+captured between two moments) and ``farewell`` (until the relay has closed everybody).
 
 What is measured: from just before a frame's ``send`` to just after the ``recv`` that brought it,
 both here, on the clock that all processes of a machine share. So it holds the relay, the kernel on
@@ -24,7 +24,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final
 
-from pica_client.bench.relay.peer import SwarmPeer
+from pica_client.bench.relay.peer import JOIN_TIMEOUT_S, SwarmPeer
 from pica_client.bench.relay.tally import Tally, add_step
 from pica_client.errors import ClientError
 
@@ -114,40 +114,33 @@ class Swarm:
                     self._measure(**order)
                 case "farewell":
                     self._wait_for_the_end(**order)
-                case "leave":
-                    self._leave()
-        self._leave()
+        for peer in self._by_fd.values():
+            peer.close()
 
     def _connect(self, rooms: int) -> None:
         """Let the first so many rooms be full, and answer when they are."""
         config = self._config
-        period_s = 1 / config.joins_per_s
         due_s = time.monotonic()
-        wanted = [
-            (index, seat)
-            for index in range(rooms)
-            for seat in range(len(self._rooms[index]), config.peers)
-        ]
         new: list[SwarmPeer] = []
-        for index, seat in wanted:
-            while time.monotonic() < due_s:
-                self._turn(due_s)
-            due_s += period_s
-            peer = SwarmPeer(
-                config.url,
-                config.rooms[index],
-                f"load-{seat}",
-                self._rng,
-                self._tally,
-                time.monotonic(),
-                timeout_s=10.0,
-                has_voice=config.voices,
-            )
-            self._rooms[index].append(peer)
-            self._by_fd[peer.sock.fileno()] = peer
-            self._poller.register(peer.sock.fileno(), select.POLLIN)
-            new.append(peer)
-        deadline = time.monotonic() + 10.0
+        for name, room in zip(config.rooms[:rooms], self._rooms, strict=False):
+            while len(room) < config.peers:
+                while time.monotonic() < due_s:
+                    self._turn(due_s)
+                due_s += 1 / config.joins_per_s
+                peer = SwarmPeer(
+                    config.url,
+                    name,
+                    f"load-{len(room)}",
+                    self._rng,
+                    self._tally,
+                    time.monotonic(),
+                    has_voice=config.voices,
+                )
+                room.append(peer)
+                self._by_fd[peer.sock.fileno()] = peer
+                self._poller.register(peer.sock.fileno(), select.POLLIN)
+                new.append(peer)
+        deadline = time.monotonic() + JOIN_TIMEOUT_S
         while not all(peer.is_live or peer.is_closed for peer in new):
             if time.monotonic() > deadline or self._is_over:
                 break
@@ -240,15 +233,6 @@ class Swarm:
                 with contextlib.suppress(OSError, KeyError):  # epoll has forgotten it already
                     self._poller.unregister(fd)
         add_step(self._tally.turns, (time.monotonic_ns() - begin_ns) // 1000)
-
-    def _leave(self) -> None:
-        for room in self._rooms:
-            for peer in room:
-                if not peer.is_closed:
-                    peer.close()
-            room.clear()
-        self._by_fd.clear()
-        self._schedules = []
 
     def _next_order(self) -> dict[str, Any] | None:
         while b"\n" not in self._input and not self._is_over:

@@ -14,10 +14,11 @@ layout(location = 0) out vec4 colour;
 #include "owner.glsl"
 #include "mark.glsl"
 #include "bust.glsl"
-#include "axis_table.glsl"
 #include "footprint.glsl"
-#include SIREN // vec4 encode_xyz(vec3 xyz_m), vec3 decode_pixel(vec4 p0, vec4 p1, vec4 p2, vec4 p3)
-#include ENCODING // vec3 colour_pixel(vec4 expression, vec3 xyz_m, vec2 uv, vec2 reach)
+#include "surface_joint.glsl"
+#include "surface_axes.glsl"
+#include "surface_sinusoids.glsl"
+#include SIREN // vec4 encode_xyz(vec3 xyz_m), vec3 decode_pixel(vec4 p0, vec4 p1, vec4 p2, ...)
 
 void main() {
     ivec2 pixel = ivec2(gl_FragCoord.xy);
@@ -30,6 +31,7 @@ void main() {
     if (is_change) {
         expression += textureLod(still_map, uv, 0.0);
     }
-    vec3 rgb = colour_pixel(expression, surface.xyz, uv, unpack_footprint(surface.w));
+    vec2 reach = unpack_footprint(surface.w);
+    vec3 rgb = decode_pixel(expression, encode_xyz(surface.xyz) SURFACE_CODES);
     colour = vec4(before_room(clamp(rgb, 0.0, 1.0), surface.xyz), mark_of(mark));
 }

@@ -11,7 +11,6 @@ Neither could be held against the apps themselves.
 
 import math
 import re
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -29,21 +28,15 @@ MAX_BYTES: Final = 8192
 """Longest line (chosen: the apps send about 1.5 kB)."""
 FARTHEST_M: Final = 10.0
 """A head further from its phone is none, and has another unit."""
-_ITEM: Final = re.compile(r"(\w+)[&-](-?\d+(?:\.\d+)?)")
+_ITEM: Final = re.compile(r"(\w+?)(_L|_R)?[&-](-?\d+(?:\.\d+)?)")
+_SIDES: Final = {"_L": "Left", "_R": "Right"}
 
 
-@dataclass(frozen=True, slots=True)
-class Request:
-    """What makes a phone send, and where to."""
-
-    port: int
-    """The phone's port, and ours."""
-    words: bytes
-    """What the phone waits for."""
-
-
-IFACIALMOCAP: Final = Request(49983, b"iFacialMocap_sahuasouryya9218sauhuiayeta91555dy3719")
-FACEMOTION3D: Final = Request(49993, b"FACEMOTION3D_OtherStreaming")
+REQUESTS: Final = {
+    "ifacialmocap": (49983, b"iFacialMocap_sahuasouryya9218sauhuiayeta91555dy3719"),
+    "facemotion3d": (49993, b"FACEMOTION3D_OtherStreaming"),
+}
+"""Of each app: the phone's port, and ours, and what the phone waits for until it sends."""
 
 
 def decode(packet: bytes) -> TrackerSample:
@@ -62,21 +55,16 @@ def decode(packet: bytes) -> TrackerSample:
     values = {}
     for item in filter(None, shapes.split("|")):
         found = _ITEM.fullmatch(item)
-        if found is not None and not found[1].startswith("FM_"):
-            value = float(found[2]) / 100
+        if found is not None and not item.startswith("FM_"):
+            name, value = found[1] + _SIDES.get(found[2], ""), float(found[3]) / 100
             if abs(value) > VALUE_LIMIT:
-                raise PacketError(f"{found[1]} lies outside of ±{VALUE_LIMIT * 100:g}")
-            values[_arkit_name(found[1])] = value
+                raise PacketError(f"{name} lies outside of ±{VALUE_LIMIT * 100:g}")
+            values[name] = value
     arkit = arkit_from_names(values)
     if not equals or np.isnan(arkit).all():
         raise PacketError("not a line of iFacialMocap")
     rotation, place_m = _head(bones)
     return TrackerSample(arkit=arkit, rotation=rotation, place_m=place_m)
-
-
-def _arkit_name(name: str) -> str:
-    sides = {"_L": "Left", "_R": "Right"}
-    return name[:-2] + sides[name[-2:]] if name[-2:] in sides else name
 
 
 def _head(bones: str) -> tuple[FloatArray, FloatArray | None]:

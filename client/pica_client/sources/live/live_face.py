@@ -8,7 +8,7 @@ without a snap.
 """
 
 from bisect import bisect_right
-from collections import deque
+from collections import Counter, deque
 from dataclasses import dataclass
 from typing import Final
 
@@ -42,14 +42,11 @@ class Seat:
         self._place_m = None
 
     def offset_m(self, place_m: FloatArray | None, step_s: float) -> FloatArray:
-        """How far the head is from its seat.
+        """How far the head is from its seat: metres, seat axes, within `REACH_M`. float32 ``[3]``.
 
         Args:
             place_m: As `TrackerSample.place_m`; None is the seat itself.
-            step_s: Time since the sample before, seconds.
-
-        Returns:
-            Metres, seat axes, within `REACH_M`. float32 ``[3]``.
+            step_s: Time since the sample before.
         """
         if place_m is None:
             return np.zeros(3, np.float32)
@@ -78,16 +75,6 @@ USUAL_SHARE: Final = 0.9
 """Share of the samples that is waited for."""
 
 
-@dataclass(slots=True)
-class LiveCounters:
-    """What became of the samples."""
-
-    samples: int = 0
-    faceless: int = 0
-    out_of_order: int = 0
-    clock_jumps: int = 0
-
-
 @dataclass(frozen=True, slots=True)
 class _Pose:
     arkit: FloatArray
@@ -107,12 +94,14 @@ class LiveFace:
     """One person's face, fed by a tracker.
 
     Attributes:
+        counters: Of the samples "taken", of these "faceless" ones; of samples "out of order", and
+            "clock jumps".
         calibration: What is done to each sample; may be replaced at any time.
         recent: The latest samples with a face as the tracker sent them, to calibrate by.
     """
 
     def __init__(self, calibration: Calibration | None = None) -> None:
-        self.counters = LiveCounters()
+        self.counters: Counter[str] = Counter()
         self.calibration = calibration or Calibration()
         self.recent: deque[FloatArray] = deque(maxlen=RECENT_SAMPLES)
         self._smoother, self._seat = Smoother(), Seat()
@@ -134,11 +123,11 @@ class LiveFace:
         """
         seen_s = self._on_our_clock(sample.tracker_s, arrived_s)
         if self._times_s and seen_s <= self._times_s[-1]:
-            self.counters.out_of_order += 1
+            self.counters["out of order"] += 1
             return
-        self.counters.samples += 1
+        self.counters["taken"] += 1
         if not sample.has_face:
-            self.counters.faceless += 1
+            self.counters["faceless"] += 1
             self._lost_s = seen_s if self._lost_s is None else self._lost_s
             return
         gap_s = seen_s - self._times_s[-1] if self._times_s else np.inf
@@ -217,7 +206,7 @@ class LiveFace:
             return arrived_s
         way_s = arrived_s - tracker_s
         if self._ways_s and abs(way_s - min(self._ways_s)) > CLOCK_JUMP_S:
-            self.counters.clock_jumps += 1
+            self.counters["clock jumps"] += 1
             self._ways_s.clear()
         self._ways_s.append(way_s)
         return max(tracker_s + min(self._ways_s), arrived_s - MAX_WAY_S)

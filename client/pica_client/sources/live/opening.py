@@ -8,13 +8,12 @@ webcam[:DEVICE|FILE]               a camera of this machine, or a video that sta
 """
 
 import ipaddress
-from collections.abc import Callable
 from typing import Final
 
 from pica_client.errors import SourceError
 from pica_client.sources.live import ifacialmocap, livelink, vmc
 from pica_client.sources.live.calibration import Calibration
-from pica_client.sources.live.live_face import LiveFace
+from pica_client.sources.live.ifacialmocap import REQUESTS
 from pica_client.sources.live.tracker import SampleTap, Tracker
 from pica_client.sources.live.udp import Decode, UdpOptions, UdpTracker
 
@@ -22,27 +21,18 @@ LIVE_HELP: Final = (
     "livelink[:PORT][/SUBJECT], vmc[:PORT], ifacialmocap:PHONE_IP, facemotion3d:PHONE_IP or "
     "webcam[:DEVICE|FILE] for a face as it moves"
 )
-REQUESTS: Final = {
-    "ifacialmocap": ifacialmocap.IFACIALMOCAP,
-    "facemotion3d": ifacialmocap.FACEMOTION3D,
-}
-
-
-def decoder_of(kind: str) -> Decode:
-    """A new decoder for the datagrams of a kind of tracker."""
-    decoders: dict[str, Callable[[], Decode]] = {
-        "livelink": lambda: lambda packet: (livelink.decode(packet),),
-        "vmc": lambda: vmc.VmcDecoder().decode,
-        "ifacialmocap": lambda: lambda packet: (ifacialmocap.decode(packet),),
-        "facemotion3d": lambda: lambda packet: (ifacialmocap.decode(packet),),
-    }
-    return decoders[kind]()
-
-
 LIVE_KINDS: Final = ("livelink", "vmc", *REQUESTS)
 """Trackers that send datagrams."""
 TRACKER_KINDS: Final = (*LIVE_KINDS, "webcam")
 """All live sources."""
+
+
+def decoder_of(kind: str) -> Decode:
+    """A new decoder for the datagrams of a kind of tracker."""
+    if kind == "vmc":
+        return vmc.VmcDecoder().decode
+    read = livelink.decode if kind == "livelink" else ifacialmocap.decode
+    return lambda packet: (read(packet),)
 
 
 def open_live(
@@ -56,14 +46,16 @@ def open_live(
         tap: Sees what arrives.
 
     Raises:
-        SourceError: The text is of another form, or the port or the camera is not to be had.
+        SourceError: The text is of another form, or the port, the camera or what it needs is not to
+            be had; says what to do.
     """
     if kind == "webcam":
         # Only here: its networks need packages of their own.
-        from pica_client.sources.webcam.webcam import open_webcam
+        from pica_client.sources.webcam.model import load_networks
+        from pica_client.sources.webcam.webcam import Webcam
 
-        return open_webcam(rest, calibration, tap)
-    return UdpTracker(parse_live(kind, rest), decoder_of(kind), LiveFace(calibration), tap)
+        return Webcam(rest, load_networks(), calibration, tap)
+    return UdpTracker(parse_live(kind, rest), decoder_of(kind), calibration, tap)
 
 
 def parse_live(kind: str, rest: str) -> UdpOptions:
@@ -79,20 +71,19 @@ def parse_live(kind: str, rest: str) -> UdpOptions:
             raise SourceError(
                 f"{kind}:{rest} needs the phone's address, which the app shows: {kind}:192.168.0.7"
             ) from None
-        request = REQUESTS[kind]
+        port, request = REQUESTS[kind]
         # A program that plays the phone on this machine has the same port, at another address.
         host = "127.0.0.1" if phone.is_loopback else "0.0.0.0"
-        return UdpOptions(kind, request.port, phone=str(phone), request=request, host=host)
+        return UdpOptions(kind, port, phone=str(phone), request=request, host=host)
     place, _, subject = rest.partition("/")
-    host, colon, port = place.rpartition(":")
-    usual = livelink.DEFAULT_PORT if kind == "livelink" else vmc.DEFAULT_PORT
-    if port and not (port.isdecimal() and int(port) < 65_536):
-        raise SourceError(f"{kind}:{rest}: {port!r} is no port; write {kind}:{usual}")
+    host, colon, number = place.rpartition(":")
+    port = livelink.DEFAULT_PORT if kind == "livelink" else vmc.DEFAULT_PORT
+    if number and not (number.isdecimal() and int(number) < 65_536):
+        raise SourceError(f"{kind}:{rest}: {number!r} is no port; write {kind}:{port}")
     if colon:
         try:
             host = str(ipaddress.IPv4Address(host))
         except ValueError:
             raise SourceError(f"{kind}:{rest}: {host!r} is no address of this machine") from None
-    return UdpOptions(
-        kind, int(port) if port else usual, subject=subject, host=host if colon else "0.0.0.0"
-    )
+    port = int(number) if number else port
+    return UdpOptions(kind, port, subject=subject, host=host if colon else "0.0.0.0")

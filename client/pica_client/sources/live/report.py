@@ -138,12 +138,9 @@ def _named(shapes: list[str]) -> str:
 def _range(values: Float64Array) -> dict[str, float]:
     """Mean and limits of what was sent."""
     known = values[~np.isnan(values)]
-    return {
-        "mean": round(float(known.mean()), 4),
-        "min": round(float(known.min()), 4),
-        "max": round(float(known.max()), 4),
-        "p05": round(float(np.quantile(known, 0.05)), 4),
-    }
+    low = np.quantile(known, 0.05)
+    figures = {"mean": known.mean(), "min": known.min(), "max": known.max(), "p05": low}
+    return {name: round(float(value), 4) for name, value in figures.items()}
 
 
 def _percentiles(values: Float64Array, **named: float) -> dict[str, float]:

@@ -42,14 +42,8 @@ class TrackerSample:
 
 
 def arkit_from_names(values: dict[str, float]) -> FloatArray:
-    """Put values by ARKit name, in any case, into their order.
-
-    Args:
-        values: Value by name; names that ARKit does not have are left out.
-
-    Returns:
-        float32 ``[52]``, NaN where no value was given.
-    """
+    """Put values by ARKit name, in any case, into their order: float32 ``[52]``, NaN where no value
+    was given. Names that ARKit does not have are left out."""
     arkit = np.full(NUM_ARKIT, np.nan, np.float32)
     for name, value in values.items():
         index = INDEX_BY_FOLDED_NAME.get(name.lower())

@@ -51,17 +51,8 @@ class Smoother:
     def smooth(
         self, arkit: FloatArray, rotation: FloatArray, offset_m: FloatArray, step_s: float
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Filter the next sample.
-
-        Args:
-            arkit: Values, finite. float32 ``[52]``.
-            rotation: Rotation vector. float32 ``[3]``.
-            offset_m: Offset from the seat. float32 ``[3]``.
-            step_s: Time since the sample before, above 0.
-
-        Returns:
-            The same, filtered; the gaze rests while both eyes are closed.
-        """
+        """Filter the next sample, `step_s` > 0 after the one before; the gaze rests while both eyes
+        are closed. Finite, float32 ``[52]``, ``[3]`` and ``[3]``."""
         raw = np.concatenate((arkit, rotation, offset_m)).astype(np.float64)
         count = len(arkit)
         if self._value is None:

@@ -13,7 +13,6 @@ from typing import Any, Final
 import numpy as np
 
 from pica_client.errors import SourceError
-from pica_client.sources.live.calibration import Calibration
 from pica_client.sources.live.live_face import LiveFace
 from pica_client.sources.live.sample import VALUE_LIMIT, TrackerSample
 from pica_core.avatar.arkit import NUM_ARKIT, ExpressionFrame
@@ -24,12 +23,22 @@ FORMAT: Final = "pica take 1"
 MAX_SAMPLES: Final = 1_000_000
 """Longest take (chosen: 4.6 hours at 60 a second)."""
 MIN_LOOP_GAP_S: Final = 0.02
+_SHAPES: Final[dict[str, tuple[tuple[int, ...], type]]] = {
+    "arrived_s": ((), np.float64),
+    "tracker_s": ((), np.float64),
+    "arkit": ((NUM_ARKIT,), np.float32),
+    "rotation": ((3,), np.float32),
+    "has_face": ((), np.bool_),
+    "place_m": ((3,), np.float32),
+}
+"""Of each array of a take: the shape of a row, and its elements."""
 _NOWHERE: Final[FloatArray] = np.full(3, np.nan, np.float32)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass
 class Take:
-    """Samples of a tracker in the order in which they arrived.
+    """Samples of a tracker in the order in which they arrived, and a source that plays them: the
+    same face at the same time, whatever the clock; it loops.
 
     Attributes:
         arrived_s: Seconds since the first one, not falling. float64 ``[T]``.
@@ -39,6 +48,7 @@ class Take:
         has_face: Whether the tracker saw somebody. bool ``[T]``.
         place_m: Where the head was, NaN where the tracker did not say, as in takes that were made
             before it was kept. float32 ``[T, 3]``.
+        start_s: Where in the take the source begins, seconds.
     """
 
     arrived_s: Float64Array
@@ -47,6 +57,11 @@ class Take:
     rotation: FloatArray
     has_face: BoolArray
     place_m: FloatArray
+    start_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        self._turn, self._next, self._asked_s = 0, 0, 0.0
+        self._face = LiveFace()
 
     def sample(self, index: int) -> TrackerSample:
         """One of the samples."""
@@ -58,6 +73,27 @@ class Take:
             place_m=None if np.isnan(place_m).any() else place_m,
             has_face=bool(self.has_face[index]),
         )
+
+    @property
+    def duration_s(self) -> float:
+        """Length of one turn of the loop."""
+        count = len(self.arrived_s)
+        gap_s = self.arrived_s[-1] / max(count - 1, 1)
+        return float(self.arrived_s[-1] + max(gap_s, MIN_LOOP_GAP_S))
+
+    def frame_at(self, time_s: float) -> ExpressionFrame:
+        """The face at a time; see `Source.frame_at`. A step back begins the take anew."""
+        turn, looped_s = divmod(time_s + self.start_s, self.duration_s)
+        if turn != self._turn or looped_s < self._asked_s:
+            self._turn, self._next = int(turn), 0
+            self._face = LiveFace()
+        arrived_s = self.arrived_s
+        while self._next < len(arrived_s) and arrived_s[self._next] <= looped_s:
+            self._face.push(self.sample(self._next), float(arrived_s[self._next]))
+            self._next += 1
+        self._asked_s = looped_s
+        frame = self._face.face_at(looped_s)
+        return replace(frame, captured_us=frame.captured_us + round((time_s - looped_s) * 1e6))
 
 
 @dataclass(slots=True)
@@ -100,8 +136,8 @@ class TakeRecorder:
             raise SourceError(f"{path}: cannot be written: {error.strerror}") from error
 
 
-def load_take(path: Path) -> Take:
-    """Read a take.
+def load_take(path: Path, start_s: float = 0.0) -> Take:
+    """Read a take, to be played from some time on.
 
     Raises:
         SourceError: No such file, or it is no take.
@@ -112,23 +148,15 @@ def load_take(path: Path) -> Take:
                 raise SourceError(f"{path}: is a take of another version")
             arrays: dict[str, Any] = dict(archive)
             arrays.setdefault("place_m", np.tile(_NOWHERE, (len(arrays["rotation"]), 1)))
-            take = Take(**{name: arrays[name] for name in Take.__dataclass_fields__})
+            take = Take(**{name: arrays[name] for name in _SHAPES}, start_s=start_s)
     except OSError as error:
         raise SourceError(f"{path}: cannot be read ({error.strerror or error})") from error
     except (KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
         raise SourceError(f"{path}: is no take; `pica track SOURCE --record` makes one") from error
     count = len(take.arrived_s) if take.arrived_s.ndim == 1 else 0
-    wanted = {
-        "arrived_s": ((count,), np.float64),
-        "tracker_s": ((count,), np.float64),
-        "arkit": ((count, NUM_ARKIT), np.float32),
-        "rotation": ((count, 3), np.float32),
-        "has_face": ((count,), np.bool_),
-        "place_m": ((count, 3), np.float32),
-    }
-    for name, (shape, kind) in wanted.items():
+    for name, (row, kind) in _SHAPES.items():
         array = getattr(take, name)
-        if array.shape != shape or array.dtype != kind or not 0 < count <= MAX_SAMPLES:
+        if array.shape != (count, *row) or array.dtype != kind or not 0 < count <= MAX_SAMPLES:
             raise SourceError(f"{path}: {name} is {array.dtype} {array.shape}; the file is no take")
     if not (np.diff(take.arrived_s) >= 0).all() or take.arrived_s[0] != 0:
         raise SourceError(f"{path}: arrived_s must begin at 0 and not fall")
@@ -138,40 +166,3 @@ def load_take(path: Path) -> Take:
     if np.abs(np.nan_to_num(take.arkit)).max() > VALUE_LIMIT:
         raise SourceError(f"{path}: a value lies outside ±{VALUE_LIMIT:g}")
     return take
-
-
-class TakeSource:
-    """A take as a source: the same face at the same time, whatever the clock; it loops."""
-
-    def __init__(self, take: Take, calibration: Calibration | None, start_s: float = 0.0) -> None:
-        self._take = take
-        self._calibration = calibration
-        self._start_s = start_s
-        self._turn, self._next, self._asked_s = 0, 0, 0.0
-        self._face = LiveFace(calibration)
-
-    @property
-    def duration_s(self) -> float:
-        """Length of one turn of the loop."""
-        count = len(self._take.arrived_s)
-        gap_s = self._take.arrived_s[-1] / max(count - 1, 1)
-        return float(self._take.arrived_s[-1] + max(gap_s, MIN_LOOP_GAP_S))
-
-    def frame_at(self, time_s: float) -> ExpressionFrame:
-        """The face at a time; see `Source.frame_at`. A step back begins the take anew."""
-        turn, looped_s = divmod(time_s + self._start_s, self.duration_s)
-        if turn != self._turn or looped_s < self._asked_s:
-            self._rewind(int(turn))
-        while (
-            self._next < len(self._take.arrived_s) and self._take.arrived_s[self._next] <= looped_s
-        ):
-            arrived_s = float(self._take.arrived_s[self._next])
-            self._face.push(self._take.sample(self._next), arrived_s)
-            self._next += 1
-        self._asked_s = looped_s
-        frame = self._face.face_at(looped_s)
-        return replace(frame, captured_us=frame.captured_us + round((time_s - looped_s) * 1e6))
-
-    def _rewind(self, turn: int) -> None:
-        self._turn, self._next, self._asked_s = turn, 0, 0.0
-        self._face = LiveFace(self._calibration)

@@ -1,15 +1,13 @@
 """A tracker that sends datagrams: the socket, and the thread that reads it."""
 
 import socket
-import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from pica_client.errors import SourceError
-from pica_client.sources.live.ifacialmocap import Request
-from pica_client.sources.live.live_face import LiveFace
+from pica_client.sources.live.calibration import Calibration
 from pica_client.sources.live.sample import PacketError, TrackerSample
 from pica_client.sources.live.tracker import SampleTap, Tracker
 
@@ -32,17 +30,17 @@ class UdpOptions:
 
     Attributes:
         kind: The source's name, as the user writes it.
-        port: Ours; 0 takes a free one.
+        port: Ours, and the phone's that is asked; 0 takes a free one.
         subject: Whose face to take; empty takes the first that comes.
         phone: Address of a phone that sends only when asked; empty for who sends by itself.
-        request: How it is asked.
+        request: How it is asked; empty: it is not.
     """
 
     kind: str
     port: int
     subject: str = ""
     phone: str = ""
-    request: Request | None = None
+    request: bytes = b""
     host: str = "0.0.0.0"
 
 
@@ -53,7 +51,7 @@ class UdpTracker(Tracker):
         self,
         options: UdpOptions,
         decode: Decode,
-        face: LiveFace | None = None,
+        calibration: Calibration | None = None,
         tap: SampleTap | None = None,
     ) -> None:
         """Listen.
@@ -61,12 +59,11 @@ class UdpTracker(Tracker):
         Raises:
             SourceError: The port is in use, or is not ours to take.
         """
-        super().__init__(face, tap)
+        super().__init__(calibration, tap)
         self._options = options
         self._decode = decode
         self._heard_s = time.monotonic()
         self._has_heard = False
-        self._closing = threading.Event()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.bind((options.host, options.port))
@@ -77,7 +74,6 @@ class UdpTracker(Tracker):
                 f"has it, or name another one: {options.kind}:PORT"
             ) from error
         self._socket.settimeout(POLL_S)
-        self._thread = threading.Thread(target=self._read, name=options.kind, daemon=True)
         self._thread.start()
 
     @property
@@ -88,7 +84,7 @@ class UdpTracker(Tracker):
 
     @property
     def trouble(self) -> str:
-        """Why there is no face, in one line for its user; empty while there is one."""
+        """See `Tracker.trouble`."""
         options = self._options
         if time.monotonic() - self._heard_s < SILENT_S:
             return ""
@@ -104,15 +100,14 @@ class UdpTracker(Tracker):
 
     def close(self) -> None:
         """Stop listening, and free the port."""
-        self._closing.set()
-        self._thread.join()
+        super().close()
         self._socket.close()
 
     def _read(self) -> None:
         asked_s = -SILENT_S
         while not self._closing.is_set():
             now = time.monotonic()
-            if self._options.request is not None and now - max(asked_s, self._heard_s) > SILENT_S:
+            if self._options.request and now - max(asked_s, self._heard_s) > SILENT_S:
                 self._ask()
                 asked_s = now
             try:
@@ -123,11 +118,9 @@ class UdpTracker(Tracker):
                 self._take(packet, time.monotonic())
 
     def _ask(self) -> None:
-        assert self._options.request is not None
+        options = self._options
         try:
-            self._socket.sendto(
-                self._options.request.words, (self._options.phone, self._options.request.port)
-            )
+            self._socket.sendto(options.request, (options.phone, options.port))
         except OSError as error:
             self.refused[f"the phone cannot be reached: {error.strerror}"] += 1
 

@@ -18,11 +18,8 @@ MAX_PIXELS: Final = 4096 * 2304
 
 
 def device_of(text: str) -> tuple[str, str | None]:
-    """What PyAV is to open: a file, or a device and the kind of device.
-
-    Args:
-        text: What the user wrote: nothing, a camera's number or name, or a file.
-    """
+    """What PyAV is to open: a file, or a device and the kind of device. The user wrote nothing, a
+    camera's number or name, or a file."""
     path = Path(text).expanduser()
     if text and path.is_file():
         return str(path), None

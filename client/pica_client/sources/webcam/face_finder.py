@@ -1,7 +1,5 @@
 """A face that is followed from picture to picture, and the samples that come of it."""
 
-from dataclasses import dataclass
-
 from PIL import Image
 
 from pica_client.sources.live.sample import TrackerSample
@@ -15,39 +13,25 @@ MAX_SIDE = 4.0
 """A region larger than so many pictures is none."""
 
 
-@dataclass
-class FaceCounters:
-    """How often each network ran."""
-
-    pictures: int = 0
-    detections: int = 0
-
-
 class FaceFinder:
     """Follows one face: the largest that it finds, until it is lost.
 
     Attributes:
-        counters: How often it had to look for a face.
+        num_detections: How often it had to look for a face.
         landmarks: Of the last picture, pixels, float32 ``[478, 3]``; None if there is no face.
     """
 
     def __init__(self, networks: FaceNetworks) -> None:
-        self.counters = FaceCounters()
+        self.num_detections = 0
         self.landmarks: FloatArray | None = None
         self._networks = networks
 
     def find(self, picture: Image.Image, time_s: float | None) -> TrackerSample:
-        """Take the next picture.
-
-        Args:
-            picture: RGB, not mirrored.
-            time_s: When it was taken, by the camera's clock.
-        """
-        self.counters.pictures += 1
+        """Take the next picture, RGB and not mirrored, and when it was taken by its camera."""
         # Where the face was a moment ago, or, if it is not there any more, anywhere.
         former = None if self.landmarks is None else region_of(self.landmarks)
         if former is None or not self._follow(picture, former):
-            self.counters.detections += 1
+            self.num_detections += 1
             if not any(self._follow(picture, each) for each in self._networks.detect(picture)):
                 return TrackerSample(tracker_s=time_s, has_face=False)
         assert self.landmarks is not None

@@ -13,6 +13,7 @@ from typing import Final
 import httpx
 
 from pica_client.errors import SourceError
+from pica_client.sources.webcam.networks import FaceNetworks
 from pica_client.user_folders import models_folder
 from pica_core.files import replacing
 
@@ -56,18 +57,17 @@ def install(source: str = URL) -> Path:
     return path
 
 
-def load_networks(path: Path | None = None) -> tuple[bytes, bytes, bytes]:
-    """Read the detector, the landmarks' network and the shapes' network.
+def load_networks(path: Path | None = None) -> FaceNetworks:
+    """Load the networks from their file.
 
     Raises:
-        SourceError: The file is not there, or not the right one; says what to do.
+        SourceError: The file or a package is not there, or not the right one; says what to do.
     """
     path = path or model_path()
     if not path.exists():
         raise SourceError("the webcam's networks are not there yet; run: pica webcam setup")
     with zipfile.ZipFile(io.BytesIO(_checked(_read(path), str(path)))) as archive:
-        detector, landmarks, shapes = (archive.read(name) for name in _MEMBERS)
-    return detector, landmarks, shapes
+        return FaceNetworks(*(archive.read(name) for name in _MEMBERS))
 
 
 def _fetch(url: str) -> bytes:

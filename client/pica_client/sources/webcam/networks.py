@@ -75,11 +75,8 @@ class Region:
     angle: float = 0.0
 
     def crop(self, picture: Image.Image, size: int) -> FloatArray:
-        """What it shows, bilinear and black outside of the picture, within [0, 1].
-
-        Returns:
-            float32 ``[1, size, size, 3]``.
-        """
+        """What it shows, bilinear and black outside of the picture, within [0, 1]. float32
+        ``[1, size, size, 3]``."""
         cos, sin = np.cos(self.angle), np.sin(self.angle)
         step, half = self.side / size, self.side / 2
         across, down = step * cos, step * sin
@@ -92,11 +89,8 @@ class Region:
         return np.asarray(cut, np.float32)[None] / np.float32(255)
 
     def to_picture(self, points: FloatArray) -> FloatArray:
-        """Points of the region, with sides of 1, in pixels of the picture; depth alike.
-
-        Args:
-            points: float32 ``[N, 3]``.
-        """
+        """Points of the region, with sides of 1, in pixels of the picture; depth alike. float32
+        ``[N, 3]``."""
         cos, sin = np.cos(self.angle), np.sin(self.angle)
         x, y = points[:, 0] - 0.5, points[:, 1] - 0.5
         placed = np.stack([x * cos - y * sin, x * sin + y * cos, points[:, 2]], 1) * self.side
@@ -124,14 +118,7 @@ class FaceNetworks:
         self._anchors = _anchors()
 
     def detect(self, picture: Image.Image) -> list[Region]:
-        """Find faces.
-
-        Args:
-            picture: RGB.
-
-        Returns:
-            Where they are, the largest first.
-        """
+        """Find the faces of an RGB picture, the largest first."""
         width, height = picture.size
         whole = Region(width / 2, height / 2, max(width, height))
         offsets, logits = self._detector.run(whole.crop(picture, DETECTOR_SIZE) * 2 - 1)
@@ -153,25 +140,15 @@ class FaceNetworks:
         return sorted(found, key=lambda each: -each.side)
 
     def landmarks(self, picture: Image.Image, region: Region) -> tuple[FloatArray, float]:
-        """Find the landmarks of a face.
-
-        Returns:
-            Columns, rows and depths in pixels of the picture, float32 ``[478, 3]``, and how sure it
-            is that there is a face, 0 to 1.
-        """
+        """Find the landmarks of a face: columns, rows and depths in pixels of the picture, float32
+        ``[478, 3]``, and how sure it is that there is a face, 0 to 1."""
         points, presence, _ = self._landmarks.run(region.crop(picture, CROP_SIZE))
         sure = float(_sigmoid(presence.ravel()[:1])[0])
         return region.to_picture(points.reshape(NUM_LANDMARKS, 3) / np.float32(CROP_SIZE)), sure
 
     def shapes(self, landmarks: FloatArray) -> FloatArray:
-        """Name the shapes of a face.
-
-        Args:
-            landmarks: As `landmarks` gives them. float32 ``[478, 3]``.
-
-        Returns:
-            Values in `ARKIT_NAMES` order; what the networks cannot see is 0. float32 ``[52]``.
-        """
+        """Name the shapes of a face with these landmarks, float32 ``[478, 3]``: values in
+        `ARKIT_NAMES` order, 0 for what the networks cannot see. float32 ``[52]``."""
         (values,) = self._shapes.run(landmarks[None, _SUBSET, :2])
         arkit = np.zeros(NUM_ARKIT, np.float32)
         arkit[_TARGETS[_SEEN]] = np.clip(values.ravel()[1:][_SEEN], 0, 1)

@@ -1,6 +1,5 @@
 """A webcam as a tracker. Its pictures stay in this process: what leaves it is the latent."""
 
-import threading
 import time
 from contextlib import suppress
 
@@ -9,11 +8,9 @@ from PIL import Image, ImageDraw
 
 from pica_client.errors import SourceError
 from pica_client.sources.live.calibration import Calibration
-from pica_client.sources.live.live_face import LiveFace
 from pica_client.sources.live.tracker import SampleTap, Tracker
 from pica_client.sources.webcam.camera import device_of, open_camera, pictures
 from pica_client.sources.webcam.face_finder import FaceFinder
-from pica_client.sources.webcam.model import load_networks
 from pica_client.sources.webcam.networks import FaceNetworks
 from pica_core.types import Image as Picture
 
@@ -29,36 +26,31 @@ class Webcam(Tracker):
         self,
         device: str,
         networks: FaceNetworks,
-        face: LiveFace | None = None,
+        calibration: Calibration | None = None,
         tap: SampleTap | None = None,
     ) -> None:
-        """Open the camera, or the video that stands in for one.
+        """Open a camera by its number or name, empty for the first, or a video instead of one.
 
         Raises:
             SourceError: It cannot be opened.
         """
-        super().__init__(face, tap)
+        super().__init__(calibration, tap)
         self.finder = FaceFinder(networks)
         self._device = device
         self._is_video = device_of(device)[1] is None
         self._trouble = "webcam: no picture yet"
         self._picture: Image.Image | None = None
-        self._closing = threading.Event()
         self._container = open_camera(device)
-        self._thread = threading.Thread(target=self._read, name="webcam", daemon=True)
         self._thread.start()
 
     @property
     def trouble(self) -> str:
-        """Why there is no face, in one line for its user; empty while there is one."""
+        """See `Tracker.trouble`."""
         return self._trouble
 
     def preview(self) -> Picture | None:
-        """What the camera sees, mirrored as in a mirror, with the landmarks in it; never sent.
-
-        Returns:
-            uint8 ``[H, W, 3]``, 320 columns; None before the first picture.
-        """
+        """What the camera sees, as in a mirror, with the landmarks in it; never sent. uint8
+        ``[H, W, 3]``, 320 columns; None before the first picture."""
         picture, landmarks = self._picture, self.finder.landmarks
         if picture is None:
             return None
@@ -68,11 +60,6 @@ class Webcam(Tracker):
             draw = ImageDraw.Draw(small)
             draw.point([(x * scale, y * scale) for x, y, _ in landmarks.tolist()], (90, 255, 160))
         return np.asarray(small)[:, ::-1].copy()
-
-    def close(self) -> None:
-        """Stop looking, and free the camera."""
-        self._closing.set()
-        self._thread.join()
 
     def _read(self) -> None:
         while not self._closing.is_set():
@@ -95,19 +82,3 @@ class Webcam(Tracker):
             with suppress(SourceError):
                 self._container = open_camera(self._device)
                 return
-
-
-def open_webcam(
-    device: str, calibration: Calibration | None = None, tap: SampleTap | None = None
-) -> Webcam:
-    """Open a camera with the networks of this machine.
-
-    Args:
-        device: A camera's number or name, or a video file; empty takes the first camera.
-        tap: Sees what is found.
-
-    Raises:
-        SourceError: The camera, the networks or a package is not there; says what to do.
-    """
-    networks = FaceNetworks(*load_networks())
-    return Webcam(device, networks, LiveFace(calibration), tap)

@@ -78,18 +78,16 @@ class JoinOrder(Enum):
 class JoinForm:
     """Fields, and what is wrong with them.
 
+    Args:
+        given: What stands in the fields at first.
+        base: What of the connection is not asked for.
+
     Attributes:
         trouble: What is wrong, for people; None when nothing is known to be.
         outcome: "asking" until the user wants to join or to leave.
     """
 
     def __init__(self, given: Fields, *, base: LinkConfig | None = None) -> None:
-        """Begin with given fields.
-
-        Args:
-            given: What stands in the fields at first.
-            base: What of the connection is not asked for.
-        """
         self.fields = given
         self.trouble: Trouble | None = None
         self.outcome: Literal["asking", "join", "leave"] = "asking"
@@ -97,15 +95,17 @@ class JoinForm:
 
     def obey(self, order: Fields | JoinOrder) -> None:
         """Take what was typed, or what a button asks for."""
-        match order:
-            case Fields():
-                self._take(order)
-            case JoinOrder.LEAVE:
-                self.outcome = "leave"
-            case JoinOrder.JOIN:
-                self._submit()
-            case _:
-                pass  # sound is tried
+        if isinstance(order, Fields):
+            self._take(order)
+        elif order is JoinOrder.LEAVE:
+            self.outcome = "leave"
+        elif order is JoinOrder.JOIN:
+            try:
+                self.link()
+            except OptionError as error:
+                self.refuse(error)
+            else:
+                self.trouble, self.outcome = None, "join"
 
     def link(self) -> LinkConfig:
         """The connection that was asked for.
@@ -147,14 +147,6 @@ class JoinForm:
                 self.fields = fields.invited()
             except ValueError as error:
                 self.trouble = Trouble(f"{error}.")
-
-    def _submit(self) -> None:
-        try:
-            self.link()
-        except OptionError as error:
-            self.refuse(error)
-            return
-        self.trouble, self.outcome = None, "join"
 
 
 def _path(text: str) -> Path | None:

@@ -25,7 +25,6 @@ LSREGISTER = (
     "/System/Library/Frameworks/CoreServices.framework/Frameworks/LaunchServices.framework"
     "/Support/lsregister"
 )
-Tool = Callable[[list[str]], None]
 
 
 def desktop_entry(python: str) -> str:
@@ -54,18 +53,13 @@ def registry_entries(python: str) -> str:
 
     key = f"HKEY_CURRENT_USER\\Software\\Classes\\{SCHEME}"
     command = f'"{python}" -m pica_command view -- "%1"'
-    lines = (
-        "Windows Registry Editor Version 5.00",
-        "",
-        f"[{key}]",
-        f"@={quoted(f'URL:{TITLE}')}",
-        '"URL Protocol"=""',
-        "",
-        f"[{key}\\shell\\open\\command]",
-        f"@={quoted(command)}",
-        "",
+    text = (
+        "Windows Registry Editor Version 5.00\n\n"
+        f"[{key}]\n@={quoted(f'URL:{TITLE}')}\n"
+        '"URL Protocol"=""\n\n'
+        f"[{key}\\shell\\open\\command]\n@={quoted(command)}\n"
     )
-    return "\r\n".join(lines)
+    return text.replace("\n", "\r\n")
 
 
 def applet_script(python: str) -> str:
@@ -80,7 +74,10 @@ def applet_script(python: str) -> str:
 
 
 def register_links(
-    folder: Path | None = None, *, system: str = sys.platform, run: Tool | None = None
+    folder: Path | None = None,
+    *,
+    system: str = sys.platform,
+    run: Callable[[list[str]], None] | None = None,
 ) -> Path:
     """Make this user's desktop open invite links with `pica view`.
 

@@ -47,8 +47,8 @@ class Lobby(Closing):
         with ExitStack() as stack:
             stack.callback(window.context.gc)
             self._renderer = Renderer(window.context, window.size_px, RenderOptions())
-            scale = window.content_scale
-            self._surface = Surface(window.size_px, content_scale=scale, clipboard=window)
+            self._surface = Surface(window.size_px, content_scale=window.content_scale)
+            self._surface.use_clipboard(window.clipboard, window.copy)
             stack.callback(self._surface.close)
             self._painter = Painter(window.context, self._surface)
             self._portraits = Portraits(library)
@@ -101,7 +101,7 @@ class Lobby(Closing):
     def _view(self, form: JoinForm) -> JoinView:
         for name, image in self._portraits.take().items():
             if name not in self._textures:
-                self._textures[name] = self._painter.register(image)
+                self._textures[name] = self._painter.show(name, image)
         names = self._library.names
         return JoinView(
             fields=form.fields,

@@ -10,8 +10,8 @@ from pica_client.ui.surface.widgets import action_button, card, icon_button, not
 
 BAR_PT = BUTTON_PT + 2 * GAP_PT
 EDGE_PT = 12.0
-_Button = tuple[Order, str, str, bool, Tone]
-"""What it orders, its icon, its tooltip, whether it is on, its tone."""
+_Button = tuple[Order, str, str, Tone]
+"""What it orders, its icon, its tooltip, its tone."""
 
 
 def control_bar(view: CallView, metrics: Metrics) -> list[UserOrder]:
@@ -31,13 +31,11 @@ def control_bar(view: CallView, metrics: Metrics) -> list[UserOrder]:
     imgui.push_style_var(imgui.StyleVar_.window_rounding, (px(side_pt) + 2 * gap) / 2)
     with card("bar", place, metrics, pivot=(0.5, 1.0)):
         for number, group in enumerate(groups):
-            for at, (order, icon, tooltip, is_on, tone) in enumerate(group):
+            for at, (order, icon, tooltip, tone) in enumerate(group):
                 if number or at:
                     imgui.same_line(0, gap / 2 if at else 2 * gap)
                 keys = KEYS_OF.get(order, "")
-                if icon_button(
-                    icon, tooltip, metrics, keys=keys, is_on=is_on, tone=tone, size_pt=side_pt
-                ):
+                if icon_button(icon, tooltip, metrics, keys=keys, tone=tone, size_pt=side_pt):
                     orders.append(order)
     imgui.pop_style_var(2)
     return orders
@@ -70,46 +68,37 @@ def bar_share(metrics: Metrics) -> float:
 
 def _groups(view: CallView) -> list[list[_Button]]:
     """The buttons: one's own voice and face, the picture, panels, and the way out."""
-    state = view.state
+    state, keeps = view.state, view.is_recording
+    is_hidden, is_frozen = state.own_face == "muted", state.own_face == "frozen"
+    is_silent = state.own_voice == "muted"
+
+    def tone(is_so: bool, tone: Tone = "accent") -> Tone:
+        return tone if is_so else "plain"
+
+    speak = "Let yourself be heard" if is_silent else "Mute your voice"
+    show = "Show your face" if is_hidden else "Hide your face"
+    move = "Let your face move" if is_frozen else "Freeze your face"
+    record = "Stop recording" if keeps else "Record"
+    voice = icons.VOICE_OFF if is_silent else icons.VOICE
+    face = icons.FACE_OFF if is_hidden else icons.FACE
     own: list[_Button] = []
-    if state.own_face != "none":
-        is_muted, is_frozen = state.own_face == "muted", state.own_face == "frozen"
-        icon = icons.FACE_OFF if is_muted else icons.FACE
-        show = "Show your face" if is_muted else "Hide your face"
-        go_on = "Let your face move" if is_frozen else "Freeze your face"
-        own = [
-            (Order.MUTE_FACE, icon, show, False, "alert" if is_muted else "plain"),
-            (Order.FREEZE_FACE, icons.FREEZE, go_on, is_frozen, "plain"),
-        ]
     if state.own_voice != "none":
-        is_off = state.own_voice == "muted"
-        icon = icons.VOICE_OFF if is_off else icons.VOICE
-        speak = "Let yourself be heard" if is_off else "Mute your voice"
-        own.insert(0, (Order.MUTE_VOICE, icon, speak, False, "alert" if is_off else "plain"))
-    record = "Stop recording" if view.is_recording else "Record"
+        own.append((Order.MUTE_VOICE, voice, speak, tone(is_silent, "alert")))
+    if state.own_face != "none":
+        own.append((Order.MUTE_FACE, face, show, tone(is_hidden, "alert")))
+        own.append((Order.FREEZE_FACE, icons.FREEZE, move, tone(is_frozen)))
+    film = icons.STOP if keeps else icons.RECORD
     picture: list[_Button] = [
-        (Order.NEXT_LAYOUT, icons.LAYOUT, "Next layout", False, "plain"),
-        (Order.SCREENSHOT, icons.PICTURE, "Take a picture", False, "plain"),
-        (
-            Order.TOGGLE_RECORDING,
-            icons.STOP if view.is_recording else icons.RECORD,
-            record,
-            False,
-            "alert" if view.is_recording else "plain",
-        ),
+        (Order.NEXT_LAYOUT, icons.LAYOUT, "Next layout", "plain"),
+        (Order.SCREENSHOT, icons.PICTURE, "Take a picture", "plain"),
+        (Order.TOGGLE_RECORDING, film, record, tone(keeps, "alert")),
     ]
     panels: list[_Button] = [
-        (
-            Order.PARTICIPANTS,
-            icons.PEOPLE,
-            "Participants",
-            state.side == "participants",
-            "plain",
-        ),
-        (Order.SETTINGS, icons.SETTINGS, "Settings", state.side == "settings", "plain"),
-        (Order.HELP, icons.HELP, "Help", state.side == "help", "plain"),
+        (Order.PARTICIPANTS, icons.PEOPLE, "Participants", tone(state.side == "participants")),
+        (Order.SETTINGS, icons.SETTINGS, "Settings", tone(state.side == "settings")),
+        (Order.HELP, icons.HELP, "Help", tone(state.side == "help")),
     ]
-    leave: list[_Button] = [(Order.CLOSE, icons.LEAVE, "Leave the call", False, "alert")]
+    leave: list[_Button] = [(Order.CLOSE, icons.LEAVE, "Leave the call", "alert")]
     return [group for group in (own, picture, panels, leave) if group]
 
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from imgui_bundle import imgui
+from imgui_bundle import imgui, imgui_ctx
 
 from pica_client.ui.joining.form import MAX_CHARACTERS, SECRETS, SOURCES, Fields, JoinOrder
 from pica_client.ui.joining.trouble import Trouble
@@ -68,7 +68,9 @@ def join_panel(view: JoinView, metrics: Metrics) -> list[Fields | JoinOrder]:
         if widgets.action_button("Join", metrics, tone="accent", width_px=wide):
             orders.append(JoinOrder.JOIN)
     is_open = imgui.is_popup_open("", imgui.PopupFlags_.any_popup_id)
-    if is_entered() and not is_open and JoinOrder.JOIN not in orders:
+    enters = (imgui.Key.enter, imgui.Key.keypad_enter)
+    is_entered = any(imgui.is_key_pressed(key, repeat=False) for key in enters)
+    if is_entered and not is_open and JoinOrder.JOIN not in orders:
         orders.append(JoinOrder.JOIN)
     if imgui.is_key_pressed(imgui.Key.escape, repeat=False) and not is_open:
         orders.append(JoinOrder.LEAVE)
@@ -92,12 +94,6 @@ def connecting_panel(what: str, metrics: Metrics, now: float) -> bool:
     return is_cancelled or imgui.is_key_pressed(imgui.Key.escape, repeat=False)
 
 
-def is_entered() -> bool:
-    """Whether Enter was pressed in this frame."""
-    keys = (imgui.Key.enter, imgui.Key.keypad_enter)
-    return any(imgui.is_key_pressed(key, repeat=False) for key in keys)
-
-
 def _trouble(trouble: Trouble, metrics: Metrics) -> None:
     """What went wrong and what helps, with the raw error folded away."""
     alert = metrics.palette.alert
@@ -105,9 +101,7 @@ def _trouble(trouble: Trouble, metrics: Metrics) -> None:
     flags = imgui.ChildFlags_.always_use_window_padding | imgui.ChildFlags_.auto_resize_y
     imgui.push_style_var(imgui.StyleVar_.window_padding, (metrics.px(12), metrics.px(10)))
     imgui.begin_child("trouble", (0, 0), flags)
-    imgui.push_text_wrap_pos(0.0)
-    imgui.text_unformatted(f"{icons.WARNING}  {trouble.what}")
-    imgui.pop_text_wrap_pos()
+    imgui.text_wrapped(f"{icons.WARNING}  {trouble.what}")
     if trouble.remedy:
         widgets.note(trouble.remedy, metrics)
     if trouble.details:
@@ -132,13 +126,11 @@ def _typed(view: JoinView, metrics: Metrics, orders: list[Fields | JoinOrder]) -
     fields = _field(fields, "url", focus=empty == "url")
     half = (imgui.get_content_region_avail().x - metrics.px(GAP_PT)) / 2
     left, top = imgui.get_cursor_pos()
-    imgui.begin_group()
-    fields = _field(fields, "room", width_px=half, focus=empty == "room")
-    imgui.end_group()
+    with imgui_ctx.begin_group():
+        fields = _field(fields, "room", width_px=half, focus=empty == "room")
     imgui.set_cursor_pos((left + half + metrics.px(GAP_PT), top))
-    imgui.begin_group()
-    fields = _field(fields, "name", width_px=half, focus=empty == "name")
-    imgui.end_group()
+    with imgui_ctx.begin_group():
+        fields = _field(fields, "name", width_px=half, focus=empty == "name")
     if view.portraits:
         fields = _avatars(fields, view, metrics)
     widgets.note("Your face", metrics)

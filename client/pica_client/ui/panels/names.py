@@ -36,7 +36,7 @@ def least_name_px(metrics: Metrics) -> tuple[float, float]:
 def _name(person: PersonView, label_px: Rect, metrics: Metrics) -> None:
     shapes, palette, px = imgui.get_background_draw_list(), metrics.palette, metrics.px
     dot: Tone | None = "good" if person.is_speaking else None
-    dot = "alert" if person.quality == "poor" else dot
+    dot = "alert" if person.stream.quality == "poor" else dot
     left, top, right, bottom = label_px
     room = right - left
     is_narrow = room < px(NOTE_ROOM_PT)

@@ -7,8 +7,8 @@ from imgui_bundle import imgui
 
 from pica_client.call.participants import Participant, duration_text
 from pica_client.ui.call_view import CallView
-from pica_client.ui.controls import CopyText, Order, Pin, SetVolume, UserOrder
-from pica_client.ui.panels.side import side_panel
+from pica_client.ui.controls import Order, Pin, SetVolume, UserOrder
+from pica_client.ui.panels.side import invitation, side_panel
 from pica_client.ui.panels.sound import volume_slider
 from pica_client.ui.surface import icons, widgets
 from pica_client.ui.surface.fonts import TEXT_PT
@@ -36,10 +36,7 @@ def participants_panel(view: CallView, metrics: Metrics) -> list[UserOrder]:
         imgui.separator()
         _encryption(view, metrics)
         imgui.separator()
-        widgets.note("To invite somebody, send them this link.", metrics)
-        widgets.note(status.invitation, metrics, tone="accent")
-        if widgets.action_button(f"{icons.COPY}  Copy the invitation", metrics):
-            orders.append(CopyText(status.invitation, "Invitation copied"))
+        orders += invitation(status.invitation, metrics)
     return orders
 
 

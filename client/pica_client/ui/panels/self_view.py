@@ -2,10 +2,11 @@
 
 from imgui_bundle import imgui
 
-from pica_client.ui.call_view import CallView, OwnFaceView
+from pica_client.publish.face_desk import Seen
+from pica_client.ui.call_view import CallView
 from pica_client.ui.controls import UserOrder
+from pica_client.ui.own_face import ASPECT
 from pica_client.ui.panels.control_bar import EDGE_PT
-from pica_client.ui.self_view import ASPECT
 from pica_client.ui.surface.fonts import TEXT_PT
 from pica_client.ui.surface.theme import SMALL_PT, Metrics
 from pica_client.ui.surface.widgets import FIXED, Place, ink, text_size, type_size
@@ -27,14 +28,17 @@ def self_view(view: CallView, metrics: Metrics) -> list[UserOrder]:
     """The pictures, at the lower left above the sign of one's own state; seen as in a mirror."""
     own, px = view.own, metrics.px
     height, edge, gap = self_view_px(metrics), px(EDGE_PT), px(8)
-    if not height or (own.texture is None and not own.has_tracker):
+    if not height or (own.texture is None and own.seen is None):
         return []
     is_small = view.state.side != "none" and view.state.pinned is not None
     height = round(px(SMALL_HEIGHT_PT)) if is_small else height
     width = round(ASPECT * height)
-    camera_px = round(own.camera_aspect * height) + gap if own.camera is not None else 0
-    has_bars = own.has_tracker and not (camera_px or is_small)
-    bars_px = px(BARS_PT) + gap if has_bars else 0
+    camera_px = 0
+    if own.seen is not None and own.seen.picture is not None:
+        rows, columns = own.seen.picture.shape[:2]
+        camera_px = round(columns / rows * height) + gap
+    bars = own.seen if not (camera_px or is_small) else None
+    bars_px = px(BARS_PT) + gap if bars is not None else 0
     bottom = metrics.size[1] - edge - gap - text_size("Ag", TEXT_PT)[1] - px(12)
     low, high = (edge, bottom - height), (edge + width, bottom)
     imgui.set_next_window_pos(low)
@@ -59,25 +63,25 @@ def self_view(view: CallView, metrics: Metrics) -> list[UserOrder]:
         texture = imgui.ImTextureRef(own.camera)
         corners = ((left, low[1]), (right, bottom))
         shapes.add_image_rounded(texture, *corners, (0, 0), (1, 1), WHITE, px(8))
-    elif has_bars:
-        _bars(own, (left, low[1]), (px(BARS_PT), height), metrics)
+    elif bars is not None:
+        _bars(bars, (left, low[1]), (px(BARS_PT), height), metrics)
     imgui.end()
     return []
 
 
-def _bars(own: OwnFaceView, low: Place, size: Place, metrics: Metrics) -> None:
+def _bars(seen: Seen, low: Place, size: Place, metrics: Metrics) -> None:
     """Some values of the tracker; without a face it says so."""
     shapes, palette, px = imgui.get_window_draw_list(), metrics.palette, metrics.px
     high = (low[0] + size[0], low[1] + size[1])
     shapes.add_rect_filled(low, high, ink(palette.plate), px(8))
-    line = (size[1] - px(8)) / max(len(own.bars), 1)
+    line = (size[1] - px(8)) / max(len(seen.bars), 1)
     with type_size(SMALL_PT):
-        if not own.has_face:
+        if not seen.has_face:
             text = imgui.calc_text_size("no face")
             at = ((low[0] + high[0] - text.x) / 2, (low[1] + high[1] - text.y) / 2)
             shapes.add_text(at, ink(palette.warning), "no face")
             return
-        for number, (name, value) in enumerate(own.bars):
+        for number, (name, value) in enumerate(seen.bars):
             top = low[1] + px(4) + number * line
             shapes.add_text((low[0] + px(8), top), ink(palette.faint), name)
             begin = high[0] - px(8 + BAR_PT)

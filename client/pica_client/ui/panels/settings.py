@@ -16,11 +16,12 @@ from pica_client.ui.controls import (
 from pica_client.ui.joining.form import SOURCES
 from pica_client.ui.panels.side import side_panel
 from pica_client.ui.panels.sound import MICROPHONE, microphone_picker, sound_part
-from pica_client.ui.settings import MIN_DETAIL, SCALES, Settings
+from pica_client.ui.settings import MIN_DETAIL, SCALES, Mode
 from pica_client.ui.surface.theme import Metrics
-from pica_client.ui.surface.widgets import action_button, choice_of, note, radio
+from pica_client.ui.surface.widgets import action_button, choice_of, note, one_of
 from pica_client.voice.sound.settings import SoundState
 
+MODES: dict[Mode, str] = {"dark": "Dark", "light": "Light"}
 MAX_NAME = 64
 """Characters of a name that are taken from its field."""
 
@@ -33,7 +34,7 @@ def settings_panel(view: CallView, metrics: Metrics) -> list[UserOrder]:
     with side_panel("Settings", metrics, orders):
         if not imgui.begin_tab_bar("parts"):
             return orders
-        if view.avatars and imgui.begin_tab_item("You")[0]:
+        if view.state.avatars and imgui.begin_tab_item("You")[0]:
             orders += _own(view, metrics)
             imgui.end_tab_item()
         if view.sound is not None and imgui.begin_tab_item("Sound")[0]:
@@ -43,7 +44,7 @@ def settings_panel(view: CallView, metrics: Metrics) -> list[UserOrder]:
             orders += _shown(view.state, metrics)
             imgui.end_tab_item()
         imgui.end_tab_bar()
-        if view.avatars:
+        if view.state.avatars:
             orders += _coming_again(view, metrics)
     return orders
 
@@ -55,10 +56,10 @@ def _own(view: CallView, metrics: Metrics) -> list[UserOrder]:
     chosen = replace(wanted, source=view.own.source or wanted.source)
     note("Your face", metrics)
     source = choice_of("##source", SOURCES, chosen.source)
-    if view.own.has_tracker and action_button(f"Calibrate   [{KEYS_OF[Order.CALIBRATE]}]", metrics):
+    if view.own.seen and action_button(f"Calibrate   [{KEYS_OF[Order.CALIBRATE]}]", metrics):
         orders.append(Order.CALIBRATE)
     note("Your avatar", metrics)
-    avatars = (("", "By your name"), *((name, name.title()) for name in view.avatars))
+    avatars = (("", "By your name"), *((name, name.title()) for name in view.state.avatars))
     avatar = choice_of("##avatar", avatars, chosen.avatar)
     note("Your name", metrics)
     imgui.set_next_item_width(-1)
@@ -71,13 +72,10 @@ def _own(view: CallView, metrics: Metrics) -> list[UserOrder]:
 
 def _coming_again(view: CallView, metrics: Metrics) -> list[UserOrder]:
     """A button, where something was chosen that holds only once one has come in again."""
-    entered, wanted = view.entered_as, view.state.choice
+    entered, wanted = view.state.entered_as, view.state.choice
     sends = view.state.own_face != "none"
-    if (wanted.name, wanted.avatar, wanted.voice) == (
-        entered.name,
-        entered.avatar,
-        entered.voice,
-    ) and sends == bool(view.own.source or wanted.source):
+    shows = bool(view.own.source or wanted.source)
+    if replace(wanted, source=entered.source) == entered and shows == sends:
         return []
     note("You leave for a moment and come again.", metrics)
     return [Order.REJOIN] if action_button("Come again as this", metrics, tone="accent") else []
@@ -92,7 +90,7 @@ def _sound(view: CallView, state: SoundState, metrics: Metrics) -> list[UserOrde
     if voice != wanted.voice:
         orders.append(replace(wanted, voice=voice))
     settings = replace(settings, microphone=microphone)
-    is_open = view.entered_as.voice == MICROPHONE
+    is_open = view.state.entered_as.voice == MICROPHONE
     settings, wants_test = sound_part(settings, state, metrics, has_microphone=is_open)
     if settings != view.state.sound:
         orders.append(settings)
@@ -107,11 +105,8 @@ def _shown(state: ControlState, metrics: Metrics) -> list[UserOrder]:
     settings = state.settings
     imgui.push_style_var(imgui.StyleVar_.frame_padding, (metrics.px(12), metrics.px(4)))
     note("People sit", metrics)
-    for number, (layout, title) in enumerate(LAYOUT_TITLES.items()):
-        if number % 2:
-            imgui.same_line(metrics.px(130))
-        if radio(title, metrics, is_on=layout == state.layout):
-            orders.append(ChooseLayout(layout))
+    if layout := one_of(LAYOUT_TITLES, state.layout, metrics):
+        orders.append(ChooseLayout(layout))
     note("Shown", metrics)
     has_changed, _ = imgui.checkbox("Statistics", state.show_statistics)
     if has_changed:
@@ -119,7 +114,11 @@ def _shown(state: ControlState, metrics: Metrics) -> list[UserOrder]:
     if state.own_face != "none":
         _, shows_self = imgui.checkbox("My own face", settings.shows_self)
         settings = replace(settings, shows_self=shows_self)
-    settings = _look(settings, metrics)
+    note("Colours", metrics)
+    mode = one_of(MODES, settings.mode, metrics) or settings.mode
+    note("Size of type and buttons", metrics)
+    scale = one_of({each: f"{each:.0%}" for each in SCALES}, settings.scale, metrics)
+    settings = replace(settings, mode=mode, scale=scale or settings.scale)
     imgui.pop_style_var()
     percent, least = round(100 * settings.detail), round(100 * MIN_DETAIL)
     note(f"Detail {percent} %. Less leaves more of this machine to others.", metrics)
@@ -130,19 +129,3 @@ def _shown(state: ControlState, metrics: Metrics) -> list[UserOrder]:
     if settings != state.settings:
         orders.append(settings)
     return orders
-
-
-def _look(settings: Settings, metrics: Metrics) -> Settings:
-    note("Colours", metrics)
-    for number, mode in enumerate(("dark", "light")):
-        if number:
-            imgui.same_line(metrics.px(130))
-        if radio(mode.title(), metrics, is_on=mode == settings.mode):
-            settings = replace(settings, mode=mode)  # type: ignore[arg-type]
-    note("Size of type and buttons", metrics)
-    for number, scale in enumerate(SCALES):
-        if number % 2:
-            imgui.same_line(metrics.px(130))
-        if radio(f"{scale:.0%}", metrics, is_on=scale == settings.scale):
-            settings = replace(settings, scale=scale)
-    return settings

@@ -6,11 +6,11 @@ from contextlib import contextmanager
 from imgui_bundle import imgui
 
 from pica_client.ui.call_view import CallView
-from pica_client.ui.controls import Order, UserOrder, help_lines
+from pica_client.ui.controls import CopyText, Order, UserOrder, help_lines
 from pica_client.ui.panels.control_bar import BAR_PT, EDGE_PT
 from pica_client.ui.surface import icons
-from pica_client.ui.surface.theme import PADDING_PT, Metrics
-from pica_client.ui.surface.widgets import card, icon_button, note, title
+from pica_client.ui.surface.theme import PADDING_PT, Metrics, Tone
+from pica_client.ui.surface.widgets import action_button, card, icon_button, note, title
 
 WIDTH_PT = 300.0
 CLOSE_PT = 28.0
@@ -35,6 +35,14 @@ def side_panel(name: str, metrics: Metrics, orders: list[UserOrder]) -> Iterator
         imgui.end_child()
 
 
+def invitation(line: str, metrics: Metrics, tone: Tone = "plain") -> list[UserOrder]:
+    """A line that leads others here, and a button that copies it."""
+    note("To invite somebody, send them this link.", metrics)
+    note(line, metrics, tone="accent")
+    is_wanted = action_button(f"{icons.COPY}  Copy the invitation", metrics, tone=tone)
+    return [CopyText(line, "Invitation copied")] if is_wanted else []
+
+
 def side_share(view: CallView, metrics: Metrics) -> float:
     """The part of the picture's width that the panel takes from the people."""
     if view.state.side == "none" or metrics.is_compact:
@@ -47,20 +55,15 @@ def help_panel(view: CallView, metrics: Metrics) -> list[UserOrder]:
     orders: list[UserOrder] = []
     if view.state.side != "help":
         return orders
-    with side_panel("Help", metrics, orders), _two_columns():
-        for keys, meaning in help_lines(view.state.own_face):
-            imgui.table_next_row()
-            imgui.table_next_column()
-            imgui.text_unformatted(keys)
-            imgui.table_next_column()
-            note(meaning, metrics)
+    with side_panel("Help", metrics, orders):
+        if imgui.begin_table("columns", 2):
+            imgui.table_setup_column("first", imgui.TableColumnFlags_.width_fixed)
+            imgui.table_setup_column("second", imgui.TableColumnFlags_.width_stretch)
+            for keys, meaning in help_lines(view.state.own_face):
+                imgui.table_next_row()
+                imgui.table_next_column()
+                imgui.text_unformatted(keys)
+                imgui.table_next_column()
+                note(meaning, metrics)
+            imgui.end_table()
     return orders
-
-
-@contextmanager
-def _two_columns() -> Iterator[None]:
-    if imgui.begin_table("columns", 2):
-        imgui.table_setup_column("first", imgui.TableColumnFlags_.width_fixed)
-        imgui.table_setup_column("second", imgui.TableColumnFlags_.width_stretch)
-        yield
-        imgui.end_table()

@@ -9,21 +9,22 @@ from pica_client.ui.panels.waiting import shows_hint
 from pica_client.ui.surface import icons
 from pica_client.ui.surface.fonts import TEXT_PT
 from pica_client.ui.surface.theme import Metrics, Tone
-from pica_client.ui.surface.widgets import ink, shortened, text_size
+from pica_client.ui.surface.widgets import Place, ink, shortened, text_size
 
 SIGN_PT = 36.0
 """Height of a sign with the gap below it."""
 BANNER_AFTER_S = 1.0
 """A connection that comes back sooner is not worth a word."""
-OWN_SIGNS: dict[OwnFace, tuple[str, Tone]] = {
+Line = tuple[str, Tone]
+OWN_SIGNS: dict[OwnFace, Line] = {
     "sent": ("Your face is sent", "good"),
     "frozen": ("Your face is frozen", "warning"),
     "muted": ("Your face is not sent", "alert"),
 }
-NO_FACE: tuple[str, Tone] = ("Your tracker sees no face", "warning")
+NO_FACE: Line = ("Your tracker sees no face", "warning")
 
 
-def banner(view: CallView) -> tuple[str, Tone] | None:
+def banner(view: CallView) -> Line | None:
     """What the user should see: what is wrong with the connection or the own face. At most one."""
     status = view.status
     if not status.is_connected and status.away_s >= BANNER_AFTER_S:
@@ -37,34 +38,34 @@ def banner(view: CallView) -> tuple[str, Tone] | None:
     return None
 
 
-def own_sign(view: CallView) -> tuple[str, Tone] | None:
+def own_sign(view: CallView) -> Line | None:
     """What becomes of the user's own face; None while there is none to send."""
     state = view.state.own_face if view.status.is_connected else "muted"
-    if state == "sent" and not view.own.has_face:
+    if state == "sent" and view.own.seen is not None and not view.own.seen.has_face:
         return NO_FACE
     return None if view.state.own_face == "none" else OWN_SIGNS[state]
 
 
-def voice_sign(view: CallView) -> tuple[str, Tone] | None:
+def voice_sign(view: CallView) -> Line | None:
     """Whether the user's own voice is heard; None where there is nothing to be said."""
     state = view.state
     if state.own_voice == "muted":
         return "Your voice is muted", "alert"
     if state.own_voice == "none" or not state.sound.push_to_talk:
         return None
-    return (
-        ("You are heard", "good") if state.is_talking else (f"Hold {TALK_KEY} to talk", "warning")
-    )
+    if state.is_talking:
+        return "You are heard", "good"
+    return f"Hold {TALK_KEY} to talk", "warning"
 
 
-def call_signs(view: CallView) -> list[tuple[str, Tone]]:
+def call_signs(view: CallView) -> list[Line]:
     """Where one is and for how long, whether faces are encrypted, and who keeps what is seen."""
     status = view.status
     if not status.room:
         return []
     lock = f"{icons.LOCK}  " if status.is_encrypted else ""
     where = f"{lock}{status.room}   {duration_text(status.duration_s)}"
-    found: list[tuple[str, Tone]] = [(where, "good" if status.is_connected else "alert")]
+    found: list[Line] = [(where, "good" if status.is_connected else "alert")]
     names = recorders(each for each in status.participants if not each.is_self)
     if names:
         verb = "records" if len(names) == 1 else "record"
@@ -79,12 +80,11 @@ def signs_share(view: CallView, metrics: Metrics) -> float:
     return metrics.px(SIGN_PT * num_lines) / metrics.size[1]
 
 
-def compact_sign(view: CallView) -> tuple[str, Tone] | None:
+def compact_sign(view: CallView) -> Line | None:
     """The line that a small picture has room for: what is wrong, news, who records, the room."""
     if shows_hint(view) or view.state.side != "none":
         return None
-    news = [(notice.text, notice.tone) for notice in view.notices]
-    return banner(view) or next(reversed([*call_signs(view), *news]), None)
+    return banner(view) or next(reversed([*call_signs(view), *view.notices]), None)
 
 
 def signs(view: CallView, metrics: Metrics) -> list[UserOrder]:
@@ -94,43 +94,34 @@ def signs(view: CallView, metrics: Metrics) -> list[UserOrder]:
     if metrics.is_compact:
         line = compact_sign(view)
         if line is not None:
-            _sign(*line, (columns / 2, metrics.px(4)), (0.5, 0.0), metrics)
+            _sign(line, (columns / 2, metrics.px(4)), (0.5, 0.0), metrics)
         if view.shows_bar:
             return []  # the bar stands there, and its buttons say the same
     else:
         found = banner(view)
-        lines = [found] if found is not None else []
-        lines += [(notice.text, notice.tone) for notice in view.notices]
-        for (across, pivot), signs_ in (
-            ((edge, 0.0), call_signs(view)),
-            ((columns / 2, 0.5), lines),
+        middle = [*([found] if found else []), *view.notices]
+        for across, pivot, lines in (
+            (edge, 0.0, call_signs(view)),
+            (columns / 2, 0.5, middle),
         ):
             top = edge
-            for text, tone in signs_:
-                top += _sign(text, tone, (across, top), (pivot, 0.0), metrics) + metrics.px(6)
-    own = own_sign(view)
-    if own is not None:
-        _sign(*own, (edge, rows - edge), (0.0, 1.0), metrics)
-    voice = voice_sign(view)
-    if voice is not None:
-        lift = 0 if own is None else metrics.px(36)
-        _sign(*voice, (edge, rows - edge - lift), (0.0, 1.0), metrics)
+            for line in lines:
+                top += _sign(line, (across, top), (pivot, 0.0), metrics) + metrics.px(6)
+    bottom = rows - edge
+    for own in (own_sign(view), voice_sign(view)):
+        if own is not None:
+            _sign(own, (edge, bottom), (0.0, 1.0), metrics)
+            bottom -= metrics.px(SIGN_PT)
     if view.is_recording:
-        _sign("Recording", "alert", (columns - edge, rows - edge), (1.0, 1.0), metrics)
+        _sign(("Recording", "alert"), (columns - edge, rows - edge), (1.0, 1.0), metrics)
     return []
 
 
-def _sign(
-    text: str,
-    tone: Tone,
-    place: tuple[float, float],
-    pivot: tuple[float, float],
-    metrics: Metrics,
-) -> float:
+def _sign(line: Line, place: Place, pivot: Place, metrics: Metrics) -> float:
     """A pill with a dot and a text, its pivot (0 to 1 of its size) at a place; gives its height,
     pixels."""
     shapes, palette, px = imgui.get_background_draw_list(), metrics.palette, metrics.px
-    dot, pad = px(5), px(12)
+    (text, tone), dot, pad = line, px(5), px(12)
     text = shortened(text, metrics.size[0] - 4 * pad - 5 * dot, TEXT_PT)
     width, height = text_size(text, TEXT_PT)
     size = (width + 2 * pad + 4 * dot, height + px(12))

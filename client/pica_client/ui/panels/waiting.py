@@ -3,9 +3,9 @@
 from imgui_bundle import imgui
 
 from pica_client.ui.call_view import CallView
-from pica_client.ui.controls import CopyText, Order, UserOrder
+from pica_client.ui.controls import Order, UserOrder
 from pica_client.ui.panels.control_bar import BAR_PT, EDGE_PT
-from pica_client.ui.surface import icons
+from pica_client.ui.panels.side import invitation
 from pica_client.ui.surface.theme import Metrics
 from pica_client.ui.surface.widgets import action_button, card, note, title
 
@@ -32,10 +32,7 @@ def waiting_page(view: CallView, metrics: Metrics) -> list[UserOrder]:
             who = "One person watches." if watching == 1 else f"{watching} people watch."
             note(f"{who} Nobody else shows a face.", metrics)
         if view.has_pointer:
-            note("To invite somebody, send them this link.", metrics)
-            note(status.invitation, metrics, tone="accent")
-            if action_button(f"{icons.COPY}  Copy the invitation", metrics, tone="accent"):
-                orders.append(CopyText(status.invitation, "Invitation copied"))
+            orders += invitation(status.invitation, metrics, "accent")
         else:
             note(status.invitation, metrics, tone="accent")
     return orders

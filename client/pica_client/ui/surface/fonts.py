@@ -6,7 +6,6 @@ fonts of the machine. A glyph is read and set when it is first needed.
 """
 
 import sys
-from importlib.resources import files
 from pathlib import Path
 
 import imgui_bundle
@@ -43,18 +42,13 @@ def add_fonts(atlas: imgui.ImFontAtlas) -> None:
     atlas.flags |= imgui.ImFontAtlasFlags_.no_baked_lines  # they would have to be averaged
     for name in ("Roboto-Regular.ttf", "Roboto-Bold.ttf"):
         _add(atlas, _BUNDLE / "Roboto" / name)
-        _merge_fallbacks(atlas)
-
-
-def _merge_fallbacks(atlas: imgui.ImFontAtlas) -> None:
-    """Give the font that was added last all the others to fall back on."""
-    _add(atlas, _BUNDLE / "Font_Awesome_6_Free-Solid-900.otf", merge=True)
-    shipped = files(__package__).joinpath("font_files")
-    for name, larger in _NOTO.items():
-        _add(atlas, Path(str(shipped.joinpath(name))), merge=True, larger=larger)
-    for path in map(Path, _SYSTEM.get(sys.platform, ())):
-        if path.is_file():
-            _add(atlas, path, merge=True)
+        # What it lacks is looked for in those that follow.
+        _add(atlas, _BUNDLE / "Font_Awesome_6_Free-Solid-900.otf", merge=True)
+        for noto, larger in _NOTO.items():
+            _add(atlas, Path(__file__).with_name("font_files") / noto, merge=True, larger=larger)
+        for path in map(Path, _SYSTEM.get(sys.platform, ())):
+            if path.is_file():
+                _add(atlas, path, merge=True)
 
 
 def _add(atlas: imgui.ImFontAtlas, path: Path, *, merge: bool = False, larger: float = 1.0) -> None:

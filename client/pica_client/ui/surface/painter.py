@@ -1,7 +1,7 @@
 """What a `Surface` has set, drawn by moderngl into any framebuffer.
 
-ImGui's textures (its glyphs, which come as they are needed) are kept here; `register` adds a
-picture of ours. One painter for each surface, on the thread of the GL context.
+ImGui's textures (its glyphs, which come as they are needed) are kept here; `show` and `adopt` add
+pictures of ours. One painter for each surface, on the thread of the GL context.
 """
 
 import ctypes
@@ -40,30 +40,33 @@ class Painter:
             for kind in ({}, {"PLAIN": ""})
         ]
         self._textures: dict[int, moderngl.Texture] = {}
-        self._adopted: dict[str, int] = {}
+        self._adopted: dict[str, moderngl.Texture] = {}
         self._vertices = context.buffer(reserve=FIRST_BUFFER_BYTES, dynamic=True)
         self._indices = context.buffer(reserve=FIRST_BUFFER_BYTES, dynamic=True)
-        self._shapes, self._areas = self._make_shapes()
-
-    def register(self, image: Image) -> int:
-        """A picture to show in a panel, uint8 ``[H, W, 3]``; its number is for `ImTextureRef`."""
-        rows, columns = image.shape[:2]
-        texture = self._context.texture(
-            (columns, rows), 3, np.ascontiguousarray(image), alignment=1
+        # The same corners and triangles for both programs.
+        layouts = (("2f 2f 4f1", "place", "uv", "colour"), ("2f 8x 4f1", "place", "colour"))
+        self._shapes, self._areas = (
+            context.vertex_array(program, [(self._vertices, *layout)], index_buffer=self._indices)
+            for program, layout in zip(self._programs, layouts, strict=True)
         )
-        texture.filter = (moderngl.LINEAR, moderngl.LINEAR)
-        self._textures[texture.glo] = texture
-        return int(texture.glo)
+
+    def show(self, name: str, image: Image) -> int:
+        """A picture to show in a panel, uint8 ``[H, W, 3]``; see `adopt`."""
+        size = (image.shape[1], image.shape[0])
+        texture = self._adopted.get(name)
+        if texture is None or texture.size != size:
+            texture = self._context.texture(size, 3, alignment=1)
+        texture.write(np.ascontiguousarray(image), alignment=1)
+        return self.adopt(name, texture)
 
     def adopt(self, name: str, texture: moderngl.Texture) -> int:
-        """A picture of somebody else's to show in a panel, until another one is of that name; its
-        number is for `ImTextureRef`."""
-        number = int(texture.glo)
-        if self._adopted.get(name, number) != number:
-            self._textures.pop(self._adopted[name], None)
-        self._adopted[name] = number
-        self._textures[number] = texture
-        return number
+        """A texture to show in a panel, until another one is of that name; gives its number, which
+        is for `ImTextureRef`."""
+        before = self._adopted.get(name, texture)
+        if before.glo != texture.glo:
+            self._textures.pop(before.glo, None)
+        self._adopted[name] = self._textures[texture.glo] = texture
+        return int(texture.glo)
 
     def paint(
         self,
@@ -135,32 +138,17 @@ class Painter:
         base = 0
         for shapes in lists:
             corners, order = shapes.vtx_buffer, shapes.idx_buffer
-            vertices.append(_bytes(corners.data_address(), corners.size() * imgui.VERTEX_SIZE))
-            raw = _bytes(order.data_address(), order.size() * imgui.INDEX_SIZE)
+            size_bytes = corners.size() * imgui.VERTEX_SIZE
+            vertices.append(ctypes.string_at(corners.data_address(), size_bytes))
+            raw = ctypes.string_at(order.data_address(), order.size() * imgui.INDEX_SIZE)
             own = np.frombuffer(raw, f"u{imgui.INDEX_SIZE}").astype(np.uint32)
             indices.append((own + np.uint32(base)).tobytes())
             base += corners.size()
-        for name, parts in (("_vertices", vertices), ("_indices", indices)):
+        for buffer, parts in ((self._vertices, vertices), (self._indices, indices)):
             content = b"".join(parts)
-            buffer: moderngl.Buffer = getattr(self, name)
-            if len(content) > buffer.size:
-                size = max(len(content), 2 * buffer.size)
-                setattr(self, name, self._context.buffer(reserve=size, dynamic=True))
-                self._shapes, self._areas = self._make_shapes()
-            else:
-                buffer.orphan()
-            getattr(self, name).write(content)
-
-    def _make_shapes(self) -> tuple[moderngl.VertexArray, moderngl.VertexArray]:
-        """The same corners and triangles for both programs."""
-        layouts = (("2f 2f 4f1", "place", "uv", "colour"), ("2f 8x 4f1", "place", "colour"))
-        shapes, areas = (
-            self._context.vertex_array(
-                program, [(self._vertices, *layout)], index_buffer=self._indices
-            )
-            for program, layout in zip(self._programs, layouts, strict=True)
-        )
-        return shapes, areas
+            is_too_small = len(content) > buffer.size
+            buffer.orphan(max(len(content), 2 * buffer.size) if is_too_small else -1)
+            buffer.write(content)
 
     def _update_textures(self, data: imgui.ImDrawData) -> None:
         """Do to our textures what ImGui wants done to its own."""
@@ -188,7 +176,3 @@ class Painter:
             else:
                 continue
             wanted.set_status(imgui.ImTextureStatus.ok)
-
-
-def _bytes(address: int, size_bytes: int) -> bytes:
-    return ctypes.string_at(address, size_bytes)

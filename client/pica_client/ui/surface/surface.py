@@ -10,9 +10,8 @@ Needs no GL, so panels are tested by feeding events and reading orders. Lengths 
 picture; the metrics say how many of them a point has.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Protocol
 
 from imgui_bundle import imgui
 
@@ -39,35 +38,16 @@ KEYS = {
 }
 
 
-class Clipboard(Protocol):
-    """Where copied text is."""
-
-    def clipboard(self) -> str:
-        """The text in it; empty when there is none."""
-        ...
-
-    def copy(self, text: str) -> None:
-        """Put a text into it."""
-        ...
-
-
 class Surface:
     """One ImGui context.
 
     Args:
         size: Columns and rows of the picture, pixels.
         content_scale: Pixels a point of this display; 2 on most HiDPI ones.
-        mode: Dark or light.
-        clipboard: The system's, to copy from and to; by default one of its own.
     """
 
     def __init__(
-        self,
-        size: tuple[int, int],
-        *,
-        content_scale: float = 1.0,
-        mode: Mode = "dark",
-        clipboard: Clipboard | None = None,
+        self, size: tuple[int, int], *, content_scale: float = 1.0, mode: Mode = "dark"
     ) -> None:
         self._context = imgui.create_context()
         self._is_open = True
@@ -77,14 +57,9 @@ class Surface:
         io.backend_flags |= imgui.BackendFlags_.renderer_has_textures
         io.config_input_text_cursor_blink = True
         io.config_flags |= imgui.ConfigFlags_.nav_enable_keyboard
-        if clipboard is not None:
-            platform = imgui.get_platform_io()
-            platform.platform_get_clipboard_text_fn = lambda _context: clipboard.clipboard()
-            platform.platform_set_clipboard_text_fn = lambda _context, text: clipboard.copy(text)
         add_fonts(io.fonts)
-        self._mode: Mode = mode
         self._last_s: float | None = None
-        self.metrics = Metrics(size=(0, 0), scale=1.0)
+        self.metrics = Metrics(size=(0, 0), scale=1.0, mode=mode)
         self.resize(size, content_scale)
 
     def close(self) -> None:
@@ -97,13 +72,19 @@ class Surface:
         self, size: tuple[int, int], content_scale: float = 1.0, mode: Mode | None = None
     ) -> None:
         """Draw for another picture from now on, and in another mode if one is given."""
-        self._mode = mode or self._mode
-        metrics = metrics_for(size, content_scale, self._mode)
+        metrics = metrics_for(size, content_scale, mode or self.metrics.mode)
         if metrics != self.metrics:
             self._use()
             self.metrics = metrics
             imgui.get_io().display_size = imgui.ImVec2(*size)
             apply_theme(imgui.get_style(), metrics)
+
+    def use_clipboard(self, read: Callable[[], str], write: Callable[[str], None]) -> None:
+        """Copy and paste by the system's clipboard, and not by one of its own."""
+        self._use()
+        platform = imgui.get_platform_io()
+        platform.platform_get_clipboard_text_fn = lambda _context: read()
+        platform.platform_set_clipboard_text_fn = lambda _context, text: write(text)
 
     def receive(self, event: events.InputEvent) -> None:
         """Take something that the user did."""
@@ -156,8 +137,6 @@ class Surface:
 
     def claims(self, event: events.InputEvent) -> bool:
         """Whether an event belongs to the surface: the pointer is on it, or a field is typed in."""
-        self._use()
-        io = imgui.get_io()
         match event:
             case (
                 events.MouseMoved()
@@ -168,10 +147,9 @@ class Surface:
                 return self.wants_mouse
             case events.TextTyped():
                 return True
-            case events.KeyPressed(key="Escape"):
-                return False
-            case events.KeyPressed():
-                return bool(io.want_text_input)
+            case events.KeyPressed(key=key) if key != "Escape":
+                self._use()
+                return bool(imgui.get_io().want_text_input)
         return False
 
     @property

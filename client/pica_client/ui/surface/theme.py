@@ -115,13 +115,7 @@ class Metrics:
 
 
 def metrics_for(size: tuple[int, int], content_scale: float = 1.0, mode: Mode = "dark") -> Metrics:
-    """Metrics of a picture: the display's own scale, and a little more on large pictures.
-
-    Args:
-        size: Columns and rows, pixels.
-        content_scale: Pixels a point of this display.
-        mode: Dark or light.
-    """
+    """Metrics of a picture: the display's own scale, and a little more on large pictures."""
     points = min(size[0] / REFERENCE_PT[0], size[1] / REFERENCE_PT[1]) / content_scale
     growth = min(max(math.sqrt(max(points, 1e-6)), MIN_SCALE), MAX_SCALE)
     return Metrics(size=size, scale=content_scale * growth, mode=mode)

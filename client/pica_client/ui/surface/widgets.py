@@ -7,11 +7,12 @@ with card("Settings", (x, y), metrics):
 """
 
 import math
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from functools import lru_cache
+from typing import TypeVar
 
-from imgui_bundle import imgui
+from imgui_bundle import imgui, imgui_ctx
 
 from pica_client.ui.surface import icons, theme
 from pica_client.ui.surface.surface import PLAIN
@@ -24,9 +25,9 @@ FIXED = (
     | imgui.WindowFlags_.no_focus_on_appearing
     | imgui.WindowFlags_.no_nav
 )
-FITTED = FIXED | imgui.WindowFlags_.always_auto_resize
 _POINTED_AT = imgui.HoveredFlags_.for_tooltip | imgui.HoveredFlags_.allow_when_disabled
 Place = tuple[float, float]
+Value = TypeVar("Value")
 REFERENCE_PX = 64.0
 """The size at which glyphs are measured."""
 
@@ -54,17 +55,14 @@ def card(
     """
     imgui.set_next_window_pos(place, imgui.Cond_.always, pivot)
     if size is None:
-        flags = FITTED if flags == FIXED else flags | imgui.WindowFlags_.always_auto_resize
+        flags |= imgui.WindowFlags_.always_auto_resize
     else:
         imgui.set_next_window_size(size)
     if scrolls:
         flags &= ~imgui.WindowFlags_.no_scrollbar
-    imgui.begin(name, None, flags | imgui.WindowFlags_.no_background)
-    _ground(metrics.palette)
-    try:
+    with imgui_ctx.begin(name, None, flags | imgui.WindowFlags_.no_background):
+        _ground(metrics.palette)
         yield
-    finally:
-        imgui.end()
 
 
 def _ground(palette: theme.Palette) -> None:
@@ -110,15 +108,9 @@ def _over(upper: theme.Colour, lower: theme.Colour) -> theme.Colour:
     return red, green, blue, 1.0
 
 
-@contextmanager
-def type_size(points: float, *, is_bold: bool = False) -> Iterator[None]:
+def type_size(points: float, *, is_bold: bool = False) -> AbstractContextManager[object]:
     """Text of another size, in points."""
-    atlas_fonts = imgui.get_io().fonts.fonts
-    imgui.push_font(atlas_fonts[1] if is_bold else None, points)
-    try:
-        yield
-    finally:
-        imgui.pop_font()
+    return imgui_ctx.push_font(imgui.get_io().fonts.fonts[1] if is_bold else None, points)
 
 
 def title(text: str) -> None:
@@ -145,29 +137,24 @@ def icon_button(
     metrics: theme.Metrics,
     *,
     keys: str = "",
-    is_on: bool = False,
     tone: theme.Tone = "plain",
     size_pt: float = theme.BUTTON_PT,
 ) -> bool:
     """A round button with an icon. Its tooltip names the key that does the same.
 
     Args:
-        icon: Of `icons`.
         tooltip: What it does; unique within its panel.
-        tone: "alert" for what ends or warns.
-        size_pt: Its diameter.
+        tone: "accent" for what is on, "alert" for what ends or warns.
     """
-    side, palette = metrics.px(size_pt), metrics.palette
-    fill = palette.tone(tone) if tone != "plain" else palette.accent if is_on else palette.field
-    is_filled = tone != "plain" or is_on
+    side = metrics.px(size_pt)
+    fill, colour = _button_colours(metrics.palette, tone)
     is_pressed = imgui.invisible_button(f"{icon}##{tooltip}", (side, side))
     if imgui.is_item_hovered():
         fill = _lighter(fill)
     low, shapes = imgui.get_item_rect_min(), imgui.get_window_draw_list()
     middle = (low.x + side / 2, low.y + side / 2)
     _draw_disc(shapes, middle, side, fill)
-    colour = ink(palette.on_accent if is_filled else palette.ink)
-    _draw_icon(shapes, icon, middle, round(0.42 * side), colour)
+    _draw_icon(shapes, icon, middle, round(0.42 * side), ink(colour))
     hint(f"{tooltip}   [{keys}]" if keys else tooltip)
     return is_pressed
 
@@ -188,6 +175,17 @@ def radio(label: str, metrics: theme.Metrics, *, is_on: bool) -> bool:
     place = (low.x + side + gap, low.y + (room - height) / 2)
     shapes.add_text(place, imgui.get_color_u32(imgui.Col_.text), label)
     return is_pressed
+
+
+def one_of(titles: Mapping[Value, str], chosen: Value, metrics: theme.Metrics) -> Value | None:
+    """A few values with their titles, two in a row; gives the one that was chosen now."""
+    found = None
+    for number, (value, name) in enumerate(titles.items()):
+        if number % 2:
+            imgui.same_line(metrics.px(130))
+        if radio(name, metrics, is_on=value == chosen):
+            found = value
+    return found
 
 
 def _draw_disc(shapes: imgui.ImDrawList, middle: Place, side: float, colour: theme.Colour) -> None:
@@ -215,10 +213,17 @@ def action_button(
     label: str, metrics: theme.Metrics, *, tone: theme.Tone = "plain", width_px: float = 0.0
 ) -> bool:
     """A button with words; of the "accent" tone it is what the panel is for."""
-    palette = metrics.palette
-    fill = palette.field if tone == "plain" else palette.tone(tone)
-    with button_colours(fill, palette.ink if tone == "plain" else palette.on_accent):
-        return imgui.button(label, (width_px, metrics.px(38)))
+    fill, text = _button_colours(metrics.palette, tone)
+    for part, colour in (
+        (imgui.Col_.button, fill),
+        (imgui.Col_.button_hovered, _lighter(fill)),
+        (imgui.Col_.button_active, fill),
+        (imgui.Col_.text, text),
+    ):
+        imgui.push_style_color(part, colour)
+    is_pressed = imgui.button(label, (width_px, metrics.px(38)))
+    imgui.pop_style_color(4)
+    return is_pressed
 
 
 def choice_of(label: str, titles: Sequence[tuple[str, str]], chosen: str) -> str:
@@ -232,20 +237,15 @@ def choice_of(label: str, titles: Sequence[tuple[str, str]], chosen: str) -> str
     return chosen
 
 
-@contextmanager
-def button_colours(fill: theme.Colour, ink: theme.Colour) -> Iterator[None]:
-    """Buttons of another colour, a little lighter under the pointer."""
-    imgui.push_style_color(imgui.Col_.button, fill)
-    imgui.push_style_color(imgui.Col_.button_hovered, _lighter(fill))
-    imgui.push_style_color(imgui.Col_.button_active, fill)
-    imgui.push_style_color(imgui.Col_.text, ink)
-    try:
-        yield
-    finally:
-        imgui.pop_style_color(4)
+def _button_colours(palette: theme.Palette, tone: theme.Tone) -> tuple[theme.Colour, theme.Colour]:
+    """Of a button, and of what stands on it."""
+    if tone == "plain":
+        return palette.field, palette.ink
+    return palette.tone(tone), palette.on_accent
 
 
 def _lighter(colour: theme.Colour) -> theme.Colour:
+    """What a button is under the pointer."""
     red, green, blue = (0.88 * part + 0.12 for part in colour[:3])
     return red, green, blue, colour[3]
 

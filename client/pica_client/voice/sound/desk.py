@@ -17,7 +17,6 @@ import queue
 import signal
 import sys
 import threading
-from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any, BinaryIO, Self
@@ -27,7 +26,7 @@ import numpy as np
 from pica_client.errors import VoiceError
 from pica_client.voice.mixer import VoiceMixer
 from pica_client.voice.opus import OpusDecoder
-from pica_client.voice.packet import SAMPLE_RATE_HZ, VoicePacket
+from pica_client.voice.packet import SAMPLE_RATE_HZ
 from pica_client.voice.sound.devices import RETRY_S, Loudspeaker, Microphone, microphones, speakers
 from pica_client.voice.sound.echo import EchoCanceller
 from pica_client.voice.sound.settings import SoundSettings, SoundState
@@ -69,12 +68,13 @@ class Outbox:
 
 
 class SoundDesk:
-    """The sound of one call; its methods are for one thread."""
+    """The sound of one call; its methods are for one thread. What is said of voices goes straight
+    to the mixer: `receive`, `seat`, `set_volumes`."""
 
     def __init__(self, outbox: Outbox) -> None:
         self._outbox = outbox
-        self._is_playing = False
-        self._mixer = VoiceMixer(OpusDecoder)
+        self._mixer = mixer = VoiceMixer(OpusDecoder)
+        self.receive, self.seat, self.set_volumes = mixer.receive, mixer.seat, mixer.set_volumes
         self._loudspeaker = Loudspeaker(self._mixer)
         self._loudspeaker.on_played = self._played
         self._microphone: Microphone | None = None
@@ -98,12 +98,10 @@ class SoundDesk:
         """Do what the user has set; the microphone is opened only if one is wanted."""
         self._mixer.volume, self._mixer.is_spatial = settings.volume, settings.is_stereo
         self._loudspeaker.choose(settings.speaker)
-        if not self._is_playing:
-            self._is_playing = True
-            self._loudspeaker.start()
+        self._loudspeaker.start()
         if has_microphone and self._microphone is None:
             self._microphone = Microphone(settings.microphone)
-            self._microphone.on_frame = self._captured
+            self._microphone.on_frame = lambda *frame: self._outbox.put(("captured", *frame))
             self._microphone.start()
         elif not has_microphone and self._microphone is not None:
             self._microphone.stop()
@@ -115,22 +113,8 @@ class SoundDesk:
                     self._canceller = EchoCanceller()
                 except VoiceError as error:
                     self._no_cleaning = str(error)
-            cleans = settings.cleans and self._canceller is not None
-            self._microphone.clean = self._canceller.clean if cleans and self._canceller else None
-
-    def receive(self, peer_id: str, packet: VoicePacket, arrived_s: float) -> None:
-        """Take a packet of somebody's voice."""
-        self._mixer.receive(peer_id, packet, arrived_s)
-
-    def seat(self, azimuths_rad: Mapping[str, float]) -> None:
-        """Say who is there and from where each voice comes; others are forgotten."""
-        self._mixer.keep(azimuths_rad)
-        self._mixer.seat(dict(azimuths_rad))
-
-    def set_volumes(self, volumes: Mapping[str, float]) -> None:
-        """Make people louder or softer, by peer id."""
-        for peer_id, volume in volumes.items():
-            self._mixer.set_volume(peer_id, volume)
+            canceller = self._canceller if settings.cleans else None
+            self._microphone.clean = None if canceller is None else canceller.clean
 
     def play_test(self) -> None:
         """Play something to hear that it can be heard."""
@@ -138,13 +122,8 @@ class SoundDesk:
 
     def hand_on(self, is_wanted: bool) -> None:
         """Send what is mixed, as for a recording, or no longer."""
-        self._mixer.on_mixed = self._mixed if is_wanted else None
-
-    def _mixed(self, sound: FloatArray, leaves_s: float) -> None:
-        self._outbox.put(("mixed", sound, leaves_s))
-
-    def _captured(self, sound: FloatArray, captured_us: int) -> None:
-        self._outbox.put(("captured", sound, captured_us))
+        put = self._outbox.put
+        self._mixer.on_mixed = (lambda *mixed: put(("mixed", *mixed))) if is_wanted else None
 
     def _played(self, sound: FloatArray) -> None:
         microphone, canceller = self._microphone, self._canceller

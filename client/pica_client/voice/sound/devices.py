@@ -82,8 +82,9 @@ class _Device(ABC):
         self._thread = threading.Thread(target=self._run, name=type(self).__name__, daemon=True)
 
     def start(self) -> None:
-        """Begin to open the device."""
-        self._thread.start()
+        """Begin to open the device; twice is once."""
+        if self._thread.ident is None:
+            self._thread.start()
 
     def stop(self) -> None:
         """End, and wait for it; twice is once."""
@@ -305,27 +306,23 @@ async def captured_frames(
         listen: Is told who takes the frames, and at the end that nobody does.
     """
     loop = asyncio.get_running_loop()
-    frames: asyncio.Queue[tuple[FloatArray, int]] = asyncio.Queue(MAX_CAPTURED)
+    frames: asyncio.Queue[tuple[FloatArray, int] | None] = asyncio.Queue(MAX_CAPTURED)
 
-    def put(frame: FloatArray, captured_us: int) -> None:
+    def put(frame: tuple[FloatArray, int] | None) -> None:
         if frames.full():
             frames.get_nowait()
-        frames.put_nowait((frame, captured_us))
+        frames.put_nowait(frame)
 
     def take(frame: FloatArray, captured_us: int) -> None:
         with suppress(RuntimeError):  # the loop has just ended
-            loop.call_soon_threadsafe(put, frame, captured_us)
+            loop.call_soon_threadsafe(put, (frame, captured_us))
 
     listen(take)
     end = asyncio.create_task(stopping.wait())
+    end.add_done_callback(lambda _: put(None))
     try:
-        while not stopping.is_set():
-            following = asyncio.create_task(frames.get())
-            await asyncio.wait({following, end}, return_when=asyncio.FIRST_COMPLETED)
-            if not following.done():
-                following.cancel()
-                return
-            yield following.result()
+        while (frame := await frames.get()) is not None and not stopping.is_set():
+            yield frame
     finally:
         end.cancel()
         listen(None)

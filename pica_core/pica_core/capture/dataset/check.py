@@ -161,9 +161,9 @@ def _check_tables(findings: _Findings, capture: Capture) -> None:
             findings.add(folder, f"{extra - known} meshes of frames that are not listed")
     if capture.is_published:
         return
-    stated = capture.info.get("num_vertices")
-    if stated != capture.num_vertices:
-        problem = f"num_vertices is {stated!r}, the topology has {capture.num_vertices}"
+    stated, num_vertices = capture.info.get("num_vertices"), len(capture.topology.vertex_uv)
+    if stated != num_vertices:
+        problem = f"num_vertices is {stated!r}, the topology has {num_vertices}"
         findings.add(described, problem)
     split = capture.info.get("split")
     if not isinstance(split, dict):

@@ -36,14 +36,14 @@ def silhouette_problem(
     pixels, distance = camera.project(vertices_m)
     if (distance <= 0).mean() > 0.5:
         return "the tracked mesh lies behind the camera"
-    row, column = _inside(camera, pixels, distance)
+    row, _, _ = _inside(camera, pixels, distance)
     if len(row) < LEAST_INSIDE * len(vertices_m):
         return f"{len(row) / len(vertices_m):.1%} of the tracked mesh lies in the picture"
     if mask is None:
         return None
     # An open mesh covers nothing from within, such as a collar from below.
     facing = _facing(camera, vertices_m, faces) > 0
-    row, column = _inside(camera, pixels[facing], distance[facing])
+    row, column, _ = _inside(camera, pixels[facing], distance[facing])
     wide = maximum_filter(mask > 0, 2 * max(2, round(0.01 * min(mask.shape))) + 1)
     outside = float((~wide[row, column]).mean()) if len(row) else 0.0
     if outside > MOST_OUTSIDE:
@@ -62,8 +62,7 @@ def depth_problem(
         return "depth is unknown everywhere"
     pixels, distance = camera.project(vertices_m)
     facing = _facing(camera, vertices_m, faces) > 0.5
-    row, column = _inside(camera, pixels[facing], distance[facing])
-    at = distance[facing][_is_inside(camera, pixels[facing], distance[facing])]
+    row, column, at = _inside(camera, pixels[facing], distance[facing])
     seen = depth_m[row, column]
     known = seen > 0
     if known.sum() < 20:
@@ -80,21 +79,14 @@ def depth_problem(
     return None
 
 
-def _is_inside(camera: Camera, pixels: Float64Array, distance: Float64Array) -> BoolArray:
-    return (
-        (distance > 0)
-        & (pixels >= 0).all(axis=1)
-        & (pixels[:, 0] < camera.width)
-        & (pixels[:, 1] < camera.height)
-    )
-
-
 def _inside(
     camera: Camera, pixels: Float64Array, distance: Float64Array
-) -> tuple[Int64Array, Int64Array]:
-    """Row and column of the points that are in the picture."""
-    place = np.floor(pixels[_is_inside(camera, pixels, distance)]).astype(np.int64)
-    return place[:, 1], place[:, 0]
+) -> tuple[Int64Array, Int64Array, Float64Array]:
+    """Row, column and distance of the points that are in the picture."""
+    inside = (distance > 0) & (pixels >= 0).all(axis=1)
+    inside &= (pixels < [camera.width, camera.height]).all(axis=1)
+    column, row = np.floor(pixels[inside]).astype(np.int64).T
+    return row, column, distance[inside]
 
 
 def _facing(camera: Camera, vertices_m: FloatArray, faces: IntArray) -> Float64Array:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Collection
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,6 @@ from pica_core.capture.dataset import multiface
 from pica_core.capture.dataset.files import (
     SPLITS,
     CaptureFrame,
-    Description,
     Topology,
     load_image,
     read_frames,
@@ -32,21 +32,14 @@ from pica_core.capture.dataset.files import (
     read_transform,
     read_vertices,
 )
-from pica_core.capture.dataset.published import is_published, open_published
+from pica_core.capture.dataset.published import describe_published, is_published, published_topology
 from pica_core.errors import CaptureError
-from pica_core.types import Array, ByteArray, Float64Array, FloatArray
+from pica_core.types import Array, ByteArray, Float64Array, FloatArray, Int64Array
 
 __all__ = ["SPLITS", "Capture", "CaptureFrame", "Topology"]
 
 
 log = logging.getLogger(__name__)
-
-
-def _field(values: dict[str, Any], path: Path, name: str, kind: type) -> Any:
-    value = values.get(name)
-    if not isinstance(value, kind):
-        raise CaptureError(f"{path}: field {name!r} is {value!r}; {kind.__name__} is needed")
-    return value
 
 
 class Capture:
@@ -59,35 +52,49 @@ class Capture:
         has_depth: At least one frame has depth.
         has_expressions: Frames come with their 52 values.
         is_published: A directory as published, without our additions.
+        topology: The mesh that models draw.
+        tracked_topology: The tracked mesh; the same object where a capture has one mesh only.
+        dense_vertex: Which vertex of `topology` each tracked vertex is, int64 ``[Vt]``; None where
+            that is not known.
         texture_size: Side of the average textures, texels.
     """
 
-    def __init__(self, path: Path, description: Description) -> None:
-        info = description.info
+    def __init__(self, path: Path, test_segments: Collection[str] | None) -> None:
         where = path / multiface.CAPTURE
-        width, height = (_field(info, where, name, int) for name in ("width", "height"))
-        self.texture_size: int = _field(info, where, "texture_size", int)
-        if not (0 < width <= 8192 and 0 < height <= 8192 and 0 < self.texture_size <= 8192):
-            raise CaptureError(
-                f"{where}: sizes {width}x{height}, texture {self.texture_size}: 1 to 8192 are "
-                "allowed"
-            )
         self.path = path
-        self.info = info
+        self.is_published = not where.is_file()
+        self.dense_vertex: Int64Array | None = None
+        self._mesh_vertex: Int64Array | None = None
+        arkit: FloatArray | None = None
+        if self.is_published:
+            self.info, frames = describe_published(path, test_segments)
+            topology, self._mesh_vertex, self._num_mesh_vertices = published_topology(path, frames)
+            self.topology = self.tracked_topology = topology
+        else:
+            self.info = multiface.read_json(where)
+            schema = self.info.get("schema")
+            if schema != multiface.SCHEMA:
+                raise CaptureError(f"{where}: schema is {schema!r}; {multiface.SCHEMA} is known")
+            self.topology = self.tracked_topology = read_topology(path / multiface.TOPOLOGY)
+            if (path / multiface.TRACKED_TOPOLOGY).is_file():
+                num_dense = len(self.topology.vertex_uv)
+                self.tracked_topology, self.dense_vertex = read_tracked(path, num_dense)
+            self._num_mesh_vertices = len(self.tracked_topology.vertex_uv)
+            frames, arkit = read_frames(path)
+        sizes: list[Any] = [self.info.get(name) for name in ("width", "height", "texture_size")]
+        if not all(isinstance(size, int) and 0 < size <= 8192 for size in sizes):
+            raise CaptureError(
+                f"{where}: width, height and texture_size are {sizes}; 1 to 8192 are allowed"
+            )
+        width, height, self.texture_size = sizes
         self.cameras = multiface.read_krt(path / multiface.KRT, width, height)
         self._cameras = {camera.name: camera for camera in self.cameras}
-        self.topology = description.topology
-        self.tracked_topology = description.tracked_topology
-        self.dense_vertex = description.dense_vertex
-        self._mesh_vertex = description.mesh_vertex
-        self._num_mesh_vertices = description.num_mesh_vertices
-        self.is_published = description.mesh_vertex is not None
         self.has_truth = (path / multiface.TRUTH_MESH).is_dir()
         self.has_depth = (path / "depth").is_dir()
         self.has_masks = (path / "mask").is_dir()
-        self.has_expressions = description.arkit is not None
+        self.has_expressions = arkit is not None
         self._listed: dict[Path, frozenset[str]] = {}
-        self._use_frames(description.frames, description.arkit)
+        self._use_frames(frames, arkit)
 
     def _use_frames(self, listed: tuple[CaptureFrame, ...], arkit: FloatArray | None) -> None:
         problems = [self._incomplete(frame) for frame in listed]
@@ -101,10 +108,7 @@ class Capture:
                 self.path, len(self.left_out), len(listed), self.left_out[0],
             )  # fmt: skip
         self._arkit = None if arkit is None else arkit[[frame.index for frame in kept]]
-        self.frames = tuple(
-            CaptureFrame(index=index, segment=frame.segment, name=frame.name, split=frame.split)
-            for index, frame in enumerate(kept)
-        )
+        self.frames = tuple(replace(frame, index=index) for index, frame in enumerate(kept))
 
     def _incomplete(self, frame: CaptureFrame) -> str | None:
         """Why a frame cannot be used, from names and sizes alone; None if it can."""
@@ -137,38 +141,12 @@ class Capture:
         root = Path(path)
         if not root.is_dir():
             raise CaptureError(f"{root}: no such directory")
-        if not (root / multiface.CAPTURE).is_file():
-            if is_published(root) and not (root / multiface.MARKER).exists():
-                return cls(root, open_published(root, test_segments))
+        is_ours = (root / multiface.CAPTURE).is_file()
+        if not is_ours and ((root / multiface.MARKER).exists() or not is_published(root)):
             raise CaptureError(
                 f"{root}: no {multiface.CAPTURE}; not a capture, or one that is not finished"
             )
-        where = root / multiface.CAPTURE
-        info = multiface.read_json(where)
-        if info.get("schema") != multiface.SCHEMA:
-            raise CaptureError(
-                f"{where}: schema is {info.get('schema')!r}; {multiface.SCHEMA} is known"
-            )
-        topology = read_topology(root / multiface.TOPOLOGY)
-        tracked, dense_vertex = topology, None
-        if (root / multiface.TRACKED_TOPOLOGY).is_file():
-            tracked, dense_vertex = read_tracked(root, len(topology.vertex_uv))
-        frames, arkit = read_frames(root)
-        description = Description(
-            info=info,
-            frames=frames,
-            arkit=arkit,
-            topology=topology,
-            tracked_topology=tracked,
-            num_mesh_vertices=len(tracked.vertex_uv),
-            dense_vertex=dense_vertex,
-        )
-        return cls(root, description)
-
-    @property
-    def num_vertices(self) -> int:
-        """Number of vertices of `topology`, V."""
-        return len(self.topology.vertex_uv)
+        return cls(root, test_segments)
 
     def frames_of(self, split: str) -> tuple[CaptureFrame, ...]:
         """The frames of one split."""

@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -78,32 +77,6 @@ class Topology:
         for name, value in values.items():
             result[self.region(name)] = value
         return result
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Description:
-    """What describes a capture as a whole.
-
-    Attributes:
-        info: `capture.json` as read, or what stands in for it.
-        arkit: Their 52 values, ``[T, 52]``, where the capture has expressions.
-        topology: The mesh that models draw.
-        tracked_topology: The tracked mesh; the same object where a capture has one mesh only.
-        num_mesh_vertices: Vertices in a file of the tracked mesh.
-        dense_vertex: Which vertex of `topology` each tracked vertex is, int64 ``[Vt]``; None where
-            that is not known.
-        mesh_vertex: Which vertex of the mesh files each tracked vertex is, int64 ``[Vt]``, for a
-            directory as published; None where they are the same.
-    """
-
-    info: dict[str, Any]
-    frames: tuple[CaptureFrame, ...]
-    arkit: FloatArray | None = None
-    topology: Topology
-    tracked_topology: Topology
-    num_mesh_vertices: int
-    dense_vertex: Int64Array | None = None
-    mesh_vertex: Int64Array | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -219,10 +192,8 @@ def read_arrays(path: Path) -> dict[str, Array]:
             return {name: archive[name] for name in archive.files}
     except FileNotFoundError:
         raise CaptureError(f"{path}: the file is missing") from None
-    except (OSError, ValueError, EOFError) as error:
-        raise CaptureError(f"{path}: not a complete archive ({error})") from error
     except Exception as error:  # zipfile and zlib have error classes of their own
-        raise CaptureError(f"{path}: damaged archive ({error})") from error
+        raise CaptureError(f"{path}: not a complete archive ({error})") from error
 
 
 def read_topology(path: Path) -> Topology:

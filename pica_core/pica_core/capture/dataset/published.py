@@ -10,6 +10,7 @@ Layout source: the published description of the dataset (Wuu et al. 2022, arXiv 
 import re
 from collections.abc import Collection
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -29,8 +30,10 @@ def is_published(root: Path) -> bool:
     return all((root / name).exists() for name in (multiface.KRT, "images", "tracked_mesh"))
 
 
-def open_published(root: Path, test_segments: Collection[str] | None = None) -> files.Description:
-    """Find out what describes a published directory; None holds out the fifth of ten segments."""
+def describe_published(
+    root: Path, test_segments: Collection[str] | None
+) -> tuple[dict[str, Any], tuple[files.CaptureFrame, ...]]:
+    """What `capture.json` and the tables would say; None holds out the fifth of ten segments."""
     names = files.read_frame_list(root / multiface.FRAME_LIST)
     segments = sorted({segment for segment, _ in names})
     if test_segments is None:
@@ -48,31 +51,16 @@ def open_published(root: Path, test_segments: Collection[str] | None = None) -> 
         )
         for index, (segment, name) in enumerate(names)
     )
-    topology, mesh_vertex, count = _read_topology(_first_obj(root, names))
     width, height = _image_size(root)
-    return files.Description(
-        info={
-            "schema": multiface.SCHEMA,
-            "source": "a directory in the layout of the Multiface dataset",
-            "licence": "that of its publisher",
-            "width": width,
-            "height": height,
-            "texture_size": _texture_size(root),
-        },
-        frames=frames,
-        topology=topology,
-        tracked_topology=topology,
-        num_mesh_vertices=count,
-        mesh_vertex=mesh_vertex,
-    )
-
-
-def _first_obj(root: Path, names: list[tuple[str, str]]) -> Path:
-    for segment, name in names:
-        path = (root / multiface.mesh_path(segment, name)).with_suffix(".obj")
-        if path.is_file():
-            return path
-    raise CaptureError(f"{root / 'tracked_mesh'}: no OBJ of a listed frame to take the topology of")
+    info = {
+        "schema": multiface.SCHEMA,
+        "source": "a directory in the layout of the Multiface dataset",
+        "licence": "that of its publisher",
+        "width": width,
+        "height": height,
+        "texture_size": _texture_size(root),
+    }
+    return info, frames
 
 
 def _image_size(root: Path) -> tuple[int, int]:
@@ -92,8 +80,17 @@ def _texture_size(root: Path) -> int:
     raise CaptureError(f"{root}: no unwrapped_uv_SIZE directory")
 
 
-def _read_topology(path: Path) -> tuple[files.Topology, Int64Array, int]:
-    """Topology of an OBJ file, the OBJ's vertex for each of its vertices, and how many it has."""
+def published_topology(
+    root: Path, frames: tuple[files.CaptureFrame, ...]
+) -> tuple[files.Topology, Int64Array, int]:
+    """Topology of the first OBJ, the OBJ's vertex for each of its vertices, and how many it has."""
+    for frame in frames:
+        path = (root / multiface.mesh_path(frame.segment, frame.name)).with_suffix(".obj")
+        if path.is_file():
+            break
+    else:
+        where = root / "tracked_mesh"
+        raise CaptureError(f"{where}: no OBJ of a listed frame to take the topology of")
     obj = read_obj(path)
     vertex_faces, uv_faces, _, _ = obj.triangles()
     count = len(obj.vertices)

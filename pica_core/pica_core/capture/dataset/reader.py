@@ -19,8 +19,6 @@ from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from itertools import islice
 
-import numpy as np
-
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.errors import CaptureError
 from pica_core.types import Array
@@ -53,7 +51,7 @@ class Request:
 
 
 class CaptureReader(AbstractContextManager["CaptureReader"]):
-    """A capture behind a cache of `max_bytes`, decoded by `threads`. Use it from one thread.
+    """A capture behind a cache of `max_bytes`. Use it from one thread.
 
     Attributes:
         bad: What is wrong with requests that could not be read.
@@ -61,19 +59,14 @@ class CaptureReader(AbstractContextManager["CaptureReader"]):
         decoded: How many arrays were decoded.
     """
 
-    def __init__(
-        self, capture: Capture, max_bytes: int = MAX_BYTES, threads: int = THREADS
-    ) -> None:
-        if max_bytes < 1 or not 1 <= threads <= 64:
-            raise CaptureError(
-                f"reader: max_bytes is {max_bytes}, threads is {threads}; "
-                "at least 1 and 1 to 64 are needed"
-            )
+    def __init__(self, capture: Capture, max_bytes: int = MAX_BYTES) -> None:
+        if max_bytes < 1:
+            raise CaptureError(f"reader: max_bytes is {max_bytes}; at least 1 is needed")
         self.capture = capture
         self.max_bytes = max_bytes
         self.bad: dict[Request, str] = {}
         self.peak_bytes = self.decoded = 0
-        self._pool = ThreadPoolExecutor(threads, thread_name_prefix="decode")
+        self._pool = ThreadPoolExecutor(THREADS, thread_name_prefix="decode")
         self._kept: OrderedDict[Request, Future[Array]] = OrderedDict()
         self._kept_bytes = 0
         self._unread: set[Request] = set()
@@ -104,10 +97,8 @@ class CaptureReader(AbstractContextManager["CaptureReader"]):
         if request not in self._kept and request in self._waiting:
             self._waiting.remove(request)
         try:
-            if request in self._kept:
+            if request in self._kept or self._keep(request):
                 self._kept.move_to_end(request)
-                return self._kept[request].result()
-            if self._keep(request):
                 return self._kept[request].result()
             self.decoded += 1  # larger than the cache, or that is full of what will be read
             return self._decode(request)
@@ -187,6 +178,6 @@ def _sizes(capture: Capture) -> dict[str, int]:
         "depth": 4 * pixels,
         "true_depth": 4 * pixels,
         "texture": 3 * capture.texture_size**2,
-        "vertices": np.dtype(np.float32).itemsize * 3 * len(capture.tracked_topology.vertex_uv),
-        "true_vertices": np.dtype(np.float32).itemsize * 3 * capture.num_vertices,
+        "vertices": 12 * len(capture.tracked_topology.vertex_uv),
+        "true_vertices": 12 * len(capture.topology.vertex_uv),
     }

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, ImageOps
 
 from pica_core.avatar.arkit import ARKIT_INDEX
 from pica_core.capture.dataset import multiface
@@ -19,7 +19,7 @@ from pica_core.capture.dataset.files import spread_evenly
 from pica_core.capture.dataset.published import displayable
 from pica_core.capture.triangles import edges, signed_areas
 from pica_core.errors import CaptureError
-from pica_core.types import ByteArray, Float64Array, FloatArray
+from pica_core.types import Float64Array, FloatArray
 
 TILE = 300
 """Side of a tile, pixels."""
@@ -55,16 +55,14 @@ class _Page:
         side = span * TILE
         at = (column * TILE, row * TILE + 24)
         try:
-            small = make(*arguments).convert("RGB")
+            picture = make(*arguments).convert("RGB")
         except CaptureError as error:
             self._draw.text((at[0] + 8, at[1] + 30), _wrapped(str(error)), fill=ACCENT)
         else:
-            scale = min((side - 4) / small.width, (side - 4) / small.height)
-            size = (max(1, round(small.width * scale)), max(1, round(small.height * scale)))
-            small = small.resize(size, Image.Resampling.LANCZOS)
-            self.picture.paste(
-                small, (at[0] + (side - size[0]) // 2, at[1] + (side - size[1]) // 2)
-            )
+            size = (side - 4, side - 4)
+            small = ImageOps.contain(picture, size, Image.Resampling.LANCZOS)
+            left, top = at[0] + (side - small.width) // 2, at[1] + (side - small.height) // 2
+            self.picture.paste(small, (left, top))
         self._draw.text((at[0] + 6, at[1] + 4), label, fill=INK, stroke_width=2, stroke_fill=PAPER)
         self.tiles += 1
 
@@ -99,10 +97,6 @@ def _depth_picture(depth_m: FloatArray) -> Image.Image:
     low, high = np.percentile(depth_m[seen], [1, 99]) if seen.any() else (0.0, 1.0)
     share = np.clip((depth_m - low) / max(float(high - low), 1e-6), 0, 1)
     return Image.fromarray(np.where(seen, 255 - 205 * share, 0).astype(np.uint8))
-
-
-def _mask_picture(mask: ByteArray) -> Image.Image:
-    return Image.fromarray(PALETTE[mask % len(PALETTE)])
 
 
 def _wire_picture(capture: Capture, frame: CaptureFrame, camera_name: str) -> Image.Image:
@@ -223,5 +217,10 @@ def _draw_stage(page: _Page, capture: Capture, frame: CaptureFrame) -> None:
     if capture.has_truth:
         page.tile(5, 1, "exact depth", lambda: _depth_picture(capture.true_depth_m(frame, front)))
     if capture.has_masks:
-        page.tile(4, 2, "mask", lambda: _mask_picture(capture.mask(frame, front)))
+        page.tile(
+            4,
+            2,
+            "mask",
+            lambda: Image.fromarray(PALETTE[capture.mask(frame, front) % len(PALETTE)]),
+        )
     page.tile(5, 2, "cameras from the side", _camera_plan, capture, (2, 1), (1, -1))

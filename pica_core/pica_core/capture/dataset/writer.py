@@ -16,7 +16,7 @@ import numpy.typing as npt
 from pica_core.avatar.arkit import ARKIT_NAMES
 from pica_core.capture.dataset import multiface
 from pica_core.capture.dataset.files import SPLITS, Take, Topology
-from pica_core.types import Array, ByteArray, Float64Array, FloatArray
+from pica_core.types import Array, ByteArray, FloatArray
 
 ENCODERS = 2
 """Threads that encode images; what they call lets other threads run."""
@@ -94,48 +94,30 @@ class BackgroundWriter(AbstractContextManager["BackgroundWriter"]):
             self._waiting.pop(0).result()
 
 
-class _Moments:
-    """Running mean and variance of arrays."""
-
-    def __init__(self) -> None:
-        self._count = 0
-        self._sum: Any = 0.0
-        self._squares: Any = 0.0
-
-    def add(self, values: Array) -> None:
-        values = values.astype(np.float64)
-        self._count += 1
-        self._sum, self._squares = self._sum + values, self._squares + values * values
-
-    @property
-    def mean(self) -> Float64Array:
-        return self._sum / self._count
-
-    @property
-    def variance(self) -> float:
-        """Mean over all elements."""
-        mean = self.mean
-        return float(np.mean(np.maximum(self._squares / self._count - mean * mean, 0.0)))
-
-
 class TrainingSums:
     """Running mean and variance of training meshes and textures."""
 
     def __init__(self) -> None:
-        self._vertices_mm, self._texture = _Moments(), _Moments()
+        self._count = 0
+        self._sums: list[Any] = [0.0, 0.0]
+        self._squares: list[Any] = [0.0, 0.0]
 
     def add(self, vertices_mm: FloatArray, texture: ByteArray) -> None:
         """Count one frame."""
-        self._vertices_mm.add(vertices_mm)
-        self._texture.add(texture)
+        self._count += 1
+        for k, values in enumerate((vertices_mm.astype(np.float64), texture.astype(np.float64))):
+            self._sums[k] = self._sums[k] + values
+            self._squares[k] = self._squares[k] + values * values
 
     def write(self, out: Path) -> None:
-        """Write means and variances."""
-        vertices, texture = self._vertices_mm, self._texture
-        multiface.write_aside(out / "vert_mean.bin", vertices.mean.astype("<f4").tobytes())
-        multiface.write_aside(out / "tex_mean.png", png(np.rint(texture.mean).astype(np.uint8)))
-        for name, moments in (("vert_var.txt", vertices), ("tex_var.txt", texture)):
-            multiface.write_aside(out / name, f"{moments.variance:.9g}\n".encode())
+        """Write means, and variances over all elements."""
+        vertices, texture = means = [total / self._count for total in self._sums]
+        multiface.write_aside(out / "vert_mean.bin", vertices.astype("<f4").tobytes())
+        multiface.write_aside(out / "tex_mean.png", png(np.rint(texture).astype(np.uint8)))
+        names = ("vert_var.txt", "tex_var.txt")
+        for name, mean, squares in zip(names, means, self._squares, strict=True):
+            variance = float(np.mean(np.maximum(squares / self._count - mean * mean, 0.0)))
+            multiface.write_aside(out / name, f"{variance:.9g}\n".encode())
 
 
 class TrackingErrors:

@@ -14,7 +14,7 @@ import numpy as np
 from pica_core.capture.dataset.files import read_bytes
 from pica_core.capture.person.hair import STYLES
 from pica_core.capture.person.model import NUM_MODES
-from pica_core.errors import CaptureError
+from pica_core.errors import CaptureError, check_ranges
 
 Rgb = tuple[float, float, float]
 
@@ -85,10 +85,7 @@ class Person:
             value = getattr(self, name)
             if value not in known:
                 raise CaptureError(f"{name} is {value!r}; there are {', '.join(known)}")
-        for name, (low, high) in RANGES.items():
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise CaptureError(f"{name} is {value}; allowed are {low} to {high}")
+        check_ranges(self, CaptureError, **RANGES)
 
     def as_json(self) -> str:
         """All choices, as `person.json` holds them."""

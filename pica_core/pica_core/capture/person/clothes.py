@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pica_core.capture.person.hair import lumps, ring_faces, smooth
-from pica_core.types import BoolArray, Float64Array, IntArray
+from pica_core.capture.person.hair import Surface, join_rings, lumps, smooth
+from pica_core.types import BoolArray, Float64Array
 
 COLUMNS, ROWS = 72, 22
 AXIS_Z = -0.028
@@ -50,18 +50,11 @@ class Garment:
     """A garment.
 
     Attributes:
-        points: ``[n, 3]``.
-        faces: ``[F, 3]``.
-        uv: Of corners that `uv_faces` names, metres. ``[T, 2]``.
-        uv_faces: ``[F, 3]``.
         rim_y: Height of the neckline by turn. ``[COLUMNS]``.
         rim: Its distance from the neck's axis. ``[COLUMNS]``.
     """
 
-    points: Float64Array
-    faces: IntArray
-    uv: Float64Array
-    uv_faces: IntArray
+    surface: Surface
     rim_y: Float64Array
     rim: Float64Array
 
@@ -83,7 +76,7 @@ def dress_surface(skin: Float64Array, cut: Cut, seed: int) -> Garment:
     """A garment on a neck, for skin ``[P, 3]``."""
     turn = 2 * np.pi * np.arange(COLUMNS) / COLUMNS
     front, side = -np.cos(turn), np.sin(turn)
-    share = smooth(np.clip(front + 0.25, 0, 1) / 1.0)
+    share = smooth(front + 0.25)
     rim_y = (cut.back + (cut.front - cut.back) * share) / 1000
     rim_y = rim_y - cut.vee / 1000 * np.clip(1 - np.abs(side) / 0.55, 0, 1) * (front > 0)
     rim = _reach(skin, turn, rim_y)
@@ -123,16 +116,8 @@ def dress_surface(skin: Float64Array, cut: Cut, seed: int) -> Garment:
         sag = lumps(point, 0.05, seed + 3) + 0.5 * wave * smooth(drop_down * 2)
         out = np.stack([0.4 * side, 0.8 + 0 * side, 0.5 * front], 1)
         rows.append(point + 0.0016 * cut.folds * min(4 * s, 1.0) * sag[:, None] * out)
-    grid = np.stack(rows)
-    count = len(grid)
-    faces, uv_faces = ring_faces(count, COLUMNS)
-    along = np.linalg.norm(np.diff(grid, axis=0), axis=2).mean(1)
-    v = np.concatenate([[0], np.cumsum(along)])
-    u = np.linspace(0, 0.7, COLUMNS + 1)
-    uv = np.stack(np.broadcast_arrays(u[None], v[:, None]), -1).reshape(-1, 2)
-    return Garment(
-        points=grid.reshape(-1, 3), faces=faces, uv=uv, uv_faces=uv_faces, rim_y=rim_y, rim=rim
-    )
+    surface = join_rings(np.stack(rows), np.linspace(0, 0.7, COLUMNS + 1))
+    return Garment(surface=surface, rim_y=rim_y, rim=rim)
 
 
 def _reach(skin: Float64Array, turn: Float64Array, rim_y: Float64Array) -> Float64Array:
@@ -146,11 +131,9 @@ def _reach(skin: Float64Array, turn: Float64Array, rim_y: Float64Array) -> Float
         if here.any():
             found[k] = reach[here].max()
     known = np.flatnonzero(~np.isnan(found))
-    full = (
-        np.interp(np.arange(COLUMNS), known, found[known], period=COLUMNS)
-        if len(known)
-        else (np.full(COLUMNS, 0.06))
-    )
+    full = np.full(COLUMNS, 0.06)
+    if len(known):
+        full = np.interp(np.arange(COLUMNS), known, found[known], period=COLUMNS)
     for _ in range(3):
         full = np.maximum(full, 0.25 * np.roll(full, 1) + 0.5 * full + 0.25 * np.roll(full, -1))
     return full

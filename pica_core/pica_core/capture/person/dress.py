@@ -9,8 +9,8 @@ import numpy as np
 
 from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.person.choices import Person
-from pica_core.capture.person.clothes import CUTS, Garment, dress_surface
-from pica_core.capture.person.hair import STYLES, Sheet, cover, flow, grow, raise_cap, smooth
+from pica_core.capture.person.clothes import CUTS, dress_surface
+from pica_core.capture.person.hair import STYLES, Surface, cover, flow, grow, raise_cap, smooth
 from pica_core.capture.person.lids import close_lids, close_lips
 from pica_core.capture.rig.features import Features, find_features
 from pica_core.capture.rig.guards import PoseGuard
@@ -71,28 +71,26 @@ def dress(mesh: RigMesh, person: Person) -> Dressed:
     raised = raise_cap(rest, normals, coverage, style, person.seed)
     raised = raised + normals * (thick * smooth(1.35 * beard - 0.2))[:, None]
     raised = unfolded(rest, raised, skin_faces)
-    hidden = cloth.hides(rest)
-    under = hidden[mesh.faces].any(1) & (mesh.part == MATERIALS.index("skin"))
-    body = np.concatenate([raised[np.unique(skin_faces)], cloth.points])
+    seen = ~cloth.hides(rest)[mesh.faces].any(1) | (mesh.part != MATERIALS.index("skin"))
+    body = np.concatenate([raised[np.unique(skin_faces)], cloth.surface.points])
     sheet = grow(raised, style, person.seed, body)
-    strand = np.zeros((len(rest), 4))
     hairs = np.concatenate([coverage[:, None], flow(rest, normals, style), beard[:, None]], axis=1)
     if style.curl:  # curls have no one direction to shine along
         hairs[:, 1:4] *= 0.05
     facial = beard > 0.02
     hairs[facial, 1:4] = [0.0, -0.9, 0.45]
-    layers = [cloth.points] if sheet is None else [cloth.points, sheet.points]
-    _, apart = nearest(raised, np.concatenate(layers))
+    added = [cloth.surface] if sheet is None else [cloth.surface, sheet.surface]
+    _, apart = nearest(raised, np.concatenate([each.points for each in added]))
     free = np.where(skin, smooth((apart - FAST_M) / (FREE_M - FAST_M)), 1.0)
     motion = mesh.motion_m * free.astype(np.float32)[:, None]
-    mesh = _without(replace(mesh, rest_m=raised, motion_m=motion), under)
-    mesh = _add(mesh, cloth, "collar")
-    hairs, strand = _longer(hairs, len(cloth.points)), _longer(strand, len(cloth.points))
+    kept = {name: getattr(mesh, name)[seen] for name in ("faces", "uv_faces", "part", "material")}
+    mesh = replace(mesh, rest_m=raised, motion_m=motion, **kept)
+    mesh = _add(mesh, cloth.surface, "collar", None)
+    hairs = np.pad(hairs, ((0, len(cloth.surface.points)), (0, 0)))
+    strand = np.zeros((len(hairs), 4))
     if sheet is not None:
-        mesh = _add(mesh, sheet, "hair")
-        more = np.zeros((len(sheet.points), 5))
-        more[:, 1:4] = sheet.tangent
-        hairs = np.concatenate([hairs, more])
+        mesh = _add(mesh, sheet.surface, "hair", sheet.root)
+        hairs = np.concatenate([hairs, np.pad(sheet.tangent, ((0, 0), (1, 1)))])
         strand = np.concatenate([strand, sheet.strand])
     return Dressed(
         mesh=mesh,
@@ -138,18 +136,8 @@ def grow_beard(
     return beard, (thick * (1 - 0.6 * (over > jaw)) / 1000)
 
 
-def _longer(values: Float64Array, more: int) -> Float64Array:
-    return np.concatenate([values, np.zeros((more, values.shape[1]))])
-
-
-def _without(mesh: RigMesh, gone: BoolArray) -> RigMesh:
-    """A mesh without some faces; vertices stay."""
-    kept = {name: getattr(mesh, name)[~gone] for name in ("faces", "uv_faces", "part", "material")}
-    return replace(mesh, **kept)
-
-
-def _add(mesh: RigMesh, more: Garment | Sheet, part: str) -> RigMesh:
-    """A mesh with one more part: hair moves with its root, clothes not at all."""
+def _add(mesh: RigMesh, more: Surface, part: str, root: int | None) -> RigMesh:
+    """A mesh with one more part, which moves with a vertex or not at all."""
     assert mesh.uv is not None
     assert mesh.uv_faces is not None
     points, faces, uv, uv_faces = more.points, more.faces, more.uv, more.uv_faces
@@ -157,8 +145,8 @@ def _add(mesh: RigMesh, more: Garment | Sheet, part: str) -> RigMesh:
     if (face_normals(points, faces) * (points[faces[:, 0]] - points.mean(0))).sum() < 0:
         faces, uv_faces = faces[:, ::-1], uv_faces[:, ::-1]
     motion = np.zeros((len(mesh.motion_m), len(points), 3), np.float32)
-    if isinstance(more, Sheet):
-        motion = mesh.motion_m[:, more.root]
+    if root is not None:
+        motion += mesh.motion_m[:, [root]]
 
     def joined(one: Array, other: Array) -> Array:
         return np.concatenate([one, other.astype(one.dtype)])

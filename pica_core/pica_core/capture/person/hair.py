@@ -6,12 +6,12 @@ or a tail is a closed sheet of rings, laid outside of head, ears, neck and cloth
 painted along both. Lengths are metres in the head frame; azimuth 0 is the front.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pica_core.capture.triangles import nearest
-from pica_core.types import BoolArray, Float64Array, Int64Array, IntArray
+from pica_core.types import BoolArray, Float64Array, IntArray
 
 HAIRLINE = (
     (0.0, 0.089), (25.0, 0.091), (42.0, 0.087), (58.0, 0.072), (68.0, 0.038), (76.0, 0.010),
@@ -91,26 +91,36 @@ INWARDS = 0.30
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Sheet:
-    """A closed sheet of hair.
+class Surface:
+    """What is added to a head.
 
     Attributes:
         points: ``[n, 3]``.
         faces: ``[F, 3]``.
-        uv: Of corners that `uv_faces` names, metres: round the sheet, along strands. ``[T, 2]``.
+        uv: Of corners that `uv_faces` names, metres: round the surface, down it. ``[T, 2]``.
         uv_faces: ``[F, 3]``.
-        strand: Along 0 to 1, across -1 to 1, number, length in metres. ``[n, 4]``.
-        tangent: Direction of its strands. ``[n, 3]``.
-        root: Vertex of the head that each vertex moves with. ``[n]``.
     """
 
     points: Float64Array
     faces: IntArray
     uv: Float64Array
     uv_faces: IntArray
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Sheet:
+    """A closed sheet of hair.
+
+    Attributes:
+        strand: Along 0 to 1, across -1 to 1, number, length in metres. ``[n, 4]``.
+        tangent: Direction of its strands. ``[n, 3]``.
+        root: Vertex of the head that it moves with.
+    """
+
+    surface: Surface
     strand: Float64Array
     tangent: Float64Array
-    root: Int64Array
+    root: int
 
 
 def cover(points: Float64Array, skin: BoolArray, ears: BoolArray, style: Style) -> Float64Array:
@@ -151,11 +161,8 @@ def lumps(points: Float64Array, size_m: float, seed: int) -> Float64Array:
     return np.sin(points @ waves.T + phase).sum(1) / np.sqrt(12)
 
 
-def flow(
-    points: Float64Array, normals: Float64Array, style: Style, curl: float | None = None
-) -> Float64Array:
+def flow(points: Float64Array, normals: Float64Array, style: Style) -> Float64Array:
     """Direction of strands over the head, unit length, along the surface. ``[P, 3]``."""
-    curl = style.curl if curl is None else curl
     way = np.broadcast_to(np.array(style.flow), points.shape).copy()
     if style.tail:
         way = tie(points) - points
@@ -166,7 +173,7 @@ def flow(
         way = points - [0.0, 0.13, -0.02]
     way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
     way -= normals * (way * normals).sum(1, keepdims=True)
-    amount, size = (0.6, 0.012) if curl else (0.12, 0.03)  # curls break the highlight
+    amount, size = (0.6, 0.012) if style.curl else (0.12, 0.03)  # curls break the highlight
     way += amount * np.stack([lumps(points, size, k) for k in range(3)], 1)
     return way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
 
@@ -181,7 +188,7 @@ def raise_cap(
     fore = smooth((points[:, 2] - 0.02) / 0.06) * smooth((points[:, 1] - 0.06) / 0.04)
     thick = thick * top + style.quiff / 1000 * fore * smooth(coverage / style.rise)
     # Clumps run along the strands: noise that is drawn out along them.
-    way = flow(points, normals, style, curl=0.0)
+    way = flow(points, normals, replace(style, curl=0.0))
     drawn = sum(lumps(points + way * k, 0.011, seed) for k in (-0.012, -0.006, 0.0, 0.006, 0.012))
     thick = thick * (1 + 0.055 * style.clumps * drawn)
     if style.parting is not None:
@@ -203,9 +210,9 @@ def tie(points: Float64Array) -> Float64Array:
     return np.array([0.0, TIE_Y, back])
 
 
-def ring_faces(rows: int, columns: int) -> tuple[IntArray, IntArray]:
-    """Triangles of rings, one below the other: over points, and over texture coordinates that have
-    one column more. Two ``[F, 3]``."""
+def join_rings(rings: Float64Array, u: Float64Array) -> Surface:
+    """Join rings ``[R, C, 3]``, one below the other; `u` goes round them, metres. ``[C + 1]``."""
+    rows, columns = rings.shape[:2]
     found = []
     for wide in (columns, columns + 1):
         first = (np.arange(rows - 1) * wide)[:, None] + np.arange(columns)
@@ -214,7 +221,10 @@ def ring_faces(rows: int, columns: int) -> tuple[IntArray, IntArray]:
             after[:, -1] -= columns
         corners = (first, first + wide, after, after, first + wide, after + wide)
         found.append(np.stack(corners, -1).reshape(-1, 3).astype(np.int32))
-    return found[0], found[1]
+    steps = np.linalg.norm(np.diff(rings, axis=0), axis=2).mean(1)
+    v = np.concatenate([[0], np.cumsum(steps)])
+    uv = np.stack(np.broadcast_arrays(u[None], v[:, None]), -1).reshape(-1, 2)
+    return Surface(points=rings.reshape(-1, 3), faces=found[0], uv=uv, uv_faces=found[1])
 
 
 def grow(points: Float64Array, style: Style, seed: int, body: Float64Array) -> Sheet | None:
@@ -225,27 +235,17 @@ def grow(points: Float64Array, style: Style, seed: int, body: Float64Array) -> S
         rings = _tail(points, style, seed, body)
     else:
         return None
-    rows, columns = rings.shape[:2]
-    faces, uv_faces = ring_faces(rows, columns)
     around = np.linalg.norm(np.diff(rings, axis=1, append=rings[:, :1]), axis=2).mean(0)
-    steps = np.linalg.norm(np.diff(rings, axis=0), axis=2).mean(1)
-    u, v = (np.concatenate([[0], np.cumsum(each)]) for each in (around, steps))
-    flat = rings.reshape(-1, 3)
-    strand = np.zeros((len(flat), 4))
+    surface = join_rings(rings, np.concatenate([[0], np.cumsum(around)]))
+    columns = rings.shape[1]
+    v = surface.uv[:: columns + 1, 1]
+    strand = np.zeros((len(surface.points), 4))
     strand[:, 0] = np.repeat(v / v[-1], columns)
     strand[:, 3] = v[-1]
     tangent = np.gradient(rings, axis=0).reshape(-1, 3)
     tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
-    root = np.argmax(points[:, 1])
-    return Sheet(
-        points=flat,
-        faces=faces,
-        uv=np.stack(np.broadcast_arrays(u[None], v[:, None]), -1).reshape(-1, 2),
-        uv_faces=uv_faces,
-        strand=strand,
-        tangent=tangent,
-        root=np.full(len(flat), root),
-    )
+    root = int(np.argmax(points[:, 1]))
+    return Sheet(surface=surface, strand=strand, tangent=tangent, root=root)
 
 
 def _curtain(points: Float64Array, style: Style, seed: int, body: Float64Array) -> Float64Array:
@@ -304,8 +304,7 @@ def _curtain(points: Float64Array, style: Style, seed: int, body: Float64Array) 
 def _azimuth(s: Float64Array, y: Float64Array) -> Float64Array:
     """Where columns are at these heights, from the subject's left over the back, radians."""
     front = np.interp(y, *np.array(FRONT_DEG).T)
-    azimuth: Float64Array = np.radians(180 - s * (180 - front))
-    return azimuth
+    return np.radians(180 - s * (180 - front))
 
 
 def _reach(body: Float64Array, angle: Float64Array, y: Float64Array) -> Float64Array:
@@ -315,8 +314,7 @@ def _reach(body: Float64Array, angle: Float64Array, y: Float64Array) -> Float64A
     far = np.hypot(near[:, 0], near[:, 2] + 0.005)
     off = np.abs((place - angle[:, None] + np.pi) % (2 * np.pi) - np.pi)
     here = (off < 0.12) & (np.abs(near[:, 1] - y[:, None]) < 0.011)
-    reach: Float64Array = np.where(here, far, 0.0).max(1, initial=0.0)
-    return reach
+    return np.where(here, far, 0.0).max(1, initial=0.0)
 
 
 def _tail(points: Float64Array, style: Style, seed: int, body: Float64Array) -> Float64Array:

@@ -65,7 +65,9 @@ class FaceModel:
 
     def sex_direction(self) -> Float64Array:
         """Coefficients of a typical man's face; those of a woman's are its opposite. ``[100]``."""
-        points = _in_cm(self.source.positions) - HEAD_CM
+        # In cm: the model's head is 34 cm high, whatever its file's unit.
+        scale = 10.0 ** np.rint(np.log10(34.0 / np.ptp(self.source.positions[:, 1])))
+        points = self.source.positions * scale - HEAD_CM
         wanted = np.zeros_like(points)
         for centre, reach, move in MALE:
             for side in (1.0, -1.0):
@@ -73,7 +75,6 @@ class FaceModel:
                 weight = np.exp(-0.5 * (apart**2).sum(1) / reach**2)
                 wanted += weight[:, None] * np.array(move) * [side, 1, 1]
         chosen = np.arange(0, len(points), 3)
-        scale = np.ptp(points[:, 1]) / np.ptp(self.source.positions[:, 1])
         table = self.modes[:, chosen].reshape(NUM_MODES, -1).astype(np.float64) * scale
         target = wanted[chosen].ravel()
         ridge = 0.02 * np.trace(table @ table.T) / NUM_MODES * np.eye(NUM_MODES)
@@ -83,14 +84,7 @@ class FaceModel:
     def person(self, coefficients: npt.ArrayLike) -> RigSource:
         """The rig of one identity ``[100]``; expressions stay those of the model."""
         offset = np.tensordot(np.asarray(coefficients, np.float32), self.modes, 1)
-        return replace(
-            self.source, positions=self.source.positions + offset, copyright=RIGHTS
-        )  # fmt: skip
-
-
-def _in_cm(positions: Float64Array) -> Float64Array:
-    """Positions in cm: the model's head is 34 cm high, whatever its file's unit."""
-    return positions * 10.0 ** np.rint(np.log10(34.0 / np.ptp(positions[:, 1])))
+        return replace(self.source, positions=self.source.positions + offset, copyright=RIGHTS)
 
 
 def read_model(folder: Path) -> FaceModel:
@@ -160,8 +154,7 @@ def _compact(folder: Path, path: Path) -> tuple[RigSource, FloatArray]:
 
 def _grid(points_cm: Float64Array) -> list[list[int]]:
     """Places in steps of 5 micrometres."""
-    table: list[list[int]] = np.rint(points_cm * 2000).astype(np.int64).tolist()
-    return table
+    return np.rint(points_cm * 2000).astype(np.int64).tolist()
 
 
 def _check_vertices(path: Path, count: int) -> None:

@@ -11,15 +11,9 @@ import torch
 from PIL import Image
 
 from pica_core.errors import TrainingOptionError, check_ranges
-from pica_core.train.eval.run import (
-    CaptureTruth,
-    EvalLimits,
-    Run,
-    measure,
-    open_run,
-    prepare,
-)
+from pica_core.train.eval.run import EvalLimits, Run, measure, open_run, prepare
 from pica_core.train.eval.tables import TABLES, report
+from pica_core.types import ByteArray
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -74,35 +68,16 @@ def _measure(runs: Sequence[Run], options: EvalOptions) -> dict[str, Any]:
     tracked: dict[str, dict[str, float | None]] = {}
     floor: dict[str, float | None] = {}
     for capture in dict.fromkeys(run.capture for run in runs):
-        own = [run for run in runs if run.capture == capture]
         _say(f"{capture}: drawing the truth")
-        truth = prepare(capture, own[0].config.model.spec().map_size, options)
+        truth = prepare(capture, options)
         tracked[truth.identity] = truth.tracked_mm
         floor[truth.identity] = truth.one_sample_mse
-        for run in own:
-            where = run.folder
-            measured = measure(
-                run,
-                truth,
-                lambda text, where=where: _say(f"{where}: {text}"),  # type: ignore[misc]
-                samples=options.samples,
-            )
-            rows += measured.rows
-            found.append(
-                {
-                    "run": str(run.folder),
-                    "identity": truth.identity,
-                    "variant": run.variant,
-                    "block": run.block,
-                    "seed": run.config.seed,
-                    "source": str(truth.data.capture.info.get("source", capture.name)),
-                    "distribution": measured.distribution,
-                    "geometry": measured.geometry,
-                    "near": measured.near,
-                }
-            )
+        for run in [run for run in runs if run.capture == capture]:
+            own_rows, result, pictures = measure(run, truth, _say, samples=options.samples)
+            rows += own_rows
+            found.append(result)
             if options.out is not None:
-                _save_near(options.out, truth, run, measured.near_images)
+                _save_near(options.out, result, pictures)
     return {
         "table": options.table,
         "split": options.split,
@@ -113,13 +88,13 @@ def _measure(runs: Sequence[Run], options: EvalOptions) -> dict[str, Any]:
     }
 
 
-def _save_near(out: Path, truth: CaptureTruth, run: Run, images: Sequence[Any]) -> None:
+def _save_near(out: Path, run: dict[str, Any], images: Sequence[ByteArray]) -> None:
     """Truth on the left, prediction on the right, one file for each frame."""
     folder = out / "near"
     for index, image in enumerate(images):
         folder.mkdir(parents=True, exist_ok=True)
-        model = run.variant + (f"_{run.block}" if run.block else "")
-        name = f"{truth.identity}_{model}_{run.config.seed}_{index}.png"
+        model = run["variant"] + (f"_{run['block']}" if run["block"] else "")
+        name = f"{run['identity']}_{model}_{run['seed']}_{index}.png"
         Image.fromarray(image).save(folder / name)
 
 

@@ -41,14 +41,18 @@ def avatar_levels(options: AvatarLevelsOptions) -> dict[str, Any]:
     save_avatar(options.out, levelled, like=file)
     for report in reports:
         print(describe(report), file=sys.stderr)
-    size = options.out.stat().st_size
-    print(f"{options.out}: {size / 1e6:.2f} MB", file=sys.stderr)
     return {
-        "path": str(options.out),
-        "bytes": size,
+        **written(options.out),
         "id": avatar_id(options.out),
         "levels": [asdict(report) for report in reports],
     }
+
+
+def written(path: Path) -> dict[str, Any]:
+    """Say where a file is and how large."""
+    size = path.stat().st_size
+    print(f"{path}: {size / 1e6:.2f} MB", file=sys.stderr)
+    return {"path": str(path), "bytes": size}
 
 
 def describe(report: LevelReport) -> str:

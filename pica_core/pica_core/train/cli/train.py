@@ -24,7 +24,7 @@ from pica_core.errors import CaptureError, CheckpointError, TrainingOptionError,
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.baseline import DeepAppearanceModel
 from pica_core.train.checkpoint import read_checkpoint
-from pica_core.train.cli.levels import describe
+from pica_core.train.cli.levels import describe, written
 from pica_core.train.config import PRESETS, TrainConfig
 from pica_core.train.data.training import TrainingData
 from pica_core.train.eval.evaluate import evaluate, mean_mse
@@ -120,12 +120,11 @@ def train(options: TrainOptions) -> dict[str, Any]:
             f"{options.out}: cannot be made: {error.strerror or error}"
         ) from error
     torch.set_num_threads(options.threads)
-    data = TrainingData(Capture.open(options.capture), config.model.spec().map_size)
+    data = TrainingData(Capture.open(options.capture))
     if not options.resume and (options.out / "checkpoint.pt").exists():
         raise CheckpointError(f"{options.out}: a run is there already; --resume goes on with it")
-    for before in [options.out] if options.resume else [options.start_from]:
-        if before is not None:
-            _check_variant(before, config.model.variant)
+    if (before := options.out if options.resume else options.start_from) is not None:
+        _check_variant(before, config.model.variant)
     with (
         open_ranks(os.environ) as ranks,
         open_trainer(
@@ -163,7 +162,7 @@ def export(options: ExportOptions) -> dict[str, Any]:
     state = read_checkpoint(options.run / "checkpoint.pt")
     config = TrainConfig.from_json(json.loads(state["config"]))
     torch.set_num_threads(options.threads)
-    data = TrainingData(Capture.open(options.capture), config.model.spec().map_size)
+    data = TrainingData(Capture.open(options.capture))
     if not data.capture.has_expressions:
         raise CaptureError(
             f"{options.capture}: no expressions, so nothing could drive the avatar; a capture with "
@@ -174,7 +173,7 @@ def export(options: ExportOptions) -> dict[str, Any]:
         model = trainer.model
         if isinstance(model, DeepAppearanceModel):
             save_baseline(options.out, make_baseline(model, data))
-            return _written(options.out)
+            return written(options.out)
         assert isinstance(model, PixelCodecAvatar)
         avatar = make_avatar(
             model,
@@ -208,7 +207,7 @@ def export(options: ExportOptions) -> dict[str, Any]:
     avatar = replace(avatar, tensors=tensors)
     save_avatar(options.out, avatar, storage_of(options.precision, avatar.tensors))
     return {
-        **_written(options.out),
+        **written(options.out),
         "id": avatar_id(options.out),
         "levels": [asdict(report) for report in reports],
     }
@@ -220,18 +219,8 @@ def _add_levels(avatar: Avatar, threads: int) -> tuple[Avatar, list[LevelReport]
     return add_levels(avatar, show=lambda text: print(text, file=sys.stderr))
 
 
-def _written(path: Path) -> dict[str, Any]:
-    size = path.stat().st_size
-    print(f"{path}: {size / 1e6:.2f} MB", file=sys.stderr)
-    return {"path": str(path), "bytes": size}
-
-
 def _device(wished: str, ranks: Ranks) -> torch.device:
-    """Where to compute; several processes take one GPU each.
-
-    Raises:
-        TrainingOptionError: A GPU was asked for and there is none.
-    """
+    """Where to compute; several processes take one GPU each."""
     has_gpu = torch.cuda.is_available()
     if wished == "cuda" and not has_gpu:
         raise TrainingOptionError("device is cuda, but torch finds no GPU here; use cpu or auto")
@@ -241,11 +230,7 @@ def _device(wished: str, ranks: Ranks) -> torch.device:
 
 
 def _check_variant(run: Path, variant: str) -> None:
-    """Refuse to go on from another model.
-
-    Raises:
-        CheckpointError: No readable checkpoint, or one of another variant.
-    """
+    """Refuse to go on from another model."""
     state = read_checkpoint(run / "checkpoint.pt")
     config = TrainConfig.from_json(json.loads(state["config"]))
     if (found := config.model.variant) != variant:

@@ -46,10 +46,11 @@ class ImageCache:
         """
         return self.reader.read(Request("image", frame, camera))
 
-    def depth_m(self, frame: int, camera: str) -> FloatArray | None:
-        """Measured depth, 0 where unknown, float32 ``[H, W]``; None where the image has none."""
+    def depth_m(self, frame: int, camera: str) -> FloatArray:
+        """Measured depth, 0 where unknown, float32 ``[H, W]``."""
         if not self._has_depth(frame, camera):
-            return None
+            unknown = self._capture.camera(camera)
+            return np.zeros((unknown.height, unknown.width), np.float32)
         depth_m: FloatArray = self.reader.read(Request("depth", frame, camera))
         return depth_m
 
@@ -88,12 +89,9 @@ class ImageCache:
         return self._capture.camera(name).in_head(self._head_pose(frame))
 
     def _has_depth(self, frame: int, camera: str) -> bool:
-        return self._capture.has_depth and self._has("depth", frame, camera)
-
-    def _has(self, kind: str, frame: int, camera: str) -> bool:
         where = self._capture.frames[frame]
-        path = multiface.image_path(kind, where.segment, camera, where.name)
-        return (self._capture.path / path).is_file()
+        path = multiface.image_path("depth", where.segment, camera, where.name)
+        return self._capture.has_depth and (self._capture.path / path).is_file()
 
     def _texture_of(self, frame: int, size: int) -> Tensor:
         stored = torch.from_numpy(self.reader.read(Request("texture", frame)).copy())

@@ -5,32 +5,28 @@ same. The best meshes there are: exact ones; without them the tracked ones, thro
 maps where they are of another topology.
 """
 
-from functools import lru_cache
-from typing import Literal
+from functools import cache, lru_cache
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from pica_core.avatar.spec import AvatarSpec
 from pica_core.avatar.variants import TopologyName
 from pica_core.capture.dataset.dataset import Capture, Topology
 from pica_core.model.decoders import sample_map
-from pica_core.train.data.uv_raster import rasterise_uv
+from pica_core.train.config import MeshSource
+from pica_core.train.data.uv_raster import UvRaster, rasterise_uv
 from pica_core.types import BoolArray, FloatArray
 
 IMPORTANT_REGIONS = ("mouth", "lips", "eyes", "eyeballs", "lids", "teeth", "tongue")
 """Vertex regions of a capture's topology that are small on the map and large to the eye."""
 MAX_MAPS = 2048
 """Maps of meshes kept in memory, 0.8 MB each; the least recently used go first."""
-MeshSource = Literal["truth", "tracked"]
 
 
 class CaptureMeshes:
-    """All meshes of a capture, in memory; lengths in metres.
-
-    Args:
-        train_frames: Frames that means are taken over.
-        map_size: Rows and columns of the position maps.
+    """All meshes of a capture, in memory; lengths in metres, means over training frames.
 
     Attributes:
         source: What encoder and mesh loss are given: exact meshes, or the tracker's.
@@ -42,8 +38,8 @@ class CaptureMeshes:
         position_scale_m: Unit of offsets from the mean: twice their root mean square.
     """
 
-    def __init__(self, capture: Capture, train_frames: list[int], map_size: int) -> None:
-        self._capture = capture
+    def __init__(self, capture: Capture, train_frames: list[int]) -> None:
+        self._capture, map_size = capture, AvatarSpec().map_size
         self._train_frames = train_frames
         dense, tracked = capture.topology, capture.tracked_topology
         self._one_mesh = tracked is dense
@@ -64,15 +60,13 @@ class CaptureMeshes:
         self.position_mean = self.uv_raster.position_map(self.dense_mean_m)
         self.position_scale_m = float(np.sqrt(np.square(train - self.dense_mean_m).mean()) * 2)
         self.source: MeshSource = "truth" if capture.has_truth else "tracked"
-        self._true_tracked: dict[int, FloatArray] = {}
+        uv = tracked.vertex_uv
+        self._true_tracked = cache(lambda i: _resampled(self.uv_raster, self.dense_m[i], uv))
         self._map = lru_cache(MAX_MAPS)(self._map_of)
 
     def use(self, source: MeshSource) -> bool:
-        """Choose what encoder and mesh loss are given: exact meshes or the tracker's.
-
-        Returns:
-            Whether the capture has them; without exact meshes it stays at the tracked ones.
-        """
+        """Choose what encoder and mesh loss are given: exact meshes or the tracker's. Says whether
+        the capture has them; without exact meshes it stays at the tracked ones."""
         self.source = source if self._capture.has_truth else "tracked"
         return self.source == source
 
@@ -88,14 +82,12 @@ class CaptureMeshes:
         return self._tracked_raster.position_map(mean)
 
     def neutral_m(self, name: TopologyName, arkit: Tensor) -> FloatArray:
-        """The mesh of the training frame nearest to a neutral expression, as `source` says.
+        """The mesh of the training frame nearest to a neutral expression, as `source` says:
+        ``[V, 3]``.
 
         Args:
             arkit: Expressions of all frames, ``[T, 52]``; where a capture has none the frame
                 nearest to the mean mesh is taken.
-
-        Returns:
-            ``[V, 3]``.
         """
         if self._capture.has_expressions:
             away = arkit[self._train_frames].square().sum(1).numpy()
@@ -108,14 +100,10 @@ class CaptureMeshes:
     def true_at_tracked(self, frame: int) -> FloatArray:
         """The best mesh at the vertices of the tracked topology, ``[Vt, 3]``."""
         index = self._capture.dense_vertex
-        if self._one_mesh or index is not None:
-            mesh: FloatArray = self.dense_m[frame]
-            return mesh if index is None else mesh[index]
-        if frame not in self._true_tracked:
-            values = self.uv_raster.position_map(self.dense_m[frame])
-            uv = self._capture.tracked_topology.vertex_uv
-            self._true_tracked[frame] = _look_up(values, uv)
-        return self._true_tracked[frame]
+        if not self._one_mesh and index is None:
+            return self._true_tracked(frame)
+        mesh: FloatArray = self.dense_m[frame]
+        return mesh if index is None else mesh[index]
 
     def best_dense(self, frame: int) -> FloatArray:
         """The mesh of the dense topology that `source` has, ``[V, 3]``."""
@@ -138,9 +126,7 @@ class CaptureMeshes:
     def tracked(self, frames: list[int]) -> Tensor:
         """Meshes of the tracked topology, ``[N, Vt, 3]``: as the tracker found them, or the best
         surface there is at its vertices, as `source` says."""
-        if self.source == "tracked":
-            return torch.from_numpy(self.tracked_m[frames])
-        return torch.from_numpy(np.stack([self.true_at_tracked(frame) for frame in frames]))
+        return torch.from_numpy(np.stack([self.best_tracked(frame) for frame in frames]))
 
     def position_maps(self, frames: list[int]) -> Tensor:
         """What encoders see of a frame's shape: offsets from the mean, in position scales, as maps
@@ -157,8 +143,8 @@ class CaptureMeshes:
 
     def _dense_of_tracked(self, frame: int) -> FloatArray:
         """The tracked mesh at the vertices of the dense topology, through its position map."""
-        values = self._tracked_raster.position_map(self.tracked_m[frame])
-        return _look_up(values, self._capture.topology.vertex_uv)
+        uv = self._capture.topology.vertex_uv
+        return _resampled(self._tracked_raster, self.tracked_m[frame], uv)
 
 
 def important_vertices(topology: Topology) -> BoolArray:
@@ -171,14 +157,13 @@ def vertex_importance(
     topology: Topology, region_weight: float = 4.0, lid_weight: float = 16.0
 ) -> FloatArray:
     """How much an error of each vertex counts: mouth and eyes above the rest, lids most. ``[V]``"""
-    weights = np.where(important_vertices(topology), region_weight, 1.0).astype(np.float32)
-    weights[topology.region("lids")] = lid_weight
-    return weights
+    weights = {**dict.fromkeys(IMPORTANT_REGIONS, region_weight), "lids": lid_weight}
+    return topology.by_region(weights, 1.0).astype(np.float32)
 
 
-def _look_up(position_map: FloatArray, uv: FloatArray) -> FloatArray:
-    """A map ``[S, S, 3]`` at UVs ``[V, 2]``, bilinear."""
-    values = torch.from_numpy(position_map).permute(2, 0, 1)[None]
+def _resampled(raster: UvRaster, vertices_m: FloatArray, uv: FloatArray) -> FloatArray:
+    """What lies at UVs ``[V, 2]`` of a mesh's position map, bilinear."""
+    values = torch.from_numpy(raster.position_map(vertices_m)).permute(2, 0, 1)[None]
     found = sample_map(values, torch.from_numpy(np.ascontiguousarray(uv, np.float32)))[0]
     vertices: FloatArray = found.contiguous().numpy()
     return vertices

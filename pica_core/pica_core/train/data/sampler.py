@@ -9,24 +9,6 @@ MAX_RARITY = 8.0
 """Limit of a frame's weight against the usual one (chosen: a full blink reaches 7)."""
 
 
-class FrameSampler:
-    """Draws training frames.
-
-    Args:
-        weights: How rare each of them is, ``[T]`` (`rarity`).
-    """
-
-    def __init__(self, frames: list[int], weights: Float64Array) -> None:
-        self._frames = frames
-        self.weights = weights
-
-    def draw(self, count: int, balance: float, rng: np.random.Generator) -> list[int]:
-        """Draw frames, with repetition, rare ones more often by the power `balance`."""
-        weights = self.weights**balance
-        drawn: list[int] = rng.choice(self._frames, count, p=weights / weights.sum()).tolist()
-        return drawn
-
-
 def rarity(offsets_m: FloatArray, regions: dict[str, BoolArray]) -> Float64Array:
     """How far each frame's eyes or mouth lie from their mean, against the usual.
 

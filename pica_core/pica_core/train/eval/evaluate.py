@@ -17,13 +17,11 @@ from torch import Tensor
 from pica_core.train.data.sampler import spaced
 from pica_core.train.data.training import TrainingData
 from pica_core.train.eval.metrics import bootstrap_interval, change_mse, mse, psnr_db, ssim
-from pica_core.train.eval.model_evaluator import ModelEvaluator
+from pica_core.train.eval.model_evaluator import ModelEvaluator, Picture
 from pica_core.train.loop import Trainer
-from pica_core.train.painter import Picture
 from pica_core.types import FloatArray
 
 Source = Literal["encoder", "driver"]
-Split = Literal["train", "test"]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -49,12 +47,6 @@ class ViewErrors:
         }
 
 
-def spaced_frames(data: TrainingData, max_frames: int, split: Split = "test") -> list[int]:
-    """At most so many frames of a split, evenly spaced."""
-    frames = {"test": data.test_frames, "train": data.train_frames}[split]
-    return spaced(frames, max_frames)
-
-
 def successor(data: TrainingData, frame: int) -> int | None:
     """The frame that follows directly in the same take, if there is one of the same split."""
     frames = data.capture.frames
@@ -64,13 +56,14 @@ def successor(data: TrainingData, frame: int) -> int | None:
 
 
 def measure_views(
-    evaluator: ModelEvaluator, frames: list[int], source: Source = "encoder"
+    evaluator: ModelEvaluator, frames: list[int], source: Source = "encoder", *, samples: int = 1
 ) -> dict[str, ViewErrors]:
     """Draw frames from all evaluation views, and measure.
 
     Args:
         source: Whose latents: the model's own encoder's, as in the paper, or what a live sender
             makes of ARKit values.
+        samples: Along each side of a pixel, odd; the paper draws with one.
 
     Returns:
         Errors by view, of those views that have an image of any of the frames.
@@ -86,13 +79,14 @@ def measure_views(
                 continue
             errors = found[view]
             camera, image = data.images.camera(frame, view), data.images.image(frame, view)
-            picture = evaluator.draw(latent, camera)
+            picture = evaluator.draw(latent, camera, samples=samples)
             seen = evaluator.seen(picture, frame, view)
             errors.mse.append(mse(picture.colours, seen))
             laid = picture.on(image)
             errors.ssim.append(ssim(laid, image, picture.covered(camera)))
             if after is not None and later is not None and view in data.images.cameras_of(after):
-                second = evaluator.draw(later, data.images.camera(after, view))
+                second_camera = data.images.camera(after, view)
+                second = evaluator.draw(later, second_camera, samples=samples)
                 errors.change_mse.append(
                     _change(picture, second, seen, evaluator.seen(second, after, view))
                 )
@@ -111,20 +105,16 @@ def evaluate(trainer: Trainer, *, max_frames: int = 25) -> list[dict[str, Any]]:
     """
     data = trainer.data
     evaluator = ModelEvaluator(data, trainer.model, trainer.rasteriser)
-    frames = spaced_frames(data, max_frames)
-    sources: tuple[Source, ...] = ("encoder",)
-    if data.capture.has_expressions:
-        sources = ("encoder", "driver")
+    frames = spaced(data.test_frames, max_frames)
+    topology = data.meshes.topology(trainer.model.topology)
+    sources: list[Source] = ["encoder", "driver"] if data.capture.has_expressions else ["encoder"]
     rows: list[dict[str, Any]] = []
     for source in sources:
         off_mm = np.mean([_vertex_errors_mm(evaluator, source, frame) for frame in frames], axis=0)
-        regions = data.meshes.topology(trainer.model.topology).regions
-        distances = {"vertex_error_mm": float(off_mm.mean())} | {
-            f"{name}_error_mm": float(off_mm[regions[f"{name}s"]].mean())
-            if np.any(regions.get(f"{name}s", False))
-            else None
-            for name in ("lid", "lip")
-        }
+        distances: dict[str, float | None] = {"vertex_error_mm": float(off_mm.mean())}
+        for name in ("lid", "lip"):
+            part = off_mm[topology.region(f"{name}s")]
+            distances[f"{name}_error_mm"] = float(part.mean()) if len(part) else None
         for view, errors in measure_views(evaluator, frames, source).items():
             rows.append({"source": source, "view": view, **errors.row(), **distances})
     return rows
@@ -142,10 +132,8 @@ def _latent(evaluator: ModelEvaluator, source: Source, frame: int) -> Tensor:
 
 def _vertex_errors_mm(evaluator: ModelEvaluator, source: Source, frame: int) -> FloatArray:
     """How far each vertex of a frame is off, ``[V]``."""
-    capture = evaluator.data.capture
-    wanted = evaluator.data.meshes.dense_m[frame]
-    if evaluator.model.topology == "tracked" and capture.tracked_topology is not capture.topology:
-        wanted = evaluator.data.meshes.true_at_tracked(frame)
+    meshes, is_tracked = evaluator.data.meshes, evaluator.model.topology == "tracked"
+    wanted = meshes.true_at_tracked(frame) if is_tracked else meshes.dense_m[frame]
     found = evaluator.vertices_m(_latent(evaluator, source, frame))
     off_mm: FloatArray = 1000 * np.linalg.norm(found - wanted, axis=1)
     return off_mm

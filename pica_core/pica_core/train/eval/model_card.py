@@ -2,9 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import Any
 
-from pica_core.train.data.training import TrainingData
 from pica_core.train.eval.evaluate import mean_mse
 from pica_core.train.loop import Trainer
 
@@ -12,16 +10,15 @@ EVALUATION_FILE = "evaluation.json"
 
 
 def model_card(trainer: Trainer, run: Path) -> dict[str, str]:
-    """Entries in words, for `pica avatar info` and whoever gets the file.
-
-    Args:
-        run: Its folder; without an evaluation there nothing is said about errors.
-    """
+    """Entries in words, for `pica avatar info` and whoever gets the file; nothing of errors where
+    the run's folder has no evaluation."""
     model, data = trainer.config.model, trainer.data
+    camera = data.capture.cameras[0]
     seconds = f", {trainer.seconds / 60:.0f} minutes" if trainer.seconds >= 60 else ""
     card = {
         "capture": str(data.capture.info["source"]),
-        "frames": _frames(data),
+        "frames": f"{len(data.train_frames)} to train on, {len(data.test_frames)} held out, "
+        f"{len(data.capture.cameras)} cameras of {camera.width} x {camera.height}",
         "training": f"{trainer.step} of {trainer.total_steps} steps, seed {trainer.config.seed}"
         + seconds,
         "variant": model.variant,
@@ -29,25 +26,12 @@ def model_card(trainer: Trainer, run: Path) -> dict[str, str]:
         "encoder": model.encoder,
     }
     path = run / EVALUATION_FILE
-    return card | (_errors(json.loads(path.read_text())) if path.exists() else {})
-
-
-def _frames(data: TrainingData) -> str:
-    camera = data.capture.cameras[0]
-    return (
-        f"{len(data.train_frames)} to train on, {len(data.test_frames)} held out, "
-        f"{len(data.capture.cameras)} cameras of {camera.width} x {camera.height}"
-    )
-
-
-def _errors(rows: list[dict[str, Any]]) -> dict[str, str]:
-    """What `evaluate` found, of the model's own encoder and of what a live sender runs."""
+    if not path.exists():
+        return card
+    rows = json.loads(path.read_text())
     views = [f"{row['view']} {row['mse']:.1f}" for row in rows if row["source"] == "encoder"]
-    found = {
-        "held_out_mse": f"{mean_mse(rows):.1f} (0-255, rasterised pixels): {', '.join(views)}",
-        "vertex_error": f"{rows[0]['vertex_error_mm']:.2f} mm on average",
-    }
-    driven = mean_mse(rows, "driver")
-    if driven is not None:
-        found["held_out_mse_live"] = f"{driven:.1f}, sent from ARKit values"
-    return found
+    card["held_out_mse"] = f"{mean_mse(rows):.1f} (0-255, rasterised pixels): {', '.join(views)}"
+    card["vertex_error"] = f"{rows[0]['vertex_error_mm']:.2f} mm on average"
+    if (driven := mean_mse(rows, "driver")) is not None:
+        card["held_out_mse_live"] = f"{driven:.1f}, sent from ARKit values"
+    return card

@@ -1,30 +1,59 @@
 """A trained model beside its capture: its pictures of frames, and what the cameras saw."""
 
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from pica_core.model.interface import AvatarModel
+from pica_core.camera import Camera
+from pica_core.model.interface import AvatarModel, Surface
+from pica_core.train.data.images import view_direction
 from pica_core.train.data.training import TrainingData
-from pica_core.train.painter import ModelPainter, Picture
+from pica_core.train.drawing import MeshDrawer
 from pica_core.train.rasterise import Rasteriser
-from pica_core.types import FloatArray
+from pica_core.types import BoolArray, FloatArray, Int64Array
 
 
-class ModelEvaluator(ModelPainter):
-    """Draws a model's pictures of a capture's frames.
+class Picture(NamedTuple):
+    """The P pixels of an image that a mesh covers, in reading order.
 
-    Args:
-        rasteriser: Made for the topology that the model draws; it stays its owner's.
-        samples: Samples along each side of a pixel, odd; the paper draws with one.
+    Attributes:
+        pixels: Flat indices, row * W + column, int64 ``[P]``.
+        colours: 0-255, clamped, float32 ``[P, 3]``.
+        depth_m: Along the camera's axis, float32 ``[P]``.
     """
 
-    def __init__(
-        self, data: TrainingData, model: AvatarModel, rasteriser: Rasteriser, *, samples: int = 1
-    ) -> None:
+    pixels: Int64Array
+    colours: FloatArray
+    depth_m: FloatArray
+
+    def on(self, image: npt.NDArray[np.generic]) -> FloatArray:
+        """The picture laid over an image, ``[H, W, 3]``."""
+        laid: FloatArray = image.astype(np.float32)
+        laid.reshape(-1, 3)[self.pixels] = self.colours
+        return laid
+
+    def covered(self, camera: Camera) -> BoolArray:
+        """Which pixels of the image these are, ``[H, W]``."""
+        mask = np.zeros(camera.height * camera.width, np.bool_)
+        mask[self.pixels] = True
+        return mask.reshape(camera.height, camera.width)
+
+
+class ModelEvaluator:
+    """Draws a model's pictures of latents and of a capture's frames; the rasteriser, made for the
+    topology that the model draws, stays its owner's."""
+
+    def __init__(self, data: TrainingData, model: AvatarModel, rasteriser: Rasteriser) -> None:
         topology = data.meshes.topology(model.topology)
-        super().__init__(model, topology, rasteriser, samples=samples)
         self.data = data
+        self.model = model
+        self._drawer = MeshDrawer(rasteriser, topology)
+        self._device = next(model.parameters()).device
 
     @torch.no_grad()
     def encode(self, frame: int) -> Tensor:
@@ -45,3 +74,63 @@ class ModelEvaluator(ModelPainter):
         """What the camera saw at a picture's pixels, 0-255, float32 ``[P, 3]``."""
         image = self.data.images.image(frame, view)
         return image.reshape(-1, 3)[picture.pixels].astype(np.float32)
+
+    @torch.no_grad()
+    def vertices_m(self, latent: Tensor) -> FloatArray:
+        """Decoded vertices of one latent, on the topology that the model draws, ``[V, 3]``."""
+        vertices: FloatArray = self.model.vertices(latent)[0].cpu().numpy()
+        return vertices
+
+    @torch.no_grad()
+    def draw(
+        self,
+        latent: Tensor,
+        camera: Camera,
+        *,
+        samples: int = 1,
+        vertices_m: FloatArray | None = None,
+    ) -> Picture:
+        """The picture of one latent through a camera in head axes.
+
+        Args:
+            latent: ``[1, 4, 8, 8]``.
+            camera: In head axes.
+            samples: Samples along each side of a pixel, odd; the paper draws with one. A pixel
+                belongs to the picture if its centre does, however many there are; its colour is the
+                mean of those samples that see the head, its depth the centre's.
+            vertices_m: What `vertices_m` gives of this latent, if it is known already.
+        """
+        found_m = torch.from_numpy(self.vertices_m(latent) if vertices_m is None else vertices_m)
+        direction = torch.from_numpy(view_direction(camera))[None].to(self._device)
+        appearance = self.model.appearance(latent, direction)
+        centre = self._sample(found_m, appearance, camera)
+        if samples == 1:
+            return centre
+        sums = np.zeros((camera.height * camera.width, 4))
+        for moved in _within_pixels(camera, samples):
+            sample = self._sample(found_m, appearance, moved)
+            sums[sample.pixels, :3] += sample.colours
+            sums[sample.pixels, 3] += 1
+        mean = sums[centre.pixels, :3] / sums[centre.pixels, 3:]
+        return centre._replace(colours=mean.astype(np.float32))
+
+    def _sample(self, vertices_m: Tensor, appearance: Tensor, camera: Camera) -> Picture:
+        """One sample at the centre of each pixel."""
+        drawn = self._drawer.draw(vertices_m[None], [camera])
+        pixels = drawn.pixels.pixel
+        if not len(pixels):
+            return Picture(pixels, np.zeros((0, 3), np.float32), np.zeros(0, np.float32))
+        surface = Surface(*(values.to(self._device) for values in drawn.surface))
+        colours = self.model.shade(appearance, surface)
+        shown = 255 * colours.clamp(0, 1).cpu().numpy()
+        return Picture(pixels, shown.astype(np.float32), drawn.depth_m.numpy())
+
+
+def _within_pixels(camera: Camera, side: int) -> Iterator[Camera]:
+    """The camera moved by parts of a pixel: a grid with the centre in its middle."""
+    steps = (np.arange(side) - side // 2) / side
+    for down in steps:
+        for right in steps:
+            shift = np.zeros((3, 3))
+            shift[:2, 2] = right, down
+            yield replace(camera, intrinsics=camera.intrinsics + shift)

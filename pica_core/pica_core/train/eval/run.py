@@ -2,9 +2,9 @@
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from pica_core.train.checkpoint import read_checkpoint
 from pica_core.train.config import TrainConfig
 from pica_core.train.data.sampler import spaced
 from pica_core.train.data.training import TrainingData
-from pica_core.train.eval.evaluate import Split, measure_views, spaced_frames
+from pica_core.train.eval.evaluate import measure_views
 from pica_core.train.eval.metrics import mse, psnr_db
 from pica_core.train.eval.model_evaluator import ModelEvaluator
 from pica_core.train.eval.truth import (
@@ -65,7 +65,7 @@ class Run:
 class EvalLimits:
     """How much to measure."""
 
-    split: Split = "test"
+    split: Literal["train", "test"] = "test"
     """Held-out frames, or for comparison those that were trained on."""
     frames: int = 25
     """How many of them, evenly spaced."""
@@ -91,11 +91,12 @@ class CaptureTruth:
     frames: list[int]
     views: dict[tuple[int, str], TrueView]
     """True depth, empty where it is unknown or not asked for."""
-    near: NearField
+    near: NearField | str
+    """Pictures from close to the mouth, or why there are none."""
     tracked_mm: dict[str, float | None]
     """Depth error of the tracked mesh itself, by region; empty as `views`."""
     one_sample_mse: float | None
-    """`eval_truth.one_sample_mse`; None if not asked for, too."""
+    """`truth.one_sample_mse`; None if not asked for, too."""
 
     @property
     def identity(self) -> str:
@@ -103,27 +104,8 @@ class CaptureTruth:
         return str(self.data.capture.info.get("head", self.data.capture.path.name))
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class RunResult:
-    """Everything that was measured of a run."""
-
-    rows: list[dict[str, Any]]
-    """One for each view, as the tables need them."""
-    distribution: list[dict[str, Any]]
-    """MSE of each frame, mean over views: {frame, mse}."""
-    geometry: dict[str, float | None]
-    """Mean depth error by region, millimetres; empty where the truth is unknown."""
-    near: dict[str, Any]
-    """{mse, psnr_db, frames}, or {skipped} with the reason."""
-    near_images: list[ByteArray] = field(default_factory=list)
-    """Truth and prediction side by side, one for each frame."""
-
-
 def open_run(folder: Path, capture: Path | None = None) -> Run:
-    """Read a run's checkpoint and what it was trained on.
-
-    Args:
-        capture: Its capture, if it moved or the run does not say.
+    """Read a run's checkpoint and what it was trained on; `capture` if it moved or nothing says it.
 
     Raises:
         CheckpointError: No checkpoint, a damaged one, one of another version, or no word of the
@@ -147,21 +129,22 @@ def open_run(folder: Path, capture: Path | None = None) -> Run:
     )
 
 
-def prepare(capture: Path, map_size: int, limits: EvalLimits) -> CaptureTruth:
+def prepare(capture: Path, limits: EvalLimits) -> CaptureTruth:
     """Open a capture and draw its truth. GL contexts are released before it returns.
 
     Raises:
         CaptureError: It cannot be read, or has no test frames.
     """
-    data = TrainingData(Capture.open(capture), map_size)
-    frames = spaced_frames(data, limits.frames, limits.split)
+    data = TrainingData(Capture.open(capture))
+    whole = data.test_frames if limits.split == "test" else data.train_frames
+    frames = spaced(whole, limits.frames)
     views: dict[tuple[int, str], TrueView] = {}
     tracked: dict[str, float | None] = {}
     some = spaced(frames, limits.geometry_frames)
     if some and data.capture.has_truth:
         views = true_views(data, some)
         tracked = tracked_errors(data, some, views).means_mm()
-    near = NearField(skipped=NOT_ASKED)
+    near: NearField | str = NOT_ASKED
     if limits.near_frames:
         near = near_field(data, spaced(frames, limits.near_frames))
     floor = None
@@ -193,26 +176,34 @@ def build(run: Run, truth: CaptureTruth) -> AvatarModel:
 def measure(
     run: Run,
     truth: CaptureTruth,
-    progress: Callable[[str], None] = lambda text: None,
+    progress: Callable[[str], None],
     *,
     samples: int = 1,
-) -> RunResult:
+) -> tuple[list[dict[str, Any]], dict[str, Any], list[ByteArray]]:
     """Measure a run by the paper's protocol, on its own encoder's latents.
 
     Args:
         samples: Along each side of a pixel, odd; the paper draws with one.
+
+    Returns:
+        Rows of the tables, one for each view; what is known of the run: "distribution" {frame, mse}
+        with means over views, "geometry" the mean depth error by region in millimetres, empty where
+        the truth is unknown, "near" {mse, psnr_db, frames} or {skipped} with the reason; and truth
+        and prediction side by side from close to the mouth, one picture for each frame.
     """
     data, model = truth.data, build(run, truth)
-    data.meshes.use(run.config.mesh_source)
     cost = model.cost
     with Rasteriser.of(data.meshes.topology(model.topology)) as rasteriser:
-        evaluator = ModelEvaluator(data, model, rasteriser, samples=samples)
-        progress("views")
-        found = measure_views(evaluator, truth.frames)
-        progress("geometry")
-        depth = _depth_errors(evaluator, truth)
-        progress("near field")
-        near, pictures = _near(evaluator, truth.near)
+        evaluator = ModelEvaluator(data, model, rasteriser)
+        progress(f"{run.folder}: views")
+        found = measure_views(evaluator, truth.frames, samples=samples)
+        progress(f"{run.folder}: geometry")
+        depth = DepthErrors()
+        for (frame, view), true in truth.views.items():
+            picture = evaluator.draw(evaluator.encode(frame), data.images.camera(frame, view))
+            depth.add(true, picture.pixels, picture.depth_m)
+        progress(f"{run.folder}: near field")
+        near, pictures = _near(evaluator, truth.near, samples)
     shared = {"identity": truth.identity, "variant": run.variant, "block": run.block}
     costs = {
         "parameters": cost.parameters,
@@ -225,31 +216,30 @@ def measure(
     rows = [{**shared, "view": view, **errors.row(), **costs} for view, errors in found.items()]
     per_frame = np.mean([errors.mse for errors in found.values()], axis=0)
     names = [data.capture.frames[frame] for frame in truth.frames]
-    distribution = [
-        {"frame": f"{frame.segment}/{frame.name}", "mse": float(value)}
-        for frame, value in zip(names, per_frame, strict=True)
-    ]
-    return RunResult(
-        rows=rows, distribution=distribution, geometry=depth, near=near, near_images=pictures
-    )
+    result = {
+        "run": str(run.folder),
+        **shared,
+        "seed": run.config.seed,
+        "source": str(data.capture.info.get("source", run.capture.name)),
+        "distribution": [
+            {"frame": f"{frame.segment}/{frame.name}", "mse": float(value)}
+            for frame, value in zip(names, per_frame, strict=True)
+        ],
+        "geometry": depth.means_mm() if truth.views else {},
+        "near": near,
+    }
+    return rows, result, pictures
 
 
-def _depth_errors(evaluator: ModelEvaluator, truth: CaptureTruth) -> dict[str, float | None]:
-    errors = DepthErrors()
-    for (frame, view), true in truth.views.items():
-        camera = truth.data.images.camera(frame, view)
-        picture = evaluator.draw(evaluator.encode(frame), camera, samples=1)
-        errors.add(true, picture.pixels, picture.depth_m)
-    return errors.means_mm() if truth.views else {}
-
-
-def _near(evaluator: ModelEvaluator, near: NearField) -> tuple[dict[str, Any], list[ByteArray]]:
-    if near.skipped is not None:
-        return {"skipped": near.skipped}, []
+def _near(
+    evaluator: ModelEvaluator, near: NearField | str, samples: int
+) -> tuple[dict[str, Any], list[ByteArray]]:
+    if isinstance(near, str):
+        return {"skipped": near}, []
     errors: list[float] = []
     pictures: list[ByteArray] = []
-    for frame, (camera, image) in near.images.items():
-        picture = evaluator.draw(evaluator.encode(frame), camera)
+    for frame, (camera, image) in near.items():
+        picture = evaluator.draw(evaluator.encode(frame), camera, samples=samples)
         seen = image.reshape(-1, 3)[picture.pixels].astype(np.float32)
         errors.append(mse(picture.colours, seen))
         shown = picture.on(np.full_like(image, 128)).round().astype(np.uint8)

@@ -1,6 +1,6 @@
 """Rows of an evaluation as Markdown: the paper's tables, and what stands beside them."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,8 @@ Model = tuple[str, str, str]
 TABLES: Mapping[int, tuple[str, ...]] = {1: TABLE_1, 2: TABLE_2}
 QUANTILES = (100, 90, 75, 50, 25, 10, 0)
 _SPLITS = {"test": "held-out frames", "train": "frames that were trained on"}
+_MEANS = (("mse", 2), ("psnr_db", 2), ("ssim", 4))
+_TRACKED = "tracked mesh"
 _NONE = "–"
 
 
@@ -28,71 +30,62 @@ def error_table(rows: Rows, variants: Sequence[str]) -> str:
     highest of them.
     """
     views = list(dict.fromkeys(row["view"] for row in rows))
-    models = _models(map(_key, rows), variants)
     cells: dict[tuple[Model, str], list[Mapping[str, Any]]] = {}
     for row in rows:
         cells.setdefault((_key(row)[:3], row["view"]), []).append(row)
     means = {at: float(np.mean([row["mse"] for row in found])) for at, found in cells.items()}
-    lines: list[list[str]] = []
-    for model in models:
-        line = [model[0], _label(model, models)]
-        for view in views:
-            found = cells.get((model, view))
-            if found is None:
-                line.append(_NONE)
-                continue
-            mean = means[model, view]
-            best = min(e for (other, at), e in means.items() if other[0] == model[0] and at == view)
-            value = f"**{mean:.2f}**" if mean == best else f"{mean:.2f}"
-            ends = [row["mse"] for row in found]
-            if len(found) == 1:
-                ends = [found[0]["mse_low"], found[0]["mse_high"]]
-            line.append(f"{value} ({min(ends):.2f} to {max(ends):.2f})")
-        lines.append(line)
-    return _table(["identity", "model", *views], lines)
+
+    def cell(model: Model, view: str) -> str:
+        found = cells.get((model, view))
+        if found is None:
+            return _NONE
+        mean = means[model, view]
+        best = min(e for (other, at), e in means.items() if other[0] == model[0] and at == view)
+        value = f"**{mean:.2f}**" if mean == best else f"{mean:.2f}"
+        ends = [row["mse"] for row in found]
+        if len(found) == 1:
+            ends = [found[0]["mse_low"], found[0]["mse_high"]]
+        return f"{value} ({min(ends):.2f} to {max(ends):.2f})"
+
+    models = _models(map(_key, rows), variants)
+    return _table(models, views, lambda model: [cell(model, view) for view in views])
 
 
 def summary_table(rows: Rows, variants: Sequence[str]) -> str:
     """What stands beside the MSE: means over views and seeds, and what the model costs."""
-    models = _models(map(_key, rows), variants)
-    lines: list[list[str]] = []
-    for model in models:
+
+    def cells(model: Model) -> list[str]:
         own = [row for row in rows if _key(row)[:3] == model]
         changes = [row["temporal_mse"] for row in own if row["temporal_mse"] is not None]
         first = own[0]
-        lines.append(
-            [
-                model[0],
-                _label(model, models),
-                *(f"{np.mean([row[name] for row in own]):.{digits}f}" for name, digits in _MEANS),
-                f"{np.mean(changes):.2f}" if changes else _NONE,
-                f"{first['parameters'] / 1e6:.3f}",
-                f"{first['macs'] / 1e6:.1f}",
-                str(first["macs_per_pixel"]),
-                str(first["steps"]),
-                ", ".join(str(seed) for seed in sorted({row["seed"] for row in own})),
-            ]
-        )
-    head = ["identity", "model", "MSE", "PSNR dB", "SSIM", "MSE of the change"]
-    head += ["M parameters", "M multiply-adds", "a pixel", "steps", "seeds"]
-    return _table(head, lines)
+        return [
+            *(f"{np.mean([row[name] for row in own]):.{digits}f}" for name, digits in _MEANS),
+            f"{np.mean(changes):.2f}" if changes else _NONE,
+            f"{first['parameters'] / 1e6:.3f}",
+            f"{first['macs'] / 1e6:.1f}",
+            str(first["macs_per_pixel"]),
+            str(first["steps"]),
+            ", ".join(str(seed) for seed in sorted({row["seed"] for row in own})),
+        ]
+
+    head = ["MSE", "PSNR dB", "SSIM", "MSE of the change", "M parameters", "M multiply-adds"]
+    return _table(_models(map(_key, rows), variants), [*head, "a pixel", "steps", "seeds"], cells)
 
 
 def distribution_table(distributions: Mapping[Key, Rows], variants: Sequence[str]) -> str:
     """The mean with its interval over seeds and frames, and how errors spread over expressions:
     quantiles of the frames' MSE, each the mean over seeds."""
-    models = _models(distributions, variants)
-    lines = []
-    for model in models:
+
+    def cells(model: Model) -> list[str]:
         values = _of_seeds(distributions, model)
         errors = np.array([list(of_seed.values()) for of_seed in values.values()])
         low, high = bootstrap_interval(errors)
         frames = errors.mean(0)
         shown = [f"{np.percentile(frames, quantile):.2f}" for quantile in QUANTILES]
-        mean = f"{frames.mean():.2f} ({low:.2f} to {high:.2f})"
-        lines.append([model[0], _label(model, models), mean, *shown])
+        return [f"{frames.mean():.2f} ({low:.2f} to {high:.2f})", *shown]
+
     head = ["mean", "worst", *(f"{quantile} %" for quantile in QUANTILES[1:-1]), "best"]
-    return _table(["identity", "model", *head], lines)
+    return _table(_models(distributions, variants), head, cells)
 
 
 def paired_table(distributions: Mapping[Key, Rows], variants: Sequence[str]) -> str:
@@ -100,11 +93,11 @@ def paired_table(distributions: Mapping[Key, Rows], variants: Sequence[str]) -> 
     interval of the mean difference is narrower than those of the means, which share what makes a
     frame hard."""
     models = _models(distributions, variants)
-    lines = []
-    for model in models:
+
+    def cells(model: Model) -> list[str]:
         full = next((m for m in models if m[0] == model[0] and m[1] == "full"), None)
         if full is None or model[1] == "full":
-            continue
+            return []
         known, own = _of_seeds(distributions, full), _of_seeds(distributions, model)
         differences = [
             [error - known[seed][frame] for frame, error in frames.items() if frame in known[seed]]
@@ -112,18 +105,13 @@ def paired_table(distributions: Mapping[Key, Rows], variants: Sequence[str]) -> 
             if seed in known
         ]
         if not any(differences):
-            continue
+            return []
         low, high = bootstrap_interval(differences)
         each = np.mean(differences, axis=0)
-        lines.append(
-            [
-                model[0],
-                _label(model, models),
-                f"{each.mean():+.2f} ({low:+.2f} to {high:+.2f})",
-                f"{(each > 0).sum()} of {len(each)}",
-            ]
-        )
-    return _table(["identity", "model", "MSE above full's", "worse frames"], lines)
+        mean = f"{each.mean():+.2f} ({low:+.2f} to {high:+.2f})"
+        return [mean, f"{(each > 0).sum()} of {len(each)}"]
+
+    return _table(models, ["MSE above full's", "worse frames"], cells)
 
 
 def geometry_table(
@@ -133,43 +121,40 @@ def geometry_table(
 ) -> str:
     """Depth errors by region, millimetres, means over seeds; the tracked mesh's own first."""
     measured = {key: errors for key, errors in geometry.items() if errors}
-    models = _models(measured, variants)
-    lines: list[list[str]] = []
-    for identity, errors in tracked.items():
-        if errors:
-            lines.append([identity, "tracked mesh", *_millimetres([errors])])
-        for model in models:
-            if model[0] == identity:
-                own = [errors for key, errors in measured.items() if key[:3] == model]
-                lines.append([identity, _label(model, models), *_millimetres(own)])
-    return _table(["identity", "model", *REGIONS], lines)
+    measured |= {(who, _TRACKED, "", 0): errors for who, errors in tracked.items() if errors}
+    models = _models(measured, (_TRACKED, *variants))
+
+    def cells(model: Model) -> list[str]:
+        own = [errors for key, errors in measured.items() if key[:3] == model]
+        shown = []
+        for name in REGIONS:
+            known = [value for each in own if (value := each.get(name)) is not None]
+            shown.append(f"{np.mean(known):.2f}" if known else _NONE)
+        return shown
+
+    return _table([model for who in tracked for model in models if model[0] == who], REGIONS, cells)
 
 
 def near_table(near: Mapping[Key, Mapping[str, Any]], variants: Sequence[str]) -> str:
     """Errors of pictures from close to the mouth, means over seeds, or why there are none."""
-    models = _models(near, variants)
-    lines = []
-    for model in models:
+
+    def cells(model: Model) -> list[str]:
         own = [found for key, found in near.items() if key[:3] == model]
-        told = [_NONE, *(f"skipped: {found['skipped']}" for found in own if "skipped" in found)][:2]
         if measured := [found for found in own if "mse" in found]:
             mean = np.mean([found["mse"] for found in measured])
-            told = [f"{mean:.2f}", f"{measured[0]['frames']} frames"]
-        lines.append([model[0], _label(model, models), *told])
-    return _table(["identity", "model", "MSE", ""], lines)
+            return [f"{mean:.2f}", f"{measured[0]['frames']} frames"]
+        return [_NONE, *(f"skipped: {found['skipped']}" for found in own if "skipped" in found)][:2]
+
+    return _table(_models(near, variants), ["MSE", ""], cells)
 
 
-def report(number: int, result: Mapping[str, Any], commands: Iterable[str] = ()) -> str:
-    """The whole report of an evaluation.
-
-    Args:
-        number: Of the paper's table.
-        result: Of `eval_commands.eval_runs`.
-        commands: How the figures came about, to print with them.
-    """
-    variants = TABLES[number]
-    rows = result["rows"]
+def report(number: int, result: Mapping[str, Any]) -> str:
+    """The whole report of what `pica eval` finds, as one of the paper's tables."""
+    variants, rows = TABLES[number], result["rows"]
     runs = {_key(run): run for run in result["runs"]}
+    distributions = {key: run["distribution"] for key, run in runs.items()}
+    geometry = {key: run["geometry"] for key, run in runs.items()}
+    near = {key: run["near"] for key, run in runs.items()}
     parts = [
         f"# Table {number}",
         f"MSE on 0-255 values over rasterised pixels, {_SPLITS[result.get('split', 'test')]}: the "
@@ -184,15 +169,25 @@ def report(number: int, result: Mapping[str, Any], commands: Iterable[str] = ())
         "## Over expressions",
         "MSE over all views: the mean with its 95 % bootstrap interval over seeds and frames, and "
         "single frames, sorted.",
-        distribution_table({key: run["distribution"] for key, run in runs.items()}, variants),
+        distribution_table(distributions, variants),
         "## Against the full model",
         "Seed by seed and frame by frame, mean over views; 95 % bootstrap interval of the mean "
         "difference over seeds and frames.",
-        paired_table({key: run["distribution"] for key, run in runs.items()}, variants),
-        *(_geometry_part(runs, result["tracked_mesh"], variants)),
-        *(_near_part(runs, variants)),
-        *(f"`{command}`" for command in commands),
+        paired_table(distributions, variants),
     ]
+    if any(geometry.values()):
+        parts += [
+            "## Geometry",
+            f"Mean depth error in mm (capped at {DEPTH_CAP_MM:g} mm) against the true mesh, at "
+            "pixels that both cover, by region of the true mesh.",
+            geometry_table(geometry, result["tracked_mesh"], variants),
+        ]
+    if any(found.get("skipped") != NOT_ASKED for found in near.values()):
+        parts += [
+            "## Near field",
+            f"From {100 * NEAR_DISTANCE_M:g} cm in front of the lips, where no camera stood.",
+            near_table(near, variants),
+        ]
     return "\n\n".join(parts) + "\n"
 
 
@@ -204,37 +199,6 @@ def _sampling_part(samples: int, floors: Mapping[str, float | None]) -> list[str
     if known:
         parts.append(f"The heads themselves, drawn with one sample a pixel: {', '.join(known)}.")
     return parts
-
-
-def _geometry_part(
-    runs: Mapping[Key, Mapping[str, Any]],
-    tracked: Mapping[str, Mapping[str, float | None]],
-    variants: Sequence[str],
-) -> list[str]:
-    """Nothing where geometry was not measured."""
-    if not any(run["geometry"] for run in runs.values()):
-        return []
-    return [
-        "## Geometry",
-        f"Mean depth error in mm (capped at {DEPTH_CAP_MM:g} mm) against the true mesh, at pixels "
-        "that both cover, by region of the true mesh.",
-        geometry_table({key: run["geometry"] for key, run in runs.items()}, tracked, variants),
-    ]
-
-
-def _near_part(runs: Mapping[Key, Mapping[str, Any]], variants: Sequence[str]) -> list[str]:
-    """Nothing where nobody asked for it."""
-    near = {key: run["near"] for key, run in runs.items()}
-    if all(found.get("skipped") == NOT_ASKED for found in near.values()):
-        return []
-    return [
-        "## Near field",
-        f"From {100 * NEAR_DISTANCE_M:g} cm in front of the lips, where no camera stood.",
-        near_table(near, variants),
-    ]
-
-
-_MEANS = (("mse", 2), ("psnr_db", 2), ("ssim", 4))
 
 
 def _key(row: Mapping[str, Any]) -> Key:
@@ -256,21 +220,15 @@ def _of_seeds(distributions: Mapping[Key, Rows], model: Model) -> dict[int, dict
     }
 
 
-def _label(model: Model, models: Iterable[Model]) -> str:
-    """The variant, with its block where it has several."""
-    blocks = {other[2] for other in models if other[:2] == model[:2]}
-    return model[1] + (f", block {model[2]}" if len(blocks) > 1 else "")
-
-
-def _millimetres(errors: Sequence[Mapping[str, float | None]]) -> list[str]:
-    """The mean of each region."""
-    shown = []
-    for name in REGIONS:
-        known = [value for each in errors if (value := each.get(name)) is not None]
-        shown.append(f"{np.mean(known):.2f}" if known else _NONE)
-    return shown
-
-
-def _table(head: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
-    rows = [head, ["---"] * len(head), *lines]
-    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+def _table(
+    models: Sequence[Model], head: Sequence[str], cells: Callable[[Model], Sequence[str]]
+) -> str:
+    """A line for each model that has cells, which follow its identity and its variant, with its
+    block where it has several."""
+    lines = [["identity", "model", *head], ["---"] * (2 + len(head))]
+    for model in models:
+        if found := cells(model):
+            blocks = {other[2] for other in models if other[:2] == model[:2]}
+            label = model[1] + (f", block {model[2]}" if len(blocks) > 1 else "")
+            lines.append([model[0], label, *found])
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)

@@ -39,6 +39,9 @@ NEAR_DIRECTION = (0.25, -0.12, 1.0)
 """Direction of the camera from the lips, head frame: a little sideways, so that depth shows."""
 NEAR_FOV = 0.85
 NEAR_SIZE_PX = 256
+NearField = dict[int, tuple[Camera, ByteArray]]
+"""True pictures from close to the mouth, by frame: the camera in head axes and what it sees, uint8
+``[H, W, 3]``."""
 SAME_PICTURE = 1.0
 """Mean difference on 0-255 up to which the stage is taken to draw what the capture holds (files
 hold 8 bits and three decimals)."""
@@ -68,10 +71,8 @@ class DepthErrors:
         region = truth.region.reshape(-1)[pixels]
         error_mm = 1000 * np.abs(depth_m - truth.depth_m.reshape(-1)[pixels])
         error_mm = np.minimum(error_mm, DEPTH_CAP_MM)
-        for index in range(len(REGIONS)):
-            chosen = region == index
-            self.sums_mm[index] += error_mm[chosen].sum()
-            self.counts[index] += np.count_nonzero(chosen)
+        self.sums_mm[:] += np.bincount(region, error_mm, _NOTHING + 1)[: len(REGIONS)]
+        self.counts[:] += np.bincount(region, minlength=_NOTHING + 1)[: len(REGIONS)]
 
     def means_mm(self) -> dict[str, float | None]:
         """Mean error by region; None where nothing was seen of it."""
@@ -81,20 +82,14 @@ class DepthErrors:
         }
 
 
-def face_regions(topology: Topology) -> ByteArray:
-    """Index into `REGIONS` of each triangle: one of whose corners lies there, the mouth first.
-    uint8 ``[F]``."""
-    found = np.full(len(topology.faces), _REST, np.uint8)
-    for index in range(_REST - 1, -1, -1):
-        found[topology.region(REGIONS[index])[topology.faces].any(1)] = index
-    return found
-
-
 def true_views(data: TrainingData, frames: list[int]) -> dict[tuple[int, str], TrueView]:
     """The true mesh of frames from the evaluation views. Makes and releases a GL context."""
-    capture = data.capture
-    region_of_face = np.append(face_regions(capture.topology), np.uint8(_NOTHING))
-    drawn = _drawn(data, frames, capture.topology, capture.true_vertices_m)
+    capture, topology = data.capture, data.capture.topology
+    region_of_face = np.full(len(topology.faces) + 1, _REST, np.uint8)
+    for index in range(_REST - 1, -1, -1):  # a triangle is where one of its corners lies
+        region_of_face[:-1][topology.region(REGIONS[index])[topology.faces].any(1)] = index
+    region_of_face[-1] = _NOTHING
+    drawn = _drawn(data, frames, topology, capture.true_vertices_m)
     return {place: TrueView(region_of_face[ids], depth_m) for place, ids, depth_m in drawn}
 
 
@@ -141,45 +136,24 @@ def near_camera(capture: Capture, vertices_m: FloatArray) -> Camera:
     )
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class NearField:
-    """True pictures from close to the mouth, or why there are none."""
-
-    images: dict[int, tuple[Camera, ByteArray]] = field(default_factory=dict)
-    """The camera in head axes and what it sees, uint8 ``[H, W, 3]``, by frame."""
-    skipped: str | None = None
-
-
-def near_field(
-    data: TrainingData,
-    frames: list[int],
-    make_subject: Callable[[str], ProceduralSubject] = ProceduralSubject,
-) -> NearField:
-    """Draw the truth of some frames close to the mouth. Makes and releases a GL context.
-
-    Args:
-        make_subject: Makes a built-in head of a name; captures rendered with other than the usual
-            settings need their own.
-    """
+def near_field(data: TrainingData, frames: list[int]) -> NearField | str:
+    """Draw the truth of some frames close to the mouth, or say why nobody can. Makes and releases a
+    GL context."""
     capture = data.capture
     if not {"lips", "mouth"} & set(capture.topology.regions):
-        return NearField(skipped="the capture's topology names no lips")
-    images: dict[int, tuple[Camera, ByteArray]] = {}
-    with _on_stage(data, frames[0], make_subject) as subject:
+        return "the capture's topology names no lips"
+    images: NearField = {}
+    with _on_stage(data, frames[0]) as subject:
         if isinstance(subject, str):
-            return NearField(skipped=subject)
+            return subject
         for frame in frames:
             vertices_m = subject.pose(capture.arkit(capture.frames[frame]))
             camera = near_camera(capture, vertices_m)
             images[frame] = camera, subject.draw(camera).image
-    return NearField(images=images)
+    return images
 
 
-def one_sample_mse(
-    data: TrainingData,
-    frames: list[int],
-    make_subject: Callable[[str], ProceduralSubject] = ProceduralSubject,
-) -> float | None:
+def one_sample_mse(data: TrainingData, frames: list[int]) -> float | None:
     """What the head itself leaves if each pixel is one sample of it (the middle ninth of the
     pixel), against the capture's images, whose pixels are means: what a model that is drawn so can
     hope for, or a little less, for it may learn colours that are means already.
@@ -189,7 +163,7 @@ def one_sample_mse(
     """
     capture = data.capture
     errors = []
-    with _on_stage(data, frames[0], make_subject) as subject:
+    with _on_stage(data, frames[0]) as subject:
         if isinstance(subject, str):
             return None
         for frame in frames:
@@ -204,16 +178,14 @@ def one_sample_mse(
 
 
 @contextmanager
-def _on_stage(
-    data: TrainingData, frame: int, make_subject: Callable[[str], ProceduralSubject]
-) -> Iterator[ProceduralSubject | str]:
+def _on_stage(data: TrainingData, frame: int) -> Iterator[ProceduralSubject | str]:
     """The capture's subject, or why nobody can draw it."""
     capture = data.capture
     name = str(capture.info.get("head", ""))
     if name not in HEADS or not capture.has_truth:
         yield "nobody can draw this capture's subject from a place without a camera"
         return
-    subject = make_subject(name)
+    subject = ProceduralSubject(name)
     try:
         view = data.images.evaluation_views[0]
         subject.pose(capture.arkit(capture.frames[frame]))

@@ -38,6 +38,8 @@ VERTEX_RIDGE = 1e-3
 """The same for the weights of a vertex, as a share of the mean over all."""
 BLOCK_RIDGE = 1e-3
 """The same for the weights of a block of texels (1e-2 leaves 4 % more on one head)."""
+POINTS_PER_FACE = 1000
+"""Points that are read in each face while a convolution is fitted."""
 PRIOR = 1e-3
 """Weight of the start in a map, where a point's weight is 1."""
 MAP_STEPS = 100
@@ -63,11 +65,8 @@ class FaceSet:
 
 
 class FrozenDecoder:
-    """One of an avatar's decoders, rebuilt from its file: full maps and what exits find.
-
-    Args:
-        decoder: ``"geometry"`` or ``"expression"``.
-    """
+    """One of an avatar's decoders, ``"geometry"`` or ``"expression"``, rebuilt from its file: full
+    maps and what exits find."""
 
     def __init__(self, avatar: Avatar, decoder: str) -> None:
         self._decoder = decoder
@@ -141,7 +140,6 @@ def fit_convolution(
     metric: Tensor,
     bias_points: Tensor,
     still: Tensor,
-    points_per_face: int = 1000,
     seed: int = 0,
 ) -> MapExit:
     """Fit one convolution for all texels, so that its map is like the decoder's own output.
@@ -155,20 +153,23 @@ def fit_convolution(
             unknowns as texels, and with too few points for each, single texels go wrong.
         still: The map that the exit's is added to, ``[C', S, S]``: what does not move keeps all of
             its detail, and what does is smooth.
-        points_per_face: How many of the points are read in each face.
     """
     mean_trunk, mean_full = _means(decoder, faces, level)
     system = _System(mean_trunk.shape[0] * 9, mean_full.shape[0])
     generator = torch.Generator().manual_seed(seed)
     for trunk, full in decoder.run(faces, level):
         for moved, wanted in zip(trunk - mean_trunk, full - mean_full, strict=True):
-            chosen = torch.randint(len(points), (points_per_face,), generator=generator)
+            chosen = torch.randint(len(points), (POINTS_PER_FACE,), generator=generator)
             features = _features(moved[None], points[chosen])
             targets = sample_map(wanted[None], points[chosen])[0]
             system.add(features, targets, metric[chosen])
     weight = system.solve().reshape(mean_full.shape[0], mean_trunk.shape[0], 3, 3).float()
     at_rest = functional.conv2d(mean_trunk[None], weight, padding=1)[0]
-    return MapExit(weight, _fit_rest(bias_points, mean_full - still, at_rest))
+    # The bias takes the exit from what it says of the mean face to the mean of the output.
+    moving = (mean_full - still)[None]
+    start = functional.adaptive_avg_pool2d(moving, level)[0] - at_rest
+    left = sample_map(moving, bias_points)[0] - sample_map(at_rest[None], bias_points)[0]
+    return MapExit(weight, fit_map(bias_points, left, start))
 
 
 def fit_local(decoder: FrozenDecoder, faces: FaceSet, level: int, exit_: MapExit) -> MapExit:
@@ -176,10 +177,6 @@ def fit_local(decoder: FrozenDecoder, faces: FaceSet, level: int, exit_: MapExit
 
     One convolution for all texels takes a cheek and a lid for alike. Blocks are fitted one by one,
     and the map of the mean face stays as it is.
-
-    Args:
-        decoder: Whose output to imitate, and whose trunk to do it from.
-        exit_: The convolution.
     """
     mean_trunk, mean_full = _means(decoder, faces, level)
     inputs, outputs, side = len(mean_trunk), len(mean_full), level // LOCAL_TEXELS
@@ -224,7 +221,6 @@ def fit_sheet(
     """Fit every vertex by itself to where the decoder's own output has it.
 
     Args:
-        decoder: Whose output to imitate, and whose trunk to do it from.
         level: Rows of the trunk.
         vertex_uv: Where the vertices are in the full map, UV in [0, 1]. ``[V, 2]``.
         rest: Map to add to the decoder's output, ``[3, S, S]``; it goes into the rest.
@@ -252,23 +248,13 @@ def fit_sheet(
     return replace(found, weight=weight, rest=found.rest - at_rest)
 
 
-def _fit_rest(points: Tensor, full: Tensor, at_rest: Tensor) -> Tensor:
-    """The bias that takes an exit from what it says of the mean face to the mean of the output."""
-    start = functional.adaptive_avg_pool2d(full[None], at_rest.shape[-1])[0] - at_rest
-    left = sample_map(full[None], points)[0] - sample_map(at_rest[None], points)[0]
-    return fit_map(points, left, start)
-
-
 def fit_map(points: Tensor, values: Tensor, start: Tensor) -> Tensor:
-    """The map whose bilinear lookups at points are nearest to values there.
+    """The map, float32 ``[C, S, S]``, whose bilinear lookups at points are nearest to values there.
 
     Args:
         points: UV in [0, 1], ``[P, 2]``.
         values: ``[P, C]``.
         start: Map to begin with and to keep where no point reads, ``[C, S, S]``.
-
-    Returns:
-        float32 ``[C, S, S]``.
     """
     size = start.shape[-1]
     index, share = _taps(points.double(), size)
@@ -299,15 +285,13 @@ def fit_map(points: Tensor, values: Tensor, start: Tensor) -> Tensor:
 def colour_metric(
     avatar: Avatar, codes: list[Float64Array], xyz_m: Float64Array, points: Float64Array
 ) -> Float64Array:
-    """How squared differences of colour follow from differences of expression codes, at points.
+    """How squared differences of colour follow from differences of expression codes, at points:
+    inner products of the slopes of RGB (1.0 is white), ``[P, 4, 4]``.
 
     Args:
         codes: Codes at the points in some faces, ``[P, 4]`` each; the metric is their mean.
         xyz_m: Where the points are at rest, ``[P, 3]``.
         points: UV, ``[P, 2]``.
-
-    Returns:
-        Inner products of the slopes of RGB (1.0 is white), ``[P, 4, 4]``.
     """
     spec, tensors = avatar.spec, avatar.tensors
     metric = np.zeros((len(points), spec.expression_channels, spec.expression_channels))

@@ -18,14 +18,16 @@ from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.levels import JUDGED, NUM_DRAWINGS
 from pica_core.camera import Camera
+from pica_core.capture.dataset.dataset import Topology
 from pica_core.capture.stage.dome import NAMED_VIEWS, dome_cameras
 from pica_core.capture.triangles import components, nearest
 from pica_core.model.decoders import sample_map
 from pica_core.reference.face_errors import poking
 from pica_core.reference.pixel import decode_pixels
+from pica_core.train.drawing import MeshDrawer
 from pica_core.train.lod.exits import FaceSet
 from pica_core.train.lod.simplify import weld
-from pica_core.train.rasterise import Rasteriser, interpolate
+from pica_core.train.rasterise import Rasteriser
 from pica_core.types import Array, BoolArray, ByteArray, FloatArray, IntArray
 
 SHOWN: tuple[dict[str, float], ...] = (
@@ -71,11 +73,8 @@ def shown_faces(avatar: Avatar) -> FaceSet:
 
 
 def looked_at(avatar: Avatar, vertices_of: Callable[[FaceSet], Array]) -> tuple[Array, ...]:
-    """Which vertices are eyes, and which mouth, bool ``[V]`` each.
-
-    Args:
-        vertices_of: The full level's vertices of faces, ``[N, V, 3]``.
-    """
+    """Which vertices are eyes, and which mouth, bool ``[V]`` each, by the full level's vertices of
+    faces, ``[N, V, 3]``."""
     names = np.array(ARKIT_NAMES)
     latents = _tensor(ExpressionEncoder(avatar).encode(np.eye(NUM_ARKIT, dtype=np.float32)))
     rest = _tensor(ExpressionEncoder(avatar).encode(np.zeros((1, NUM_ARKIT), np.float32)))
@@ -102,9 +101,8 @@ def seen_vertices(shapes_m: Array, faces: Array) -> BoolArray:
     seen = np.zeros(shapes_m.shape[1], bool)
     with Rasteriser(faces.astype(np.int32), len(seen)) as raster:
         for shape in shapes_m:
-            points = np.ascontiguousarray(shape, np.float32)
             for camera in dome_cameras(len(NAMED_VIEWS), SEEN_SIZE, SEEN_SIZE):
-                ids = raster.triangle_ids(points, camera)
+                ids = raster.triangle_ids(shape, camera)
                 seen[faces[np.unique(ids[ids >= 0])]] = True
     for _ in range(SEEN_RINGS):
         seen[faces[seen[faces].any(1)]] = True
@@ -176,7 +174,6 @@ class Judge:
         self._avatar, self._still = avatar, still
         self._vertices_m, self._maps = full_vertices_m, full_maps
         tensors = avatar.tensors
-        self._uv = torch.from_numpy(np.array(tensors["mesh.vertex_uv"]))
         faces = np.array(tensors["mesh.faces"])
         self._piece = _pieces(avatar.mean_vertices_m, faces)
         self._cameras = _cameras() * len(SHOWN)
@@ -190,15 +187,13 @@ class Judge:
         self._shown = [_pieces_of(self._piece, faces, ids) for _, ids in self._truth]
 
     def compare(self, mesh: Array, vertices_m: Array | None, maps: Tensor | None) -> Array:
-        """What a drawing leaves: MSE 0-255 of eyes, mouth and the rest, and the ratio that pokes.
+        """What a drawing leaves, as `JUDGED` names it: MSE 0-255 of eyes, mouth and the rest, and
+        the ratio that pokes, ``[4]``.
 
         Args:
             mesh: Triangles, ``[F, 3]``.
             vertices_m: As `full_vertices_m`, right where the mesh uses them; None for those.
             maps: Changes of the still map, of any size; None for the full maps.
-
-        Returns:
-            As `JUDGED` names them, ``[4]``.
         """
         vertices_m = self._vertices_m if vertices_m is None else vertices_m
         maps = self._maps if maps is None else maps
@@ -218,23 +213,21 @@ class Judge:
     def _draw(
         self, faces: Array, vertices_m: Array, maps: Tensor
     ) -> Iterator[tuple[FloatArray, IntArray]]:
-        triangles = torch.from_numpy(faces.astype(np.int64))
         spec, tensors = self._avatar.spec, self._avatar.tensors
-        with Rasteriser(faces.astype(np.int32), len(self._uv)) as raster:
+        mesh = Topology(vertex_uv=tensors["mesh.vertex_uv"], faces=faces, regions={})
+        with Rasteriser.of(mesh) as raster:
+            drawer = MeshDrawer(raster, mesh)
             for number, camera in enumerate(self._cameras):
                 points = np.ascontiguousarray(vertices_m[number], np.float32)
-                ids = raster.triangle_ids(points, camera)
-                pixels = np.flatnonzero(ids.reshape(-1) >= 0)
-                uv, xyz_m, _ = interpolate(
-                    torch.from_numpy(points), self._uv, triangles, camera, ids, pixels
-                )
+                drawn = drawer.draw(torch.from_numpy(points)[None], [camera])
+                _, uv, xyz_m = drawn.surface
                 code = sample_map(maps[number][None], uv)[0]
                 if maps is not self._maps:
                     code += sample_map(self._still[None], uv)[0]
                 rgb = decode_pixels(spec, tensors, code.numpy(), xyz_m.numpy(), uv.numpy())
-                image = np.zeros((*ids.shape, 3), np.float32)
-                image.reshape(-1, 3)[pixels] = 255 * np.clip(rgb, 0, 1)
-                yield image, ids
+                image = np.zeros((camera.height, camera.width, 3), np.float32)
+                image.reshape(-1, 3)[drawn.pixels.pixel] = 255 * np.clip(rgb, 0, 1)
+                yield image, drawn.ids[0]
 
 
 def judge_levels(

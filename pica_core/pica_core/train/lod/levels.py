@@ -23,7 +23,6 @@ from pica_core.avatar.level_tensors import (
     PREFIX,
     STILL_NAME,
     faces_name,
-    local_name,
     sheet_rows,
 )
 from pica_core.avatar.levels import EXIT_DIVISORS, level_sizes
@@ -154,75 +153,54 @@ def add_levels(
     options: LevelOptions | None = None,
     show: Callable[[str], None] = lambda _: None,
 ) -> tuple[Avatar, list[LevelReport]]:
-    """Fit exits and simplify meshes for every level below the full one.
-
-    Args:
-        avatar: Checked avatar; levels that it has are made anew, a table of errors is dropped.
-
-    Returns:
-        The avatar with its levels, and how good they are.
-    """
+    """Fit exits and simplify meshes for every level below the full one: the avatar with its levels,
+    and how good they are. Levels that it has are made anew, a table of errors is dropped."""
     options = options or LevelOptions()
     tensors = {name: a for name, a in avatar.tensors.items() if not name.startswith(PREFIX)}
     bare = Avatar(avatar.manifest, tensors)
     faces, check = _draw_faces(bare, options)
-    decoders = {name: FrozenDecoder(bare, name) for name in avatar.spec.decoder_channels}
-    surface = _Surface(bare, decoders, faces, options)
-
-    def vertices_of(some: FaceSet) -> Array:
-        return _vertices_m(bare, decoders, some, None)
-
+    full = _FullLevel(bare, faces, options)
     show("meshes")
     levels = level_sizes(avatar.spec)[:-1]
     mean_face = FaceSet(faces.latents.mean(dim=0, keepdim=True), torch.tensor([FRONT]))
-    ((_, (still,)),) = decoders["expression"].run(mean_face, levels[0])
+    ((_, (still,)),) = full.decoders["expression"].run(mean_face, levels[0])
     tensors[STILL_NAME] = mean_face.latents[0].permute(1, 2, 0).numpy().copy()
-    regions = looked_at(bare, vertices_of)
-    importance = 1 + (np.array(IMPORTANCE) - 1) @ np.stack(regions)
-    shapes_m = surface.moving_vertices_m[: 1 + STRONG_SHAPES]
-    importance[~seen_vertices(shapes_m, avatar.tensors["mesh.faces"])] *= UNSEEN
-    pokes = PokeFinder(surface.moving_vertices_m, avatar.tensors["mesh.faces"])
-    meshes = _simplify(bare, shapes_m, importance, options, pokes)
+    regions = looked_at(bare, full.vertices_m)
+    meshes = _simplify(full, regions, options)[-len(levels) :]
     reports = []
     seen, drawn = shown_faces(bare), []
-    for level, mesh, texels in zip(
-        levels, meshes[-len(levels) :], options.texels[-len(levels) :], strict=True
-    ):
+    for level, mesh, texels in zip(levels, meshes, options.texels[-len(levels) :], strict=True):
         show(f"level {level}: exits")
         geometry = None  # bases need no exit: they make a level's vertices as they are
-        if "geometry" in decoders:
-            vertex_uv, mean_m = _mesh_at_rest(bare, mesh)
-            rest = mean_m / avatar.manifest.position_scale_m
-            geometry = fit_sheet(decoders["geometry"], faces, level, vertex_uv, rest, texels)
+        if "geometry" in full.decoders:
+            rest = full.mean_map / avatar.manifest.position_scale_m
+            vertex_uv = full.vertex_uv[np.unique(mesh)]
+            geometry = fit_sheet(full.decoders["geometry"], faces, level, vertex_uv, rest, texels)
         expression = fit_convolution(
-            decoders["expression"],
+            full.decoders["expression"],
             faces,
             level,
-            surface.points,
-            surface.metric,
-            surface.bias_points,
+            full.points,
+            full.metric,
+            full.bias_points,
             still,
             seed=options.seed,
         )
         if level == levels[0]:  # finer ones leave little, and their weights are four times as many
-            expression = fit_local(decoders["expression"], faces, level, expression)
+            expression = fit_local(full.decoders["expression"], faces, level, expression)
         tensors |= _exit_tensors(avatar, level, geometry, expression) | {faces_name(level): mesh}
-        runs = list(decoders["expression"].run(seen, level))
+        runs = list(full.decoders["expression"].run(seen, level))
         own = None
         if geometry is not None:
-            own = vertices_of(seen).copy()
-            trunks = [trunk for trunk, _ in decoders["geometry"].run(seen, level)]
-            sheet = torch.cat([geometry(trunk) for trunk in trunks]).numpy()
-            own[:, np.unique(mesh)] = avatar.manifest.position_scale_m * sheet
+            own = full.vertices_m(seen).copy()
+            own[:, np.unique(mesh)] = full.sheet_m(geometry, seen, level)
         drawn.append((own, torch.cat([expression(trunk) for trunk, _ in runs])))
-        full_maps = torch.cat([full for _, full in runs])
+        full_maps = torch.cat([maps for _, maps in runs])
         show(f"level {level}: error")
-        reports.append(
-            _report(bare, decoders, geometry, expression, still, level, mesh, check, surface)
-        )
+        reports.append(_report(full, geometry, expression, still, level, mesh, check))
     show("judging")
-    judge = Judge(bare, regions, vertices_of(seen), full_maps, still)
-    tensors[JUDGED_NAME] = judge_levels(judge, meshes[-len(levels) :], drawn)
+    judge = Judge(bare, regions, full.vertices_m(seen), full_maps, still)
+    tensors[JUDGED_NAME] = judge_levels(judge, meshes, drawn)
     return Avatar(avatar.manifest, tensors), reports
 
 
@@ -253,10 +231,11 @@ def _draw_faces(avatar: Avatar, options: LevelOptions) -> tuple[FaceSet, FaceSet
     return sets[0], sets[1]
 
 
-class _Surface:
-    """What is known of the full model's surface over the faces.
+class _FullLevel:
+    """The full model, rebuilt from its file, and what is known of its surface over the faces.
 
     Attributes:
+        vertex_uv: ``[V, 2]``.
         moving_vertices_m: Vertices at rest, and in some faces far from it and from each other, the
             farthest first, ``[K, V, 3]``.
         points: Points of the surface, UV, ``[P, 2]``: half of them spread over the area of the mesh
@@ -266,16 +245,13 @@ class _Surface:
         metric: See `colour_metric`; float32.
     """
 
-    def __init__(
-        self,
-        avatar: Avatar,
-        decoders: dict[str, FrozenDecoder],
-        faces: FaceSet,
-        options: LevelOptions,
-    ) -> None:
-        spec, tensors = avatar.spec, avatar.tensors
-        level = level_sizes(spec)[0]
-        shapes = _vertices_m(avatar, decoders, faces, None)
+    def __init__(self, avatar: Avatar, faces: FaceSet, options: LevelOptions) -> None:
+        tensors = avatar.tensors
+        self.avatar = avatar
+        self.decoders = {name: FrozenDecoder(avatar, name) for name in avatar.spec.decoder_channels}
+        self.vertex_uv = torch.from_numpy(np.array(tensors["mesh.vertex_uv"]))
+        self._level = level_sizes(avatar.spec)[0]
+        shapes = self.vertices_m(faces)
         # The mean map, not the mean of what is decoded: only there both sides of a seam meet.
         rest = avatar.mean_vertices_m
         self.moving_vertices_m = np.concatenate([rest[None], _far_apart(shapes, POKE_SHAPES)])
@@ -285,7 +261,10 @@ class _Surface:
         some = rng.choice(len(faces), METRIC_FACES, replace=False)
         chosen = FaceSet(faces.latents[some], faces.views[some])
         codes = torch.cat(
-            [sample_map(full, self.points) for _, full in decoders["expression"].run(chosen, level)]
+            [
+                sample_map(full, self.points)
+                for _, full in self.decoders["expression"].run(chosen, self._level)
+            ]
         )
         metric = colour_metric(
             avatar, list(codes.double().numpy()), self.xyz_m, self.points.double().numpy()
@@ -293,24 +272,31 @@ class _Surface:
         self.metric = torch.from_numpy(metric.astype(np.float32))
         self.bias_points, _ = _scatter(*mesh, options.bias_points, rng)
 
+    @property
+    def mean_map(self) -> Tensor:
+        """The mean map, metres, ``[3, S, S]``."""
+        return torch.from_numpy(np.array(self.avatar.tensors["geometry.mean"])).permute(2, 0, 1)
 
-def _vertices_m(
-    avatar: Avatar, decoders: dict[str, FrozenDecoder], faces: FaceSet, vertices: Array | None
-) -> Array:
-    """The full level's vertices of faces, all or some by their numbers, metres, ``[N, V, 3]``."""
-    tensors, scale = avatar.tensors, avatar.manifest.position_scale_m
-    chosen = np.arange(len(tensors["mesh.vertex_uv"])) if vertices is None else vertices
-    if "geometry" in decoders:
-        vertex_uv = torch.from_numpy(np.array(tensors["mesh.vertex_uv"][chosen]))
-        mean = torch.from_numpy(np.array(tensors["geometry.mean"])).permute(2, 0, 1)
-        level = level_sizes(avatar.spec)[0]
-        maps = (mean + scale * full for _, full in decoders["geometry"].run(faces, level))
-        decoded: Array = torch.cat([sample_map(each, vertex_uv) for each in maps]).numpy()
-        return decoded
-    weights = weights_of_latent(tensors, faces.latents.permute(0, 2, 3, 1).numpy())
-    components = components_of(tensors, scale, chosen.astype(np.int32))
-    moved = np.tensordot(weights.astype(np.float32), components, axes=1)
-    return np.asarray(avatar.mean_vertices_m[chosen] + moved)
+    def vertices_m(self, faces: FaceSet, vertices: Array | None = None) -> Array:
+        """Vertices of faces, all or some by their numbers, metres, ``[N, V, 3]``."""
+        tensors, scale = self.avatar.tensors, self.avatar.manifest.position_scale_m
+        chosen = np.arange(len(self.vertex_uv)) if vertices is None else vertices
+        if "geometry" in self.decoders:
+            runs = self.decoders["geometry"].run(faces, self._level)
+            maps = (self.mean_map + scale * full for _, full in runs)
+            uv = self.vertex_uv[chosen]
+            decoded: Array = torch.cat([sample_map(each, uv) for each in maps]).numpy()
+            return decoded
+        weights = weights_of_latent(tensors, faces.latents.permute(0, 2, 3, 1).numpy())
+        components = components_of(tensors, scale, chosen.astype(np.int32))
+        moved = np.tensordot(weights.astype(np.float32), components, axes=1)
+        return np.asarray(self.avatar.mean_vertices_m[chosen] + moved)
+
+    def sheet_m(self, geometry: SheetExit, faces: FaceSet, level: int) -> Array:
+        """Vertices that an exit makes of faces, metres, ``[N, V, 3]``."""
+        trunks = (trunk for trunk, _ in self.decoders["geometry"].run(faces, level))
+        sheet: Array = torch.cat([geometry(trunk) for trunk in trunks]).numpy()
+        return self.avatar.manifest.position_scale_m * sheet
 
 
 def _far_apart(shapes: Array, count: int) -> Array:
@@ -339,15 +325,17 @@ def _scatter(
     return torch.from_numpy(uv.astype(np.float32)), xyz_m
 
 
-def _simplify(
-    avatar: Avatar, shapes_m: Array, importance: Array, options: LevelOptions, pokes: PokeFinder
-) -> list[Array]:
+def _simplify(level: _FullLevel, regions: tuple[Array, ...], options: LevelOptions) -> list[Array]:
     """A mesh for each level, the coarsest first; each uses vertices of the next finer one.
 
     Where something pokes through the coarsest one, errors count more, and all are made anew; those
     stay through which least pokes.
     """
+    avatar, shapes_m = level.avatar, level.moving_vertices_m[: 1 + STRONG_SHAPES]
     full, uv = (np.array(avatar.tensors[f"mesh.{name}"]) for name in ("faces", "vertex_uv"))
+    importance = 1 + (np.array(IMPORTANCE) - 1) @ np.stack(regions)
+    importance[~seen_vertices(shapes_m, full)] *= UNSEEN
+    pokes = PokeFinder(level.moving_vertices_m, full)
     map_size = None if avatar.spec.geometry == "bases" else avatar.spec.map_size
     least, found = np.inf, list[Array]()
     for _ in range(1 + MENDINGS):
@@ -365,86 +353,55 @@ def _simplify(
     return found
 
 
-def _mesh_at_rest(avatar: Avatar, mesh: Array) -> tuple[Tensor, Tensor]:
-    """UVs of the vertices that a mesh uses, ``[V, 2]``, and the mean map, metres, ``[3, S, S]``."""
-    vertex_uv = torch.from_numpy(np.array(avatar.tensors["mesh.vertex_uv"][np.unique(mesh)]))
-    mean = torch.from_numpy(np.array(avatar.tensors["geometry.mean"])).permute(2, 0, 1)
-    return vertex_uv, mean
-
-
 def _exit_tensors(
     avatar: Avatar, level: int, geometry: SheetExit | None, expression: MapExit
 ) -> dict[str, Array]:
-    exits = {
-        f"{PREFIX}{level}.expression.{name}": np.ascontiguousarray(values.numpy(), np.float32)
-        for name, values in (("weight", expression.weight), ("bias", expression.bias))
-    }
+    exits = {"expression.weight": expression.weight, "expression.bias": expression.bias}
     if expression.local is not None:
-        exits[local_name(level)] = expression.local.flatten(2).numpy().copy()
-    if geometry is None:
-        return exits
-    num_slots = level * sheet_rows(len(geometry.rest), level)
+        exits["expression.local"] = expression.local.flatten(2)
+    if geometry is not None:
+        num_slots = level * sheet_rows(len(geometry.rest), level)
 
-    def sheet(values: Tensor) -> Array:
-        filled = torch.zeros(num_slots, values[0].numel(), dtype=values.dtype)
-        filled[: len(values)] = values.flatten(1)
-        return filled.reshape(-1, level, filled.shape[1]).numpy()
+        def sheet(values: Tensor) -> Tensor:
+            filled = torch.zeros(num_slots, values[0].numel(), dtype=values.dtype)
+            filled[: len(values)] = values.flatten(1)
+            return filled.reshape(-1, level, filled.shape[1])
 
-    mean_m = geometry.rest * avatar.manifest.position_scale_m
-    # Slots without a vertex repeat one: numbers far from the others would cost the
-    # rounding of all.
-    mean_m = torch.cat([mean_m, mean_m[-1:].expand(num_slots - len(mean_m), -1)])
-    found = {
-        "geometry.weight": sheet(geometry.weight),
-        "geometry.mean": sheet(mean_m),
-        "geometry.texel": sheet(geometry.texel).astype(np.int32),
-    }
-    return exits | {
-        f"{PREFIX}{level}.{name}": np.ascontiguousarray(
-            values, np.int32 if name.endswith("texel") else np.float32
-        )
-        for name, values in found.items()
-    }
+        mean_m = geometry.rest * avatar.manifest.position_scale_m
+        # Slots without a vertex repeat one: numbers far from the others would cost the
+        # rounding of all.
+        mean_m = torch.cat([mean_m, mean_m[-1:].expand(num_slots - len(mean_m), -1)])
+        exits["geometry.weight"] = sheet(geometry.weight)
+        exits["geometry.mean"] = sheet(mean_m)
+        exits["geometry.texel"] = sheet(geometry.texel).int()
+    return {f"{PREFIX}{level}.{name}": values.numpy().copy() for name, values in exits.items()}
 
 
 def _report(
-    avatar: Avatar,
-    decoders: dict[str, FrozenDecoder],
+    full: _FullLevel,
     geometry: SheetExit | None,
     expression: MapExit,
     still: Tensor,
     level: int,
     mesh: Array,
     check: FaceSet,
-    surface: _Surface,
 ) -> LevelReport:
-    full = torch.from_numpy(_vertices_m(avatar, decoders, check, np.unique(mesh)))
-    low = full
-    if geometry is not None:
-        trunks = (trunk for trunk, _ in decoders["geometry"].run(check, level))
-        low = torch.cat([geometry(trunk) for trunk in trunks]) * avatar.manifest.position_scale_m
-    distance = ((low - full) * 1000).norm(dim=2)
-    moved = ((full - full.mean(0)) * 1000).norm(dim=2)
-    at_rest = sample_map(still[None], surface.points)
+    avatar = full.avatar
+    wanted_m = full.vertices_m(check, np.unique(mesh))
+    low_m = wanted_m if geometry is None else full.sheet_m(geometry, check, level)
+    off_mm = 1000 * np.linalg.norm(low_m - wanted_m, axis=2)
+    moved_mm = 1000 * np.linalg.norm(wanted_m - wanted_m.mean(0), axis=2)
+    at_rest = sample_map(still[None], full.points)
     pairs = [
-        (
-            sample_map(output, surface.points),
-            sample_map(expression(trunk), surface.points) + at_rest,
-        )
-        for trunk, output in decoders["expression"].run(check, level)
+        (sample_map(output, full.points), sample_map(expression(trunk), full.points) + at_rest)
+        for trunk, output in full.decoders["expression"].run(check, level)
     ]
     codes, low_codes = (torch.cat(column) for column in zip(*pairs, strict=True))
 
     def colours(values: Tensor) -> Array:
+        places = full.xyz_m.astype(np.float32), full.points.numpy()
         shaded = [
-            decode_pixels(
-                avatar.spec,
-                avatar.tensors,
-                code,
-                surface.xyz_m.astype(np.float32),
-                surface.points.numpy(),
-            )
-            for code in values.numpy()
+            decode_pixels(avatar.spec, avatar.tensors, code, *places) for code in values.numpy()
         ]
         clipped: Array = 255 * np.clip(np.stack(shaded), 0, 1)
         return clipped
@@ -453,10 +410,10 @@ def _report(
     return LevelReport(
         level=level,
         triangles=len(mesh),
-        vertices=full.shape[1],
-        vertex_error_mm=float(distance.mean()),
-        vertex_error_p99_mm=float(distance.flatten().kthvalue(int(0.99 * distance.numel())).values),
-        vertex_rest_mm=float(moved.mean()),
+        vertices=wanted_m.shape[1],
+        vertex_error_mm=float(off_mm.mean()),
+        vertex_error_p99_mm=float(np.sort(off_mm, axis=None)[int(0.99 * off_mm.size) - 1]),
+        vertex_rest_mm=float(moved_mm.mean()),
         colour_mse=float(np.square(colours(low_codes) - wanted).mean()),
         colour_still_mse=float(np.square(colours(codes.mean(0, keepdim=True)) - wanted).mean()),
     )

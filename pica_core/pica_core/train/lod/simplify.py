@@ -19,8 +19,9 @@ import heapq
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import KDTree
 
-from pica_core.capture.triangles import areas, edges
+from pica_core.capture.triangles import areas, components, edges
 from pica_core.reference.mesh import order_faces
 from pica_core.types import Array, BoolArray, Int64Array, IntArray
 
@@ -134,14 +135,12 @@ class Simplifier:
             matrix = _flat_quadrics(corners) * weight[:, None, None]
             for side, is_border in enumerate(borders.T):
                 start, end = corners[is_border, side], corners[is_border, (side + 1) % 3]
-                length = np.linalg.norm((end - start)[:, :3], axis=1)
-                line = _line_quadrics(start[:, :3], end[:, :3]) * (length**2)[:, None, None]
+                along = (end - start)[:, :3]
+                length = np.linalg.norm(along, axis=1)[:, None, None]
+                line = _quadrics(start[:, :3], [_unit(along)]) * length**2
                 # The line's own term speaks of places alone.
                 index = [0, 1, 2, matrix.shape[1] - 1]
-                rows = np.flatnonzero(is_border)
-                for i, row in enumerate(index):
-                    for j, column in enumerate(index):
-                        matrix[rows, row, column] += BORDER_WEIGHT * line[:, i, j]
+                matrix[np.ix_(is_border, index, index)] += BORDER_WEIGHT * line
             packed = _pack(matrix)
             sums = np.zeros((len(points), packed.shape[1]))
             for side in range(3):
@@ -273,11 +272,6 @@ def _flat_quadrics(corners: Array) -> Array:
     return _quadrics(corners[:, 0], [first, second])
 
 
-def _line_quadrics(start: Array, end: Array) -> Array:
-    """Squared distance from lines, as ``[F, 4, 4]``."""
-    return _quadrics(start, [_unit(end - start)])
-
-
 def _quadrics(origin: Array, directions: list[Array]) -> Array:
     """Squared distance from what unit vectors span through an origin, homogeneous."""
     size = origin.shape[1]
@@ -312,27 +306,10 @@ def _pack_outer(vectors: Array) -> Array:
 
 
 def weld(vertices_m: npt.ArrayLike) -> Int64Array:
-    """For every vertex the first of those that lie in the same place.
-
-    Args:
-        vertices_m: ``[V, 3]``.
-
-    Returns:
-        Indices of vertices, ``[V]``; `WELD_M` is as far as two of one place may lie apart.
-    """
+    """For every vertex ``[V, 3]`` the first of those that lie in the same place, no further than
+    `WELD_M` from each other: indices of vertices, ``[V]``."""
     vertices = np.asarray(vertices_m, np.float64)
-    parent = np.arange(len(vertices))
-    # Two grids half a cell apart: points nearer than half a cell share a cell in one of them,
-    # along each axis; eight combinations of the axes.
-    for shift in np.ndindex(2, 2, 2):
-        cells = np.floor(vertices / (2 * WELD_M) + 0.5 * np.array(shift)).astype(np.int64)
-        _, first, inverse = np.unique(cells, axis=0, return_index=True, return_inverse=True)
-        near = first[inverse.reshape(-1)]
-        close = np.linalg.norm(vertices - vertices[near], axis=1) <= WELD_M
-        joined = np.where(close, parent[near], parent)
-        parent = np.minimum(parent, joined)
-    while True:
-        shorter = parent[parent]
-        if np.array_equal(shorter, parent):
-            return parent
-        parent = shorter
+    pairs = KDTree(vertices).query_pairs(WELD_M, output_type="ndarray")
+    place = components(pairs[:, [0, 1, 1]], len(vertices))
+    first: Int64Array = np.unique(place, return_index=True)[1]
+    return first[place]

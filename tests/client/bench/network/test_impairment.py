@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -183,18 +182,6 @@ def test_when_the_rate_comes_back_what_waits_leaves_at_once() -> None:
     assert len(path.arrivals(0.121)) == 1
     path.change(CALM, 0.2)
     assert len(path.arrivals(0.5)) > 20
-
-
-def test_next_timer_never_misses_an_arrival() -> None:
-    path = FramePath(replace(CALM, rate_bps=16_000), rng())
-    for index in range(10):
-        path.send(frame(index), 0.0)
-    times = []
-    while (timer := path.next_timer()) is not None:
-        arrived = path.arrivals(timer)
-        assert all(arrival_s == timer for arrival_s, _ in arrived)
-        times += [arrival_s for arrival_s, _ in arrived]
-    assert len(times) == 10
 
 
 @pytest.mark.parametrize(

@@ -13,12 +13,12 @@ from pica_client.bench.network.stream_trial import Delivery, Schedule, deliver, 
 from pica_client.errors import OptionError
 from pica_client.playout.buffer import Playout
 from pica_core.codec.latent_sample import DecodedFrame, EncodedFrame, LatentSample, ReceivedFrame
-from pica_core.codec.plain_stream import LatentProfile, PlainDecoder, PlainEncoder
+from pica_core.codec.plain_stream import PlainDecoder, PlainEncoder
 
 pytestmark = pytest.mark.unit
 
 SHORT = Schedule(seconds=9.0)
-PLAIN = LatentProfile(latent_scale=(4.0,) * 4)
+PLAIN = (4.0,) * 4
 
 
 def face(time_s: float) -> LatentSample:

@@ -14,7 +14,7 @@ import pytest
 
 from helpers import tracker_packets
 from pica_client.errors import SourceError
-from pica_client.sources import LiveSource, open_source
+from pica_client.sources import Tracker, open_source
 from pica_client.sources.live.calibration import Calibration, CalibrationStore, calibrate
 from pica_client.sources.live.opening import decoder_of, open_live, parse_live
 from pica_client.sources.live.report import TrackReport
@@ -61,7 +61,7 @@ def stream(phone: socket.socket, tracker: UdpTracker, jaw: float, subject: str =
 
 def test_a_face_comes_through_a_socket_and_is_a_little_old(phone: socket.socket) -> None:
     with closing(open_live("livelink", "127.0.0.1:0")) as tracker:
-        assert isinstance(tracker, LiveSource)
+        assert isinstance(tracker, Tracker)
         stream(phone, tracker, 0.7)
         time_s = 12.0
         face = tracker.frame_at(time_s)
@@ -78,19 +78,18 @@ def test_the_first_subject_is_taken_unless_one_is_named(phone: socket.socket) ->
             ("127.0.0.1", tracker.port),
         )
         until(lambda: tracker.subjects["Ada"] == 1)
-        assert tracker.face.counters.samples == tracker.subjects["Ben"]
+        assert tracker.face.counters["taken"] == tracker.subjects["Ben"]
 
 
 def test_a_phone_is_asked_and_others_are_not_heard(phone: socket.socket) -> None:
     options = parse_live("ifacialmocap", "127.0.0.2")
-    assert options.request is not None
     here = UdpOptions("ifacialmocap", 0, phone="127.0.0.1", host="127.0.0.1")
     with closing(UdpTracker(here, decoder_of("ifacialmocap"))) as tracker:
         line = tracker_packets.ifacialmocap({"jawOpen": 60})
         phone.sendto(line, ("127.0.0.1", tracker.port))
-        until(lambda: tracker.face.counters.samples == 1)
+        until(lambda: tracker.face.counters["taken"] == 1)
     assert options.phone == "127.0.0.2"
-    assert options.port == options.request.port == 49983
+    assert (options.port, options.request[:12]) == (49983, b"iFacialMocap")
 
 
 def test_a_port_that_is_taken_is_said_with_the_way_out() -> None:

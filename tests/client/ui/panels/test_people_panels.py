@@ -11,6 +11,7 @@ import pytest
 from helpers.hand import Hand, open_hand
 from pica_client.call.participants import Participant
 from pica_client.call.status import CallStatus
+from pica_client.publish.face_desk import Seen
 from pica_client.render.scene import head_rect_px
 from pica_client.render.seats import (
     LAYOUTS,
@@ -201,9 +202,9 @@ def test_each_setting_is_one_click(hand: Hand) -> None:
 
 def test_source_avatar_and_name_are_chosen_during_the_call(hand: Hand) -> None:
     me = OwnChoice(name="Me", source="livelink")
-    state = replace(SETTINGS.state, choice=me)
-    own = OwnFaceView(source="livelink", has_tracker=True)
-    view = replace(SETTINGS, state=state, own=own, entered_as=me, avatars=("amara", "sam"))
+    state = replace(SETTINGS.state, choice=me, entered_as=me, avatars=("amara", "sam"))
+    own = OwnFaceView(source="livelink", seen=Seen(True, (), None))
+    view = replace(SETTINGS, state=state, own=own)
 
     def show(metrics: object) -> list[object]:
         return settings_panel(view, metrics)  # type: ignore[arg-type, return-value]
@@ -219,7 +220,7 @@ def test_source_avatar_and_name_are_chosen_during_the_call(hand: Hand) -> None:
 
 
 def test_a_tracker_without_a_face_is_a_sign() -> None:
-    assert own_sign(replace(VIEW, own=OwnFaceView(has_tracker=True, has_face=False))) == NO_FACE
+    assert own_sign(replace(VIEW, own=OwnFaceView(seen=Seen(False, (), None)))) == NO_FACE
 
 
 def test_who_sends_no_face_is_not_asked_whether_to_show_it(hand: Hand) -> None:
@@ -301,7 +302,7 @@ def test_ones_own_face_is_shown_where_there_is_room(hand: Hand) -> None:
     for own_face in ("sent", "frozen", "muted"):
         state = ControlState(own_face=own_face)  # type: ignore[arg-type]
         has_face = own_face != "frozen"
-        own = OwnFaceView(texture=1, has_tracker=True, has_face=has_face, bars=(("Jaw", 2.0),))
+        own = OwnFaceView(texture=1, seen=Seen(has_face, (("Jaw", 2.0),), None))
         shown = replace(VIEW, state=state, own=own)
         assert hand.frame(lambda metrics, shown=shown: self_view(shown, metrics)) == []  # type: ignore[misc]
 
@@ -349,7 +350,8 @@ def test_devices_are_changed_during_a_call_and_another_voice_needs_coming_again(
     )
     mine = OwnChoice(name="Me", source="performance:talk", voice="mic")
     control = ControlState(side="settings", own_face="sent", own_voice="sent", choice=mine)
-    view = CallView(now=1.0, state=control, entered_as=mine, avatars=("ines",), sound=state)
+    control = replace(control, entered_as=mine, avatars=("ines",))
+    view = CallView(now=1.0, state=control, sound=state)
 
     def show(metrics: Metrics) -> list[UserOrder]:
         return settings_panel(view, metrics)

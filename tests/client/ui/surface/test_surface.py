@@ -29,14 +29,9 @@ def test_two_surfaces_live_side_by_side() -> None:
 
 
 def test_a_field_is_pasted_into_from_the_clipboard_and_keys_are_then_its_own() -> None:
-    class Clipboard:
-        def clipboard(self) -> str:
-            return "pica://relay.example/standup"
-
-        def copy(self, text: str) -> None:
-            raise AssertionError
-
-    surface = Surface((640, 360), clipboard=Clipboard())
+    copied: list[str] = []
+    surface = Surface((640, 360))
+    surface.use_clipboard(lambda: "pica://relay.example/standup", copied.append)
     text = ""
 
     def frame(now: float) -> None:
@@ -56,6 +51,7 @@ def test_a_field_is_pasted_into_from_the_clipboard_and_keys_are_then_its_own() -
     surface.receive(KeyReleased("V"))
     frame(0.6)
     assert text == "pica://relay.example/standup"
+    assert copied == []
     surface.close()
 
 

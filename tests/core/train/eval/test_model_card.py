@@ -19,7 +19,7 @@ pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
 def test_the_card_says_what_was_measured_and_nothing_before(tmp_path: Path) -> None:
     capture = Capture.open(render_small(tmp_path / "capture"))
     config = PRESETS["tiny"]
-    with open_trainer(TrainingData(capture, 256), config, tmp_path / "run") as trainer:
+    with open_trainer(TrainingData(capture), config, tmp_path / "run") as trainer:
         before = model_card(trainer, tmp_path / "run")
         rows = evaluate(trainer, max_frames=1)
         (tmp_path / "run" / EVALUATION_FILE).write_text(json.dumps(rows))

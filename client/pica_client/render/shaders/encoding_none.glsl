@@ -1,5 +1,0 @@
-// p = [expression 4, encoded xyz 4]: the pixel is not told where on the surface it lies.
-
-vec3 colour_pixel(vec4 expression, vec3 xyz_m, vec2 uv, vec2 reach) {
-    return decode_pixel(expression, encode_xyz(xyz_m));
-}
