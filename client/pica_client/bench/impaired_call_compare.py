@@ -46,7 +46,7 @@ class Shown(NamedTuple):
     """One face as the display had it."""
 
     now_us: int
-    """Of this machine's clock, as the time of its capture."""
+    """The moment, by this machine's clock, as times of capture are."""
     face: FaceState
     sample: LatentSample
 

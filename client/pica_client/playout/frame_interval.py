@@ -76,7 +76,7 @@ class FrameInterval:
                 frames[-1] = frames[-1]._replace(is_still=True)
 
     def num_missing(self, num_skipped: int, gap_s: float, least_interval_s: float = 0.0) -> int:
-        """Of so many frames that were skipped those that the interval would have put into a gap."""
+        """Return how many of the skipped frames the interval would have put into a gap."""
         interval_s = max(self.interval_s, least_interval_s)
         if interval_s <= 0 or not 0 < num_skipped < RESTART_FRAMES:
             return 0

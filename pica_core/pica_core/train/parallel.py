@@ -87,7 +87,8 @@ def open_ranks(environment: Mapping[str, str]) -> Iterator[Ranks]:
             f"WORLD_SIZE is {environment['WORLD_SIZE']!r} but RANK is "
             f"{environment.get('RANK')!r}; start several processes with torchrun"
         ) from error
-    backend = "nccl" if torch.cuda.is_available() else "gloo"
+    # Losses and whether to go on are tensors of the CPU.
+    backend = "cpu:gloo,cuda:nccl" if torch.cuda.is_available() else "gloo"
     distributed.init_process_group(backend, rank=ranks.rank, world_size=ranks.count)
     try:
         yield ranks

@@ -36,7 +36,7 @@ REQUESTS: Final = {
     "ifacialmocap": (49983, b"iFacialMocap_sahuasouryya9218sauhuiayeta91555dy3719"),
     "facemotion3d": (49993, b"FACEMOTION3D_OtherStreaming"),
 }
-"""Of each app: the phone's port, and ours, and what the phone waits for until it sends."""
+"""What each app has: the phone's port, and ours, and what the phone waits for until it sends."""
 
 
 def decode(packet: bytes) -> TrackerSample:

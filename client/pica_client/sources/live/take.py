@@ -31,7 +31,7 @@ _SHAPES: Final[dict[str, tuple[tuple[int, ...], type]]] = {
     "has_face": ((), np.bool_),
     "place_m": ((3,), np.float32),
 }
-"""Of each array of a take: the shape of a row, and its elements."""
+"""What each array of a take has: the shape of a row, and its elements."""
 _NOWHERE: Final[FloatArray] = np.full(3, np.nan, np.float32)
 
 

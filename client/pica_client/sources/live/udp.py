@@ -84,7 +84,7 @@ class UdpTracker(Tracker):
 
     @property
     def trouble(self) -> str:
-        """See `Tracker.trouble`."""
+        """Say what is wrong, see `Tracker.trouble`."""
         options = self._options
         if time.monotonic() - self._heard_s < SILENT_S:
             return ""

@@ -45,7 +45,7 @@ class Webcam(Tracker):
 
     @property
     def trouble(self) -> str:
-        """See `Tracker.trouble`."""
+        """Say what is wrong, see `Tracker.trouble`."""
         return self._trouble
 
     def preview(self) -> Picture | None:

@@ -238,7 +238,7 @@ def choice_of(label: str, titles: Sequence[tuple[str, str]], chosen: str) -> str
 
 
 def _button_colours(palette: theme.Palette, tone: theme.Tone) -> tuple[theme.Colour, theme.Colour]:
-    """Of a button, and of what stands on it."""
+    """The colours of a button, and of what stands on it."""
     if tone == "plain":
         return palette.field, palette.ink
     return palette.tone(tone), palette.on_accent
