@@ -297,7 +297,7 @@ def show_window(notes: Path, arguments: list[str]) -> None:
             faces=sum(faces),
             here=len(view.status.participants),
             heads=labels,
-            is_pinned=any(person.is_pinned for person in view.people),
+            is_pinned=view.state.pinned is not None,
             side=view.state.side,
             is_recording=view.is_recording,
             is_connected=view.status.is_connected,

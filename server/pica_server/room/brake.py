@@ -47,7 +47,8 @@ third; chosen to be less than what lies between two pictures of a face)."""
 GATHER_BUSY_RATIO: Final = 0.6
 GATHER_SPARE_RATIO: Final = 0.4
 """Faces gather once a loop works for the first part of the time, until it works for less than the
-second (measured: 0.8 of a core becomes 0.55, and 0.7 0.5)."""
+second (measured: 0.8 of a core becomes 0.55, and 0.7 0.5). Not because it is late: where others
+have the core, gathering saves next to nothing."""
 GATHER_SURE_S: Final = 0.5
 """It must have been so for that long (chosen: two measurements)."""
 _HIGHEST_LAYERS: Final = (MAX_LAYER, 1, 0, -1)
@@ -102,7 +103,7 @@ class Brake:
     def _note_busy(self, busy_ratio: float, now: float) -> None:
         """Let faces gather, or no more, once that has been better for a while."""
         ratio = GATHER_SPARE_RATIO if self.is_gathering else GATHER_BUSY_RATIO
-        if (self.is_full or busy_ratio >= ratio) == self.is_gathering:
+        if (busy_ratio >= ratio) == self.is_gathering:
             self._gather_differs_s = math.inf
             return
         self._gather_differs_s = min(self._gather_differs_s, now)

@@ -69,6 +69,13 @@ def test_faces_gather_no_more_once_there_has_been_time_to_spare_for_a_while() ->
     assert not brake.is_gathering
 
 
+def test_faces_do_not_gather_in_a_loop_that_is_late_as_others_have_the_core() -> None:
+    brake = Brake()
+    turns(brake, 0.0, 4 * GATHER_SURE_S, FULL_LATE_S, SPARE)
+    assert brake.is_full
+    assert not brake.is_gathering
+
+
 def test_the_level_rises_while_turns_are_late_and_stays_when_they_get_better() -> None:
     brake = Brake()
     levels = []
