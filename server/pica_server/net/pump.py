@@ -6,8 +6,9 @@ the kernel takes what is sent, that is all. Each websocket also has a reader, fo
 do not come the short way (see `pica_server.net.socket`), and a writer, which waits for a peer that
 reads slowly and sends the goodbye. While the core is busy, faces of a room are not fed to the hub
 at once: they gather for `GATHER_S`, or until a voice or anything else comes in that room, and so
-share their messages. A slow peer blocks nobody: what it has not taken yet stays in
-its outbox, where newer frames replace older ones. One timer serves all deadlines.
+share their messages. A slow peer blocks nobody: what it has not taken yet stays in its outbox,
+where newer frames replace older ones. One timer serves all deadlines of the hub, another one ends
+what gathers.
 
 The buffers behind an outbox are kept small, because what they hold can be neither replaced nor
 withdrawn: one message in the transport and a bounded socket buffer in the kernel, of which unsent
@@ -20,7 +21,7 @@ import socket
 import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 from zlib import crc32
 
 from websockets.asyncio.server import ServerConnection
@@ -33,7 +34,7 @@ from pica_server.config.relay import RelayConfig
 from pica_server.net.socket import RelaySocket, set_tcp_option, websocket_message
 from pica_server.room.brake import GATHER_S
 from pica_server.room.connection import Connection
-from pica_server.room.hub import Hub
+from pica_server.room.hub import HOLD_STEP_S, Hub
 from pica_server.room.outbox import OutboundMessage
 from pica_server.room.room import Room
 
@@ -49,9 +50,6 @@ _VOICE_UNSENT_BYTES = 512
 _MOST_AT_ONCE = 8
 """Messages of one peer that are passed on in one turn of the loop (chosen: a quarter of a second of
 a face that came late)."""
-
-_GATHER_STEP_S: Final = 0.002
-"""Between two looks for rooms whose time to gather is over (chosen)."""
 
 _Inbox = dict[Connection, list[tuple[bytes, float]]]
 """Messages by who sent them, each with when it came."""
@@ -195,7 +193,7 @@ class Pump:
     def _set_gather_timer(self, now: float) -> None:
         if self._gather_timer is None:
             loop = asyncio.get_running_loop()
-            self._gather_timer = loop.call_at(now + _GATHER_STEP_S, self._on_gathered)
+            self._gather_timer = loop.call_at(now + HOLD_STEP_S, self._on_gathered)
 
     def _on_gathered(self) -> None:
         """Let the rooms go on whose time to gather is over."""
@@ -258,7 +256,7 @@ class Pump:
                 break
         return inbox
 
-    def _read_later(self, rest: dict[Connection, list[tuple[bytes, float]]]) -> None:
+    def _read_later(self, rest: _Inbox) -> None:
         """Keep what is left of a turn for the next one, and read no more of those who sent it."""
         for connection in [each for each in self._unread if each not in rest]:
             self._unread.pop(connection).resume_reading()
@@ -348,7 +346,7 @@ class Pump:
             if outbox.has_voices and not waker.is_tight:
                 waker.tighten()
             is_over = connection.closed is not None
-            if outbox.ride_ends_s > now and not is_over and (due_s := outbox.due_s(now)) > now:
+            if not is_over and (due_s := outbox.due_s(now)) > now:
                 self._hub.hold(connection, due_s)
                 continue
             if waker.is_idle and not is_over and self._writes_at_once:

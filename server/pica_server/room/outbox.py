@@ -88,12 +88,7 @@ class ArrivedFrame:
 
 
 class Outbox:
-    """The queue between the room and one receiver's socket.
-
-    Attributes:
-        has_voices: Whether there are ordered streams for this receiver.
-        ride_ends_s: Until when faces wait for a message to share; see `due_s`.
-    """
+    """The queue between the room and one receiver's socket."""
 
     def __init__(
         self,
@@ -124,8 +119,7 @@ class Outbox:
         # Streams with something in their queue; dict order is the order of waiting.
         self._line: dict[int, None] = {}
         self._voices: dict[int, None] = {}  # the same of ordered streams
-        self.has_voices = False
-        self.ride_ends_s = self._narrow_until_s = -math.inf
+        self._ride_ends_s = self._narrow_until_s = -math.inf
         self._flowing: dict[int, StreamQueue] = {}
         self._flow: list[ArrivedFrame] = []
         self._flow_bytes = 0
@@ -142,9 +136,10 @@ class Outbox:
 
     def due_s(self, now: float) -> float:
         """When what waits is to go: now, or later if it shares a message with what is to come."""
-        if self._control or not self._rides:
+        ends_s = self._ride_ends_s
+        if ends_s <= now or self._voices or self._control or not self._rides:
             return now
-        return now if self._voices else max(self.ride_ends_s, now)
+        return ends_s
 
     def note_full(self, now: float) -> None:
         """Note that the socket of the receiver did not take a message at once."""
@@ -155,6 +150,11 @@ class Outbox:
         would wait behind it."""
         was_narrow = now < self._narrow_until_s + NARROW_MEMORY_S
         return num_bytes <= YIELDING_BYTES or not (self.has_voices and was_narrow)
+
+    @property
+    def has_voices(self) -> bool:
+        """Whether there are ordered streams for this receiver."""
+        return bool(self._ordered)
 
     def put_control(self, data: bytes) -> None:
         """Queue a control message.
@@ -197,7 +197,6 @@ class Outbox:
         """Note that a stream is ordered, if that is news."""
         if stream not in self._ordered:
             self._queues[stream] = self._ordered[stream] = OrderedQueue(self._drops, deadline_s)
-            self.has_voices = True
 
     def interrupt(self, stream: int) -> int:
         """Drop what waits of a stream that pauses; return how many frames that is.
@@ -232,7 +231,6 @@ class Outbox:
         self._line.pop(stream, None)
         self._voices.pop(stream, None)
         self._ordered.pop(stream, None)
-        self.has_voices = bool(self._ordered)
         del self._queues[stream]
         return num_waiting
 
@@ -244,7 +242,6 @@ class Outbox:
         self._flow = []
         for emptied in (self._flowing, self._queues, self._ordered, self._line, self._voices):
             emptied.clear()
-        self.has_voices = False
         self._control.extend(last_words)
         self.waiting_control_bytes += sum(map(len, last_words))
         return dropped
@@ -264,7 +261,7 @@ class Outbox:
         is_narrow = now < self._narrow_until_s
         if voices:
             if is_narrow or self._brake.is_full:
-                self.ride_ends_s = now + RIDE_S
+                self._ride_ends_s = now + RIDE_S
             room_left -= sum([len(item.frame) for item in voices])
             if is_narrow:
                 is_late = now - min([item.received_s for item in voices]) > LATE_S
@@ -272,7 +269,7 @@ class Outbox:
                 for stream in list(self._flowing) if self._flow_bytes > room_left else ():
                     self._stop_flow(stream)
         elif is_narrow:
-            self.ride_ends_s = max(self.ride_ends_s, now + NARROW_RIDE_S)
+            self._ride_ends_s = max(self._ride_ends_s, now + NARROW_RIDE_S)
         flow, num_flow_bytes = self._flow, self._flow_bytes
         if not flow and not self._line and not voices:
             return None
