@@ -30,7 +30,6 @@ async def busy_relay(config: RelayConfig | None = None) -> AsyncIterator[Relay]:
     """A relay that will let faces gather for a second."""
     async with Relay(config or RelayConfig()) as relay:
         for seconds in (0.0, GATHER_SURE_S):
-            relay.hub.note_turn(0.0, 100.0, now() + seconds)
             relay.hub.brake.note_turn(0.0, 1.0, now() + seconds)
         assert relay.hub.brake.is_gathering
         yield relay

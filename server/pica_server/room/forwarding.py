@@ -7,8 +7,8 @@ them.
 from dataclasses import replace
 from typing import Final
 
-from pica_protocol.errors import CloseCode
-from pica_protocol.frames import FLAG_KEYFRAME, HEADER_BYTES, MEDIA_KIND, MEDIA_PREFIX
+from pica_protocol.errors import CloseCode, RemoteProtocolError
+from pica_protocol.frames import FLAG_KEYFRAME, HEADER_BYTES, MEDIA_KIND, scan_frames
 from pica_protocol.limits import MAX_LAYER
 from pica_protocol.messages import KeyframeRequest, StreamMuted, Whisper
 from pica_protocol.session import Media
@@ -121,17 +121,16 @@ class Forwarding:
     @staticmethod
     def may_gather(room: Room, data: bytes) -> bool:
         """Say whether a message holds frames alone, none of them of a voice, so that it may wait
-        for others of its room. It was not looked at before, and what is wrong with it shows
-        later."""
-        at, size = 1, len(data)
-        if data[:1] != MEDIA_PREFIX:
+        for others of its room."""
+        try:
+            spans = scan_frames(data)
+        except RemoteProtocolError:  # so its session will say
             return False
-        while at + HEADER_BYTES <= size:
-            stream = room.stream(int.from_bytes(data[at : at + 2], "big"))
+        for span in spans:
+            stream = room.stream(span.stream)
             if stream is None or stream.deadline_s is not None:
                 return False
-            at += HEADER_BYTES + int.from_bytes(data[at + 6 : at + 8], "big")
-        return at > 1
+        return True
 
     def _is_dropped_late(
         self, room: Room, number: int, stream: Stream, layer: int, flags: int, now: float
