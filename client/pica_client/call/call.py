@@ -429,7 +429,9 @@ class Call:
         if played is None or self._lacks_secret(peer.peer_id):
             return replace(face, note=note)
         status: FaceStatus = "concealed" if is_held or played.is_concealed else "live"
-        if self._is_silent(seat, now):
+        if seat.says_absent:
+            status = "away"
+        elif self._is_silent(seat, now):
             status = "stale"
         if not is_held:
             newest = played.newest

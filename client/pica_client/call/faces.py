@@ -22,8 +22,7 @@ FaceStatus = Literal["waiting", "live", "concealed", "stale", "away"]
 
 waiting: nothing received yet; live: a received or interpolated sample; concealed: held or
 extrapolated over a hole;
-stale: nothing for so long that it should be shown as such; away: the tracker reports that it sees
-nobody.
+stale: nothing for so long that it should be shown as such; away: the sender's tracker sees nobody.
 """
 
 

@@ -143,6 +143,11 @@ class RemoteParticipant:
         return self._face_mode == "muted"
 
     @property
+    def says_absent(self) -> bool:
+        """Whether its owner has said that the tracker sees nobody."""
+        return self._face_mode == FACE_LOST
+
+    @property
     def _face_mode(self) -> str:
         return dict(self.peer.metadata).get(FACE_KEY, "")
 
