@@ -29,6 +29,7 @@ lint: .venv/.ready-test
 
 types: .venv/.ready-test
 	$(BIN)/mypy
+	$(BIN)/mypy scripts/*.py examples/*.py
 
 imports: .venv/.ready-test
 	$(BIN)/lint-imports

@@ -7,6 +7,7 @@ listed.
 
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,10 @@ OUT = Path(sys.argv[1] if len(sys.argv) > 1 else "out")
 OUT.mkdir(parents=True, exist_ok=True)
 
 
-def ball(centre_m: tuple[float, ...], radii_m: tuple[float, ...], rows: int, columns: int):
+Tiles = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def ball(centre_m: Sequence[float], radii_m: Sequence[float], rows: int, columns: int) -> Tiles:
     """Points, texture coordinates and quads of a closed ball, seen from +z."""
     polar = np.pi * (np.arange(rows) + 0.5) / rows
     turn = 2 * np.pi * np.arange(columns + 1) / columns - np.pi
@@ -48,7 +52,7 @@ def write_rig(folder: Path) -> None:
 
     def bump(x_m: float, y_m: float, size_m: float, move_m: tuple[float, ...]) -> np.ndarray:
         distance2 = (points[:, 0] - x_m) ** 2 + (points[:, 1] - y_m) ** 2
-        return (front * np.exp(-distance2 / size_m**2))[:, None] * np.array(move_m)
+        return np.outer(front * np.exp(-distance2 / size_m**2), move_m)
 
     shapes = {"neutral": 0 * points, "jawOpen": bump(0, -0.07, 0.03, (0, -0.02, 0))}
     for side, x_m in (("L", 0.032), ("R", -0.032)):

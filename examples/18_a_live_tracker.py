@@ -13,6 +13,7 @@ import time
 
 from pica_client.publish.sender import Sender, SenderConfig
 from pica_client.sources.live.opening import open_live
+from pica_client.sources.live.udp import UdpTracker
 from pica_client.transport.config import LinkConfig
 from pica_core.avatar.arkit import ARKIT_INDEX
 from pica_core.avatar.file import avatar_id, load_avatar
@@ -40,6 +41,7 @@ async def play_phone(port: int) -> None:
 async def main() -> None:
     file = shipped_avatar_files()[0]
     source = open_live("livelink", "127.0.0.1:0")  # for a real phone: open_source("livelink")
+    assert isinstance(source, UdpTracker)
     async with Relay(RelayConfig(port=0)) as relay:
         phone = asyncio.create_task(play_phone(source.port))
         sender = Sender(

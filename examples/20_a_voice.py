@@ -22,7 +22,7 @@ def main() -> None:
         print(trouble)
         return
     speech, encoder, chance = shipped_speech(), OpusEncoder(bitrate=24_000), random.Random(0)
-    arrivals = []
+    arrivals: list[tuple[float, VoicePacket]] = []
     for index in range(round(SECONDS / FRAME_S)):
         frame = speech[index * FRAME_SAMPLES : (index + 1) * FRAME_SAMPLES]
         payload = encoder.encode(frame)

@@ -26,7 +26,7 @@ FPS = 30
 BEGIN_S = 40.0
 SECONDS = 2.0
 """For the speaking hint to mean something."""
-CALL = ((960, 540), 5, {})
+CALL: tuple[tuple[int, int], int, dict[str, Any]] = ((960, 540), 5, {})
 SHEET: tuple[tuple[tuple[int, int], int, dict[str, Any]], ...] = (
     ((640, 360), 5, {"layout": "table"}),
     ((640, 360), 5, {"layout": "grid"}),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import matplotlib.pyplot as plt
 from charting import (
@@ -24,7 +25,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 PAGE = RESULTS / "codec.md"
-STYLES: tuple[tuple[str, dict[str, object]], ...] = (
+STYLES: tuple[tuple[str, dict[str, Any]], ...] = (
     ("quality-", {"color": "#0072B2", "marker": "o", "label": "ours, qualities 0 to 7"}),
     (
         "thinned",

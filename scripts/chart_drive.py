@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from charting import RESULTS, Row, fill_in, read_lines, short_source, source_line, table
+from charting import RESULTS, Column, Row, fill_in, read_lines, short_source, source_line, table
 
 PAGE = RESULTS / "drive.md"
 FIGURES = ("mse", "p95_mse", "lid_mm", "lip_mm", "poke_ratio", "p95_poke_ratio")
@@ -83,6 +83,6 @@ def _means(rows: Iterable[Row], by: Sequence[str]) -> list[Row]:
     ]
 
 
-def _columns(*by: str) -> dict[str, object]:
-    shown = {"source": lambda row: short_source(row["source"])}
+def _columns(*by: str) -> dict[str, Column]:
+    shown: dict[str, Column] = {"source": lambda row: short_source(row["source"])}
     return {name: shown.get(name, name) for name in by} | COLUMNS

@@ -21,6 +21,7 @@ from charting import (
 )
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 PAGE = ROOT / "docs" / "variants.md"
 MAIN_CM = 65.0
@@ -70,7 +71,7 @@ def _draw(line: Line) -> Figure:
         axis.set_xlabel("decode + draw, ms")
     panels[0].set_ylabel("MSE, 0–255, held-out frames, mean of the views")
     handles = [
-        plt.Line2D([], [], marker="o", linestyle="", color=COLOURS[n % len(COLOURS)], label=name)
+        Line2D([], [], marker="o", linestyle="", color=COLOURS[n % len(COLOURS)], label=name)
         for n, name in enumerate(people)
     ]
     figure.legend(handles=handles, loc="outside upper center", ncols=6, frameon=False, fontsize=8)

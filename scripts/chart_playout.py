@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import matplotlib.pyplot as plt
 from charting import (
@@ -26,7 +27,7 @@ from matplotlib.figure import Figure
 
 PLAYOUT_PAGE = RESULTS / "playout.md"
 
-POLICY_STYLE = {
+POLICY_STYLE: dict[str, dict[str, Any]] = {
     "adaptive": {"color": "#0072B2", "marker": "o", "label": "ours, adaptive"},
     "fixed": {"color": "#E69F00", "marker": "s", "linestyle": "--", "label": "fixed 100 ms"},
     "unbuffered": {"color": "#777777", "marker": "^", "linestyle": ":", "label": "no buffer"},

@@ -22,6 +22,7 @@ from charting import (
     values,
 )
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 PAGE = RESULTS / "receiver.md"
 MARKERS = {64: "v", 128: "s", 256: "o"}
@@ -201,7 +202,8 @@ def _draw_pareto(line: Line) -> Figure:
         {"marker": "o", "fillstyle": "none", "label": "coarser mesh"},
         *({"marker": "o", "color": colours[kind], "label": kind} for kind in colours),
     ]
-    handles = [plt.Line2D([], [], **{"color": "#555555", "linestyle": ""} | look) for look in looks]
+    plain: dict[str, Any] = {"color": "#555555", "linestyle": ""}
+    handles = [Line2D([], [], **plain | look) for look in looks]
     figure.legend(handles=handles, loc="outside upper center", ncols=7, frameon=False, fontsize=7)
     return figure
 
@@ -278,7 +280,8 @@ def _scene_tables(result: Row) -> list[str]:
     summary = result["summary"]
     most = max(values(result["rows"], "avatars"))
     shares: dict[str, Column] = {
-        name: lambda row, name=name: _shares(row[name]) for name in ("levels", "meshes")
+        "levels": lambda row: _shares(row["levels"]),
+        "meshes": lambda row: _shares(row["meshes"]),
     }
     scenes: dict[str, Column] = {
         "cm": "{distance_cm:g}",

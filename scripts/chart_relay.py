@@ -96,7 +96,7 @@ def _draw_load(lines: Sequence[Line]) -> Figure:
 def _plot_known(
     axis: Axes, rows: Sequence[Row], value: Callable[[Row], float | None], style: dict[str, Any]
 ) -> None:
-    known = [(row["rooms"], value(row)) for row in rows if value(row) is not None]
+    known = [(row["rooms"], cost) for row in rows if (cost := value(row)) is not None]
     axis.plot([rooms for rooms, _ in known], [cost for _, cost in known], **style)
 
 

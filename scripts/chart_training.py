@@ -194,15 +194,16 @@ def _draw_failures(rows: Sequence[Row], line: Line) -> Figure:
 
 
 def _failure_table(rows: Sequence[Row]) -> str:
-    by_name = [rows_where(rows, failure=name) for name in dict.fromkeys(values(rows, "failure"))]
+    names = dict.fromkeys(values(rows, "failure"))
+    by_name = [{"own": rows_where(rows, failure=name)} for name in names]
     columns: dict[str, Column] = {
-        "spoilt": lambda own: own[0]["failure"].replace("_", " "),
-        "diverged": lambda own: f"{sum(values(own, 'diverged'))} of {len(own)}",
-        "MSE": lambda own: _range(own, "mse", 1),
-        "vertices, mm": lambda own: _range(own, "vertex_error_mm", 2),
-        "deviation of codes": lambda own: _range(own, "code_deviation", 2),
-        "reach at 3 σ, mm": lambda own: _range(own, "reach_3_sigma_mm", 0),
-        "at 6 σ, mm": lambda own: _range(own, "reach_6_sigma_mm", 0),
+        "spoilt": lambda row: row["own"][0]["failure"].replace("_", " "),
+        "diverged": lambda row: f"{sum(values(row['own'], 'diverged'))} of {len(row['own'])}",
+        "MSE": lambda row: _range(row["own"], "mse", 1),
+        "vertices, mm": lambda row: _range(row["own"], "vertex_error_mm", 2),
+        "deviation of codes": lambda row: _range(row["own"], "code_deviation", 2),
+        "reach at 3 σ, mm": lambda row: _range(row["own"], "reach_3_sigma_mm", 0),
+        "at 6 σ, mm": lambda row: _range(row["own"], "reach_6_sigma_mm", 0),
     }
     return table(by_name, columns)
 

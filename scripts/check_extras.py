@@ -28,8 +28,8 @@ def make_environment(folder: Path, extra: str) -> Path:
     venv.create(folder, with_pip=True)
     python = folder / ("Scripts" if os.name == "nt" else "bin") / "python"
     target = f"{ROOT}[{extra}]" if extra else str(ROOT)
-    command = [python, "-m", "pip", "--disable-pip-version-check", "install", "--quiet"]
-    subprocess.run([*command, "--constraint", ROOT / "constraints.txt", target], check=True)
+    command = [str(python), "-m", "pip", "--disable-pip-version-check", "install", "--quiet"]
+    subprocess.run([*command, "--constraint", str(ROOT / "constraints.txt"), target], check=True)
     return python
 
 
@@ -46,8 +46,8 @@ def check_relay(folder: Path) -> None:
     python = make_environment(folder, "")
     assert_absent(python, "numpy", "torch", "onnxruntime", "moderngl")
     ready = folder / "ready"
-    command = [python, "-I", "-m", "pica_command", "relay", "--port", "0", "--ready-file", ready]
-    relay = subprocess.Popen(command, cwd=folder, stderr=subprocess.DEVNULL)
+    words = ["-I", "-m", "pica_command", "relay", "--port", "0", "--ready-file", str(ready)]
+    relay = subprocess.Popen([str(python), *words], cwd=folder, stderr=subprocess.DEVNULL)
     try:
         for _ in range(TIMEOUT_S * 10):
             if ready.exists() or relay.poll() is not None:
@@ -82,7 +82,7 @@ print(len(names), "modules of", inside, "import")
 
 def import_modules(python: Path, inside: str, *left_out: str) -> str:
     """Import every module of a package there, save those whose names begin otherwise."""
-    command = [python, "-I", "-c", IMPORT_MODULES, inside, *left_out]
+    command = [str(python), "-I", "-c", IMPORT_MODULES, inside, *left_out]
     output = subprocess.run(command, cwd="/", check=True, capture_output=True, text=True)
     return output.stdout.strip()
 

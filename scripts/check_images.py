@@ -54,7 +54,7 @@ def buildah(*words: str | Path, **options: Any) -> str:
     )
     if done.returncode:
         sys.exit(f"buildah {' '.join(map(str, words[:4]))} ended with {done.returncode}")
-    return done.stdout.strip()
+    return str(done.stdout).strip()
 
 
 def base_image() -> str:
@@ -95,12 +95,13 @@ def provide_base() -> None:
 def build(volumes: Sequence[str]) -> None:
     """Build all images; `volumes` are buildah's, for a machine's own package settings."""
     provide_base()
-    mounts = [word for each in volumes for word in ("--volume", each)]
+    mounts: list[str | Path] = [word for each in volumes for word in ("--volume", each)]
     for name in IMAGES:
         begin = time.monotonic()
         buildah(
             *("bud", "--quiet", "--format", "docker", "--network", "host", "--pull-never"),
-            *(*mounts, "--file", DOCKER / f"{name}.Dockerfile", "--tag", f"pica-{name}", ROOT),
+            *mounts,
+            *("--file", DOCKER / f"{name}.Dockerfile", "--tag", f"pica-{name}", ROOT),
         )
         size = json.loads(buildah("images", "--json", f"pica-{name}"))[0]["size"]
         print(f"build: pica-{name}, {size}, {time.monotonic() - begin:.0f} s")

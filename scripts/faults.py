@@ -37,7 +37,7 @@ from pica_client.output import say
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.link import Link
 from pica_protocol.frames import Frame
-from pica_protocol.messages import Joined, PeerJoined
+from pica_protocol.messages import Joined, Peer, PeerJoined
 from pica_protocol.session import ClientEvent
 from pica_server.auth.tokens import Admission, KeyRing, load_keys, mint
 
@@ -383,7 +383,7 @@ def watch(url: str, token_file: Path | None) -> None:
 
     def on_event(event: ClientEvent, now: float) -> None:
         nonlocal is_complete
-        peers = ()
+        peers: tuple[Peer, ...] = ()
         if isinstance(event, Frame):
             seen[names[event.stream]].append((now, event.captured_us / 1e6))
             if len(seen) == len(NAMES) and not is_complete:

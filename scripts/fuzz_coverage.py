@@ -103,7 +103,7 @@ def plant() -> None:
         "message": [data for data in wire if data[:1] != b"\x02"],
         "media": [data for data in wire if data[:1] == b"\x02"],
         "sealed": [seal(b"face", byte_targets.METADATA, key_, n) for key_, n in suites],
-        "note": [encode_note(note, key, way) for note in notes],
+        "note": [encode_note(note, key, *way) for note in notes],
         "avatar_file": [avatar.read_bytes()],
         "bitstream": [stream, stream[: len(stream) // 2]],
     }

@@ -20,6 +20,7 @@ import matplotlib
 import matplotlib.pyplot as plt
 import numpy as np
 import numpy.typing as npt
+from matplotlib.figure import Figure
 from PIL import Image
 
 from pica_client.avatars.library import AvatarLibrary
@@ -139,7 +140,7 @@ def _cell(
     return Cell(f"{title} · MSE {mean:.0f}", true.image[0][box], shown.image[0][box])
 
 
-def _draw(rows: list[tuple[str, list[Cell]]], title: str) -> plt.Figure:
+def _draw(rows: list[tuple[str, list[Cell]]], title: str) -> Figure:
     columns = max(len(cells) for _, cells in rows)
     figure, grid = plt.subplots(
         len(rows), columns, figsize=(2.5 * columns, 1.52 * len(rows) + 0.5), layout="constrained"

@@ -13,13 +13,14 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from train_mouth import RATE, SHAPES, Sound, Speaker, mouths_of
+from train_mouth import RATE, Sound, Speaker, mouths_of
 
 from pica_client.render.thumbnail import draw_thumbnail
 from pica_client.voice.mouth import (
     HOP,
     LOOK_AHEAD_HOPS,
     SAMPLE_RATE,
+    SHAPES,
     MouthFromVoice,
     SpeechFeatures,
 )

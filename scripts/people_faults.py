@@ -81,7 +81,7 @@ def count(model: FaceModel, seed: int, mixed: npt.NDArray[np.float64], worst: Pa
     if worst is None or not table.any():
         return
     subject = PersonSubject(model, person, bake_size=1024, self_shadow=False)
-    for k in np.flatnonzero(table.any(0)):
+    for k in np.flatnonzero(table.any(0)).tolist():
         pose = poses[int(table[:, k].argmax())]
         points = checks.pose(pose)
         places = (checks.folds(points), *checks.pokes(points))[k]

@@ -64,7 +64,7 @@ def measure(library: AvatarLibrary, side: Side) -> dict[str, Any]:
             timed(paint, times_s["paint"], wait)(painter, *arguments, **given)
 
         CallSurface.build = timed(build, times_s["build"], lambda: None)  # type: ignore[method-assign]
-        Painter.paint = paint_and_wait  # type: ignore[method-assign]
+        Painter.paint = paint_and_wait  # type: ignore[method-assign, assignment]
         try:
             for number in range(WARM_UP + FRAMES):
                 viewer.receive(MouseMoved(640 + number % 2, 500))

@@ -178,8 +178,8 @@ def disturbed(pcm: Any, rng: np.random.Generator) -> Any:
     hz = np.fft.rfftfreq(len(pcm), 1 / SAMPLE_RATE)
     tilt_db = rng.uniform(-9, 9) * np.log2(np.maximum(hz, 60) / 1000) / 3
     pcm = np.fft.irfft(spectrum * 10 ** (tilt_db / 20), len(pcm))
-    noise = np.fft.rfft(rng.standard_normal(len(pcm)))
-    noise = np.fft.irfft(noise / np.sqrt(np.maximum(hz, 50)), len(pcm))
+    white = np.fft.rfft(rng.standard_normal(len(pcm)))
+    noise = np.fft.irfft(white / np.sqrt(np.maximum(hz, 50)), len(pcm))
     noise *= np.std(pcm) / np.std(noise) * 10 ** (-rng.uniform(8, 50) / 20)
     pcm = pcm + noise
     return (pcm * 10 ** (rng.uniform(-18, 0) / 20) / np.abs(pcm).max()).astype(np.float32)

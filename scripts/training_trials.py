@@ -282,9 +282,13 @@ def time_steps(trainer: Trainer, steps: int, *, warm_up: int = 5) -> dict[str, A
 
 def main(words: list[str] | None = None) -> None:
     """Run one kind of trial."""
-    kinds = {"recipes": recipes, "failures": failures, "steps": steps}
+    kinds: dict[str, Callable[..., Any]] = {
+        "recipes": recipes,
+        "failures": failures,
+        "steps": steps,
+    }
     config = (tyro.conf.OmitArgPrefixes,)
-    found = tyro.extras.subcommand_cli_from_dict(kinds, args=words, config=config)
+    found: Any = tyro.extras.subcommand_cli_from_dict(kinds, args=words, config=config)
     print(json.dumps(found))
 
 

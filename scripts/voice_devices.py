@@ -18,6 +18,7 @@ import tempfile
 import time
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -117,7 +118,7 @@ def busy() -> None:
 def main() -> None:
     """Hold the call, and print one JSON object."""
     with tempfile.TemporaryDirectory() as folder, sound_server(Path(folder)):
-        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        quiet: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
         sender = ["--name", "Ann", "--source", "performance:talk", "--voice", "speech"]
         viewer = ["--name", "Bo", "--headless", "--size", "160x90", "--speaker", "Speaker"]
         viewer += ["--expect", "1", "--seconds", str(SECONDS), "--json"]

@@ -313,7 +313,7 @@ def show_window(notes: Path, arguments: list[str]) -> None:
         typed[label] = found[1]
         return found
 
-    imgui.input_text_with_hint = note_field
+    imgui.input_text_with_hint = note_field  # type: ignore[assignment]
     places = note_places(pytest.MonkeyPatch())
 
     def render_and_note() -> None:

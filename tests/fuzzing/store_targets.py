@@ -141,7 +141,7 @@ def cluster_messages(rng: random.Random, meter: Meter) -> None:
     """What comes over NATS: from a node, or from somebody who should not be able to write there."""
     node = NodeId(3, "a1b2").name
     peer = Peer(peer_id="p1", name="Ada", tracks=(Track(kind="face", stream=1),))
-    record = Record((Member(node, peer, "c0ffee"),), {"p2": "left"}, node)
+    record = Record((Member(node, peer, is_away=True, muted=(1,)),), {"p2": "left"}, node)
     whisper = Whisper(peer_id="p1", data=b"x" * 20)
     good = [
         encode_record(record),

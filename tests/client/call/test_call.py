@@ -478,16 +478,6 @@ def test_a_peer_that_says_something_else_of_itself_keeps_its_seat_in_another_roo
         ]
 
 
-def test_a_face_is_away_while_its_tracker_sees_nobody(call: Call) -> None:
-    call.receive_event(joined(peer("p1", "Ada", 7)), now=0.0)
-    call.receive_event(frame(7, 0, 0), now=0.1)
-    statuses = []
-    for says in ("lost", "", "frozen"):
-        call.receive_event(PeerUpdated(peer_id="p1", metadata=(("face", says),)), now=0.1)
-        statuses.append(call.faces(0.15)[0].status)
-    assert statuses == ["away", "live", "live"]
-
-
 def test_a_face_says_why_it_stands_still(call: Call) -> None:
     call.receive_event(joined(peer("p1", "Ada", 7)), now=0.0)
     notes = []

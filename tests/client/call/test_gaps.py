@@ -8,7 +8,7 @@ import pytest
 from helpers.senders import LoadedAvatars
 from helpers.toy import make_toy_avatar
 from pica_client.call.call import Call
-from pica_client.publish.face_track import FACE_KEY
+from pica_client.publish.face_track import FACE_KEY, FACE_LOST
 from pica_core.codec.plain_stream import encode_latent
 from pica_protocol.frames import Frame
 from pica_protocol.messages import (
@@ -157,3 +157,13 @@ def test_a_backlog_without_a_fresh_frame_behind_it_is_shown_when_it_ends(call: C
         send_frame(call, index, now=10.0)
     assert call.faces(10.05)[0].captured_us < 3602e6
     assert call.faces(10.2)[0].captured_us == pytest.approx(3600e6 + 89e6 / 30, abs=1)
+
+
+def test_a_face_is_away_while_its_tracker_sees_nobody(call: Call) -> None:
+    send_frame(call, 0)
+    statuses = []
+    for says in (FACE_LOST, "", "frozen"):
+        metadata = ((FACE_KEY, says),)
+        call.receive_event(PeerUpdated(peer_id="p1", metadata=metadata), now=0.0)
+        statuses.append(call.faces(0.1)[0].status)
+    assert statuses == ["away", "live", "live"]
