@@ -12,12 +12,12 @@ from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 
 from websockets.asyncio.client import ClientConnection
-from websockets.exceptions import ConnectionClosed, InvalidHandshake
+from websockets.exceptions import ConnectionClosed
 
 from pica_client.errors import ClientError, RelayError
 from pica_client.transport.backoff import Backoff
 from pica_client.transport.config import LinkConfig, read_token
-from pica_client.transport.connect import open_websocket, refusal
+from pica_client.transport.connect import CONNECT_ERRORS, open_websocket, refusal
 from pica_core.avatar.file import MAX_FILE_BYTES, read_bytes
 from pica_core.errors import AvatarFileError
 from pica_protocol import store
@@ -147,7 +147,7 @@ class AvatarGiver:
 async def _store_socket(url: str, ca_file: Path | None) -> AsyncIterator[ClientConnection]:
     try:
         websocket = await open_websocket(url, ca_file, subprotocol=store.STORE_SUBPROTOCOL)
-    except (OSError, TimeoutError, InvalidHandshake, EOFError) as error:
+    except CONNECT_ERRORS as error:
         why = refusal(error)
         message = f"{url}: {why or 'nobody answers'}"
         raise PushError(message, is_worth_retrying=why is None) from error

@@ -9,7 +9,15 @@ from typing import Any, Final
 from urllib.parse import urlsplit
 
 from websockets.asyncio.client import ClientConnection, connect
-from websockets.exceptions import InvalidHandshake, InvalidMessage, InvalidStatus, InvalidURI
+from websockets.exceptions import (
+    InvalidHandshake,
+    InvalidMessage,
+    InvalidProxy,
+    InvalidStatus,
+    InvalidURI,
+    ProxyError,
+    WebSocketException,
+)
 from websockets.protocol import State
 
 from pica_client.errors import OptionError
@@ -27,8 +35,9 @@ PING_S: Final = 10.0
 """Between two pings of an upload, and for their answers; in a call `silence.Silence` says when."""
 MAX_QUEUED_MESSAGES: Final = 16
 """Websocket messages read ahead of us; then the network is told to wait."""
-
-
+CONNECT_ERRORS: Final = (OSError, EOFError, WebSocketException, UnicodeError, ImportError)
+"""All that `open_websocket` may raise of the network, of an address and of a proxy; what each means
+say `refusal` and `trouble`."""
 _NOT_TLS: Final = ("WRONG_VERSION_NUMBER", "RECORD_LAYER_FAILURE", "PACKET_LENGTH_TOO_LONG")
 """What OpenSSL calls an answer that is none of its own."""
 
@@ -59,6 +68,17 @@ class RelayWebsocket(ClientConnection):
             self.send_data()
 
 
+class _Dial(connect):
+    """Opens a websocket at the address that was asked for, and at no other.
+
+    A relay sends us elsewhere by its goodbye, which `transport.redirects` judges; HTTP would send
+    us anywhere.
+    """
+
+    def process_redirect(self, exc: Exception) -> Exception | str:
+        return exc
+
+
 async def open_websocket(
     url: str, ca_file: Path | None = None, *, subprotocol: str = SUBPROTOCOL
 ) -> RelayWebsocket:
@@ -74,7 +94,7 @@ async def open_websocket(
     tls: dict[str, Any] = {}
     if ca_file is not None and url.startswith("wss://"):
         tls["ssl"] = trusting(ca_file)
-    websocket = await connect(
+    websocket = await _Dial(
         url,
         create_connection=RelayWebsocket,
         subprotocols=[subprotocol],  # type: ignore[list-item]
@@ -127,12 +147,14 @@ def refusal(error: BaseException) -> str | None:
     """Why trying again cannot help, or None if it may."""
     if isinstance(error, ssl.SSLCertVerificationError):
         return f"its certificate is not trusted: {error.verify_message.rstrip('.')} (--ca-file)"
-    if isinstance(error, InvalidURI):
+    if isinstance(error, InvalidURI | UnicodeError):
         return f"is no websocket address ({error})"
+    if isinstance(error, InvalidProxy | ImportError):
+        return f"is not to be reached by the proxy that the environment names ({error})"
     if isinstance(error, InvalidStatus):
         status = error.response.status_code
         return None if status in (429, 502, 503, 504) else f"answers HTTP {status}, not as a relay"
-    if isinstance(error, InvalidHandshake) and not isinstance(error, InvalidMessage):
+    if isinstance(error, InvalidHandshake) and not isinstance(error, InvalidMessage | ProxyError):
         return f"is no PiCA relay of this version ({error})"
     return None
 

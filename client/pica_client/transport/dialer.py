@@ -4,10 +4,8 @@ import asyncio
 import logging
 from collections.abc import Awaitable, Callable, Sequence
 
-from websockets.exceptions import InvalidHandshake
-
 from pica_client.errors import RelayRefusedError, RelayUnreachableError
-from pica_client.transport.connect import RelayWebsocket, refusal, trouble
+from pica_client.transport.connect import CONNECT_ERRORS, RelayWebsocket, refusal, trouble
 from pica_protocol import SUBPROTOCOL
 
 _log = logging.getLogger(__name__)
@@ -83,7 +81,7 @@ class Dialer:
         try:
             async with asyncio.timeout_at(deadline):
                 websocket = await self._connector(url)
-        except (OSError, TimeoutError, InvalidHandshake, EOFError) as error:
+        except CONNECT_ERRORS as error:
             _log.debug("relay not reached", extra={"error": type(error).__name__})
             if (reason := refusal(error)) is None:
                 raise RelayUnreachableError(trouble(error, url)) from error

@@ -8,7 +8,9 @@ from pathlib import Path
 import pytest
 
 from helpers.certificates import write_certificate
+from pica_client.errors import RelayRefusedError
 from pica_client.transport.connect import open_websocket, trouble
+from pica_client.transport.dialer import Dialer
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
 
@@ -63,3 +65,41 @@ def test_a_relay_with_or_without_tls_is_met_with_the_other_scheme(
 
     expected = "wss:// if it speaks TLS" if speaks_tls else "write ws:// if"
     assert expected in asyncio.run(main())
+
+
+@pytest.mark.parametrize("target", ["/admin", "ws://localhost:{port}/", "https://example.org/"])
+def test_a_redirect_of_http_is_not_followed(target: str) -> None:
+    lines = []
+
+    async def main() -> None:
+        async def handle(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            lines.append(await reader.readline())
+            place = target.format(port=port)
+            writer.write(f"HTTP/1.1 302 Found\r\nLocation: {place}\r\n\r\n".encode())
+            writer.close()
+
+        server = await asyncio.start_server(handle, "127.0.0.1", 0)
+        async with server:
+            port = server.sockets[0].getsockname()[1]
+            url = f"ws://127.0.0.1:{port}"
+            with pytest.raises(RelayRefusedError, match="answers HTTP 302, not as a relay"):
+                await Dialer((url,), open_websocket).open(url, None)
+
+    asyncio.run(main())
+    assert len(lines) == 1
+
+
+@pytest.mark.parametrize(
+    ("url", "proxy", "told"),
+    [
+        ("ws://exa..mple:8765", "", "is no websocket address"),
+        ("wss://example.org", "foo", "is not to be reached by the proxy"),
+        ("wss://example.org", "ftp://127.0.0.1:1", "is not to be reached by the proxy"),
+    ],
+)
+def test_an_address_or_a_proxy_that_cannot_be_is_named(
+    url: str, proxy: str, told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("https_proxy", proxy)
+    with pytest.raises(RelayRefusedError, match=told):
+        asyncio.run(Dialer((url,), open_websocket).open(url, None))
