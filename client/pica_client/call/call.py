@@ -157,7 +157,8 @@ class Call:
                 streams.append(
                     messages.StreamReport(
                         stream=stream,
-                        received=report.received - before.received,
+                        # Those held back count no more if they turn out to be of no use.
+                        received=max(report.received - before.received, 0),
                         lost=max(report.lost - before.lost, 0),
                         concealed=report.concealed - before.concealed,
                     )
