@@ -85,35 +85,33 @@ class Receiver:
         self._subscribed = asyncio.Event()
         call.on_subscription = lambda: self._call_soon(self._subscribed.set)
         self._loop: asyncio.AbstractEventLoop | None = None
+        self._started = threading.Event()
         self._thread: threading.Thread | None = None
         self._error: BaseException | None = None
 
     async def run(self) -> None:
-        """Receive until `stop`.
+        """Receive until `stop`; once.
 
         Raises:
             RelayError: The relay is not there, or will not have us.
+            Exception: What the source of the face or of the voice raised.
         """
+        if self._loop is not None:
+            raise RuntimeError("a receiver is good for one call")
         self._loop = asyncio.get_running_loop()
+        self._started.set()
         stopping = asyncio.Event()
-        tasks = [
-            asyncio.create_task(self._report(), name="reports"),
-            asyncio.create_task(self._tell_subscriptions(), name="subscriptions"),
-        ]
-        if self.publisher is not None:
-            pacing = self.publisher.pace(self.link, stopping)
-            tasks.append(asyncio.create_task(pacing, name="pacing"))
-        if self.voice is not None:
-            speaking = self.voice.pace(self.link, stopping)
-            tasks.append(asyncio.create_task(speaking, name="voice"))
+        work = [self._report(), self._tell_subscriptions()]
+        work += [own.pace(self.link, stopping) for own in (self.publisher, self.voice) if own]
         try:
-            await self.link.run()
+            async with asyncio.TaskGroup() as beside:
+                tasks = [beside.create_task(each) for each in work]
+                await self.link.run()
+                for task in tasks:
+                    task.cancel()
+        except ExceptionGroup as errors:
+            raise errors.exceptions[0] from None
         finally:
-            for task in tasks:
-                task.cancel()
-            for task in tasks:
-                with contextlib.suppress(asyncio.CancelledError):
-                    await task
             if self.publisher is not None:
                 self.publisher.close()
             if self._giver is not None:
@@ -124,7 +122,7 @@ class Receiver:
         self._call_soon(self.link.leave)
 
     def check(self) -> None:
-        """Raise what ended the thread, if anything did: a `RelayError`, as `run`."""
+        """Raise what ended the thread, if anything did, as `run` does."""
         if self._error is not None:
             raise self._error
 
@@ -132,8 +130,6 @@ class Receiver:
         """Tell the others whether what is seen here is kept; any thread may call it."""
         self.is_recording = is_recording
         value = RECORDS_YES if is_recording else ""
-        if self._loop is None:
-            self.link.describe(RECORDS_KEY, value)  # nothing runs yet
         self._call_soon(lambda: self.link.describe(RECORDS_KEY, value))
 
     @property
@@ -157,24 +153,15 @@ class Receiver:
         return stats
 
     def __enter__(self) -> Self:
-        started = threading.Event()
-
-        async def main() -> None:
-            self._loop = asyncio.get_running_loop()
-            started.set()
-            await self.run()
-
         def work() -> None:
             try:
-                asyncio.run(main())
+                asyncio.run(self.run())
             except Exception as error:  # for the other thread to see, see `check`
                 self._error = error
-            finally:
-                started.set()
 
         self._thread = threading.Thread(target=work, name="receiver", daemon=True)
         self._thread.start()
-        started.wait()
+        self._started.wait()
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -191,13 +178,11 @@ class Receiver:
                 own.receive_event(event)
         for stream in self.call.take_keyframe_requests(now) if self._takes_faces else ():
             self.link.request_keyframe(stream)
-        if isinstance(event, PeerJoined):
-            self._decline([event.peer])
-        if isinstance(event, Joined):
-            self._decline(event.peers)
+        if isinstance(event, PeerJoined | Joined):
+            self._decline([event.peer] if isinstance(event, PeerJoined) else event.peers)
             self._subscribed.set()
-            if self._giver is not None:
-                self._giver.begin(self.link.url)
+        if isinstance(event, Joined) and self._giver is not None:
+            self._giver.begin(self.link.url)
         if self._news is not None:
             self._news.receive_event(event, now)
         self.arrived.set()
@@ -218,10 +203,12 @@ class Receiver:
                 self.link.want(track.stream, None)
 
     def _call_soon(self, action: Callable[[], None]) -> None:
-        """Call something on the loop, if it runs."""
-        if self._loop is not None:
-            with contextlib.suppress(RuntimeError):  # the loop may be closed by now
-                self._loop.call_soon_threadsafe(action)
+        """Call something on the loop; at once as long as there is none."""
+        if self._loop is None:
+            action()
+            return
+        with contextlib.suppress(RuntimeError):  # the loop may be closed by now
+            self._loop.call_soon_threadsafe(action)
 
     async def _tell_subscriptions(self) -> None:
         """Tell the relay which layers are wanted, when that changes and when its time has come."""

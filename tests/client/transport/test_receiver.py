@@ -1,0 +1,107 @@
+"""A receiver as a program of its own holds it: its beginning, its end, and what fails beside it."""
+
+from __future__ import annotations
+
+import asyncio
+from unittest import mock
+
+import pytest
+
+from helpers.senders import LoadedAvatars
+from helpers.toy import make_toy_avatar
+from pica_client.call.call import Call
+from pica_client.call.layer_subscription import NOTHING
+from pica_client.publish.publisher import Publisher, SenderConfig
+from pica_client.sources.source import Unseen
+from pica_client.transport.config import LinkConfig
+from pica_client.transport.receiver import Receiver
+from pica_core.avatar.arkit import ExpressionFrame
+from pica_protocol.messages import Joined, Peer, PeerJoined, Track
+from pica_server.config.relay import RelayConfig
+from pica_server.relay import Relay
+
+pytestmark = pytest.mark.call
+
+PATIENCE_S = 20.0
+
+
+class Breaking(Unseen):
+    """A face that breaks at its third frame."""
+
+    num_frames = 0
+
+    def frame_at(self, time_s: float) -> ExpressionFrame:
+        self.num_frames += 1
+        if self.num_frames > 2:
+            raise ArithmeticError("the tracker broke")
+        return super().frame_at(time_s)
+
+
+def make_receiver(url: str, publisher: Publisher | None = None) -> Receiver:
+    return Receiver(LinkConfig(url=url, name="me"), Call(LoadedAvatars({})), publisher=publisher)
+
+
+def test_a_source_that_fails_ends_the_call_and_is_closed() -> None:
+    source = Breaking()
+    publisher = Publisher(SenderConfig(), source, make_toy_avatar(), "0" * 64)
+
+    async def call() -> None:
+        async with asyncio.timeout(PATIENCE_S), Relay(RelayConfig(port=0)) as relay:
+            with pytest.raises(ArithmeticError, match="the tracker broke"):
+                await make_receiver(relay.url, publisher).run()
+
+    asyncio.run(call())
+    assert publisher.source is not source  # it let go of it
+
+
+def test_who_is_told_to_stop_before_it_runs_does_not_begin() -> None:
+    async def call() -> None:
+        receiver = make_receiver("ws://127.0.0.1:9")
+        running = asyncio.create_task(receiver.run())
+        receiver.stop()
+        async with asyncio.timeout(PATIENCE_S):
+            await running
+
+    asyncio.run(call())
+
+
+def test_a_receiver_says_that_it_is_good_for_one_call() -> None:
+    receiver = make_receiver("ws://127.0.0.1:9")
+    receiver.stop()
+    with receiver:
+        pass
+    with pytest.raises(RuntimeError, match="one call"):
+        asyncio.run(receiver.run())
+
+
+def test_on_a_narrow_way_a_newcomer_is_told_of_as_well() -> None:
+    def peer(name: str, stream: int) -> Peer:
+        return Peer(peer_id=name, name=name, tracks=(Track(kind="face", stream=stream),))
+
+    async def call() -> list[tuple[int, int | None]]:
+        told: list[tuple[int, int | None]] = []
+        receiver = make_receiver("ws://127.0.0.1:9")
+
+        def want(stream: int, layer: int | None) -> bool:
+            told.append((stream, layer))
+            return True
+
+        async def joined() -> None:
+            now = asyncio.get_running_loop().time()
+            receiver._on_event(Joined(room="r", peer_id="me", peers=(peer("ada", 1),)), now)
+            receiver.call.limit_layers(NOTHING, now)
+            await asyncio.sleep(0)
+            receiver._on_event(PeerJoined(peer=peer("bob", 2)), now)
+            async with asyncio.timeout(PATIENCE_S):
+                while len(told) < 2:  # noqa: ASYNC110 - what is waited for has no event
+                    await asyncio.sleep(0)
+
+        with (
+            mock.patch.object(receiver.link, "want", want),
+            mock.patch.object(receiver.link, "run", joined),
+            mock.patch.object(type(receiver.link), "is_joined", True),
+        ):
+            await receiver.run()
+        return told
+
+    assert asyncio.run(call()) == [(1, None), (2, None)]
