@@ -235,6 +235,10 @@ class Renderer(Closing):
     ) -> DrawStats:
         """Draw one frame into the renderer's image.
 
+        What GL state moderngl can set it sets itself; the rest, above all ``glClipControl``, is to
+        be as GL has it at first. Nothing is put back: afterwards the framebuffer is one of its own,
+        and flags, texture units 0 to 9 and uniform block 0 are as it used them.
+
         Args:
             placements: Heads; unknown slots are left out. The order does not matter.
             cameras: World to image. Those of several eyes share its columns from left to right;
@@ -242,6 +246,7 @@ class Renderer(Closing):
             count_pixels: Count shaded pixels; waits for the GPU.
         """
         passes, targets = self._passes, self._targets
+        passes.begin()
         (width, height), count = self.size, len(cameras)
         edges = [width * number // count for number in range(count + 1)]
         views = [

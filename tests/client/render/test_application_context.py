@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import ctypes
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import moderngl
 import numpy as np
@@ -95,3 +96,40 @@ def test_what_the_application_has_released_itself_is_no_matter() -> None:
     renderer.remove("p0")
     assert context.gc_mode is None
     context.release()
+
+
+def leave(context: moderngl.Context, **state: Any) -> None:
+    for name, value in state.items():
+        setattr(context, name, value)
+
+
+LEFT: dict[str, Callable[[moderngl.Context], object]] = {
+    "blending": lambda context: context.enable(moderngl.BLEND),
+    "depth_test": lambda context: context.enable(moderngl.DEPTH_TEST | moderngl.CULL_FACE),
+    "nothing_drawn": lambda context: context.enable(moderngl.RASTERIZER_DISCARD),
+    "clockwise": lambda context: leave(context, front_face="cw"),
+    "front_culled": lambda context: leave(context, cull_face="front"),
+    "lines": lambda context: leave(context, wireframe=True),
+    "far_first": lambda context: leave(context, depth_func=">"),
+    "offset": lambda context: leave(context, polygon_offset=(5.0, 5.0)),
+    "depth_range": lambda context: leave(context, depth_clamp_range=(0.5, 0.5)),
+    "samplers": lambda context: [
+        context.sampler(filter=(moderngl.NEAREST, moderngl.NEAREST), repeat_x=True).use(unit)
+        for unit in range(10)
+    ],
+}
+
+
+@pytest.mark.parametrize("left", LEFT)
+def test_what_an_application_leaves_does_not_change_the_picture(left: str) -> None:
+    context = create_context()
+    context.gc_mode = None
+    renderer = Renderer(context, SIZE)
+    join(renderer)
+    shown = picture(renderer)
+    renderer.resize((64, 64))
+    renderer.resize(SIZE)  # so that the room is drawn, too
+    LEFT[left](context)
+    again = picture(renderer)
+    context.release()
+    np.testing.assert_array_equal(again, shown)
