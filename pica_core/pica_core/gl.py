@@ -94,6 +94,22 @@ def _load_finish() -> Callable[[], None] | None:
     return None
 
 
+@contextmanager
+def freeing(context: moderngl.Context) -> Iterator[None]:
+    """Free the GL objects that are dropped within the block, and those that wait in
+    `Context.objects`, whatever `gc_mode` the context's owner has chosen.
+
+    By default moderngl frees none. To make it "context_gc" for good would not do in an
+    application's context: there `Context.gc` fails at what the application has released itself.
+    """
+    mode, context.gc_mode = context.gc_mode, "auto"
+    try:
+        yield
+    finally:
+        context.gc_mode = mode
+        context.gc()
+
+
 def wait_for_gpu(context: moderngl.Context) -> None:
     """Wait until all drawing of this thread's current context is done, with the GIL released.
 

@@ -23,6 +23,7 @@ FILES = {
     "13_import_a_rig": ["rig.png"],
     "19_five_trackers": ["five.png"],
     "23_a_recording_with_sound": ["flash.mp4"],
+    "25_embed_a_receiver": ["two-eyes.png"],
 }
 """What each example writes into the folder that it is given; the others write nothing."""
 PATIENCE_S = 120.0

@@ -5,6 +5,7 @@ import pytest
 
 from golden.wire_samples import FRAMES, GOLDEN, MESSAGES, OLDER, invalid_bytes, wire_bytes
 from helpers.paths import ROOT
+from pica_protocol import PROTOCOL_VERSION
 from pica_protocol.codec import decode_message
 from pica_protocol.errors import CloseCode, RemoteProtocolError
 from pica_protocol.frames import decode_media
@@ -63,6 +64,10 @@ def test_the_golden_file_holds_every_sample() -> None:
 def test_the_document_shows_the_bytes_of_every_sample(name: str) -> None:
     shown = re.sub(r"\s", "", "".join(re.findall(r"```hex\n(.*?)```", DOCUMENT, re.DOTALL)))
     assert VECTORS["valid"][name] in shown
+
+
+def test_the_document_says_the_version() -> None:
+    assert f"`version` must equal the relay's: it is {PROTOCOL_VERSION}." in DOCUMENT
 
 
 @pytest.mark.parametrize("code", list(CloseCode))

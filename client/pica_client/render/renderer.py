@@ -29,6 +29,7 @@ import moderngl
 import numpy as np
 import numpy.typing as npt
 
+from pica_client.closing import Closing
 from pica_client.errors import OptionError
 from pica_client.render.draw_list import (
     DrawStats,
@@ -49,7 +50,7 @@ from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import POSITION_CHANNELS
 from pica_core.camera import Camera
 from pica_core.errors import GraphicsError
-from pica_core.gl import GL_VERSION, wait_for_gpu
+from pica_core.gl import GL_VERSION, freeing, wait_for_gpu
 from pica_core.types import FloatArray, Image, Int64Array
 
 __all__ = ["DrawStats", "RenderOptions", "Renderer"]
@@ -75,8 +76,11 @@ class RenderOptions:
     they are."""
 
 
-class Renderer:
+class Renderer(Closing):
     """Draws avatars into an image of its own.
+
+    It frees what it does not need any more at once, whatever the context's ``gc_mode``, but for the
+    queries of counted pixels, which moderngl cannot free; `close` frees all.
 
     Args:
         context: GL 3.3 or newer, current on this thread.
@@ -117,9 +121,10 @@ class Renderer:
         if not all(1 <= side <= MAX_SIDE_PX for side in size):
             raise OptionError(f"size is {size[0]}x{size[1]}; each side may be 1 to {MAX_SIDE_PX}")
         self.size = size
-        self._targets = RenderTargets(self._context, size)
+        with freeing(self._context):
+            self._unbind()
+            self._targets = RenderTargets(self._context, size)
         self._drawn_room: object = None
-        self._context.gc()
 
     def add_avatar(self, slot: str, avatar: Avatar) -> None:
         """Put an avatar on the GPU; replaces what was in the slot. Slots with the same avatar
@@ -168,8 +173,16 @@ class Renderer:
 
     def remove(self, slot: str) -> None:
         """Forget a slot and free what nobody else uses; an unknown one is no error."""
-        if self._slots.pop(slot, None) is not None:
-            self._context.gc()
+        with freeing(self._context):
+            self._slots.pop(slot, None)
+
+    def close(self) -> None:
+        """Free all that it holds on the GPU; only `remove` is allowed afterwards."""
+        with freeing(self._context):
+            self._unbind()
+            self._slots.clear()
+            for name in ("_passes", "_targets"):
+                vars(self).pop(name, None)
 
     def update_maps(
         self,
@@ -222,6 +235,10 @@ class Renderer:
     ) -> DrawStats:
         """Draw one frame into the renderer's image.
 
+        What GL state moderngl can set it sets itself; the rest, above all ``glClipControl``, is to
+        be as GL has it at first. Nothing is put back: afterwards the framebuffer is one of its own,
+        and flags, texture units 0 to 9 and uniform block 0 are as it used them.
+
         Args:
             placements: Heads; unknown slots are left out. The order does not matter.
             cameras: World to image. Those of several eyes share its columns from left to right;
@@ -229,6 +246,7 @@ class Renderer:
             count_pixels: Count shaded pixels; waits for the GPU.
         """
         passes, targets = self._passes, self._targets
+        passes.begin()
         (width, height), count = self.size, len(cameras)
         edges = [width * number // count for number in range(count + 1)]
         views = [
@@ -319,6 +337,10 @@ class Renderer:
                 f"the graphics driver reports {error}; start again, and if it stays, "
                 "make the window smaller or update the driver"
             )
+
+    def _unbind(self) -> None:
+        """Bind the default framebuffer: freeing one that is bound is an error to moderngl."""
+        self._context.detect_framebuffer(0).use()
 
     def _program_for(self, avatar: Avatar) -> moderngl.Program | None:
         """Another avatar's program of the same spec, which serves where weights are in a block."""

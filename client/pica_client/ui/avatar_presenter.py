@@ -2,11 +2,12 @@
 
 Between a source of faces, a pool of decoders and a renderer; knows no window and no loop:
 
-    presenter = AvatarPresenter(source, renderer, pool)
-    scene = presenter.arrange(now, ControlState(), renderer.size, FreeShares())  # who sits where
-    presenter.decide(scene, cameras, budget_s)      # what is decoded this frame
-    presenter.collect(now)                          # what has been decoded goes to the GPU
-    renderer.draw(scene.placements, scene.camera)
+    presenter = AvatarPresenter(source, renderer, pool, FramePlanner(Scheduler()))
+    scene = presenter.arrange(now, renderer.size)       # who sits where
+    presenter.decide(scene, (scene.camera,), budget_s)  # what is decoded from now on
+    presenter.collect(now)                              # what has been decoded goes to the GPU
+    scene = presenter.dressed(scene)                    # how finely each is drawn
+    renderer.draw(scene.placements, scene.camera, room=scene.room)
 
 Decoding runs beside drawing, so a frame shows the latents of the frame before it. A peer whose
 avatar is missing or broken sits there as a placeholder with the reason; the others do not notice.
@@ -183,10 +184,15 @@ class AvatarPresenter:
         self._size = (0, 0)
 
     def arrange(
-        self, now: float, wanted: ControlState, size: tuple[int, int], free: FreeShares
+        self,
+        now: float,
+        size: tuple[int, int],
+        wanted: ControlState | None = None,
+        free: FreeShares | None = None,
     ) -> CallScene:
         """Who is here, where each sits, and from where they are seen, on a picture of this size;
         avatars are made ready."""
+        wanted = wanted or ControlState()
         faces = self._source.faces(now)
         width, height = size
         places = [face.place for face in faces]

@@ -8,7 +8,6 @@ from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.pool import DecodePool
 from pica_client.publish.face_desk import FaceDesk
 from pica_client.render.renderer import Renderer, RenderOptions
-from pica_client.render.seats import FreeShares
 from pica_client.schedule.frame_planner import FramePlanner
 from pica_client.schedule.scheduler import Scheduler
 from pica_client.ui.avatar_presenter import AvatarPresenter
@@ -50,7 +49,7 @@ class SelfView:
         """One's own face on a picture so many pixels high; None before there is one."""
         size = (round(ASPECT * height_px), height_px)
         self._renderer.resize(size)
-        scene = self._presenter.arrange(now, ControlState(layout="line"), size, FreeShares())
+        scene = self._presenter.arrange(now, size, ControlState(layout="line"))
         self._presenter.decide(scene, (scene.camera,), BUDGET_S)
         self._presenter.collect(now)
         scene = self._presenter.dressed(scene)

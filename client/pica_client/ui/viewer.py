@@ -324,7 +324,7 @@ class Viewer(Closing):
 
     def _arrange(self, now: float) -> CallScene:
         state = self.controls.state
-        scene = self._presenter.arrange(now, state, self._eye_size, self._surface.free)
+        scene = self._presenter.arrange(now, self._eye_size, state, self._surface.free)
         if scene.limits != state.limits:
             self.controls.state = replace(state, limits=scene.limits)
         return scene

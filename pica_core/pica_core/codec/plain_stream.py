@@ -1,7 +1,7 @@
 """Latents and head pose <-> payload bytes, in the plain format: 8 bits a value, every frame on its
 own.
 
-Big-endian, 269 bytes:
+Big-endian, 269 bytes (docs/bitstream.md, "The plain format"):
 
     offset  bytes  field
     0       1      format, 1

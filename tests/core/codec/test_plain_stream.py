@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from helpers.paths import ROOT
 from pica_core.codec.plain_stream import (
     PLAIN_BYTES,
     decode_latent,
@@ -103,3 +106,17 @@ def test_a_latent_of_another_shape_is_refused() -> None:
 def test_bytes_that_no_encoder_writes_are_refused(payload: bytes, message: str) -> None:
     with pytest.raises(LatentError, match=message):
         decode_latent(payload, SCALE)
+
+
+def test_the_payload_that_the_page_shows_is_the_one_of_its_face() -> None:
+    page = (ROOT / "docs" / "bitstream.md").read_text()
+    (shown,) = re.findall(r"```hex\n(.*?)```", page, re.DOTALL)
+    codes = np.maximum(np.arange(-128, 128), -127).reshape(8, 8, 4)
+    latent = codes / 127 * SCALE
+    rotation = np.array([16384, -32767, 0]) * np.pi / 32767
+    translation_m = np.array([3277, -1, 32767]) / 32767
+    assert encode_latent(latent, rotation, translation_m, SCALE) == bytes.fromhex(shown)
+    sample = decode_latent(bytes.fromhex(shown), SCALE)
+    np.testing.assert_allclose(sample.latent, latent, rtol=1e-6)
+    np.testing.assert_allclose(sample.rotation, rotation, rtol=1e-6)
+    np.testing.assert_allclose(sample.translation_m, translation_m, rtol=1e-6)

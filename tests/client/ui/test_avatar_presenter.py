@@ -1,0 +1,57 @@
+"""The faces of a call on their way to the picture, without a viewer."""
+
+from __future__ import annotations
+
+import textwrap
+
+import numpy as np
+import pytest
+
+from helpers.toy import make_toy_avatar
+from pica_client.call.faces import FaceState
+from pica_client.decode.decoder import OnnxDecoder
+from pica_client.decode.pool import DecodePool
+from pica_client.render.renderer import Renderer
+from pica_client.schedule.frame_planner import FramePlanner
+from pica_client.schedule.scheduler import Scheduler
+from pica_client.ui import avatar_presenter
+from pica_client.ui.avatar_presenter import AvatarPresenter
+from pica_core.avatar.file import Avatar
+from pica_core.avatar.spec import AvatarSpec
+from pica_core.gl import create_context
+
+pytestmark = pytest.mark.render
+
+TOY = make_toy_avatar(spec=AvatarSpec(uv_encoding_size=64, axis_encoding_size=64), grid=24)
+
+
+class OneFace:
+    """Somebody who holds still."""
+
+    def faces(self, now: float) -> list[FaceState]:
+        latent = np.zeros((8, 8, 4), np.float32)
+        return [FaceState(peer_id="p1", name="Ada", avatar_id="5" * 64, latent=latent)]
+
+    def avatar(self, avatar_id: str) -> Avatar:
+        return TOY
+
+    def subscribe(self, peer_id: str, layer: int | None, now: float) -> None:
+        """There is no stream."""
+
+
+def test_the_usage_that_the_module_shows_draws_whoever_is_there() -> None:
+    shown = (avatar_presenter.__doc__ or "").split("\n\n")[2]
+    context = create_context()
+    with Renderer(context, (80, 60)) as renderer, DecodePool(OnnxDecoder) as pool:
+        names = {each.__name__: each for each in (AvatarPresenter, FramePlanner, Scheduler)} | {
+            "source": OneFace(),
+            "renderer": renderer,
+            "pool": pool,
+            "now": 1.0,
+            "budget_s": 0.02,
+        }
+        exec(textwrap.dedent(shown), names)
+        _, _, heads = renderer.read_surface()
+        assert [placement.slot for placement in names["scene"].placements] == ["p1"]
+        assert (heads == 0).any()  # until it is decoded, the head that stands in for it
+    context.release()
