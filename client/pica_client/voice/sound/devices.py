@@ -120,10 +120,14 @@ class _Device(ABC):
             try:
                 if opening is not None and opening.done():
                     done, opening = opening, None
-                    (opened, state), before = done.result(), stream
-                    if before is not None:
-                        self._leave(before, pool)
-                    stream, self.state, self._num_frames = opened, state, 0
+                    if stream is not None and (error := done.exception()) is not None:
+                        note = f"{self.state.name!r} goes on: {error}"
+                        self.state = replace(self.state, note=note)
+                    else:
+                        (opened, state), before = done.result(), stream
+                        if before is not None:
+                            self._leave(before, pool)
+                        stream, self.state, self._num_frames = opened, state, 0
                 if stream is None:
                     self._idle()
                 else:
