@@ -283,9 +283,10 @@ class Microphone(_Device):
     def _work(self, stream: Any) -> None:
         sound = stream.record(FRAME_SAMPLES)[:, 0]
         self._ask_latency(stream)
-        seen_s = time.monotonic() - FRAME_S - self.state.latency_s
-        if self._num_frames == 0:
+        if self._num_frames < LATENCY_FRAMES[0]:
             self._captured_s = None
+            return  # nobody can say yet when it was captured
+        seen_s = time.monotonic() - FRAME_S - self.state.latency_s
         due_s = seen_s if self._captured_s is None else self._captured_s + FRAME_S
         error_s = seen_s - due_s
         if error_s > CLOCK_LEAP_S:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from pica_client.errors import VoiceError
-from pica_client.voice.packet import SAMPLE_RATE_HZ
+from pica_client.voice.packet import FRAME_S, SAMPLE_RATE_HZ
 from pica_client.voice.sound import devices
 from pica_client.voice.sound.devices import Microphone, microphones, speakers
 
@@ -125,3 +125,25 @@ def test_a_microphone_goes_on_until_the_next_one_is_open(monkeypatch: pytest.Mon
     finally:
         microphone.stop()
     assert not stream.is_open
+
+
+def test_each_frame_that_is_given_says_when_it_was_captured(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    stream, times_s, enough = Stream(), [], threading.Event()
+    monkeypatch.setattr(devices, "_soundcard", lambda: card(stream))
+    clock = SimpleNamespace(monotonic=lambda: stream.now)
+    monkeypatch.setattr(devices, "time", clock)
+    microphone = Microphone("there")
+
+    def take(_: np.ndarray, captured_us: int) -> None:
+        times_s.append((captured_us / 1e6, stream.now))
+        if len(times_s) == 100:
+            enough.set()
+
+    microphone.on_frame = take
+    microphone.start()
+    assert enough.wait(20)
+    microphone.stop()
+    captured_s, given_s = np.transpose(times_s)
+    np.testing.assert_allclose(captured_s, given_s - FRAME_S - Stream.latency, atol=1e-5)
