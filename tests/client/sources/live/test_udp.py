@@ -81,6 +81,27 @@ def test_the_first_subject_is_taken_unless_one_is_named(phone: socket.socket) ->
         assert tracker.face.counters["taken"] == tracker.subjects["Ben"]
 
 
+def test_the_next_subject_is_taken_once_the_first_is_silent(
+    phone: socket.socket, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with closing(open_live("livelink", "127.0.0.1:0")) as tracker:
+        stream(phone, tracker, 0.2, subject="stray")
+        monkeypatch.setattr("pica_client.sources.live.udp.SILENT_S", 0.0)
+        stream(phone, tracker, 0.8, subject="me")
+
+
+def test_who_waits_for_a_subject_is_told_of_those_that_come(
+    phone: socket.socket, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with closing(open_live("livelink", "127.0.0.1:0/Ada")) as tracker:
+        packet = tracker_packets.live_link({"JawOpen": 1.0}, subject="iPhone")
+        phone.sendto(packet, ("127.0.0.1", tracker.port))
+        until(lambda: bool(tracker.subjects))
+        monkeypatch.setattr("pica_client.sources.live.udp.SILENT_S", 0.0)
+        assert tracker.trouble == "livelink: no face of 'Ada' comes, but of 'iPhone'"
+        assert not tracker.face.counters["taken"]
+
+
 def test_a_phone_is_asked_and_others_are_not_heard(phone: socket.socket) -> None:
     options = parse_live("ifacialmocap", "127.0.0.2")
     here = UdpOptions("ifacialmocap", 0, phone="127.0.0.1", host="127.0.0.1")
