@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import time
 from collections import Counter
@@ -186,6 +187,22 @@ def test_what_is_no_take_is_refused(tmp_path: Path, content: bytes) -> None:
     path.write_bytes(content)
     with pytest.raises(SourceError, match="bad"):
         load_take(path)
+
+
+def test_an_array_and_a_take_that_is_damaged_anywhere_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "bad.npy"
+    np.save(path, np.zeros(3))
+    with pytest.raises(SourceError, match=r"bad\.npy: is no take"):
+        load_take(path)
+    recorder = TakeRecorder()
+    for arrived_s, sample in samples():
+        recorder(sample, arrived_s, 0.0)
+    recorder.save(path)
+    whole = path.read_bytes()
+    for at in range(0, len(whole), 3):
+        path.write_bytes(whole[:at] + bytes([whole[at] ^ 0xFF]) + whole[at + 1 :])
+        with contextlib.suppress(SourceError):
+            load_take(path)
 
 
 def test_a_report_counts_what_came_and_says_what_would_mend_it() -> None:
