@@ -9,7 +9,7 @@ the face is held; a peer whose avatar nobody has gets a seat without a face.
 
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -19,7 +19,7 @@ from pica_client.call.connection_quality import StreamHealth
 from pica_client.call.faces import FaceState, FaceStatus
 from pica_client.call.held_lips import HeldLips
 from pica_client.call.participant import RemoteParticipant, Tell
-from pica_client.call.roster import SECRET_NEEDED, RoomState, Roster
+from pica_client.call.roster import SECRET_NEEDED, Member, RoomState, Roster
 from pica_client.e2ee.status import PeerSeal, SealState, SealStatus
 from pica_client.playout.config import PlayoutConfig
 from pica_client.publish.face_track import FACE_TRACK
@@ -74,6 +74,8 @@ class Call:
         seal_status: Says how the encryption stands; None where we do not encrypt. Asked on any
             thread.
         on_subscription: Called, on any thread, when `tell_subscriptions` has news.
+        on_members: Is told who else is in the room, on the network's thread, after all that may
+            have changed it.
         heard_us: Says which moment of somebody's voice leaves the loudspeaker, by peer id and our
             clock; their face is then led by it.
         lips: Moves the lips of a face that stands still by its voice; None: they stand still, too.
@@ -99,6 +101,7 @@ class Call:
         self._window_begin_s: float | None = None
         self.seal_status: Callable[[], SealStatus | None] = lambda: None
         self.on_subscription: Callable[[], None] = lambda: None
+        self.on_members: Callable[[Sequence[Member]], None] = lambda members: None
         self.heard_us: Callable[[str, float], int | None] = lambda peer_id, now: None
         self.skews_s, self.delays_s = Samples(), Samples()
         self._max_layer = MAX_LAYER
@@ -146,6 +149,8 @@ class Call:
                         seat.note_silence(now)
                 case _:
                     pass  # a keyframe is all we ever send; a closed session is the link's affair
+            members = self._roster.members
+        self.on_members(members)
 
     def take_report(self) -> messages.Report:
         """How the streams arrived since the last report, for the relay."""

@@ -5,6 +5,7 @@ bottleneck is long, and every voice waits in it. Who receives hears it earlier. 
 then come later and later than the fastest of them; jitter makes some late, a standing queue all of
 them. So of each `WINDOW_S` the least late packet counts (as in CoDel, RFC 8289):
 
+    above `STEP_S`                                          the fastest are sought anew
     above `LATE_S`, and not better than the window before   the lowest layer of all faces alone,
                                                             and if that does not help, no faces
     below `FRESH_S` for the patience                        one layer more
@@ -23,6 +24,9 @@ TOP_LAYER: Final = 2
 LATE_S: Final = 0.08
 """A standing queue (chosen: twice a packet, and words are still answered at once)."""
 FRESH_S: Final = 0.04
+STEP_S: Final = 1.0
+"""Not a queue but a step of the sender's clock, as after a sleep (chosen: at a queue that grows
+faces have yielded long before)."""
 WINDOW_S: Final = 0.25
 SETTLE_S: Final = 0.8
 """Until less is seen to help: a request, and the queue before it."""
@@ -79,8 +83,11 @@ class YieldingFaces:
             return False
         before = self.max_layer
         if self._num_packets >= MIN_PACKETS:
-            self._judge(self._least_s, now)
-            self._before_s = self._least_s
+            if self._least_s > STEP_S:
+                self._fastest.clear()
+            else:
+                self._judge(self._least_s, now)
+                self._before_s = self._least_s
         self._window_s, self._num_packets, self._least_s = now, 0, math.inf
         return self.max_layer != before
 

@@ -181,6 +181,8 @@ class View:
         with ExitStack() as stack:
             if self._fetcher is not None:
                 stack.callback(self._fetcher.close)
+            if self._hearing is not None:
+                stack.callback(self._hearing.seat, ())
             stack.enter_context(self._receiver)
             if self._own_sound is not None:
                 stack.callback(self._own_sound.close)

@@ -74,13 +74,9 @@ class SpokenFace:
 
     The mouth is the voice's; eyes, brows and head are those of somebody who listens. The seam is
     blended.
-
-    Attributes:
-        is_on: Whether the voice may move the mouth; may be switched at any time.
     """
 
     def __init__(self) -> None:
-        self.is_on = True
         self._idle = make_performance("listen")
         self._mouth = SpokenMouth()
         self._weight, self._weight_s = 0.0, -np.inf
@@ -101,7 +97,7 @@ class SpokenFace:
             The source's face, or one that speaks, or something between in the seam; none while
             nobody is seen or heard.
         """
-        fills = self.is_on and not frame.has_face and time_s - self._mouth.spoke_s < SILENT_AFTER_S
+        fills = not frame.has_face and time_s - self._mouth.spoke_s < SILENT_AFTER_S
         step = min(max(time_s - self._weight_s, 0.0), SEAM_S) / SEAM_S
         self._weight = min(max(self._weight + (step if fills else -step), 0.0), 1.0)
         self._weight_s = time_s

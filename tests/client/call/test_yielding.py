@@ -58,6 +58,13 @@ def test_jitter_is_no_queue() -> None:
     assert way.run(20.0, *map(float, late_s)) == [MAX_LAYER]
 
 
+def test_a_clock_that_stood_still_while_its_machine_slept_is_no_queue() -> None:
+    way = Way()
+    way.run(2.0, 0.0)
+    assert way.run(20.0, 10.0) == [MAX_LAYER]
+    assert way.run(1.0, 10.2) == [MAX_LAYER, 0]
+
+
 def test_layers_come_back_one_by_one_and_later_where_one_was_too_many() -> None:
     way = Way()
     way.run(2.0, 0.0)

@@ -97,12 +97,9 @@ class Lossy:
         return replace(self._face, captured_us=round((time_s - 0.02) * 1e6), has_face=has_face)
 
 
-def play(
-    source: Source, seconds: float, *, talk_until_s: float, is_on: bool = True
-) -> list[ExpressionFrame]:
+def play(source: Source, seconds: float, *, talk_until_s: float) -> list[ExpressionFrame]:
     """A hundred faces a second, with a voice that sings until some moment."""
     face = SpokenFace()
-    face.is_on = is_on
     voice = np.concatenate([vowel("ah", 0.3), silence(0.3)])
     frames = []
     for step in range(round(seconds * 50)):
@@ -136,6 +133,5 @@ def test_who_is_silent_and_unseen_for_long_has_no_face() -> None:
     assert not frames[-1].has_face
 
 
-def test_nobody_is_filled_in_for_before_they_have_spoken_or_when_it_is_off() -> None:
+def test_nobody_is_filled_in_for_before_they_have_spoken() -> None:
     assert not play(Unseen(), 0.5, talk_until_s=0.0)[-1].has_face
-    assert not play(Lossy(0.0, 9.0), 0.5, talk_until_s=0.5, is_on=False)[-1].has_face

@@ -58,7 +58,7 @@ def decode(packet: bytes) -> TrackerSample:
         if found is not None and not item.startswith("FM_"):
             name, value = found[1] + _SIDES.get(found[2], ""), float(found[3]) / 100
             if abs(value) > VALUE_LIMIT:
-                raise PacketError(f"{name} lies outside of ±{VALUE_LIMIT * 100:g}")
+                raise PacketError(f"a value lies outside of ±{VALUE_LIMIT * 100:g}")
             values[name] = value
     arkit = arkit_from_names(values)
     if not equals or np.isnan(arkit).all():

@@ -5,7 +5,6 @@ at the times at which they came, so a stutter, a loss or a jump of the clock hap
 clock.
 """
 
-import zipfile
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
@@ -151,7 +150,9 @@ def load_take(path: Path, start_s: float = 0.0) -> Take:
             take = Take(**{name: arrays[name] for name in _SHAPES}, start_s=start_s)
     except OSError as error:
         raise SourceError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except (KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
+    except SourceError:
+        raise
+    except Exception as error:  # numpy and zipfile raise what the bytes lead them to
         raise SourceError(f"{path}: is no take; `pica track SOURCE --record` makes one") from error
     count = len(take.arrived_s) if take.arrived_s.ndim == 1 else 0
     for name, (row, kind) in _SHAPES.items():

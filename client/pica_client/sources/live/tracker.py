@@ -17,6 +17,8 @@ from pica_core.types import Image
 SampleTap = Callable[[TrackerSample, float, float], None]
 """Sees a sample, when it arrived on this machine's monotonic clock, and how long it took to be
 a face, seconds; called by the thread that reads."""
+END_S = 1.0
+"""How long a reader has to end: a call waits meanwhile."""
 
 
 class Tracker(ABC):
@@ -57,9 +59,9 @@ class Tracker(ABC):
         """Take samples until it is closing."""
 
     def close(self) -> None:
-        """Stop reading, and free what was taken."""
+        """Stop reading, and free what was taken; a reader that stands still is not waited for."""
         self._closing.set()
-        self._thread.join()
+        self._thread.join(timeout=END_S)
 
     def preview(self) -> Image | None:
         """What a camera sees, uint8 ``[H, W, 3]``; None of other trackers."""

@@ -31,7 +31,8 @@ class UdpOptions:
     Attributes:
         kind: The source's name, as the user writes it.
         port: Ours, and the phone's that is asked; 0 takes a free one.
-        subject: Whose face to take; empty takes the first that comes.
+        subject: Whose face to take; empty takes the first that comes, and the next one once that
+            is silent.
         phone: Address of a phone that sends only when asked; empty for who sends by itself.
         request: How it is asked; empty: it is not.
     """
@@ -63,7 +64,7 @@ class UdpTracker(Tracker):
         self._options = options
         self._decode = decode
         self._heard_s = time.monotonic()
-        self._has_heard = False
+        self._has_heard, self._subject = False, options.subject
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.bind((options.host, options.port))
@@ -93,6 +94,9 @@ class UdpTracker(Tracker):
         if self.refused and not self._has_heard:
             reason, _ = self.refused.most_common(1)[0]
             return f"{options.kind}: datagrams come, but: {reason}"
+        others = ", ".join(repr(each) for each in tuple(self.subjects) if each != options.subject)
+        if options.subject and others:
+            return f"{options.kind}: no face of {options.subject!r} comes, but of {others}"
         silent = "no more datagrams" if self._has_heard else "no datagram yet"
         return (
             f"{options.kind}: {silent}; the tracker must send to {own_address()}, port {self.port}"
@@ -133,7 +137,10 @@ class UdpTracker(Tracker):
         for sample in samples:
             if len(self.subjects) < MAX_SUBJECTS or sample.subject in self.subjects:
                 self.subjects[sample.subject] += 1
-            if sample.subject != (self._options.subject or next(iter(self.subjects))):
+            is_silent = not self._has_heard or arrived_s - self._heard_s > SILENT_S
+            if is_silent and not self._options.subject:
+                self._subject = sample.subject
+            if sample.subject != self._subject:
                 continue
             self._heard_s, self._has_heard = arrived_s, True
             self._push(sample, arrived_s, arrived_s)

@@ -90,7 +90,8 @@ def pictures(
                 elif wait(0.0):
                     return
                 yield frame.to_image(), taken_s
-        if not is_video or last_s == offset_s:
+        if not is_video or last_s <= offset_s:
             return
         offset_s = last_s + 1 / 30
-        container.seek(0)
+        with contextlib.suppress(av.FFmpegError):  # who has no beginning gives nothing more
+            container.seek(0)

@@ -63,18 +63,26 @@ class Webcam(Tracker):
 
     def _read(self) -> None:
         while not self._closing.is_set():
-            for picture, time_s in pictures(self._container, self._is_video, self._closing.wait):
-                began_s = time.monotonic()
-                sample = self.finder.find(picture, time_s)
-                self._picture = picture
-                self.subjects[""] += 1
-                self._trouble = "" if sample.has_face else "webcam: no face in the picture"
-                self._push(sample, began_s, began_s)
+            reason = "gives no more pictures"
+            try:
+                self._show()
+            except Exception as error:  # whatever a camera or a network throws, the call goes on
+                reason = f"cannot be read: {error}"
             self._container.close()
             if self._closing.is_set():
                 return
-            self._trouble = f"webcam: {device_of(self._device)[0]} gives no more pictures"
+            self._trouble = f"webcam: {device_of(self._device)[0]} {reason}"
             self._reopen()
+
+    def _show(self) -> None:
+        """Take pictures until there are no more."""
+        for picture, time_s in pictures(self._container, self._is_video, self._closing.wait):
+            began_s = time.monotonic()
+            sample = self.finder.find(picture, time_s)
+            self._picture = picture
+            self.subjects[""] += 1
+            self._trouble = "" if sample.has_face else "webcam: no face in the picture"
+            self._push(sample, began_s, began_s)
 
     def _reopen(self) -> None:
         """Wait until the camera is there again."""

@@ -54,14 +54,12 @@ class Outbox:
             self._waiting.put_nowait(message)
 
     def close(self) -> None:
-        """Send what waits, and close the file."""
+        """Send what waits, and close the file; an end that does not read is not waited for."""
         self.put(None)
         self._thread.join(timeout=1.0)
-        with suppress(OSError):
-            self._file.close()
 
     def _write(self) -> None:
-        with suppress(OSError, ValueError):  # the other end is gone
+        with suppress(OSError, ValueError), self._file:  # the other end is gone
             while (message := self._waiting.get()) is not None:
                 self._file.write(pickle.dumps(message))
                 self._file.flush()

@@ -120,10 +120,14 @@ class _Device(ABC):
             try:
                 if opening is not None and opening.done():
                     done, opening = opening, None
-                    (opened, state), before = done.result(), stream
-                    if before is not None:
-                        self._leave(before, pool)
-                    stream, self.state, self._num_frames = opened, state, 0
+                    if stream is not None and (error := done.exception()) is not None:
+                        note = f"{self.state.name!r} goes on: {error}"
+                        self.state = replace(self.state, note=note)
+                    else:
+                        (opened, state), before = done.result(), stream
+                        if before is not None:
+                            self._leave(before, pool)
+                        stream, self.state, self._num_frames = opened, state, 0
                 if stream is None:
                     self._idle()
                 else:
@@ -279,9 +283,10 @@ class Microphone(_Device):
     def _work(self, stream: Any) -> None:
         sound = stream.record(FRAME_SAMPLES)[:, 0]
         self._ask_latency(stream)
-        seen_s = time.monotonic() - FRAME_S - self.state.latency_s
-        if self._num_frames == 0:
+        if self._num_frames < LATENCY_FRAMES[0]:
             self._captured_s = None
+            return  # nobody can say yet when it was captured
+        seen_s = time.monotonic() - FRAME_S - self.state.latency_s
         due_s = seen_s if self._captured_s is None else self._captured_s + FRAME_S
         error_s = seen_s - due_s
         if error_s > CLOCK_LEAP_S:

@@ -1,11 +1,13 @@
 """Everybody's voice at one receiver: network -> mixer -> loudspeaker, and faces that follow it."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from pica_client.call.call import Call
 from pica_client.call.held_lips import HeldLips
+from pica_client.call.roster import Member
 from pica_client.voice.opus import OpusDecoder, available
 from pica_client.voice.packet import VoicePacket
 from pica_client.voice.sound.process import SoundProcess
@@ -20,22 +22,22 @@ class Hearing:
     def __init__(self, call: Call, sound: SoundProcess) -> None:
         self._sound = sound
         self._call = call
-        self._known: set[str] = set()
-        call.heard_us = sound.heard_us
+        self._seated: list[str] = []
+        call.heard_us, call.on_members = sound.heard_us, self.seat
         self._lips = call.lips = HeldLips(OpusDecoder)
 
+    def seat(self, members: Sequence[Member]) -> None:
+        """Give everybody with a face or a voice a place, in the order of coming; others are
+        forgotten."""
+        seated = [each.peer.peer_id for each in members if each.has_voice or not each.is_watching]
+        if seated != self._seated:
+            self._seated = seated
+            self._lips.keep(set(seated))
+            places = np.linspace(-1, 1, len(seated)) if len(seated) > 1 else np.zeros(len(seated))
+            self._sound.seat(dict(zip(seated, (WIDTH_RAD * places).tolist(), strict=True)))
+
     def receive(self, peer_id: str, packet: VoicePacket, arrived_s: float) -> None:
-        """Take a packet of somebody's voice; who is new takes a place among the others."""
-        if peer_id not in self._known:
-            names = [*self._call.names()]
-            if peer_id not in names:
-                names.append(peer_id)  # a voice without a face
-            self._known = set(names)
-            self._lips.keep(self._known)
-            places = np.linspace(-1, 1, len(names)) if len(names) > 1 else (0.0,)
-            self._sound.seat(
-                {who: WIDTH_RAD * float(at) for who, at in zip(names, places, strict=True)}
-            )
+        """Take a packet of somebody's voice."""
         self._sound.receive(peer_id, packet, arrived_s)
         self._lips.receive(peer_id, packet)
 

@@ -102,12 +102,6 @@ class SoundProcess:
             return None
         return moment_at(tuple(self._moments.get(peer_id, ())), now)
 
-    @property
-    def pid(self) -> int | None:
-        """The id of the process, while there is one."""
-        process = self._process
-        return None if process is None else process.pid
-
     def stats(self) -> Mapping[str, dict[str, Any]]:
         """How each voice came in, by peer id, half a second ago."""
         return self._stats

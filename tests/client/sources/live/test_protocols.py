@@ -153,6 +153,15 @@ def test_ifacialmocap_gives_hundredths_and_degrees(separator: str) -> None:
     assert sample.rotation[1] < 0 < sample.rotation[0]
 
 
+def test_reasons_of_a_refusal_hold_no_names_of_strangers() -> None:
+    reasons = set()
+    for index in range(3):
+        with pytest.raises(PacketError) as refusal:
+            ifacialmocap.decode(tracker_packets.ifacialmocap({f"shape{index}": 99_999}))
+        reasons.add(str(refusal.value))
+    assert reasons == {"a value lies outside of ±400"}
+
+
 def test_facemotion3d_has_whole_names() -> None:
     sample = ifacialmocap.decode(
         tracker_packets.ifacialmocap({"mouthSmileRight": 25}, separator="&")

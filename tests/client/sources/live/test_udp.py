@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import time
 from collections import Counter
@@ -79,6 +80,27 @@ def test_the_first_subject_is_taken_unless_one_is_named(phone: socket.socket) ->
         )
         until(lambda: tracker.subjects["Ada"] == 1)
         assert tracker.face.counters["taken"] == tracker.subjects["Ben"]
+
+
+def test_the_next_subject_is_taken_once_the_first_is_silent(
+    phone: socket.socket, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with closing(open_live("livelink", "127.0.0.1:0")) as tracker:
+        stream(phone, tracker, 0.2, subject="stray")
+        monkeypatch.setattr("pica_client.sources.live.udp.SILENT_S", 0.0)
+        stream(phone, tracker, 0.8, subject="me")
+
+
+def test_who_waits_for_a_subject_is_told_of_those_that_come(
+    phone: socket.socket, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with closing(open_live("livelink", "127.0.0.1:0/Ada")) as tracker:
+        packet = tracker_packets.live_link({"JawOpen": 1.0}, subject="iPhone")
+        phone.sendto(packet, ("127.0.0.1", tracker.port))
+        until(lambda: bool(tracker.subjects))
+        monkeypatch.setattr("pica_client.sources.live.udp.SILENT_S", 0.0)
+        assert tracker.trouble == "livelink: no face of 'Ada' comes, but of 'iPhone'"
+        assert not tracker.face.counters["taken"]
 
 
 def test_a_phone_is_asked_and_others_are_not_heard(phone: socket.socket) -> None:
@@ -165,6 +187,22 @@ def test_what_is_no_take_is_refused(tmp_path: Path, content: bytes) -> None:
     path.write_bytes(content)
     with pytest.raises(SourceError, match="bad"):
         load_take(path)
+
+
+def test_an_array_and_a_take_that_is_damaged_anywhere_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "bad.npy"
+    np.save(path, np.zeros(3))
+    with pytest.raises(SourceError, match=r"bad\.npy: is no take"):
+        load_take(path)
+    recorder = TakeRecorder()
+    for arrived_s, sample in samples():
+        recorder(sample, arrived_s, 0.0)
+    recorder.save(path)
+    whole = path.read_bytes()
+    for at in range(0, len(whole), 3):
+        path.write_bytes(whole[:at] + bytes([whole[at] ^ 0xFF]) + whole[at + 1 :])
+        with contextlib.suppress(SourceError):
+            load_take(path)
 
 
 def test_a_report_counts_what_came_and_says_what_would_mend_it() -> None:

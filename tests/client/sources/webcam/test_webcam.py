@@ -1,10 +1,14 @@
 """A webcam: its networks on a real face and on drawn ones, its camera, its bad days."""
 
+import functools
 import hashlib
+import threading
 import time
 import zipfile
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,8 +18,8 @@ from pica_client.errors import SourceError
 from pica_client.playout.rotation import rotation_vector_from_yaw_pitch_roll
 from pica_client.sources.live.sample import TrackerSample
 from pica_client.sources.registry import open_source
-from pica_client.sources.webcam import model
-from pica_client.sources.webcam.camera import open_camera
+from pica_client.sources.webcam import model, webcam
+from pica_client.sources.webcam.camera import open_camera, pictures
 from pica_client.sources.webcam.face_finder import FaceFinder
 from pica_client.sources.webcam.head_pose import _HEAD as HEAD
 from pica_client.sources.webcam.head_pose import _INDICES as INDICES
@@ -175,6 +179,85 @@ def test_a_video_stands_in_for_a_camera(networks: FaceNetworks, video: Path) -> 
     assert not any(faces[13:19])
     assert any(faces[20:])  # it begins again
     assert np.all(np.diff([sample.tracker_s or 0.0 for sample in seen]) > 0)
+
+
+class Blank:
+    """Stands in for a finder, and sees nobody."""
+
+    landmarks = None
+
+    def __init__(self, networks: FaceNetworks) -> None:
+        pass
+
+    def find(self, picture: Image.Image, time_s: float | None) -> TrackerSample:
+        return TrackerSample(tracker_s=time_s, has_face=False)
+
+
+class Film:
+    """A container of one picture, which is then held for some time; it cannot be rewound."""
+
+    def __init__(self, hold: Callable[[], object] = lambda: None) -> None:
+        self._is_over, self._hold = False, hold
+
+    def decode(self, video: int) -> Iterator[SimpleNamespace]:
+        if not self._is_over:
+            self._is_over = True
+            to_image = functools.partial(Image.new, "RGB", (8, 8))
+            yield SimpleNamespace(width=8, height=8, time=0.5, to_image=to_image)
+            self._hold()
+
+    def seek(self, offset: int) -> None:
+        import av
+
+        raise av.FFmpegError(1, "Operation not permitted")
+
+    def close(self) -> None:
+        pass
+
+
+def test_a_video_that_cannot_be_rewound_is_over() -> None:
+    pytest.importorskip("av")
+    assert len(list(pictures(Film(), True, lambda wait_s: False))) == 1
+
+
+def test_a_reader_that_fails_says_so_and_reads_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("av")
+    fails, is_seen, reads_on = threading.Event(), threading.Event(), threading.Event()
+
+    class Broken(Blank):
+        def find(self, picture: Image.Image, time_s: float | None) -> TrackerSample:
+            if not fails.is_set():
+                raise ValueError("no memory")
+            reads_on.set()
+            return super().find(picture, time_s)
+
+    def reopen(device: str) -> Film:
+        fails.set()
+        is_seen.wait(20)
+        return Film()
+
+    monkeypatch.setattr(webcam, "open_camera", lambda device: Film())
+    monkeypatch.setattr(webcam, "FaceFinder", Broken)
+    monkeypatch.setattr(webcam, "REOPEN_S", 0.5)
+    with closing(Webcam("7", None)) as camera:
+        monkeypatch.setattr(webcam, "open_camera", reopen)
+        assert fails.wait(20)
+        assert camera.trouble.endswith("7 cannot be read: no memory")
+        is_seen.set()
+        assert reads_on.wait(20)
+
+
+def test_a_camera_that_stands_still_holds_nobody_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("av")
+    goes_on = threading.Event()
+    monkeypatch.setattr(webcam, "open_camera", lambda device: Film(goes_on.wait))
+    monkeypatch.setattr(webcam, "FaceFinder", Blank)
+    closer = threading.Thread(target=Webcam("7", None).close, daemon=True)
+    closer.start()
+    closer.join(timeout=20)
+    is_held = closer.is_alive()
+    goes_on.set()
+    assert not is_held
 
 
 @pytest.fixture

@@ -1,13 +1,18 @@
-"""A sound library that cannot be imported, for two threads at once; a microphone that is busy."""
+"""A sound library that cannot be imported, for two threads at once; microphones that are busy."""
 
 import sys
+import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from pica_client.errors import VoiceError
+from pica_client.voice.packet import FRAME_S, SAMPLE_RATE_HZ
 from pica_client.voice.sound import devices
 from pica_client.voice.sound.devices import Microphone, microphones, speakers
 
@@ -74,3 +79,71 @@ def test_a_busy_microphone_is_said_and_asked_again(
         microphone.stop()
     assert "sound lost: device is busy" in notes
     assert frames
+
+
+class Stream:
+    """A microphone that is open, on a clock of its own: each frame takes 20 ms of it."""
+
+    latency = 0.12
+
+    def __init__(self) -> None:
+        self.now, self.is_open = 100.0, True
+
+    def record(self, count: int) -> np.ndarray:
+        self.now += count / SAMPLE_RATE_HZ
+        time.sleep(0)  # the other threads, too, have a turn
+        return np.zeros((count, 1), np.float32)
+
+    def __exit__(self, *_: object) -> None:
+        self.is_open = False
+
+
+def card(stream: Stream) -> SimpleNamespace:
+    """Two microphones: one that is there, and one that is busy."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError("device is busy")
+
+    there = SimpleNamespace(name="there", recorder=lambda *_, **__: nullcontext(stream))
+    busy = SimpleNamespace(name="busy", recorder=refuse)
+    return SimpleNamespace(all_microphones=lambda: [there, busy], default_microphone=lambda: there)
+
+
+def test_a_microphone_goes_on_until_the_next_one_is_open(monkeypatch: pytest.MonkeyPatch) -> None:
+    stream, opened, goes_on = Stream(), threading.Event(), threading.Event()
+    monkeypatch.setattr(devices, "_soundcard", lambda: card(stream))
+    microphone = Microphone("there")
+    microphone.on_frame = lambda *_: (goes_on if microphone.state.note else opened).set()
+    microphone.start()
+    try:
+        assert opened.wait(20)
+        microphone.choose("busy")
+        assert goes_on.wait(20)
+        assert microphone.state.name == "there"
+        assert microphone.state.note == "'there' goes on: device is busy"
+        assert stream.is_open
+    finally:
+        microphone.stop()
+    assert not stream.is_open
+
+
+def test_each_frame_that_is_given_says_when_it_was_captured(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    stream, times_s, enough = Stream(), [], threading.Event()
+    monkeypatch.setattr(devices, "_soundcard", lambda: card(stream))
+    clock = SimpleNamespace(monotonic=lambda: stream.now)
+    monkeypatch.setattr(devices, "time", clock)
+    microphone = Microphone("there")
+
+    def take(_: np.ndarray, captured_us: int) -> None:
+        times_s.append((captured_us / 1e6, stream.now))
+        if len(times_s) == 100:
+            enough.set()
+
+    microphone.on_frame = take
+    microphone.start()
+    assert enough.wait(20)
+    microphone.stop()
+    captured_s, given_s = np.transpose(times_s)
+    np.testing.assert_allclose(captured_s, given_s - FRAME_S - Stream.latency, atol=1e-5)
