@@ -160,6 +160,18 @@ async def test_a_message_in_fragments_does_not_overtake_what_has_gathered() -> N
 
 
 @in_virtual_time
+async def test_what_has_gathered_of_who_goes_is_passed_on() -> None:
+    async with busy_relay(), peer_in_room(URL, "Bob") as bob:
+        async with peer_in_room(URL, "Ada") as ada:
+            await gathering_begins(ada, bob)
+            await ada.send_frame(b"last")
+            await asyncio.sleep(AT_ONCE_S)
+            await ada.websocket.close()
+        await bob.until(PeerLeft)
+        assert payloads(bob) == [b"last"]
+
+
+@in_virtual_time
 async def test_a_relay_that_is_stopped_while_faces_gather_stops_in_good_order() -> None:
     async with busy_relay(), peer_in_room(URL, "Ada") as ada, peer_in_room(URL, "Bob"):
         await ada.send_frame(b"never mind")

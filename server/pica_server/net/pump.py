@@ -82,7 +82,7 @@ class Pump:
         self._now: Callable[[], float] = time.monotonic
         self._soon: asyncio.Handle | None = None
         # Of each room until when it gathers, and what has come from whom.
-        self._gathering: dict[Room, tuple[float, _Inbox]] = {}
+        self._gathering: dict[Room | None, tuple[float, _Inbox]] = {}
         self._gather_timer: asyncio.TimerHandle | None = None
 
     def start(self) -> None:
@@ -164,11 +164,14 @@ class Pump:
         waiting = self._inbox.get(connection)
         if waiting is not None:
             waiting.append((data, now))
+            return
+        _, gathered = self._gathering.get(connection.room, (0.0, ()))
+        if connection not in gathered and self._hub.drop_late(connection, data, now):
+            self.after_turn_soon()
         elif not self._gather(connection, data, now):
             # A voice takes along what gathers in its room; all else goes after it.
             self._release(connection.room, sends=data[:1] != MEDIA_PREFIX)
-            if not self._hub.drop_late(connection, data, now):
-                self._inbox[connection] = [(data, now)]
+            self._inbox[connection] = [(data, now)]
             self.after_turn_soon()
 
     def _gather(self, connection: Connection, data: bytes, now: float) -> bool:
@@ -282,6 +285,7 @@ class Pump:
                 # although their receivers are not slow.
                 await asyncio.sleep(0)
         except ConnectionClosed:
+            self._release(connection.room, sends=False)
             code = websocket.close_code or CloseCode.CONNECTION_LOST
             self._hub.disconnect(connection, code, websocket.close_reason or "", self._now())
             self.after_events()

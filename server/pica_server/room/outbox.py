@@ -17,7 +17,8 @@ than a face:
 1. A receiver whose socket did not take a message at once is *narrow* for `NARROW_S`. While somebody
    speaks, faces wait for the next packet of the voice, `RIDE_S` at most. Faces alone come only
    every `NARROW_RIDE_S`, and beside a voice no more than `YIELDING_BYTES` of them, none once it is
-   late: what does not fit is thinned in the queues.
+   late: what does not fit is thinned in the queues. A face that is larger saves up for its turn
+   (deficit round robin, Shreedhar and Varghese 1995).
 2. While the core of the relay is full (`Brake.is_full`), faces wait for the next packet of a voice,
    too: a message costs more than a frame.
 """
@@ -123,6 +124,7 @@ class Outbox:
         self._flowing: dict[int, StreamQueue] = {}
         self._flow: list[ArrivedFrame] = []
         self._flow_bytes = 0
+        self._saved_bytes = 0  # what faces were left beside voices while the next did not fit
 
     @property
     def waiting_frames(self) -> int:
@@ -265,9 +267,10 @@ class Outbox:
             room_left -= sum([len(item.frame) for item in voices])
             if is_narrow:
                 is_late = now - min([item.received_s for item in voices]) > LATE_S
-                room_left = 0 if is_late else min(room_left, YIELDING_BYTES)
-                for stream in list(self._flowing) if self._flow_bytes > room_left else ():
-                    self._stop_flow(stream)
+                room_left = 0 if is_late else min(room_left, YIELDING_BYTES + self._saved_bytes)
+                if self._line or self._flow_bytes > room_left:
+                    for stream in list(self._flowing):
+                        self._stop_flow(stream)
         elif is_narrow:
             self._ride_ends_s = max(self._ride_ends_s, now + NARROW_RIDE_S)
         flow, num_flow_bytes = self._flow, self._flow_bytes
@@ -288,6 +291,9 @@ class Outbox:
             for item in self._take_queues(room_left - num_flow_bytes):
                 frames.append(item.frame)
                 received_s.append(item.received_s)
+                num_flow_bytes += len(item.frame)
+        if is_narrow and room_left:
+            self._saved_bytes = room_left - num_flow_bytes if voices and self._line else 0
         return OutboundMessage(media_message(frames), tuple(received_s)) if frames else None
 
     def _take_voices(self, room_left: int, now: float) -> list[Waiting]:

@@ -127,6 +127,29 @@ def test_faces_yield_to_voices_of_a_narrow_receiver() -> None:
     assert outbox.waiting_frames == 1
 
 
+@pytest.mark.parametrize("num_bytes", [YIELDING_BYTES - 10, 255, 1000])
+def test_beside_voices_a_large_face_takes_turns_with_others(num_bytes: int) -> None:
+    outbox, _ = outbox_with_voices()
+    outbox.note_full(0.0)
+    counts: Counter[int] = Counter()
+    face_bytes = 0
+    for sequence in range(100):
+        now = 0.04 * sequence
+        put(outbox, FACE, now, sequence, num_bytes)
+        put(outbox, OTHER_FACE, now, sequence, 40)
+        put(outbox, VOICE, now, sequence, 60)
+        message = outbox.take(now)
+        assert message is not None
+        frames = decode_media(message.data)
+        counts.update(frame.stream for frame in frames)
+        faces = [frame for frame in frames if frame.stream != VOICE]
+        face_bytes += sum(len(encode_frame(frame)) for frame in faces)
+        assert face_bytes <= YIELDING_BYTES * (sequence + 1)
+    assert counts[VOICE] == 100
+    assert counts[FACE] > 100 * YIELDING_BYTES // (3 * num_bytes)
+    assert counts[OTHER_FACE] > 100 * YIELDING_BYTES // (3 * num_bytes)
+
+
 def test_beside_a_voice_that_is_late_a_narrow_receiver_gets_no_face() -> None:
     outbox, _ = outbox_with_voices()
     outbox.note_full(0.0)
