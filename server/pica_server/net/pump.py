@@ -285,7 +285,7 @@ class Pump:
                 # although their receivers are not slow.
                 await asyncio.sleep(0)
         except ConnectionClosed:
-            self._release(connection.room, sends=False)
+            self._release(connection.room, sends=True)
             code = websocket.close_code or CloseCode.CONNECTION_LOST
             self._hub.disconnect(connection, code, websocket.close_reason or "", self._now())
             self.after_events()
