@@ -101,7 +101,7 @@ class CaptureTruth:
     @property
     def identity(self) -> str:
         """Who was captured."""
-        return str(self.data.capture.info.get("head", self.data.capture.path.name))
+        return self.data.capture.identity
 
 
 def open_run(folder: Path, capture: Path | None = None) -> Run:
