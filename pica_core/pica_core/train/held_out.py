@@ -23,8 +23,7 @@ def draw_held_out(objectives: Objectives) -> tuple[float, Image]:
     places = np.linspace(0, len(data.test_frames) - 1, min(WATCHED_FRAMES, len(data.test_frames)))
     errors, rows = [], []
     for frame in [data.test_frames[int(place)] for place in places]:
-        cameras = data.images.cameras_of(frame)
-        view = next((name for name in data.images.evaluation_views if name in cameras), cameras[0])
+        view = (data.images.evaluation_views_of(frame) or data.images.cameras_of(frame))[0]
         picture = evaluator.draw(evaluator.encode(frame), data.images.camera(frame, view))
         errors.append(mse(picture.colours, evaluator.seen(picture, frame, view)))
         captured = data.images.image(frame, view)

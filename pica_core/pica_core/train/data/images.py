@@ -64,6 +64,10 @@ class ImageCache:
             self._cameras_of[frame] = self._capture.cameras_of(self._capture.frames[frame])
         return self._cameras_of[frame]
 
+    def evaluation_views_of(self, frame: int) -> list[str]:
+        """Evaluation views that have an image of a frame."""
+        return [name for name in self.evaluation_views if name in self.cameras_of(frame)]
+
     def leave_out(self, frame: int, camera: str) -> None:
         """Ask for an image no more: it cannot be read.
 

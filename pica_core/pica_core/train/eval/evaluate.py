@@ -28,22 +28,24 @@ Source = Literal["encoder", "driver"]
 class ViewErrors:
     """What was measured in one view, a value for each frame."""
 
-    mse: list[float] = field(default_factory=list)
+    mse: dict[int, float] = field(default_factory=dict)
+    """By frame: a view may lack some."""
     ssim: list[float] = field(default_factory=list)
     change_mse: list[float] = field(default_factory=list)
     """One for each frame whose successor is of the same take and split."""
 
     def row(self) -> dict[str, Any]:
         """Means, with the interval of the first."""
-        low, high = bootstrap_interval(self.mse)
+        errors = list(self.mse.values())
+        low, high = bootstrap_interval(errors)
         return {
-            "mse": float(np.mean(self.mse)),
+            "mse": float(np.mean(errors)),
             "mse_low": low,
             "mse_high": high,
-            "psnr_db": float(np.mean([psnr_db(value) for value in self.mse])),
+            "psnr_db": float(np.mean([psnr_db(value) for value in errors])),
             "ssim": float(np.mean(self.ssim)),
             "temporal_mse": float(np.mean(self.change_mse)) if self.change_mse else None,
-            "frames": len(self.mse),
+            "frames": len(errors),
         }
 
 
@@ -74,14 +76,12 @@ def measure_views(
         after = successor(data, frame)
         latent = _latent(evaluator, source, frame)
         later = None if after is None else _latent(evaluator, source, after)
-        for view in data.images.cameras_of(frame):
-            if view not in found:
-                continue
+        for view in data.images.evaluation_views_of(frame):
             errors = found[view]
             camera, image = data.images.camera(frame, view), data.images.image(frame, view)
             picture = evaluator.draw(latent, camera, samples=samples)
             seen = evaluator.seen(picture, frame, view)
-            errors.mse.append(mse(picture.colours, seen))
+            errors.mse[frame] = mse(picture.colours, seen)
             laid = picture.on(image)
             errors.ssim.append(ssim(laid, image, picture.covered(camera)))
             if after is not None and later is not None and view in data.images.cameras_of(after):

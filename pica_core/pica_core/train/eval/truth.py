@@ -168,7 +168,7 @@ def one_sample_mse(data: TrainingData, frames: list[int]) -> float | None:
             return None
         for frame in frames:
             subject.pose(capture.arkit(capture.frames[frame]))
-            for view in data.images.evaluation_views:
+            for view in data.images.evaluation_views_of(frame):
                 camera = data.images.camera(frame, view)
                 fine = subject.draw(camera.scaled(3 * camera.width, 3 * camera.height)).image
                 is_head = capture.mask(capture.frames[frame], view) > 0
@@ -187,7 +187,7 @@ def _on_stage(data: TrainingData, frame: int) -> Iterator[ProceduralSubject | st
         return
     subject = ProceduralSubject(name)
     try:
-        view = data.images.evaluation_views[0]
+        view = data.images.evaluation_views_of(frame)[0]
         subject.pose(capture.arkit(capture.frames[frame]))
         drawn = subject.draw(data.images.camera(frame, view)).image.astype(np.float64)
         difference = float(np.abs(drawn - data.images.image(frame, view)).mean())

@@ -1,0 +1,90 @@
+"""What is measured of a capture whose held-out frames have holes."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from pica_core.capture.dataset.dataset import Capture
+from pica_core.capture.procedural.subject import ProceduralSubject, StageOptions, render_capture
+from pica_core.train.checkpoint import write_checkpoint
+from pica_core.train.cli.eval import EvalOptions, eval_runs
+from pica_core.train.config import PRESETS
+from pica_core.train.data.training import TrainingData
+from pica_core.train.eval.run import RUN_FILE
+from pica_core.train.prior import face_prior
+
+pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
+
+STAGE = StageOptions(
+    frames=20,
+    cameras=2,
+    width=64,
+    height=64,
+    texture_size=64,
+    bake_size=256,
+    self_shadow=False,
+    tracked_vertices=400,
+)
+TINY = PRESETS["tiny"]
+CONFIG = replace(TINY, model=replace(TINY.model, variant="full", texture_size=64))
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("captures") / "whole"
+    render_capture(STAGE, folder)
+    return folder
+
+
+@pytest.fixture
+def capture(whole: Path, tmp_path: Path) -> Path:
+    """A copy to damage."""
+    return shutil.copytree(whole, tmp_path / "capture")
+
+
+def held_out_images(capture: Path, view: str) -> list[Path]:
+    frames = Capture.open(capture).frames_of("test")
+    return [capture / "images" / f.segment / view / f"{f.name}.png" for f in frames]
+
+
+def evaluated(capture: Path, folder: Path, **limits: int) -> dict[str, Any]:
+    """What `pica eval` says of a run that was stopped before its first step."""
+    folder.mkdir()
+    torch.manual_seed(CONFIG.seed)
+    model = CONFIG.model.build(face_prior(TrainingData(Capture.open(capture))))
+    state = {"config": json.dumps(CONFIG.to_json()), "step": 0, "model": model.state_dict()}
+    write_checkpoint(folder / "checkpoint.pt", state)
+    (folder / RUN_FILE).write_text(json.dumps({"capture": str(capture)}))
+    few = {"geometry_frames": 0, "near_frames": 0, **limits}
+    return eval_runs(EvalOptions(runs=(folder,), **few))
+
+
+def test_a_frame_counts_by_the_views_that_have_it(
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    quick = partial(ProceduralSubject, bake_size=STAGE.bake_size, self_shadow=False)
+    monkeypatch.setattr("pica_core.train.eval.truth.ProceduralSubject", quick)
+    front, left = (held_out_images(capture, view) for view in ("front", "left"))
+    for path in (front[0], left[1], front[2], left[2]):
+        path.unlink()
+
+    result = evaluated(capture, tmp_path / "run", near_frames=1, floor_frames=2)
+
+    (run,), rows = result["runs"], result["rows"]
+    assert {row["view"]: row["frames"] for row in rows} == dict.fromkeys(
+        ("front", "left"), len(front) - 2
+    )
+    assert len(run["distribution"]) == len(front) - 1
+    first, second, *others = (item["mse"] for item in run["distribution"])
+    total = sum(row["mse"] * row["frames"] for row in rows)
+    assert total == pytest.approx(first + second + 2 * sum(others))
+    assert run["near"]["frames"] == 1
+    assert result["one_sample_mse"]["S1"] > 0
