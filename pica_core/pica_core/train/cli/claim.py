@@ -168,7 +168,7 @@ def _is_whole(rows: list[dict[str, Any]], capture: Path, eval_frames: int) -> bo
     if not rows or "lip_error_mm" not in rows[0]:
         return False
     held_out = [frame.index for frame in Capture.open(capture).frames_of("test")]
-    num_frames: int = max(row["frames"] for row in rows)
+    num_frames: int = max(row["frames"] + row.get("unreadable", 0) for row in rows)
     return num_frames == len(spaced(held_out, eval_frames))
 
 

@@ -242,8 +242,7 @@ def _near(
     pictures: list[ByteArray] = []
     for frame, (camera, image) in near.items():
         picture = evaluator.draw(evaluator.encode(frame), camera, samples=samples)
-        seen = image.reshape(-1, 3)[picture.pixels].astype(np.float32)
-        errors.append(mse(picture.colours, seen))
+        errors.append(mse(picture.colours, picture.within(image)))
         shown = picture.on(np.full_like(image, 128)).round().astype(np.uint8)
         pictures.append(np.concatenate([image, shown], axis=1))
     error = float(np.mean(errors))

@@ -14,11 +14,15 @@ import torch
 
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.procedural.subject import ProceduralSubject, StageOptions, render_capture
+from pica_core.errors import CaptureError
 from pica_core.train.checkpoint import write_checkpoint
 from pica_core.train.cli.eval import EvalOptions, eval_runs
 from pica_core.train.config import PRESETS
 from pica_core.train.data.training import TrainingData
+from pica_core.train.eval.evaluate import evaluate
 from pica_core.train.eval.run import RUN_FILE
+from pica_core.train.held_out import draw_held_out
+from pica_core.train.loop import open_trainer
 from pica_core.train.prior import face_prior
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
@@ -65,6 +69,39 @@ def evaluated(capture: Path, folder: Path, **limits: int) -> dict[str, Any]:
     (folder / RUN_FILE).write_text(json.dumps({"capture": str(capture)}))
     few = {"geometry_frames": 0, "near_frames": 0, **limits}
     return eval_runs(EvalOptions(runs=(folder,), **few))
+
+
+def test_an_image_that_cannot_be_read_is_left_out_and_counted(
+    capture: Path, tmp_path: Path
+) -> None:
+    front = held_out_images(capture, "front")
+    front[0].write_bytes(b"no image")
+    nothing = dict.fromkeys(("geometry_steps", "joint_steps", "driver_steps"), 0)
+    config = replace(CONFIG, schedule=replace(CONFIG.schedule, **nothing))
+    with open_trainer(TrainingData(Capture.open(capture)), config, tmp_path) as trainer:
+        rows = {(row["source"], row["view"]): row for row in evaluate(trainer)}
+        watched, _ = draw_held_out(trainer.objectives)
+
+    for source in ("encoder", "driver"):
+        damaged, whole = rows[source, "front"], rows[source, "left"]
+        assert (damaged["frames"], damaged["unreadable"]) == (len(front) - 1, 1)
+        assert (whole["frames"], whole["unreadable"]) == (len(front), 0)
+        assert damaged["mse"] > 0
+    assert watched > 0
+
+
+def test_a_capture_without_a_readable_held_out_image_is_named(
+    capture: Path, tmp_path: Path
+) -> None:
+    for view in ("front", "left"):
+        for path in held_out_images(capture, view):
+            path.write_bytes(b"no image")
+
+    with (
+        open_trainer(TrainingData(Capture.open(capture)), CONFIG, tmp_path) as trainer,
+        pytest.raises(CaptureError, match="no image to measure on"),
+    ):
+        evaluate(trainer, max_frames=2)
 
 
 def test_a_frame_counts_by_the_views_that_have_it(
