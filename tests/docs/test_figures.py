@@ -1,4 +1,4 @@
-"""The page of figures says of the shipped avatars what their files say."""
+"""Pages say of training and of the shipped avatars what code and files say."""
 
 from __future__ import annotations
 
@@ -9,8 +9,16 @@ import pytest
 from helpers.paths import ROOT
 from pica_core.avatar.file import load_avatar
 from pica_core.avatar.shipped import shipped_avatar_files
+from pica_core.train.config import PAPER_LOSSES, LossConfig
 
 pytestmark = pytest.mark.unit
+
+
+def test_the_page_on_training_tells_the_weight_of_hue() -> None:
+    page = (ROOT / "docs" / "training.md").read_text(encoding="utf-8")
+
+    assert f"plus {LossConfig().chroma:g} times the square" in page
+    assert f"(λ_c {PAPER_LOSSES.chroma:g}; here {LossConfig().chroma:g})" in page
 
 
 @pytest.mark.parametrize(
