@@ -33,7 +33,7 @@ class ViewErrors:
     """By frame: a view may lack some."""
     ssim: list[float] = field(default_factory=list)
     change_mse: list[float] = field(default_factory=list)
-    """One for each frame whose successor is of the same take and split."""
+    """One for each frame whose successor is of the same take and split, and was not left out."""
     unreadable: list[int] = field(default_factory=list)
     """Frames whose image cannot be read; no error knows of them."""
 
@@ -54,11 +54,14 @@ class ViewErrors:
 
 
 def successor(data: TrainingData, frame: int) -> int | None:
-    """The frame that follows directly in the same take, if there is one of the same split."""
+    """The frame that follows directly in the same take, if there is one of the same split and it is
+    not left out."""
     frames = data.capture.frames
-    if frame + 1 >= len(frames) or frames[frame + 1].split != frames[frame].split:
+    if frame + 1 >= len(frames):
         return None
-    return frame + 1 if frames[frame + 1].segment == frames[frame].segment else None
+    now, after = frames[frame], frames[frame + 1]
+    wanted = now.listed + 1, now.segment, now.split
+    return frame + 1 if (after.listed, after.segment, after.split) == wanted else None
 
 
 def measure_views(

@@ -12,14 +12,16 @@ from typing import Any
 import pytest
 import torch
 
+from helpers.published_capture import write_published
 from pica_core.capture.dataset.dataset import Capture
+from pica_core.capture.dataset.multiface import mesh_path
 from pica_core.capture.procedural.subject import ProceduralSubject, StageOptions, render_capture
 from pica_core.errors import CaptureError
 from pica_core.train.checkpoint import write_checkpoint
 from pica_core.train.cli.eval import EvalOptions, eval_runs
 from pica_core.train.config import PRESETS
 from pica_core.train.data.training import TrainingData
-from pica_core.train.eval.evaluate import evaluate
+from pica_core.train.eval.evaluate import evaluate, successor
 from pica_core.train.eval.run import RUN_FILE
 from pica_core.train.held_out import draw_held_out
 from pica_core.train.loop import open_trainer
@@ -102,6 +104,21 @@ def test_a_capture_without_a_readable_held_out_image_is_named(
         pytest.raises(CaptureError, match="no image to measure on"),
     ):
         evaluate(trainer, max_frames=2)
+
+
+def test_the_change_does_not_span_a_frame_that_is_left_out(tmp_path: Path) -> None:
+    capture = write_published(tmp_path / "m--0001", frames=4)
+    before = TrainingData(Capture.open(capture))
+    first, second, *_ = before.test_frames
+    where = before.capture.frames[second]
+    (capture / mesh_path(where.segment, where.name)).unlink()
+
+    data = TrainingData(Capture.open(capture))
+
+    first, second, third = data.test_frames
+    assert successor(before, first) == second
+    assert successor(data, first) is None
+    assert successor(data, second) == third
 
 
 def test_a_frame_counts_by_the_views_that_have_it(
