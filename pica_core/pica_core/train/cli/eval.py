@@ -48,7 +48,7 @@ def eval_runs(options: EvalOptions) -> dict[str, Any]:
     runs = [open_run(folder, options.capture) for folder in options.runs]
     wanted = [run for run in runs if run.variant in TABLES[options.table]]
     for run in runs:
-        if run not in wanted:
+        if run.variant not in TABLES[options.table]:
             _say(f"{run.folder}: {run.variant} is no row of table {options.table}; left out")
     if not wanted:
         rows = ", ".join(TABLES[options.table])

@@ -410,6 +410,8 @@ def test_runs_that_a_table_would_show_as_one_are_refused(
 
     with pytest.raises(TrainingOptionError, match=f"{runs['full']} and {again} are both full"):
         eval_runs(EvalOptions(runs=(runs["full"], runs["coarse"], again)))
+    with pytest.raises(TrainingOptionError, match="are both full"):
+        eval_runs(EvalOptions(runs=(runs["full"], runs["full"])))
     with pytest.raises(TrainingOptionError, match=f"{capture} and {elsewhere} are two captures"):
         eval_runs(EvalOptions(runs=(runs["full"], other)))
 
