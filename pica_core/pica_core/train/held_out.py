@@ -23,11 +23,10 @@ def draw_held_out(objectives: Objectives) -> tuple[float, Image]:
     places = np.linspace(0, len(data.test_frames) - 1, min(WATCHED_FRAMES, len(data.test_frames)))
     errors, rows = [], []
     for frame in [data.test_frames[int(place)] for place in places]:
-        cameras = data.images.cameras_of(frame)
-        view = next((name for name in data.images.evaluation_views if name in cameras), cameras[0])
+        views = (*data.images.evaluation_views_of(frame), *data.images.cameras_of(frame))
+        view, captured = data.images.first_readable(frame, views)
         picture = evaluator.draw(evaluator.encode(frame), data.images.camera(frame, view))
-        errors.append(mse(picture.colours, evaluator.seen(picture, frame, view)))
-        captured = data.images.image(frame, view)
+        errors.append(mse(picture.colours, picture.within(captured)))
         predicted = picture.on(captured // 4)  # what the mesh does not cover: the capture, dark
         rows.append(np.concatenate([predicted.round().astype(np.uint8), captured], 1))
     return float(np.mean(errors)), np.concatenate(rows)

@@ -153,11 +153,12 @@ class Trainer:
             losses = self.train_step()
             self.seconds += time.perf_counter() - started
             problem = guard.check(phase, losses)
-            is_due = self.step % self.config.checkpoint_every == 0
+            is_last = self.step == self.total_steps
+            is_due = is_last or self.step % self.config.checkpoint_every == 0
             if problem is None and is_due and not self._is_finite():
                 problem = "weights not finite"
             if problem is not None:
-                self._go_back(monitor, phase, problem)
+                self._go_back(monitor, problem)
                 guard = DivergenceGuard()
                 first, first_s = self.step, self.seconds
                 continue
@@ -177,6 +178,8 @@ class Trainer:
             if self.ranks.average(torch.tensor(float(goes_on))) < 1:
                 break  # all processes stop if one does
         if saved_at != self.step:
+            if not self._is_finite():
+                self._go_back(monitor, "weights not finite")
             self.save()
 
     def train_step(self) -> Losses:
@@ -316,9 +319,10 @@ class Trainer:
         if missing or unexpected:
             raise CheckpointError(f"{run_dir}: of another model: {missing + unexpected}")
 
-    def _go_back(self, monitor: Monitor, phase: str, problem: str) -> None:
+    def _go_back(self, monitor: Monitor, problem: str) -> None:
         """Return to the last checkpoint, or give up."""
         path = self.run_dir / NAME
+        phase, _, _ = self.phase_of(self.step - 1)
         where = f"step {self.step} ({phase}): {problem}"
         if self.rollbacks >= self.config.max_rollbacks or not path.exists():
             tries = f"after {self.rollbacks} rollbacks" if self.rollbacks else "no way back"

@@ -5,7 +5,7 @@ Decoder" and appendix A.2; their weights (image 2, depth 10, normal 1, mesh 0.1,
 KL 0.001) stand in `pica_core.train.config.LossConfig`. The paper writes norms and states no units.
 Ours, so that no loss depends on the size of images, maps or meshes:
 
-    image       mean square, colours from 0 to 1
+    image       mean square, colours from 0 to 1; hue counts more (`LossConfig.chroma`)
     depth       mean absolute error, millimetres
     normal      mean squared distance of unit vectors
     mesh        weighted mean squared distance, square millimetres

@@ -17,7 +17,6 @@ from torch.profiler import record_function
 from pica_core.camera import Camera
 from pica_core.capture.stage.poses import read_picture, read_poses
 from pica_core.capture.stage.tracked_topology import COVER
-from pica_core.errors import CaptureError
 from pica_core.model.encoder import hold_log_variance, reparameterise
 from pica_core.model.interface import AvatarModel, DecodedMesh, flat_latent
 from pica_core.model.linear import LinearGeometry
@@ -214,16 +213,13 @@ class Objectives:
         return images, numbers
 
     def _readable(self, image: Place, rng: np.random.Generator) -> Place:
-        """The image, or one of another camera if it cannot be read."""
+        """The image, or one of another camera if it cannot be read: the same whatever was tried in
+        earlier steps, of which a resumed run knows nothing."""
         frame, name = image
-        while True:
-            try:
-                self.data.images.image(frame, name)
-            except CaptureError:
-                self.data.images.leave_out(frame, name)
-                name = str(rng.choice(self.data.images.cameras_of(frame)))
-            else:
-                return frame, name
+        if self.data.images.readable(frame, name) is None:
+            others = [other for other in self.data.images.cameras_of(frame) if other != name]
+            name, _ = self.data.images.first_readable(frame, rng.permutation(others).tolist())
+        return frame, name
 
     def driver(self, rng: np.random.Generator) -> dict[str, Tensor]:
         """Losses of the live encoder, on the codes of the model's own."""

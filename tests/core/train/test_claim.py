@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +44,11 @@ def test_rows_name_errors_of_each_model_and_view_and_finished_runs_stay(
 
     def options(**changes: Any) -> ClaimOptions:
         given = {"variants": ("linear", "baseline"), "preset": "tiny", "seeds": 1, **changes}
-        return ClaimOptions(rigs=(capture,), out=tmp_path, eval_frames=2, **given)
+        return ClaimOptions(**{"rigs": (capture,), "out": tmp_path, "eval_frames": 2, **given})
+
+    def measured() -> list[int]:
+        rows = json.loads((tmp_path / "someone-linear-0" / "evaluation.json").read_text())
+        return [row["frames"] for row in rows]
 
     result = bench_claim(options())
 
@@ -62,6 +68,16 @@ def test_rows_name_errors_of_each_model_and_view_and_finished_runs_stay(
     assert (tmp_path / "someone-linear-0" / "checkpoint.pt").stat().st_mtime_ns == trained_at
     with pytest.raises(CheckpointError, match="preset tiny, not small"):
         bench_claim(options(preset="small"))
+
+    other = tmp_path / "elsewhere" / "someone"
+    shutil.copytree(capture, other)
+    with pytest.raises(CheckpointError, match=f"capture {capture}, not {other}"):
+        bench_claim(options(rigs=(other,)))
+
+    assert measured() == [2] * 4
+    again = bench_claim(options(eval_frames=1, variants=("linear",)))
+    assert measured() == [1] * 4
+    assert [row["mse"] for row in again["rows"]] != [row["mse"] for row in rows[:2]]
 
 
 def test_a_view_counts_where_the_default_lies_below() -> None:

@@ -121,8 +121,11 @@ def test_log_variances_are_bent_only_where_they_are_too_large() -> None:
     assert large.grad[0] == 0.5  # a way back
 
 
-def test_weights_that_are_not_finite_are_never_saved(data: TrainingData, tmp_path: Path) -> None:
-    config = short(4, checkpoint_every=4, max_rollbacks=0)
+@pytest.mark.parametrize("checkpoint_every", [4, 100])  # on the way, and at the end alone
+def test_weights_that_are_not_finite_are_never_saved(
+    data: TrainingData, tmp_path: Path, checkpoint_every: int
+) -> None:
+    config = short(4, checkpoint_every=checkpoint_every, max_rollbacks=0)
     with open_trainer(data, config, tmp_path) as trainer:
         while trainer.step < 3:
             trainer.train_step()
@@ -133,6 +136,20 @@ def test_weights_that_are_not_finite_are_never_saved(data: TrainingData, tmp_pat
             trainer.run()
 
     assert not (tmp_path / "checkpoint.pt").exists()
+
+
+def test_weights_of_a_run_that_is_told_to_stop_are_looked_at_before_they_are_saved(
+    data: TrainingData, tmp_path: Path
+) -> None:
+    with open_trainer(data, short(6, checkpoint_every=3), tmp_path) as trainer:
+        poison = Poison(trainer, 1)
+        trainer.run(lambda *step: poison(*step) and step[0] < 4)
+
+        assert trainer.step == 3
+        assert all(torch.isfinite(p).all() for p in trainer.model.parameters())
+
+    state = read_checkpoint(tmp_path / "checkpoint.pt")
+    assert (state["step"], state["rollbacks"]) == (3, 1)
 
 
 def test_losses_that_explode_are_told_from_a_rare_frame() -> None:

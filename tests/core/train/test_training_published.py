@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from helpers.published_capture import SEGMENTS, write_published
 from pica_core.capture.dataset.dataset import Capture
@@ -20,7 +21,7 @@ from pica_core.train.data.training import TrainingData
 from pica_core.train.eval.evaluate import evaluate
 from pica_core.train.loop import open_trainer
 
-pytestmark = pytest.mark.train
+pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
 
 TINY = PRESETS["tiny"]
 CONFIG = replace(
@@ -55,6 +56,28 @@ def test_a_published_capture_with_holes_is_trained_on(original: Path, tmp_path: 
     notes = " ".join(line["text"] for line in lines if line["kind"] == "note")
     assert "no expressions" in notes
     assert "no exact meshes" in notes
+
+
+def test_a_run_with_damaged_images_resumes_to_the_same_numbers(
+    original: Path, tmp_path: Path
+) -> None:
+    for path in (original / "images").glob("*/left/*.png"):
+        path.write_bytes(b"no image")
+    schedule = replace(CONFIG.schedule, geometry_steps=0, joint_steps=16)
+    config = replace(CONFIG, schedule=schedule)
+    run = tmp_path / "run"
+    with open_trainer(TrainingData(Capture.open(original)), config, run) as trainer:
+        trainer.run()
+        whole = trainer.model.state_dict()
+    with open_trainer(TrainingData(Capture.open(original)), config, run) as trainer:
+        trainer.run(lambda step, phase, losses: step < 8)
+    with open_trainer(TrainingData(Capture.open(original)), config, run) as trainer:
+        trainer.restore()
+        trainer.run()
+        resumed = trainer.model.state_dict()
+
+    assert trainer.step == 16
+    assert all(torch.equal(resumed[name], values) for name, values in whole.items())
 
 
 def test_a_frame_without_any_readable_image_is_named(original: Path, tmp_path: Path) -> None:

@@ -148,6 +148,11 @@ class Capture:
             )
         return cls(root, test_segments)
 
+    @property
+    def identity(self) -> str:
+        """Who was captured; the directory's name where nothing says it."""
+        return str(self.info.get("head", self.path.name))
+
     def frames_of(self, split: str) -> tuple[CaptureFrame, ...]:
         """The frames of one split."""
         if split not in SPLITS:

@@ -39,6 +39,8 @@ class CaptureFrame:
 
     index: int
     """Place in `Capture.frames`."""
+    listed: int
+    """Place in the capture's list, of which `Capture.frames` leaves out what cannot be used."""
     segment: str
     """Take that the frame belongs to."""
     name: str
@@ -291,6 +293,9 @@ def read_frames(root: Path) -> tuple[tuple[CaptureFrame, ...], FloatArray]:
                 f"{list_path}: {segment} {name} has no row in {multiface.EXPRESSIONS}"
             )
         split, values = table[segment, name]
-        frames.append(CaptureFrame(index=len(frames), segment=segment, name=name, split=split))
+        place = len(frames)
+        frames.append(
+            CaptureFrame(index=place, listed=place, segment=segment, name=name, split=split)
+        )
         arkit.append(values)
     return tuple(frames), np.array(arkit, np.float32).reshape(-1, NUM_ARKIT)

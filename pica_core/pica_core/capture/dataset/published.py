@@ -45,6 +45,7 @@ def describe_published(
     frames = tuple(
         files.CaptureFrame(
             index=index,
+            listed=index,
             segment=segment,
             name=name,
             split="test" if segment in test_segments else "train",

@@ -12,6 +12,7 @@ from pica_core.cli.rig import RigOptions, rig
 from pica_core.errors import CaptureError, CheckpointError, TrainingOptionError, check_ranges
 from pica_core.train.checkpoint import read_checkpoint
 from pica_core.train.cli.train import TrainOptions, VariantName, train
+from pica_core.train.data.sampler import spaced
 from pica_core.train.eval.model_card import EVALUATION_FILE
 from pica_core.train.eval.run import RUN_FILE
 
@@ -120,12 +121,14 @@ def _run(
     folder = options.out / f"{capture.name}-{variant}-{seed}"
     found: list[dict[str, Any]] = []
     if (folder / EVALUATION_FILE).exists():
-        if (preset := json.loads((folder / RUN_FILE).read_text())["preset"]) != options.preset:
-            raise CheckpointError(
-                f"{folder}: trained with preset {preset}, not {options.preset}; use another --out"
-            )
+        noted = json.loads((folder / RUN_FILE).read_text())
+        for name, wanted in (("preset", options.preset), ("capture", str(capture.resolve()))):
+            if noted[name] != wanted:
+                raise CheckpointError(
+                    f"{folder}: trained with {name} {noted[name]}, not {wanted}; use another --out"
+                )
         found = json.loads((folder / EVALUATION_FILE).read_text())
-    if not found or "lip_error_mm" not in found[0]:
+    if not _is_whole(found, capture, options.eval_frames):
         trained = train(
             TrainOptions(
                 capture=capture,
@@ -158,6 +161,15 @@ def _run(
         for row in found
         if row["source"] == "encoder"
     ]
+
+
+def _is_whole(rows: list[dict[str, Any]], capture: Path, eval_frames: int) -> bool:
+    """Whether rows of a run have all that is told, of as many frames as are asked for."""
+    if not rows or "lip_error_mm" not in rows[0]:
+        return False
+    held_out = [frame.index for frame in Capture.open(capture).frames_of("test")]
+    num_frames: int = max(row["frames"] + row.get("unreadable", 0) for row in rows)
+    return num_frames == len(spaced(held_out, eval_frames))
 
 
 def _mean(values: list[float | None]) -> float | None:

@@ -10,9 +10,10 @@ from typing import Any, Literal
 import torch
 from PIL import Image
 
+from pica_core.capture.dataset.dataset import Capture
 from pica_core.errors import TrainingOptionError, check_ranges
 from pica_core.train.eval.run import EvalLimits, Run, measure, open_run, prepare
-from pica_core.train.eval.tables import TABLES, report
+from pica_core.train.eval.tables import TABLES, Key, report
 from pica_core.types import ByteArray
 
 
@@ -47,11 +48,12 @@ def eval_runs(options: EvalOptions) -> dict[str, Any]:
     runs = [open_run(folder, options.capture) for folder in options.runs]
     wanted = [run for run in runs if run.variant in TABLES[options.table]]
     for run in runs:
-        if run not in wanted:
+        if run.variant not in TABLES[options.table]:
             _say(f"{run.folder}: {run.variant} is no row of table {options.table}; left out")
     if not wanted:
         rows = ", ".join(TABLES[options.table])
         raise TrainingOptionError(f"no run is of table {options.table}: its models are {rows}")
+    _check_apart(wanted)
     result = _measure(wanted, options)
     text = report(options.table, result)
     print(text)
@@ -60,6 +62,26 @@ def eval_runs(options: EvalOptions) -> dict[str, Any]:
         (options.out / "table.md").write_text(text, encoding="utf-8")
         (options.out / "eval.json").write_text(json.dumps(result, indent=1) + "\n")
     return result
+
+
+def _check_apart(runs: Sequence[Run]) -> None:
+    """Refuse what a table would show as one: two captures of one identity, two runs of one key."""
+    identities = {capture: Capture.open(capture).identity for capture in {r.capture for r in runs}}
+    captures: dict[str, Path] = {}
+    folders: dict[Key, Path] = {}
+    for run in runs:
+        identity = identities[run.capture]
+        if (other := captures.setdefault(identity, run.capture)) != run.capture:
+            raise TrainingOptionError(
+                f"{other} and {run.capture} are two captures of {identity!r}; measure one at a time"
+            )
+        key = (identity, run.variant, run.block or "", run.config.seed)
+        if key in folders:
+            raise TrainingOptionError(
+                f"{folders[key]} and {run.folder} are both {run.variant} of {identity!r} with seed "
+                f"{run.config.seed}; leave one out"
+            )
+        folders[key] = run.folder
 
 
 def _measure(runs: Sequence[Run], options: EvalOptions) -> dict[str, Any]:

@@ -132,7 +132,7 @@ def train(options: TrainOptions) -> dict[str, Any]:
         ) as trainer,
     ):
         if ranks.is_first:
-            _note_run(options, config, str(data.capture.info.get("head", options.capture.name)))
+            _note_run(options, config, data.capture.identity)
         if options.resume:
             trainer.restore()
         elif options.start_from is not None:

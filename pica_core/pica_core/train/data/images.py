@@ -1,5 +1,6 @@
 """The images of a capture behind a cache of bounded size, and the cameras that took them."""
 
+from collections.abc import Iterable
 from functools import cache, lru_cache
 
 import numpy as np
@@ -35,7 +36,7 @@ class ImageCache:
         views = [name for name in self.camera_names if name in named]
         self.evaluation_views = views or self.camera_names
         self._texture = lru_cache(MAX_TEXTURES)(self._texture_of)
-        self._cameras_of: dict[int, tuple[str, ...]] = {}
+        self._cameras_of = cache(lambda frame: capture.cameras_of(capture.frames[frame]))
         self._head_pose = cache(lambda frame: capture.head_to_world(capture.frames[frame]))
 
     def image(self, frame: int, camera: str) -> Image:
@@ -45,6 +46,27 @@ class ImageCache:
             CaptureError: It cannot be read.
         """
         return self.reader.read(Request("image", frame, camera))
+
+    def readable(self, frame: int, camera: str) -> Image | None:
+        """An image; None where it cannot be read, which the reader tells of."""
+        try:
+            return self.image(frame, camera)
+        except CaptureError:
+            return None
+
+    def first_readable(self, frame: int, cameras: Iterable[str]) -> tuple[str, Image]:
+        """The first of some cameras whose image of a frame can be read, and the image.
+
+        Raises:
+            CaptureError: None can be read.
+        """
+        for camera in cameras:
+            if (image := self.readable(frame, camera)) is not None:
+                return camera, image
+        where = self._capture.frames[frame]
+        raise CaptureError(
+            f"{self._capture.path}: no image of {where.segment} {where.name} can be read"
+        )
 
     def depth_m(self, frame: int, camera: str) -> FloatArray:
         """Measured depth, 0 where unknown, float32 ``[H, W]``."""
@@ -59,24 +81,12 @@ class ImageCache:
         return torch.stack([self._texture(frame, size) for frame in frames])
 
     def cameras_of(self, frame: int) -> tuple[str, ...]:
-        """Cameras that have an image of a frame, of those that can be read as far as is known."""
-        if frame not in self._cameras_of:
-            self._cameras_of[frame] = self._capture.cameras_of(self._capture.frames[frame])
-        return self._cameras_of[frame]
+        """Cameras that have an image of a frame, whether or not it can be read."""
+        return self._cameras_of(frame)
 
-    def leave_out(self, frame: int, camera: str) -> None:
-        """Ask for an image no more: it cannot be read.
-
-        Raises:
-            CaptureError: It was the last one of its frame.
-        """
-        rest = tuple(name for name in self.cameras_of(frame) if name != camera)
-        if not rest:
-            where = self._capture.frames[frame]
-            raise CaptureError(
-                f"{self._capture.path}: no image of {where.segment} {where.name} can be read"
-            )
-        self._cameras_of[frame] = rest
+    def evaluation_views_of(self, frame: int) -> list[str]:
+        """Evaluation views that have an image of a frame."""
+        return [name for name in self.evaluation_views if name in self.cameras_of(frame)]
 
     def expect(self, images: list[tuple[int, str]], *, depth: bool) -> None:
         """Have images decoded while something else goes on."""

@@ -14,6 +14,7 @@ from typing import Any, Literal
 import numpy as np
 from torch import Tensor
 
+from pica_core.errors import CaptureError
 from pica_core.train.data.sampler import spaced
 from pica_core.train.data.training import TrainingData
 from pica_core.train.eval.metrics import bootstrap_interval, change_mse, mse, psnr_db, ssim
@@ -28,31 +29,39 @@ Source = Literal["encoder", "driver"]
 class ViewErrors:
     """What was measured in one view, a value for each frame."""
 
-    mse: list[float] = field(default_factory=list)
+    mse: dict[int, float] = field(default_factory=dict)
+    """By frame: a view may lack some."""
     ssim: list[float] = field(default_factory=list)
     change_mse: list[float] = field(default_factory=list)
-    """One for each frame whose successor is of the same take and split."""
+    """One for each frame whose successor is of the same take and split, and was not left out."""
+    unreadable: list[int] = field(default_factory=list)
+    """Frames whose image cannot be read; no error knows of them."""
 
     def row(self) -> dict[str, Any]:
         """Means, with the interval of the first."""
-        low, high = bootstrap_interval(self.mse)
+        errors = list(self.mse.values())
+        low, high = bootstrap_interval(errors)
         return {
-            "mse": float(np.mean(self.mse)),
+            "mse": float(np.mean(errors)),
             "mse_low": low,
             "mse_high": high,
-            "psnr_db": float(np.mean([psnr_db(value) for value in self.mse])),
+            "psnr_db": float(np.mean([psnr_db(value) for value in errors])),
             "ssim": float(np.mean(self.ssim)),
             "temporal_mse": float(np.mean(self.change_mse)) if self.change_mse else None,
-            "frames": len(self.mse),
+            "frames": len(errors),
+            "unreadable": len(self.unreadable),
         }
 
 
 def successor(data: TrainingData, frame: int) -> int | None:
-    """The frame that follows directly in the same take, if there is one of the same split."""
+    """The frame that follows directly in the same take, if there is one of the same split and it is
+    not left out."""
     frames = data.capture.frames
-    if frame + 1 >= len(frames) or frames[frame + 1].split != frames[frame].split:
+    if frame + 1 >= len(frames):
         return None
-    return frame + 1 if frames[frame + 1].segment == frames[frame].segment else None
+    now, after = frames[frame], frames[frame + 1]
+    wanted = now.listed + 1, now.segment, now.split
+    return frame + 1 if (after.listed, after.segment, after.split) == wanted else None
 
 
 def measure_views(
@@ -66,7 +75,10 @@ def measure_views(
         samples: Along each side of a pixel, odd; the paper draws with one.
 
     Returns:
-        Errors by view, of those views that have an image of any of the frames.
+        Errors by view, of those views that have a readable image of any of the frames.
+
+    Raises:
+        CaptureError: No view has one.
     """
     data = evaluator.data
     found = {view: ViewErrors() for view in data.images.evaluation_views}
@@ -74,23 +86,28 @@ def measure_views(
         after = successor(data, frame)
         latent = _latent(evaluator, source, frame)
         later = None if after is None else _latent(evaluator, source, after)
-        for view in data.images.cameras_of(frame):
-            if view not in found:
-                continue
+        for view in data.images.evaluation_views_of(frame):
             errors = found[view]
-            camera, image = data.images.camera(frame, view), data.images.image(frame, view)
+            camera, image = data.images.camera(frame, view), data.images.readable(frame, view)
+            if image is None:
+                errors.unreadable.append(frame)
+                continue
             picture = evaluator.draw(latent, camera, samples=samples)
-            seen = evaluator.seen(picture, frame, view)
-            errors.mse.append(mse(picture.colours, seen))
+            seen = picture.within(image)
+            errors.mse[frame] = mse(picture.colours, seen)
             laid = picture.on(image)
             errors.ssim.append(ssim(laid, image, picture.covered(camera)))
-            if after is not None and later is not None and view in data.images.cameras_of(after):
+            if after is None or later is None or view not in data.images.cameras_of(after):
+                continue
+            if (next_image := data.images.readable(after, view)) is not None:
                 second_camera = data.images.camera(after, view)
                 second = evaluator.draw(later, second_camera, samples=samples)
-                errors.change_mse.append(
-                    _change(picture, second, seen, evaluator.seen(second, after, view))
-                )
-    return {view: errors for view, errors in found.items() if errors.mse}
+                change = _change(picture, second, seen, second.within(next_image))
+                errors.change_mse.append(change)
+    measured = {view: errors for view, errors in found.items() if errors.mse}
+    if not measured:
+        raise CaptureError(f"{data.capture.path}: no image to measure on can be read")
+    return measured
 
 
 def evaluate(trainer: Trainer, *, max_frames: int = 25) -> list[dict[str, Any]]:
@@ -98,10 +115,13 @@ def evaluate(trainer: Trainer, *, max_frames: int = 25) -> list[dict[str, Any]]:
 
     Returns:
         Rows of {source, view, mse, mse_low, mse_high, psnr_db, ssim, temporal_mse, frames,
-        vertex_error_mm, lid_error_mm, lip_error_mm}: "encoder" rows use the model's own encoder,
-        "driver" rows the expression encoder, which is what a live sender runs. The vertex
-        errors are mean distances from the capture's mesh that the model was trained on; None where
-        it does not name the region.
+        unreadable, vertex_error_mm, lid_error_mm, lip_error_mm}: "encoder" rows use the model's own
+        encoder, "driver" rows the expression encoder, which is what a live sender runs;
+        `unreadable` counts frames that were left out. The vertex errors are mean distances from the
+        capture's mesh that the model was trained on; None where it does not name the region.
+
+    Raises:
+        CaptureError: No image can be read.
     """
     data = trainer.data
     evaluator = ModelEvaluator(data, trainer.model, trainer.rasteriser)

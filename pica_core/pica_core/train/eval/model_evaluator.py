@@ -15,7 +15,7 @@ from pica_core.train.data.images import view_direction
 from pica_core.train.data.training import TrainingData
 from pica_core.train.drawing import MeshDrawer
 from pica_core.train.rasterise import Rasteriser
-from pica_core.types import BoolArray, FloatArray, Int64Array
+from pica_core.types import BoolArray, ByteArray, FloatArray, Int64Array
 
 
 class Picture(NamedTuple):
@@ -36,6 +36,10 @@ class Picture(NamedTuple):
         laid: FloatArray = image.astype(np.float32)
         laid.reshape(-1, 3)[self.pixels] = self.colours
         return laid
+
+    def within(self, image: ByteArray) -> FloatArray:
+        """What an image ``[H, W, 3]`` holds at these pixels, 0-255, float32 ``[P, 3]``."""
+        return image.reshape(-1, 3)[self.pixels].astype(np.float32)
 
     def covered(self, camera: Camera) -> BoolArray:
         """Which pixels of the image these are, ``[H, W]``."""
@@ -69,11 +73,6 @@ class ModelEvaluator:
         arkit = self.data.arkit[[frame]].to(self._device)
         latent: Tensor = self.model.expression_encoder(arkit)
         return latent
-
-    def seen(self, picture: Picture, frame: int, view: str) -> FloatArray:
-        """What the camera saw at a picture's pixels, 0-255, float32 ``[P, 3]``."""
-        image = self.data.images.image(frame, view)
-        return image.reshape(-1, 3)[picture.pixels].astype(np.float32)
 
     @torch.no_grad()
     def vertices_m(self, latent: Tensor) -> FloatArray:

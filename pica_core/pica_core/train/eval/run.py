@@ -101,7 +101,7 @@ class CaptureTruth:
     @property
     def identity(self) -> str:
         """Who was captured."""
-        return str(self.data.capture.info.get("head", self.data.capture.path.name))
+        return self.data.capture.identity
 
 
 def open_run(folder: Path, capture: Path | None = None) -> Run:
@@ -187,9 +187,10 @@ def measure(
 
     Returns:
         Rows of the tables, one for each view; what is known of the run: "distribution" {frame, mse}
-        with means over views, "geometry" the mean depth error by region in millimetres, empty where
-        the truth is unknown, "near" {mse, psnr_db, frames} or {skipped} with the reason; and truth
-        and prediction side by side from close to the mouth, one picture for each frame.
+        with means over the views that have the frame, "geometry" the mean depth error by region in
+        millimetres, empty where the truth is unknown, "near" {mse, psnr_db, frames} or {skipped}
+        with the reason; and truth and prediction side by side from close to the mouth, one picture
+        for each frame.
     """
     data, model = truth.data, build(run, truth)
     cost = model.cost
@@ -214,17 +215,18 @@ def measure(
         "samples": samples,
     }
     rows = [{**shared, "view": view, **errors.row(), **costs} for view, errors in found.items()]
-    per_frame = np.mean([errors.mse for errors in found.values()], axis=0)
-    names = [data.capture.frames[frame] for frame in truth.frames]
+    distribution = []
+    for frame in truth.frames:
+        if each := [errors.mse[frame] for errors in found.values() if frame in errors.mse]:
+            where = data.capture.frames[frame]
+            mean = float(np.mean(each))
+            distribution.append({"frame": f"{where.segment}/{where.name}", "mse": mean})
     result = {
         "run": str(run.folder),
         **shared,
         "seed": run.config.seed,
         "source": str(data.capture.info.get("source", run.capture.name)),
-        "distribution": [
-            {"frame": f"{frame.segment}/{frame.name}", "mse": float(value)}
-            for frame, value in zip(names, per_frame, strict=True)
-        ],
+        "distribution": distribution,
         "geometry": depth.means_mm() if truth.views else {},
         "near": near,
     }
@@ -240,8 +242,7 @@ def _near(
     pictures: list[ByteArray] = []
     for frame, (camera, image) in near.items():
         picture = evaluator.draw(evaluator.encode(frame), camera, samples=samples)
-        seen = image.reshape(-1, 3)[picture.pixels].astype(np.float32)
-        errors.append(mse(picture.colours, seen))
+        errors.append(mse(picture.colours, picture.within(image)))
         shown = picture.on(np.full_like(image, 128)).round().astype(np.uint8)
         pictures.append(np.concatenate([image, shown], axis=1))
     error = float(np.mean(errors))

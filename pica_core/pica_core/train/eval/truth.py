@@ -168,12 +168,14 @@ def one_sample_mse(data: TrainingData, frames: list[int]) -> float | None:
             return None
         for frame in frames:
             subject.pose(capture.arkit(capture.frames[frame]))
-            for view in data.images.evaluation_views:
+            for view in data.images.evaluation_views_of(frame):
+                if (image := data.images.readable(frame, view)) is None:
+                    continue
                 camera = data.images.camera(frame, view)
                 fine = subject.draw(camera.scaled(3 * camera.width, 3 * camera.height)).image
                 is_head = capture.mask(capture.frames[frame], view) > 0
                 once = fine[1::3, 1::3][is_head].astype(np.float32)
-                errors.append(mse(once, data.images.image(frame, view)[is_head].astype(np.float32)))
+                errors.append(mse(once, image[is_head].astype(np.float32)))
     return float(np.mean(errors))
 
 
@@ -187,10 +189,11 @@ def _on_stage(data: TrainingData, frame: int) -> Iterator[ProceduralSubject | st
         return
     subject = ProceduralSubject(name)
     try:
-        view = data.images.evaluation_views[0]
+        views = data.images.evaluation_views_of(frame)
+        view, image = data.images.first_readable(frame, views)
         subject.pose(capture.arkit(capture.frames[frame]))
         drawn = subject.draw(data.images.camera(frame, view)).image.astype(np.float64)
-        difference = float(np.abs(drawn - data.images.image(frame, view)).mean())
+        difference = float(np.abs(drawn - image).mean())
         if difference <= SAME_PICTURE:
             yield subject
         else:

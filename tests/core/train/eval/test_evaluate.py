@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
@@ -396,6 +397,23 @@ def test_blocks_of_one_variant_are_told_apart() -> None:
 def test_runs_of_no_row_of_the_table_are_an_error(runs: dict[str, Path]) -> None:
     with pytest.raises(TrainingOptionError, match="no run is of table 2"):
         eval_runs(EvalOptions(runs=(runs["baseline"],), table=2))
+
+
+def test_runs_that_a_table_would_show_as_one_are_refused(
+    runs: dict[str, Path], capture: Path, tmp_path: Path
+) -> None:
+    again, other, elsewhere = (tmp_path / name for name in ("again", "other", "elsewhere"))
+    shutil.copytree(runs["full"], again)
+    shutil.copytree(runs["coarse"], other)
+    elsewhere.symlink_to(capture)
+    (other / RUN_FILE).write_text(json.dumps({"capture": str(elsewhere)}))
+
+    with pytest.raises(TrainingOptionError, match=f"{runs['full']} and {again} are both full"):
+        eval_runs(EvalOptions(runs=(runs["full"], runs["coarse"], again)))
+    with pytest.raises(TrainingOptionError, match="are both full"):
+        eval_runs(EvalOptions(runs=(runs["full"], runs["full"])))
+    with pytest.raises(TrainingOptionError, match=f"{capture} and {elsewhere} are two captures"):
+        eval_runs(EvalOptions(runs=(runs["full"], other)))
 
 
 def test_a_run_that_does_not_say_its_capture_is_refused(

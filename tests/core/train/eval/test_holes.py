@@ -1,0 +1,144 @@
+"""What is measured of a capture whose held-out frames have holes."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from helpers.published_capture import write_published
+from pica_core.capture.dataset.dataset import Capture
+from pica_core.capture.dataset.multiface import mesh_path
+from pica_core.capture.procedural.subject import ProceduralSubject, StageOptions, render_capture
+from pica_core.errors import CaptureError
+from pica_core.train.checkpoint import write_checkpoint
+from pica_core.train.cli.eval import EvalOptions, eval_runs
+from pica_core.train.config import PRESETS
+from pica_core.train.data.training import TrainingData
+from pica_core.train.eval.evaluate import evaluate, successor
+from pica_core.train.eval.run import RUN_FILE
+from pica_core.train.held_out import draw_held_out
+from pica_core.train.loop import open_trainer
+from pica_core.train.prior import face_prior
+
+pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
+
+STAGE = StageOptions(
+    frames=20,
+    cameras=2,
+    width=64,
+    height=64,
+    texture_size=64,
+    bake_size=256,
+    self_shadow=False,
+    tracked_vertices=400,
+)
+TINY = PRESETS["tiny"]
+CONFIG = replace(TINY, model=replace(TINY.model, variant="full", texture_size=64))
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("captures") / "whole"
+    render_capture(STAGE, folder)
+    return folder
+
+
+@pytest.fixture
+def capture(whole: Path, tmp_path: Path) -> Path:
+    """A copy to damage."""
+    return shutil.copytree(whole, tmp_path / "capture")
+
+
+def held_out_images(capture: Path, view: str) -> list[Path]:
+    frames = Capture.open(capture).frames_of("test")
+    return [capture / "images" / f.segment / view / f"{f.name}.png" for f in frames]
+
+
+def evaluated(capture: Path, folder: Path, **limits: int) -> dict[str, Any]:
+    """What `pica eval` says of a run that was stopped before its first step."""
+    folder.mkdir()
+    torch.manual_seed(CONFIG.seed)
+    model = CONFIG.model.build(face_prior(TrainingData(Capture.open(capture))))
+    state = {"config": json.dumps(CONFIG.to_json()), "step": 0, "model": model.state_dict()}
+    write_checkpoint(folder / "checkpoint.pt", state)
+    (folder / RUN_FILE).write_text(json.dumps({"capture": str(capture)}))
+    few = {"geometry_frames": 0, "near_frames": 0, **limits}
+    return eval_runs(EvalOptions(runs=(folder,), **few))
+
+
+def test_an_image_that_cannot_be_read_is_left_out_and_counted(
+    capture: Path, tmp_path: Path
+) -> None:
+    front = held_out_images(capture, "front")
+    front[0].write_bytes(b"no image")
+    nothing = dict.fromkeys(("geometry_steps", "joint_steps", "driver_steps"), 0)
+    config = replace(CONFIG, schedule=replace(CONFIG.schedule, **nothing))
+    with open_trainer(TrainingData(Capture.open(capture)), config, tmp_path) as trainer:
+        rows = {(row["source"], row["view"]): row for row in evaluate(trainer)}
+        watched, _ = draw_held_out(trainer.objectives)
+
+    for source in ("encoder", "driver"):
+        damaged, whole = rows[source, "front"], rows[source, "left"]
+        assert (damaged["frames"], damaged["unreadable"]) == (len(front) - 1, 1)
+        assert (whole["frames"], whole["unreadable"]) == (len(front), 0)
+        assert damaged["mse"] > 0
+    assert watched > 0
+
+
+def test_a_capture_without_a_readable_held_out_image_is_named(
+    capture: Path, tmp_path: Path
+) -> None:
+    for view in ("front", "left"):
+        for path in held_out_images(capture, view):
+            path.write_bytes(b"no image")
+
+    with (
+        open_trainer(TrainingData(Capture.open(capture)), CONFIG, tmp_path) as trainer,
+        pytest.raises(CaptureError, match="no image to measure on"),
+    ):
+        evaluate(trainer, max_frames=2)
+
+
+def test_the_change_does_not_span_a_frame_that_is_left_out(tmp_path: Path) -> None:
+    capture = write_published(tmp_path / "m--0001", frames=4)
+    before = TrainingData(Capture.open(capture))
+    first, second, *_ = before.test_frames
+    where = before.capture.frames[second]
+    (capture / mesh_path(where.segment, where.name)).unlink()
+
+    data = TrainingData(Capture.open(capture))
+
+    first, second, third = data.test_frames
+    assert successor(before, first) == second
+    assert successor(data, first) is None
+    assert successor(data, second) == third
+
+
+def test_a_frame_counts_by_the_views_that_have_it(
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    quick = partial(ProceduralSubject, bake_size=STAGE.bake_size, self_shadow=False)
+    monkeypatch.setattr("pica_core.train.eval.truth.ProceduralSubject", quick)
+    front, left = (held_out_images(capture, view) for view in ("front", "left"))
+    for path in (front[0], left[1], front[2], left[2]):
+        path.unlink()
+
+    result = evaluated(capture, tmp_path / "run", near_frames=1, floor_frames=2)
+
+    (run,), rows = result["runs"], result["rows"]
+    assert {row["view"]: row["frames"] for row in rows} == dict.fromkeys(
+        ("front", "left"), len(front) - 2
+    )
+    assert len(run["distribution"]) == len(front) - 1
+    first, second, *others = (item["mse"] for item in run["distribution"])
+    total = sum(row["mse"] * row["frames"] for row in rows)
+    assert total == pytest.approx(first + second + 2 * sum(others))
+    assert run["near"]["frames"] == 1
+    assert result["one_sample_mse"]["S1"] > 0
