@@ -140,7 +140,7 @@ class SoundProcess:
 
     def _begin(self) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "pica_client.voice.sound.desk"],
+            [sys.executable, "-P", "-m", "pica_client.voice.sound.desk"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
         )
