@@ -68,7 +68,10 @@ def demo(options: DemoConfig) -> dict[str, Any]:
         f"p50 {latency['p50']} ms, p99 {latency['p99']} ms; errors: {stats['errors']}"
     )
     say(f"see call.mp4, frame.png and stats.json in {options.out}")
-    return stats
+    is_whole = stats["rendered_peers"] == stats["peers"]
+    if not is_whole:
+        say("not everybody was drawn: give it more --seconds or fewer --peers")
+    return {**stats, "ok": is_whole}
 
 
 def run_demo(config: DemoConfig) -> dict[str, Any]:
