@@ -9,7 +9,7 @@ import tyro
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.avatars.own_avatar import GiveAvatar
-from pica_client.cli.options import connect_timeout_s, parse_size
+from pica_client.cli.options import check_voice, connect_timeout_s, parse_size
 from pica_client.errors import OptionError
 from pica_client.output import say
 from pica_client.playout.config import PlayoutConfig, playout_with_floor
@@ -146,6 +146,8 @@ def view(options: ViewOptions) -> dict[str, Any]:
     asks = not options.headless and bool(options.link or not options.url) and has_display()
     face = _face(options, asks=asks)
     voice, sound = _sound(options, preferences.sound)
+    if not asks:  # at the form a voice can be chosen
+        check_voice(face.source, voice)
     going = replace(
         going,
         url=going.url or options.url or "",

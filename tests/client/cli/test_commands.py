@@ -31,6 +31,8 @@ def avatar(tmp_path: Path) -> str:
         (["send", "--room", "a b"], "room must be"),
         (["send", "--source", "camera"], "source 'camera' is unknown; write csv:FILE"),
         (["send", "--source", "csv:none.csv"], "none.csv: cannot be read"),
+        (["send", "--source", "voice"], "source voice needs --voice mic or a WAV file"),
+        (["view", "--url", "ws://x", "--send", "voice"], "source voice needs --voice mic"),
         (["send", "--avatar", "nobody"], "avatar 'nobody' is unknown"),
         (["send", "--avatar", "none.pica"], "none.pica: cannot be read"),
         (["view", "--url", "http://x"], "url 'http://x' is no relay address"),
