@@ -21,7 +21,7 @@ from pica_client.errors import CallProcessError, check_ranges
 from pica_client.local_call import local_call
 from pica_client.local_call.latency import frame_times, latency_summary
 from pica_client.local_call.processes import Child, Children
-from pica_client.output import make_folder, say, writing_whole
+from pica_client.output import make_folder, say, writing, writing_whole
 from pica_client.signals import terminate_as_interrupt
 from pica_client.stats import describe_machine
 from pica_client.ui.display import has_display
@@ -85,6 +85,9 @@ def run_demo(config: DemoConfig) -> dict[str, Any]:
             sender crashed the call goes on without it, the files are written, and then it raises.
     """
     make_folder(config.out)
+    film = config.out / "call.mp4"
+    with writing(film):
+        film.unlink(missing_ok=True)
     with closing(AvatarLibrary()) as library, Children() as children:
         stage = local_call.LocalCall(config.call, library, children)
         log = children.folder / "view.json"

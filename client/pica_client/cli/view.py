@@ -64,7 +64,7 @@ class ViewOptions:
     headless: bool = False
     """Draw without a window."""
     record: Path | None = None
-    """Record into this MP4 file."""
+    """Record into this MP4 file, which must not be there yet."""
     png: Path | None = None
     """Write the last image into this PNG file."""
     png_folder: Path | None = None
@@ -125,6 +125,8 @@ def view(options: ViewOptions) -> dict[str, Any]:
         path = register_links()
         say(f"invite links are opened with pica view now, says {path}")
         return {"registered": str(path)}
+    if options.record is not None and options.record.is_file():
+        raise OptionError(f"{options.record}: is there already; move it away or name another file")
     from pica_client.render.views import EYE_DISTANCE_M
     from pica_client.ui.controls import ControlState
     from pica_client.ui.joining.form import Fields, JoinForm

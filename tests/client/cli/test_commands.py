@@ -89,6 +89,15 @@ def test_bad_input_is_one_line_with_the_fix_and_exit_status_two(
     assert message in lines[0]
 
 
+def test_no_film_is_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    film = tmp_path / "call.mp4"
+    film.write_text("of yesterday")
+    assert main(["view", "--url", "ws://127.0.0.1:9", "--headless", "--record", str(film)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line == f"pica view: {film}: is there already; move it away or name another file"
+    assert film.read_text() == "of yesterday"
+
+
 @pytest.mark.parametrize("num_bytes", [5000, 20_000])
 def test_a_truncated_avatar_is_named_with_the_fix(
     num_bytes: int, avatar: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
