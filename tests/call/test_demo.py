@@ -37,6 +37,8 @@ def test_a_short_demo_draws_everybody_and_writes_its_files(
 ) -> None:
     pytest.importorskip("av")
     out = tmp_path / "out"
+    out.mkdir()
+    (out / "call.mp4").write_text("of the demo before")
     stats = run_demo(
         DemoConfig(
             call=LocalCallConfig(peers=2, avatar=str(avatar_file)),

@@ -18,12 +18,14 @@ from helpers.senders import LoadedAvatars
 from helpers.toy import make_toy_avatar
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.bench.call import BenchConfig, run_bench
+from pica_client.bench.relay.processes import Workers
 from pica_client.call.call import Call
 from pica_client.errors import CallProcessError, RelayUnreachableError
 from pica_client.local_call.local_call import LocalCall, LocalCallConfig
 from pica_client.local_call.processes import Child, Children
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.receiver import Receiver
+from pica_client.voice.sound.process import SoundProcess
 from pica_core.avatar.file import avatar_id, save_avatar
 
 pytestmark = pytest.mark.realtime
@@ -93,6 +95,21 @@ def test_processes_end_with_a_parent_that_was_killed(avatar_file: Path, tmp_path
     parent.wait()
     parent.stdout.close()
     wait_until(lambda: not any(is_running(pid) for pid in pids), "children end")
+
+
+def test_no_process_of_ours_runs_a_module_that_lies_in_the_current_folder(
+    children: Children, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("pickle.py", "random.py"):
+        Path(name).write_text("open('was-run', 'w')\nfrom not_ours import everything\n")
+    children.start_relay()
+    sound = SoundProcess()
+    sound.set_volumes({})
+    sound.close()
+    with Workers() as workers:
+        workers.start("swarm", "{}").wait(time.monotonic() + PATIENCE_S)
+    assert not Path("was-run").exists()
 
 
 def test_a_call_survives_the_death_of_sender_and_relay(

@@ -244,6 +244,23 @@ def test_who_records_from_the_command_line_is_seen_to_by_those_in_the_room(
     assert ("records", "guest") in news
 
 
+def test_who_comes_in_again_records_into_a_file_of_its_own_and_is_told_where(
+    library: AvatarLibrary, relay_url: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("av")
+    film, picture = tmp_path / "call.mp4", tmp_path / "last.png"
+    recording = config(relay_url, headless=True)
+    recording = replace(recording, viewer=replace(recording.viewer, record=film), png=picture)
+    look(recording, library, WATCHING, without_signals)
+    first = film.read_bytes()
+    look(recording, library, WATCHING, without_signals)
+    assert film.read_bytes() == first
+    said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("wrote")]
+    again = tmp_path / "call-0001.mp4"
+    assert said == [f"wrote {each}" for each in (picture, film, picture, again)]
+    assert again.stat().st_size > 0
+
+
 def test_what_the_command_line_says_comes_before_what_was_kept() -> None:
     kept = Preferences(url="ws://old", room="old", name="Old", voice="none")
     assert first_fields(Fields(room="new", voice=""), kept) == Fields(

@@ -56,14 +56,9 @@ class _Lips:
 
 
 class HeldLips:
-    """Moves the lips of faces that stand still; one for all peers.
-
-    Attributes:
-        is_on: Whether it does; may be switched at any time.
-    """
+    """Moves the lips of faces that stand still; one for all peers."""
 
     def __init__(self, make_decoder: Callable[[], Decoder]) -> None:
-        self.is_on = True
         self._make_decoder = make_decoder
         self._lips: dict[str, _Lips] = {}
 
@@ -102,14 +97,12 @@ class HeldLips:
         if lips is None:
             return latent, shown_us
         elapsed_s, lips.now = min(max(now - lips.now, 0.0), FADE_S), now
-        stands = self.is_on and heard_us is not None and heard_us - shown_us > STANDS_US
-        if not stands:
+        if heard_us is None or heard_us - shown_us <= STANDS_US:
             lips.held_us = None
             lips.weight = max(lips.weight - elapsed_s / FADE_S, 0.0)
             if lips.weight == 0.0 or lips.added is None:
                 return latent, shown_us
             return latent + np.float32(lips.weight) * lips.added, shown_us
-        assert heard_us is not None
         self._listen(lips, heard_us / 1e6)
         if lips.encoder is None:
             lips.encoder = ExpressionEncoder(avatar)

@@ -8,6 +8,9 @@ them. So of each `WINDOW_S` the least late packet counts (as in CoDel, RFC 8289)
     above `STEP_S`                                          the fastest are sought anew
     above `LATE_S`, and not better than the window before   the lowest layer of all faces alone,
                                                             and if that does not help, no faces
+    so still, twice `SETTLE_S` after the last face          no face fills it: the sender is later
+                                                            than before, as by another microphone;
+                                                            the fastest are sought anew
     below `FRESH_S` for the patience                        one layer more
 
 The patience doubles when a layer more was one too many.
@@ -68,6 +71,8 @@ class YieldingFaces:
         self._least_s = self._before_s = math.inf
         self._since_s = self._raised_s = self._lowered_s = -math.inf
         self._patience_s = MIN_PATIENCE_S
+        self._yielded_s = math.inf
+        """How late voices were when faces last made way."""
 
     def receive(self, peer_id: str, captured_us: int, now: float) -> bool:
         """Take note of a packet of somebody's voice; return whether `max_layer` has changed."""
@@ -95,12 +100,17 @@ class YieldingFaces:
         if standing_s > FRESH_S:
             self._since_s = now
         if standing_s > LATE_S and standing_s > 0.9 * self._before_s:
-            if self.max_layer == NOTHING or now - self._lowered_s < SETTLE_S:
+            if self.max_layer == NOTHING:
+                is_settled = now - self._lowered_s > 2 * SETTLE_S
+                if is_settled and standing_s > 0.9 * self._yielded_s:
+                    self._fastest.clear()
+                return
+            if now - self._lowered_s < SETTLE_S:
                 return
             if now - self._raised_s < MIN_PATIENCE_S:
                 self._patience_s = min(2 * self._patience_s, MAX_PATIENCE_S)
             self.max_layer = 0 if self.max_layer > 0 else NOTHING
-            self._lowered_s = now
+            self._lowered_s, self._yielded_s = now, standing_s
         elif now - self._since_s >= self._patience_s and self.max_layer < MAX_LAYER:
             self.max_layer += 1 if self.max_layer + 1 < TOP_LAYER else MAX_LAYER - self.max_layer
             self._since_s = self._raised_s = now

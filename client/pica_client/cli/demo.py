@@ -21,7 +21,7 @@ from pica_client.errors import CallProcessError, check_ranges
 from pica_client.local_call import local_call
 from pica_client.local_call.latency import frame_times, latency_summary
 from pica_client.local_call.processes import Child, Children
-from pica_client.output import make_folder, say, writing_whole
+from pica_client.output import make_folder, say, writing, writing_whole
 from pica_client.signals import terminate_as_interrupt
 from pica_client.stats import describe_machine
 from pica_client.ui.display import has_display
@@ -68,7 +68,10 @@ def demo(options: DemoConfig) -> dict[str, Any]:
         f"p50 {latency['p50']} ms, p99 {latency['p99']} ms; errors: {stats['errors']}"
     )
     say(f"see call.mp4, frame.png and stats.json in {options.out}")
-    return stats
+    is_whole = stats["rendered_peers"] == stats["peers"]
+    if not is_whole:
+        say("not everybody was drawn: give it more --seconds or fewer --peers")
+    return {**stats, "ok": is_whole}
 
 
 def run_demo(config: DemoConfig) -> dict[str, Any]:
@@ -82,6 +85,9 @@ def run_demo(config: DemoConfig) -> dict[str, Any]:
             sender crashed the call goes on without it, the files are written, and then it raises.
     """
     make_folder(config.out)
+    film = config.out / "call.mp4"
+    with writing(film):
+        film.unlink(missing_ok=True)
     with closing(AvatarLibrary()) as library, Children() as children:
         stage = local_call.LocalCall(config.call, library, children)
         log = children.folder / "view.json"

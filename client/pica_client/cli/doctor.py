@@ -150,19 +150,22 @@ def _privacy() -> Finding:
 
 
 def _extra(extra: str, modules: tuple[str, ...], load: Callable[[str], Any]) -> Finding:
-    lacking = []
+    lacking, is_silent = [], False
     for module in modules:
         try:
             load(module)
         except Exception as error:  # a broken install fails in ways of its own
             is_absent = isinstance(error, ModuleNotFoundError)
             if module == "soundcard" and not is_absent:  # it connects when it is imported
-                detail = "installed, but no sound system answers"
-                return Finding(f"extra {extra}", "missing", detail, "start PulseAudio or PipeWire")
-            lacking.append(module if is_absent else f"{module} ({error})")
-    if not lacking:
-        return Finding(f"extra {extra}", "ready", "installed")
-    return Finding(f"extra {extra}", "missing", f"no {', '.join(lacking)}", install_line(extra))
+                is_silent = True
+            else:
+                lacking.append(module if is_absent else f"{module} ({error})")
+    if lacking:
+        return Finding(f"extra {extra}", "missing", f"no {', '.join(lacking)}", install_line(extra))
+    if is_silent:
+        detail = "installed, but no sound system answers"
+        return Finding(f"extra {extra}", "missing", detail, "start PulseAudio or PipeWire")
+    return Finding(f"extra {extra}", "ready", "installed")
 
 
 def _graphics(load: Callable[[str], Any]) -> Finding:

@@ -12,6 +12,16 @@ def connect_timeout_s(*, wait: bool, seconds: float) -> float | None:
     return (seconds or None) if wait else CONNECT_TIMEOUT_S
 
 
+def check_voice(source: str, voice: str | None) -> None:
+    """Refuse a face that only a voice moves, where there is none.
+
+    Raises:
+        OptionError: Says what to add.
+    """
+    if source == "voice" and voice in (None, "none"):
+        raise OptionError("source voice needs --voice mic or a WAV file")
+
+
 def parse_size(text: str) -> tuple[int, int]:
     """`960x540` as columns and rows."""
     columns, _, rows = text.partition("x")

@@ -11,7 +11,7 @@ import tyro
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.avatars.own_avatar import GiveAvatar, choose_own_avatar
-from pica_client.cli.options import connect_timeout_s
+from pica_client.cli.options import check_voice, connect_timeout_s
 from pica_client.cli.send_keys import HELP, SendKeys, read_keys
 from pica_client.e2ee.padding import parse_buckets
 from pica_client.output import Outputs, check_writable, say
@@ -83,6 +83,7 @@ def send(options: SendOptions) -> dict[str, Any]:
     relay goes away and returns.
     """
     check_writable(options.frame_log)
+    check_voice(options.source, options.voice)
     link = LinkConfig(
         url=options.url,
         room=options.room,

@@ -9,7 +9,7 @@ import tyro
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.avatars.own_avatar import GiveAvatar
-from pica_client.cli.options import connect_timeout_s, parse_size
+from pica_client.cli.options import check_voice, connect_timeout_s, parse_size
 from pica_client.errors import OptionError
 from pica_client.output import say
 from pica_client.playout.config import PlayoutConfig, playout_with_floor
@@ -64,7 +64,7 @@ class ViewOptions:
     headless: bool = False
     """Draw without a window."""
     record: Path | None = None
-    """Record into this MP4 file."""
+    """Record into this MP4 file, which must not be there yet."""
     png: Path | None = None
     """Write the last image into this PNG file."""
     png_folder: Path | None = None
@@ -125,6 +125,8 @@ def view(options: ViewOptions) -> dict[str, Any]:
         path = register_links()
         say(f"invite links are opened with pica view now, says {path}")
         return {"registered": str(path)}
+    if options.record is not None and options.record.is_file():
+        raise OptionError(f"{options.record}: is there already; move it away or name another file")
     from pica_client.render.views import EYE_DISTANCE_M
     from pica_client.ui.controls import ControlState
     from pica_client.ui.joining.form import Fields, JoinForm
@@ -146,6 +148,8 @@ def view(options: ViewOptions) -> dict[str, Any]:
     asks = not options.headless and bool(options.link or not options.url) and has_display()
     face = _face(options, asks=asks)
     voice, sound = _sound(options, preferences.sound)
+    if not asks:  # at the form a voice can be chosen
+        check_voice(face.source, voice)
     going = replace(
         going,
         url=going.url or options.url or "",

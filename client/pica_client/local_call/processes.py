@@ -23,7 +23,10 @@ killed."""
 
 
 class ChildProcess:
-    """A Python program in a process of its own, which ends when its standard input does."""
+    """A Python program in a process of its own, which ends when its standard input does.
+
+    Modules are run with `-P`: nothing is imported from whatever folder the user is in.
+    """
 
     def __init__(self, name: str, words: Sequence[str], **streams: Any) -> None:
         self.name = name
@@ -75,7 +78,7 @@ class Child(ChildProcess):
 
     def __init__(self, name: str, arguments: Sequence[str], folder: Path) -> None:
         self._out, self._err = folder / f"{name}.out", folder / f"{name}.err"
-        words = ("-m", PARENT_WATCHDOG, *arguments, "--json")
+        words = ("-P", "-m", PARENT_WATCHDOG, *arguments, "--json")
         # Without what our user set for commands of their own.
         bare = {name: value for name, value in os.environ.items() if not name.startswith("PICA_")}
         bare["PICA_PROFILE"] = "none"

@@ -45,8 +45,8 @@ def load_livelink_csv(path: Path, *, start_s: float = 0.0) -> Recording:
         are those with values that are no numbers; of the latter the user is told.
 
     Raises:
-        SourceError: No such file, not such a file, missing columns, a cut or unreadable row, or
-            time running backwards.
+        SourceError: No such file, not such a file, missing columns, a cut or unreadable row, time
+            running backwards, or never a face.
     """
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
@@ -92,6 +92,8 @@ def load_livelink_csv(path: Path, *, start_s: float = 0.0) -> Recording:
             raise SourceError(f"{path}: no frame holds numbers alone; export the take again")
         say(f"{path}: {num_lost} of {len(body)} frames are lost, they hold NaN or infinity")
         values[~is_number], has_face[~is_number] = 0.0, False
+    if not has_face.any():
+        raise SourceError(f"{path}: no frame holds a face; record the take again")
     if np.abs(values).max() > VALUE_LIMIT:
         line = int(np.argmax((np.abs(values) > VALUE_LIMIT).any(axis=1))) + 2
         raise SourceError(f"{path}, line {line}: a value lies outside ±{VALUE_LIMIT:g}")

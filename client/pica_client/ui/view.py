@@ -27,6 +27,7 @@ from pica_client.transport.link_news import LinkNews
 from pica_client.transport.monitor import CallMonitor
 from pica_client.transport.receiver import Receiver
 from pica_client.ui.call_sound import CallSound
+from pica_client.ui.captures_on_disk import new_path
 from pica_client.ui.settings import OwnChoice
 from pica_client.ui.viewer import Viewer
 from pica_client.ui.viewer_options import ViewerOptions
@@ -176,8 +177,8 @@ class View:
             RelayError: The relay is not there, or will not have us.
             GraphicsError: There is no way to draw.
         """
-        config = self._config
-        self._say_recording(config.viewer.record is not None)
+        config, film = self._config, self._config.viewer.record
+        self._say_recording(film is not None)
         with ExitStack() as stack:
             if self._fetcher is not None:
                 stack.callback(self._fetcher.close)
@@ -189,6 +190,8 @@ class View:
             self._wait_for_peers()
             if self.was_cancelled:
                 return dict(NOTHING_SHOWN)
+            if film is not None and film.is_file():  # of the stay before this one
+                film = new_path(film.parent, film.stem, ".mp4")
             desk = None
             if self._publisher is not None:
                 desk = FaceDesk(self._publisher, config.link.name, self._entered_as.source)
@@ -197,6 +200,7 @@ class View:
                 self._call,
                 replace(
                     config.viewer,
+                    record=film,
                     at_first=replace(
                         config.viewer.at_first,
                         entered_as=self._entered_as,
@@ -222,8 +226,9 @@ class View:
                 drawn, received = viewer.report(), self._receiver.stats(end_s)
                 problems = list(viewer.problems.values())
                 outputs = viewer.outputs
-                if config.png is not None and drawn["frames_rendered"]:
-                    viewer.save_image(config.png)
+                png = config.png if drawn["frames_rendered"] else None
+                if png is not None and viewer.save_image(png):
+                    say(f"wrote {png}")
                 self.last_controls = viewer.controls.state
                 self.last_window_size = viewer.windowed_size
                 if desk is not None and desk.source != self._entered_as.source:

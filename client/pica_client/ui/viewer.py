@@ -25,7 +25,7 @@ from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.pool import DecodePool
 from pica_client.decode.request import DecodeResult
 from pica_client.errors import ClientError
-from pica_client.output import Outputs
+from pica_client.output import Outputs, say
 from pica_client.publish.face_desk import FaceDesk
 from pica_client.render.draw_clock import DrawClock
 from pica_client.render.recorder import Recorder, save_png
@@ -278,8 +278,8 @@ class Viewer(Closing):
         return self._film is not None or self._captures.is_recording
 
     def _end_film(self) -> None:
-        if self._film is not None:
-            self.outputs.attempt(self._film.close)
+        if self._film is not None and self.outputs.attempt(self._film.close):
+            say(f"wrote {self.options.record}")
 
     def pick(self, x_px: float, y_px: float) -> int | None:
         """Whose head is at a point of the picture, pixels, y down; see `FaceState.place`."""

@@ -4,16 +4,18 @@ import asyncio
 import math
 from collections.abc import AsyncIterator
 from contextlib import suppress
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from pica_client.errors import OptionError, VoiceError
+from pica_client.output import say
 from pica_client.transport.timers import wait_until
 from pica_client.voice.packet import FRAME_S, FRAME_SAMPLES
 from pica_client.voice.publisher import VoiceSource
-from pica_client.voice.sound.devices import Microphone
+from pica_client.voice.sound.devices import NO_LIBRARY, Microphone
 from pica_client.voice.sound.echo import EchoCanceller
 from pica_client.voice.wav import read_wav, shipped_speech
 from pica_core.types import FloatArray
@@ -57,7 +59,8 @@ class SoundSource:
 
 
 def open_voice(text: str, *, cleans: bool = True) -> VoiceSource | None:
-    """Open what the option ``--voice`` names; None: no voice.
+    """Open what the option ``--voice`` names; None: no voice. What is wrong with a microphone is
+    said whenever that changes.
 
     Args:
         text: ``none``; ``speech``, the sentences that ship, or ``speech#K/N``, the K-th of N who
@@ -65,6 +68,7 @@ def open_voice(text: str, *, cleans: bool = True) -> VoiceSource | None:
         cleans: Whether to take noise out of a microphone, where the extra ``echo`` is installed.
 
     Raises:
+        ModuleNotFoundError: A microphone needs the extra ``voice``.
         OptionError: It is a turn that cannot be.
         SourceError: The file is no WAV file that can be played.
     """
@@ -72,7 +76,10 @@ def open_voice(text: str, *, cleans: bool = True) -> VoiceSource | None:
         return None
     kind, _, device = text.partition(":")
     if kind == "mic":
+        if find_spec("soundcard") is None:
+            raise ModuleNotFoundError(NO_LIBRARY, name="soundcard")
         microphone = Microphone(device)
+        microphone.on_note = lambda note: say(note or "the microphone is there again")
         with suppress(VoiceError):
             microphone.clean = EchoCanceller().clean if cleans else None
         return microphone

@@ -65,6 +65,19 @@ def test_a_clock_that_stood_still_while_its_machine_slept_is_no_queue() -> None:
     assert way.run(1.0, 10.2) == [MAX_LAYER, 0]
 
 
+def test_a_microphone_that_is_slower_than_the_one_before_is_no_queue_for_long() -> None:
+    way = Way()
+    way.run(30.0, 0.0)
+    assert way.run(4 * SETTLE_S + MIN_PATIENCE_S, 0.12) == [MAX_LAYER, 0, NOTHING, 0]
+
+
+def test_a_queue_that_drains_slowly_once_faces_have_made_way_is_one() -> None:
+    way = Way()
+    way.run(2.0, 0.0)
+    assert way.run(SETTLE_S + 2 * WINDOW_S, 0.3) == [MAX_LAYER, 0, NOTHING]
+    assert way.run(11.0, *np.linspace(0.3, 0.05, round(11.0 / PACKET_S)).tolist()) == [NOTHING]
+
+
 def test_layers_come_back_one_by_one_and_later_where_one_was_too_many() -> None:
     way = Way()
     way.run(2.0, 0.0)

@@ -31,6 +31,8 @@ def avatar(tmp_path: Path) -> str:
         (["send", "--room", "a b"], "room must be"),
         (["send", "--source", "camera"], "source 'camera' is unknown; write csv:FILE"),
         (["send", "--source", "csv:none.csv"], "none.csv: cannot be read"),
+        (["send", "--source", "voice"], "source voice needs --voice mic or a WAV file"),
+        (["view", "--url", "ws://x", "--send", "voice"], "source voice needs --voice mic"),
         (["send", "--avatar", "nobody"], "avatar 'nobody' is unknown"),
         (["send", "--avatar", "none.pica"], "none.pica: cannot be read"),
         (["view", "--url", "http://x"], "url 'http://x' is no relay address"),
@@ -85,6 +87,15 @@ def test_bad_input_is_one_line_with_the_fix_and_exit_status_two(
     words = 2 if arguments[0] == "bench" else 1
     assert lines[0].startswith(f"pica {' '.join(arguments[:words])}: ")
     assert message in lines[0]
+
+
+def test_no_film_is_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    film = tmp_path / "call.mp4"
+    film.write_text("of yesterday")
+    assert main(["view", "--url", "ws://127.0.0.1:9", "--headless", "--record", str(film)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line == f"pica view: {film}: is there already; move it away or name another file"
+    assert film.read_text() == "of yesterday"
 
 
 @pytest.mark.parametrize("num_bytes", [5000, 20_000])

@@ -112,9 +112,12 @@ def load_core_alone(name: str) -> Any:
 
 
 def load_without_sound(name: str) -> Any:
-    """Import as on a machine whose sound server is away: that library connects at once."""
+    """Import as on a machine without the extra echo, whose sound server is away: that library
+    connects at once."""
     if name == "soundcard":
         raise AssertionError
+    if name == "livekit":
+        raise ModuleNotFoundError(name=name)
     return importlib.import_module(name)
 
 
@@ -123,6 +126,8 @@ def test_a_sound_server_that_is_away_is_not_a_missing_extra() -> None:
     voice = next(finding for finding in found if finding.subject == "extra voice")
     assert voice.detail == "installed, but no sound system answers"
     assert voice.fix == "start PulseAudio or PipeWire"
+    echo = next(finding for finding in found if finding.subject == "extra echo")
+    assert (echo.detail, echo.fix) == ("no livekit", install_line("echo"))
 
 
 class BrokenGraphics:

@@ -149,6 +149,12 @@ def test_a_header_without_frames_is_refused(tmp_path: Path) -> None:
         load_livelink_csv(write_take(tmp_path / "head.csv", []))
 
 
+def test_a_take_in_which_nobody_is_seen_is_refused(tmp_path: Path) -> None:
+    rows = [take_row(f"10:00:00:{frame:02}.000", count="0") for frame in (0, 2, 4)]
+    with pytest.raises(SourceError, match=r"empty\.csv: no frame holds a face; record the take"):
+        load_livelink_csv(write_take(tmp_path / "empty.csv", rows))
+
+
 def test_missing_columns_are_named(tmp_path: Path) -> None:
     header = [name for name in HEADER if name not in ("JawOpen", "HeadRoll")]
     with pytest.raises(SourceError, match="lacks the columns jawOpen, HeadRoll"):

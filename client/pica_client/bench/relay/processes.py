@@ -85,7 +85,7 @@ class Workers:
     def start(self, program: str | Path, *arguments: str, core: int | None = None) -> Worker:
         """Start a module of this package, by its name, or a file."""
         is_file = isinstance(program, Path)
-        words = (str(program),) if is_file else ("-m", f"pica_client.bench.relay.{program}")
+        words = (str(program),) if is_file else ("-P", "-m", f"pica_client.bench.relay.{program}")
         worker = Worker(Path(program).stem, (*words, *arguments), core)
         self._workers.append(worker)
         return worker

@@ -37,7 +37,7 @@ def desktop_entry(python: str) -> str:
         "[Desktop Entry]\n"
         "Type=Application\n"
         f"Name={TITLE}\n"
-        f'Exec="{quoted}" -m pica_command view %u\n'
+        f'Exec="{quoted}" -P -m pica_command view %u\n'
         "NoDisplay=true\n"
         "Terminal=false\n"
         f"MimeType=x-scheme-handler/{SCHEME};\n"
@@ -52,7 +52,7 @@ def registry_entries(python: str) -> str:
         return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
 
     key = f"HKEY_CURRENT_USER\\Software\\Classes\\{SCHEME}"
-    command = f'"{python}" -m pica_command view -- "%1"'
+    command = f'"{python}" -P -m pica_command view -- "%1"'
     text = (
         "Windows Registry Editor Version 5.00\n\n"
         f"[{key}]\n@={quoted(f'URL:{TITLE}')}\n"
@@ -67,7 +67,7 @@ def applet_script(python: str) -> str:
     quoted = python.replace("\\", "\\\\").replace('"', '\\"')
     return (
         "on open location theLink\n"
-        f'    do shell script quoted form of "{quoted}" & " -m pica_command view -- " & ¬\n'
+        f'    do shell script quoted form of "{quoted}" & " -P -m pica_command view -- " & ¬\n'
         '        quoted form of theLink & " > /dev/null 2>&1 &"\n'
         "end open location\n"
     )

@@ -72,10 +72,15 @@ def microphones() -> list[str]:
 
 
 class _Device(ABC):
-    """A device that is opened again and again, on a thread of its own."""
+    """A device that is opened again and again, on a thread of its own.
+
+    Attributes:
+        on_note: Takes what is wrong, on that thread, whenever that changes; empty: nothing.
+    """
 
     def __init__(self, name: str) -> None:
         self.state = DeviceState()
+        self.on_note: Callable[[str], None] = lambda note: None
         self._wanted = name
         self._stopping, self._is_changed = threading.Event(), threading.Event()
         self._num_frames = 0
@@ -109,7 +114,7 @@ class _Device(ABC):
     def _run(self) -> None:
         stream: Any = None
         opening: Future[tuple[Any, DeviceState]] | None = None
-        retry_s = 0.0
+        retry_s, told = 0.0, ""
         # Devices are opened and closed there, while the one before goes on.
         pool = ThreadPoolExecutor(1, thread_name_prefix="open-device")
         while not self._stopping.is_set():
@@ -139,6 +144,9 @@ class _Device(ABC):
                 self.state, stream = DeviceState(note=words), None
                 is_lost = self._num_frames > LOST_FRAMES
                 retry_s = time.monotonic() + (AT_ONCE_S if is_lost else RETRY_S)
+            if self.state.note != told:
+                told = self.state.note
+                self.on_note(told)
         if stream is not None:
             stream.__exit__(None, None, None)
         pool.shutdown(wait=False)

@@ -140,7 +140,7 @@ class SoundProcess:
 
     def _begin(self) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "pica_client.voice.sound.desk"],
+            [sys.executable, "-P", "-m", "pica_client.voice.sound.desk"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
         )
@@ -150,11 +150,11 @@ class SoundProcess:
         for said in self._lasting.items():
             self._outbox.put(said)
         self._reading = threading.Thread(
-            target=self._read, args=(self._process,), name="sound", daemon=True
+            target=self._read, args=(self._process, self._outbox), name="sound", daemon=True
         )
         self._reading.start()
 
-    def _read(self, process: subprocess.Popen[bytes]) -> None:
+    def _read(self, process: subprocess.Popen[bytes], outbox: Outbox) -> None:
         said = process.stdout
         assert said is not None
         with said, contextlib.suppress(EOFError, OSError, ValueError, pickle.UnpicklingError):
@@ -166,6 +166,7 @@ class SoundProcess:
         self.state = SoundState(speaker=gone)
         process.kill()
         process.wait()
+        outbox.close()
         with self._lock:
             self._process, self._begin_s = None, time.monotonic() + RESTART_S
         time.sleep(RESTART_S)

@@ -29,7 +29,7 @@ def test_the_entry_runs_the_interpreter_that_has_us(python: str) -> None:
     assert entry["MimeType"] == "x-scheme-handler/pica;"
     # The desktop undoes the escapes of a string first, then those of the command.
     command = shlex.split(entry["Exec"].replace("\\\\", "\\").replace("\\$", "$"))
-    assert command == [python.replace("%", "%%"), "-m", "pica_command", "view", "%u"]
+    assert command == [python.replace("%", "%%"), "-P", "-m", "pica_command", "view", "%u"]
 
 
 def test_the_file_is_written_where_applications_are(tmp_path: Path) -> None:
@@ -47,7 +47,7 @@ def test_on_windows_the_registry_names_the_command_and_takes_no_options_from_a_l
     assert '"URL Protocol"=""' in text
     command = text.splitlines()[-1].removeprefix('@="').removesuffix('"')
     unescaped = command.replace('\\"', '"').replace("\\\\", "\\")
-    assert unescaped == r'"C:\Program Files\Python\python.exe" -m pica_command view -- "%1"'
+    assert unescaped == r'"C:\Program Files\Python\python.exe" -P -m pica_command view -- "%1"'
     commands: list[list[str]] = []
     path = register_links(tmp_path, system="win32", run=commands.append)
     assert path.read_bytes().decode("utf-16") == registry_entries(sys.executable)
