@@ -325,8 +325,7 @@ class Viewer(Closing):
     def _arrange(self, now: float) -> CallScene:
         state = self.controls.state
         scene = self._presenter.arrange(now, self._eye_size, state, self._surface.free)
-        if scene.limits != state.limits:
-            self.controls.state = replace(state, limits=scene.limits)
+        self.controls.state = replace(state, limits=scene.limits, layouts=scene.layouts)
         return scene
 
     @property
