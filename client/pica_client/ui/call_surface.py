@@ -25,8 +25,9 @@ from pica_client.ui.panels.participants import participants_panel
 from pica_client.ui.panels.self_view import self_view, self_view_px
 from pica_client.ui.panels.settings import settings_panel
 from pica_client.ui.panels.side import help_panel, side_share
-from pica_client.ui.panels.signs import signs, signs_share
-from pica_client.ui.panels.statistics import statistics, statistics_share
+from pica_client.ui.panels.signs import signs
+from pica_client.ui.panels.statistics import statistics
+from pica_client.ui.panels.upper_edge import signs_share, statistics_share
 from pica_client.ui.panels.waiting import first_hint, hint_share, waiting_page
 from pica_client.ui.settings import Settings
 from pica_client.ui.surface.painter import Painter

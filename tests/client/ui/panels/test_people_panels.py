@@ -40,16 +40,16 @@ from pica_client.ui.panels.self_view import self_view, self_view_px
 from pica_client.ui.panels.settings import settings_panel
 from pica_client.ui.panels.signs import (
     NO_FACE,
-    call_signs,
     compact_sign,
     own_sign,
     signs,
-    signs_share,
 )
 from pica_client.ui.panels.statistics import statistics
+from pica_client.ui.panels.upper_edge import call_signs, signs_share
 from pica_client.ui.panels.waiting import first_hint, waiting_page
 from pica_client.ui.settings import OwnChoice, Settings
 from pica_client.ui.surface import icons
+from pica_client.ui.surface.surface import BACKGROUND
 from pica_client.ui.surface.theme import Metrics, metrics_for
 from pica_client.voice.sound.settings import DeviceState, SoundSettings, SoundState
 
@@ -318,6 +318,28 @@ def test_the_statistics_begin_below_the_signs_of_the_call(hand: Hand) -> None:
         window = imgui.internal.find_window_by_name("statistics")
         tops.append(window.pos.y)
     assert tops[1] > tops[0] > 36
+
+
+@pytest.mark.parametrize("count", [1, 3, 16])
+def test_notices_stand_below_the_statistics(count: int) -> None:
+    from imgui_bundle import imgui
+
+    view = replace(
+        ALONE,
+        state=ControlState(show_statistics=True),
+        people=VIEW.people * count,
+        notices=(Notice("Saved recording-0001.mp4 in /home/ada/Videos", "accent"),),
+        figures=tuple((f"figure {number}", "1000 kbit/s") for number in range(8)),
+    )
+    with open_hand((960, 540)) as hand:
+        for _ in range(3):
+            hand.frame(lambda metrics: [*signs(view, metrics), *statistics(view, metrics)])
+        window = imgui.internal.find_window_by_name("statistics")
+        (background,) = (
+            each for each in hand.surface.draw_data().cmd_lists if each._owner_name == BACKGROUND
+        )
+        tops = [v.pos.y for v in background.vtx_buffer if 380 < v.pos.x < 600]
+        assert min(tops) >= window.pos.y + window.size.y
 
 
 def test_the_menu_of_a_person_makes_them_softer_or_silent_and_the_list_shows_it(hand: Hand) -> None:
