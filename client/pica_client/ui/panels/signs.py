@@ -8,7 +8,7 @@ from pica_client.ui.panels.upper_edge import SIGN_PT, Line, call_signs, statisti
 from pica_client.ui.panels.waiting import shows_hint
 from pica_client.ui.surface.fonts import TEXT_PT
 from pica_client.ui.surface.theme import Metrics
-from pica_client.ui.surface.widgets import Place, ink, shortened, text_size
+from pica_client.ui.surface.widgets import Place, draw_disc, ink, shortened, text_size
 
 BANNER_AFTER_S = 1.0
 """A connection that comes back sooner is not worth a word."""
@@ -104,6 +104,6 @@ def _sign(line: Line, place: Place, pivot: Place, metrics: Metrics) -> float:
     shapes.add_rect_filled(
         (left, top), (left + size[0], top + size[1]), ink(palette.plate), size[1] / 2
     )
-    shapes.add_circle_filled((left + pad + dot, top + size[1] / 2), dot, ink(palette.tone(tone)))
+    draw_disc(shapes, (left + pad + dot, top + size[1] / 2), 2 * dot, palette.tone(tone))
     shapes.add_text((left + pad + 4 * dot, top + px(6)), ink(palette.ink), text)
     return size[1]

@@ -35,6 +35,7 @@ from pica_client.ui.controls import (
 )
 from pica_client.ui.notice_board import Notice
 from pica_client.ui.panels.control_bar import bar_share
+from pica_client.ui.panels.names import names
 from pica_client.ui.panels.participants import participants_panel, signs_of
 from pica_client.ui.panels.self_view import self_view, self_view_px
 from pica_client.ui.panels.settings import settings_panel
@@ -318,6 +319,18 @@ def test_the_statistics_begin_below_the_signs_of_the_call(hand: Hand) -> None:
         window = imgui.internal.find_window_by_name("statistics")
         tops.append(window.pos.y)
     assert tops[1] > tops[0] > 36
+
+
+def test_the_dot_of_who_speaks_is_a_glyph_and_so_round_at_every_size(hand: Hand) -> None:
+    corners = []
+    for is_speaking in (False, True):
+        person = PersonView(
+            peer_id="p1", name="Ada", is_speaking=is_speaking, label_px=(9, 9, 200, 60)
+        )
+        view = replace(VIEW, people=(person,))
+        hand.frame(lambda metrics, view=view: names(view, metrics))  # type: ignore[misc]
+        corners.append(sum(each.vtx_buffer.size() for each in hand.surface.draw_data().cmd_lists))
+    assert corners[1] - corners[0] == 4
 
 
 @pytest.mark.parametrize("count", [1, 3, 16])
