@@ -17,6 +17,7 @@ OWN_SIGNS: dict[OwnFace, Line] = {
     "frozen": ("Your face is frozen", "warning"),
     "muted": ("Your face is not sent", "alert"),
 }
+RECORDING: Line = ("Recording", "alert")
 NO_FACE: Line = ("Your tracker sees no face", "warning")
 
 
@@ -58,7 +59,9 @@ def compact_sign(view: CallView) -> Line | None:
     """The line that a small picture has room for: what is wrong, news, who records, the room."""
     if shows_hint(view) or view.state.side != "none":
         return None
-    return banner(view) or next(reversed([*call_signs(view), *view.notices]), None)
+    own = [RECORDING] if view.is_recording else []
+    room = call_signs(view)
+    return banner(view) or next(reversed([*room[:1], *own, *room[1:], *view.notices]), None)
 
 
 def signs(view: CallView, metrics: Metrics) -> list[UserOrder]:
@@ -87,8 +90,8 @@ def signs(view: CallView, metrics: Metrics) -> list[UserOrder]:
         if own is not None:
             _sign(own, (edge, bottom), (0.0, 1.0), metrics)
             bottom -= metrics.px(SIGN_PT)
-    if view.is_recording:
-        _sign(("Recording", "alert"), (columns - edge, rows - edge), (1.0, 1.0), metrics)
+    if view.is_recording and not metrics.is_compact:
+        _sign(RECORDING, (columns - edge, rows - edge), (1.0, 1.0), metrics)
     return []
 
 

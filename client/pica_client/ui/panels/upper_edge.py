@@ -34,7 +34,8 @@ def call_signs(view: CallView) -> list[Line]:
 def signs_share(view: CallView, metrics: Metrics) -> float:
     """The part of the picture's height that the signs at the upper left take from the people."""
     num_lines = len(call_signs(view))
-    num_lines = min(num_lines, 1) if metrics.is_compact else num_lines
+    if metrics.is_compact:
+        num_lines = min(num_lines + view.is_recording, 1)
     return metrics.px(SIGN_PT * num_lines) / metrics.size[1]
 
 

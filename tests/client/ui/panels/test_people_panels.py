@@ -245,6 +245,10 @@ def test_a_small_picture_has_one_line_for_what_matters_most() -> None:
     told = replace(call, notices=(Notice("Saved", "accent"), Notice("Ada left", "plain")))
     assert compact_sign(call) == ("Ben records", "alert")
     assert compact_sign(told) == ("Ada left", "plain")
+    assert compact_sign(replace(call, is_recording=True)) == ("Ben records", "alert")
+    alone = replace(ALONE, is_recording=True)
+    assert compact_sign(alone) == ("Recording", "alert")
+    assert compact_sign(replace(alone, status=CallStatus())) == ("Recording", "alert")
     lost = replace(told, status=replace(STATUS, is_connected=False, away_s=3.0))
     assert compact_sign(lost) == ("Connection lost – coming back … 3 s", "alert")
     assert compact_sign(replace(call, status=CallStatus())) is None
@@ -254,6 +258,15 @@ def test_a_small_picture_has_one_line_for_what_matters_most() -> None:
         show = partial(first_hint, hinted)
         assert small.click("Got it", show) == [Order.DISMISS_HINT]
         assert small.where("Got it")[3] <= signs_share(VIEW, metrics_for((320, 240))) * 240
+
+
+def test_on_a_small_picture_that_is_recorded_no_sign_stands_on_names() -> None:
+    view = replace(ALONE, is_recording=True, shows_bar=False)
+    with open_hand((320, 240)) as small:
+        small.frame(lambda metrics: signs(view, metrics))
+        (shapes,) = small.surface.draw_data().cmd_lists
+        lowest = max(vertex.pos.y for vertex in shapes.vtx_buffer)
+        assert lowest <= signs_share(view, small.surface.metrics) * 240
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
