@@ -53,6 +53,7 @@ STATUS_PERIOD_S = 0.5
 BAR_S = 4.0
 """How long the control bar stays after the pointer has moved (chosen: as video players do)."""
 RECENT_FRAMES = 60
+Clipboard = tuple[Callable[[], str], Callable[[str], None]]
 
 
 class CallSurface:
@@ -61,6 +62,7 @@ class CallSurface:
     Args:
         status: How the call stands, at a time in seconds.
         has_pointer: Whether there is somebody to steer: a window.
+        clipboard: Reads the system's, and writes it; None: the surface has one of its own.
 
     Attributes:
         free: What the seats must keep free.
@@ -76,9 +78,12 @@ class CallSurface:
         status: Callable[[float], CallStatus],
         *,
         has_pointer: bool,
+        clipboard: Clipboard | None = None,
     ) -> None:
         self.free = FreeShares()
         self._surface = Surface(size)
+        if clipboard is not None:
+            self._surface.use_clipboard(*clipboard)
         self.painter = Painter(context, self._surface)
         self._meter = meter
         self._ask_status = status

@@ -138,6 +138,7 @@ class Viewer(Closing):
                 self._meter,
                 status,
                 has_pointer=self._window is not None,
+                clipboard=(self._window.clipboard, self._window.copy) if self._window else None,
             )
             stack.callback(self._surface.close)
             begin_sound = self._sound.begin_track
