@@ -26,6 +26,7 @@ from pica_client.ui.events import (
     CloseWanted,
     InputEvent,
     KeyPressed,
+    KeyReleased,
     MouseMoved,
     MousePressed,
     MouseReleased,
@@ -42,6 +43,7 @@ pytestmark = pytest.mark.call
 
 NOBODY = "ws://127.0.0.1:9"
 SIZE = (640, 360)
+PASTE = "paste"
 WATCHING = FaceChoice(source="")
 
 
@@ -90,11 +92,14 @@ def without_signals(stop: Callable[[], object]) -> Iterator[None]:
 
 
 class ClickingWindow(ScreenlessWindow):
-    """A window whose user clicks on labels, one after the other, and types a text that begins with
-    an equals sign; at the end they close it."""
+    """A window whose user clicks on labels, one after the other, types a text that begins with an
+    equals sign, and pastes; at the end they close it."""
 
     places: ClassVar[dict[str, Rect]]
     todo: ClassVar[list[str]]
+
+    def clipboard(self) -> str:
+        return " Lovelace"
 
     def poll(self) -> list[InputEvent]:
         self.num_frames = getattr(self, "num_frames", 0) + 1
@@ -108,6 +113,9 @@ class ClickingWindow(ScreenlessWindow):
             return [CloseWanted()]
         if self.todo[0].startswith("="):
             return [TextTyped(self.todo.pop(0)[1:])]
+        if self.todo[0] == PASTE:
+            self.todo.pop(0)
+            self.happened += [KeyPressed("V", has_control=True), KeyReleased("V")]
         if found and stands:
             self.todo.pop(0)
             left, top, right, bottom = found[-1]
@@ -143,13 +151,14 @@ def config(url: str, *, headless: bool = False) -> ViewConfig:
     )
 
 
+@pytest.mark.parametrize("written", ["= Lovelace", PASTE])
 def test_one_comes_again_under_another_name(
-    monkeypatch: pytest.MonkeyPatch, relay_url: str, tmp_path: Path
+    monkeypatch: pytest.MonkeyPatch, relay_url: str, tmp_path: Path, written: str
 ) -> None:
     monkeypatch.setattr("pica_client.ui.window.Window", ClickingWindow)
     monkeypatch.setattr(ScreenlessWindow, "happened", [], raising=False)
     ClickingWindow.places = note_places(monkeypatch)
-    steps = ["Join", "Settings", "##name", "= Lovelace", "Come again"]
+    steps = ["Join", "Settings", "##name", written, "Come again"]
     ClickingWindow.todo = list(steps)
     kept = PreferencesFile(tmp_path)
     form = JoinForm(Fields(url=relay_url, room="standup", name="Ada"))

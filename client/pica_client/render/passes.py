@@ -201,7 +201,11 @@ class DrawPasses:
             head.position.use(UNIT_POSITION)
             set_matrix(program, "clip_from_head", head.place.matrix)
             set_values(
-                program, slot=float(head.number), low_m=head.body.low_m, high_m=head.body.high_m
+                program,
+                slot=float(head.number),
+                shown=head.place.shown,
+                low_m=head.body.low_m,
+                high_m=head.body.high_m,
             )
             if is_shared:
                 set_values(program, share=head.share)

@@ -2,7 +2,7 @@
 
 Frames keep the times they were drawn at, so a call that was drawn unevenly plays at its true speed;
 sound keeps the times it was heard at.
-Needs PyAV (the `video` extra); importing this module does not.
+Needs PyAV (the `video` extra) and Pillow; importing this module does not.
 """
 
 from collections.abc import Callable
@@ -58,7 +58,7 @@ class Recorder(Closing):
         width, height = size[0] - size[0] % 2, size[1] - size[1] % 2
         if width < 2 or height < 2:
             raise OptionError(f"size is {size[0]}x{size[1]}; a video needs at least 2x2")
-        self._size = (width, height)
+        self._size, self._window_size = (width, height), size
         self._path = path
         self._last_tick = -1
         self._begin_s: float | None = None
@@ -90,8 +90,8 @@ class Recorder(Closing):
         """Append a frame.
 
         Args:
-            image: uint8 ``[H, W, 3]``, top row first. One of another size is cropped, or stands on
-                black.
+            image: uint8 ``[H, W, 3]``, top row first. One of another size is scaled to fit, with
+                black bars where its shape differs.
             time_s: When it was drawn, on the clock of the sound; the first is the beginning. Frames
                 that come within a tick of the last one are dropped, and those after `close`.
 
@@ -106,12 +106,11 @@ class Recorder(Closing):
         if tick <= self._last_tick or self._container is None:
             return
         self._last_tick = tick
+        if image.shape[1::-1] != self._window_size:
+            image = _fitted(image, self._size)
         width, height = self._size
-        canvas = image[:height, :width]
-        if canvas.shape != (height, width, 3):  # the window has become smaller than the recording
-            canvas = np.zeros((height, width, 3), np.uint8)
-            canvas[: image.shape[0], : image.shape[1]] = image[:height, :width]
-        frame = self._av.VideoFrame.from_ndarray(np.ascontiguousarray(canvas), format="rgb24")
+        canvas = np.ascontiguousarray(image[:height, :width])
+        frame = self._av.VideoFrame.from_ndarray(canvas, format="rgb24")
         frame.pts = tick
         frame.time_base = Fraction(1, TICKS_PER_S)
         self._mux(self._stream, frame)
@@ -165,6 +164,16 @@ class Recorder(Closing):
                 with suppress(OSError):
                     container.close()
                 raise
+
+
+def _fitted(image: Image, size: tuple[int, int]) -> Image:
+    """The whole of an image, as large as fits into the middle of one of this size, on black."""
+    from PIL import Image as PillowImage
+    from PIL import ImageOps
+
+    whole = PillowImage.fromarray(image)
+    # Twice as fast as the default, and in a recording nobody sees a difference.
+    return np.asarray(ImageOps.pad(whole, size, PillowImage.Resampling.BILINEAR))
 
 
 def save_png(path: Path, image: Image) -> None:

@@ -25,8 +25,9 @@ from pica_client.ui.panels.participants import participants_panel
 from pica_client.ui.panels.self_view import self_view, self_view_px
 from pica_client.ui.panels.settings import settings_panel
 from pica_client.ui.panels.side import help_panel, side_share
-from pica_client.ui.panels.signs import signs, signs_share
-from pica_client.ui.panels.statistics import statistics, statistics_share
+from pica_client.ui.panels.signs import signs
+from pica_client.ui.panels.statistics import statistics
+from pica_client.ui.panels.upper_edge import signs_share, statistics_share
 from pica_client.ui.panels.waiting import first_hint, hint_share, waiting_page
 from pica_client.ui.settings import Settings
 from pica_client.ui.surface.painter import Painter
@@ -52,6 +53,7 @@ STATUS_PERIOD_S = 0.5
 BAR_S = 4.0
 """How long the control bar stays after the pointer has moved (chosen: as video players do)."""
 RECENT_FRAMES = 60
+Clipboard = tuple[Callable[[], str], Callable[[str], None]]
 
 
 class CallSurface:
@@ -60,6 +62,7 @@ class CallSurface:
     Args:
         status: How the call stands, at a time in seconds.
         has_pointer: Whether there is somebody to steer: a window.
+        clipboard: Reads the system's, and writes it; None: the surface has one of its own.
 
     Attributes:
         free: What the seats must keep free.
@@ -75,9 +78,12 @@ class CallSurface:
         status: Callable[[float], CallStatus],
         *,
         has_pointer: bool,
+        clipboard: Clipboard | None = None,
     ) -> None:
         self.free = FreeShares()
         self._surface = Surface(size)
+        if clipboard is not None:
+            self._surface.use_clipboard(*clipboard)
         self.painter = Painter(context, self._surface)
         self._meter = meter
         self._ask_status = status

@@ -135,6 +135,8 @@ class ControlState:
     view: ViewState = field(default_factory=ViewState)
     limits: OrbitLimits = field(default_factory=OrbitLimits)
     """How far the view may turn: where people sit, and from where their avatars may be seen."""
+    layouts: tuple[Layout, ...] = LAYOUTS
+    """Those that there is room for; instead of another one the grid is shown."""
     pinned: int | None = None
     """The place of who fills the picture, also while that one is away."""
     show_statistics: bool = False
@@ -167,9 +169,12 @@ class ControlState:
 Change = Callable[[ControlState], ControlState]
 
 
-def _next_layout(state: ControlState) -> ControlState:
-    following = LAYOUTS[(LAYOUTS.index(state.layout) + 1) % len(LAYOUTS)]
-    return replace(state, layout=following, pinned=None, view=ViewState())
+def _next_layout(state: ControlState) -> Layout:
+    """The one after what is shown that there is room for; if there is no other, the wanted one."""
+    shown = state.layout if state.layout in state.layouts else "grid"
+    after = LAYOUTS.index(shown) + 1
+    others = (*LAYOUTS[after:], *LAYOUTS[: after - 1])
+    return next((each for each in others if each in state.layouts), state.layout)
 
 
 def _own_face(wanted: OwnFace) -> Change:
@@ -199,7 +204,6 @@ def _close(state: ControlState) -> ControlState:
 
 
 CHANGES: dict[Order, Change] = {
-    Order.NEXT_LAYOUT: _next_layout,
     Order.RESET_VIEW: lambda state: replace(state, view=ViewState(), pinned=None),
     Order.UNPIN: lambda state: replace(state, pinned=None),
     Order.COME_CLOSER: _zoom(1.0),
@@ -333,7 +337,9 @@ class Controls:
             case Pin(place=place):
                 self._toggle_pin(place)
             case ChooseLayout(layout=layout):
-                self.state = replace(self.state, layout=layout, pinned=None, view=ViewState())
+                self._seat(layout)
+            case Order.NEXT_LAYOUT:
+                self._seat(_next_layout(self.state))
             case Settings():
                 self.state = replace(self.state, settings=order)
             case SoundSettings():
@@ -350,8 +356,6 @@ class Controls:
                 self._orders.append(NO_VOICE)
             case Order() if order in CHANGES:
                 self.state = CHANGES[order](self.state)
-                if order is Order.NEXT_LAYOUT:
-                    self._orders.append(Say(f"People sit: {LAYOUT_TITLES[self.state.layout]}"))
             case _:
                 self._orders.append(order)
 
@@ -359,6 +363,16 @@ class Controls:
         """What is to be done since the last call, by whoever owns files and windows."""
         orders, self._orders = self._orders, []
         return orders
+
+    def _seat(self, layout: Layout) -> None:
+        """Choose a layout, and say how people sit now."""
+        self.state = replace(self.state, layout=layout, pinned=None, view=ViewState())
+        title = LAYOUT_TITLES[layout]
+        if layout not in self.state.layouts:
+            title = f"{LAYOUT_TITLES['grid']} – no room here for: {title}"
+        elif len(self.state.layouts) == 1:
+            title += " – no room here for another"
+        self._orders.append(Say(f"People sit: {title}"))
 
     def _press_key(self, event: events.KeyPressed, places: Sequence[int]) -> None:
         if event.has_control:

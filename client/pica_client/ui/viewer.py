@@ -138,6 +138,7 @@ class Viewer(Closing):
                 self._meter,
                 status,
                 has_pointer=self._window is not None,
+                clipboard=(self._window.clipboard, self._window.copy) if self._window else None,
             )
             stack.callback(self._surface.close)
             begin_sound = self._sound.begin_track
@@ -325,8 +326,7 @@ class Viewer(Closing):
     def _arrange(self, now: float) -> CallScene:
         state = self.controls.state
         scene = self._presenter.arrange(now, self._eye_size, state, self._surface.free)
-        if scene.limits != state.limits:
-            self.controls.state = replace(state, limits=scene.limits)
+        self.controls.state = replace(state, limits=scene.limits, layouts=scene.layouts)
         return scene
 
     @property

@@ -70,6 +70,22 @@ def test_a_window_that_changes_its_size_is_recorded_on(tmp_path: Path) -> None:
     assert len(frames_of(tmp_path / "a.mp4")) == 4
 
 
+def test_a_window_of_another_size_is_recorded_whole(tmp_path: Path) -> None:
+    with Recorder(tmp_path / "a.mp4", (64, 48)) as recorder:
+        for index, (width, height) in enumerate(((128, 96), (32, 24), (256, 48))):
+            image = grey(60, (width, height))
+            image[:, width // 2 :] = 220
+            recorder.write(image, index / 10)
+    with av.open(str(tmp_path / "a.mp4")) as container:
+        frames = [frame.to_ndarray(format="gray") for frame in container.decode(video=0)]
+    for frame, (top, bottom) in zip(frames, ((0, 48), (0, 48), (18, 30)), strict=True):
+        shown = frame[top + 2 : bottom - 2].astype(int)
+        assert np.abs(shown[:, 2:28] - 60).max() < 20
+        assert np.abs(shown[:, 36:62] - 220).max() < 20
+        bars = np.delete(frame, np.s_[max(top - 2, 0) : bottom + 2], axis=0)
+        assert bars.size == 0 or bars.max() < 20
+
+
 def test_a_frame_of_the_same_tick_is_dropped(tmp_path: Path) -> None:
     with Recorder(tmp_path / "a.mp4", (64, 48)) as recorder:
         for time_s in (0.0, 0.0002, 0.1, 0.05):

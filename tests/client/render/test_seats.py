@@ -412,3 +412,14 @@ def test_a_view_turns_as_far_as_all_avatars_allow() -> None:
     assert math.degrees(narrow.max_yaw) == pytest.approx(60 - KEPT_DEGREES, abs=1.01)
     assert math.degrees(narrow.min_yaw) == pytest.approx(KEPT_DEGREES - 40, abs=1.01)
     assert narrow.max_pitch == usual.max_pitch
+
+
+@pytest.mark.parametrize("count", range(1, 8))
+@pytest.mark.parametrize("aspect", [16 / 9, 4 / 3, 3 / 4])
+def test_a_plan_says_that_the_grid_was_taken_instead(count: int, aspect: float) -> None:
+    grid = plan_seats("grid", count, aspect)
+    assert grid.layout == "grid"
+    for layout in LAYOUTS[:-1]:
+        plan = plan_seats(layout, count, aspect)
+        is_grid = plan.places_m == grid.places_m and (plan.camera_m == grid.camera_m).all()
+        assert plan.layout == ("grid" if is_grid else layout)

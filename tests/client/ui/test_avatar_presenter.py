@@ -12,6 +12,7 @@ from pica_client.call.faces import FaceState
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.pool import DecodePool
 from pica_client.render.renderer import Renderer
+from pica_client.render.seats import LAYOUTS, Layout
 from pica_client.schedule.frame_planner import FramePlanner
 from pica_client.schedule.scheduler import Scheduler
 from pica_client.ui import avatar_presenter
@@ -26,11 +27,17 @@ TOY = make_toy_avatar(spec=AvatarSpec(uv_encoding_size=64, axis_encoding_size=64
 
 
 class OneFace:
-    """Somebody who holds still."""
+    """Somebody who holds still, or several of them."""
+
+    def __init__(self, count: int = 1) -> None:
+        self.peer_ids = [f"p{number}" for number in range(1, count + 1)]
 
     def faces(self, now: float) -> list[FaceState]:
         latent = np.zeros((8, 8, 4), np.float32)
-        return [FaceState(peer_id="p1", name="Ada", avatar_id="5" * 64, latent=latent)]
+        return [
+            FaceState(peer_id=peer_id, name="Ada", avatar_id="5" * 64, latent=latent)
+            for peer_id in self.peer_ids
+        ]
 
     def avatar(self, avatar_id: str) -> Avatar:
         return TOY
@@ -54,4 +61,16 @@ def test_the_usage_that_the_module_shows_draws_whoever_is_there() -> None:
         _, _, heads = renderer.read_surface()
         assert [placement.slot for placement in names["scene"].placements] == ["p1"]
         assert (heads == 0).any()  # until it is decoded, the head that stands in for it
+    context.release()
+
+
+@pytest.mark.parametrize(("count", "layouts"), [(1, LAYOUTS), (7, ("grid",))])
+def test_a_scene_says_which_layouts_there_is_room_for(
+    count: int, layouts: tuple[Layout, ...]
+) -> None:
+    context = create_context()
+    with Renderer(context, (160, 90)) as renderer, DecodePool(OnnxDecoder) as pool:
+        planner = FramePlanner(Scheduler())
+        presenter = AvatarPresenter(OneFace(count), renderer, pool, planner)
+        assert presenter.arrange(1.0, (90, 160)).layouts == layouts
     context.release()

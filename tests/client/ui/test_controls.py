@@ -98,7 +98,8 @@ def test_a_button_gives_the_orders_of_keys_and_some_that_name_somebody() -> None
     controls.obey(Pin(4))
     controls.obey(CopyText("pica://relay", "Copied"))
     assert (controls.state.pinned, controls.state.layout) == (4, "grid")
-    assert controls.take_orders() == [CopyText("pica://relay", "Copied")]
+    said = Say("People sit: Grid")
+    assert controls.take_orders() == [said, CopyText("pica://relay", "Copied")]
     assert all(order not in CHANGES for order in (Order.SCREENSHOT, Order.TOGGLE_RECORDING))
 
 
@@ -133,6 +134,25 @@ def test_layouts_follow_each_other_and_come_round() -> None:
     assert controls.state.pinned is None  # else nothing would be seen of them
     said = [Say(f"People sit: {LAYOUT_TITLES[each]}") for each in (*LAYOUTS[1:], LAYOUTS[0])]
     assert controls.take_orders() == said
+
+
+def test_a_layout_that_looks_like_the_grid_is_skipped_and_not_announced() -> None:
+    controls = Controls(ControlState(layout="table", layouts=("arc", "grid")))
+    press(controls, "L", "L")
+    assert controls.take_orders() == [Say("People sit: Arc"), Say("People sit: Grid")]
+    controls.obey(ChooseLayout("line"))
+    assert controls.state.layout == "line"  # as soon as there is room
+    assert controls.take_orders() == [Say("People sit: Grid – no room here for: Line")]
+
+
+def test_where_only_the_grid_has_room_the_user_is_told() -> None:
+    controls = Controls(ControlState(layout="arc", layouts=("grid",)))
+    press(controls, "L")
+    assert controls.state.layout == "arc"
+    assert controls.take_orders() == [Say("People sit: Grid – no room here for: Arc")]
+    controls.obey(ChooseLayout("grid"))
+    press(controls, "L")
+    assert controls.take_orders() == [Say("People sit: Grid – no room here for another")] * 2
 
 
 @pytest.mark.parametrize("key", ["Q", "Escape"])

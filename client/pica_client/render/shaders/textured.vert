@@ -11,9 +11,10 @@ out vec2 surface_uv;
 out vec3 surface_xyz_m;
 
 #include "bounded.glsl"
+#include "yielding.glsl"
 
 void main() {
     surface_uv = vertex_uv;
     surface_xyz_m = bounded(vertex_xyz_m, low_m, high_m);
-    gl_Position = clip_from_head * vec4(surface_xyz_m, 1.0);
+    gl_Position = yielding(clip_from_head * vec4(surface_xyz_m, 1.0), surface_xyz_m.y);
 }

@@ -10,7 +10,7 @@ from pica_client.ui.controls import UserOrder
 from pica_client.ui.surface import icons
 from pica_client.ui.surface.fonts import TEXT_PT
 from pica_client.ui.surface.theme import SMALL_PT, Metrics, Tone
-from pica_client.ui.surface.widgets import ink, shortened, text_size, type_size
+from pica_client.ui.surface.widgets import draw_disc, ink, shortened, text_size, type_size
 
 MAX_NOTE_LINES = 3
 NOTE_ROOM_PT = 90.0
@@ -58,7 +58,7 @@ def _name(person: PersonView, label_px: Rect, metrics: Metrics) -> None:
     x, y = left + (plate - width - dot_px) / 2, top + px(3)
     if dot:
         centre = (x + px(4), y + height / 2)
-        shapes.add_circle_filled(centre, px(4), ink(palette.tone(dot)))
+        draw_disc(shapes, centre, px(8), palette.tone(dot))
     with type_size(points):
         shapes.add_text((x + dot_px, y), ink(palette.ink), name)
     with type_size(SMALL_PT):

@@ -80,7 +80,7 @@ def _row(
     if person.peer_id in speaking:
         place = imgui.get_cursor_screen_pos()
         centre = (place.x + px(7), place.y + widgets.text_size("A", TEXT_PT)[1] / 2)
-        imgui.get_window_draw_list().add_circle_filled(centre, px(5), widgets.ink(palette.good))
+        widgets.draw_disc(imgui.get_window_draw_list(), centre, px(10), palette.good)
     imgui.set_cursor_pos((left + indent, top))
     imgui.begin_group()
     imgui.push_style_var(imgui.StyleVar_.item_spacing, (px(6), px(2)))

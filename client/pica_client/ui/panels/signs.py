@@ -2,25 +2,22 @@
 
 from imgui_bundle import imgui
 
-from pica_client.call.participants import duration_text, joined_names, recorders
 from pica_client.ui.call_view import CallView
 from pica_client.ui.controls import TALK_KEY, OwnFace, UserOrder
+from pica_client.ui.panels.upper_edge import SIGN_PT, Line, call_signs, statistics_share
 from pica_client.ui.panels.waiting import shows_hint
-from pica_client.ui.surface import icons
 from pica_client.ui.surface.fonts import TEXT_PT
-from pica_client.ui.surface.theme import Metrics, Tone
-from pica_client.ui.surface.widgets import Place, ink, shortened, text_size
+from pica_client.ui.surface.theme import Metrics
+from pica_client.ui.surface.widgets import Place, draw_disc, ink, shortened, text_size
 
-SIGN_PT = 36.0
-"""Height of a sign with the gap below it."""
 BANNER_AFTER_S = 1.0
 """A connection that comes back sooner is not worth a word."""
-Line = tuple[str, Tone]
 OWN_SIGNS: dict[OwnFace, Line] = {
     "sent": ("Your face is sent", "good"),
     "frozen": ("Your face is frozen", "warning"),
     "muted": ("Your face is not sent", "alert"),
 }
+RECORDING: Line = ("Recording", "alert")
 NO_FACE: Line = ("Your tracker sees no face", "warning")
 
 
@@ -58,33 +55,13 @@ def voice_sign(view: CallView) -> Line | None:
     return f"Hold {TALK_KEY} to talk", "warning"
 
 
-def call_signs(view: CallView) -> list[Line]:
-    """Where one is and for how long, whether faces are encrypted, and who keeps what is seen."""
-    status = view.status
-    if not status.room:
-        return []
-    lock = f"{icons.LOCK}  " if status.is_encrypted else ""
-    where = f"{lock}{status.room}   {duration_text(status.duration_s)}"
-    found: list[Line] = [(where, "good" if status.is_connected else "alert")]
-    names = recorders(each for each in status.participants if not each.is_self)
-    if names:
-        verb = "records" if len(names) == 1 else "record"
-        found.append((f"{joined_names(names)} {verb}", "alert"))
-    return found
-
-
-def signs_share(view: CallView, metrics: Metrics) -> float:
-    """The part of the picture's height that the signs at the upper left take from the people."""
-    num_lines = len(call_signs(view))
-    num_lines = min(num_lines, 1) if metrics.is_compact else num_lines
-    return metrics.px(SIGN_PT * num_lines) / metrics.size[1]
-
-
 def compact_sign(view: CallView) -> Line | None:
     """The line that a small picture has room for: what is wrong, news, who records, the room."""
     if shows_hint(view) or view.state.side != "none":
         return None
-    return banner(view) or next(reversed([*call_signs(view), *view.notices]), None)
+    own = [RECORDING] if view.is_recording else []
+    room = call_signs(view)
+    return banner(view) or next(reversed([*room[:1], *own, *room[1:], *view.notices]), None)
 
 
 def signs(view: CallView, metrics: Metrics) -> list[UserOrder]:
@@ -100,11 +77,12 @@ def signs(view: CallView, metrics: Metrics) -> list[UserOrder]:
     else:
         found = banner(view)
         middle = [*([found] if found else []), *view.notices]
-        for across, pivot, lines in (
-            (edge, 0.0, call_signs(view)),
-            (columns / 2, 0.5, middle),
+        # The table would cover what is beside it.
+        below = max(edge, statistics_share(view, metrics) * rows)
+        for across, top, pivot, lines in (
+            (edge, edge, 0.0, call_signs(view)),
+            (columns / 2, below, 0.5, middle),
         ):
-            top = edge
             for line in lines:
                 top += _sign(line, (across, top), (pivot, 0.0), metrics) + metrics.px(6)
     bottom = rows - edge
@@ -112,8 +90,8 @@ def signs(view: CallView, metrics: Metrics) -> list[UserOrder]:
         if own is not None:
             _sign(own, (edge, bottom), (0.0, 1.0), metrics)
             bottom -= metrics.px(SIGN_PT)
-    if view.is_recording:
-        _sign(("Recording", "alert"), (columns - edge, rows - edge), (1.0, 1.0), metrics)
+    if view.is_recording and not metrics.is_compact:
+        _sign(RECORDING, (columns - edge, rows - edge), (1.0, 1.0), metrics)
     return []
 
 
@@ -129,6 +107,6 @@ def _sign(line: Line, place: Place, pivot: Place, metrics: Metrics) -> float:
     shapes.add_rect_filled(
         (left, top), (left + size[0], top + size[1]), ink(palette.plate), size[1] / 2
     )
-    shapes.add_circle_filled((left + pad + dot, top + size[1] / 2), dot, ink(palette.tone(tone)))
+    draw_disc(shapes, (left + pad + dot, top + size[1] / 2), 2 * dot, palette.tone(tone))
     shapes.add_text((left + pad + 4 * dot, top + px(6)), ink(palette.ink), text)
     return size[1]

@@ -11,14 +11,12 @@ from imgui_bundle import imgui
 from pica_client.ui.call_view import CallView, PersonView
 from pica_client.ui.controls import UserOrder
 from pica_client.ui.panels.control_bar import EDGE_PT
-from pica_client.ui.panels.signs import signs_share
+from pica_client.ui.panels.upper_edge import MAX_ROWS, MAX_TABLE_SHARE, signs_share
 from pica_client.ui.surface.theme import SMALL_PT, Metrics
 from pica_client.ui.surface.widgets import card, note, shortened, text_size, type_size
 
 HEAD = ("", "level", "decode ms", "draw ms", "kbit/s", "latency ms", "age ms", "concealed")
 NO_FIGURE = "–"
-MAX_ROWS = 16
-"""Participants that the table shows."""
 NAME_PT = 110.0
 MAX_LATENCY_MS = 10_000.0
 """Beyond it sender and receiver have different clocks, and the figure means nothing."""
@@ -29,7 +27,7 @@ def statistics(view: CallView, metrics: Metrics) -> list[UserOrder]:
     if not view.state.show_statistics:
         return []
     edge = metrics.px(EDGE_PT)
-    limit = imgui.ImVec2(metrics.size[0] - 2 * edge, 0.45 * metrics.size[1])
+    limit = imgui.ImVec2(metrics.size[0] - 2 * edge, MAX_TABLE_SHARE * metrics.size[1])
     imgui.set_next_window_size_constraints((0, 0), limit)
     imgui.push_style_var(imgui.StyleVar_.window_padding, (metrics.px(12), metrics.px(8)))
     top = edge + signs_share(view, metrics) * metrics.size[1]
@@ -50,15 +48,6 @@ def statistics(view: CallView, metrics: Metrics) -> list[UserOrder]:
         note("   ".join(f"{name} {value}".strip() for name, value in view.figures), metrics)
     imgui.pop_style_var()
     return []
-
-
-def statistics_share(view: CallView, metrics: Metrics) -> float:
-    """The part of the picture's height that the table takes from the people."""
-    if not view.state.show_statistics:
-        return 0.0
-    rows = min(len(view.people), MAX_ROWS) + 2
-    height = rows * metrics.px(1.35 * SMALL_PT + 6) + 2 * metrics.px(EDGE_PT)
-    return min(height / metrics.size[1] + signs_share(view, metrics), 0.45)
 
 
 def row_of(person: PersonView, metrics: Metrics) -> tuple[str, ...]:

@@ -153,7 +153,7 @@ def icon_button(
         fill = _lighter(fill)
     low, shapes = imgui.get_item_rect_min(), imgui.get_window_draw_list()
     middle = (low.x + side / 2, low.y + side / 2)
-    _draw_disc(shapes, middle, side, fill)
+    draw_disc(shapes, middle, side, fill)
     _draw_icon(shapes, icon, middle, round(0.42 * side), ink(colour))
     hint(f"{tooltip}   [{keys}]" if keys else tooltip)
     return is_pressed
@@ -169,9 +169,9 @@ def radio(label: str, metrics: theme.Metrics, *, is_on: bool) -> bool:
     low, shapes = imgui.get_item_rect_min(), imgui.get_window_draw_list()
     middle = (low.x + side / 2, low.y + room / 2)
     is_pointed = imgui.is_item_hovered()
-    _draw_disc(shapes, middle, side, palette.field_hovered if is_pointed else palette.field)
+    draw_disc(shapes, middle, side, palette.field_hovered if is_pointed else palette.field)
     if is_on:
-        _draw_disc(shapes, middle, 0.55 * side, palette.accent)
+        draw_disc(shapes, middle, 0.55 * side, palette.accent)
     place = (low.x + side + gap, low.y + (room - height) / 2)
     shapes.add_text(place, imgui.get_color_u32(imgui.Col_.text), label)
     return is_pressed
@@ -188,8 +188,9 @@ def one_of(titles: Mapping[Value, str], chosen: Value, metrics: theme.Metrics) -
     return found
 
 
-def _draw_disc(shapes: imgui.ImDrawList, middle: Place, side: float, colour: theme.Colour) -> None:
-    """A disc that is a glyph has two triangles, and not forty: on software GL they count most."""
+def draw_disc(shapes: imgui.ImDrawList, middle: Place, side: float, colour: theme.Colour) -> None:
+    """A disc that is a glyph is round at every size, and has two triangles, not forty: on software
+    GL they count most."""
     _draw_icon(shapes, icons.RECORD, middle, side / _icon_box(icons.RECORD, 1.0)[2], ink(colour))
 
 

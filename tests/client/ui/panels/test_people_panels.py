@@ -35,21 +35,22 @@ from pica_client.ui.controls import (
 )
 from pica_client.ui.notice_board import Notice
 from pica_client.ui.panels.control_bar import bar_share
+from pica_client.ui.panels.names import names
 from pica_client.ui.panels.participants import participants_panel, signs_of
 from pica_client.ui.panels.self_view import self_view, self_view_px
 from pica_client.ui.panels.settings import settings_panel
 from pica_client.ui.panels.signs import (
     NO_FACE,
-    call_signs,
     compact_sign,
     own_sign,
     signs,
-    signs_share,
 )
 from pica_client.ui.panels.statistics import statistics
+from pica_client.ui.panels.upper_edge import call_signs, signs_share
 from pica_client.ui.panels.waiting import first_hint, waiting_page
 from pica_client.ui.settings import OwnChoice, Settings
 from pica_client.ui.surface import icons
+from pica_client.ui.surface.surface import BACKGROUND
 from pica_client.ui.surface.theme import Metrics, metrics_for
 from pica_client.voice.sound.settings import DeviceState, SoundSettings, SoundState
 
@@ -244,6 +245,10 @@ def test_a_small_picture_has_one_line_for_what_matters_most() -> None:
     told = replace(call, notices=(Notice("Saved", "accent"), Notice("Ada left", "plain")))
     assert compact_sign(call) == ("Ben records", "alert")
     assert compact_sign(told) == ("Ada left", "plain")
+    assert compact_sign(replace(call, is_recording=True)) == ("Ben records", "alert")
+    alone = replace(ALONE, is_recording=True)
+    assert compact_sign(alone) == ("Recording", "alert")
+    assert compact_sign(replace(alone, status=CallStatus())) == ("Recording", "alert")
     lost = replace(told, status=replace(STATUS, is_connected=False, away_s=3.0))
     assert compact_sign(lost) == ("Connection lost – coming back … 3 s", "alert")
     assert compact_sign(replace(call, status=CallStatus())) is None
@@ -253,6 +258,15 @@ def test_a_small_picture_has_one_line_for_what_matters_most() -> None:
         show = partial(first_hint, hinted)
         assert small.click("Got it", show) == [Order.DISMISS_HINT]
         assert small.where("Got it")[3] <= signs_share(VIEW, metrics_for((320, 240))) * 240
+
+
+def test_on_a_small_picture_that_is_recorded_no_sign_stands_on_names() -> None:
+    view = replace(ALONE, is_recording=True, shows_bar=False)
+    with open_hand((320, 240)) as small:
+        small.frame(lambda metrics: signs(view, metrics))
+        (shapes,) = small.surface.draw_data().cmd_lists
+        lowest = max(vertex.pos.y for vertex in shapes.vtx_buffer)
+        assert lowest <= signs_share(view, small.surface.metrics) * 240
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
@@ -318,6 +332,40 @@ def test_the_statistics_begin_below_the_signs_of_the_call(hand: Hand) -> None:
         window = imgui.internal.find_window_by_name("statistics")
         tops.append(window.pos.y)
     assert tops[1] > tops[0] > 36
+
+
+def test_the_dot_of_who_speaks_is_a_glyph_and_so_round_at_every_size(hand: Hand) -> None:
+    corners = []
+    for is_speaking in (False, True):
+        person = PersonView(
+            peer_id="p1", name="Ada", is_speaking=is_speaking, label_px=(9, 9, 200, 60)
+        )
+        view = replace(VIEW, people=(person,))
+        hand.frame(lambda metrics, view=view: names(view, metrics))  # type: ignore[misc]
+        corners.append(sum(each.vtx_buffer.size() for each in hand.surface.draw_data().cmd_lists))
+    assert corners[1] - corners[0] == 4
+
+
+@pytest.mark.parametrize("count", [1, 3, 16])
+def test_notices_stand_below_the_statistics(count: int) -> None:
+    from imgui_bundle import imgui
+
+    view = replace(
+        ALONE,
+        state=ControlState(show_statistics=True),
+        people=VIEW.people * count,
+        notices=(Notice("Saved recording-0001.mp4 in /home/ada/Videos", "accent"),),
+        figures=tuple((f"figure {number}", "1000 kbit/s") for number in range(8)),
+    )
+    with open_hand((960, 540)) as hand:
+        for _ in range(3):
+            hand.frame(lambda metrics: [*signs(view, metrics), *statistics(view, metrics)])
+        window = imgui.internal.find_window_by_name("statistics")
+        (background,) = (
+            each for each in hand.surface.draw_data().cmd_lists if each._owner_name == BACKGROUND
+        )
+        tops = [v.pos.y for v in background.vtx_buffer if 380 < v.pos.x < 600]
+        assert min(tops) >= window.pos.y + window.size.y
 
 
 def test_the_menu_of_a_person_makes_them_softer_or_silent_and_the_list_shows_it(hand: Hand) -> None:
