@@ -235,6 +235,7 @@ class ClusterNode:
             shared.receive_record(data, revision, now)
         except ClusterMessageError:
             self._count("unreadable")
+        self._pass_on(shared, now)
         self._dirty[key] = None
 
     def receive_answer(self, key: str, ticket: int, answer: Answer, now: float) -> None:
@@ -243,6 +244,7 @@ class ClusterNode:
         if shared is not None:
             self._count(type(answer).__name__.lower())
             shared.receive_answer(ticket, answer, now)
+            self._pass_on(shared, now)
             self._dirty[key] = None
 
     def receive_node_message(self, data: bytes, now: float) -> None:
@@ -314,8 +316,7 @@ class ClusterNode:
             if shared is None:
                 continue
             shared.advance(self.standing, self.liveness, now)
-            for event in shared.take_events():
-                self._handle(shared, event, now)
+            self._pass_on(shared, now)
             request = shared.take_request()
             if request is not None:
                 self._commands.append(request)
@@ -329,6 +330,12 @@ class ClusterNode:
         """Take what the shell has to do."""
         commands, self._commands = self._commands, []
         return commands
+
+    def _pass_on(self, shared: SharedRoom, now: float) -> None:
+        """Tell the hub at once what has come out about a room: whoever leaves before the next step
+        is then in the same room here and there."""
+        for event in shared.take_events():
+            self._handle(shared, event, now)
 
     def _handle(self, shared: SharedRoom, event: SharedRoomEvent, now: float) -> None:
         match event:

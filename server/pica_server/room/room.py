@@ -161,9 +161,9 @@ class Room:
 
     def arrive(self, peer: Peer, node: str) -> None:
         """Note a peer that is connected to another node."""
+        self._num_remote += peer.peer_id not in self
         self.enter(peer, may_subscribe=False)
         self._members[peer.peer_id].node = node
-        self._num_remote += 1
 
     def leave(self, peer_id: str) -> Peer:
         """Forget a peer, its streams and everybody's subscriptions for them."""

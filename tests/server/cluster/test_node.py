@@ -79,7 +79,7 @@ class Nodes:
     def pump(self, now: float, *slots: int) -> None:
         """Carry everything there is, from all nodes or from these, until there is nothing more."""
         for _ in range(200):
-            if not any([self._carry(slot, now) for slot in slots or range(len(self.nodes))]):
+            if not any([self.carry(slot, now) for slot in slots or range(len(self.nodes))]):
                 return
         raise AssertionError("they never come to an end")
 
@@ -98,7 +98,8 @@ class Nodes:
         member.heard += member.listen(now)
         return member
 
-    def _carry(self, slot: int, now: float) -> bool:
+    def carry(self, slot: int, now: float) -> bool:
+        """Carry what there is from one node, once; return whether there was anything."""
         node = self.nodes[slot]
         node.step(now)
         is_busy = False
@@ -164,6 +165,33 @@ def test_a_peer_elsewhere_comes_speaks_whispers_is_asked_and_goes() -> None:
     nodes.pump(0.0)
     assert told(ada, PeerLeft) == [PeerLeft(peer_id=bob.peer_id, reason="left")]
     assert nodes.hubs[1].num_rooms == nodes.nodes[1].num_rooms == 0
+
+
+@pytest.mark.parametrize(("leaver", "num_requests"), [("Ada", 1), ("Bob", 2)])
+def test_who_leaves_as_the_store_answers_a_join_leaves_a_whole_room_behind(
+    leaver: str, num_requests: int
+) -> None:
+    nodes = Nodes(2)
+    xen = nodes.join(1, "Xen")
+    members = [nodes.join(0, "Ada")] if leaver == "Ada" else []
+    members.append(Member(nodes.hubs[0], "Bob"))
+    for _ in range(num_requests):  # a node without peers in the room reads the record first
+        nodes.carry(0, 0.0)
+    gone = members.pop(0)
+    gone.session.leave(0.0)
+    gone.speak(0.0)
+    nodes.pump(0.0)
+    members.append(nodes.join(0, "Cyd"))
+    for member in members:
+        member.listen(0.0)
+        assert "Xen" in [peer.name for peer in member.session.peers.values()]
+    xen.session.leave(0.0)
+    xen.speak(0.0)
+    nodes.pump(0.0)
+    members.append(nodes.join(0, "Dan"))
+    for member in members:
+        member.listen(0.0)
+        assert len(member.session.peers) == len(members) - 1
 
 
 def test_voices_cross_whole_and_in_order_before_faces_and_none_that_is_too_old() -> None:
