@@ -7,6 +7,7 @@ made, so one written here is as well-formed as one that was read from a stranger
 import re
 import unicodedata
 from collections.abc import Sized
+from urllib.parse import urlsplit
 
 MAX_FRAME_BYTES = 1200
 """Header and payload of one media frame: fits a datagram on any path (chosen: RFC 9000 14.1)."""
@@ -135,7 +136,13 @@ def check_sha256(field: str, value: str) -> None:
 
 def check_url(field: str, value: str) -> None:
     """Refuse anything but "" or a ``ws://`` or ``wss://`` address without a user in it."""
-    if value and (len(value) > MAX_URL_BYTES or not _RELAY_URL.fullmatch(value)):
+    if not value:
+        return
+    try:
+        is_address = bool(_RELAY_URL.fullmatch(value)) and urlsplit(value).port != 0
+    except ValueError:  # a host in brackets that is none, a port above 65,535
+        is_address = False
+    if len(value) > MAX_URL_BYTES or not is_address:
         raise ValueError(
             f"{field} must be empty or ws[s]://HOST[:PORT] in {MAX_URL_BYTES} bytes, "
             f"got {quoted(value)}"

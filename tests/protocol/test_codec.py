@@ -137,7 +137,15 @@ def test_missing_fields_take_their_default() -> None:
         ({"type": "bye", "code": 1006}, "bye.code must be one a close frame may carry, got 1006"),
         *(
             ({"type": "bye", "code": 1001, "url": url}, r"bye.url must be empty or ws\[s\]://HOST")
-            for url in ("http://a", "ws://", "ws://a:b@c", "ws://a b", "wss://a/" + "b" * 249)
+            for url in (
+                "http://a",
+                "ws://",
+                "ws://a:b@c",
+                "ws://a b",
+                "ws://[:]",
+                "ws://a:99999",
+                "wss://a/" + "b" * 249,
+            )
         ),
         (
             {"type": "update_metadata", "metadata": {"k": 1}},

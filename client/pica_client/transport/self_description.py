@@ -51,6 +51,6 @@ def shown_name(name: str, token: str) -> str:
     try:
         claims = json.loads(urlsafe_b64decode(token.split(".")[1] + "=="))
         said = claims.get("name", "")
-    except (IndexError, binascii.Error, ValueError, AttributeError):
+    except (IndexError, binascii.Error, ValueError, AttributeError, RecursionError):
         said = ""
     return said if isinstance(said, str) and said else name

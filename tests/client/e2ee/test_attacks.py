@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from dataclasses import replace
 
 import pytest
@@ -360,6 +361,7 @@ def test_a_voice_beside_the_face_is_opened_and_is_asked_for_no_keyframe() -> Non
         ("h.eyJuYW1lIjo1fQ.s", "guest"),
         ("h.W10.s", "guest"),
         ("h.-.s", "guest"),
+        ("h." + base64.urlsafe_b64encode(b"[" * 100_000).decode().rstrip("=") + ".s", "guest"),
         ("h", "guest"),
     ],
 )
