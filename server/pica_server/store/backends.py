@@ -8,6 +8,7 @@ of nothing else.
 import functools
 import os
 import secrets
+import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -62,6 +63,7 @@ class Backend:
         self._root = ""  # of a temporary store until its first file
         self._spool: Path | None = None
         self._made: OwnFolder | None = None
+        self._spooling = threading.Lock()
         if "://" in where:
             try:
                 # A cached listing would not know what another relay has put there.
@@ -114,10 +116,11 @@ class Backend:
 
     def spool(self) -> Path:
         """Return a path for a new local file that becomes one of ours, or is deleted."""
-        if self._spool is None:
-            self._made = OwnFolder()
-            self._spool = self._made.path
-            self._root = self._root or str(self._spool)
+        with self._spooling:  # uploads come from several threads
+            if self._spool is None:
+                self._made = OwnFolder()
+                self._spool = self._made.path
+                self._root = self._root or str(self._spool)
         return self._spool / f"{secrets.token_hex(16)}.part"
 
     @_in_os_terms

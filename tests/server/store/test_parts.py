@@ -2,6 +2,8 @@
 
 import json
 import struct
+import sys
+from concurrent.futures import ThreadPoolExecutor
 from http import HTTPStatus
 from itertools import pairwise
 from pathlib import Path
@@ -14,6 +16,7 @@ from pica_core.avatar import file as avatar_file
 from pica_core.avatar.shipped import shipped_avatar_files
 from pica_server.errors import BusyError, ConfigurationError, UnfitFileError
 from pica_server.store import check as store_check
+from pica_server.store.backends import Backend
 from pica_server.store.check import StructureCheck
 from pica_server.store.config import StoreConfig
 from pica_server.store.http import answer_for, parse_range
@@ -229,3 +232,19 @@ def test_a_limit_out_of_range_is_refused_by_name(field: str) -> None:
     option = "--store." + field.replace("_", "-")
     with pytest.raises(ConfigurationError, match=f"{option} must be in .*, got 0"):
         StoreConfig(**{field: 0})
+
+
+def test_first_uploads_at_once_share_the_folder_that_goes_with_the_relay() -> None:
+    interval_s = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        for _ in range(20):
+            backend = Backend("temporary")
+            backend.prepare(10)
+            with ThreadPoolExecutor(4) as pool:
+                spooled = list(pool.map(lambda _, backend=backend: backend.spool(), range(4)))
+            backend.close()
+            assert len({path.parent for path in spooled}) == 1
+            assert not spooled[0].parent.exists()
+    finally:
+        sys.setswitchinterval(interval_s)
