@@ -135,7 +135,6 @@ class KeyExchange:
         self._own_id = joined.peer_id
         self._description = describe(self._room, self._name, joined.tracks)
         self._draw_key_pair()
-        self._change_key()
         for peer in joined.peers:
             self.receive_peer_joined(peer, now)
 
@@ -338,6 +337,8 @@ class KeyExchange:
         self._left.clear()
         for peer_id, known in self._peers.items():
             self._peers[peer_id] = self._stranger(known.peer)
+        # Nobody is known to have the key that we seal with, so nobody's leaving would change it.
+        self._change_key()
 
     def _part(self, peer: PeerKeys, floor: int) -> None:
         """Do without a public key: remember how far it came, and seal with what it cannot open."""

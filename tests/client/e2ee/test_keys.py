@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 pytest.importorskip("cryptography", reason="needs the extra seal")
 
 from helpers.sealed_room import DELAY_S, SECRET, Room, Whispered
+from pica_client.e2ee import keys
 from pica_client.e2ee.errors import NoteError, SealError
 from pica_client.e2ee.frames import decode_header
 from pica_client.e2ee.guard import Guard
@@ -35,7 +36,7 @@ from pica_client.e2ee.secret import RoomSecret
 from pica_client.e2ee.suites import AES_128_CTR_HMAC_SHA256_64
 from pica_protocol.frames import Frame
 from pica_protocol.limits import MAX_WHISPER_BYTES
-from pica_protocol.messages import Joined, Peer, Track, Whisper
+from pica_protocol.messages import Joined, Peer, PeerJoined, PeerLeft, Track, Whisper
 from pica_protocol.session import Closed
 
 pytestmark = pytest.mark.unit
@@ -146,6 +147,20 @@ def test_a_leavers_keys_open_nothing_that_is_sent_after() -> None:
         mallory.guard.receive_event(Whisper(peer_id=sender, data=data), room.now)
     for frame in after:
         assert mallory.guard.receive_event(frame, room.now) == []
+
+
+def test_a_leavers_keys_open_nothing_though_the_relay_made_up_crowds(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(keys, "MAX_FLOORS", 8)
+    room = full_room("ada", "mallory")
+    ada = room.members["ada"].guard
+    for number in range(9):
+        ghost = Peer(peer_id=f"ghost{number}", name="Xen")
+        ada.receive_event(PeerJoined(peer=ghost), room.now)
+        ada.receive_event(PeerLeft(peer_id=ghost.peer_id), room.now)
+    mallory = room.leave("mallory")
+    assert mallory.guard.receive_event(room.send("ada", b"secret"), room.now) == []
 
 
 def test_who_had_no_key_may_leave_without_any_change() -> None:
