@@ -38,6 +38,8 @@ MIN_SECRET_BYTES: Final = 32
 MAX_AVATARS: Final = 14
 """Avatars in one token; more would not fit into it."""
 
+MAX_LASTS_S: Final = 100 * 365 * 86_400
+"""No token opens a room for longer."""
 _MAX_TIME_S: Final = 2.0**53
 """Seconds since 1970 that a float still counts one by one."""
 
@@ -163,6 +165,10 @@ def mint(
             raise ValueError(f"avatars must be SHA-256 in hexadecimal or *, got {quoted(avatar)}")
     if not 0 <= starts_s < lasts_s:
         raise ValueError(f"it must begin before it ends, got {starts_s:g} and {lasts_s:g} s")
+    if lasts_s > MAX_LASTS_S:
+        raise ValueError(
+            f"lasts_s must be at most {MAX_LASTS_S:g}, a hundred years, got {lasts_s:g}"
+        )
     claims: dict[str, Any] = {
         "aud": AUDIENCE,
         "sub": admission.identity,

@@ -1,6 +1,7 @@
 import base64
 import contextlib
 import json
+import math
 import os
 from pathlib import Path
 
@@ -247,6 +248,8 @@ def test_a_token_that_holds_for_longer_than_the_relay_takes_is_refused(tmp_path:
         ("room", "", "room must be"),
         ("name", "\n", "name must"),
         ("lasts_s", 0.0, "begin before it ends"),
+        ("lasts_s", math.inf, "lasts_s must be at most"),
+        ("lasts_s", 1e18, "lasts_s must be at most"),
         ("starts_s", -1.0, "begin before it ends"),
         ("avatars", ("me",), "avatars must be SHA-256"),
         ("avatars", (OWN,) * 15, "avatars must have at most 14"),
