@@ -26,7 +26,7 @@ from pica_client.avatars.download import (
     download,
 )
 from pica_client.avatars.library import AvatarLibrary
-from pica_core.avatar.file import Avatar
+from pica_core.avatar.file import Avatar, load_avatar
 from pica_core.errors import AvatarFileError
 from pica_protocol.store import is_avatar_id
 
@@ -171,15 +171,15 @@ class AvatarFetcher:
                 progress=lambda ratio: self._note_progress(identity, ratio),
                 tls=self._tls,
             )
+            load_avatar(unfinished)  # what is none would push avatars out of the cache
             path = cache.keep(unfinished, identity)
             self.num_fetched += 1
             return path
         except NotThereError:
             self._note_failure(identity, "avatar file is missing: the relay does not have it yet")
-        except (NoStoreError, WrongFileError) as error:
-            problem = (
-                f"avatar file is missing: {error}; get {identity[:8]} and name it with --avatar"
-            )
+        except (NoStoreError, WrongFileError, AvatarFileError) as error:
+            why = str(error).removeprefix(f"{unfinished}: ")
+            problem = f"avatar file is missing: {why}; get {identity[:8]} and name it with --avatar"
             self._note_failure(identity, problem, is_final=True)
         except StoppedError:
             pass
