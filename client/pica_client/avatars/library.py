@@ -8,14 +8,19 @@ of a second, in which neither network nor display may stand still.
 import threading
 from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
-from typing import Protocol
+from typing import Final, Protocol
 
 from pica_client.errors import AvatarLookupError
 from pica_core.avatar.file import Avatar, avatar_id, load_avatar
 from pica_core.avatar.shipped import FORMER, SUFFIX, shipped_avatar_files
 from pica_core.errors import AvatarFileError
 from pica_core.reference.decoders import still_map
+
+MAX_LOADED_BYTES: Final = 256 * 2**20
+"""Files whose avatars stay loaded (chosen: sixty of those that ship, which take three times as much
+in memory)."""
 
 
 class AvatarStore(Protocol):
@@ -134,7 +139,7 @@ class AvatarLibrary:
         return self._begin_loading(identity).result()
 
     def loaded(self) -> list[str]:
-        """Hashes of the avatars that were asked for so far."""
+        """Hashes of the avatars that were asked for, those asked for latest at the end."""
         with self._lock:
             return list(self._loading)
 
@@ -144,11 +149,24 @@ class AvatarLibrary:
 
     def _begin_loading(self, identity: str) -> Future[Avatar]:
         with self._lock:
-            future = self._loading.get(identity)
+            future = self._loading.pop(identity, None)
+            is_new = future is None
             if future is None:
                 future = self._pool.submit(_load, self._paths[identity])
-                self._loading[identity] = future
+            self._loading[identity] = future  # the latest asked for is the last
+            if is_new:
+                self._forget()
         return future
+
+    def _forget(self) -> None:
+        """Keep no more files than `MAX_LOADED_BYTES`: those that were asked for latest, the newest
+        in any case."""
+        left = MAX_LOADED_BYTES
+        for index, identity in enumerate(reversed(list(self._loading))):
+            with suppress(OSError):  # a file that is gone takes nothing
+                left -= self._paths[identity].stat().st_size
+            if index and left < 0:
+                del self._loading[identity]
 
 
 def _load(path: Path) -> Avatar:
