@@ -317,17 +317,15 @@ def _framing_pinned(
     frame: _Frame, edge: float, *, is_wide: bool, shoulders_m: float
 ) -> tuple[Float64Array, Float64Array]:
     """The view of whoever is pinned, at the origin, beside a strip that begins at `edge`."""
-    origin, half_width = np.zeros((1, 3)), min(HEAD_HALF_WIDTH_M, shoulders_m / 2)
+    origin, half_width = np.zeros((1, 3)), shoulders_m / 2
     if not is_wide:
-        above = replace(frame, bottom=edge)
+        above, half_width = replace(frame, bottom=edge), min(HEAD_HALF_WIDTH_M, half_width)
         return _framing(origin, 0.0, above, half_width=half_width, below_m=PINNED_CHEST_M)
     beside = _framing(origin, 0.0, replace(frame, right=edge), half_width=half_width)
     if edge <= 0:
         return beside
     side = min(edge, -frame.left)
-    centred = _framing(
-        origin, 0.0, replace(frame, left=-side, right=side), half_width=shoulders_m / 2
-    )
+    centred = _framing(origin, 0.0, replace(frame, left=-side, right=side), half_width=half_width)
     return centred if _distance(*centred) <= CENTRING_LOSS * _distance(*beside) else beside
 
 

@@ -28,7 +28,7 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -81,16 +81,17 @@ class Avatar:
 
     manifest: Manifest
     tensors: Mapping[str, Array]
+    levels: tuple[int, ...] = field(init=False)
+    """Map sizes that it can be decoded to, ascending; ends with `spec.map_size`."""
+
+    def __post_init__(self) -> None:
+        levels = level_tensors.levels_of(self.spec, self.tensors)
+        object.__setattr__(self, "levels", levels)  # asked for many times a frame
 
     @property
     def spec(self) -> AvatarSpec:
         """Sizes of the model."""
         return self.manifest.spec
-
-    @property
-    def levels(self) -> tuple[int, ...]:
-        """Map sizes that it can be decoded to, ascending; ends with `spec.map_size`."""
-        return level_tensors.levels_of(self.spec, self.tensors)
 
     def level_faces(self, level: int) -> IntArray:
         """Triangles to draw at a level, int32 ``[F, 3]``."""

@@ -423,3 +423,21 @@ def test_a_plan_says_that_the_grid_was_taken_instead(count: int, aspect: float) 
         plan = plan_seats(layout, count, aspect)
         is_grid = plan.places_m == grid.places_m and (plan.camera_m == grid.camera_m).all()
         assert plan.layout == ("grid" if is_grid else layout)
+
+
+@pytest.mark.parametrize("count", [2, 4, 5, 7])
+@pytest.mark.parametrize("right", [0.0, 0.3, 0.42])
+@pytest.mark.parametrize("aspect", [16 / 9, 4 / 3])
+def test_shoulders_of_who_is_pinned_end_before_the_strip(
+    count: int, right: float, aspect: float
+) -> None:
+    shoulders_m = 0.36
+    free = FreeShares(right=right, bottom=0.1)
+    plan = plan_seats("arc", count, aspect, pinned=0, free=free, shoulders_m=shoulders_m)
+    camera, _ = picture(plan, aspect)
+    half_m = shoulders_m / 2 * camera.rotation[0]
+    (pinned, *others) = (seat[:3, 3] for seat in plan.seats)
+    (shoulder, *strip), _ = camera.project(
+        np.array([pinned + half_m, *(at - half_m for at in others)])
+    )
+    assert all(shoulder[0] <= edge[0] + 1 for edge in strip)

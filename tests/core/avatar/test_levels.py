@@ -390,3 +390,9 @@ def test_any_mutation_of_the_levels_loads_or_raises_an_avatar_file_error(
             assert avatar.level_faces(level).max() < 64
         errors = avatar.level_errors or guessed_errors(avatar.levels)
         assert np.isfinite(errors.at(avatar.levels[0], 100.0))
+
+
+def test_levels_are_found_once_and_not_for_every_one_who_asks() -> None:
+    avatar = make_toy_avatar()
+    assert avatar.levels is avatar.levels
+    assert avatar.levels[-1] == avatar.spec.map_size
