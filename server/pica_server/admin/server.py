@@ -37,6 +37,7 @@ class AdminServer:
         self._admin = admin
         self._after = after
         self._server: asyncio.Server | None = None
+        self._tls: ssl.SSLContext | None = None
         self._tasks: set[asyncio.Task[None]] = set()
 
     @property
@@ -51,9 +52,10 @@ class AdminServer:
         Raises:
             ListenError: The address cannot be bound.
         """
+        self._tls = tls
         try:
             self._server = await asyncio.start_server(
-                self._accept, host, port, limit=MAX_HEAD_BYTES, ssl=tls
+                self._accept, host, port, limit=MAX_HEAD_BYTES
             )
         except OSError as error:
             raise ListenError(
@@ -80,6 +82,8 @@ class AdminServer:
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:
             async with asyncio.timeout(TIMEOUT_S):
+                if self._tls is not None:  # not by the server: what shakes hands is counted, too
+                    await writer.start_tls(self._tls)
                 writer.write(await self._exchange(reader))
                 await writer.drain()
                 writer.close()
