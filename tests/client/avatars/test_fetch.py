@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import NamedTuple
-from unittest import mock
 
 import pytest
 
@@ -492,19 +491,3 @@ async def test_a_giver_that_is_told_to_come_later_does(toy: AvatarFile) -> None:
         assert {giver.outcome for giver in givers} <= {"given", "known"}
         for giver in givers:
             await giver.close()
-
-
-def test_what_is_no_avatar_does_not_enter_the_cache(tmp_path: Path) -> None:
-    junk = b"no avatar"
-    identity = hashlib.sha256(junk).hexdigest()
-
-    def give(relay_url: str, identity: str, to: Path, **options: object) -> None:
-        to.write_bytes(junk)
-
-    with (
-        mock.patch("pica_client.avatars.fetch.download", give),
-        fetcher("ws://127.0.0.1:9", tmp_path) as library,
-        pytest.raises(AvatarFileError, match=r"missing: .*not an avatar file; get"),
-    ):
-        asyncio.run(until(lambda: library.get(identity) is not None))
-    assert list(tmp_path.iterdir()) == []

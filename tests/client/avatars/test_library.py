@@ -1,15 +1,21 @@
-"""Which avatars stay loaded."""
+"""Which avatars stay loaded, and which files are kept."""
 
 from __future__ import annotations
 
+import hashlib
+import time
 from pathlib import Path
+from unittest import mock
 
 import pytest
 
 from helpers.toy import make_toy_avatar
 from pica_client.avatars import library as module
+from pica_client.avatars.cache import AvatarCache
+from pica_client.avatars.fetch import AvatarFetcher
 from pica_client.avatars.library import AvatarLibrary
 from pica_core.avatar.file import save_avatar
+from pica_core.errors import AvatarFileError
 
 pytestmark = pytest.mark.unit
 
@@ -31,3 +37,22 @@ def test_the_avatars_asked_for_longest_ago_are_forgotten(
     assert library.loaded() == [d]
     assert library.load(a) is not None
     library.close()
+
+
+def test_what_is_no_avatar_does_not_enter_the_cache(tmp_path: Path) -> None:
+    junk = b"no avatar"
+    identity = hashlib.sha256(junk).hexdigest()
+
+    def give(relay_url: str, identity: str, to: Path, **options: object) -> None:
+        to.write_bytes(junk)
+
+    library = AvatarLibrary(shipped=[])
+    with mock.patch("pica_client.avatars.fetch.download", give):
+        fetcher = AvatarFetcher(library, lambda: "ws://127.0.0.1:9", cache=AvatarCache(tmp_path))
+        with pytest.raises(AvatarFileError, match=r"missing: .*not an avatar file; get"):
+            for _ in range(10_000):
+                assert fetcher.get(identity) is None
+                time.sleep(0.001)
+        fetcher.close()
+    library.close()
+    assert list(tmp_path.iterdir()) == []

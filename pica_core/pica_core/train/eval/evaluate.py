@@ -30,7 +30,7 @@ class ViewErrors:
     """What was measured in one view, a value for each frame."""
 
     mse: dict[int, float] = field(default_factory=dict)
-    """By frame: a view may lack some."""
+    """Errors keyed by frame: a view may lack some."""
     ssim: list[float] = field(default_factory=list)
     change_mse: list[float] = field(default_factory=list)
     """One for each frame whose successor is of the same take and split, and was not left out."""
