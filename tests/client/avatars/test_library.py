@@ -39,6 +39,12 @@ def test_the_avatars_asked_for_longest_ago_are_forgotten(
     library.close()
 
 
+def await_avatar(fetcher: AvatarFetcher, identity: str) -> None:
+    for _ in range(10_000):
+        assert fetcher.get(identity) is None
+        time.sleep(0.001)
+
+
 def test_what_is_no_avatar_does_not_enter_the_cache(tmp_path: Path) -> None:
     junk = b"no avatar"
     identity = hashlib.sha256(junk).hexdigest()
@@ -50,9 +56,7 @@ def test_what_is_no_avatar_does_not_enter_the_cache(tmp_path: Path) -> None:
     with mock.patch("pica_client.avatars.fetch.download", give):
         fetcher = AvatarFetcher(library, lambda: "ws://127.0.0.1:9", cache=AvatarCache(tmp_path))
         with pytest.raises(AvatarFileError, match=r"missing: .*not an avatar file; get"):
-            for _ in range(10_000):
-                assert fetcher.get(identity) is None
-                time.sleep(0.001)
+            await_avatar(fetcher, identity)
         fetcher.close()
     library.close()
     assert list(tmp_path.iterdir()) == []
