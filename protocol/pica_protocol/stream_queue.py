@@ -106,6 +106,11 @@ class StreamQueue:
         return len(self._waiting)
 
     @property
+    def has_base(self) -> bool:
+        """Whether a frame of the lowest layer waits."""
+        return self._num_base > 0
+
+    @property
     def is_clear(self) -> bool:
         """Whether any frame that comes next would go through, and change nothing: the reader wants
         all layers, has got all that there was, and has not been slow lately."""

@@ -317,7 +317,11 @@ class Outbox:
             num_bytes = queue.num_bytes
             items += queue.take(room_left)
             if num_bytes > room_left:
-                break  # this message is full; the stream keeps its place
+                # This message is full. Base frames keep their place, upper ones go to the end.
+                if isinstance(queue, StreamQueue) and not queue.has_base:
+                    del self._line[stream]
+                    self._line[stream] = None
+                break
             room_left -= num_bytes
             del self._line[stream]
             if self._may_flow and isinstance(queue, StreamQueue) and queue.is_clear:

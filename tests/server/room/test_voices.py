@@ -150,6 +150,30 @@ def test_beside_voices_a_large_face_takes_turns_with_others(num_bytes: int) -> N
     assert counts[OTHER_FACE] > 100 * YIELDING_BYTES // (3 * num_bytes)
 
 
+def test_beside_voices_a_face_of_many_layers_leaves_room_for_others() -> None:
+    outbox, _ = outbox_with_voices()
+    outbox.note_full(0.0)
+    counts: Counter[int] = Counter()
+    for sequence in range(100):
+        now = 0.04 * sequence
+        for layer, num_bytes in enumerate((60, 50, 50)):
+            frame = Frame(
+                stream=FACE,
+                sequence=sequence,
+                captured_us=round(now * 1e6),
+                payload=bytes(num_bytes),
+                layer=layer,
+                is_keyframe=layer == 0,
+            )
+            flags = FLAG_KEYFRAME if layer == 0 else 0
+            outbox.put(ArrivedFrame(FACE, encode_frame(frame), layer, flags, now))
+        put(outbox, OTHER_FACE, now, sequence, 40)
+        put(outbox, VOICE, now, sequence, 60)
+        counts.update(streams(outbox.take(now)))
+    assert counts[FACE] > 50
+    assert counts[OTHER_FACE] >= 50
+
+
 def test_beside_a_voice_that_is_late_a_narrow_receiver_gets_no_face() -> None:
     outbox, _ = outbox_with_voices()
     outbox.note_full(0.0)
