@@ -368,8 +368,8 @@ class ClusterNode:
                 self._hub.membership.follow(shared.name, before, member, now)
             case Departed(peer_id=peer_id, reason=reason):
                 self._hub.membership.depart(shared.name, peer_id, reason, now)
-            case Ruled():
-                self._hub.moderation.enforce(shared.name, now)
+            case Ruled(news=news):
+                self._hub.moderation.enforce(shared.name, news, now)
             case Heard(node=node):
                 self.liveness.receive_beat(node, now)
 

@@ -36,7 +36,7 @@ from pica_server.cluster import messages
 from pica_server.cluster.liveness import Liveness, Standing
 from pica_server.cluster.media import Exchange
 from pica_server.errors import ClusterMessageError
-from pica_server.room.rulings import Rulings
+from pica_server.room.rulings import Rulings, Subject
 
 RETRY_S: Final = 0.25
 """After a request that failed."""
@@ -150,6 +150,8 @@ class Heard:
 @dataclass(frozen=True, slots=True)
 class Ruled:
     """An admin has ruled something on another node: it may be about peers of this one."""
+
+    news: frozenset[Subject]
 
 
 SharedRoomEvent = Ruled | Admitted | Refused | Arrived | Changed | Departed | Replaced | Heard
@@ -339,8 +341,8 @@ class SharedRoom:
         """Know a record from now on, and let those in who are in it."""
         self._record, self.revision, self._learned_s = record, revision, now
         self._last_words = dict(record.farewells)
-        if self._rulings.learn(self.name, record.rulings):
-            self._events.append(Ruled())
+        if news := self._rulings.learn(self.name, record.rulings):
+            self._events.append(Ruled(frozenset(news)))
         mine = {m.peer.peer_id: m for m in record.members if m.node == self._me}
         self._may_be_listed = bool(mine)
         admitted = [mine[peer_id] for peer_id in self._pending if peer_id in mine]

@@ -4,6 +4,7 @@ What must be done on another node of the cluster is passed on to it. What is to 
 comes again is kept in `Rulings`.
 """
 
+from collections.abc import Set
 from dataclasses import dataclass
 
 from pica_protocol.errors import CloseCode
@@ -11,7 +12,7 @@ from pica_server.room.connections import Connections
 from pica_server.room.forwarding import Forwarding
 from pica_server.room.membership import Membership
 from pica_server.room.room import Room
-from pica_server.room.rulings import RULING_S, Rulings
+from pica_server.room.rulings import BAR, RULING_S, Rulings, Subject, identity_key
 
 
 @dataclass(eq=False)
@@ -58,21 +59,23 @@ class Moderation:
         holds = self._rulings.give(room_name, identity, holds=is_barred, lasts_s=lasts_s)
         if self._connections.cluster_peers is not None:
             self._connections.cluster_peers.note_rulings(room_name)
-        self.enforce(room_name, now)
+        self.enforce(room_name, {(identity_key(identity), BAR)}, now)
         return holds
 
-    def enforce(self, room_name: str, now: float) -> None:
-        """Do to those who are on this node what rulings say, as when another node has ruled."""
+    def enforce(self, room_name: str, news: Set[Subject], now: float) -> None:
+        """Do to those who are on this node what rulings say of which there is news."""
         room = self._membership.rooms.get(room_name)
         for peer in () if room is None else room.peers_here:
             assert room is not None
             if peer.peer_id not in room:
                 continue  # putting one out may put out others, who read too slowly
-            if self._rulings.holds(room_name, peer.identity):
+            who = identity_key(peer.identity)
+            if (who, BAR) in news and self._rulings.holds(room_name, peer.identity):
                 self.remove(room_name, peer.peer_id, now=now)
                 continue
             for track in peer.tracks:
-                if self._rulings.holds(room_name, peer.identity, track.kind):
+                is_news = (who, track.kind) in news
+                if is_news and self._rulings.holds(room_name, peer.identity, track.kind):
                     self.mute(room_name, track.stream, is_muted=True, now=now)
 
     def close_room(self, room_name: str, now: float, *, everywhere: bool = True) -> int | None:

@@ -79,8 +79,8 @@ class Rulings:
         self.learn(room, {subject: Ruling(given_ms, ends_s, holds)})
         return True
 
-    def learn(self, room: str, rulings: RoomRulings) -> bool:
-        """Take over what others know of a room; return whether something of it was news."""
+    def learn(self, room: str, rulings: RoomRulings) -> set[Subject]:
+        """Take over what others know of a room; return what there is news of."""
         before = self.of(room)
         known = dict(before)
         for subject, ruling in rulings.items():
@@ -91,4 +91,4 @@ class Rulings:
             self._rooms[room] = dict(newest)
             if len(self._rooms) > MAX_ROOMS:
                 del self._rooms[next(iter(self._rooms))]
-        return self.of(room) != before
+        return {subject for subject, _ in self.of(room).items() - before.items()}

@@ -315,6 +315,29 @@ def test_mutes_and_bars_hold_on_a_node_that_comes_to_a_room_after_they_were_give
     assert nodes.join(0, "Eve", 3.0).closed_code == CloseCode.FORBIDDEN
 
 
+def test_an_order_on_another_node_stops_no_other_stream_of_who_is_muted() -> None:
+    nodes = Nodes(2, with_identities=True)
+    ada = nodes.join(0, "Ada", tracks=(FACE, FACE))
+    nodes.join(1, "Bob")
+    nodes.hubs[0].moderation.mute("lobby", ada.stream, is_muted=True, now=0.0)
+    nodes.pump(0.0)
+    nodes.hubs[1].moderation.bar("lobby", "Mallory", now=0.0)
+    nodes.pump(0.0)
+    ada.listen(0.0)
+    assert ada.session.muted == {ada.stream}
+
+
+def test_who_is_muted_while_they_move_to_another_node_is_muted_there() -> None:
+    nodes = Nodes(2, with_identities=True)
+    nodes.join(0, "Ada")
+    cleo = nodes.join(1, "Cleo")
+    nodes.hubs[0].rulings.give("lobby", "Cleo", "face", holds=True)
+    nodes.nodes[0].note_rulings("lobby")
+    nodes.pump(0.0)
+    cleo.listen(0.0)
+    assert cleo.session.muted == {cleo.stream}
+
+
 def test_in_a_full_room_a_newcomer_gets_the_place_of_who_is_away_on_its_node() -> None:
     nodes = Nodes(2, capacity=2)
     ada, bob = nodes.join(0, "Ada", resumable=True), nodes.join(1, "Bob", resumable=True)

@@ -136,6 +136,15 @@ def test_a_mute_outlives_its_owners_rejoin_and_everybody_is_told() -> None:
     assert Member(hub, "Ada", token="ada", now=7.0).session.muted == set()
 
 
+def test_an_order_about_somebody_else_stops_no_other_stream_of_who_is_muted() -> None:
+    hub = hub_of_identities(Clock())
+    ada = Member(hub, "Ada", token="ada", tracks=(FACE, FACE))
+    hub.moderation.mute("lobby", ada.stream, is_muted=True, now=1.0)
+    hub.moderation.bar("lobby", "mallory", now=2.0)
+    ada.listen(now=2.0)
+    assert ada.session.muted == {ada.stream}
+
+
 def test_a_mute_ends_after_a_day_and_not_with_the_room() -> None:
     clock = Clock()
     hub = hub_of_identities(clock)
