@@ -26,7 +26,7 @@ from typing import Any, Final, NamedTuple
 from urllib.parse import parse_qs, unquote, urlsplit
 
 from pica_protocol.errors import CloseCode
-from pica_protocol.limits import quoted
+from pica_protocol.limits import check_token, quoted
 from pica_protocol.messages import Peer
 from pica_server.auth.tokens import ANY_ROOM
 from pica_server.errors import AdmissionError
@@ -116,6 +116,7 @@ class Admin:
         match rest:
             case ("bars", identity) if room is not None or hub.connections.cluster_peers is None:
                 _allow(method, "PUT", "DELETE")
+                self._check_bar(name, identity)
                 is_barred, lasts_s = method == "PUT", _duration_s(query)
                 hub.moderation.bar(name, identity, is_barred=is_barred, lasts_s=lasts_s, now=now)
                 return _ok({"room": name, "identity": identity, "barred": is_barred})
@@ -146,6 +147,17 @@ class Admin:
                     raise _RefusedError(HTTPStatus.NOT_FOUND, "there is no such stream in the room")
                 return self._mute(method, room, [int(number)], now)
         raise _RefusedError(HTTPStatus.NOT_FOUND, "a room has peers and streams, nothing else")
+
+    def _check_bar(self, name: str, identity: str) -> None:
+        """Refuse a bar that would hold nobody."""
+        if self._authority is None:
+            text = "this relay has no keys, so nobody has an identity"
+            raise _RefusedError(HTTPStatus.CONFLICT, text)
+        try:
+            check_token("the room", name)
+            check_token("the identity", identity)
+        except ValueError as error:
+            raise _RefusedError(HTTPStatus.BAD_REQUEST, str(error)) from error
 
     def _mute(self, method: str, room: Room, streams: list[int], now: float) -> Answer:
         _allow(method, "PUT", "DELETE")

@@ -23,11 +23,12 @@ KEYS = KeyRing({"k": b"k" * 32})
 NOW = 1_800_000_000.0
 
 
-def asking(hub: Hub) -> Callable[..., tuple[int, dict[str, Any]]]:
-    admin = Admin(hub, None)
+def asking(hub: Hub, *, has_keys: bool = False) -> Callable[..., tuple[int, dict[str, Any]]]:
+    admin = Admin(hub, (lambda token: token) if has_keys else None)
+    headers = {**HERE, "authorization": "Bearer *"}
 
     def ask(method: str, path: str) -> tuple[int, dict[str, Any]]:
-        answer = admin.answer(method, path, HERE, now=1.0)
+        answer = admin.answer(method, path, headers, now=1.0)
         return int(answer.status), answer.body
 
     return ask
@@ -97,7 +98,7 @@ def test_a_peer_is_removed_and_a_room_closed() -> None:
 
 def test_an_identity_is_barred_for_a_time_whether_it_is_there_or_not_and_let_in_again() -> None:
     hub = Hub(RelayConfig(), lambda join: Admission(identity=join.token))
-    ask = asking(hub)
+    ask = asking(hub, has_keys=True)
     ada = Member(hub, "Ada", token="ada")
     status, answer = ask("DELETE", f"/v1/rooms/lobby/peers/{ada.peer_id}?bar=true&for_s=60")
     assert (status, answer["barred"]) == (200, True)
@@ -114,6 +115,18 @@ def test_an_identity_is_barred_for_a_time_whether_it_is_there_or_not_and_let_in_
         status, answer = ask("PUT", f"{bars}?for_s={for_s}")
         assert status == 400
         assert answer["error"].startswith("for_s must be 1 to 2592000 seconds, got")
+
+
+@pytest.mark.parametrize("method", ["PUT", "DELETE"])
+def test_a_bar_that_would_hold_nobody_is_refused(method: str) -> None:
+    hub, _ = hub_with("Ada")
+    assert asking(hub)(method, "/v1/rooms/lobby/bars/ada") == (
+        409,
+        {"error": "this relay has no keys, so nobody has an identity"},
+    )
+    for path in ("lobby/bars/", "lobby/bars/Ada%20L", "no%20room/bars/ada"):
+        status, answer = asking(hub, has_keys=True)(method, f"/v1/rooms/{path}")
+        assert (status, "must be 1..64 of" in answer["error"]) == (400, True)
 
 
 @pytest.mark.parametrize(
