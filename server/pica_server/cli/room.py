@@ -129,7 +129,7 @@ def room_remove(options: RemoveOptions) -> dict[str, Any]:
 
 
 def room_bar(options: BarOptions) -> dict[str, Any]:
-    """Put an identity out of a room and keep it out, whether the room is there or not."""
+    """Put an identity out of a room and keep it out; it need not be there, save in a cluster."""
     query = f"?for_s={options.for_s}"
     answer = _ask(options, "PUT", "rooms", options.room, "bars", options.identity, query=query)
     print(f"{options.identity} is kept out of {options.room} for {options.for_s:g} s")

@@ -49,7 +49,7 @@ class Moderation:
         """Put an identity out of a room and keep it out, or let it come again.
 
         Args:
-            room_name: The room, which may be empty.
+            room_name: The room, which may be empty; in a cluster, one with peers on this node.
             identity: Who; nobody is barred by the empty one.
             lasts_s: For how long, seconds.
 
