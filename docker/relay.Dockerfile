@@ -1,9 +1,8 @@
 # The relay: no numpy, no OpenGL, no compiler, not root. Build from the repository's root:
 #     docker build -f docker/relay.Dockerfile -t pica-relay .
-# Run it with a key file (docs/operating.md); it refuses to start without one:
-#     docker run --read-only --tmpfs /tmp -p 8765:8765 -v $PWD/keys:/run/secrets/keys:ro \
-#         --user "$(id -u):$(id -g)" -e PICA_RELAY_KEYS=/run/secrets/keys pica-relay
-# As you, because `pica token --new-key` makes a file that its owner alone may read.
+# Run it with a key file (docs/operating.md), as the user who may read it; it refuses to start without:
+#     docker run --user $(id -u):$(id -g) --read-only --tmpfs /tmp -p 8765:8765 \
+#         -v $PWD/keys:/run/secrets/keys:ro -e PICA_RELAY_KEYS=/run/secrets/keys pica-relay
 FROM python:3.11.13-slim-bookworm AS build
 WORKDIR /src
 COPY pyproject.toml constraints.txt README.md LICENSE ./

@@ -2,8 +2,8 @@
 
     base       pulled; where no registry answers, made of Debian's packages by mmdebstrap
     build      the Dockerfiles as they are, by buildah, which needs no engine
-    relay      as its user: refuses to start without keys, is well by its own health check, writes
-               nothing but its /tmp, and SIGTERM ends it with 0
+    relay      as its user: refuses to start without keys; as the user of the key file: is well by
+               its own health check, writes nothing but its /tmp, and SIGTERM ends it with 0
     manifests  the relay with the ConfigMap's settings and TLS, asked as the probes ask
     viewer     `pica doctor`
     train      a capture, a few steps of training and an avatar file, as its user
@@ -38,6 +38,8 @@ import yaml
 ROOT = Path(__file__).resolve().parent.parent
 DOCKER = ROOT / "docker"
 IMAGES = ("relay", "viewer", "train")
+HOST_USER = 1000
+"""Who has made a key file and runs a container as themselves, as the relay's Dockerfile says."""
 TIMEOUT_S = 120.0
 TRAIN_TIMEOUT_S = 900.0
 ADDRESSES = {"nats": "10.77.0.2", "relay-a": "10.77.0.3", "relay-b": "10.77.0.4"}
@@ -108,15 +110,16 @@ def build(volumes: Sequence[str]) -> None:
 
 
 class Container:
-    """One container of an image: what it starts, with its variables, as its user."""
+    """One container of an image: what it starts, with its variables, as its user or another."""
 
-    def __init__(self, image: str, volumes: Mapping[Path, str], host: str) -> None:
+    def __init__(self, image: str, volumes: Mapping[Path, str], host: str, user: str) -> None:
         inspected = json.loads(buildah("inspect", "--type", "image", image))
         self._config = inspected["Docker"]["config"]
         self._name = buildah("from", "--pull-never", image)
         self._options = [
             word for path, place in volumes.items() for word in ("--volume", f"{path}:{place}")
         ]
+        self._options += ["--user", user] if user else []
         self._inside = inside(host)
         self._begin = time.time()
 
@@ -213,10 +216,10 @@ def join_hosts() -> None:
 
 @contextmanager
 def container(
-    image: str, volumes: Mapping[Path, str] | None = None, host: str = ""
+    image: str, volumes: Mapping[Path, str] | None = None, host: str = "", user: str = ""
 ) -> Iterator[Container]:
     """A container on one of the network's hosts, which is removed at the end."""
-    made = Container(image, volumes or {}, host)
+    made = Container(image, volumes or {}, host, user)
     try:
         yield made
     finally:
@@ -284,19 +287,21 @@ def give(path: Path) -> Path:
 
 def check_relay(folder: Path) -> None:
     """The image's own command, without keys and with them."""
-    keys = give(folder)
-    with container("pica-relay", {keys: "/run/secrets"}) as made:
+    with container("pica-relay") as made:
         line, *_ = made.run(status=2).splitlines()  # buildah adds a line of its own
         print(f"relay: without keys: {line}")
+    shutil.chown(folder, HOST_USER, HOST_USER)
+    user = f"{HOST_USER}:{HOST_USER}"
+    with container("pica-relay", {folder: "/run/secrets"}, user=user) as made:
         made.run(["token", "--keys", "/run/secrets/keys", "--new-key"])
         environment = {"PICA_RELAY_KEYS": "/run/secrets/keys"}
         with relay(made, (), environment):
-            (user,) = {
+            (uid,) = {
                 Path(f"/proc/{pid}").stat().st_uid
                 for pid in descendants(os.getpid())
                 if Path(f"/proc/{pid}/comm").read_text().strip() == "pica"
             }
-            print(f"relay: well over HTTP, as user {user}")
+            print(f"relay: well over HTTP, as user {uid}")
         if written := made.written():
             sys.exit(f"the relay wrote outside of /tmp: {written}")
 

@@ -129,6 +129,12 @@ def test_the_relays_image_refuses_to_be_open_by_mistake() -> None:
     assert (config.host, config.port) == ("0.0.0.0", 8765)
 
 
+@pytest.mark.parametrize("path", ["docker/relay.Dockerfile", "docs/operating.md"])
+def test_the_relays_image_is_run_as_who_may_read_the_key_file(path: str) -> None:
+    _, _, line = (ROOT / path).read_text().partition("docker run ")
+    assert line.startswith("--user $(id -u):$(id -g) ")
+
+
 def test_the_relays_image_exposes_the_port_that_it_listens_on_and_checks_it() -> None:
     words = dict(instructions(DOCKER / "relay.Dockerfile"))
     assert words["EXPOSE"] == image_environment()["PICA_RELAY_PORT"] == "8765"
