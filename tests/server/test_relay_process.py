@@ -69,6 +69,15 @@ def running_relay(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]
         process.communicate()
 
 
+def test_a_relay_without_a_certificate_outlives_sighup() -> None:
+    with running_relay() as (process, _):
+        assert process.stderr is not None
+        process.send_signal(signal.SIGHUP)
+        assert "there is no certificate to read again\n" in process.stderr
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(timeout=60) == 0
+
+
 @pytest.mark.parametrize("name", [signal.SIGTERM, signal.SIGINT])
 def test_a_relay_without_numpy_forwards_stops_on_a_signal_and_prints_its_numbers(
     name: signal.Signals, tmp_path: Path

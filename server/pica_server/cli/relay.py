@@ -147,12 +147,13 @@ def _spare_the_collector() -> None:
 
 @contextmanager
 def _certificate_kept_fresh(certificate: Certificate | None) -> Iterator[None]:
-    """Read the certificate again on SIGHUP, and when its files have changed."""
-    if certificate is None:
-        yield
-        return
+    """Read the certificate again on SIGHUP, and when its files have changed; without one a relay
+    goes on all the same."""
 
     def reload() -> None:
+        if certificate is None:
+            _say("nothing to read again", "there is no certificate to read again")
+            return
         try:
             certificate.reload()
         except ConfigurationError as error:
@@ -161,7 +162,7 @@ def _certificate_kept_fresh(certificate: Certificate | None) -> Iterator[None]:
             _say("certificate read", "read the certificate again")
 
     async def look() -> None:
-        while True:
+        while certificate is not None:
             await asyncio.sleep(CERTIFICATE_PERIOD_S)
             if certificate.has_changed():
                 # Both files are written one after the other; the pair is there a moment later.
