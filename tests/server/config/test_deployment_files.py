@@ -294,6 +294,12 @@ def test_the_probes_of_the_relay_ask_pages_that_it_has(tmp_path: Path) -> None:
         assert pages.answer(path, is_local=False, now=0.0) is not None
 
 
+def test_a_relay_has_ten_minutes_to_find_nats() -> None:
+    (container,) = pod_of(MANIFESTS["Deployment", "relay"])["containers"]
+    probe = container["startupProbe"]
+    assert probe["periodSeconds"] * probe["failureThreshold"] >= 600
+
+
 def exported_series() -> set[str]:
     """Return the names of all series that /metrics has."""
     config = RelayConfig()
