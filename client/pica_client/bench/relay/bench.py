@@ -192,7 +192,8 @@ class Load:
         after = relay_metrics(target.url) if target.has_metrics else {}
         answers = [swarm.answer(DRAIN_S + PATIENCE_S) for swarm in self._swarms]
         metrics = {name: value - before.get(name, 0.0) for name, value in after.items()}
-        metrics["pica_brake_level"] = after.get("pica_brake_level", 0.0)  # as it is, no difference
+        if "pica_brake_level" in after:
+            metrics["pica_brake_level"] = after["pica_brake_level"]  # as it is, no difference
         cpu = None
         if cpu_before is not None and cpu_after is not None:
             cpu = (cpu_after - cpu_before) / (at_after - at_before)

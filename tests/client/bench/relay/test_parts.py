@@ -1,9 +1,12 @@
 import random
 from collections import Counter
+from typing import Any, cast
 
 import pytest
 
-from pica_client.bench.relay.bench import RelayBenchConfig
+from pica_client.bench.relay import bench
+from pica_client.bench.relay.bench import Load, RelayBenchConfig, Target
+from pica_client.bench.relay.processes import Workers
 from pica_client.bench.relay.traffic import KEYFRAME_INTERVAL_S, KEYFRAME_PAUSE_S, Traffic
 from pica_client.errors import OptionError
 from pica_protocol.frames import FLAG_KEYFRAME, Frame, decode_media, encode_frame, media_message
@@ -11,6 +14,30 @@ from pica_protocol.frames import FLAG_KEYFRAME, Frame, decode_media, encode_fram
 pytestmark = pytest.mark.unit
 
 STEP_US = 33_333
+
+
+class Swarm:
+    """Stands for the workers and the one swarm that they start, of two peers that lose a frame."""
+
+    def start(self, *_: object, **__: object) -> "Swarm":
+        return self
+
+    def order(self, **_: object) -> None:
+        pass
+
+    def answer(self, _: float) -> dict[str, Any]:
+        counts = {"live": 2, "sent": 10, "received": 9}
+        return {**counts, "latency": {}, "turn": {}, "closed": {}, "cpu_ratio": 0.1}
+
+
+def test_what_a_server_without_metrics_did_not_pass_on_was_dropped(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(bench, "SETTLE_S", 0.0)
+    config = RelayBenchConfig(rooms=1, peers=2, seconds=0.5)
+    load = Load(config, Target(url="ws://relay"), cast("Workers", Swarm()))
+    figures = load.measure(1, config.seconds)
+    assert (figures["dropped"], figures["missing"]) == (1, 1)
 
 
 def frames(num: int) -> list[tuple[int, int, bool, bytes]]:
