@@ -22,7 +22,10 @@ if os.name == "nt":
 
 @pytest.mark.parametrize("taken", ["all", "rooms"])
 def test_a_nats_that_loses_its_store_is_given_a_new_one(tmp_path: Path, taken: str) -> None:
-    """It comes back empty; or somebody removes the records while it runs."""
+    """It comes back empty; or somebody removes the records while it runs.
+
+    Where NATS ends by itself, what watches over services starts it again.
+    """
     server = NatsServer(tmp_path / "store")
     server.start()
 
@@ -36,6 +39,12 @@ def test_a_nats_that_loses_its_store_is_given_a_new_one(tmp_path: Path, taken: s
         await client.jetstream().delete_stream("KV_pica_rooms")
         await client.close()
 
+    async def watch_over_nats() -> None:
+        while True:
+            await asyncio.sleep(0.1)
+            if await asyncio.to_thread(server.restart_if_ended):
+                print("\n    measured: nats-server ended by itself, and was started again")
+
     async def call(nodes: list[Node]) -> None:
         async with (
             person("ada", nodes[0], talks=True) as ada,
@@ -43,6 +52,7 @@ def test_a_nats_that_loses_its_store_is_given_a_new_one(tmp_path: Path, taken: s
         ):
             await until(lambda: ada.sees("bob") and bob.sees("ada"))
             await lose_store()
+            watch = asyncio.create_task(watch_over_nats())
             lost_s = asyncio.get_running_loop().time()
             async with person("cleo", nodes[1]) as cleo:
                 await until(lambda: cleo.sees("ada", "bob") and ada.sees("bob", "cleo"))
@@ -54,6 +64,7 @@ def test_a_nats_that_loses_its_store_is_given_a_new_one(tmp_path: Path, taken: s
             assert ada.undecodable() == bob.undecodable() == 0
             for node in nodes:
                 assert await asyncio.to_thread(node.page, "/readyz") == "ok\n"
+            watch.cancel()
 
     try:
         with running_nodes(2, server.url) as nodes:

@@ -51,6 +51,14 @@ class NatsServer:
                 time.sleep(0.02)
         raise AssertionError("nats-server does not listen")
 
+    def restart_if_ended(self) -> bool:
+        """Start it again if it ended by itself, as what watches over services does; say whether it
+        had."""
+        has_ended = self._process is not None and self._process.poll() is not None
+        if has_ended:
+            self.start()
+        return has_ended
+
     def freeze(self) -> None:
         """Stop it without ending it."""
         assert self._process is not None

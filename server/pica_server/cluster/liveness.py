@@ -42,6 +42,7 @@ class Liveness:
     def __init__(self, now: float) -> None:
         """Begin with a lease that was confirmed just now, knowing nobody."""
         self._renewed_s = now
+        self._is_doubted = False
         self._listening_since_s = now
         self._heard_s: dict[str, float] = {}  # bounded: who is not heard of is forgotten
 
@@ -50,6 +51,11 @@ class Liveness:
         if self.standing(now) is not Standing.CLUSTERED:
             self._listening_since_s = now
         self._renewed_s = max(self._renewed_s, sent_s)
+        self._is_doubted = False
+
+    def doubt(self) -> None:
+        """Note that the store may have been lost: joins wait for the next confirmed renewal."""
+        self._is_doubted = True
 
     def receive_beat(self, node: str, now: float) -> None:
         """Note that a node renewed its lease."""
@@ -62,7 +68,7 @@ class Liveness:
     def standing(self, now: float) -> Standing:
         """Say what this node is now."""
         age_s = now - self._renewed_s
-        if age_s < SUSPECT_S:
+        if age_s < SUSPECT_S and not self._is_doubted:
             return Standing.CLUSTERED
         return Standing.UNCERTAIN if age_s < FENCE_S else Standing.LOCAL
 

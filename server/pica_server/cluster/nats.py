@@ -260,7 +260,7 @@ class Cluster:
 
     async def _on_reconnected(self) -> None:
         _logger.warning("cluster connection restored")
-        self.node.receive_reconnected()
+        self.node.receive_reconnected(self._now())
         self._must_renew.set()
         self._on_news()
 
@@ -286,7 +286,8 @@ class Cluster:
                     await self._begin_anew()
                 else:
                     self._revision = revision
-                    self.node.receive_renewed(sent_s, self._now())
+                    if not self._store.is_lost:
+                        self.node.receive_renewed(sent_s, self._now())
                 if num_beats % BEATS_PER_CHECK == 0:
                     await self._store.check()
             except (nats.errors.Error, TimeoutError, OSError, ClusterError):
@@ -325,7 +326,7 @@ class Cluster:
         await self._subscribe()
         for key in list(self._watched):
             self._watched[key] = await self._follow(key)
-        self.node.receive_reconnected()
+        self.node.receive_reconnected(self._now())
 
     async def _tick(self) -> None:
         while True:

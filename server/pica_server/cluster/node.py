@@ -186,10 +186,13 @@ class ClusterNode:
 
     # What NATS brought.
 
-    def receive_reconnected(self) -> None:
+    def receive_reconnected(self, now: float) -> None:
         """Note that the connection was lost for a while, and all that was said meanwhile with
-        it."""
+        it. No record is read before the lease is confirmed: NATS may have come back without the
+        store, and NATS 2.9 dies of a request for a record of a store that is being made."""
         self._count("reconnected")
+        self.liveness.doubt()
+        self._look(now)
         self.receive_loss_of_all()
 
     def receive_loss(self, key: str) -> None:

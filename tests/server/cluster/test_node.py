@@ -390,6 +390,20 @@ def test_who_lost_the_slot_sends_everybody_away_to_come_again() -> None:
     assert nodes.nodes[0].me.slot == 5
 
 
+def test_no_record_is_read_after_a_reconnection_before_the_lease_is_confirmed() -> None:
+    nodes = Nodes(1)
+    nodes.beat(0.0, 0)
+    nodes.join(0, "ada")
+    node = nodes.nodes[0]
+    node.receive_reconnected(0.1)
+    node.step(0.1)
+    assert node.standing is Standing.UNCERTAIN
+    assert node.take_commands() == []
+    node.receive_renewed(0.2, 0.2)
+    node.step(0.2)
+    assert [type(command) for command in node.take_commands()] == [Read]
+
+
 def test_what_no_node_sends_is_counted_and_costs_nothing() -> None:
     nodes = Nodes(2)
     ada = nodes.join(0, "Ada")
