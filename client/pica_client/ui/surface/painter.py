@@ -113,13 +113,15 @@ class Painter:
         left, bottom, rows = place
         for command in shapes.cmd_buffer:
             low_x, low_y, high_x, high_y = command.clip_rect
-            if high_x <= low_x or high_y <= low_y:
+            from_x, from_y = max(int(low_x), 0), max(int(low_y), 0)
+            width, height = int(high_x) - from_x, int(high_y) - from_y
+            if width <= 0 or height <= 0:
                 continue
             self._context.scissor = (
-                left + max(int(low_x), 0),
+                left + from_x,
                 bottom + max(int(rows - high_y), 0),
-                int(high_x) - max(int(low_x), 0),
-                int(high_y) - max(int(low_y), 0),
+                width,
+                height,
             )
             part = {"vertices": command.elem_count, "first": first + command.idx_offset}
             number = command.tex_ref.get_tex_id()
