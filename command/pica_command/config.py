@@ -83,7 +83,7 @@ def config_unset(options: UnsetOptions) -> dict[str, Any]:
     table: Any = document
     for word in tables:
         table = table.get(word, {}) if isinstance(table, dict) else {}
-    if key not in table:
+    if not isinstance(table, dict) or key not in table:
         raise UsageError(f"{options.key} is not set in {path}; `pica config show` prints what is")
     del table[key]
     write_profile(path, document)

@@ -135,13 +135,14 @@ def read_options(
     Raises:
         UsageError: A value of a file or of the environment is refused; says where it stands.
     """
-    flags = {word.partition("=")[0].replace("_", "-") for word in words if word[:2] == "--"}
+    end = words.index("--") if "--" in words else len(words)
+    flags = {word.partition("=")[0].replace("_", "-") for word in words[:end] if word[:2] == "--"}
     said: dict[Setting, Said] = {}
     for source in reversed(sources):
         said |= {one: value for one, value in source.items() if not one.is_among(flags)}
     added = [word for setting, each in said.items() for word in setting.words_for(each.value)]
     with naming_places(said):
-        options = parse([*words, *added])
+        options = parse([*words[:end], *added, *words[end:]])
     effective = {}
     for setting in settings_of(options_type):
         default = Said(None, setting.flag if setting.is_among(flags) else "default")

@@ -96,6 +96,24 @@ def test_config_sets_shows_and_unsets_in_a_file_for_its_owner_alone(
     assert [path.name for path in profile.parent.iterdir()] == [profile.name]
 
 
+def test_a_profile_holds_beside_words_behind_two_dashes(
+    profile: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    profile.parent.mkdir()
+    profile.write_text('url = "wss://relay.example"\nname = "Ada"\n')
+    assert main(["send", "--print-config", "--name=Bob", "--"]) == 0
+    printed = capsys.readouterr().out
+    assert 'url = "wss://relay.example"' in printed
+    assert 'name = "Bob"' in printed
+
+
+def test_a_key_below_a_text_is_not_set(profile: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    profile.parent.mkdir()
+    profile.write_text('room = "lobby"\n')
+    assert main(["config", "unset", "room.l"]) == 2
+    assert "room.l is not set in" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
