@@ -1,10 +1,13 @@
 """What stands on a surface, drawn into a framebuffer."""
 
+import pytest
 from imgui_bundle import imgui
 
 from pica_client.ui.surface.painter import Painter
 from pica_client.ui.surface.surface import Surface
 from pica_core.gl import create_context
+
+pytestmark = pytest.mark.render
 
 
 def test_what_lies_outside_a_picture_of_one_pixel_is_no_error_of_gl() -> None:
