@@ -277,3 +277,7 @@ def test_what_the_command_line_says_comes_before_what_was_kept() -> None:
     )
     assert first_fields(Fields(voice="speech"), kept).voice == "speech"
     assert link_without_form(Fields(room="new"), LinkConfig()).room == "new"
+    sent = Preferences(source="performance:talk")
+    assert first_fields(Fields(source="webcam"), sent).source == "performance:talk"
+    for said in ("webcam", ""):
+        assert first_fields(Fields(source=said), sent, source_is_given=True).source == said

@@ -203,7 +203,9 @@ def view(options: ViewOptions) -> dict[str, Any]:
             if name:
                 library.load(library.find(name))
         if asks:
-            form = JoinForm(first_fields(going, preferences), base=base)
+            says_source = options.send is not None
+            fields = first_fields(going, preferences, source_is_given=says_source)
+            form = JoinForm(fields, base=base)
             result = ask_and_look(config, library, face, on_stop_signal, kept=kept, form=form)
         else:
             result = look(config, library, face, on_stop_signal, kept=kept)

@@ -49,8 +49,15 @@ def invited(link: str) -> Fields:
         raise OptionError(f"link: {error}") from error
 
 
-def first_fields(given: Fields, preferences: Preferences) -> Fields:
-    """What stands in the form at first: what the command line gives, else what was kept."""
+def first_fields(
+    given: Fields, preferences: Preferences, *, source_is_given: bool = False
+) -> Fields:
+    """What stands in the form at first: what the command line gives, else what was kept.
+
+    Args:
+        source_is_given: The command line says what plays the user's face, or that nothing does.
+    """
+    kept_source = None if source_is_given else preferences.source
     kept = {
         name: getattr(given, name) or getattr(preferences, name)
         for name in ("url", "room", "name", "ca_file", "secret_file", "avatar")
@@ -58,7 +65,7 @@ def first_fields(given: Fields, preferences: Preferences) -> Fields:
     return replace(
         given,
         **kept | {"url": kept["url"] or DEFAULT_URL, "room": kept["room"] or DEFAULT_ROOM},
-        source=given.source if preferences.source is None else preferences.source,
+        source=given.source if kept_source is None else kept_source,
         voice=given.voice or _usual_voice(preferences.voice),
     )
 
