@@ -230,6 +230,16 @@ def test_an_address_on_the_command_line_needs_no_form(
     assert kept.load().url == relay_url
 
 
+def test_what_cannot_be_kept_is_said_and_the_call_ends_well(
+    library: AvatarLibrary, relay_url: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kept = PreferencesFile(tmp_path)
+    here = config(relay_url, headless=True)
+    here = replace(here, viewer=replace(here.viewer, keep_in=Path("k" * 2000)))
+    assert look(here, library, WATCHING, without_signals, kept=kept)["frames_rendered"] > 0
+    assert "preferences cannot be kept: keep_in is no text" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("what", ["film", "series of pictures"])
 def test_who_records_from_the_command_line_is_seen_to_by_those_in_the_room(
     library: AvatarLibrary, relay_url: str, tmp_path: Path, what: str

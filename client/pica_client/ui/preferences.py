@@ -72,8 +72,15 @@ class Preferences:
             value = getattr(self, name)
             if name not in texts and value is None:
                 continue
-            if not isinstance(value, str) or len(value) > MAX_TEXT or not value.isprintable():
+            if not isinstance(value, str) or len(value) > MAX_TEXT:
                 raise ValueError(f"{name} is no text of up to {MAX_TEXT} characters")
+            if name in ("url", "room", "name") and not value.isprintable():
+                raise ValueError(f"{name} holds signs that cannot be shown")
+
+
+def fit_side(side: int) -> int:
+    """The nearest side of a window that is kept."""
+    return min(max(side, MIN_SIDE), MAX_SIDE)
 
 
 class PreferencesFile:

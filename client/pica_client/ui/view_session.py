@@ -17,7 +17,7 @@ from pica_client.output import say
 from pica_client.publish.own_face import FaceChoice, OutgoingFace, open_own_face
 from pica_client.transport.config import LinkConfig
 from pica_client.ui.joining.form import Fields, JoinForm
-from pica_client.ui.preferences import Preferences, PreferencesFile
+from pica_client.ui.preferences import Preferences, PreferencesFile, fit_side
 from pica_client.ui.view import NOTHING_SHOWN, View, ViewConfig
 from pica_client.voice.opus import available
 from pica_client.voice.sound.process import SoundProcess
@@ -204,14 +204,15 @@ def _keep(
     state = looking.last_controls
     before = kept.load()
     folder = config.viewer.keep_in
+    size = looking.last_window_size or before.window_size
     typed = {} if fields is None else {name: getattr(fields, name) for name in KEPT_FIELDS}
     typed["name"] = config.link.name
     if looking.wanted is not None:
         typed |= asdict(looking.wanted)
     elif looking.last_source is not None:
         typed["source"] = looking.last_source
-    kept.save(
-        replace(
+    try:
+        now = replace(
             before,
             **typed,
             layout=state.layout,
@@ -219,9 +220,12 @@ def _keep(
             settings=state.settings,
             sound=state.sound,
             has_seen_hint=before.has_seen_hint or not state.shows_hint,
-            window_size=looking.last_window_size or before.window_size,
+            window_size=(fit_side(size[0]), fit_side(size[1])),
             url=config.link.url,
             room=config.link.room,
             keep_in="" if folder is None else str(folder.absolute()),
         )
-    )
+    except ValueError as error:  # a folder of an endless name, say
+        say(f"{kept.path}: preferences cannot be kept: {error}")
+        return
+    kept.save(now)

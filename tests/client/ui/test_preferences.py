@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -50,6 +51,13 @@ def kept(tmp_path: Path) -> Kept:
 def test_what_is_saved_is_loaded(kept: Kept) -> None:
     kept.file.save(KEPT)
     assert kept.file.load() == KEPT
+    assert kept.warnings == []
+
+
+def test_a_folder_may_have_any_name(kept: Kept) -> None:
+    for name in ("/home/ada/Bilder\u3000 2024", "/home/ada/M\udcfcller"):
+        kept.file.save(replace(KEPT, keep_in=name))
+        assert kept.file.load().keep_in == name
     assert kept.warnings == []
 
 
