@@ -19,7 +19,7 @@ from pica_client.bench.difference_sheet import Cell, write_sheet
 from pica_client.bench.harness import timed
 from pica_client.bench.head import FaceRenderer, evaluation_cameras, psnr_db
 from pica_client.bench.option_types import Ints, Words
-from pica_client.errors import check_ranges
+from pica_client.errors import OptionError, check_ranges
 from pica_client.output import say
 from pica_client.playout.motion import blend
 from pica_client.render.drawing import Drawing, change_mse, drawn_mse, masked_mse
@@ -70,6 +70,9 @@ class CodecConfig:
 
     def __post_init__(self) -> None:
         check_ranges(self, seconds=(1, 600), moments=(1, 2000), image_size=(16, 2048))
+        for rate in self.rates_bps:
+            if not 100 <= rate <= 10_000_000:
+                raise OptionError(f"rates-bps has {rate}; 100 to 10000000 is allowed")
 
 
 @dataclass(slots=True, eq=False)

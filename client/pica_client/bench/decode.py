@@ -91,7 +91,7 @@ class DecodeBenchConfig:
     """ONNX Runtime execution provider, as NAME or NAME:key=value,key=value."""
 
     def __post_init__(self) -> None:
-        check_ranges(self, rounds=(1, 10_000), head_px=(1, 1e5))
+        check_ranges(self, rounds=(1, 10_000), head_px=(1, 1e5), seed=(0, 2**32))
         if not self.threads or not all(1 <= threads <= 64 for threads in self.threads):
             raise OptionError(f"threads is {self.threads}; one or more of 1 to 64 are needed")
         check_names("block", self.blocks, BLOCKS)

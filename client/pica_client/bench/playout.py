@@ -62,7 +62,7 @@ class BenchPlayoutConfig:
     """Seed of the network."""
 
     def __post_init__(self) -> None:
-        check_ranges(self, renders_per_s=(0.5, self.schedule.display_hz))
+        check_ranges(self, renders_per_s=(0.5, self.schedule.display_hz), seed=(0, 2**32))
         check_names("codec", [self.codec], CODECS)
         check_names("scenario", self.scenarios, BY_NAME)
 

@@ -79,6 +79,7 @@ class BenchVoiceConfig:
             if not rate.isdecimal() or not 6 <= int(rate) <= 128:
                 raise OptionError(f"kbps has {rate!r}; whole numbers from 6 to 128 are allowed")
         check_ranges(self.schedule, seconds=(9, 600))
+        check_ranges(self, seed=(0, 2**32))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

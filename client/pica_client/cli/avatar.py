@@ -51,7 +51,7 @@ def avatar_push(options: AvatarPushOptions) -> dict[str, Any]:
             shown = int(ratio * 100)
             print(f"\r{shown} %", end="\n" if ratio == 1 else "", file=sys.stderr, flush=True)
 
-    stored = asyncio.run(push_avatar(options.url, link, file, identity, show))
+    stored = asyncio.run(push_avatar(link.urls[0], link, file, identity, show))
     if stored.checked:
         say(f"{file}: the relay has it now; it checked: {stored.checked}")
     else:
