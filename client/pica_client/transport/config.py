@@ -1,12 +1,15 @@
 """Where a link leads, as whom, and with which pass."""
 
 import secrets
+import unicodedata
 from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import urlsplit
 
 from pica_client.errors import OptionError
 from pica_protocol.limits import check_pass, check_text, check_token
+
+_JOINERS = "\u200c\u200d"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -18,7 +21,8 @@ class LinkConfig:
     room: str = "lobby"
     """Room to join: 1 to 64 of A-Z a-z 0-9 _ . -"""
     name: str = "guest"
-    """Name shown to the others."""
+    """Name shown to the others, up to 64 bytes. Wide and fixed spaces become ordinary ones, and
+    joiners, which nobody sees, are left out."""
     connect_timeout_s: float | None = 3.0
     """How long to try the first time before giving up, seconds; None tries for ever."""
     secret_file: Path | None = None
@@ -38,6 +42,7 @@ class LinkConfig:
     """PEM file whose certificates a wss:// address is checked with, instead of the system's."""
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "name", _without_odd_spaces(self.name))
         for url in self.urls or ("",):
             check_address(url)
         if self.ca_file is not None and not any(url.startswith("wss://") for url in self.urls):
@@ -59,6 +64,12 @@ class LinkConfig:
     def urls(self) -> tuple[str, ...]:
         """The addresses, in the order in which they are tried."""
         return tuple(dict.fromkeys(filter(None, map(str.strip, self.url.split(",")))))
+
+
+def _without_odd_spaces(name: str) -> str:
+    """A name as keyboards of all scripts write it, in the signs that a relay takes."""
+    seen = (char for char in name if char not in _JOINERS)
+    return "".join(" " if unicodedata.category(char) == "Zs" else char for char in seen)
 
 
 def check_address(url: str) -> None:

@@ -83,6 +83,14 @@ def test_the_wire_cost_counts_websocket_and_tcp_headers(
     assert wire_bytes(message, is_masked=masked) == total
 
 
+def test_a_name_is_taken_as_keyboards_of_all_scripts_write_it() -> None:
+    assert LinkConfig(name="\u5c71\u7530\u3000\u592a\u90ce").name == "\u5c71\u7530 \u592a\u90ce"
+    assert LinkConfig(name="Ada\u00a0L").name == "Ada L"
+    assert LinkConfig(name="\u0645\u06cc\u200c\u0631").name == "\u0645\u06cc\u0631"
+    with pytest.raises(OptionError, match="name must be printable"):
+        LinkConfig(name="a\x00b")
+
+
 @pytest.mark.parametrize("url", ["", "localhost:8765", "http://x:1", "ws://", "ws://x:99999"])
 def test_a_url_that_is_no_relay_address_is_quoted(url: str) -> None:
     with pytest.raises(OptionError, match=r"is no relay address; write ws://HOST:PORT"):

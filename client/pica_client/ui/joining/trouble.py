@@ -70,7 +70,10 @@ FIELDS: dict[str, tuple[str, str]] = {
         "It looks like wss://relay.example or ws://192.168.0.7:8765; an invite link is taken, too.",
     ),
     "room": ("No room can be called so.", "Use up to 64 letters A to Z, digits, and _ . -"),
-    "name": ("Please enter your name.", "It may have up to 64 characters."),
+    "name": (
+        "Please enter your name.",
+        "It may have up to 64 letters, fewer in some scripts.",
+    ),
     "token": ("This cannot be a token.", "Copy it anew, or ask your host for an invite link."),
     "ca-file": ("The CA file cannot be used.", "Check the path under More."),
     "secret-file": ("The room secret cannot be read.", "Check the path under More."),
