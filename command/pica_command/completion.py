@@ -48,7 +48,9 @@ def _flags(name: str) -> dict[str, tuple[str, ...]]:
     for setting in settings_of(options_type):
         is_literal = get_origin(setting.kind) is Literal
         flags[setting.flag] = tuple(map(str, get_args(setting.kind))) if is_literal else ()
-        if setting.kind is bool:
+        if setting.kind is bool and not setting.is_switch:
+            flags[setting.flag] = ("True", "False")
+        elif setting.is_switch:
             flags[setting.negation] = ()
     return flags
 

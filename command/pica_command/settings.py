@@ -53,11 +53,13 @@ class Setting:
         name: In the file, with a dot for each table.
         kind: ``bool``, ``int``, ``float``, ``str``, ``Path``, ``tuple`` of text or a ``Literal``.
         path: The attributes that lead to it from the options.
+        is_switch: Its flag takes no word: a ``bool`` that is never absent.
     """
 
     name: str
     kind: Any
     path: tuple[str, ...]
+    is_switch: bool = False
 
     @property
     def flag(self) -> str:
@@ -76,7 +78,7 @@ class Setting:
 
     def words_for(self, value: Any) -> list[str]:
         """How the command line would say what a file, or the environment, says."""
-        if self.kind is bool:
+        if self.is_switch:
             return [self.flag if value else self.negation]
         if get_origin(self.kind) is tuple:
             return [self.flag, *map(str, value)]
@@ -205,6 +207,7 @@ def _walk(cls: type, table: str, path: tuple[str, ...]) -> Iterator[Setting]:
             is_nameless = name == "" or OmitArgPrefixes in marks
             yield from _walk(kind, table if is_nameless else f"{table}{name}.", here)
             continue
+        is_switch = kind is bool
         if get_origin(kind) in (Union, UnionType):
             kind, *others = [one for one in get_args(kind) if one is not NoneType]
             if others:
@@ -213,7 +216,7 @@ def _walk(cls: type, table: str, path: tuple[str, ...]) -> Iterator[Setting]:
         item = get_args(kind)[0] if is_list else kind
         if item not in _WORDS and get_origin(item) is not Literal:
             raise TypeError(f"{cls.__name__}.{field.name}: {kind} fits no file")
-        yield Setting(f"{table}{name}".replace("-", "_"), kind, here)
+        yield Setting(f"{table}{name}".replace("-", "_"), kind, here, is_switch)
 
 
 def read_file(file: Path) -> dict[str, Any]:

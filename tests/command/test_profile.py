@@ -107,6 +107,15 @@ def test_a_profile_holds_beside_words_behind_two_dashes(
     assert 'name = "Bob"' in printed
 
 
+@pytest.mark.parametrize("value", ["true", "false"])
+def test_a_switch_that_may_be_absent_is_set_in_a_profile(
+    profile: Path, capsys: pytest.CaptureFixture[str], value: str
+) -> None:
+    assert main(["config", "set", "view.clean", value]) == 0
+    assert main(["view", "--print-config"]) == 0
+    assert f"clean = {value}  # {profile}" in capsys.readouterr().out
+
+
 def test_a_key_below_a_text_is_not_set(profile: Path, capsys: pytest.CaptureFixture[str]) -> None:
     profile.parent.mkdir()
     profile.write_text('room = "lobby"\n')
