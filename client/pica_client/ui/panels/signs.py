@@ -79,8 +79,15 @@ def signs(view: CallView, metrics: Metrics) -> list[UserOrder]:
         middle = [*([found] if found else []), *view.notices]
         # The table would cover what is beside it.
         below = max(edge, statistics_share(view, metrics) * rows)
+        left = call_signs(view)
+        if any(
+            _width(one, metrics) + _width(two, metrics) / 2 > columns / 2 - edge
+            for one in left
+            for two in middle
+        ):
+            below = max(below, edge + len(left) * metrics.px(SIGN_PT))
         for across, top, pivot, lines in (
-            (edge, edge, 0.0, call_signs(view)),
+            (edge, edge, 0.0, left),
             (columns / 2, below, 0.5, middle),
         ):
             for line in lines:
@@ -99,10 +106,9 @@ def _sign(line: Line, place: Place, pivot: Place, metrics: Metrics) -> float:
     """A pill with a dot and a text, its pivot (0 to 1 of its size) at a place; gives its height,
     pixels."""
     shapes, palette, px = imgui.get_background_draw_list(), metrics.palette, metrics.px
-    (text, tone), dot, pad = line, px(5), px(12)
-    text = shortened(text, metrics.size[0] - 4 * pad - 5 * dot, TEXT_PT)
-    width, height = text_size(text, TEXT_PT)
-    size = (width + 2 * pad + 4 * dot, height + px(12))
+    (_, tone), dot, pad = line, px(5), px(12)
+    text = _text(line, metrics)
+    size = (_width(line, metrics), text_size(text, TEXT_PT)[1] + px(12))
     left, top = place[0] - pivot[0] * size[0], place[1] - pivot[1] * size[1]
     shapes.add_rect_filled(
         (left, top), (left + size[0], top + size[1]), ink(palette.plate), size[1] / 2
@@ -110,3 +116,13 @@ def _sign(line: Line, place: Place, pivot: Place, metrics: Metrics) -> float:
     draw_disc(shapes, (left + pad + dot, top + size[1] / 2), 2 * dot, palette.tone(tone))
     shapes.add_text((left + pad + 4 * dot, top + px(6)), ink(palette.ink), text)
     return size[1]
+
+
+def _text(line: Line, metrics: Metrics) -> str:
+    """What there is room for of a text."""
+    return shortened(line[0], metrics.size[0] - metrics.px(73), TEXT_PT)
+
+
+def _width(line: Line, metrics: Metrics) -> float:
+    """How wide its pill is, pixels."""
+    return text_size(_text(line, metrics), TEXT_PT)[0] + metrics.px(44)

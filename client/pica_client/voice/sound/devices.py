@@ -350,7 +350,9 @@ def _soundcard() -> Any:
     except ModuleNotFoundError as error:
         raise VoiceError(NO_LIBRARY) from error
     except Exception as error:  # AssertionError without a server, OSError without its library
-        raise VoiceError(NO_SOUND.format(str(error) or "no server answers")) from error
+        raise VoiceError(
+            NO_SOUND.format(str(error).partition(": ")[0] or "no server answers")
+        ) from error
     return soundcard
 
 

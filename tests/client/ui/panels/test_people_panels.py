@@ -346,6 +346,23 @@ def test_the_dot_of_who_speaks_is_a_glyph_and_so_round_at_every_size(hand: Hand)
     assert corners[1] - corners[0] == 4
 
 
+def test_a_long_notice_stands_below_the_signs_at_the_left() -> None:
+    short, long = (
+        Notice("Saved", "accent"),
+        Notice("No sound: " + "something is away, " * 9, "alert"),
+    )
+    tops = []
+    for notice in (short, long):
+        with open_hand((640, 480)) as hand:
+            view = replace(VIEW, notices=(notice,))
+            hand.frame(lambda metrics, view=view: signs(view, metrics))  # type: ignore[misc]
+            (shapes,) = hand.surface.draw_data().cmd_lists
+            tops.append(min(vertex.pos.y for vertex in shapes.vtx_buffer if vertex.pos.x > 300))
+            signs_end = hand.surface.metrics.px(12 + 36 * len(call_signs(view)))
+    assert tops[0] < 20
+    assert tops[1] >= signs_end - 1
+
+
 @pytest.mark.parametrize("count", [1, 3, 16])
 def test_notices_stand_below_the_statistics(count: int) -> None:
     from imgui_bundle import imgui
