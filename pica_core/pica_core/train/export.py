@@ -18,6 +18,7 @@ from pica_core.model.linear import LinearGeometry
 from pica_core.model.pixel_decoder import XYZ_UNIT_M
 from pica_core.train.data.images import view_direction
 from pica_core.train.data.training import TrainingData
+from pica_core.train.unseen import fill_unseen
 from pica_core.types import FloatArray, IntArray
 
 MARGIN_M = 0.02
@@ -70,8 +71,13 @@ def make_avatar(
     licence: str,
     model_card: Mapping[str, str],
     variant: str = "full",
+    start: FloatArray | None = None,
 ) -> Avatar:
     """The avatar of a trained model, with the mesh that it draws.
+
+    Args:
+        start: The model's `joint_map` before training. Texels whose last channel, which begins at
+            random, is still the same were in no picture, and are filled by `fill_unseen`.
 
     The latent's 8-bit range comes from the expression encoder's codes of all training frames, since
     those are what a sender sends.
@@ -95,7 +101,18 @@ def make_avatar(
     )
     topology = data.meshes.topology(model.topology)
     tensors = avatar_tensors(model, topology.vertex_uv, topology.faces)
+    if start is not None and (trained := joint_map(model)) is not None:
+        is_seen = trained[:, :, -1] != start[:, :, -1]
+        tensors["uv_encoding"] = fill_unseen(trained, is_seen, data)
     return Avatar(manifest, tensors)
+
+
+def joint_map(model: AvatarModel) -> FloatArray | None:
+    """A copy of a model's joint map, if it has one; row 0 is v = 0, ``[T, T, C]``."""
+    if not isinstance(model, PixelCodecAvatar):
+        return None
+    values = model.pixel_decoder.encoding.named_tensors().get("uv_encoding")
+    return None if values is None else _array(values).copy()
 
 
 def make_baseline(model: DeepAppearanceModel, data: TrainingData) -> BaselineAvatar:

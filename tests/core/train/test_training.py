@@ -17,6 +17,7 @@ from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import load_avatar
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.procedural.subject import StageOptions, render_capture
+from pica_core.capture.triangles import components
 from pica_core.errors import CheckpointError, TrainingDivergedError, TrainingOptionError
 from pica_core.model.decoders import sample_map
 from pica_core.train.checkpoint import read_checkpoint
@@ -25,11 +26,12 @@ from pica_core.train.data.images import view_direction
 from pica_core.train.data.training import TrainingData
 from pica_core.train.data.uv_raster import rasterise_uv
 from pica_core.train.eval.evaluate import evaluate, mean_mse
-from pica_core.train.export import make_avatar
+from pica_core.train.export import joint_map, make_avatar
 from pica_core.train.held_out import draw_held_out
 from pica_core.train.loop import Trainer, open_trainer
 from pica_core.train.losses import DEPTH_LIMIT_M, depth_loss, depth_mask
 from pica_core.train.optimiser import rate_ratio
+from pica_core.train.unseen import fill_unseen
 
 FAILURES = load_script("training_failures")
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
@@ -285,6 +287,55 @@ def test_an_exported_avatar_encodes_as_the_model_does(data: TrainingData, tmp_pa
     latent = ExpressionEncoder(load_avatar(tmp_path / "t.pica")).encode(data.arkit[0].numpy())
 
     assert np.abs(latent - wanted).max() < 0.01  # weights are stored as fp16
+
+
+def test_an_exported_avatar_has_no_texels_left_that_training_never_saw(
+    data: TrainingData, tmp_path: Path
+) -> None:
+    with open_trainer(data, short(0, 12, 0), tmp_path) as trainer:
+        start = joint_map(trainer.model)
+        assert start is not None
+        trainer.run()
+        trained = joint_map(trainer.model)
+        avatar = make_avatar(
+            trainer.model,
+            data,
+            name="T",
+            identity="S1",
+            licence="Apache-2.0",
+            model_card={},
+            start=start,
+        )
+
+    topology = data.capture.topology
+    covered = rasterise_uv(topology.vertex_uv, topology.faces, len(start)).covered
+    is_seen = trained[:, :, -1] != start[:, :, -1]
+    exported = avatar.tensors["uv_encoding"]
+    kept = (exported == trained).all(2)
+    assert 0.05 < is_seen[covered].mean() < 0.95
+    assert kept[is_seen | ~covered].all()
+    assert kept[covered & ~is_seen].mean() < 0.1  # what is left belongs to parts that nobody saw
+
+
+def test_unseen_texels_are_filled_from_their_own_part_of_the_surface(data: TrainingData) -> None:
+    size, topology = 128, data.capture.topology
+    raster = rasterise_uv(topology.vertex_uv, topology.faces, size)
+    marks = np.stack(
+        [components(topology.faces, len(topology.vertex_uv)), *topology.regions.values()], 1
+    )
+    _, part = np.unique(marks, axis=0, return_inverse=True)
+    wanted = np.zeros((size, size, 1), np.float32)
+    wanted[raster.covered, 0] = 1 + part.reshape(-1)[raster.corners[:, 0]]
+    is_seen = np.ones((size, size), bool)
+    is_seen[np.arange(size) % 32 >= 20] = False
+    given = np.where(is_seen[:, :, None], wanted, np.float32(-1))
+
+    filled = fill_unseen(given, is_seen, data)
+
+    was_filled = raster.covered & ~is_seen & (filled[:, :, 0] != -1)
+    assert was_filled.sum() > 0.5 * (raster.covered & ~is_seen).sum()
+    assert np.array_equal(filled[was_filled], wanted[was_filled])
+    assert np.array_equal(filled[is_seen], given[is_seen])
 
 
 def test_the_position_map_of_a_mesh_gives_its_vertices_back(data: TrainingData) -> None:

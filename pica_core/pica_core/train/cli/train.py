@@ -31,7 +31,7 @@ from pica_core.train.eval.evaluate import evaluate, mean_mse
 from pica_core.train.eval.model_card import EVALUATION_FILE, model_card
 from pica_core.train.eval.model_evaluator import ModelEvaluator
 from pica_core.train.eval.run import RUN_FILE
-from pica_core.train.export import make_avatar, make_baseline
+from pica_core.train.export import joint_map, make_avatar, make_baseline
 from pica_core.train.lod.levels import LevelReport, add_levels
 from pica_core.train.loop import Losses, Trainer, open_trainer
 from pica_core.train.parallel import Ranks, open_ranks
@@ -169,6 +169,7 @@ def export(options: ExportOptions) -> dict[str, Any]:
             "expressions.csv is needed"
         )
     with open_trainer(data, config, options.run) as trainer:
+        start = joint_map(trainer.model)
         trainer.restore()
         model = trainer.model
         if isinstance(model, DeepAppearanceModel):
@@ -183,6 +184,7 @@ def export(options: ExportOptions) -> dict[str, Any]:
             licence=options.licence,
             model_card=model_card(trainer, options.run),
             variant=config.model.variant,
+            start=start,
         )
         # Neither needs the other; both take about as long, and neither keeps two cores busy.
         tensors = dict(avatar.tensors)
