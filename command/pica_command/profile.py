@@ -109,17 +109,20 @@ def read_profile(path: Path) -> dict[str, Any]:
 def write_profile(path: Path, document: Mapping[str, Any]) -> None:
     """Write a profile that its owner alone can read: whole, or not at all.
 
+    Where a symbolic link leads to it, the link stays.
+
     Raises:
         UsageError: The system says no.
     """
     try:
-        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        target = Path(os.path.realpath(path))
+        target.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         # A temporary file is its owner's alone from its first moment.
-        descriptor, part = tempfile.mkstemp(dir=path.parent, prefix=path.name)
+        descriptor, part = tempfile.mkstemp(dir=target.parent, prefix=target.name)
         try:
             with open(descriptor, "w", encoding="utf-8") as file:
                 file.write("\n".join([*_toml_lines(document), ""]))
-            os.replace(part, path)
+            os.replace(part, target)
         except OSError:
             os.unlink(part)
             raise

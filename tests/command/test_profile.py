@@ -96,6 +96,22 @@ def test_config_sets_shows_and_unsets_in_a_file_for_its_owner_alone(
     assert [path.name for path in profile.parent.iterdir()] == [profile.name]
 
 
+def test_a_profile_behind_a_link_is_written_where_the_link_leads(
+    profile: Path, tmp_path: Path
+) -> None:
+    kept = tmp_path / "dotfiles" / "pica.toml"
+    kept.parent.mkdir()
+    profile.parent.mkdir(exist_ok=True)
+    profile.symlink_to(kept)
+
+    assert main(["config", "set", "url", "wss://relay.example"]) == 0
+    assert main(["config", "set", "send.fps", "25"]) == 0
+
+    assert profile.is_symlink()
+    assert "fps = 25.0" in kept.read_text()
+    assert [path.name for path in kept.parent.iterdir()] == [kept.name]
+
+
 def test_a_profile_holds_beside_words_behind_two_dashes(
     profile: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
