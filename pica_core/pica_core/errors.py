@@ -88,5 +88,5 @@ def check_ranges(
         if value is None and name in unset:
             continue
         if value is None or not low <= value <= high:
-            told = "None" if value is None else f"{value:.12g}"
+            told = f"{value:.12g}" if isinstance(value, float) else str(value)[:24]
             raise error(f"{name} is {told}; {low:.12g} to {high:.12g} is allowed")

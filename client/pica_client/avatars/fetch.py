@@ -186,6 +186,9 @@ class AvatarFetcher:
         except (DownloadError, OSError) as error:
             _log.debug("avatar not fetched", extra={"error": type(error).__name__})
             self._note_failure(identity, "avatar file does not come; trying again")
+        except Exception as error:  # whatever a stranger's file does, others are fetched after it
+            _log.warning("an avatar cannot be read", extra={"error": type(error).__name__})
+            self._note_failure(identity, "avatar file cannot be read", is_final=True)
         finally:
             with suppress(OSError):
                 unfinished.unlink(missing_ok=True)

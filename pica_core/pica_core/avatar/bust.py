@@ -40,9 +40,9 @@ def bust_of(avatar: Avatar) -> Bust:
 
 def seen_faces(faces: Array, vertices_m: Array, gone_m: float) -> Array:
     """The triangles ``[F, 3]`` that reach up to where something is left of a bust at rest: others
-    would only hide what is behind them."""
+    would only hide what is behind them. All, where none does: such a mesh is no bust."""
     is_seen: Array = vertices_m[faces, 1].max(axis=1) > gone_m
-    return faces[is_seen]
+    return faces[is_seen] if is_seen.any() else faces
 
 
 def fade_heights_m(lower_m: float) -> tuple[float, float]:

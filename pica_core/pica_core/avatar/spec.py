@@ -172,8 +172,8 @@ class AvatarSpec:
             kind = type(usual[name])
             if isinstance(value, list) and len(value) <= 8:
                 read[name] = tuple(value)
-            whole = kind is not tuple or all(type(item) is int for item in read[name])
-            if type(read[name]) is not kind or not whole:
+            fits = type(read[name]) is kind
+            if not fits or (kind is tuple and any(type(item) is not int for item in read[name])):
                 needed = {str: "a string", int: "an integer", tuple: "a list of up to 8 integers"}
                 raise ValueError(f"spec.{name} is {value!r}; {needed[kind]} is needed")
         return cls(**read)

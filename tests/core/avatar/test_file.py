@@ -222,7 +222,16 @@ def test_a_manifest_out_of_its_limits_is_refused(
 
 @pytest.mark.parametrize(
     ("field", "value"),
-    [("uv_encoding_size", 10**9), ("block", "Z"), ("hidden_channels", [10**6] * 4)],
+    [
+        ("uv_encoding_size", 10**9),
+        ("uv_encoding_size", 10**400),
+        ("block", "Z"),
+        ("hidden_channels", [10**6] * 4),
+        ("hidden_channels", [10**400] * 4),
+        ("hidden_channels", 5),
+        ("pixel_channels", None),
+        ("xyz_channels", True),
+    ],
 )
 def test_a_spec_with_hostile_sizes_is_refused(toy_bytes: bytes, field: str, value: Any) -> None:
     changed = with_manifest(toy_bytes, lambda manifest: manifest["spec"].update({field: value}))
