@@ -1,5 +1,6 @@
 """The avatars inside the package, and files by their names; needs no numpy."""
 
+import os
 from importlib import resources
 from pathlib import Path
 from typing import Final
@@ -28,8 +29,8 @@ def avatar_file(named: Path) -> Path:
     Raises:
         AvatarFileError: It is neither a file's name nor that of a shipped avatar.
     """
-    if named.suffix == SUFFIX or named.exists():
-        return named.expanduser()
+    if named.suffix == SUFFIX or named.is_file():
+        return Path(os.path.expanduser(named))
     shipped = {path.stem: path for path in shipped_avatar_files()}
     name = FORMER.get(str(named).lower(), str(named).lower())
     if name not in shipped:

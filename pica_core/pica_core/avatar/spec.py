@@ -81,7 +81,7 @@ class AvatarSpec:
     def __post_init__(self) -> None:
         for name, known in (("block", BLOCKS), ("encoding", ENCODINGS), ("geometry", GEOMETRIES)):
             if (value := getattr(self, name)) not in known:
-                raise ValueError(f"{name} is {value!r}; known are {', '.join(known)}")
+                raise ValueError(f"{name} is {value!r:.40}; known are {', '.join(known)}")
         doublings = len(self.hidden_channels) + 1
         if self.map_size != LATENT_SIZE << doublings:
             raise ValueError(
@@ -167,7 +167,8 @@ class AvatarSpec:
         read = {**_ADDED_LATER, **values}
         usual = asdict(cls())
         if wrong := sorted(usual.keys() ^ set(map(str, read))):
-            raise ValueError(f"spec fields missing or unknown: {', '.join(wrong)}")
+            told = ", ".join(f"{name!r:.40}" for name in wrong[:4])
+            raise ValueError(f"spec fields missing or unknown: {told}")
         for name, value in read.items():
             kind = type(usual[name])
             if isinstance(value, list) and len(value) <= 8:
@@ -175,5 +176,5 @@ class AvatarSpec:
             fits = type(read[name]) is kind
             if not fits or (kind is tuple and any(type(item) is not int for item in read[name])):
                 needed = {str: "a string", int: "an integer", tuple: "a list of up to 8 integers"}
-                raise ValueError(f"spec.{name} is {value!r}; {needed[kind]} is needed")
+                raise ValueError(f"spec.{name} is {value!r:.80}; {needed[kind]} is needed")
         return cls(**read)

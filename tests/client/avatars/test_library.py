@@ -14,7 +14,7 @@ from pica_client.avatars import library as module
 from pica_client.avatars.cache import AvatarCache
 from pica_client.avatars.fetch import AvatarFetcher
 from pica_client.avatars.library import AvatarLibrary
-from pica_core.avatar.file import save_avatar
+from pica_core.avatar.file import Avatar, load_avatar, save_avatar
 from pica_core.errors import AvatarFileError
 
 pytestmark = pytest.mark.unit
@@ -60,3 +60,39 @@ def test_what_is_no_avatar_does_not_enter_the_cache(tmp_path: Path) -> None:
         fetcher.close()
     library.close()
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_that_cannot_be_read_in_a_way_unforeseen_keeps_no_other_back(
+    tmp_path: Path,
+) -> None:
+    save_avatar(tmp_path / "good.pica", make_toy_avatar())
+    content = {
+        hashlib.sha256(data).hexdigest(): data
+        for data in (b"strange", (tmp_path / "good.pica").read_bytes())
+    }
+    strange, good = content
+
+    def give(relay_url: str, identity: str, to: Path, **options: object) -> None:
+        to.write_bytes(content[identity])
+
+    def load(path: Path) -> Avatar:
+        if path.read_bytes() == b"strange":
+            raise OverflowError("nobody has thought of this")
+        return load_avatar(path)
+
+    library = AvatarLibrary(shipped=[])
+    cache = AvatarCache(tmp_path / "cache")
+    with (
+        mock.patch("pica_client.avatars.fetch.download", give),
+        mock.patch("pica_client.avatars.fetch.load_avatar", load),
+    ):
+        fetcher = AvatarFetcher(library, lambda: "ws://127.0.0.1:9", cache=cache)
+        with pytest.raises(AvatarFileError, match="cannot be read"):
+            await_avatar(fetcher, strange)
+        for _ in range(10_000):
+            if fetcher.get(good) is not None:
+                break
+            time.sleep(0.001)
+        assert fetcher.get(good) is not None
+        fetcher.close()
+    library.close()

@@ -18,7 +18,14 @@ from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.room import Room
 from pica_client.render.scene import Placement
 from pica_client.render.views import stereo_cameras
-from pica_core.avatar.bust import CHIN_M, LOWEST_M, WHOLE_M, bust_of, fade_heights_m
+from pica_core.avatar.bust import (
+    CHIN_M,
+    LOWEST_M,
+    WHOLE_M,
+    bust_of,
+    fade_heights_m,
+    seen_faces,
+)
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar, load_avatar
 from pica_core.camera import Camera, look_at
@@ -276,3 +283,12 @@ def test_no_bust_is_so_short_that_the_face_fades(lower_m: float) -> None:
     assert max(lower_m, LOWEST_M) <= gone < whole
     assert whole <= max(CHIN_M, gone + 0.01)
     assert WHOLE_M[1] < gone
+
+
+def test_a_mesh_that_lies_below_where_busts_fade_is_drawn_whole() -> None:
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    vertices_m = np.zeros((4, 3), np.float32)
+    vertices_m[3, 1] = 1.0
+
+    assert seen_faces(faces, vertices_m, 0.5).tolist() == [[0, 2, 3]]
+    assert seen_faces(faces, vertices_m, 2.0).tolist() == faces.tolist()

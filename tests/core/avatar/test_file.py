@@ -240,6 +240,20 @@ def test_a_spec_with_hostile_sizes_is_refused(toy_bytes: bytes, field: str, valu
 
 
 @pytest.mark.parametrize(
+    "spec",
+    [{"\x1b[2J" * 20_000: 1}, {"block": "\x1b[2J" * 20_000}, {"map_size": ["\x1b"] * 90_000}],
+)
+def test_what_a_spec_holds_is_told_in_a_short_printable_line(
+    toy_bytes: bytes, spec: dict[str, Any]
+) -> None:
+    changed = with_manifest(toy_bytes, lambda manifest: manifest["spec"].update(spec))
+    with pytest.raises(AvatarFileError) as told:
+        load_avatar(changed)
+    assert str(told.value).isprintable()
+    assert len(str(told.value)) < 300
+
+
+@pytest.mark.parametrize(
     ("spec", "complaint"),
     [
         ({"block": "H2", "hidden_channels": [64] * 4}, r"2,801,479,680 multiply-adds a decode"),

@@ -20,6 +20,16 @@ def test_a_name_is_a_shipped_file_whatever_its_case_and_a_file_is_itself(tmp_pat
         avatar_file(Path("nobody"))
 
 
+def test_a_folder_of_the_same_name_hides_no_avatar_and_an_unknown_home_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "nora").mkdir()
+
+    assert avatar_file(Path("nora")).is_file()
+    assert main(["avatar", "info", "~nobody-at-all/x.pica"]) == 2
+
+
 def test_no_file_that_ships_has_more_than_four_million_bytes() -> None:
     assert all(path.stat().st_size <= 4_000_000 for path in shipped_avatar_files())
 
