@@ -58,10 +58,9 @@ pytest: .venv/.ready-test
 extras: .venv/.ready-test
 	$(BIN)/python scripts/check_extras.py
 
-# Coverage-guided fuzzing of all that reads strangers' bytes, ten seconds a target. Linux alone.
+# Damaged messages at everything that reads strangers' bytes: FUZZ="--messages 1000000".
 fuzz: .venv/.ready-test
-	$(PIP) install --quiet --constraint constraints.txt --group fuzz
-	$(BIN)/python scripts/fuzz_coverage.py $(FUZZ)
+	PYTHONPATH=tests $(BIN)/python -m fuzzing $(FUZZ)
 
 # Builds the container images and starts what they, the compose file and the manifests start. As root,
 # on Debian: apt-get install buildah mmdebstrap iproute2 nats-server.

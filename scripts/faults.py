@@ -1,13 +1,12 @@
 """What faults do to a call: a relay, three senders and a viewer, all real processes on loopback.
 
-python scripts/faults.py                          every fault, some ten minutes
+python scripts/faults.py                          every fault, some five minutes
 python scripts/faults.py "relay paused" --json    those whose name begins so
 
 Each fault gets a call of its own. A row says how many faces were alive at the end, how long after
-the fault was over the last of them was back (a frame captured after it), the longest time that any
-face stood still, by person, gaps that are still open included, and how old frames were at the end.
-``--record`` appends the rows to docs/results/faults.jsonl, from which `chart.py faults` fills the
-page. To add a fault, write a function that does it and returns when it is over, under ``@fault``.
+the fault was over the last of them was back (a frame captured after it), the longest gap between
+frames of one face, gaps that are still open included, and how old frames were at the end.
+To add a fault, write a coroutine that does it and returns when it is over, under ``@fault``.
 """
 
 from __future__ import annotations
@@ -30,8 +29,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from record_result import append_result, load_now
-
 from pica_client.bench.relay.processes import relay_metrics
 from pica_client.output import say
 from pica_client.transport.config import LinkConfig
@@ -45,48 +42,37 @@ NAMES = ("ada", "bob", "cleo")
 CALM_S = 4.0
 """Before the fault."""
 LONGEST_BACK_S = 25.0
-"""Who is not back by then is lost."""
+"""A face that is not back by then is lost."""
 SETTLED_S = 3.0
-"""After all are back: what is left of the fault shows in the age of the frames."""
+"""After all are back: the rest of the fault shows in the age of the frames."""
 
 
 class Call:
-    """The processes of one call.
-
-    Attributes:
-        relay: The relay's process.
-        senders: The processes of those who send, by name.
-        viewer: The process of who looks on.
-        proxy: What stands between senders and relay, if the fault asks for it.
-        unread: The other end of the relay's log, if nobody reads that.
-        relay_arguments: For a relay that is started again.
-    """
+    """The processes of one call: ``relay``, ``senders`` by name, ``viewer``, and perhaps a
+    ``proxy`` between senders and relay."""
 
     proxy: subprocess.Popen[str] | None = None
     unread: socket.socket | None = None
+    """The other end of the relay's log, if nobody reads it."""
 
     def __init__(self, fault: Fault) -> None:
         self._processes: list[subprocess.Popen[str]] = []
-        self.port = free_port()
-        self.url = f"ws://127.0.0.1:{self.port}"
-        self.relay_arguments = fault.relay_arguments
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            self.port = int(free.getsockname()[1])
+        self.url = url = f"ws://127.0.0.1:{self.port}"
+        self.relay_arguments: tuple[str, ...] = ()
         self._folder = tempfile.TemporaryDirectory()
         self.folder = Path(self._folder.name)
         self.tokens: dict[str, Path] = {}
         if fault.with_tokens:
             self.make_tokens()
         self.relay = self.start_relay()
-        url = watched = self.url
-        if fault.second_relay:
-            second = free_port()
-            self.start_relay(second)
-            url = watched = f"{self.url},ws://127.0.0.1:{second}"
         if fault.through_proxy:
             self.proxy = self.start([__file__, "--proxy", str(self.port)], stdout=subprocess.PIPE)
             assert self.proxy.stdout is not None
             url = self.proxy.stdout.readline().strip()
-        self.senders = {name: self.start_sender(name, url, fault.fps) for name in NAMES}
-        words = [__file__, "--watch", watched]
+        self.senders = {name: self.start_sender(name, url) for name in NAMES}
+        words = [__file__, "--watch", self.url]
         if self.tokens:
             words += ["--token", str(self.tokens["viewer"])]
         self.viewer = self.start(words, stdout=subprocess.PIPE)
@@ -109,26 +95,31 @@ class Call:
             self.tokens[name] = self.folder / name
             token = mint(ring, "lobby", admission, now=now, lasts_s=900, starts_s=0)
             self.tokens[name].write_text(token)
-        self.relay_arguments = (*self.relay_arguments, "--keys", str(keys))
+        self.relay_arguments = ("--keys", str(keys))
 
-    def start_relay(self, port: int = 0, **options: Any) -> subprocess.Popen[str]:
-        """Start the relay, or start it again, at the same address, and wait until it listens; or
-        another one at another port."""
-        port = port or self.port
-        words = ["-m", "pica_command", "relay", "--port", str(port), "--avatar-store", "none"]
+    def start_relay(self, **options: Any) -> subprocess.Popen[str]:
+        """Start the relay, or start it again at the same address, and wait until it listens."""
+        words = ["-m", "pica_command", "relay", "--port", str(self.port), "--avatar-store", "none"]
         options = {"stderr": subprocess.DEVNULL, **options}
-        relay = self.start([*words, *self.relay_arguments], **options)
-        if port == self.port:
-            self.relay = relay
+        self.relay = self.start([*words, *self.relay_arguments], **options)
         for _ in range(500):
-            with suppress(OSError), socket.create_connection(("127.0.0.1", port), 1):
-                return relay
+            with suppress(OSError), socket.create_connection(("127.0.0.1", self.port), 1):
+                return self.relay
             time.sleep(0.02)
         raise SystemExit("the relay does not listen")
 
-    def start_sender(self, name: str, url: str, fps: float) -> subprocess.Popen[str]:
-        """Start somebody who sends."""
-        words = ["-m", "pica_command", "send", "--url", url, "--name", name, "--fps", str(fps)]
+    async def restart_relay(self, away_s: float, *arguments: str, **options: Any) -> None:
+        """Kill the relay and start it a while later, once with further arguments."""
+        self.relay.kill()
+        self.relay.wait()
+        await asyncio.sleep(away_s)
+        before, self.relay_arguments = self.relay_arguments, (*self.relay_arguments, *arguments)
+        await asyncio.to_thread(self.start_relay, **options)
+        self.relay_arguments = before
+
+    def start_sender(self, name: str, url: str) -> subprocess.Popen[str]:
+        """Start a sender."""
+        words = ["-m", "pica_command", "send", "--url", url, "--name", name]
         if self.tokens:
             words += ["--token-file", str(self.tokens[name])]
         return self.start([*words, "--wait"], stderr=subprocess.DEVNULL)
@@ -147,50 +138,28 @@ class Call:
         return dict(json.loads(seen))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Fault:
-    """One thing that goes wrong."""
+Hurt = Callable[[Call], Awaitable[None]]
 
-    hurt: Callable[[Call], Awaitable[None]]
-    fps: float
+
+@dataclass(frozen=True)
+class Fault:
+    """One thing that goes wrong, and what the call needs for it."""
+
+    hurt: Hurt
     through_proxy: bool
-    relay_arguments: tuple[str, ...]
     with_tokens: bool
-    second_relay: bool
 
 
 FAULTS: dict[str, Fault] = {}
 
 
 def fault(
-    name: str,
-    *,
-    fps: float = 30.0,
-    through_proxy: bool = False,
-    relay: tuple[str, ...] = (),
-    with_tokens: bool = False,
-    second_relay: bool = False,
-) -> Callable[[Callable[[Call], Awaitable[None]]], Callable[[Call], Awaitable[None]]]:
-    """Give a fault a row of the table.
+    name: str, *, through_proxy: bool = False, with_tokens: bool = False
+) -> Callable[[Hurt], Hurt]:
+    """Give a fault a row of the table."""
 
-    Args:
-        name: Of the row.
-        fps: Frames a second of each sender.
-        through_proxy: Whether the senders reach the relay through ``call.proxy``.
-        relay: Further arguments of the relay.
-        with_tokens: Whether the relay wants tokens.
-        second_relay: Whether everybody knows a second relay, which runs from the start.
-    """
-
-    def enter(hurt: Callable[[Call], Awaitable[None]]) -> Callable[[Call], Awaitable[None]]:
-        FAULTS[name] = Fault(
-            hurt=hurt,
-            fps=fps,
-            through_proxy=through_proxy,
-            relay_arguments=relay,
-            with_tokens=with_tokens,
-            second_relay=second_relay,
-        )
+    def enter(hurt: Hurt) -> Hurt:
+        FAULTS[name] = Fault(hurt, through_proxy, with_tokens)
         return hurt
 
     return enter
@@ -210,9 +179,9 @@ async def _nothing(call: Call) -> None:
     await asyncio.sleep(2.0)
 
 
-for _seconds, _fps in ((3.0, 30.0), (13.0, 30.0), (7.0, 60.0), (7.0, 120.0)):
+for _seconds in (3.0, 13.0):
 
-    @fault(f"relay paused {_seconds:g} s at {_fps:g} fps", fps=_fps)
+    @fault(f"relay paused {_seconds:g} s at 30 fps")
     async def _relay_paused(call: Call, seconds: float = _seconds) -> None:
         await pause([call.relay], seconds)
 
@@ -223,15 +192,14 @@ async def _proxy_stalls(call: Call) -> None:
     await pause([call.proxy], 11.5)
 
 
-for _seconds in (3.0, 20.0):
+@fault("one sender paused 20 s")
+async def _sender_paused(call: Call) -> None:
+    await pause([call.senders["ada"]], 20.0)
 
-    @fault(f"one sender paused {_seconds:g} s")
-    async def _sender_paused(call: Call, seconds: float = _seconds) -> None:
-        await pause([call.senders["ada"]], seconds)
 
-    @fault(f"viewer paused {_seconds:g} s")
-    async def _viewer_paused(call: Call, seconds: float = _seconds) -> None:
-        await pause([call.viewer], seconds)
+@fault("viewer paused 20 s")
+async def _viewer_paused(call: Call) -> None:
+    await pause([call.viewer], 20.0)
 
 
 @fault("everything paused 25 s", through_proxy=True)
@@ -243,89 +211,41 @@ for _seconds in (1.5, 25.0):
 
     @fault(f"relay killed, back after {_seconds:g} s")
     async def _relay_killed(call: Call, seconds: float = _seconds) -> None:
-        call.relay.kill()
-        call.relay.wait()
-        await asyncio.sleep(seconds)
-        await asyncio.to_thread(call.start_relay)
+        await call.restart_relay(seconds)
 
 
 @fault("one sender killed, started again after 1 s")
 async def _sender_killed(call: Call) -> None:
     call.senders["ada"].kill()
     await asyncio.sleep(1.0)
-    call.senders["ada"] = call.start_sender("ada", call.url, 30.0)
+    call.senders["ada"] = call.start_sender("ada", call.url)
 
 
 @fault("relay's log is not read, 300 strangers write into it")
 async def _log_not_read(call: Call) -> None:
-    call.relay.kill()
-    call.relay.wait()
     unread, stderr = socket.socketpair()
     stderr.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 2048)
     call.unread = unread  # else it would be closed
-    call.relay_arguments = ("--log-level", "debug")
-    await asyncio.to_thread(call.start_relay, stderr=stderr)
+    await call.restart_relay(0.0, "--log-level", "debug", stderr=stderr)
     for _ in range(300):
         await asyncio.to_thread(relay_metrics, call.url)
 
 
-async def _forget(call: Call) -> None:
-    """Let the proxy swallow what its connections carry; new ones get through. That is what a lost
-    NAT table is like, or a new address, seen from the program."""
+@fault("way lost without a word", through_proxy=True)
+async def _path_lost(call: Call) -> None:
+    """Let the proxy swallow what its connections carry while new ones get through: so a lost NAT
+    table or a new address looks to a program."""
     assert call.proxy is not None
     call.proxy.send_signal(signal.SIGUSR1)
-
-
-fault("way lost without a word", through_proxy=True)(_forget)
-fault(
-    "way lost, the address is full",
-    through_proxy=True,
-    relay=("--limits.connections-per-address", "3", "--trusted-proxies", "127.0.0.1"),
-)(_forget)
-
-
-async def _restart(call: Call, away_s: float, *arguments: str) -> None:
-    """Kill the relay and start it with further arguments a while later."""
-    call.relay.kill()
-    call.relay.wait()
-    await asyncio.sleep(away_s)
-    before, call.relay_arguments = call.relay_arguments, (*call.relay_arguments, *arguments)
-    await asyncio.to_thread(call.start_relay)
-    call.relay_arguments = before
 
 
 @fault("wrong keys for 2 s", with_tokens=True)
 async def _wrong_keys(call: Call) -> None:
     wrong = call.folder / "wrong"
     wrong.write_text(KeyRing.new_line())
-    await _restart(call, 0.5, "--keys", str(wrong))
+    await call.restart_relay(0.5, "--keys", str(wrong))
     await asyncio.sleep(2.0)
-    await _restart(call, 0.0)
-
-
-@fault("relay killed, strangers fill the room for 10 s", relay=("--room-capacity", "4"))
-async def _filled(call: Call) -> None:
-    late = [call.senders["ada"], call.senders["bob"]]
-    for process in late:
-        process.send_signal(signal.SIGSTOP)
-    await _restart(call, 0.5)
-    strangers = [call.start_sender("stranger", call.url, 30.0) for _ in late]
-    for _ in range(100):
-        metrics = await asyncio.to_thread(relay_metrics, call.url)
-        if metrics.get("pica_joins_total", 0) >= 4:  # they, cleo and the viewer
-            break
-        await asyncio.sleep(0.2)
-    for process in late:
-        process.send_signal(signal.SIGCONT)
-    await asyncio.sleep(10.0)
-    for stranger in strangers:
-        stranger.terminate()
-        stranger.wait()
-
-
-@fault("relay killed for good, another is known", second_relay=True)
-async def _moved(call: Call) -> None:
-    call.relay.kill()
+    await call.restart_relay(0.0)
 
 
 def figures(
@@ -351,7 +271,7 @@ def figures(
 
 
 async def run(name: str) -> dict[str, Any]:
-    """Do one thing to one call; return its row."""
+    """Inject one fault into one call; return its row."""
     fault = FAULTS[name]
     call = await asyncio.to_thread(Call, fault)
     try:
@@ -367,12 +287,6 @@ async def run(name: str) -> dict[str, Any]:
     prefix = "pica_closed_total"
     closed = {k[len(prefix) + 7 : -2]: int(v) for k, v in metrics.items() if k.startswith(prefix)}
     return {"fault": name, **figures(seen, begin_s, over_s, end_s), "closed": closed}
-
-
-def free_port() -> int:
-    """Find a port that nobody listens on."""
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        return int(free.getsockname()[1])
 
 
 def watch(url: str, token_file: Path | None) -> None:
@@ -407,28 +321,23 @@ def watch(url: str, token_file: Path | None) -> None:
 
 
 def proxy(port: int) -> None:
-    """Pass bytes on to a port of this machine, for ever; say where. Everybody comes from one
-    address of the internet; a SIGUSR1 makes it swallow what the present connections carry."""
+    """Forward bytes to a port of this machine until killed, and print the address. A SIGUSR1 makes
+    it swallow what the present connections carry."""
     age = 0
 
-    async def pump(
-        reader: asyncio.StreamReader, writer: asyncio.StreamWriter, head: bytes = b""
-    ) -> None:
+    async def pump(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         born = age
         with suppress(OSError):
             while data := await reader.read(65_536):
                 if born == age:
-                    writer.write(data.replace(b"\r\n", b"\r\n" + head, 1))
-                    head = b""
+                    writer.write(data)
                     await writer.drain()
         if born == age:
             writer.close()
 
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         back, to = await asyncio.open_connection("127.0.0.1", port)
-        await asyncio.gather(
-            pump(reader, to, b"X-Forwarded-For: 192.0.2.1\r\n"), pump(back, writer)
-        )
+        await asyncio.gather(pump(reader, to), pump(back, writer))
 
     def grow_old() -> None:
         nonlocal age
@@ -448,7 +357,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("names", nargs="*", help="beginnings of the faults' names; all without")
     parser.add_argument("--json", action="store_true", help="print the rows as JSON at the end")
-    parser.add_argument("--record", action="store_true", help="append to docs/results/faults.jsonl")
     parser.add_argument("--watch", help=argparse.SUPPRESS)
     parser.add_argument("--token", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("--proxy", type=int, help=argparse.SUPPRESS)
@@ -460,15 +368,12 @@ def main() -> None:
     chosen = [n for n in FAULTS if not options.names or n.startswith(tuple(options.names))]
     if not chosen:
         parser.error(f"no fault begins so; known are: {', '.join(FAULTS)}")
-    load_before, rows = load_now(), []
+    rows = []
     for name in chosen:
         rows.append(asyncio.run(run(name)))
         say("  ".join(f"{key} {value}" for key, value in rows[-1].items()))
     if options.json:
         print(json.dumps({"faults": rows}))
-    if options.record:
-        command = " ".join(["scripts/faults.py", *sys.argv[1:]])
-        append_result("faults", command, {"faults": rows}, load_before)
 
 
 if __name__ == "__main__":

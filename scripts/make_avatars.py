@@ -4,8 +4,8 @@
     python scripts/make_avatars.py --facekit ICT-FaceKit --work work --names nora   # one of them
     python scripts/make_avatars.py --facekit ICT-FaceKit --work work --fit-size     # size alone
 
-About twenty minutes each on a core. What is done is left alone and what was stopped goes on, so
-several processes can share the work. Who they are stands in `scripts/people`.
+About twenty minutes each on a core. What is done is left alone and what was stopped goes on. The
+people are described in `scripts/people`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from claims import give_back, take
 
 from pica_core.avatar.file import load_avatar, save_avatar
 
@@ -43,11 +42,10 @@ def main() -> None:
             fit_size(FOLDER / f"{name}.pica")
             continue
         place = options.work / name
-        if (place / "done").exists() or not take(place):
+        if (place / "done").exists():
             continue
         make(name, options.facekit, place)
         (place / "done").touch()
-        give_back(place)
 
 
 def make(name: str, facekit: Path, place: Path) -> None:

@@ -78,17 +78,6 @@ def test_long_lines_and_dead_links_are_found(tmp_path: Path) -> None:
     assert too_long("| " + "w" * 200) == too_long("`" + "w " * 100 + "`") == []
 
 
-def test_every_source_file_that_a_page_names_is_there() -> None:
-    known = [f"/{path.relative_to(ROOT)}" for path in ROOT.glob("*/**/*.py")]
-    missing = [
-        f"{page.name}: {name}"
-        for page in (ROOT / "docs").glob("*.md")
-        for name in re.findall(r"`([a-z_0-9/]+\.py)`", page.read_text())
-        if not any(path.endswith(f"/{name}") for path in known)
-    ]
-    assert missing == []
-
-
 def test_every_page_of_the_documentation_is_on_its_front_page() -> None:
     front = (ROOT / "docs" / "README.md").read_text()
     listed = set(LINK.findall(front))

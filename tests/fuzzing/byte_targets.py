@@ -1,26 +1,29 @@
-"""All that reads bytes of strangers, as functions of bytes: for what finds its way by coverage.
+"""All that reads bytes of strangers, as functions of bytes, and good inputs to damage for each.
 
-Each accepts its bytes or refuses them with a documented error; what else it raises is a find.
-`scripts/fuzz_coverage.py` drives them, and what it finds belongs into `seeds/TARGET`, which every
-run of the tests goes through. A media message is a bundle of frames. What lies behind a code that
-nobody can forge (a seal, a note) is read as far as the code.
+Each target accepts its bytes or refuses them with a documented error; what else it raises is a
+defect. A media message is a bundle of frames. What lies behind a code that nobody can forge (a
+seal, a note) is read as far as the code.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import tempfile
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
+from fuzzing.corpus import GOLDEN_BYTES
 from fuzzing.targets import expect
-from helpers.stream_toy import toy_profile
+from helpers.stream_toy import perform, toy_profile
+from helpers.toy import make_toy_avatar
 from pica_client.e2ee.errors import NoteError, OpenError
-from pica_client.e2ee.frames import decode_header, derive_key, metadata_of, open_
-from pica_client.e2ee.notes import RoomKeys, decode_note
+from pica_client.e2ee.frames import decode_header, derive_key, metadata_of, open_, seal
+from pica_client.e2ee.notes import Note, RoomKeys, decode_note, encode_note
 from pica_client.e2ee.secret import RoomSecret
 from pica_client.e2ee.suites import SUITES
-from pica_core.avatar.file import load_avatar
+from pica_core.avatar.file import load_avatar, save_avatar
+from pica_core.avatar.spec import AvatarSpec
 from pica_core.codec.latent_decoder import LatentDecoder
 from pica_core.codec.latent_sample import ReceivedFrame
 from pica_core.errors import AvatarFileError, LatentError
@@ -28,7 +31,6 @@ from pica_protocol.codec import decode_message, decode_store_message, encode_mes
 from pica_protocol.errors import RemoteProtocolError
 from pica_protocol.frames import Frame, decode_media, encode_frame, media_message, scan_frames
 
-SEEDS: Final = Path(__file__).parent / "seeds"
 WAY: Final = ("p1", "p2")
 NOTE_KEY: Final = RoomKeys.of(RoomSecret(bytes(range(32))), "lobby").note_key
 METADATA: Final = metadata_of(Frame(stream=1, sequence=2, captured_us=3, payload=b""))
@@ -103,7 +105,29 @@ TARGETS: Final[Mapping[str, Callable[[bytes], None]]] = {
 }
 
 
-def seeds(name: str) -> Iterator[tuple[str, bytes]]:
-    """Return the seeds of a target, by file."""
-    for path in sorted((SEEDS / name).iterdir()):
-        yield path.name, path.read_bytes()
+def seeds() -> dict[str, list[bytes]]:
+    """Return good inputs of each target, made by the code as it is now.
+
+    They are the golden bytes of the wire, a frame and a note of each suite, a stream, an avatar.
+    """
+    wrapped = Note(public_key=bytes(32), generation=1, suite=4, wrapped_key=bytes(32))
+    notes = [Note(public_key=bytes(32), wants_answer=True), wrapped]
+    suites = [(derive_key(bytes(16), 7, suite), number) for number, suite in SUITES.items()]
+    stream = b"".join(
+        bytes([sent.layer | 8 * sent.is_keyframe, len(sent.payload)]) + sent.payload
+        for sent in perform(num_frames=40)
+    )
+    spec = AvatarSpec(map_size=32, hidden_channels=(2,), uv_encoding_size=4, axis_encoding_size=4)
+    with tempfile.TemporaryDirectory() as folder:
+        avatar = Path(folder, "toy.pica")
+        save_avatar(avatar, make_toy_avatar(grid=3, spec=spec))
+        avatar_bytes = avatar.read_bytes()
+    wire = list(GOLDEN_BYTES.values())
+    return {
+        "message": [data for data in wire if data[:1] != b"\x02"],
+        "media": [data for data in wire if data[:1] == b"\x02"],
+        "sealed": [seal(b"face", METADATA, key, number) for key, number in suites],
+        "note": [encode_note(note, NOTE_KEY, *WAY) for note in notes],
+        "avatar_file": [avatar_bytes],
+        "bitstream": [stream, stream[: len(stream) // 2]],
+    }

@@ -1,4 +1,4 @@
-"""Damaged messages by the thousand; ``python scripts/fuzz.py`` throws a million."""
+"""Damaged messages by the thousand; ``make fuzz`` throws more of them."""
 
 import pytest
 

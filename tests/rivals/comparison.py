@@ -1,14 +1,11 @@
-"""A relay beside other servers, and beside itself without a part, under one load in one run.
+"""A relay beside other servers under one load in one run.
 
 naive, naive-uvloop   read a message and broadcast it, with the same library
 echo                  what the load generator can do at most
-short-read, direct-write, flow, gather, ride
-                      the relay without this part of its fast path
 """
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,28 +16,23 @@ from pica_client.local_call.processes import Children
 from pica_client.stats import describe_machine
 
 RIVALS: Final = ("naive", "naive-uvloop", "echo")
-PARTS: Final = ("short-read", "direct-write", "flow", "gather", "ride")
 HERE: Final = Path(__file__).parent
 
 
-def run_comparison(
-    config: RelayBenchConfig, compare: Sequence[str] = (), ablate: Sequence[str] = ()
-) -> dict[str, Any]:
-    """Measure the relay, other servers, and the relay without each of some parts.
+def run_comparison(config: RelayBenchConfig, compare: Sequence[str] = ()) -> dict[str, Any]:
+    """Measure the relay and other servers.
 
     Args:
         config: The load.
         compare: Some of `RIVALS`.
-        ablate: Some of `PARTS`.
 
     Returns:
-        What `pica bench relay` gives, and the same by name under ``compare`` and ``ablate``.
+        What `pica bench relay` gives, and the same by name under ``compare``.
 
     Raises:
         ClientError: A name is unknown, or a server does not let everybody in.
     """
     check_names("compare", compare, RIVALS)
-    check_names("ablate", ablate, PARTS)
     with Workers() as workers, Children() as children:
         with relay_target(config, children) as target:
             result = measure(config, target, workers, "relay")
@@ -48,11 +40,6 @@ def run_comparison(
         for name in compare:
             with _rival(name, result, config, workers) as target:
                 result["compare"][name] = measure(config, target, workers, name)
-        result["ablate"] = {}
-        for name in ablate:
-            lacking = replace(config, relay_arguments=(*config.relay_arguments, "--without", name))
-            with relay_target(lacking, children) as target:
-                result["ablate"][name] = measure(lacking, target, workers, f"without {name}")
     return result | {"machine": describe_machine()}
 
 

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 import torch
 
-from helpers.script import load_script
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import load_avatar
 from pica_core.capture.dataset.dataset import Capture
@@ -27,13 +26,11 @@ from pica_core.train.data.training import TrainingData
 from pica_core.train.data.uv_raster import rasterise_uv
 from pica_core.train.eval.evaluate import evaluate, mean_mse
 from pica_core.train.export import joint_map, make_avatar
-from pica_core.train.held_out import draw_held_out
 from pica_core.train.loop import Trainer, open_trainer
 from pica_core.train.losses import DEPTH_LIMIT_M, depth_loss, depth_mask
 from pica_core.train.optimiser import rate_ratio
 from pica_core.train.unseen import fill_unseen
 
-FAILURES = load_script("training_failures")
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
 
 LEARNED_FACTOR = 4.0
@@ -65,8 +62,6 @@ class Trained:
     before: list[dict[str, Any]]
     after: list[dict[str, Any]]
     reach_mm: dict[float, float]
-    views: dict[str, float]
-    spoilt_views: dict[str, float]
 
 
 @pytest.fixture(scope="module")
@@ -77,23 +72,17 @@ def trained(data: TrainingData, tmp_path_factory: pytest.TempPathFactory) -> Tra
         after = evaluate(trainer, max_frames=1)
         with torch.no_grad():
             codes, _ = trainer.objectives.encode(data.train_frames)
-        views = {name: view_error(trainer, name) for name in data.images.camera_names}
-        with FAILURES.spoil(data, FAILURES.Failure(wrong_camera=True)):
-            spoilt = {name: view_error(trainer, name) for name in data.images.camera_names}
-        reach_mm = {
-            sigma: FAILURES.far_codes_reach_mm(trainer.model.vertices, codes, sigma)
-            for sigma in (3.0, 6.0)
-        }
-        return Trained(before, after, reach_mm, views, spoilt)
+            reach_mm = {sigma: far_codes_reach_mm(trainer, codes, sigma) for sigma in (3.0, 6.0)}
+        return Trained(before, after, reach_mm)
 
 
-def view_error(trainer: Trainer, view: str) -> float:
-    views = trainer.data.images.evaluation_views
-    trainer.data.images.evaluation_views = [view]
-    try:
-        return draw_held_out(trainer.objectives)[0]
-    finally:
-        trainer.data.images.evaluation_views = views
+def far_codes_reach_mm(trainer: Trainer, codes: torch.Tensor, sigma: float) -> float:
+    """How far vertices go, against the mean code's mesh, at codes that many deviations out."""
+    mean, deviation = codes.mean(0, keepdim=True), codes.std(0, keepdim=True)
+    noise = torch.randn((16, *mean.shape[1:]), generator=torch.Generator().manual_seed(0))
+    far = mean + sigma * deviation * noise.sign()
+    offset = trainer.model.vertices(far) - trainer.model.vertices(mean)
+    return float(offset.norm(dim=2).max()) * 1000
 
 
 def test_the_smallest_preset_learns_the_held_out_frames(trained: Trained) -> None:
@@ -107,13 +96,6 @@ def test_codes_far_out_give_faces_that_are_finite_and_bounded(
     trained: Trained, sigma: float
 ) -> None:
     assert 0 < trained.reach_mm[sigma] < 200  # of a head: no spikes through the room
-
-
-def test_a_camera_that_stands_elsewhere_spoils_its_own_view_alone(trained: Trained) -> None:
-    *right, wrong = trained.views
-
-    assert trained.spoilt_views[wrong] > 1.5 * trained.views[wrong]
-    assert all(trained.spoilt_views[name] == trained.views[name] for name in right)
 
 
 def test_depth_with_a_third_of_outliers_is_as_good_within_ten_millimetres() -> None:
