@@ -2,8 +2,14 @@
 
 naive, naive-uvloop   read a message and broadcast it, with the same library
 echo                  what the load generator can do at most
+
+    python tests/rivals/comparison.py --rooms 60
+
+prints the relay's figures beside those of the naive relay.
 """
 
+import argparse
+import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,6 +19,7 @@ from pica_client.bench.option_types import check_names
 from pica_client.bench.relay.bench import RelayBenchConfig, Target, measure, relay_target
 from pica_client.bench.relay.processes import START_TIMEOUT_S, Workers, share_cores
 from pica_client.local_call.processes import Children
+from pica_client.signals import terminate_as_interrupt
 from pica_client.stats import describe_machine
 
 RIVALS: Final = ("naive", "naive-uvloop", "echo")
@@ -60,3 +67,18 @@ def _rival(
         worker = workers.start(HERE / "naive.py", *words, core=core)
     yield Target(url=worker.line(START_TIMEOUT_S), pid=worker.pid)
     workers.stop([worker])
+
+
+def main() -> None:
+    """Compare with the naive relay, and print the figures as one JSON object."""
+    parser = argparse.ArgumentParser(description="Load the relay and a naive one, in turns.")
+    parser.add_argument("--rooms", type=int, default=60, help="of five")
+    parser.add_argument("--seconds", type=float, default=6.0, help="of each measurement")
+    options = parser.parse_args()
+    load = RelayBenchConfig(rooms=options.rooms, seconds=options.seconds)
+    with terminate_as_interrupt():
+        print(json.dumps(run_comparison(load, ("naive",))))
+
+
+if __name__ == "__main__":
+    main()
