@@ -1,16 +1,19 @@
-"""How the code is housed: sizes of folders and files, docstrings that say nothing, import circles.
+"""How large the code is: the lines of each room beside its budget, sizes of files, import circles.
 
-    python scripts/house.py [--json] [--lists]
+    python scripts/house.py [--json]
 
+production_lines    lines of Python in the five packages
+files               Python files of the packages
+scripts_lines       lines of Python in scripts/
+test_lines          lines of Python in tests/
+docs_words          words of all Markdown files
 largest_folder      source files in the fullest folder of the packages, ``__init__.py`` included
-production_lines    lines of Python in the packages; tests, scripts and examples apart
-longest_file        lines of the longest file, of tests and scripts, too
+longest_file        lines of the longest Python file, of tests and scripts, too
 import_circles      groups of modules that import each other in a loop, however far around
-fragment_docstrings docstrings of one line that name no verb and no thing: those that begin with
-                    Of, By, As, For, With, In, From, To, On or And, and those of one or two words
+fragment_docstrings docstrings of one line that begin with a preposition or have one or two words
 
 Imports under ``if TYPE_CHECKING`` and inside functions count for circles: a loop that is only
-broken by being late is still a loop. What this does not see: whether a docstring is true.
+broken by being late is still a loop.
 """
 
 from __future__ import annotations
@@ -20,42 +23,68 @@ import ast
 import json
 import subprocess
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
-PACKAGES = {
-    "pica_command": "command",
-    "pica_protocol": "protocol",
-    "pica_server": "server",
-    "pica_core": "pica_core",
-    "pica_client": "client",
+PACKAGES = ("command", "protocol", "server", "pica_core", "client")
+"""Folders at the root; each holds one package."""
+CORE, CLIENT, SERVER = "pica_core/pica_core/", "client/pica_client/", "server/pica_server/"
+ROOMS: dict[str, tuple[int, tuple[str, ...]]] = {
+    "command": (350, ("command/",)),
+    "protocol": (1300, ("protocol/",)),
+    "server/room": (1100, (SERVER + "room/",)),
+    "server/placement": (450, (SERVER + "cluster/", SERVER + "placement")),
+    "server/net": (500, (SERVER + "net/",)),
+    "server/store": (500, (SERVER + "store/",)),
+    "server, rest": (1750, (SERVER,)),
+    "core/codec": (450, (CORE + "codec/",)),
+    "core/avatar, graphs, model, reference": (
+        3900,
+        (CORE + "avatar/", CORE + "graphs/", CORE + "model/", CORE + "reference/"),
+    ),
+    "core/train": (4400, (CORE + "train/",)),
+    "core/capture and the rest": (7000, (CORE,)),
+    "client/avatars": (650, (CLIENT + "avatars/",)),
+    "client/bench": (3200, (CLIENT + "bench/",)),
+    "client/call, publish": (1700, (CLIENT + "call/", CLIENT + "publish/")),
+    "client/cli": (900, (CLIENT + "cli/",)),
+    "client/decode, schedule, render": (
+        3500,
+        (CLIENT + "decode/", CLIENT + "schedule/", CLIENT + "render/"),
+    ),
+    "client/e2ee": (900, (CLIENT + "e2ee/",)),
+    "client/playout": (800, (CLIENT + "playout/",)),
+    "client/sources": (2300, (CLIENT + "sources/",)),
+    "client/transport": (600, (CLIENT + "transport/",)),
+    "client/ui": (3800, (CLIENT + "ui/",)),
+    "client/voice": (1900, (CLIENT + "voice/",)),
+    "client, rest": (600, (CLIENT,)),
 }
-FRAGMENTS = {"of", "by", "as", "for", "with", "in", "from", "to", "on", "and"}
-"""First words of a docstring that belong to a sentence whose beginning is missing."""
+"""Lines allowed, and beginnings of the paths that count; the first room that fits takes a file."""
+PREPOSITIONS = {"of", "by", "as", "for", "with", "in", "from", "to", "on", "and"}
 
 
-def tracked() -> list[Path]:
-    """All Python files that belong to the repository, new ones included."""
-    command = ["git", "ls-files", "--cached", "--others", "--exclude-standard", "*.py"]
+def tracked(pattern: str) -> list[str]:
+    """Return the files of the repository that match, new ones included, as paths from its root."""
+    command = ["git", "ls-files", "--cached", "--others", "--exclude-standard", pattern]
     names = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True).stdout
-    return [ROOT / name for name in names.splitlines() if (ROOT / name).exists()]
+    return [name for name in names.splitlines() if (ROOT / name).exists()]
 
 
-def production(files: list[Path]) -> dict[str, Path]:
-    """Files of the five packages by dotted name."""
-    found = {}
-    for path in files:
-        parts = path.relative_to(ROOT).parts
-        if len(parts) > 2 and PACKAGES.get(parts[1]) == parts[0]:
-            name = ".".join(parts[1:]).removesuffix(".py").removesuffix(".__init__")
-            found[name] = path
-    return found
+def room_of(path: str) -> str:
+    """Return the room that a file of the packages counts in."""
+    return next(room for room, (_, parts) in ROOMS.items() if path.startswith(parts))
 
 
-def imports_of(tree: ast.Module, modules: dict[str, Path]) -> Iterator[str]:
-    """Modules of ours that a module imports anywhere in its text."""
+def module_of(path: str) -> str:
+    """Return a file's dotted name."""
+    return ".".join(path.removesuffix(".py").removesuffix("/__init__").split("/")[1:])
+
+
+def imports_of(tree: ast.Module, modules: Iterable[str]) -> Iterator[str]:
+    """Yield those of some modules that a module imports anywhere in its text."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names if alias.name in modules)
@@ -69,7 +98,7 @@ def imports_of(tree: ast.Module, modules: dict[str, Path]) -> Iterator[str]:
 
 
 def circles(graph: dict[str, set[str]]) -> list[list[str]]:
-    """Strongly connected parts of more than one module (Tarjan 1972)."""
+    """Return the strongly connected parts of more than one module (Tarjan 1972)."""
     index: dict[str, int] = {}
     low: dict[str, int] = {}
     stack: list[str] = []
@@ -97,65 +126,65 @@ def circles(graph: dict[str, set[str]]) -> list[list[str]]:
     return found
 
 
-def fragments(path: Path, tree: ast.Module) -> Iterator[str]:
-    """Places of docstrings that say nothing, the strings under fields and constants included."""
-    for node in ast.walk(tree):
-        body = getattr(node, "body", None)
-        for child in body if isinstance(body, list) else []:
-            if not (isinstance(child, ast.Expr) and isinstance(child.value, ast.Constant)):
-                continue
-            text = child.value.value
-            if isinstance(text, str) and "\n" not in text.strip():
-                words = text.strip().split()
-                if words and (words[0].lower() in FRAGMENTS or len(words) < 3):
-                    yield f"{path.relative_to(ROOT)}:{child.lineno}: {text}"
+def num_fragments(tree: ast.Module) -> int:
+    """Count docstrings that are no sentence, strings under fields and constants included."""
+    bodies = [getattr(node, "body", None) for node in ast.walk(tree)]
+    texts = (
+        child.value.value.split()
+        for body in bodies
+        if isinstance(body, list)
+        for child in body
+        if isinstance(child, ast.Expr)
+        and isinstance(child.value, ast.Constant)
+        and isinstance(child.value.value, str)
+        and "\n" not in child.value.value.strip()
+    )
+    return sum(words[0].lower() in PREPOSITIONS or len(words) < 3 for words in texts if words)
 
 
 def measure() -> dict[str, Any]:
-    """All counts, and under ``lists`` what they count."""
-    files = tracked()
-    modules = production(files)
-    trees = {name: ast.parse(path.read_text()) for name, path in modules.items()}
-    folders = Counter(str(path.parent.relative_to(ROOT)) for path in modules.values())
-    lines = {path: len(path.read_text().splitlines()) for path in files}
-    graph = {name: set(imports_of(tree, modules)) - {name} for name, tree in trees.items()}
-    loops = circles(graph)
-    silent = [line for name, tree in trees.items() for line in fragments(modules[name], tree)]
-    longest = max(lines, key=lambda path: lines[path])
-    packages = Counter[str]()
-    for name, path in modules.items():
-        packages[name.split(".")[0]] += lines[path]
+    """Return all counts, the lines of each room, and the circles."""
+    lines = {path: len((ROOT / path).read_text().splitlines()) for path in tracked("*.py")}
+    production = [path for path in lines if path.startswith(tuple(f"{p}/" for p in PACKAGES))]
+    trees = {module_of(path): ast.parse((ROOT / path).read_text()) for path in production}
+    graph = {name: set(imports_of(tree, trees)) - {name} for name, tree in trees.items()}
+    rooms = Counter[str]()
+    for path in production:
+        rooms[room_of(path)] += lines[path]
     return {
-        "largest_folder": max(folders.values()),
-        "production_lines": sum(packages.values()),
-        "fragment_docstrings": len(silent),
-        "import_circles": len(loops),
-        "longest_file": lines[longest],
-        "lists": {
-            "folders": dict(folders.most_common()),
-            "packages": dict(packages),
-            "longest": str(longest.relative_to(ROOT)),
-            "circles": loops,
-            "fragments": silent,
-        },
+        "production_lines": rooms.total(),
+        "files": len(production),
+        "scripts_lines": sum(n for path, n in lines.items() if path.startswith("scripts/")),
+        "test_lines": sum(n for path, n in lines.items() if path.startswith("tests/")),
+        "docs_words": sum(len((ROOT / path).read_text().split()) for path in tracked("*.md")),
+        "largest_folder": max(Counter(str(Path(path).parent) for path in production).values()),
+        "longest_file": max(lines.values()),
+        "import_circles": len(circles(graph)),
+        "fragment_docstrings": sum(num_fragments(tree) for tree in trees.values()),
+        "rooms": {room: [rooms[room], budget] for room, (budget, _) in ROOMS.items()},
+        "circles": circles(graph),
     }
 
 
 def main() -> None:
-    """Print the counts, as lines or as one JSON object."""
-    parser = argparse.ArgumentParser(description="How the code is housed, in five numbers.")
-    parser.add_argument("--json", action="store_true", help="one JSON object")
-    parser.add_argument("--lists", action="store_true", help="what was counted, too")
-    options = parser.parse_args()
+    """Print the counts, as a table or as one JSON object."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
     counts = measure()
-    lists = counts.pop("lists")
-    if options.json:
-        print(json.dumps(counts | ({"lists": lists} if options.lists else {})))
+    if parser.parse_args().json:
+        print(json.dumps(counts))
         return
+    rooms, loops = counts.pop("rooms"), counts.pop("circles")
+    rooms["sum"] = [sum(each) for each in zip(*rooms.values(), strict=True)]
+    print(f"{'room':40}{'lines':>8}{'budget':>8}{'over':>8}")
+    for room, (num_lines, budget) in rooms.items():
+        over = num_lines - budget
+        print(f"{room:40}{num_lines:8}{budget:8}{over if over > 0 else '':>8}")
+    print()
     for name, count in counts.items():
-        print(f"{name:20} {count}")
-    if options.lists:
-        print(json.dumps(lists, indent=2))
+        print(f"{name:40}{count:8}")
+    for loop in loops:
+        print("circle:", ", ".join(loop))
 
 
 if __name__ == "__main__":

@@ -1,0 +1,31 @@
+"""``scripts/house.py``: what it counts."""
+
+from __future__ import annotations
+
+import ast
+
+import pytest
+
+from helpers.script import load_script
+
+pytestmark = pytest.mark.unit
+
+HOUSE = load_script("house")
+
+
+def test_every_file_of_the_packages_has_a_room_and_nothing_imports_in_circles() -> None:
+    counts = HOUSE.measure()
+    assert sum(lines for lines, _ in counts["rooms"].values()) == counts["production_lines"]
+    assert sum(budget for _, budget in counts["rooms"].values()) <= 42_600
+    assert counts["circles"] == []
+    assert counts["longest_file"] <= 500
+    assert counts["largest_folder"] <= 20
+
+
+def test_a_circle_is_found_however_far_around() -> None:
+    assert HOUSE.circles({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}}) == [["a", "b", "c"]]
+
+
+def test_docstrings_that_are_no_sentence_are_counted() -> None:
+    text = 'a = 1\n"""Of one."""\ndef f():\n    """Return all of it."""\n'
+    assert HOUSE.num_fragments(ast.parse(text)) == 1
