@@ -62,8 +62,7 @@ extras: .venv/.ready-test
 fuzz: .venv/.ready-test
 	PYTHONPATH=tests $(BIN)/python -m fuzzing $(FUZZ)
 
-# Builds the container images and starts what they, the compose file and the manifests start. As root,
-# on Debian: apt-get install buildah mmdebstrap iproute2 nats-server.
+# Builds the container images and starts what they start. As root, with buildah.
 images: .venv/.ready-test
 	$(BIN)/python scripts/check_images.py $(IMAGES)
 

@@ -20,13 +20,10 @@ import socket
 import statistics
 import subprocess
 import sys
-import tempfile
 import time
 from collections import defaultdict
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from pica_client.bench.relay.processes import relay_metrics
@@ -36,7 +33,6 @@ from pica_client.transport.link import Link
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Joined, Peer, PeerJoined
 from pica_protocol.session import ClientEvent
-from pica_server.auth.tokens import Admission, KeyRing, load_keys, mint
 
 NAMES = ("ada", "bob", "cleo")
 CALM_S = 4.0
@@ -55,27 +51,19 @@ class Call:
     unread: socket.socket | None = None
     """The other end of the relay's log, if nobody reads it."""
 
-    def __init__(self, fault: Fault) -> None:
+    def __init__(self, *, through_proxy: bool) -> None:
         self._processes: list[subprocess.Popen[str]] = []
         with socket.create_server(("127.0.0.1", 0)) as free:
             self.port = int(free.getsockname()[1])
         self.url = url = f"ws://127.0.0.1:{self.port}"
         self.relay_arguments: tuple[str, ...] = ()
-        self._folder = tempfile.TemporaryDirectory()
-        self.folder = Path(self._folder.name)
-        self.tokens: dict[str, Path] = {}
-        if fault.with_tokens:
-            self.make_tokens()
         self.relay = self.start_relay()
-        if fault.through_proxy:
+        if through_proxy:
             self.proxy = self.start([__file__, "--proxy", str(self.port)], stdout=subprocess.PIPE)
             assert self.proxy.stdout is not None
             url = self.proxy.stdout.readline().strip()
         self.senders = {name: self.start_sender(name, url) for name in NAMES}
-        words = [__file__, "--watch", self.url]
-        if self.tokens:
-            words += ["--token", str(self.tokens["viewer"])]
-        self.viewer = self.start(words, stdout=subprocess.PIPE)
+        self.viewer = self.start([__file__, "--watch", self.url], stdout=subprocess.PIPE)
         assert self.viewer.stdout is not None
         self.viewer.stdout.readline()  # when it has seen all of them
 
@@ -84,18 +72,6 @@ class Call:
         process = subprocess.Popen([sys.executable, *words], text=True, **options)
         self._processes.append(process)
         return process
-
-    def make_tokens(self) -> None:
-        """Make a key file for the relay and a token for each client."""
-        keys = self.folder / "keys"
-        keys.write_text(KeyRing.new_line())
-        ring, now = load_keys(keys), time.time()
-        for name in (*NAMES, "viewer"):
-            admission = Admission(identity=name, avatars=("*",))
-            self.tokens[name] = self.folder / name
-            token = mint(ring, "lobby", admission, now=now, lasts_s=900, starts_s=0)
-            self.tokens[name].write_text(token)
-        self.relay_arguments = ("--keys", str(keys))
 
     def start_relay(self, **options: Any) -> subprocess.Popen[str]:
         """Start the relay, or start it again at the same address, and wait until it listens."""
@@ -109,20 +85,17 @@ class Call:
         raise SystemExit("the relay does not listen")
 
     async def restart_relay(self, away_s: float, *arguments: str, **options: Any) -> None:
-        """Kill the relay and start it a while later, once with further arguments."""
+        """Kill the relay and start it a while later, with further arguments."""
         self.relay.kill()
         self.relay.wait()
         await asyncio.sleep(away_s)
-        before, self.relay_arguments = self.relay_arguments, (*self.relay_arguments, *arguments)
+        self.relay_arguments = arguments
         await asyncio.to_thread(self.start_relay, **options)
-        self.relay_arguments = before
 
     def start_sender(self, name: str, url: str) -> subprocess.Popen[str]:
         """Start a sender."""
-        words = ["-m", "pica_command", "send", "--url", url, "--name", name]
-        if self.tokens:
-            words += ["--token-file", str(self.tokens[name])]
-        return self.start([*words, "--wait"], stderr=subprocess.DEVNULL)
+        words = ["-m", "pica_command", "send", "--url", url, "--name", name, "--wait"]
+        return self.start(words, stderr=subprocess.DEVNULL)
 
     def stop(self) -> dict[str, list[tuple[float, float]]]:
         """End everything; return when each face's frames came and were captured."""
@@ -134,32 +107,21 @@ class Call:
         for process in self._processes:
             process.kill()
             process.wait()
-        self._folder.cleanup()
         return dict(json.loads(seen))
 
 
 Hurt = Callable[[Call], Awaitable[None]]
 
 
-@dataclass(frozen=True)
-class Fault:
-    """One thing that goes wrong, and what the call needs for it."""
-
-    hurt: Hurt
-    through_proxy: bool
-    with_tokens: bool
+FAULTS: dict[str, tuple[Hurt, bool]] = {}
+"""What each fault does, and whether senders reach the relay through ``call.proxy``."""
 
 
-FAULTS: dict[str, Fault] = {}
-
-
-def fault(
-    name: str, *, through_proxy: bool = False, with_tokens: bool = False
-) -> Callable[[Hurt], Hurt]:
+def fault(name: str, *, through_proxy: bool = False) -> Callable[[Hurt], Hurt]:
     """Give a fault a row of the table."""
 
     def enter(hurt: Hurt) -> Hurt:
-        FAULTS[name] = Fault(hurt, through_proxy, with_tokens)
+        FAULTS[name] = hurt, through_proxy
         return hurt
 
     return enter
@@ -239,15 +201,6 @@ async def _path_lost(call: Call) -> None:
     call.proxy.send_signal(signal.SIGUSR1)
 
 
-@fault("wrong keys for 2 s", with_tokens=True)
-async def _wrong_keys(call: Call) -> None:
-    wrong = call.folder / "wrong"
-    wrong.write_text(KeyRing.new_line())
-    await call.restart_relay(0.5, "--keys", str(wrong))
-    await asyncio.sleep(2.0)
-    await call.restart_relay(0.0)
-
-
 def figures(
     seen: dict[str, list[tuple[float, float]]], begin_s: float, over_s: float, end_s: float
 ) -> dict[str, Any]:
@@ -272,12 +225,12 @@ def figures(
 
 async def run(name: str) -> dict[str, Any]:
     """Inject one fault into one call; return its row."""
-    fault = FAULTS[name]
-    call = await asyncio.to_thread(Call, fault)
+    hurt, through_proxy = FAULTS[name]
+    call = await asyncio.to_thread(Call, through_proxy=through_proxy)
     try:
         await asyncio.sleep(CALM_S)
         begin_s = time.monotonic()
-        await fault.hurt(call)
+        await hurt(call)
         over_s = time.monotonic()
         await asyncio.sleep(min(SETTLED_S + max(over_s - begin_s, 8.0), LONGEST_BACK_S))
         end_s = time.monotonic()
@@ -289,7 +242,7 @@ async def run(name: str) -> dict[str, Any]:
     return {"fault": name, **figures(seen, begin_s, over_s, end_s), "closed": closed}
 
 
-def watch(url: str, token_file: Path | None) -> None:
+def watch(url: str) -> None:
     """Look on until told to stop, then print when each face's frames came and were captured."""
     seen: dict[str, list[tuple[float, float]]] = defaultdict(list)
     names: dict[int, str] = {}
@@ -311,7 +264,7 @@ def watch(url: str, token_file: Path | None) -> None:
         names.update({track.stream: peer.name for peer in peers for track in peer.tracks})
 
     async def look() -> None:
-        config = LinkConfig(url=url, name="viewer", connect_timeout_s=None, token_file=token_file)
+        config = LinkConfig(url=url, name="viewer", connect_timeout_s=None)
         link = Link(config, on_event=on_event)
         asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, link.leave)
         await link.run()
@@ -358,11 +311,10 @@ def main() -> None:
     parser.add_argument("names", nargs="*", help="beginnings of the faults' names; all without")
     parser.add_argument("--json", action="store_true", help="print the rows as JSON at the end")
     parser.add_argument("--watch", help=argparse.SUPPRESS)
-    parser.add_argument("--token", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("--proxy", type=int, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.watch:
-        return watch(options.watch, options.token)
+        return watch(options.watch)
     if options.proxy:
         return proxy(options.proxy)
     chosen = [n for n in FAULTS if not options.names or n.startswith(tuple(options.names))]

@@ -1,12 +1,11 @@
-"""Pictures of the viewer's window, steered by mouse: join, pin, settings, record, leave.
+"""Take pictures of the viewer's window, steered by mouse: join, pin, settings, record, leave.
 
     python scripts/window_pictures.py OUT [COLUMNSxROWS[@SCALE] ...]
 
-Needs Xvfb, xdotool and xprop. For each size it starts an X server, a relay, five people with names
-in six scripts, two of one name who only watch, one who encrypts and one whose avatar nobody has;
-then it runs `pica view` with an invite link, as a process of its own, and moves and clicks the
-pointer of the X server. Where buttons are is noted by the window's process as it draws them.
-Pictures are taken of the screen: OUT/NAME-COLUMNSxROWS@SCALE.png.
+Needs Xvfb, xdotool and xprop. For each size it starts an X server, a relay and five people with
+names in six scripts; then it runs `pica view` with an invite link, as a process of its own, and
+moves and clicks the pointer of the X server. The window's process notes where buttons are as it
+draws them. Pictures are taken of the screen: OUT/NAME-COLUMNSxROWS@SCALE.png.
 """
 
 from __future__ import annotations
@@ -19,20 +18,14 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
-from dataclasses import replace
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from PIL import ImageGrab
 
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.call.call import Call
-from pica_client.local_call.processes import Child, Children
-from pica_client.transport.config import LinkConfig
-from pica_client.transport.receiver import Receiver
-from pica_core.avatar.file import load_avatar, save_avatar
+from pica_client.local_call.processes import Children
 from pica_protocol.invite import Invite, make_link
 
 if TYPE_CHECKING:
@@ -57,17 +50,7 @@ class Desk:
         read, write = os.pipe()
         screen = f"{size[0]}x{size[1]}x24"
         self._server = subprocess.Popen(
-            [
-                "Xvfb",
-                "-displayfd",
-                str(write),
-                "-screen",
-                "0",
-                screen,
-                "-nolisten",
-                "tcp",
-                "-noreset",
-            ],
+            ["Xvfb", "-displayfd", str(write), "-screen", "0", screen, "-nolisten", "tcp"],
             pass_fds=[write],
             stderr=subprocess.DEVNULL,
         )
@@ -98,9 +81,7 @@ class Desk:
                 away = 3 - away
                 self.point(self._size[0] / 2 + away, 0.6 * self._size[1])
                 self.wait_frames(1)
-        for step in ("mousedown", "mouseup"):
-            self._run("xdotool", step, "1")
-            self.wait_frames(2)
+        self._press()
 
     def type(self, label: str, text: str) -> None:
         """Type into a field until it holds a text."""
@@ -125,26 +106,18 @@ class Desk:
             return {"frame": 0, "places": {}}
         return found
 
-    def is_shown(self, label: str) -> bool:
-        """Whether something is labelled so in the latest frame."""
-        return self._find(label) is not None
-
     def wait(self, what: str, **wanted: Any) -> None:
         """Wait until frames say so of a call; a number is the least one."""
         end = time.monotonic() + PATIENCE_S
-        while True:
-            seen = self.seen()
-            if all(
-                seen.get(name) == value
-                if isinstance(value, bool | str)
-                else seen.get(name, 0) >= value
-                for name, value in wanted.items()
-            ):
-                self.wait_frames(2)
-                return
+        while not all(
+            seen.get(name) == value if isinstance(value, bool | str) else seen.get(name, 0) >= value
+            for seen in [self.seen()]
+            for name, value in wanted.items()
+        ):
             if time.monotonic() > end:
-                raise TimeoutError(f"{what}: {wanted} is wanted, {seen} is seen")
+                raise TimeoutError(f"{what}: {wanted} is wanted, {self.seen()} is seen")
             time.sleep(0.1)
+        self.wait_frames(2)
 
     def wait_frames(self, count: int) -> None:
         """Wait until so many frames were drawn from now on."""
@@ -159,6 +132,9 @@ class Desk:
         left, top, right, _ = self.seen()["heads"][name]
         self.point((left + right) / 2, top - (right - left) / 3)
         self.wait_frames(2)
+        self._press()
+
+    def _press(self) -> None:
         for step in ("mousedown", "mouseup"):
             self._run("xdotool", step, "1")
             self.wait_frames(2)
@@ -183,37 +159,14 @@ class Desk:
         subprocess.run(command, env=self.environment, check=True, timeout=20)
 
 
-@contextmanager
-def room_of_people(children: Children) -> Iterator[tuple[Child, str]]:
-    """A relay and everybody in it; gives the relay and its address."""
-    relay, url = children.start_relay()
-    secret = children.folder / "secret"
-    children.start("secret", "secret", str(secret)).wait(time.monotonic() + 20)
-    library = AvatarLibrary()
-    avatars = library.names
+def start_people(children: Children, url: str) -> None:
+    """Let everybody send a face."""
+    avatars = AvatarLibrary().names
     for number, name in enumerate(PEOPLE):
-        source = ("talk", "listen")[number % 2]
-        start_sender(children, url, name, avatars[number % len(avatars)], source)
-    unknown = children.folder / "unknown.pica"
-    first = load_avatar(library.path(library.find(avatars[0])))
-    save_avatar(unknown, replace(first, manifest=replace(first.manifest, name="Nowhere")))
-    encrypts = ("--secret-file", str(secret))
-    start_sender(children, url, "Nobody's friend", avatars[-1], "talk", *encrypts)
-    start_sender(children, url, "Mina of nowhere", str(unknown), "talk")
-    with ExitStack() as stack:
-        for name in ("Watching Wanda", "Watching Wanda"):
-            link = LinkConfig(url=url, room=ROOM, name=name, connect_timeout_s=20)
-            stack.enter_context(Receiver(link, Call(library)))
-        yield relay, url
-
-
-def start_sender(
-    children: Children, url: str, name: str, avatar: str, source: str, *more: str
-) -> None:
-    """Let somebody send a face."""
-    where = ("--url", url, "--room", ROOM, "--name", name)
-    face = ("--avatar", avatar, "--source", f"performance:{source}", "--give-avatar", "no")
-    children.start(name, "send", *where, *face, *more)
+        where = ("--url", url, "--room", ROOM, "--name", name)
+        source = f"performance:{('talk', 'listen')[number % 2]}"
+        avatar = avatars[number % len(avatars)]
+        children.start(name, "send", *where, "--avatar", avatar, "--source", source)
 
 
 def photograph(out: Path, size: tuple[int, int], scale: float) -> None:
@@ -222,7 +175,8 @@ def photograph(out: Path, size: tuple[int, int], scale: float) -> None:
     with Children() as children, tempfile.TemporaryDirectory() as home, ExitStack() as stack:
         desk = Desk(size, scale, Path(home))
         stack.callback(desk.close)
-        relay, url = stack.enter_context(room_of_people(children))
+        relay, url = children.start_relay()
+        start_people(children, url)
         link = make_link(Invite(url=url, room=ROOM))
         view = [sys.executable, __file__, "--window", str(desk.notes)]
         view += ["view", link, "--wait", "--size", f"{size[0]}x{size[1]}"]
@@ -235,20 +189,14 @@ def photograph(out: Path, size: tuple[int, int], scale: float) -> None:
 
         desk.type("##name", "Me")
         take("01-join")
-        os.kill(relay.pid, signal.SIGSTOP)  # so that there is something to wait for
         desk.click("Join")
-        while not desk.is_shown("Cancel"):
-            desk.wait_frames(1)
-        desk.wait_frames(20)
-        take("02-connecting")
-        os.kill(relay.pid, signal.SIGCONT)
-        desk.wait("everybody", faces=len(PEOPLE), here=len(PEOPLE) + 5)
-        take("03-call")
+        desk.wait("everybody", faces=len(PEOPLE), here=len(PEOPLE) + 1)
+        take("02-call")
         desk.click("Got it")
         desk.click_head(FIRST)
         desk.wait("pinned", is_pinned=True)
-        take("04-pinned")
-        for number, panel in enumerate(("Participants", "Settings", "Help"), 5):
+        take("03-pinned")
+        for number, panel in enumerate(("Participants", "Settings", "Help"), 4):
             desk.click(panel)
             desk.wait("open", side=panel.lower())
             take(f"{number:02}-{panel.lower()}")
@@ -256,21 +204,21 @@ def photograph(out: Path, size: tuple[int, int], scale: float) -> None:
             desk.wait("closed", side="none")
         desk.click("Record")
         desk.wait("recording", is_recording=True)
-        take("08-recording")
+        take("07-recording")
         desk.click("Stop recording")
         desk.wait("recorded", is_recording=False)
-        take("09-recorded")
+        take("08-recorded")
         desk.click("Next layout")
-        take("10-layout")
+        take("09-layout")
         os.kill(relay.pid, signal.SIGKILL)
         desk.wait("the relay is gone", is_connected=False, away_s=2)
-        take("11-relay-gone")
+        take("10-relay-gone")
         port = url.rpartition(":")[2]
         again = children.start("relay again", "relay", "--port", port)
         desk.wait("back", is_connected=True, faces=len(PEOPLE))
-        take("12-back")
+        take("11-back")
         desk.click("Leave the call")
-        take("13-leaving")
+        take("12-leaving")
         desk.click("Leave")
         window.wait(60)
         again.let_go()
