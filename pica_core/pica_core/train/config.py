@@ -159,9 +159,6 @@ class TrainConfig:
     """Steps between checkpoints."""
     watch_every: int = 0
     """Steps between looks at a held-out frame: its error and its picture; 0 for never."""
-    max_rollbacks: int = 2
-    """How often a run that diverges goes back to its last checkpoint, at half the learning rates,
-    before it gives up."""
 
     def __post_init__(self) -> None:
         many, any_size = (1, math.inf), (0, math.inf)
@@ -186,7 +183,6 @@ class TrainConfig:
             TrainingOptionError,
             checkpoint_every=many,
             watch_every=any_size,
-            max_rollbacks=any_size,
             seed=(0, (1 << 31) - 1),
         )
 
@@ -217,9 +213,8 @@ class TrainConfig:
         """
         try:
             parts = {
-                # Runs of before say whether a decoder adds to bases, and what silhouettes weigh.
-                "model": ModelConfig(**{k: v for k, v in values["model"].items() if k != "rest"}),
-                "losses": LossConfig(**{k: v for k, v in values["losses"].items() if k != "edge"}),
+                "model": ModelConfig(**values["model"]),
+                "losses": LossConfig(**values["losses"]),
                 "schedule": ScheduleConfig(**values["schedule"]),
             }
             return cls(**{**values, **parts})

@@ -4,20 +4,22 @@ The state of a run is its step number, the weights, the optimisers' moments and 
 everything random in step n is drawn from (seed, n). So a run that stops and resumes gives the
 numbers of one that never stopped, on the same machine with the same thread count.
 
-A run that diverges goes back to its last checkpoint with half the learning rates, a few times;
-`metrics.jsonl` counts it. What a step looks at is in `objectives`, what it draws in `drawing`.
+A run whose losses or weights are not finite stops, and its last checkpoint stays. What a step
+looks at is in `objectives`, what it draws in `drawing`.
 """
 
 import json
+import logging
 import math
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 import torch
+from PIL import Image
 from torch import Tensor
 from torch.profiler import record_function
 
@@ -31,12 +33,9 @@ from pica_core.errors import (
 from pica_core.train.checkpoint import NAME, read_checkpoint, write_checkpoint
 from pica_core.train.config import PHASES, TrainConfig
 from pica_core.train.data.training import TrainingData
-from pica_core.train.guard import DivergenceGuard
 from pica_core.train.held_out import draw_held_out
-from pica_core.train.monitor import Monitor
 from pica_core.train.objectives import Objectives
 from pica_core.train.optimiser import clip_groups, make_optimiser, rate_ratio
-from pica_core.train.parallel import Ranks
 from pica_core.train.prior import face_prior
 from pica_core.train.rasterise import Rasteriser
 
@@ -47,13 +46,12 @@ JOINT_COST = 4
 one thread)."""
 LIVE_TURN = 4
 """One of so many steps on pictures of poses is on frames instead, which keep what they taught."""
-METRICS_EVERY = 50
-"""Steps between lines of metrics."""
-ROLLBACK_RATE = 0.5
-"""What a rollback leaves of the learning rates."""
+METRICS, METRICS_EVERY = "metrics.jsonl", 50
+"""File of metrics in a run's folder, and the steps between its lines."""
 _NO_MEMORY = ("can't allocate memory", "not enough memory", "out of memory")
 
 Losses = dict[str, float]
+logger = logging.getLogger(__name__)
 
 
 class Trainer:
@@ -62,10 +60,8 @@ class Trainer:
     Args:
         run_dir: Where ``checkpoint.pt`` and ``metrics.jsonl`` go; made if missing.
         rasteriser: Made for the mesh that the model draws; it stays its owner's.
-        ranks: This process among those that train together.
 
     Attributes:
-        rollbacks: How often the run went back to a checkpoint.
         seconds: Time spent in steps since the run's beginning; looks and checkpoints not counted.
     """
 
@@ -77,24 +73,20 @@ class Trainer:
         rasteriser: Rasteriser,
         *,
         device: torch.device | str = "cpu",
-        ranks: Ranks | None = None,
     ) -> None:
         self.data = data
         self.config = config
         self.run_dir = run_dir
         self.device = torch.device(device)
-        self.ranks = ranks or Ranks()
         run_dir.mkdir(parents=True, exist_ok=True)
         torch.manual_seed(config.seed)
         data.meshes.use(config.mesh_source)
         prior = face_prior(data, config.model.variant)
         self.model = config.model.build(prior).to(self.device)
         self.step = 0
-        self.rollbacks = 0
         self.seconds = 0.0
-        self._rate_scale = 1.0
         self.rasteriser = rasteriser
-        self.objectives = Objectives(data, config, self.model, rasteriser, self.ranks, self.device)
+        self.objectives = Objectives(data, config, self.model, rasteriser, self.device)
         geometry, joint, driver = config.schedule.steps
         driver = driver if data.capture.has_expressions else 0
         self._has_live_steps = False
@@ -133,53 +125,40 @@ class Trainer:
         `on_step` is told each step's number, phase and losses, and says whether to go on.
 
         Raises:
-            TrainingDivergedError: Losses are not finite or explode, and going back has not helped.
-                The last checkpoint stays.
+            TrainingDivergedError: Losses or weights are not finite. The last checkpoint stays.
             TrainingMemoryError: A batch does not fit.
             CheckpointError: A checkpoint cannot be written. The one before stays.
         """
-        with closing(Monitor(self.run_dir, is_silent=not self.ranks.is_first)) as monitor:
+        with (self.run_dir / METRICS).open("a") as metrics:
             for note in self.objectives.notes:
-                monitor.note(self.step, note)
-            self._run(monitor, on_step)
+                logger.warning("step %d: %s", self.step, note)
+                self._note(metrics, "note", {"text": note})
+            self._run(metrics, on_step)
 
-    def _run(self, monitor: Monitor, on_step: Callable[[int, str, Losses], bool] | None) -> None:
-        guard = DivergenceGuard()
+    def _run(self, metrics: TextIO, on_step: Callable[[int, str, Losses], bool] | None) -> None:
         first, first_s = self.step, self.seconds
-        saved_at = -1
-        while self.step < self.total_steps:
+        saved_at, goes_on = -1, True
+        while goes_on and self.step < self.total_steps:
             phase, _, _ = self.phase_of(self.step)
             started = time.perf_counter()
             losses = self.train_step()
             self.seconds += time.perf_counter() - started
-            problem = guard.check(phase, losses)
-            is_last = self.step == self.total_steps
-            is_due = is_last or self.step % self.config.checkpoint_every == 0
-            if problem is None and is_due and not self._is_finite():
-                problem = "weights not finite"
-            if problem is not None:
-                self._go_back(monitor, problem)
-                guard = DivergenceGuard()
-                first, first_s = self.step, self.seconds
-                continue
+            if broken := [name for name, value in losses.items() if not math.isfinite(value)]:
+                raise self._diverged(", ".join(broken))
             if self.step % METRICS_EVERY == 0:
                 rate = (self.step - first) / max(self.seconds - first_s, 1e-9)
                 first, first_s = self.step, self.seconds
-                row: dict[str, Any] = {"phase": phase, "seconds": round(self.seconds, 2)}
+                row = {"phase": phase, "seconds": round(self.seconds, 2)}
                 row |= {"steps_per_s": round(rate, 3)}
                 row |= {"left_s": round((self.total_steps - self.step) / rate), **losses}
-                monitor.row(self.step, "train", row)
+                self._note(metrics, "train", row)
             if self.config.watch_every and self.step % self.config.watch_every == 0:
-                self._watch(monitor)
-            if is_due:
+                self._watch(metrics)
+            if self.step == self.total_steps or self.step % self.config.checkpoint_every == 0:
                 self.save()
                 saved_at = self.step
             goes_on = on_step is None or on_step(self.step, phase, losses)
-            if self.ranks.average(torch.tensor(float(goes_on))) < 1:
-                break  # all processes stop if one does
         if saved_at != self.step:
-            if not self._is_finite():
-                self._go_back(monitor, "weights not finite")
             self.save()
 
     def train_step(self) -> Losses:
@@ -200,7 +179,7 @@ class Trainer:
         ratio = 1.0 if schedule.constant_rate else rate_ratio(index, length)
         groups = optimiser.param_groups
         for group in groups:
-            group["lr"] = group["peak"] * (self._rate_scale * ratio)
+            group["lr"] = group["peak"] * ratio
         optimiser.zero_grad(set_to_none=True)
         after = self.step + 1
         if after < self.total_steps and self._kind_of(after) == "joint":
@@ -210,7 +189,6 @@ class Trainer:
             with record_function("backward"):
                 total = sum(losses.values(), torch.zeros((), device=self.device))
                 total.backward()  # type: ignore[no-untyped-call]
-                self.ranks.average_gradients(p for group in groups for p in group["params"])
             with record_function("optimiser"):
                 clip_groups(optimiser, schedule.clip_norm)
                 optimiser.step()
@@ -226,7 +204,7 @@ class Trainer:
             ) from error
         self.step += 1
         values = torch.stack([value.detach() for value in losses.values()]).to("cpu")
-        return dict(zip(losses, self.ranks.average(values).tolist(), strict=True))
+        return dict(zip(losses, values.tolist(), strict=True))
 
     def _kind_of(self, step: int) -> str:
         """A step's phase; in one with pictures of poses every fourth "joint", the others "live"."""
@@ -249,26 +227,27 @@ class Trainer:
                 return self.objectives.driver(rng)
 
     def save(self) -> Path:
-        """Write the checkpoint aside, then move it into place; the first process does it for all.
+        """Write the checkpoint aside, then move it into place.
 
         Raises:
+            TrainingDivergedError: Weights are not finite; the checkpoint before stays.
             CheckpointError: It cannot be written; the one before stays.
         """
+        with torch.no_grad():
+            sums = torch.stack([p.sum() for p in self.model.parameters()])
+        if not torch.isfinite(sums).all():
+            raise self._diverged("weights")
         path = self.run_dir / NAME
-        if self.ranks.is_first:
-            state = {
-                "config": json.dumps(self.config.to_json()),
-                "step": self.step,
-                "position_scale_m": self.data.meshes.position_scale_m,
-                "model": self.model.state_dict(),
-                "optimisers": {name: o.state_dict() for name, o in self._optimisers.items()},
-                "mean_mesh_m": self.objectives.mean_m,
-                "rate_scale": self._rate_scale,
-                "rollbacks": self.rollbacks,
-                "seconds": self.seconds,
-            }
-            write_checkpoint(path, state)
-        self.ranks.wait()
+        state = {
+            "config": json.dumps(self.config.to_json()),
+            "step": self.step,
+            "position_scale_m": self.data.meshes.position_scale_m,
+            "model": self.model.state_dict(),
+            "optimisers": {name: o.state_dict() for name, o in self._optimisers.items()},
+            "mean_mesh_m": self.objectives.mean_m,
+            "seconds": self.seconds,
+        }
+        write_checkpoint(path, state)
         return path
 
     def restore(self) -> None:
@@ -296,8 +275,6 @@ class Trainer:
         self.objectives.mean_m.copy_(state["mean_mesh_m"])
         self.objectives.forget_codes()
         self.step = state["step"]
-        self._rate_scale = state["rate_scale"]
-        self.rollbacks = state["rollbacks"]
         self.seconds = state["seconds"]
 
     def start_from(self, run_dir: Path) -> None:
@@ -319,38 +296,24 @@ class Trainer:
         if missing or unexpected:
             raise CheckpointError(f"{run_dir}: of another model: {missing + unexpected}")
 
-    def _go_back(self, monitor: Monitor, problem: str) -> None:
-        """Return to the last checkpoint, or give up."""
-        path = self.run_dir / NAME
-        phase, _, _ = self.phase_of(self.step - 1)
-        where = f"step {self.step} ({phase}): {problem}"
-        if self.rollbacks >= self.config.max_rollbacks or not path.exists():
-            tries = f"after {self.rollbacks} rollbacks" if self.rollbacks else "no way back"
-            raise TrainingDivergedError(
-                f"{where}; {tries}: lower the learning rates and resume from {self.run_dir}"
-            )
-        count, scale, diverged_at = self.rollbacks + 1, self._rate_scale, self.step
-        seconds = self.seconds
-        self.restore()
-        self.seconds = seconds
-        self.rollbacks, self._rate_scale = count, scale * ROLLBACK_RATE
-        monitor.note(
-            diverged_at,
-            f"{where}; rollback {count} to step {self.step}, learning rates at "
-            f"{self._rate_scale:g} of their schedule",
+    def _diverged(self, what: str) -> TrainingDivergedError:
+        phase, _, _ = self.phase_of(max(self.step - 1, 0))
+        return TrainingDivergedError(
+            f"step {self.step} ({phase}): {what} not finite; lower the learning rates and resume "
+            f"from {self.run_dir}"
         )
 
-    def _is_finite(self) -> bool:
-        with torch.no_grad():
-            sums = torch.stack([p.sum() for p in self.model.parameters()])
-        return bool(torch.isfinite(sums).all())
+    def _note(self, metrics: TextIO, kind: str, values: dict[str, Any]) -> None:
+        metrics.write(json.dumps({"step": self.step, "kind": kind, **values}) + "\n")
+        metrics.flush()
 
-    def _watch(self, monitor: Monitor) -> None:
-        if self.ranks.is_first:
-            mse, picture = draw_held_out(self.objectives)
-            monitor.row(self.step, "held_out", {"seconds": round(self.seconds, 2), "mse": mse})
-            monitor.picture(self.step, picture)
-        self.ranks.wait()
+    def _watch(self, metrics: TextIO) -> None:
+        """Note the error on held-out frames, and keep their picture."""
+        mse, picture = draw_held_out(self.objectives)
+        self._note(metrics, "held_out", {"seconds": round(self.seconds, 2), "mse": mse})
+        folder = self.run_dir / "pictures"
+        folder.mkdir(exist_ok=True)
+        Image.fromarray(picture).save(folder / f"{self.step:07d}.png")
 
 
 @contextmanager
@@ -360,9 +323,8 @@ def open_trainer(
     run_dir: Path,
     *,
     device: torch.device | str = "cpu",
-    ranks: Ranks | None = None,
 ) -> Iterator[Trainer]:
     """A trainer with a rasteriser of its own, whose GL context is released at the end."""
     topology = data.meshes.topology(VARIANTS[config.model.variant].topology)
     with Rasteriser.of(topology) as rasteriser:
-        yield Trainer(data, config, run_dir, rasteriser, device=device, ranks=ranks)
+        yield Trainer(data, config, run_dir, rasteriser, device=device)

@@ -42,7 +42,6 @@ from pica_core.train.losses import (
     mesh_loss,
     normal_loss,
 )
-from pica_core.train.parallel import Ranks
 from pica_core.train.rasterise import Rasteriser
 from pica_core.types import Array, Image
 
@@ -61,7 +60,6 @@ class Objectives:
 
     Args:
         rasteriser: Made for the mesh that the model draws; it stays its owner's.
-        ranks: Which part of every batch is this process's.
 
     Attributes:
         drawer: Draws the model's mesh.
@@ -75,13 +73,11 @@ class Objectives:
         config: TrainConfig,
         model: AvatarModel,
         rasteriser: Rasteriser,
-        ranks: Ranks,
         device: torch.device,
     ) -> None:
         self.data = data
         self.config = config
         self.model = model
-        self.ranks = ranks
         self.device = device
         self.notes: list[str] = []
         losses = config.losses
@@ -130,7 +126,7 @@ class Objectives:
 
     def geometry(self, rng: np.random.Generator, noise: torch.Generator) -> dict[str, Tensor]:
         """Losses of a step without images."""
-        frames, _ = self._draw(self.config.schedule.geometry_batch, rng)
+        frames = self._draw(self.config.schedule.geometry_batch, rng)
         with record_function("encode"):
             latent, kl = self._latent(frames, noise)
         with record_function("decode"):
@@ -148,8 +144,8 @@ class Objectives:
             noise: Draws latents, the same in all processes.
             pixel_seed: Seed of the choice of pixels; the image's number in the batch is added.
         """
-        images, numbers = self._draw_images(rng)
-        rngs = [np.random.default_rng([*pixel_seed, number]) for number in numbers]
+        images = self._draw_images(rng)
+        rngs = [np.random.default_rng([*pixel_seed, n]) for n in range(len(images))]
         with record_function("data"):
             images = [self._readable(image, rng_) for image, rng_ in zip(images, rngs, strict=True)]
         frames = [frame for frame, _ in images]
@@ -182,9 +178,9 @@ class Objectives:
         Args: as for `joint`.
         """
         assert self._poses is not None
-        count = self.config.schedule.live_batch * self.ranks.count
-        poses = self.ranks.mine(rng.integers(len(self._poses.arkit), size=count).tolist())
-        rngs = [np.random.default_rng([*pixel_seed, n]) for n in self.ranks.mine([*range(count)])]
+        count = self.config.schedule.live_batch
+        poses = rng.integers(len(self._poses.arkit), size=count).tolist()
+        rngs = [np.random.default_rng([*pixel_seed, n]) for n in range(count)]
         cameras = [self.data.capture.camera(self._poses.cameras[pose]) for pose in poses]
         with record_function("data"):
             pictures = [self._picture(pose) for pose in poses]
@@ -199,18 +195,17 @@ class Objectives:
 
     def expect(self, rng: np.random.Generator) -> None:
         """Have the images decoded that a joint step with this `rng` will need."""
-        images, _ = self._draw_images(rng)
-        self.data.images.expect(images, depth=self._wants_depth)
+        self.data.images.expect(self._draw_images(rng), depth=self._wants_depth)
 
-    def _draw_images(self, rng: np.random.Generator) -> tuple[list[Place], list[int]]:
-        """This process's images of a joint batch, and their numbers in the whole batch."""
-        frames, numbers = self._draw(self.config.schedule.joint_batch, rng)
-        places = self.ranks.mine(rng.random(len(frames) * self.ranks.count).tolist())
+    def _draw_images(self, rng: np.random.Generator) -> list[Place]:
+        """The images of a joint batch."""
+        frames = self._draw(self.config.schedule.joint_batch, rng)
+        places = rng.random(len(frames)).tolist()
         images = []
         for frame, place in zip(frames, places, strict=True):
             names = self.data.images.cameras_of(frame)
             images.append((frame, names[int(place * len(names))]))
-        return images, numbers
+        return images
 
     def _readable(self, image: Place, rng: np.random.Generator) -> Place:
         """The image, or one of another camera if it cannot be read: the same whatever was tried in
@@ -224,7 +219,7 @@ class Objectives:
     def driver(self, rng: np.random.Generator) -> dict[str, Tensor]:
         """Losses of the live encoder, on the codes of the model's own."""
         codes, spread = self._model_codes()
-        frames, _ = self._draw(self.config.schedule.driver_batch, rng)
+        frames = self._draw(self.config.schedule.driver_batch, rng)
         latent = self.model.expression_encoder(self.data.arkit[frames].to(self.device))
         wanted = torch.stack([codes[frame] for frame in frames])
         few = slice(None, None, DRIVER_MESHES)
@@ -290,18 +285,14 @@ class Objectives:
         ]
         return torch.from_numpy(np.concatenate(parts)).to(self.device)
 
-    def _draw(self, count: int, rng: np.random.Generator) -> tuple[list[int], list[int]]:
-        """This process's frames of a batch, and their numbers in the whole batch."""
-        balance = self.config.schedule.frame_balance
-        frames = self.data.draw(count * self.ranks.count, balance, rng)
-        return self.ranks.mine(frames), self.ranks.mine(list(range(len(frames))))
+    def _draw(self, count: int, rng: np.random.Generator) -> list[int]:
+        """The frames of a batch."""
+        return self.data.draw(count, self.config.schedule.frame_balance, rng)
 
     def _latent(self, frames: list[int], noise: torch.Generator) -> tuple[Tensor, Tensor]:
         mean, log_variance = self.encode(frames)
-        shape = (len(mean) * self.ranks.count, *mean.shape[1:])
-        whole = torch.randn(shape, generator=noise)
-        part = slice(self.ranks.rank * len(mean), (self.ranks.rank + 1) * len(mean))
-        sample = reparameterise(mean, log_variance, whole[part].to(self.device))
+        drawn = torch.randn(mean.shape, generator=noise)
+        sample = reparameterise(mean, log_variance, drawn.to(self.device))
         return sample, kl_loss(mean, log_variance)
 
     def _mesh_weights(self) -> Tensor:
@@ -337,7 +328,7 @@ class Objectives:
                 self._laplacian, mesh.vertices_m, self.mean_m, self._rough
             )
             batch_mean = mesh.vertices_m.detach().mean(0, keepdim=True)
-            follow_mean(self.mean_m, self.ranks.average(batch_mean))
+            follow_mean(self.mean_m, batch_mean)
         losses["smooth"] = weights.smooth * smooth
         return losses
 

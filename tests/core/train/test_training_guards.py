@@ -1,8 +1,7 @@
-"""A run that goes wrong says so, goes back if it can, and never loses its last good checkpoint."""
+"""A run that goes wrong says so, and never loses its last good checkpoint."""
 
 from __future__ import annotations
 
-import io
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -11,8 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from PIL import Image
-from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from helpers.small_capture import render_small
 from pica_core.capture.dataset.dataset import Capture
@@ -21,9 +18,7 @@ from pica_core.model.encoder import MAX_LOG_VARIANCE, hold_log_variance
 from pica_core.train.checkpoint import read_checkpoint, write_checkpoint
 from pica_core.train.config import PAPER_LOSSES, PRESETS, LossConfig, TrainConfig
 from pica_core.train.data.training import TrainingData
-from pica_core.train.guard import EXPLOSION_FACTOR, PATIENCE, DivergenceGuard
-from pica_core.train.loop import Losses, Trainer, open_trainer
-from pica_core.train.monitor import Monitor
+from pica_core.train.loop import open_trainer
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
 
@@ -49,52 +44,6 @@ def short(geometry: int, joint: int = 0, **changes: Any) -> TrainConfig:
 def rows(run: Path, kind: str) -> list[dict[str, Any]]:
     lines = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
     return [line for line in lines if line["kind"] == kind]
-
-
-class Poison:
-    """Puts a NaN into the weights after chosen steps."""
-
-    def __init__(self, trainer: Trainer, times: int) -> None:
-        self.trainer = trainer
-        self.times = times
-
-    def __call__(self, step: int, phase: str, losses: Losses) -> bool:
-        if step == 4 and self.times > 0:
-            self.times -= 1
-            with torch.no_grad():
-                next(self.trainer.model.parameters()).view(-1)[0] = torch.nan
-        return True
-
-
-def test_a_run_that_diverges_once_goes_back_at_half_the_rates(
-    data: TrainingData, tmp_path: Path
-) -> None:
-    config = short(6, checkpoint_every=3)
-    with open_trainer(data, config, tmp_path) as trainer:
-        trainer.run(Poison(trainer, 1))
-
-        assert trainer.step == 6
-        assert trainer.rollbacks == 1
-        assert all(torch.isfinite(p).all() for p in trainer.model.parameters())
-
-    (note,) = rows(tmp_path, "note")
-    assert "rollback 1 to step 3" in note["text"]
-    state = read_checkpoint(tmp_path / "checkpoint.pt")
-    assert state["rollbacks"] == 1
-    assert state["rate_scale"] == 0.5
-
-
-def test_a_run_that_diverges_again_and_again_gives_up_and_keeps_its_checkpoint(
-    data: TrainingData, tmp_path: Path
-) -> None:
-    config = short(6, checkpoint_every=3, max_rollbacks=2)
-    with (
-        open_trainer(data, config, tmp_path) as trainer,
-        pytest.raises(TrainingDivergedError, match="after 2 rollbacks"),
-    ):
-        trainer.run(Poison(trainer, 99))
-
-    assert read_checkpoint(tmp_path / "checkpoint.pt")["step"] == 3
 
 
 def test_a_frame_of_unheard_of_variance_spoils_no_weights(
@@ -125,55 +74,17 @@ def test_log_variances_are_bent_only_where_they_are_too_large() -> None:
 def test_weights_that_are_not_finite_are_never_saved(
     data: TrainingData, tmp_path: Path, checkpoint_every: int
 ) -> None:
-    config = short(4, checkpoint_every=checkpoint_every, max_rollbacks=0)
-    with open_trainer(data, config, tmp_path) as trainer:
+    with open_trainer(data, short(4, checkpoint_every=checkpoint_every), tmp_path) as trainer:
         while trainer.step < 3:
             trainer.train_step()
+        saved = trainer.save().read_bytes()
         with torch.no_grad():
             unused = trainer.model.parameter_groups()["encoding"][0]  # in this phase
             unused.view(-1)[0] = torch.nan
         with pytest.raises(TrainingDivergedError, match="weights not finite"):
             trainer.run()
 
-    assert not (tmp_path / "checkpoint.pt").exists()
-
-
-def test_weights_of_a_run_that_is_told_to_stop_are_looked_at_before_they_are_saved(
-    data: TrainingData, tmp_path: Path
-) -> None:
-    with open_trainer(data, short(6, checkpoint_every=3), tmp_path) as trainer:
-        poison = Poison(trainer, 1)
-        trainer.run(lambda *step: poison(*step) and step[0] < 4)
-
-        assert trainer.step == 3
-        assert all(torch.isfinite(p).all() for p in trainer.model.parameters())
-
-    state = read_checkpoint(tmp_path / "checkpoint.pt")
-    assert (state["step"], state["rollbacks"]) == (3, 1)
-
-
-def test_losses_that_explode_are_told_from_a_rare_frame() -> None:
-    guard = DivergenceGuard()
-    for _ in range(100):
-        assert guard.check("joint", {"image": 1.0, "mesh": 1.0}) is None
-
-    assert guard.check("joint", {"image": 3 * EXPLOSION_FACTOR, "mesh": 1.0}) is None  # a rare one
-    assert guard.check("joint", {"image": 1.0, "mesh": 1.0}) is None
-    verdicts = [
-        guard.check("joint", {"image": 3 * EXPLOSION_FACTOR, "mesh": 1.0}) for _ in range(PATIENCE)
-    ]
-
-    assert verdicts[:-1] == [None] * (PATIENCE - 1)
-    assert verdicts[-1] is not None
-    assert f"in {PATIENCE} steps" in verdicts[-1]
-
-
-def test_a_new_phase_has_losses_of_its_own() -> None:
-    guard = DivergenceGuard()
-    for _ in range(100):
-        guard.check("geometry", {"mesh": 1e-3})
-
-    assert all(guard.check("joint", {"image": 10.0}) is None for _ in range(100))
+    assert (tmp_path / "checkpoint.pt").read_bytes() == saved
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs Linux's /dev/full")
@@ -233,22 +144,6 @@ def test_a_look_at_held_out_frames_is_written_and_changes_nothing(
     assert all(torch.equal(found[name], values) for name, values in wanted.items())
     assert len(rows(tmp_path / "watched", "held_out")) == 2
     assert len(list((tmp_path / "watched" / "pictures").iterdir())) == 2
-
-
-def test_lines_and_pictures_stand_on_tensorboards_board_too(tmp_path: Path) -> None:
-    monitor = Monitor(tmp_path)
-    monitor.row(1, "train", {"image": 0.5})
-    monitor.picture(2, np.full((4, 4, 3), 200, np.uint8))
-    monitor.close()
-
-    assert rows(tmp_path, "train") == [{"step": 1, "kind": "train", "image": 0.5}]
-    assert (tmp_path / "pictures" / "0000002.png").exists()
-    board = EventAccumulator(str(tmp_path / "board")).Reload()
-    assert [(point.step, point.value) for point in board.Scalars("train/image")] == [(1, 0.5)]
-    (shown,) = board.Images("held out")
-    assert shown.step == 2
-    with Image.open(io.BytesIO(shown.encoded_image_string)) as image:
-        assert np.asarray(image).tolist() == np.full((4, 4, 3), 200).tolist()
 
 
 @pytest.mark.parametrize("variant", ["full", "coarse", "baseline"])

@@ -1,7 +1,6 @@
 """`pica train` and `pica export`."""
 
 import json
-import os
 import signal
 import sys
 import threading
@@ -34,7 +33,6 @@ from pica_core.train.eval.run import RUN_FILE
 from pica_core.train.export import joint_map, make_avatar, make_baseline
 from pica_core.train.lod.levels import LevelReport, add_levels
 from pica_core.train.loop import Losses, Trainer, open_trainer
-from pica_core.train.parallel import Ranks, open_ranks
 from pica_core.train.stream_metric import make_stream_profile
 
 VariantName = Literal[
@@ -68,8 +66,7 @@ class TrainOptions:
     threads: int = 2
     """CPU threads of torch."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Where to compute; auto takes a GPU where there is one. Under torchrun each process takes one
-    GPU and its part of every batch."""
+    """Where to compute; auto takes a GPU where there is one."""
     resume: bool = False
     """Go on from the run's checkpoint."""
     eval_frames: int = 25
@@ -125,21 +122,13 @@ def train(options: TrainOptions) -> dict[str, Any]:
         raise CheckpointError(f"{options.out}: a run is there already; --resume goes on with it")
     if (before := options.out if options.resume else options.start_from) is not None:
         _check_variant(before, config.model.variant)
-    with (
-        open_ranks(os.environ) as ranks,
-        open_trainer(
-            data, config, options.out, device=_device(options.device, ranks), ranks=ranks
-        ) as trainer,
-    ):
-        if ranks.is_first:
-            _note_run(options, config, data.capture.identity)
+    with open_trainer(data, config, options.out, device=_device(options.device)) as trainer:
+        _note_run(options, config, data.capture.identity)
         if options.resume:
             trainer.restore()
         elif options.start_from is not None:
             trainer.start_from(options.start_from)
-        _run_with_progress(trainer, is_shown=ranks.is_first)
-        if not ranks.is_first:
-            return {"rank": ranks.rank}
+        _run_with_progress(trainer)
         rows = evaluate(trainer, max_frames=options.eval_frames)
         steps = trainer.step
     (options.out / EVALUATION_FILE).write_text(json.dumps(rows, indent=1) + "\n")
@@ -221,14 +210,14 @@ def _add_levels(avatar: Avatar, threads: int) -> tuple[Avatar, list[LevelReport]
     return add_levels(avatar, show=lambda text: print(text, file=sys.stderr))
 
 
-def _device(wished: str, ranks: Ranks) -> torch.device:
-    """Where to compute; several processes take one GPU each."""
+def _device(wished: str) -> torch.device:
+    """Where to compute."""
     has_gpu = torch.cuda.is_available()
     if wished == "cuda" and not has_gpu:
         raise TrainingOptionError("device is cuda, but torch finds no GPU here; use cpu or auto")
     if wished == "cpu" or not has_gpu:
         return torch.device("cpu")
-    return torch.device("cuda", ranks.rank % torch.cuda.device_count())
+    return torch.device("cuda")
 
 
 def _check_variant(run: Path, variant: str) -> None:
@@ -262,8 +251,8 @@ def _config(options: TrainOptions) -> TrainConfig:
     return config.changed(model={"variant": options.variant or usual, **changes})
 
 
-def _run_with_progress(trainer: Trainer, *, is_shown: bool) -> None:
-    """Run with a bar on stderr: phase, losses, time left; without, where another process shows it.
+def _run_with_progress(trainer: Trainer) -> None:
+    """Run with a bar on stderr: phase, losses, time left.
 
     An interrupt is taken between two steps, so that the checkpoint it leaves is whole.
     """
@@ -276,7 +265,7 @@ def _run_with_progress(trainer: Trainer, *, is_shown: bool) -> None:
         TimeRemainingColumn(),
         TextColumn("{task.fields[losses]}"),
     )
-    console = Console(stderr=True, quiet=not is_shown)
+    console = Console(stderr=True)
     with Progress(*columns, console=console, refresh_per_second=2) as progress:
         task = progress.add_task("", total=trainer.total_steps, completed=trainer.step, losses="")
 
