@@ -1,9 +1,8 @@
 """The same call as the demo's without drawing: every latent that the playout buffer lets go is
 decoded, and the time from the tracker's sample to the decoded maps is what counts.
 
-With an impairment the receiver sits behind a proxy that makes its network worse, and a comparison
-with the undisturbed stream says what that does to the rendered faces (`network.proxy`,
-`impaired_call_compare`).
+With an impairment the receiver sits behind a proxy that makes its network worse (`network.proxy`);
+what that does to rendered faces is measured by `playout`, on a virtual clock.
 
 What it does not show: real networks (all is loopback), displays, and more machines than one.
 Wall-clock numbers hold for this machine under its present load.
@@ -27,7 +26,6 @@ import numpy as np
 from tyro.conf import OmitArgPrefixes
 
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.bench.impaired_call_compare import CallComparison
 from pica_client.bench.network.impairment import Impairment
 from pica_client.bench.network.proxy import ImpairedProxy
 from pica_client.call.call import Call, DueFrame
@@ -172,19 +170,16 @@ async def _measure(
     config: BenchConfig, local: local_call.LocalCall, library: AvatarLibrary
 ) -> dict[str, Any]:
     impairment = config.network.impairment()
-    playout = playout_with_floor(config.playout_floor_ms)
-    call = Call(library, playout)
+    call = Call(library, playout_with_floor(config.playout_floor_ms))
     if impairment is None:
-        return await _measure_through(local.url, None, config, local, library, call)
+        return await _measure_through(local.url, config, local, library, call)
     async with ImpairedProxy(local.url, impairment) as proxy:
-        comparison = CallComparison(local.url, proxy.url, library, playout, local.secret_file)
-        result = await _measure_through(proxy.url, comparison, config, local, library, call)
-    return result | {"impairment": asdict(impairment), "rendered": comparison.compare()}
+        result = await _measure_through(proxy.url, config, local, library, call)
+    return result | {"impairment": asdict(impairment)}
 
 
 async def _measure_through(
     url: str,
-    comparison: CallComparison | None,
     config: BenchConfig,
     local: local_call.LocalCall,
     library: AvatarLibrary,
@@ -200,10 +195,7 @@ async def _measure_through(
     receiver = Receiver(link, call)
     queue = DecodeQueue(library)
     loop = asyncio.get_running_loop()
-    work = [receiver.run(), _release(receiver, queue)]
-    if comparison is not None:
-        work.append(comparison.run())
-    tasks = [asyncio.create_task(each) for each in work]
+    tasks = [asyncio.create_task(each) for each in (receiver.run(), _release(receiver, queue))]
     try:
         deadline = loop.time() + local_call.JOIN_TIMEOUT_S
         while call.num_live < len(local.names):
@@ -218,8 +210,6 @@ async def _measure_through(
         begin_s = loop.time()
         call.begin_window(begin_s)
         queue.begin_window()
-        if comparison is not None:
-            comparison.begin_window(begin_s)
         say(f"measuring {config.seconds:g} s of {len(local.names)} peers")
         while (left_s := begin_s + config.seconds - loop.time()) > 0:
             await _pause(tasks, min(left_s, local_call.CHECK_INTERVAL_S))

@@ -55,12 +55,6 @@ def bench_call(options: BenchConfig) -> Result:
         f"{result['decoded_peers']} of {result['peers']} peers, source sample to decoded avatar: "
         f"p50 {latency['p50']} ms, p95 {latency['p95']} ms, p99 {latency['p99']} ms"
     )
-    if rendered := result.get("rendered"):
-        say(
-            f"on a display behind that network: rendered MSE {rendered['mse_delayed']} against the "
-            f"undisturbed stream, concealed {rendered['concealed_ratio']:.1%}, "
-            f"age p50 {rendered['age_ms']['p50']} ms, p95 {rendered['age_ms']['p95']} ms"
-        )
     return result
 
 
