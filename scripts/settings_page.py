@@ -72,7 +72,6 @@ under `[limits]` in the file that `--config FILE` or `PICA_RELAY_CONFIG` names; 
 
 TITLES = {
     "limits": "Limits of a relay: `[limits]`",
-    "webhook": "Webhooks of a relay: `[webhook]`",
     "store": "Avatar store of a relay: `[store]`",
 }
 CLIENTS = {"send": SendOptions, "view": ViewOptions}

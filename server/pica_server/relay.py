@@ -25,8 +25,6 @@ from pica_server.admin.server import AdminServer
 from pica_server.auth.tokens import KeyRing, admin_scope, admit, admit_upload, load_keys
 from pica_server.config.relay import RelayConfig
 from pica_server.errors import AdmissionError, ListenError
-from pica_server.hooks.sender import WebhookSender
-from pica_server.hooks.webhooks import RoomEvent
 from pica_server.net.limits import SocketGuard
 from pica_server.net.proxies import is_in, is_loopback, networks
 from pica_server.net.pump import Pump
@@ -76,14 +74,9 @@ class Relay:
             config,
             None if keys is None else lambda join: admit(keys, join, now=unix_time()),
             new_secret=lambda: secrets.token_urlsafe(16),  # 128 bits
-            notify=self._notify,
             unix_time=unix_time,
         )
         self._pump = Pump(self.hub, config)
-        self.webhooks: WebhookSender | None = None
-        if config.webhook.url:
-            counts = self.hub.stats.webhooks
-            self.webhooks = WebhookSender(config.webhook, counts, unix_time=unix_time)
         self.admin: AdminServer | None = None
         if config.admin_port is not None:
             may_manage = (
@@ -192,8 +185,6 @@ class Relay:
             ) from error
         for sock in self._server.sockets:
             bound_receive_buffer(sock, config.receive_buffer_bytes)
-        if self.webhooks is not None:
-            self.webhooks.start()
         if self.admin is not None and config.admin_port is not None:
             tls = None if self.certificate is None else self.certificate.context
             try:
@@ -221,8 +212,6 @@ class Relay:
             await self._cluster.stop()
         if self.store is not None:
             self.store.close()
-        if self.webhooks is not None:
-            await self.webhooks.stop(self.config.close_timeout_s)
         self._pump.stop()
         if self._watching is not None:
             self._watching.cancel()
@@ -267,10 +256,6 @@ class Relay:
     def cut(self) -> None:
         """Cut every websocket without another word."""
         self._pump.cut()
-
-    def _notify(self, event: RoomEvent) -> None:
-        if self.webhooks is not None:
-            self.webhooks.notify(event)
 
     def _watch_later(self) -> None:
         loop = asyncio.get_running_loop()

@@ -13,7 +13,7 @@ from pica_command.parsing import parse_words
 from pica_command.profile import read_command
 from pica_command.settings import Said, Setting, as_plain, as_toml, settings_of
 from pica_server.cli.relay import RelayOptions
-from pica_server.config.relay import LimitsConfig, RelayConfig, WebhookConfig
+from pica_server.config.relay import LimitsConfig, RelayConfig
 from pica_server.store.config import StoreConfig
 
 pytestmark = pytest.mark.unit
@@ -247,10 +247,9 @@ def test_secrets_are_not_printed() -> None:
 def test_every_setting_of_a_relay_has_a_place_in_file_and_environment() -> None:
     settings = settings_of(RelayOptions)
     names = {setting.name for setting in settings}
-    assert {f.name for f in fields(RelayConfig)} - {"limits", "store", "webhook"} <= names
+    assert {f.name for f in fields(RelayConfig)} - {"limits", "store"} <= names
     assert {f"limits.{f.name}" for f in fields(LimitsConfig)} <= names
     assert {f"store.{f.name}" for f in fields(StoreConfig)} <= names
-    assert {f"webhook.{f.name}" for f in fields(WebhookConfig)} <= names
     variables = {setting.variable("PICA_RELAY_") for setting in settings}
     assert len(variables) == len(settings)
     assert "PICA_RELAY_LIMITS_JOINS_PER_S" in variables

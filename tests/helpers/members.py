@@ -7,7 +7,6 @@ from pica_protocol.codec import decode_message
 from pica_protocol.frames import Frame, decode_media
 from pica_protocol.messages import Message, Metadata, Track
 from pica_server.config.relay import RelayConfig
-from pica_server.hooks.webhooks import RoomEvent
 from pica_server.room.connection import Connection
 from pica_server.room.hub import Hub
 
@@ -98,10 +97,9 @@ def hub_with(
     *names: str,
     config: RelayConfig | None = None,
     resumable: bool = False,
-    notify: Callable[[RoomEvent], None] | None = None,
 ) -> tuple[Hub, list[Member]]:
     """A hub with secrets that count up, and members of one room who have heard all there is."""
-    hub = Hub(config or RelayConfig(), new_secret=counting_secrets(), notify=notify)
+    hub = Hub(config or RelayConfig(), new_secret=counting_secrets())
     members = [Member(hub, name, resumable=resumable) for name in names]
     for member in members:
         member.listen(now=0.0)

@@ -177,18 +177,6 @@ async def test_a_relay_that_is_stopped_while_faces_gather_stops_in_good_order() 
         await ada.send_frame(b"never mind")
 
 
-@in_virtual_time
-async def test_without_that_part_nothing_gathers() -> None:
-    async with (
-        busy_relay(RelayConfig(without=("gather",))),
-        peer_in_room(URL, "Ada") as ada,
-        peer_in_room(URL, "Bob") as bob,
-    ):
-        await ada.send_frame(b"now")
-        await asyncio.sleep(AT_ONCE_S)
-        assert payloads(bob) == [b"now"]
-
-
 @pytest.mark.parametrize(
     ("streams", "may"),
     [([1], True), ([1, 1], True), ([2], False), ([1, 2], False), ([9], False), ([], False)],

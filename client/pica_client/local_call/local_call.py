@@ -87,8 +87,6 @@ class LocalCall:
         config: LocalCallConfig,
         library: AvatarLibrary,
         children: Children,
-        *,
-        relay_arguments: Sequence[str] = (),
     ) -> None:
         sources = peer_sources(config.source, config.peers)
         for source in dict.fromkeys(sources):
@@ -101,7 +99,7 @@ class LocalCall:
         self._children = children
         secret = self.secret_file = _make_secret(children) if config.is_encrypted else None
         self.secret_arguments = [] if secret is None else ["--secret-file", str(secret)]
-        self.relay, self.url = children.start_relay(*relay_arguments)
+        self.relay, self.url = children.start_relay()
         self.senders: dict[str, Child] = {}
         has_voices = config.has_voices and available() is None
         for index, (name, source) in enumerate(zip(self.names, sources, strict=True)):

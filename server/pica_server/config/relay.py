@@ -5,7 +5,6 @@ import socket
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
-from urllib.parse import urlsplit
 
 from pica_protocol.limits import MAX_PEERS, check_url
 from pica_server.config.ranges import Range, check_ranges
@@ -13,7 +12,6 @@ from pica_server.errors import ConfigurationError
 from pica_server.net.proxies import is_loopback, networks
 from pica_server.store.config import StoreConfig
 
-_HTTP_URL = re.compile(r"https?://([A-Za-z0-9._-]+|\[[0-9a-fA-F:.]+\])(:\d{1,5})?(/[!-~]*)?")
 _ORIGIN = re.compile(r"https?://[^/?#\s]+")
 _NATS_URL = re.compile(r"(nats|tls)://([^/?#\s@]+@)?[A-Za-z0-9._-]+(:[0-9]{1,5})?")
 
@@ -45,31 +43,6 @@ class LimitsConfig:
 
     def __post_init__(self) -> None:
         check_ranges(self, "limits.")
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class WebhookConfig:
-    """Telling another server what happens in rooms."""
-
-    url: str = ""
-    """Where events are posted to, http:// or https://; empty: nowhere. See docs/rooms.md."""
-    secret_file: Path | None = None
-    """File with the secret that events are signed with; without it they are not."""
-    ca_file: Path | None = None
-    """File of certificates to trust besides those of the system, for https://."""
-    timeout_s: Annotated[float, Range(0.1, 60)] = 5.0
-    """Seconds for one attempt."""
-    give_up_s: Annotated[float, Range(0, 86_400)] = 600.0
-    """Seconds after which an event that cannot be delivered is dropped."""
-    max_waiting: Annotated[int, Range(1, 100_000)] = 1000
-    """Events that may wait; one more drops the oldest."""
-
-    def __post_init__(self) -> None:
-        check_ranges(self, "webhook.")
-        if self.url and not _is_http_url(self.url):
-            raise ConfigurationError("--webhook.url is no address: write https://HOST/PATH")
-        if self.secret_file is not None and not self.url:
-            raise ConfigurationError("--webhook.secret-file signs events: name a --webhook.url")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -145,9 +118,6 @@ class RelayConfig:
     may round it up."""
     max_control_bytes: Annotated[int, Range(65_536, 16_777_216)] = 262_144
     """Bytes of control messages that may wait for one peer before it is closed."""
-    without: tuple[str, ...] = ()
-    """Parts of the fast path to leave out, `short-read`, `direct-write`, `flow`, `gather` and
-    `ride`, to measure what each is worth."""
     resume_grace_s: Annotated[float, Range(0, 600)] = 10.0
     """Seconds for which the place of a peer is kept whose connection broke; 0 keeps none."""
     drain_s: Annotated[float, Range(0, 3600)] = 20.0
@@ -157,8 +127,6 @@ class RelayConfig:
     address again, where a load balancer may send them elsewhere."""
     limits: LimitsConfig = field(default_factory=LimitsConfig)
     """What clients may ask for."""
-    webhook: WebhookConfig = field(default_factory=WebhookConfig)
-    """Whom to tell who comes and goes."""
     store: StoreConfig = field(default_factory=StoreConfig)
     """What the avatar store takes and gives."""
 
@@ -204,10 +172,3 @@ class RelayConfig:
                 "tokens: name a key file with --keys (`pica token --new-key` makes one), keep "
                 "--host 127.0.0.1, or add --insecure to let anybody in"
             )
-
-
-def _is_http_url(text: str) -> bool:
-    try:
-        return _HTTP_URL.fullmatch(text) is not None and urlsplit(text).port != 0
-    except ValueError:  # a port that no host has
-        return False

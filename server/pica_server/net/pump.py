@@ -68,8 +68,6 @@ class Pump:
         self.cluster: Cluster | None = None
         self._hub = hub
         self._config = config
-        self._gathers = "gather" not in config.without
-        self._writes_at_once = "direct-write" not in config.without
         self._all_gone = asyncio.Event()
         self._drain_ends_s: float | None = None
         self._wakers: dict[Connection, _Waker] = {}
@@ -127,8 +125,7 @@ class Pump:
                 reason = f"speak the websocket sub-protocol {SUBPROTOCOL}"
                 self._hub.close(connection, CloseCode.WRONG_VERSION, reason, self._now())
             self.after_events()
-            if "short-read" not in self._config.without:
-                websocket.hand_to(lambda data: self._on_message(connection, data))
+            websocket.hand_to(lambda data: self._on_message(connection, data))
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self._read(websocket, connection))
                 tasks.create_task(self._write(websocket, connection, waker))
@@ -177,7 +174,7 @@ class Pump:
     def _gather(self, connection: Connection, data: bytes, now: float) -> bool:
         """Let a message wait for others of its room, if it may; return whether it does."""
         hub, room = self._hub, connection.room
-        if not self._gathers or not hub.brake.is_gathering or room is None:
+        if not hub.brake.is_gathering or room is None:
             return False
         if not hub.forwarding.may_gather(room, data):
             return False
@@ -353,7 +350,7 @@ class Pump:
             if not is_over and (due_s := outbox.due_s(now)) > now:
                 self._hub.hold(connection, due_s)
                 continue
-            if waker.is_idle and not is_over and self._writes_at_once:
+            if waker.is_idle and not is_over:
                 message = outbox.take(now)
                 if message is not None:
                     if message is not last:  # many get the very same

@@ -46,7 +46,6 @@ _LABELLED_COUNTERS: Final = (
     ("cluster", "cluster", "event", "What happened in the cluster."),
     ("cluster_frames_dropped", "cluster_dropped", "reason", "Frames another node did not get."),
     ("resumes", "resumes", "outcome", "Lost connections, and who came back."),
-    ("webhooks", "webhooks", "outcome", "Events for the webhook."),
     ("limits_hit", "limits_hit", "limit", "How often a limit was reached."),
     ("store", "store", "what", "What the avatar store did, times or bytes."),
     ("log_lines", "log", "outcome", "Lines of the log."),

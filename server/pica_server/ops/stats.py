@@ -89,9 +89,6 @@ class RelayStats:
     ``admission``, a join that its token did not allow; ``sockets`` that were cut at once, a
     ``request`` that grew too long before it was a websocket; ``extra_frames``, pings and
     fragments."""
-    webhooks: Counter[str] = field(default_factory=Counter)
-    """Events that were ``delivered``; attempts that ``failed``; events that were dropped, as
-    ``overflow`` or ``expired``."""
     closed: Counter[int] = field(default_factory=Counter)
     """Connections ended, by close code; 0 is any code that is not ours."""
     store: Counter[str] = field(default_factory=Counter)

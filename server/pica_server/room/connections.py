@@ -72,10 +72,7 @@ class Connections:
         """
         config, limits = self.config, self.config.limits
         session = ServerSession(software=SOFTWARE, now=now, timeout_s=config.handshake_timeout_s)
-        flows = "flow" not in config.without
-        rides = "ride" not in config.without
-        drops = self.stats.dropped
-        outbox = Outbox(config.max_control_bytes, drops, flows=flows, rides=rides, brake=self.brake)
+        outbox = Outbox(config.max_control_bytes, self.stats.dropped, brake=self.brake)
         serial = next(self._serials)
         peer_id = f"{self.prefix}{serial}"
         connection = Connection(serial, session, outbox, limits, address, now, peer_id)

@@ -24,7 +24,6 @@ from pica_protocol.session import Closed, Media, ServerEvent
 from pica_server.auth.tokens import Admission
 from pica_server.cluster.peers import ClusterPeers
 from pica_server.config.relay import RelayConfig
-from pica_server.hooks.webhooks import RoomEvent
 from pica_server.ops.stats import RelayStats
 from pica_server.room.connection import Connection
 from pica_server.room.connections import Connections
@@ -56,7 +55,6 @@ class Hub:
         admit: Callable[[Join], Admission] | None = None,
         *,
         new_secret: Callable[[], str] | None = None,
-        notify: Callable[[RoomEvent], None] | None = None,
         unix_time: Callable[[], float] = float,
     ) -> None:
         """Begin empty.
@@ -65,7 +63,6 @@ class Hub:
             admit: Says what who joins may do, or raises `AdmissionError`; everybody may do
                 everything by default.
             new_secret: Makes secrets to come back with; without it no place is kept.
-            notify: Told at once what happens in rooms; it must neither block nor raise.
             unix_time: The clock that an admin's rulings end by, seconds since 1970; one that stands
                 still by default, so that they never do.
         """
@@ -82,7 +79,6 @@ class Hub:
             self._tickets,
             self.rulings,
             admit or (lambda join: Admission()),
-            notify or (lambda notice: None),
         )
         self.moderation = Moderation(
             self.connections, self.membership, self.forwarding, self.rulings

@@ -25,7 +25,6 @@ from pica_protocol.session import Closed
 from pica_server.auth.tokens import Admission
 from pica_server.cluster.messages import Member
 from pica_server.errors import AdmissionError, RoomFullError
-from pica_server.hooks.webhooks import RoomEvent
 from pica_server.net.limits import TokenBucket
 from pica_server.room.connection import Connection
 from pica_server.room.connections import Connections
@@ -49,8 +48,6 @@ class Membership:
     _rulings: Rulings
     _admit: Callable[[Join], Admission]
     """Says what who joins may do, or raises `AdmissionError`."""
-    _notify: Callable[[RoomEvent], None]
-    """Told at once what happens in rooms; it must neither block nor raise."""
 
     def __post_init__(self) -> None:
         self._stats = self._connections.stats
@@ -226,8 +223,6 @@ class Membership:
     def _enter(
         self, connection: Connection, room: Room, joined: Joined, admission: Admission, now: float
     ) -> None:
-        if len(room) == 1:
-            self._notify(RoomEvent(event="room_started", room=room.name))
         self.rooms[room.name] = room
         peer = room.peer(connection.peer_id)
         for track in peer.tracks:
@@ -235,7 +230,6 @@ class Membership:
             assert stream is not None
             stream.is_muted = self._rulings.holds(room.name, peer.identity, track.kind)
         self._stats.joins += 1
-        self._note(room, connection.peer_id, "peer_joined")
         self._accept(connection, room, joined, now)
         tell_others = self._connections.tell_others
         tell_others(room, peer.peer_id, PeerJoined(peer=peer), now)
@@ -329,7 +323,6 @@ class Membership:
             self._connections.cluster_peers.leave(connection, reason)
         room, connection.room = connection.room, None
         if room is not None:
-            self._note(room, connection.peer_id, "peer_left", reason)
             self._forget(room, connection.peer_id, reason, now)
 
     def _forget(self, room: Room, peer_id: str, reason: str, now: float) -> None:
@@ -339,26 +332,11 @@ class Membership:
             for node in list(room.links):
                 self._forwarding.drop_link(room, node)
             del self.rooms[room.name]
-            self._notify(RoomEvent(event="room_ended", room=room.name))
             return
         for track in peer.tracks:
             self._forwarding.forget_stream(room, track.stream)
         news = PeerLeft(peer_id=peer_id, reason=reason)
         self._connections.tell_others(room, peer_id, news, now)
-
-    def _note(self, room: Room, peer_id: str, event: str, reason: str = "") -> None:
-        """Tell whoever keeps books about a peer of this node."""
-        peer = room.peer(peer_id)
-        self._notify(
-            RoomEvent(
-                event=event,
-                room=room.name,
-                peer_id=peer_id,
-                identity=peer.identity,
-                name=peer.name,
-                reason=reason,
-            )
-        )
 
 
 def _is_loss(closed: Closed) -> bool:

@@ -97,7 +97,6 @@ class Outbox:
         drops: Counter[str],
         *,
         flows: bool = True,
-        rides: bool = True,
         brake: Brake | None = None,
     ) -> None:
         """Begin empty.
@@ -106,12 +105,11 @@ class Outbox:
             max_control_bytes: Control messages that may wait.
             drops: Where frames that are dropped for slowness are counted, by reason.
             flows: Whether streams may flow; if not, every frame goes through its queue.
-            rides: Whether frames may wait for others to share a message with.
             brake: Knows whether the core of the relay is full; by default it never is.
         """
         self._max_control_bytes = max_control_bytes
         self._drops = drops
-        self._may_flow, self._rides = flows, rides
+        self._may_flow = flows
         self._brake = brake or Brake()
         self._control: deque[bytes] = deque()
         self.waiting_control_bytes = 0
@@ -139,7 +137,7 @@ class Outbox:
     def due_s(self, now: float) -> float:
         """When what waits is to go: now, or later if it shares a message with what is to come."""
         ends_s = self._ride_ends_s
-        if ends_s <= now or self._voices or self._control or not self._rides:
+        if ends_s <= now or self._voices or self._control:
             return now
         return ends_s
 

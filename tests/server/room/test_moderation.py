@@ -8,7 +8,6 @@ from pica_protocol.frames import Frame
 from pica_protocol.messages import KeyframeRequest, PeerLeft, StreamMuted
 from pica_server.auth.tokens import Admission
 from pica_server.config.relay import RelayConfig
-from pica_server.hooks.webhooks import RoomEvent
 from pica_server.room.hub import Hub
 from pica_server.room.rulings import RULING_S
 
@@ -201,23 +200,3 @@ def test_what_is_not_there_cannot_be_muted_removed_or_closed() -> None:
     assert not hub.moderation.remove("lobby", "p99", now=1.0)
     assert not hub.moderation.remove("nowhere", ada.peer_id, now=1.0)
     assert hub.moderation.close_room("nowhere", now=1.0) is None
-
-
-def test_whoever_keeps_books_hears_who_came_and_went_but_not_who_was_away() -> None:
-    notices: list[RoomEvent] = []
-    hub, (ada, bob) = hub_with("Ada", "Bob", resumable=True, notify=notices.append)
-    Member(hub, "Ada", now=2.0, ticket=ada.lose_connection(now=1.0))
-    hub.moderation.remove("lobby", ada.peer_id, now=3.0)
-    hub.disconnect(bob.connection, 1006, "", now=4.0)
-    hub.handle_timer(now=20.0)
-    assert [(n.event, n.name, n.reason) for n in notices] == [
-        ("room_started", "", ""),
-        ("peer_joined", "Ada", ""),
-        ("peer_joined", "Bob", ""),
-        ("peer_left", "Ada", "removed"),
-        ("peer_left", "Bob", "lost"),
-        ("room_ended", "", ""),
-    ]
-    assert {n.room for n in notices} == {"lobby"}
-    assert notices[1].peer_id == ada.peer_id
-    assert FACE.kind not in repr(notices)

@@ -193,15 +193,6 @@ def test_faces_alone_come_together_to_a_narrow_receiver() -> None:
     assert outbox.due_s(1.01) == 1.0 + NARROW_RIDE_S
 
 
-def test_nothing_waits_where_frames_may_not_share() -> None:
-    outbox, _ = outbox_with_voices(rides=False)
-    outbox.note_full(0.9)
-    put(outbox, VOICE, 1.0)
-    outbox.take(1.0)
-    put(outbox, FACE, 1.005)
-    assert outbox.due_s(1.005) == 1.005
-
-
 def test_who_wants_no_voice_gets_none_and_who_wants_no_face_the_voice() -> None:
     outbox, _ = outbox_with_voices()
     outbox.want(VOICE, None)

@@ -1,1 +1,0 @@
-"""Room events, told to somebody else's server by webhooks."""
