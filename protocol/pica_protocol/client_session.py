@@ -52,6 +52,7 @@ class ClientSession(session.Session):
         tracks: Our own tracks; with their streams, once joined.
         peers: Everybody else in the room by id, kept up to date.
         away: Ids of those among them who have lost their connection and may come back.
+        is_admin: Whether we may moderate the room, once joined.
         muted: Streams that an admin has stopped, our own among them.
         drops: Frames that did not go out because the network was too slow, by reason.
     """
@@ -89,7 +90,8 @@ class ClientSession(session.Session):
         self.tracks = tracks
         self.peers: dict[str, messages.Peer] = {}
         self.away: set[str] = set()
-        self.muted: set[int] = set()
+        self.is_admin = False
+        self.muted: frozenset[int] = frozenset()
         self.drops: Counter[str] = Counter()
         self._room = room
         self._seal = seal
@@ -256,6 +258,7 @@ class ClientSession(session.Session):
                 self._check_peers(message.peer_id, message.tracks, message.peers)
                 self.peer_id = message.peer_id
                 self.name = message.name or self.name
+                self.is_admin = message.is_admin
                 self.tracks = message.tracks
                 self.peers = {peer.peer_id: peer for peer in message.peers}
                 self._deadline = None
@@ -287,7 +290,8 @@ class ClientSession(session.Session):
                 if peer_id in self.peers:
                     self.peers[peer_id] = replace(self.peers[peer_id], metadata=metadata)
             case messages.StreamMuted(stream=stream, is_muted=is_muted):
-                (self.muted.add if is_muted else self.muted.discard)(stream)
+                # Replaced and never changed: other threads read it.
+                self.muted = self.muted | {stream} if is_muted else self.muted - {stream}
         assert isinstance(message, messages.Joined | messages.RoomNews)  # so says the table
         return [message]
 

@@ -54,7 +54,7 @@ class CloseCode(IntEnum):
     UNAUTHORIZED = 4011
     """No token, or none that is good for this room and this moment."""
     FORBIDDEN = 4012
-    """The token does not allow what the join asks for."""
+    """The token does not allow what is asked for, or an admin has barred its identity."""
     REPLACED = 4013
     """The same identity has joined again from elsewhere; the newer one stays."""
     UNFIT_FILE = 4014
@@ -62,9 +62,7 @@ class CloseCode(IntEnum):
     STORE_FULL = 4015
     """The avatar store has no room for this file, or takes none as large."""
     REMOVED = 4016
-    """An admin has put this peer out of the room."""
-    ROOM_CLOSED = 4017
-    """An admin has closed the room."""
+    """An admin has removed this peer from the room."""
 
 
 _WORTH_RETRYING = frozenset(

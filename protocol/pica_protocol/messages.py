@@ -204,6 +204,8 @@ class Joined(Checked):
     """How long the place is kept after the connection broke, milliseconds."""
     name: Annotated[str, _text(limits.MAX_NAME_BYTES)] = _added("")
     """What the others are shown, where the token says it; empty: the name of the ``Join``."""
+    is_admin: bool = False
+    """Whether the token has the grant ``admin``: this client may moderate the room."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -296,6 +298,34 @@ class Whisper(Checked):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class RemovePeer(Checked):
+    """An admin removes a participant from the room; their token still lets them join again."""
+
+    peer_id: Token
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MutePeer(Checked):
+    """An admin stops what a participant sends of one kind, or lets it go on. Everybody is told with
+    ``StreamMuted``."""
+
+    peer_id: Token
+    kind: Annotated[str, limits.check_token, _text(MAX_TRACK_KIND_BYTES)]
+    """The kind of track, as ``face`` or ``voice``."""
+    is_muted: bool
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BarIdentity(Checked):
+    """An admin removes an identity and keeps it out until the room is empty, or lets it join
+    again."""
+
+    identity: Token
+    """The identity in the participant's token, see ``Peer``."""
+    is_barred: bool
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class StreamReport(Checked):
     """How one stream arrived since the last report."""
 
@@ -340,7 +370,9 @@ RoomNews = (
     | Whisper
 )
 """What a relay says to who is in a room."""
-FromMember = Want | KeyframeRequest | Report | Whisper | UpdateMetadata
+Moderation = RemovePeer | MutePeer | BarIdentity
+"""What only an admin says to the relay."""
+FromMember = Want | KeyframeRequest | Report | Whisper | UpdateMetadata | Moderation
 """What who is in a room says to the relay, but for ``Leave``."""
 Message = Hello | Welcome | Join | Joined | Leave | Bye | RoomNews | FromMember
 

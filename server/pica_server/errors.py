@@ -11,7 +11,6 @@ RelayError
 │       ├── StoreFullError  a file that it has no room for
 │       ├── BusyError       a transfer more than go on at once
 │       └── TooLateError    a transfer that takes longer than it may
-├── AdminRequestError    a relay does not do what an admin asks for
 ├── ClusterError         the cluster cannot be joined
 ├── ClusterMessageError  another node sent what cannot be read
 ├── RoomFullError        one peer more than the room takes
@@ -93,10 +92,6 @@ class ClusterAwayError(ClusterError):
 
 class ClusterMessageError(RelayError, ValueError):
     """Another node, or whoever may use its NATS, sent what cannot be read; quotes nothing of it."""
-
-
-class AdminRequestError(RelayError):
-    """A relay does not answer an admin, or says no: its reason."""
 
 
 class RoomFullError(RelayError):

@@ -20,8 +20,6 @@ from pica_protocol import SUBPROTOCOL
 from pica_protocol.errors import CloseCode
 from pica_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
 from pica_protocol.store import AVATARS_PATH, STORE_SUBPROTOCOL
-from pica_server.admin.admin import Admin
-from pica_server.admin.server import AdminServer
 from pica_server.auth.tokens import KeyRing, admin_scope, admit, admit_upload, load_keys
 from pica_server.config.relay import RelayConfig
 from pica_server.errors import AdmissionError, ListenError
@@ -74,15 +72,8 @@ class Relay:
             config,
             None if keys is None else lambda join: admit(keys, join, now=unix_time()),
             new_secret=lambda: secrets.token_urlsafe(16),  # 128 bits
-            unix_time=unix_time,
         )
         self._pump = Pump(self.hub, config)
-        self.admin: AdminServer | None = None
-        if config.admin_port is not None:
-            may_manage = (
-                None if keys is None else lambda token: admin_scope(keys, token, now=unix_time())
-            )
-            self.admin = AdminServer(Admin(self.hub, may_manage), self._pump.after_events)
 
         def may_upload(token: str, avatar: str) -> None:
             if keys is not None:
@@ -119,7 +110,10 @@ class Relay:
         self._server: Server | None = None
         self._cluster: Cluster | None = None
         self._watch = LoopWatch()
-        self._pages = StatusPages(self.hub, self._watch, config, self.store)
+        admin_room = (
+            None if keys is None else lambda token: admin_scope(keys, token, now=unix_time())
+        )
+        self._pages = StatusPages(self.hub, self._watch, config, self.store, admin_room)
         self._watching: asyncio.TimerHandle | None = None
 
     @property
@@ -185,20 +179,11 @@ class Relay:
             ) from error
         for sock in self._server.sockets:
             bound_receive_buffer(sock, config.receive_buffer_bytes)
-        if self.admin is not None and config.admin_port is not None:
-            tls = None if self.certificate is None else self.certificate.context
-            try:
-                await self.admin.start(config.admin_host, config.admin_port, tls)
-            except ListenError:
-                await self.__aexit__(None, None, None)
-                raise
         self._watch_later()
         return self
 
     async def __aexit__(self, *_: object) -> None:
         assert self._server is not None
-        if self.admin is not None:
-            await self.admin.stop()
         self._server.close(close_connections=False)
         # Nobody waits for those until their handshake is late.
         for websocket in list(self._silent):
@@ -228,14 +213,18 @@ class Relay:
             return websocket.respond(HTTPStatus.FORBIDDEN, text)
         if request.path.startswith(AVATARS_PATH):
             return self._downloads.answer(websocket, request)
-        page = self._pages.answer(request.path, is_local=is_local, now=self._now())
+        page = self._pages.answer(
+            request.path,
+            authorization=", ".join(request.headers.get_all("Authorization")),
+            is_local=is_local,
+            now=self._now(),
+        )
         if page is None:
             return None
         response = websocket.respond(page.status, page.text)
         del response.headers["Content-Type"]
         response.headers["Content-Type"] = page.content_type
-        if page.retry_after_s is not None:
-            response.headers["Retry-After"] = f"{page.retry_after_s:.0f}"
+        response.headers.update(page.headers)
         return response
 
     def _on_error(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:

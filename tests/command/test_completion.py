@@ -52,7 +52,7 @@ def test_completion_knows_the_options_that_help_knows(
     [
         ("vi", "view"),
         ("con", "config"),
-        ("room mu", "mute"),
+        ("config sh", "show"),
         ("bench ca", "call"),
         ("view --layout ", "line arc table grid"),
         ("bench call --pe", "--peers"),

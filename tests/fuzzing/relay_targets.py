@@ -155,18 +155,16 @@ def _administer(rng: random.Random, relay: Hub, now: float) -> None:
     """Do to the room of strangers alone what an admin may do."""
     attic = relay.room("attic")
     peers = [] if attic is None else [peer.peer_id for peer in attic.peers]
-    match rng.randrange(5):
+    if attic is None:
+        return
+    match rng.randrange(4):
         case 0:
-            relay.moderation.close_room("attic", now)
+            relay.moderation.remove(attic, rng.choice([*peers, "p1"]), now)
         case 1:
-            relay.moderation.remove("attic", rng.choice([*peers, "p1"]), now=now)
-        case 2:
-            who = f"{rng.randrange(3)}"
-            relay.moderation.bar("attic", who, is_barred=rng.random() < 0.5, now=now)
+            who = f"eve{rng.randrange(3)}"
+            relay.moderation.bar(attic, who, is_barred=rng.random() < 0.5, now=now)
         case _:
-            relay.moderation.mute(
-                "attic", rng.randrange(1, 9), is_muted=rng.random() < 0.5, now=now
-            )
+            relay.moderation.mute(attic, rng.randrange(1, 9), is_muted=rng.random() < 0.5, now=now)
 
 
 def _plan(rng: random.Random, has_keys: bool, secrets: list[str], stream: int) -> list[bytes]:

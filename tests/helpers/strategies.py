@@ -13,6 +13,7 @@ from pica_protocol.limits import (
 )
 from pica_protocol.messages import (
     BYE_CODES,
+    BarIdentity,
     Bye,
     Hello,
     Join,
@@ -20,12 +21,14 @@ from pica_protocol.messages import (
     KeyframeRequest,
     Leave,
     Message,
+    MutePeer,
     Peer,
     PeerAway,
     PeerBack,
     PeerJoined,
     PeerLeft,
     PeerUpdated,
+    RemovePeer,
     Report,
     StreamMuted,
     StreamReport,
@@ -95,6 +98,7 @@ messages: st.SearchStrategy[Message] = st.one_of(
         resume=secrets,
         resume_ms=counters,
         name=texts,
+        is_admin=st.booleans(),
     ),
     st.builds(PeerJoined, peer=peers),
     st.builds(PeerLeft, peer_id=tokens, reason=texts),
@@ -118,6 +122,11 @@ messages: st.SearchStrategy[Message] = st.one_of(
     st.builds(
         Whisper, peer_id=tokens, data=st.binary(max_size=20) | st.just(bytes(MAX_WHISPER_BYTES))
     ),
+    st.builds(RemovePeer, peer_id=tokens),
+    st.builds(
+        MutePeer, peer_id=tokens, kind=st.sampled_from(("face", "voice")), is_muted=st.booleans()
+    ),
+    st.builds(BarIdentity, identity=tokens, is_barred=st.booleans()),
     st.builds(
         Bye,
         code=st.sampled_from(BYE_CODES) | st.integers(3000, 4999),

@@ -3,7 +3,7 @@ import re
 
 import pytest
 
-from golden.wire_samples import FRAMES, GOLDEN, MESSAGES, OLDER, invalid_bytes, wire_bytes
+from golden.wire_samples import FRAMES, GOLDEN, MESSAGES, invalid_bytes, wire_bytes
 from helpers.paths import ROOT
 from pica_protocol import PROTOCOL_VERSION
 from pica_protocol.codec import decode_message
@@ -25,11 +25,6 @@ def test_golden_bytes_decode_to_their_sample(name: str) -> None:
         assert decode_message(data) == MESSAGES[name]
     else:
         assert decode_media(data) == FRAMES[name]
-
-
-@pytest.mark.parametrize("name", VECTORS["older"])
-def test_what_earlier_versions_sent_still_decodes(name: str) -> None:
-    assert decode_message(bytes.fromhex(VECTORS["older"][name])) == OLDER[name]
 
 
 @pytest.mark.parametrize("name", VECTORS["valid"])

@@ -3,7 +3,7 @@
 Pure. Who only watches is in it, too: whoever can see us is to be seen.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -38,6 +38,10 @@ class Participant:
     quality: Quality = "unknown"
     is_verified: bool = False
     """Whether it has proven to know the room's secret, where faces are encrypted."""
+    identity: str = ""
+    """The one of their token; empty without tokens."""
+    muted_kinds: frozenset[str] = frozenset()
+    """What an admin has stopped of theirs: "face", "voice"."""
     is_assured: bool = False
     """Whether the relay has the name from a token."""
     warning: str = ""
@@ -56,9 +60,17 @@ class Participant:
 
 
 def list_participants(
-    own: Participant, room: RoomState, quality: Mapping[str, Quality]
+    own: Participant,
+    room: RoomState,
+    quality: Mapping[str, Quality],
+    muted_streams: Collection[int] = (),
 ) -> tuple[Participant, ...]:
-    """Everybody in the room; ``quality`` by peer id, and unknown of who is missing there."""
+    """Everybody in the room.
+
+    Args:
+        quality: By peer id; unknown of who is missing there.
+        muted_streams: Those that an admin has stopped.
+    """
     warnings = name_warnings((member.peer for member in room.members), own.name)
     listed = [own]
     for member in room.members:
@@ -76,6 +88,10 @@ def list_participants(
                 is_voice_muted=member.is_voice_muted,
                 quality=quality.get(peer_id, "unknown"),
                 is_verified=peer_id in room.verified,
+                identity=member.peer.identity,
+                muted_kinds=frozenset(
+                    track.kind for track in member.peer.tracks if track.stream in muted_streams
+                ),
                 is_assured=member.peer.is_name_assured,
                 warning=warnings[peer_id],
                 note="connection lost" if member.is_away else room.notes.get(peer_id, ""),

@@ -27,8 +27,10 @@ class CallStatus:
     away_s: float = 0.0
     """How long it has not."""
     own_quality: Quality = "unknown"
-    is_muted_by_admin: bool = False
-    """Whether an admin has stopped our own face."""
+    is_admin: bool = False
+    """Whether our token lets us moderate the room."""
+    muted_by_admin: str = ""
+    """What an admin has stopped of our own: "face", "voice", both, or nothing."""
     own_trouble: str = ""
     """What is wrong with the tracker of our own face; empty: nothing, or there is none."""
     peers: Mapping[str, PeerStatus] = field(default_factory=dict)

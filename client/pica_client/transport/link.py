@@ -44,6 +44,7 @@ from pica_protocol.messages import (
     FromMember,
     Joined,
     KeyframeRequest,
+    Moderation,
     Report,
     Track,
     UpdateMetadata,
@@ -221,6 +222,22 @@ class Link:
     def report(self, report: Report) -> None:
         """Tell the relay how streams arrived, if it is there."""
         self._tell(report)
+
+    def moderate(self, message: Moderation) -> None:
+        """Ask the relay to remove, mute or bar somebody; dropped while nothing can be sent."""
+        self._tell(message)
+
+    @property
+    def is_admin(self) -> bool:
+        """Whether our token lets us moderate the room that we are in."""
+        session = self._session  # another thread may ask
+        return session is not None and session.is_admin
+
+    @property
+    def muted_streams(self) -> frozenset[int]:
+        """Streams of the room that an admin has stopped."""
+        session = self._session
+        return frozenset() if session is None else session.muted
 
     def _tell(self, message: FromMember) -> bool:
         """Have the session take one more message, if it can, and let the writer look."""

@@ -42,7 +42,9 @@ class CallMonitor:
         room, guard = receiver.call.room(now), receiver.link.guard
         quality = {peer_id: peer.quality for peer_id, peer in peers.items()}
         return CallStatus(
-            participants=list_participants(self._own(room.own_name), room, quality),
+            participants=list_participants(
+                self._own(room.own_name), room, quality, receiver.link.muted_streams
+            ),
             news=room.news,
             room=receiver.link.config.room,
             invitation=invitation(receiver.link.config.url, receiver.link.config.room),
@@ -52,7 +54,8 @@ class CallMonitor:
             is_connected=receiver.is_connected,
             away_s=0.0 if self._away_since_s is None else now - self._away_since_s,
             own_quality=own_quality(list(quality.values()), replaced_ratio=self._replaced_ratio()),
-            is_muted_by_admin=self._is_muted_by_admin,
+            is_admin=receiver.link.is_admin,
+            muted_by_admin=self._muted_by_admin,
             own_trouble="" if receiver.publisher is None else receiver.publisher.trouble,
             peers=peers,
             summary=self._summary(now, peers),
@@ -71,13 +74,13 @@ class CallMonitor:
             face="sent" if publisher is None else publisher.mode,
             has_voice=voice is not None,
             is_voice_muted=voice is not None and voice.is_muted,
-            note="muted by an admin" if self._is_muted_by_admin else "",
+            note="muted by an admin" if self._muted_by_admin else "",
         )
 
     @property
-    def _is_muted_by_admin(self) -> bool:
-        publisher = self._receiver.publisher
-        return publisher is not None and publisher.is_muted_by_admin
+    def _muted_by_admin(self) -> str:
+        own = {"face": self._receiver.publisher, "voice": self._receiver.voice}
+        return " and ".join(kind for kind, each in own.items() if each and each.is_muted_by_admin)
 
     def _replaced_ratio(self) -> float | None:
         """Share of our own frames since the last look that the network did not take in time."""

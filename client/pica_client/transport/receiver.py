@@ -24,7 +24,7 @@ from pica_client.transport.timers import wait_until
 from pica_client.voice.packet import VoicePacket
 from pica_client.voice.publisher import VoicePublisher
 from pica_client.voice.receiver import OnVoice, VoiceReceiver
-from pica_protocol.messages import Joined, Peer, PeerJoined
+from pica_protocol.messages import Joined, Moderation, Peer, PeerJoined
 from pica_protocol.session import ClientEvent
 
 REPORT_INTERVAL_S = 5.0
@@ -125,6 +125,10 @@ class Receiver:
         """Raise what ended the thread, if anything did, as `run` does."""
         if self._error is not None:
             raise self._error
+
+    def moderate(self, message: Moderation) -> None:
+        """Ask the relay to remove, mute or bar somebody, if our token lets us; from any thread."""
+        self._call_soon(lambda: self.link.moderate(message))
 
     def say_recording(self, is_recording: bool) -> None:
         """Tell the others whether what is seen here is kept; any thread may call it."""

@@ -21,6 +21,7 @@ from pica_client.render.views import OrbitLimits, ViewState
 from pica_client.ui import events
 from pica_client.ui.settings import OwnChoice, Settings
 from pica_client.voice.sound.settings import SoundSettings
+from pica_protocol.messages import Moderation
 
 CLICK_PX = 5.0
 """A press that moves less than this before it is let go is a click."""
@@ -115,7 +116,16 @@ class SetVolume:
 
 
 UserOrder = (
-    Order | SetVolume | SoundSettings | Pin | ChooseLayout | Say | CopyText | Settings | OwnChoice
+    Order
+    | SetVolume
+    | SoundSettings
+    | Pin
+    | ChooseLayout
+    | Say
+    | CopyText
+    | Settings
+    | OwnChoice
+    | Moderation
 )
 
 OwnFace = Literal["none", "sent", "frozen", "muted"]

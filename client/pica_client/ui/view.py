@@ -213,6 +213,7 @@ class View:
                 desk=desk,
                 sound=CallSound(self._receiver.voice, self._sound),
                 on_rejoin=self._come_again,
+                on_moderation=self._receiver.moderate,
                 on_recording=self._say_recording,
                 window=self._window,
             ) as viewer:

@@ -47,6 +47,7 @@ from pica_client.ui.viewer_options import BUDGET_SHARE, ViewerOptions
 from pica_client.ui.window import Window
 from pica_core.camera import Camera
 from pica_core.gl import create_context
+from pica_protocol import messages
 
 PREPARE_TIMEOUT_S = 5.0
 """How long the first picture waits for five avatars to be loaded; here they take half a second."""
@@ -72,6 +73,7 @@ class Viewer(Closing):
         desk: What steers the user's own face; None while none is sent.
         sound: The voices of the call; None: there are none.
         on_rejoin: Told as whom the user wants to come again; why that cannot be, or nothing.
+        on_moderation: Told what the user asks the relay to do as an admin.
         on_recording: Told when what is shown begins to be kept, and when that is over.
         window: To show it in, which stays open afterwards; by default a new one.
         clock: Seconds, monotonic; the same clock that stamps `FaceState.captured_us` when sender
@@ -94,6 +96,7 @@ class Viewer(Closing):
         *,
         status: Callable[[float], CallStatus] = lambda now: CallStatus(),
         on_decoded: Callable[[DecodeResult], None] | None = None,
+        on_moderation: Callable[[messages.Moderation], None] = lambda asked: None,
         on_recording: Callable[[bool], None] = lambda is_recording: None,
         desk: FaceDesk | None = None,
         sound: CallSound | None = None,
@@ -106,6 +109,7 @@ class Viewer(Closing):
         self._on_rejoin = on_rejoin
         self._desk = desk
         self._sound = sound or CallSound()
+        self._on_moderation = on_moderation
         self._on_recording = on_recording
         self._was_recording = False
         self.controls = controls.Controls(
@@ -412,6 +416,8 @@ class Viewer(Closing):
                 self._desk.calibrate(now)
             case OwnChoice(source=source) if source and self._desk is not None:
                 self._desk.choose(source)
+            case messages.RemovePeer() | messages.MutePeer() | messages.BarIdentity():
+                self._on_moderation(order)
             case controls.CopyText(text=text, notice=notice):
                 if self._window is not None:
                     self._window.copy(text)

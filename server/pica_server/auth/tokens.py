@@ -30,7 +30,7 @@ ALGORITHM: Final = "HS256"
 AUDIENCE: Final = "pica-relay"
 ANY_AVATAR: Final = "*"
 ANY_ROOM: Final = "*"
-"""Stands for all rooms in an admin's token; it lets nobody into a room."""
+"""Stands for all rooms in an admin's token for ``GET /rooms``; it lets nobody into a room."""
 LEEWAY_S: Final = 10.0
 """How far the clocks of minter and relay may differ (chosen)."""
 MIN_SECRET_BYTES: Final = 32
@@ -57,7 +57,7 @@ class Admission:
     avatars: tuple[str, ...] = (ANY_AVATAR,)
     """Avatar ids they may wear; ``*`` is any."""
     may_admin: bool = False
-    """Whether they may look at the room, mute, remove and close it, see ``admin``."""
+    """Whether they may moderate the room, and see who is in it over HTTP."""
 
 
 class KeyRing:

@@ -38,7 +38,7 @@ class TokenOptions:
     subscribe: bool = True
     """Whether they get the faces of others."""
     admin: bool = False
-    """Whether they may list, mute, remove and close, see `pica room`."""
+    """Whether they may remove, mute and bar others in the room, and ask for GET /rooms."""
     avatars: tuple[str, ...] = ()
     """Ids of the avatars they may wear, see `pica avatar info`; `any` for any."""
     link: str = ""

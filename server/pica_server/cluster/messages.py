@@ -1,11 +1,10 @@
 """What the nodes of a cluster tell each other, as bytes: records, subscriptions, requests, media.
 
 All of it travels on NATS, which only nodes may use; it is checked all the same, and what cannot be
-read is dropped and counted. Rooms are named by a hash, so that no name stands in a subject, and who
-is barred is kept as a hash. A record holds the names and identities that peers show each other.
+read is dropped and counted. Rooms are named by a hash, so that no name stands in a subject. A
+record holds the names and identities that peers show each other.
 
-    record    version, writer, members: (node, PeerJoined as on the wire, away, muted), farewells,
-              rulings: (hash of an identity, kind of track, when given, when over, whether it holds)
+    record    version, writer, members: (node, PeerJoined as on the wire, away, muted), farewells
     interest  which streams of the receiving node the sending node wants, up to which layer
     ask       a keyframe is wanted of a stream of the receiving node
     order     an admin wants something of the receiving node
@@ -26,7 +25,6 @@ from pica_protocol.codec import decode_message, encode_message, refuse_extension
 from pica_protocol.errors import ProtocolError
 from pica_protocol.messages import Peer, PeerJoined, Whisper
 from pica_server.errors import ClusterMessageError
-from pica_server.room.rulings import RoomRulings, Ruling, Subject
 
 VERSION: Final = 2
 NUM_SLOTS: Final = 128
@@ -90,8 +88,6 @@ class Record:
     """Why those have gone who were in the record before this one: peer id to a word."""
     writer: str = ""
     """The node that wrote it."""
-    rulings: RoomRulings = field(default_factory=dict)
-    """What an admin has ruled that outlasts connections."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,9 +123,9 @@ class Order:
 
     room: str
     what: str
-    """``remove`` a peer, ``mute`` or ``unmute`` a stream, ``close`` the room."""
+    """``remove`` a peer, ``mute`` or ``unmute`` a stream, ``bar`` or ``unbar`` an identity."""
     target: str
-    """The peer id, or the number of the stream."""
+    """The peer id, the number of the stream, or the identity."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,8 +162,7 @@ def encode_record(record: Record) -> bytes:
         [m.node, encode_message(PeerJoined(peer=m.peer)), m.is_away, list(m.muted)]
         for m in record.members
     ]
-    rulings = [[*subject, *ruling] for subject, ruling in record.rulings.items()]
-    return _pack([VERSION, record.writer, members, dict(record.farewells), rulings])
+    return _pack([VERSION, record.writer, members, dict(record.farewells)])
 
 
 def decode_record(data: bytes) -> Record:
@@ -178,10 +173,10 @@ def decode_record(data: bytes) -> Record:
     """
     if not data:
         return Record()
-    version, writer, members, farewells, rulings = _unpack(data, MAX_RECORD_BYTES, 5)
+    version, writer, members, farewells = _unpack(data, MAX_RECORD_BYTES, 4)
     if version != VERSION:
         raise ClusterMessageError("record of another version: run the same release on all nodes")
-    if not isinstance(members, list) or not isinstance(rulings, list):
+    if not isinstance(members, list):
         raise ClusterMessageError("malformed members of a record")
     if not isinstance(farewells, dict):
         raise ClusterMessageError("malformed farewells of a record")
@@ -190,7 +185,6 @@ def decode_record(data: bytes) -> Record:
         tuple(map(_read_member, members)),
         {_text(peer_id): _text(word) for peer_id, word in farewells.items()},
         writer,
-        dict(map(_read_ruling, rulings)),
     )
 
 
@@ -308,15 +302,6 @@ def _read_member(item: Any) -> Member:
         return Member(node, arrival.peer, bool(is_away), streams)
     except (ValueError, TypeError, ProtocolError) as error:
         raise ClusterMessageError("malformed member of a record") from error
-
-
-def _read_ruling(item: Any) -> tuple[Subject, Ruling]:
-    try:
-        key, kind, given_ms, ends_s, holds = item
-        ruling = Ruling(_count(given_ms), _count(ends_s), bool(holds))
-        return (_text(key), _text(kind)), ruling
-    except (ValueError, TypeError) as error:
-        raise ClusterMessageError("malformed ruling in a record") from error
 
 
 def _text(value: object) -> str:

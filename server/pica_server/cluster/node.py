@@ -24,7 +24,6 @@ from pica_server.cluster.room import (
     Refused,
     Replaced,
     Request,
-    Ruled,
     SharedRoom,
     SharedRoomEvent,
 )
@@ -149,17 +148,13 @@ class ClusterNode:
             place.shared.update(peer, is_away=peer_id in room.away, muted=room.muted_of(peer_id))
             self._dirty[place.shared.key] = None
 
-    def note_rulings(self, room_name: str) -> None:
-        """Note that an admin has ruled something; see `ClusterPeers`."""
-        self._dirty[messages.room_key(room_name)] = None
-
     def order(self, room: Room, what: str, target: str) -> None:
         """Have something done elsewhere; see `ClusterPeers`."""
         key = messages.room_key(room.name)
         shared = self._rooms.get(key)
         if shared is None:
             return
-        if what == "close":
+        if what in ("bar", "unbar"):
             nodes = shared.nodes
         elif what in ("mute", "unmute"):
             stream = room.stream(int(target))
@@ -351,11 +346,9 @@ class ClusterNode:
                     self._hub.membership.enter(
                         place.connection, shared.name, peer, place.admission, now
                     )
-            case Refused(peer_id=peer_id, is_barred=is_barred):
+            case Refused(peer_id=peer_id):
                 place = self._places.get(peer_id)
-                if place is not None and is_barred:
-                    self._hub.membership.refuse_barred(place.connection, now)
-                elif place is not None:
+                if place is not None:
                     self._hub.membership.refuse(place.connection, shared.name, now)
             case Replaced(peer_id=peer_id):
                 place = self._places.get(peer_id)
@@ -371,8 +364,6 @@ class ClusterNode:
                 self._hub.membership.follow(shared.name, before, member, now)
             case Departed(peer_id=peer_id, reason=reason):
                 self._hub.membership.depart(shared.name, peer_id, reason, now)
-            case Ruled(news=news):
-                self._hub.moderation.enforce(shared.name, news, now)
             case Heard(node=node):
                 self.liveness.receive_beat(node, now)
 
@@ -389,14 +380,15 @@ class ClusterNode:
     def _obey(self, room: Room, order: messages.Order, now: float) -> None:
         """Do what an admin wants who has asked another node."""
         match order.what:
-            case "close":
-                self._hub.moderation.close_room(room.name, now, everywhere=False)
+            case "bar" | "unbar":
+                is_barred = order.what == "bar"
+                self._hub.moderation.bar(room, order.target, is_barred=is_barred, now=now)
             case "mute" | "unmute" if order.target.isdigit():
                 number, is_muted = int(order.target), order.what == "mute"
-                if room.stream(number) is not None and not room.is_remote(number):
-                    self._hub.moderation.mute(room.name, number, is_muted=is_muted, now=now)
-            case "remove" if order.target in room and not room.node_of(order.target):
-                self._hub.moderation.remove(room.name, order.target, now=now)
+                if not room.is_remote(number):
+                    self._hub.moderation.mute(room, number, is_muted=is_muted, now=now)
+            case "remove" if not room.node_of(order.target):
+                self._hub.moderation.remove(room, order.target, now)
 
     def _look(self, now: float) -> None:
         """See who lives, and what this node is; bring rooms up to date that depend on it."""
@@ -412,7 +404,7 @@ class ClusterNode:
                 self._dirty[key] = None
 
     def _room(self, name: str) -> SharedRoom:
-        shared = SharedRoom(name, self._capacity, self.me, self._hub.rulings)
+        shared = SharedRoom(name, self._capacity, self.me)
         found = self._rooms.setdefault(shared.key, shared)
         if found is shared:
             self._commands.append(Watch(shared.key))

@@ -35,12 +35,9 @@ class ClusterPeers(Protocol):
     def note_member(self, room: Room, peer_id: str) -> None:
         """Note that something is different about a peer of this node."""
 
-    def note_rulings(self, room_name: str) -> None:
-        """Note that an admin has ruled something in a room that outlasts connections."""
-
     def order(self, room: Room, what: str, target: str) -> None:
         """Have something done where it must be: ``remove`` a peer, ``mute`` or ``unmute`` a stream,
-        or ``close`` the room on all other nodes."""
+        ``bar`` or ``unbar`` an identity on all other nodes."""
 
     def note_subscriptions(self, room: Room) -> None:
         """Note that a peer in the room may want something else of the others than before."""

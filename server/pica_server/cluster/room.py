@@ -8,8 +8,7 @@ succeeds, so the record has one history, and whoever is in it has a place. A nod
   that joins here: the newer one wins;
 - takes the peers of a dead node out, the first living node of the record at once, any other along
   with its next write;
-- removes the record only together with the last peer in it, and not while a ruling of an admin
-  holds;
+- removes the record only together with the last peer in it;
 - has at most one request under way. A write that met another revision begins anew from what is
   there now: of several nodes that write at once one succeeds, so all of them get on.
 
@@ -36,7 +35,6 @@ from pica_server.cluster import messages
 from pica_server.cluster.liveness import Liveness, Standing
 from pica_server.cluster.media import Exchange
 from pica_server.errors import ClusterMessageError
-from pica_server.room.rulings import Rulings, Subject
 
 RETRY_S: Final = 0.25
 """After a request that failed."""
@@ -106,8 +104,6 @@ class Refused:
     """There is no place for somebody."""
 
     peer_id: str
-    is_barred: bool = False
-    """Whether an admin keeps them out, and not others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,14 +143,7 @@ class Heard:
     node: str
 
 
-@dataclass(frozen=True, slots=True)
-class Ruled:
-    """An admin has ruled something on another node: it may be about peers of this one."""
-
-    news: frozenset[Subject]
-
-
-SharedRoomEvent = Ruled | Admitted | Refused | Arrived | Changed | Departed | Replaced | Heard
+SharedRoomEvent = Admitted | Refused | Arrived | Changed | Departed | Replaced | Heard
 
 
 class SharedRoom:
@@ -164,14 +153,13 @@ class SharedRoom:
         exchange: What is exchanged with the other nodes, while there are any.
     """
 
-    def __init__(self, name: str, capacity: int, me: messages.NodeId, rulings: Rulings) -> None:
+    def __init__(self, name: str, capacity: int, me: messages.NodeId) -> None:
         self.name = name
         self.key = messages.room_key(name)
         self.revision = 0
         self.exchange: Exchange | None = None
         self._capacity = capacity
         self._me = me.name
-        self._rulings = rulings
         self._own: dict[str, messages.Member] = {}
         self._pending: dict[str, messages.Member] = {}
         self._since_s: dict[str, float] = {}  # when who is pending came
@@ -341,8 +329,6 @@ class SharedRoom:
         """Know a record from now on, and let those in who are in it."""
         self._record, self.revision, self._learned_s = record, revision, now
         self._last_words = dict(record.farewells)
-        if news := self._rulings.learn(self.name, record.rulings):
-            self._events.append(Ruled(frozenset(news)))
         mine = {m.peer.peer_id: m for m in record.members if m.node == self._me}
         self._may_be_listed = bool(mine)
         admitted = [mine[peer_id] for peer_id in self._pending if peer_id in mine]
@@ -375,21 +361,18 @@ class SharedRoom:
         ]
         members += [m for peer_id, m in self._own.items() if peer_id not in listed]
         for member in self._pending.values():
-            if self._rulings.holds(self.name, member.peer.identity):
-                continue
             others = [m for m in members if not m.is_same_person(member)]
             if len(others) >= self._capacity:
                 others = self._without_one_away(others)
             if len(others) < self._capacity:
-                members = [*others, self._as_ordered(member)]
-        rulings = self._rulings.of(self.name)
+                members = [*others, member]
         is_same = [m for m in members if m.node == here] == [m for m in living if m.node == here]
-        if is_same and rulings.items() <= record.rulings.items():
+        if is_same:
             # Others must see to what is left to do, unless this node is the first of all.
             is_old = now - self._learned_s >= REWRITE_S
             if not (dead or is_old) or (living and living[0].node != here):
                 return None
-        return messages.Record(tuple(members), dict(self._farewells), here, rulings)
+        return messages.Record(tuple(members), dict(self._farewells), here)
 
     def _without_one_away(self, members: list[messages.Member]) -> list[messages.Member]:
         """Give up the place of one of this node who is away and has no identity, if there is one:
@@ -401,23 +384,16 @@ class SharedRoom:
                 return [other for other in members if other is not member]
         return members
 
-    def _as_ordered(self, member: messages.Member) -> messages.Member:
-        """Return somebody who comes in, with those streams stopped that an admin's ruling stops."""
-        who, tracks = member.peer.identity, member.peer.tracks
-        muted = [t.stream for t in tracks if self._rulings.holds(self.name, who, t.kind)]
-        return replace(member, muted=tuple(muted))
-
     def _refuse(self, liveness: Liveness) -> None:
         """Refuse those for whom there is no place, once all who hold one have shown that they live:
         the peers of a node that has just died come back here, into their own places."""
         assert self._record is not None
         nodes = {m.node for m in self._record.members if m.node != self._me}
-        for peer_id, member in list(self._pending.items()):
+        for peer_id in list(self._pending):
             since_s = self._since_s[peer_id]
-            is_barred = self._rulings.holds(self.name, member.peer.identity)
-            if is_barred or all(liveness.was_heard_since(node, since_s) for node in nodes):
+            if all(liveness.was_heard_since(node, since_s) for node in nodes):
                 del self._pending[peer_id]
-                self._events.append(Refused(peer_id, is_barred))
+                self._events.append(Refused(peer_id))
         self._forget_times()
 
     def _forget_times(self) -> None:
@@ -456,10 +432,10 @@ class SharedRoom:
             if len(self._own) >= self._capacity:
                 self._events.append(Refused(peer_id))
                 continue
-            self._own[peer_id] = self._as_ordered(member)
+            self._own[peer_id] = member
             self._events.append(Admitted(member.peer))
 
 
 def _is_nothing(record: messages.Record) -> bool:
-    """Say whether a record need not be kept: nobody is in it, and nobody is to stay out."""
-    return not (record.members or record.rulings)
+    """Return True if a record need not be kept: nobody is in it."""
+    return not record.members

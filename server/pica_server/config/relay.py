@@ -78,11 +78,6 @@ class RelayConfig:
     """Answer /metrics to all other machines too, not to this one alone."""
     metrics_to: tuple[str, ...] = ()
     """Addresses or networks that /metrics is answered to besides this machine, as 10.0.0.0/8."""
-    admin_port: Annotated[int | None, Range(0, 65_535)] = None
-    """TCP port for looking at rooms and managing them over HTTP, see `pica room`; 0 takes a free
-    one. With keys it wants an admin's token, else it answers this machine only."""
-    admin_host: str = "127.0.0.1"
-    """Address to listen on for that. Speaks TLS if the relay does."""
     avatar_store: str = "temporary"
     """Where avatar files are kept that clients give to each other: a folder; an fsspec URL such as
     s3://BUCKET/FOLDER (with the package of its driver); temporary, a folder that ends
@@ -159,11 +154,6 @@ class RelayConfig:
         for origin in self.origins:
             if not _ORIGIN.fullmatch(origin):
                 raise ConfigurationError(f"--origins {origin} is no origin: write https://HOST")
-        if self.admin_port is not None and self.keys is None and not is_loopback(self.admin_host):
-            raise ConfigurationError(
-                f"--admin-host {self.admin_host} can be reached from other machines and this relay "
-                "has no tokens: name a key file with --keys, or keep --admin-host 127.0.0.1"
-            )
         if self.keys is not None and self.insecure:
             raise ConfigurationError("--insecure lets anybody in: leave it out, or --keys")
         if self.keys is None and not self.insecure and not is_loopback(self.host):

@@ -1,13 +1,21 @@
-"""What the relay answers to plain HTTP: is it alive, is there a place, its numbers. Pure."""
+"""What the relay answers to plain HTTP: is it alive, is there a place, its numbers, and to admins
+who is in its rooms. Pure."""
 
+import json
 from collections import deque
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from http import HTTPStatus
-from typing import Final, NamedTuple
+from typing import Any, Final
 
+from pica_protocol.errors import CloseCode
+from pica_protocol.messages import Peer
+from pica_server.auth.tokens import ANY_ROOM
 from pica_server.config.relay import RelayConfig
+from pica_server.errors import AdmissionError
 from pica_server.ops.metrics import CONTENT_TYPE, metrics_text
 from pica_server.room.hub import Hub
+from pica_server.room.room import Room
 from pica_server.store.store import AvatarStore
 
 PERIOD_S: Final = 0.05
@@ -34,13 +42,18 @@ class LoopWatch:
         return max(recent, default=0.0)
 
 
-class Page(NamedTuple):
+MAX_LISTED: Final = 1000
+"""People in one answer to ``GET /rooms`` (chosen: 300 kB, some milliseconds of work)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
     """What is answered to a plain HTTP request."""
 
     status: HTTPStatus
     text: str
     content_type: str = "text/plain; charset=utf-8"
-    retry_after_s: float | None = None
+    headers: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(eq=False)
@@ -51,9 +64,19 @@ class StatusPages:
     _watch: LoopWatch
     _config: RelayConfig
     _store: AvatarStore | None = None
+    _admin_room: Callable[[str], str] | None = None
+    """Takes a token and returns the room that it may moderate, or ``ANY_ROOM``; raises
+    `AdmissionError`. None: there are no tokens."""
 
-    def answer(self, path: str, *, is_local: bool, now: float) -> Page | None:
-        """Return the page of a path, or None if there is none; some are for this machine only."""
+    def answer(
+        self, path: str, *, authorization: str = "", is_local: bool, now: float
+    ) -> Page | None:
+        """Return the page of a path, or None if there is none.
+
+        Args:
+            authorization: The header of that name; ``/rooms`` needs an admin's token in it.
+            is_local: Whether this machine asks; some pages are for it only.
+        """
         match path:
             case "/healthz":
                 worst_s = self._watch.worst_s(now)
@@ -65,14 +88,44 @@ class StatusPages:
                     return _verdict("draining")
                 if self._hub.brake.level:
                     page = _verdict("late, nobody joins anew and upper layers are dropped")
-                    return page._replace(retry_after_s=self._hub.brake.retry_after_s)
+                    retry_after = f"{self._hub.brake.retry_after_s:.0f}"
+                    return replace(page, headers={"Retry-After": retry_after})
                 is_full = self._hub.num_connections >= self._config.max_connections
                 return _verdict("full" if is_full else "", self._cluster_trouble)
             case "/metrics" if is_local or self._config.open_metrics:
                 return Page(HTTPStatus.OK, self._metrics(now), CONTENT_TYPE)
+            case "/rooms":
+                return self._rooms(authorization)
             case "/metrics":
                 return Page(HTTPStatus.FORBIDDEN, "ask on this machine\n")
         return None
+
+    def _rooms(self, authorization: str) -> Page:
+        """List the rooms that an admin's token is for, and who is in them."""
+        if self._admin_room is None:
+            text = "this relay has no keys, so nobody has an admin's token\n"
+            return Page(HTTPStatus.FORBIDDEN, text)
+        scheme, _, token = authorization.partition(" ")
+        if scheme.lower() != "bearer":
+            return _unauthorized("send an admin's token: Authorization: Bearer TOKEN")
+        try:
+            scope = self._admin_room(token.strip())
+        except AdmissionError as error:
+            if error.code == CloseCode.UNAUTHORIZED:
+                return _unauthorized(str(error))
+            return Page(HTTPStatus.FORBIDDEN, f"{error}\n")
+        rooms: list[dict[str, Any]] = []
+        num_left, is_cut = MAX_LISTED, False
+        for room in self._hub.membership.rooms.values():
+            if scope in (ANY_ROOM, room.name):
+                people = [_person(room, peer) for peer in room.peers[:num_left]]
+                num_left -= len(people)
+                is_cut = is_cut or len(people) < len(room.peers)
+                if people:
+                    rooms.append({"room": room.name, "people": people})
+        text = json.dumps({"rooms": rooms, "is_cut": is_cut})
+        headers = {"Cache-Control": "no-store"}
+        return Page(HTTPStatus.OK, f"{text}\n", "application/json", headers)
 
     @property
     def _cluster_trouble(self) -> str:
@@ -123,3 +176,22 @@ def _verdict(trouble: str, note: str = "") -> Page:
     if trouble:
         return Page(HTTPStatus.SERVICE_UNAVAILABLE, f"{trouble}\n")
     return Page(HTTPStatus.OK, f"ok\n{note}\n" if note else "ok\n")
+
+
+def _unauthorized(text: str) -> Page:
+    headers = {"WWW-Authenticate": "Bearer"}
+    return Page(HTTPStatus.UNAUTHORIZED, f"{text}\n", headers=headers)
+
+
+def _person(room: Room, peer: Peer) -> dict[str, Any]:
+    muted = room.muted_of(peer.peer_id)
+    return {
+        "peer_id": peer.peer_id,
+        "name": peer.name,
+        "identity": peer.identity,
+        "is_away": peer.peer_id in room.away,
+        "tracks": [
+            {"kind": track.kind, "stream": track.stream, "is_muted": track.stream in muted}
+            for track in peer.tracks
+        ],
+    }

@@ -21,6 +21,12 @@ UPDATES_BURST = 10.0
 for each, one peer alone does not fill the queues of slow readers)."""
 
 
+MODERATIONS_PER_S = 2.0
+MODERATIONS_BURST = 64.0
+"""What one admin may ask for: everybody in the largest room at once, and then a participant in half
+a second (chosen: each one is told to the whole room)."""
+
+
 @dataclass(eq=False, slots=True)
 class Connection:
     """One websocket as the hub sees it; the shell reads ``closed``."""
@@ -36,6 +42,7 @@ class Connection:
     bytes_in: TokenBucket = field(init=False)
     updates: TokenBucket = field(init=False)
     whispers: TokenBucket = field(init=False)
+    moderations: TokenBucket = field(init=False)
     has_joined: bool = False
     held_s: float = math.inf
     """When what waits for more to come goes at the latest."""
@@ -44,6 +51,8 @@ class Connection:
     is_crowded: bool = False
     """One more than its address may have."""
     is_resumable: bool = False
+    is_admin: bool = False
+    """Whether its token has the grant ``admin``."""
 
     def __post_init__(self, limits: LimitsConfig, now: float) -> None:
         # What piled up while the relay or the way to it stood still was sent at a good rate: who
@@ -53,6 +62,7 @@ class Connection:
         self.bytes_in = TokenBucket(num_bytes, num_bytes * burst_s, now, num_bytes)
         self.updates = TokenBucket(UPDATES_PER_S, UPDATES_BURST, now)
         self.whispers = TokenBucket(WHISPERS_PER_S, WHISPER_BURST, now)
+        self.moderations = TokenBucket(MODERATIONS_PER_S, MODERATIONS_BURST, now)
 
     @property
     def closed(self) -> Closed | None:

@@ -7,7 +7,7 @@ a time (``take``, ``sent``). The parts decide:
     connections   the connections: how they begin and end, who is late, what is said to whom
     forwarding    frames, keyframe requests and whispers, from peer to peer and node to node
     membership    rooms: who comes, goes, is away for a while and comes back
-    moderation    what an admin does to rooms
+    moderation    what admins ask for in their room
 
 A connection is over when its ``closed`` is set; what it still has to send ends with a ``Bye``.
 """
@@ -19,7 +19,17 @@ from collections.abc import Callable, Sequence
 from typing import Final
 
 from pica_protocol.errors import CloseCode
-from pica_protocol.messages import Join, KeyframeRequest, Report, UpdateMetadata, Want, Whisper
+from pica_protocol.messages import (
+    BarIdentity,
+    Join,
+    KeyframeRequest,
+    MutePeer,
+    RemovePeer,
+    Report,
+    UpdateMetadata,
+    Want,
+    Whisper,
+)
 from pica_protocol.session import Closed, Media, ServerEvent
 from pica_server.auth.tokens import Admission
 from pica_server.cluster.peers import ClusterPeers
@@ -34,7 +44,6 @@ from pica_server.room.moderation import Moderation
 from pica_server.room.outbox import OutboundMessage
 from pica_server.room.resume_tickets import ResumeTickets
 from pica_server.room.room import Room
-from pica_server.room.rulings import Rulings
 
 HOLD_STEP_S: Final = 0.002
 """Moments at which what was held back goes (chosen: many leave in one turn of the loop)."""
@@ -55,7 +64,6 @@ class Hub:
         admit: Callable[[Join], Admission] | None = None,
         *,
         new_secret: Callable[[], str] | None = None,
-        unix_time: Callable[[], float] = float,
     ) -> None:
         """Begin empty.
 
@@ -63,8 +71,6 @@ class Hub:
             admit: Says what who joins may do, or raises `AdmissionError`; everybody may do
                 everything by default.
             new_secret: Makes secrets to come back with; without it no place is kept.
-            unix_time: The clock that an admin's rulings end by, seconds since 1970; one that stands
-                still by default, so that they never do.
         """
         self.stats = RelayStats()
         grace_s = 0.0 if new_secret is None else config.resume_grace_s
@@ -72,17 +78,13 @@ class Hub:
         self.connections = Connections(config, self.stats)
         self.brake = self.connections.brake
         self.forwarding = Forwarding(self.connections)
-        self.rulings = Rulings(unix_time)
         self.membership = Membership(
             self.connections,
             self.forwarding,
             self._tickets,
-            self.rulings,
             admit or (lambda join: Admission()),
         )
-        self.moderation = Moderation(
-            self.connections, self.membership, self.forwarding, self.rulings
-        )
+        self.moderation = Moderation(self.connections, self.membership, self.forwarding)
         self._config = config
         self._ready, self._timers = self.connections.ready, self.connections.timers
         self._load = (0.0, 0.0)
@@ -277,5 +279,7 @@ class Hub:
                 self.forwarding.ask_for_keyframe(connection.room, stream, "asked", now)
             case Whisper():
                 self.forwarding.whisper(connection, event, now)
+            case RemovePeer() | MutePeer() | BarIdentity():
+                self.moderation.receive(connection, event, now)
             case UpdateMetadata():
                 self.membership.update_metadata(connection, event, now)

@@ -31,7 +31,6 @@ from pica_server.room.connections import Connections
 from pica_server.room.forwarding import Forwarding
 from pica_server.room.resume_tickets import ResumeTickets
 from pica_server.room.room import Room
-from pica_server.room.rulings import Rulings
 
 
 @dataclass(eq=False)
@@ -45,7 +44,6 @@ class Membership:
     _connections: Connections
     _forwarding: Forwarding
     _tickets: ResumeTickets
-    _rulings: Rulings
     _admit: Callable[[Join], Admission]
     """Says what who joins may do, or raises `AdmissionError`."""
 
@@ -85,8 +83,9 @@ class Membership:
             refuse(connection, "late", CloseCode.BUSY, reason, now)
             return
         self._replace(connection, join, admission.identity, now)
-        if self._rulings.holds(join.room, admission.identity):
-            self.refuse_barred(connection, now)
+        if room is not None and room.is_decided(admission.identity):
+            reason = "an admin has barred you until the room is empty"
+            refuse(connection, "admission", CloseCode.FORBIDDEN, reason, now)
             return
         cluster_peers = self._connections.cluster_peers
         if cluster_peers is not None:
@@ -113,11 +112,6 @@ class Membership:
         """Close somebody for whom a room has no place."""
         reason = f"room {name} is full: {self._connections.config.room_capacity} peers"
         self._connections.refuse(connection, "room", CloseCode.ROOM_FULL, reason, now)
-
-    def refuse_barred(self, connection: Connection, now: float) -> None:
-        """Close somebody whom an admin keeps out."""
-        reason = "an admin has removed you"
-        self._connections.refuse(connection, "admission", CloseCode.FORBIDDEN, reason, now)
 
     def update_metadata(self, connection: Connection, update: UpdateMetadata, now: float) -> None:
         """Note what somebody says of themselves, and tell the others."""
@@ -228,13 +222,15 @@ class Membership:
         for track in peer.tracks:
             stream = room.stream(track.stream)
             assert stream is not None
-            stream.is_muted = self._rulings.holds(room.name, peer.identity, track.kind)
+            stream.is_muted = room.is_decided(peer.identity, track.kind)
         self._stats.joins += 1
-        self._accept(connection, room, joined, now)
+        self._accept(connection, room, joined, admission, now)
         tell_others = self._connections.tell_others
         tell_others(room, peer.peer_id, PeerJoined(peer=peer), now)
         for number in room.muted_of(peer.peer_id):
             tell_others(room, peer.peer_id, StreamMuted(stream=number, is_muted=True), now)
+            if self._connections.cluster_peers is not None:
+                self._connections.cluster_peers.note_member(room, peer.peer_id)
         if admission.may_subscribe:
             self._forwarding.catch_up(connection, room, now)
 
@@ -264,7 +260,7 @@ class Membership:
         joined = room.come_back(peer_id, may_subscribe=admission.may_subscribe)
         if connections.cluster_peers is not None:
             connections.cluster_peers.come_back(connection, room)
-        self._accept(connection, room, joined, now)
+        self._accept(connection, room, joined, admission, now)
         connections.tell_others(room, peer_id, PeerBack(peer_id=peer_id), now)
         if room.update_metadata(peer_id, join.metadata):
             news = PeerUpdated(peer_id=peer_id, metadata=join.metadata)
@@ -275,9 +271,12 @@ class Membership:
             self._forwarding.catch_up(connection, room, now)
         return True
 
-    def _accept(self, connection: Connection, room: Room, joined: Joined, now: float) -> None:
+    def _accept(
+        self, connection: Connection, room: Room, joined: Joined, admission: Admission, now: float
+    ) -> None:
         """Tell somebody that they are in, and what else is so in the room."""
-        connection.room = room
+        connection.room, connection.is_admin = room, admission.may_admin
+        joined = replace(joined, is_admin=admission.may_admin)
         if connection.is_resumable:
             secret = self._tickets.issue(room.name, connection.peer_id)
             resume_ms = round(self._tickets.grace_s * 1000)

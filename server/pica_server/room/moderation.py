@@ -1,117 +1,83 @@
-"""What an admin does to rooms: put peers out, close rooms, stop streams. Pure.
+"""What an admin asks for in a room: remove a participant, mute a kind of stream, bar an identity.
 
-What must be done on another node of the cluster is passed on to it. What is to hold when its owner
-comes again is kept in `Rulings`.
+Pure. Only a participant whose token has the grant ``admin`` may ask. What must be done on another
+node of the cluster is passed on to it. Whoever is not in the room any more is left alone: the
+request and the leaving have crossed.
 """
 
-from collections.abc import Set
 from dataclasses import dataclass
 
+from pica_protocol import messages
 from pica_protocol.errors import CloseCode
+from pica_server.room.connection import Connection
 from pica_server.room.connections import Connections
 from pica_server.room.forwarding import Forwarding
 from pica_server.room.membership import Membership
-from pica_server.room.room import Room
-from pica_server.room.rulings import BAR, RULING_S, Rulings, Subject, identity_key
+from pica_server.room.room import BAR, Room
 
 
 @dataclass(eq=False)
 class Moderation:
-    """The admin's hand in the rooms of one relay."""
+    """Does what admins ask for in the rooms of one relay."""
 
     _connections: Connections
     _membership: Membership
     _forwarding: Forwarding
-    _rulings: Rulings
 
-    def remove(self, room_name: str, peer_id: str, *, now: float) -> bool:
-        """Put a peer out of its room, who may be away; return whether it was there, in a room that
-        has peers on this node."""
-        room = self._membership.rooms.get(room_name)
-        if room is None or peer_id not in room:
-            return False
+    def receive(self, connection: Connection, asked: messages.Moderation, now: float) -> None:
+        """Do what a participant asks for, or close the connection if they may not."""
+        room, refuse = connection.room, self._connections.refuse
+        assert room is not None  # the session's table: only while joined
+        if not connection.is_admin:
+            reason = "your token does not let you moderate"
+            refuse(connection, "admission", CloseCode.FORBIDDEN, reason, now)
+            return
+        if not connection.moderations.take(now):
+            reason = "you moderate too often"
+            refuse(connection, "moderation", CloseCode.TOO_FAST, reason, now)
+            return
+        match asked:
+            case messages.RemovePeer(peer_id=peer_id):
+                self.remove(room, peer_id, now)
+            case messages.MutePeer(peer_id=peer_id, kind=kind, is_muted=is_muted):
+                for track in room.peer(peer_id).tracks if peer_id in room else ():
+                    if track.kind == kind:
+                        self.mute(room, track.stream, is_muted=is_muted, now=now)
+            case messages.BarIdentity(identity=identity, is_barred=is_barred):
+                self.bar(room, identity, is_barred=is_barred, now=now)
+                self._order(room, "bar" if is_barred else "unbar", identity)
+
+    def remove(self, room: Room, peer_id: str, now: float) -> None:
+        """Remove a participant, who may be away."""
         if room.node_of(peer_id):
             self._order(room, "remove", peer_id)
-            return True
-        reason = "an admin has removed you"
-        self._membership.close_peer(peer_id, CloseCode.REMOVED, reason, now)
-        return True
+        elif peer_id in room:
+            reason = "an admin has removed you from the room"
+            self._membership.close_peer(peer_id, CloseCode.REMOVED, reason, now)
 
-    def bar(
-        self,
-        room_name: str,
-        identity: str,
-        *,
-        is_barred: bool = True,
-        lasts_s: float = RULING_S,
-        now: float,
-    ) -> bool:
-        """Put an identity out of a room and keep it out, or let it come again.
+    def bar(self, room: Room, identity: str, *, is_barred: bool, now: float) -> None:
+        """Remove an identity from this node and keep it out until the room is empty, or let it join
+        again."""
+        room.decide(identity, BAR, holds=is_barred)
+        peer_id = room.peer_of(identity)
+        if is_barred and peer_id is not None:
+            self.remove(room, peer_id, now)
 
-        Args:
-            room_name: The room, which may be empty; in a cluster, one with peers on this node.
-            identity: Who; nobody is barred by the empty one.
-            lasts_s: For how long, seconds.
-
-        Returns:
-            Whether it holds: there are identities only where there are tokens.
-        """
-        holds = self._rulings.give(room_name, identity, holds=is_barred, lasts_s=lasts_s)
-        if self._connections.cluster_peers is not None:
-            self._connections.cluster_peers.note_rulings(room_name)
-        self.enforce(room_name, {(identity_key(identity), BAR)}, now)
-        return holds
-
-    def enforce(self, room_name: str, news: Set[Subject], now: float) -> None:
-        """Do to those who are on this node what rulings say of which there is news."""
-        room = self._membership.rooms.get(room_name)
-        for peer in () if room is None else room.peers_here:
-            assert room is not None
-            if peer.peer_id not in room:
-                continue  # putting one out may put out others, who read too slowly
-            who = identity_key(peer.identity)
-            if (who, BAR) in news and self._rulings.holds(room_name, peer.identity):
-                self.remove(room_name, peer.peer_id, now=now)
-                continue
-            for track in peer.tracks:
-                is_news = (who, track.kind) in news
-                if is_news and self._rulings.holds(room_name, peer.identity, track.kind):
-                    self.mute(room_name, track.stream, is_muted=True, now=now)
-
-    def close_room(self, room_name: str, now: float, *, everywhere: bool = True) -> int | None:
-        """Put everybody out of a room, on all nodes or on this one alone; return how many were on
-        this one, or None: nobody was."""
-        room = self._membership.rooms.get(room_name)
-        if room is None:
-            return None
-        if everywhere:
-            self._order(room, "close", "")
-        num_peers = len(room)
-        connections = self._connections.connected(room)
-        reason = "an admin has closed the room"
-        self._connections.close_together(connections, CloseCode.ROOM_CLOSED, reason, now)
-        self._membership.give_up_away(room, "removed", now)
-        return num_peers
-
-    def mute(self, room_name: str, number: int, *, is_muted: bool, now: float) -> bool:
-        """Stop a stream, or let it go on, and tell everybody; return whether it is there. It stays
-        so when its owner joins again, if they have an identity."""
-        room = self._membership.rooms.get(room_name)
-        stream = None if room is None else room.stream(number)
-        if room is None or stream is None:
-            return False
-        if stream.is_muted is is_muted:
-            return True
+    def mute(self, room: Room, number: int, *, is_muted: bool, now: float) -> None:
+        """Stop a stream, or let it go on, and tell everybody. The decision holds for the identity
+        of its publisher and for the kind of track."""
+        stream = room.stream(number)
+        if stream is None or stream.is_muted is is_muted:
+            return
         if room.is_remote(number):
             self._order(room, "mute" if is_muted else "unmute", str(number))
-            return True
+            return
         peer = room.peer(stream.publisher)
         kind = next(track.kind for track in peer.tracks if track.stream == number)
-        self._rulings.give(room_name, peer.identity, kind, holds=is_muted)
+        room.decide(peer.identity, kind, holds=is_muted)
         self._forwarding.mute(room, number, stream, is_muted=is_muted, now=now)
         if self._connections.cluster_peers is not None:
             self._connections.cluster_peers.note_member(room, stream.publisher)
-        return True
 
     def _order(self, room: Room, what: str, target: str) -> None:
         """Have something done where it must be, if there are other nodes."""

@@ -9,6 +9,7 @@ given up but for its keyframe: a latecomer has that to look at until the next on
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from typing import Final
 
 from pica_protocol.limits import MAX_LAYER, MAX_STREAM
 from pica_protocol.messages import Join, Joined, Metadata, Peer, Track
@@ -19,6 +20,11 @@ from pica_server.errors import RoomFullError
 
 _NOTHING = -1
 """Stands for no layer at all as the highest wanted one."""
+
+BAR: Final = ""
+"""Stands for the whole participant in a decision, in place of a kind of track."""
+MAX_DECISIONS: Final = 256
+"""Decisions of admins that a room remembers; one more drops the oldest (chosen)."""
 
 
 @dataclass(slots=True)
@@ -105,6 +111,7 @@ class Room:
         # Who gets the frames of a stream and layer: looked up for every frame, changed rarely.
         self._receivers: dict[tuple[int, int], list[str]] = {}
         self.links: dict[str, NodeLink] = {}
+        self._decisions: dict[tuple[str, str], None] = {}
 
     def __len__(self) -> int:
         """How many are connected here; the peers of other nodes are not counted."""
@@ -301,6 +308,19 @@ class Room:
         self._receivers.clear()
         wanted[stream] = _NOTHING if layer is None else layer
         return had_stopped and layer is not None
+
+    def decide(self, identity: str, kind: str, *, holds: bool) -> None:
+        """Note an admin's decision on an identity: its tracks of a kind are muted, or with `BAR` it
+        is barred. It holds until the room is empty, also when the participant joins again."""
+        self._decisions.pop((identity, kind), None)
+        if identity and holds:
+            self._decisions[identity, kind] = None
+            if len(self._decisions) > MAX_DECISIONS:
+                del self._decisions[next(iter(self._decisions))]
+
+    def is_decided(self, identity: str, kind: str = BAR) -> bool:
+        """Return True if an identity is barred, or its tracks of a kind are muted."""
+        return (identity, kind) in self._decisions
 
     def owns(self, peer_id: str, stream: int) -> bool:
         """Say whether this peer publishes this stream."""

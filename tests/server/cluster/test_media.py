@@ -30,7 +30,6 @@ from pica_server.cluster.messages import (
 )
 from pica_server.errors import ClusterMessageError
 from pica_server.room.outbox import ArrivedFrame
-from pica_server.room.rulings import Ruling, identity_key
 
 pytestmark = pytest.mark.unit
 
@@ -212,7 +211,6 @@ def test_a_record_keeps_who_is_where_in_order_and_no_record_is_an_empty_room() -
         (Member("1-a", somebody("ada"), muted=(9,)), Member("2-b", somebody("bob"))),
         {"p3": "left"},
         "2-b",
-        {(identity_key("eve"), "face"): Ruling(1_800_000_000_000, 1_800_086_400, True)},
     )
     assert decode_record(encode_record(record)) == record
     assert decode_record(b"") == Record()
@@ -227,11 +225,6 @@ def test_the_largest_room_of_the_largest_peers_fits_into_a_record_eight_times() 
     assert len(encode_record(record)) * 8 < 1_000_000
 
 
-def test_no_name_of_a_room_or_identity_stands_in_what_represents_it() -> None:
-    assert room_key("lobby") != room_key("lobby2") != identity_key("lobby")
-    assert "lobby" not in room_key("lobby") + identity_key("lobby")
-
-
 @pytest.mark.parametrize("name", ["", "1", "-a", "128-a", "x-a", "1-", "1-a.b", "1->"])
 def test_what_is_no_name_of_a_node_never_becomes_part_of_a_subject(name: str) -> None:
     with pytest.raises(ClusterMessageError):
@@ -243,3 +236,8 @@ def test_media_of_a_wrong_size_is_refused(size: int) -> None:
     with pytest.raises(ClusterMessageError):
         decode_media_header(bytes([1]) * size)
     assert decode_media_header(encode_media(MediaHeader(3, 4, 5), b"\2x")) == MediaHeader(3, 4, 5)
+
+
+def test_no_name_of_a_room_stands_in_what_represents_it() -> None:
+    assert room_key("lobby") != room_key("lobby2")
+    assert "lobby" not in room_key("lobby")

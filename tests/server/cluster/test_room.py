@@ -27,7 +27,6 @@ from pica_server.cluster.room import (
     Write,
     Written,
 )
-from pica_server.room.rulings import Rulings
 
 pytestmark = pytest.mark.unit
 
@@ -105,7 +104,7 @@ class Node:
 
 def node(slot: int, capacity: int = 3) -> Node:
     me = NodeId(slot, "a1")
-    return Node(me.name, SharedRoom("lobby", capacity, me, Rulings(float)), Liveness(0.0))
+    return Node(me.name, SharedRoom("lobby", capacity, me), Liveness(0.0))
 
 
 def somebody(peer_id: str, identity: str = "") -> Peer:

@@ -190,7 +190,8 @@ def test_who_joins_anew_is_told_to_come_later_and_the_pages_say_so() -> None:
     pages = StatusPages(hub, LoopWatch(), RelayConfig())
     ready = pages.answer("/readyz", is_local=True, now=1.0)
     assert ready is not None
-    assert (ready.status, ready.retry_after_s) == (HTTPStatus.SERVICE_UNAVAILABLE, CALM_S)
+    assert ready.status == HTTPStatus.SERVICE_UNAVAILABLE
+    assert ready.headers == {"Retry-After": f"{CALM_S:.0f}"}
     metrics = pages.answer("/metrics", is_local=True, now=1.0)
     assert metrics is not None
     assert "pica_brake_level 1.0\n" in metrics.text

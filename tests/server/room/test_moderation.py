@@ -1,44 +1,135 @@
-"""What an admin may do to a room: the hub with literal times."""
+"""What an admin may ask for in a room: the hub with literal times."""
 
 import pytest
 
-from helpers.members import FACE, VOICE, Member, counting_secrets, hub_with
+from helpers.members import FACE, VOICE, Member, counting_secrets
 from pica_protocol.errors import CloseCode
 from pica_protocol.frames import Frame
-from pica_protocol.messages import KeyframeRequest, PeerLeft, StreamMuted
+from pica_protocol.messages import (
+    BarIdentity,
+    KeyframeRequest,
+    Moderation,
+    MutePeer,
+    PeerLeft,
+    RemovePeer,
+    StreamMuted,
+)
 from pica_server.auth.tokens import Admission
 from pica_server.config.relay import RelayConfig
+from pica_server.room.connection import MODERATIONS_BURST
 from pica_server.room.hub import Hub
-from pica_server.room.rulings import RULING_S
+from pica_server.room.room import MAX_DECISIONS, Room
 
 pytestmark = pytest.mark.unit
+
+
+def hub_of_identities() -> Hub:
+    """Tokens are the identities themselves; the one of Olga has the grant ``admin``."""
+    return Hub(
+        RelayConfig(),
+        lambda join: Admission(identity=join.token, may_admin=join.token == "olga"),
+        new_secret=counting_secrets(),
+    )
+
+
+def room_with_admin(*names: str) -> tuple[Hub, Member, list[Member]]:
+    """A room with Olga and others who have heard all there is."""
+    hub = hub_of_identities()
+    olga = Member(hub, "Olga", token="olga", tracks=())
+    members = [
+        Member(hub, name, token=name.lower(), resumable=True, tracks=(FACE, VOICE))
+        for name in names
+    ]
+    for member in (olga, *members):
+        member.listen(now=0.0)
+    return hub, olga, members
+
+
+def ask(admin: Member, asked: Moderation, now: float) -> None:
+    admin.session.tell(asked)
+    admin.speak(now)
+
+
+def mute(peer: Member, kind: str = "face", *, is_muted: bool = True) -> MutePeer:
+    return MutePeer(peer_id=peer.peer_id, kind=kind, is_muted=is_muted)
 
 
 def payloads(member: Member, now: float) -> list[bytes]:
     return [each.payload for each in member.listen(now) if isinstance(each, Frame)]
 
 
+def test_only_who_has_the_grant_is_told_that_they_may_moderate() -> None:
+    _, olga, (ada,) = room_with_admin("Ada")
+    assert (olga.session.is_admin, ada.session.is_admin) == (True, False)
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        RemovePeer(peer_id="p1"),
+        MutePeer(peer_id="p1", kind="face", is_muted=True),
+        BarIdentity(identity="olga", is_barred=True),
+    ],
+)
+def test_who_has_no_grant_is_closed_and_nothing_happens(asked: Moderation) -> None:
+    hub, olga, (ada, bob) = room_with_admin("Ada", "Bob")
+    ask(ada, asked, now=1.0)
+    assert ada.closed_code == CloseCode.FORBIDDEN
+    assert hub.stats.limits_hit == {"admission": 1}
+    assert olga.closed_code is None
+    assert bob.listen(now=1.0) == [PeerLeft(peer_id=ada.peer_id, reason="removed")]
+
+
+def test_without_tokens_nobody_moderates() -> None:
+    hub = Hub(RelayConfig())
+    ada, bob = Member(hub, "Ada"), Member(hub, "Bob")
+    ask(ada, RemovePeer(peer_id=bob.peer_id), now=1.0)
+    assert (ada.closed_code, bob.closed_code) == (CloseCode.FORBIDDEN, None)
+
+
+def test_a_grant_reaches_no_other_room_and_nobody_unknown() -> None:
+    hub, olga, (ada,) = room_with_admin("Ada")
+    bob = Member(hub, "Bob", token="bob", room="elsewhere")
+    for peer_id in (bob.peer_id, "p99"):
+        ask(olga, RemovePeer(peer_id=peer_id), now=1.0)
+        ask(olga, MutePeer(peer_id=peer_id, kind="face", is_muted=True), now=1.0)
+    ask(olga, BarIdentity(identity="bob", is_barred=True), now=1.0)
+    ask(olga, mute(ada, "smell"), now=1.0)
+    assert [each.closed_code for each in (olga, ada, bob)] == [None, None, None]
+    assert ada.listen(now=1.0) == bob.listen(now=1.0)[1:] == []
+
+
+def test_who_moderates_too_often_is_closed() -> None:
+    hub, olga, _ = room_with_admin()
+    for _ in range(int(MODERATIONS_BURST)):
+        ask(olga, RemovePeer(peer_id="p99"), now=1.0)
+    assert olga.closed_code is None
+    ask(olga, RemovePeer(peer_id="p99"), now=1.0)
+    assert olga.closed_code == CloseCode.TOO_FAST
+    assert hub.stats.limits_hit == {"moderation": 1}
+
+
 def test_frames_of_a_muted_stream_go_nowhere_and_everybody_is_told() -> None:
-    hub, (ada, bob) = hub_with("Ada", "Bob")
+    hub, olga, (ada, bob) = room_with_admin("Ada", "Bob")
     ada.send_frame(b"waiting", now=1.0)
-    assert hub.moderation.mute("lobby", ada.stream, is_muted=True, now=1.0)
+    ask(olga, mute(ada), now=1.0)
     for member in (ada, bob):
         assert member.listen(now=1.0) == [StreamMuted(stream=ada.stream, is_muted=True)]
     # The publisher's own session would hold them back: one that does not care.
     hub.receive(ada.connection, b"\x02\x00\x01" + bytes(3) + b"\x01" + bytes(10), now=1.1)
     assert bob.listen(now=1.1) == []
-    assert hub.stats.dropped == {"muted": 2}
-    assert hub.moderation.mute("lobby", ada.stream, is_muted=True, now=1.2)  # as it is already
+    assert hub.stats.dropped["muted"] >= 2
+    ask(olga, mute(ada), now=1.2)  # as it is already
     assert ada.listen(now=1.2) == []
 
 
 def test_a_stream_that_may_go_on_begins_with_a_keyframe_that_is_asked_for() -> None:
-    hub, (ada, bob) = hub_with("Ada", "Bob")
+    _, olga, (ada, bob) = room_with_admin("Ada", "Bob")
     ada.send_frame(b"key", now=1.0)
-    hub.moderation.mute("lobby", ada.stream, is_muted=True, now=1.0)
+    ask(olga, mute(ada), now=1.0)
     for member in (ada, bob):
         member.listen(now=1.0)
-    hub.moderation.mute("lobby", ada.stream, is_muted=False, now=1.1)
+    ask(olga, mute(ada, is_muted=False), now=1.1)
     assert ada.listen(now=1.1) == [
         StreamMuted(stream=ada.stream, is_muted=False),
         KeyframeRequest(stream=ada.stream),
@@ -46,157 +137,97 @@ def test_a_stream_that_may_go_on_begins_with_a_keyframe_that_is_asked_for() -> N
     ada.send_frame(b"delta", now=1.2, is_keyframe=False)
     assert payloads(bob, now=1.2) == []
     ada.send_frame(b"key", now=1.3)
-    ada.send_frame(b"delta", now=1.4, is_keyframe=False)
-    assert payloads(bob, now=1.4) == [b"key", b"delta"]
+    assert payloads(bob, now=1.4) == [b"key"]
 
 
-def test_a_newcomer_is_told_what_is_muted_and_gets_nothing_of_it() -> None:
-    hub, (ada, _bob) = hub_with("Ada", "Bob")
-    ada.send_frame(b"before", now=1.0)
-    hub.moderation.mute("lobby", ada.stream, is_muted=True, now=1.0)
-    cyd = Member(hub, "Cyd", now=2.0)
-    assert cyd.session.muted == {ada.stream}
-    assert payloads(cyd, now=2.0) == []
-
-
-def test_a_muted_peer_that_comes_back_is_still_muted() -> None:
-    hub, (ada, _bob) = hub_with("Ada", "Bob", resumable=True)
-    hub.moderation.mute("lobby", ada.stream, is_muted=True, now=1.0)
+def test_a_voice_is_muted_alone_and_goes_on_without_a_keyframe() -> None:
+    hub, olga, (ada, bob) = room_with_admin("Ada", "Bob")
+    voice = ada.session.tracks[1].stream
+    ask(olga, mute(ada, "voice"), now=1.0)
     ada.listen(now=1.0)
-    again = Member(hub, "Ada", now=2.0, ticket=ada.lose_connection(now=1.5), resumable=True)
-    assert again.session.muted == {again.stream}
-
-
-def test_a_voice_that_was_muted_goes_on_at_once_and_is_asked_for_no_keyframe() -> None:
-    hub, _ = hub_with()
-    ada, bob = Member(hub, "Ada", tracks=(VOICE,)), Member(hub, "Bob")
-    ada.send_frame(b"a", now=1.0)
-    hub.moderation.mute("lobby", ada.stream, is_muted=True, now=1.0)
-    hub.moderation.mute("lobby", ada.stream, is_muted=False, now=1.1)
+    assert ada.session.muted == {voice}
+    ask(olga, mute(ada, "voice", is_muted=False), now=1.1)
     ada.listen(now=1.1)
-    ada.send_frame(b"b", now=1.2, is_keyframe=False)
+    ada.send_frame(b"b", now=1.2, is_keyframe=False, track=1)
     assert payloads(bob, now=1.2) == [b"b"]
     assert not hub.stats.keyframe_requests
 
 
-def test_a_removed_peer_is_told_and_gone_and_cannot_come_back_to_its_place() -> None:
-    hub, (ada, bob) = hub_with("Ada", "Bob", resumable=True)
-    assert hub.moderation.remove("lobby", ada.peer_id, now=1.0)
-    assert ada.closed_code == CloseCode.REMOVED
+def test_a_newcomer_is_told_what_is_muted_and_gets_nothing_of_it() -> None:
+    hub, olga, (ada,) = room_with_admin("Ada")
+    ada.send_frame(b"before", now=1.0)
+    ask(olga, mute(ada), now=1.0)
+    cyd = Member(hub, "Cyd", token="cyd", now=2.0)
+    assert cyd.session.muted == {ada.stream}
+    assert payloads(cyd, now=2.0) == []
+
+
+def test_a_mute_outlives_its_owners_lost_connection_and_rejoin_but_not_the_room() -> None:
+    hub, olga, (ada, bob) = room_with_admin("Ada", "Bob")
+    ask(olga, mute(ada), now=1.0)
+    ada.listen(now=1.0)
+    back = Member(
+        hub, "Ada", token="ada", tracks=(FACE, VOICE), now=2.0, ticket=ada.lose_connection(now=1.5)
+    )
+    assert back.session.muted == {back.stream}
+    hub.disconnect(back.connection, 1000, "", now=3.0)
+    bob.listen(now=3.0)
+    again = Member(hub, "Ada", token="ada", tracks=(FACE, VOICE), now=4.0)
+    assert again.session.muted == {again.stream}, "her face is off, her voice is not"
+    assert bob.listen(now=4.0)[1:] == [StreamMuted(stream=again.stream, is_muted=True)]
+    for member in (olga, bob, again):
+        hub.disconnect(member.connection, 1000, "", now=5.0)
+    assert Member(hub, "Ada", token="ada", now=6.0).session.muted == set()
+
+
+def test_a_removed_peer_is_told_why_and_cannot_come_back_to_its_place() -> None:
+    hub, olga, (ada, bob) = room_with_admin("Ada", "Bob")
+    ask(olga, RemovePeer(peer_id=ada.peer_id), now=1.0)
+    closed = ada.connection.closed
+    assert closed is not None
+    assert (closed.code, closed.reason) == (
+        CloseCode.REMOVED,
+        "an admin has removed you from the room",
+    )
     assert bob.listen(now=1.0) == [PeerLeft(peer_id=ada.peer_id, reason="removed")]
-    again = Member(hub, "Ada", now=2.0, ticket=ada.session.ticket)
+    again = Member(hub, "Ada", token="ada", now=2.0, ticket=ada.session.ticket)
     assert again.peer_id not in ("", ada.peer_id)
 
 
 def test_a_peer_that_is_away_can_be_removed() -> None:
-    hub, (ada, bob) = hub_with("Ada", "Bob", resumable=True)
+    hub, olga, (ada, bob) = room_with_admin("Ada", "Bob")
     ticket = ada.lose_connection(now=1.0)
-    assert hub.moderation.remove("lobby", ada.peer_id, now=2.0)
+    ask(olga, RemovePeer(peer_id=ada.peer_id), now=2.0)
     bob.listen(now=2.0)
-    assert list(bob.session.peers) == []
-    assert Member(hub, "Ada", now=3.0, ticket=ticket).peer_id != ada.peer_id
-    hub.handle_timer(now=20.0)
+    assert ada.peer_id not in bob.session.peers
+    assert Member(hub, "Ada", token="ada", now=3.0, ticket=ticket).peer_id != ada.peer_id
 
 
-class Clock:
-    """Seconds since 1970, as the hub's rulings see them."""
-
-    now_s = 1_800_000_000.0
-
-    def __call__(self) -> float:
-        return self.now_s
-
-
-def hub_of_identities(clock: Clock) -> Hub:
-    """Tokens are the identities themselves."""
-    return Hub(
-        RelayConfig(),
-        lambda join: Admission(identity=join.token),
-        new_secret=counting_secrets(),
-        unix_time=clock,
-    )
-
-
-def test_a_mute_outlives_its_owners_rejoin_and_everybody_is_told() -> None:
-    hub = hub_of_identities(Clock())
-    ada = Member(hub, "Ada", token="ada", tracks=(FACE, VOICE))
-    bob = Member(hub, "Bob", token="bob")
-    hub.moderation.mute("lobby", ada.stream, is_muted=True, now=1.0)
-    hub.disconnect(ada.connection, 1000, "", now=2.0)
-    bob.listen(now=2.0)
-    again = Member(hub, "Ada", token="ada", tracks=(FACE, VOICE), now=3.0)
-    assert again.session.muted == {again.stream}, "her face is off, her voice is not"
-    assert bob.listen(now=3.0)[1:] == [StreamMuted(stream=again.stream, is_muted=True)]
-    hub.receive(again.connection, b"\x02\x00\x04" + bytes(3) + b"\x01" + bytes(10), now=3.1)
-    assert payloads(bob, now=3.1) == []
-    assert Member(hub, "Ada", token="ada", room="elsewhere", now=4.0).session.muted == set()
-    hub.moderation.mute("lobby", again.stream, is_muted=False, now=5.0)
-    hub.disconnect(again.connection, 1000, "", now=6.0)
-    assert Member(hub, "Ada", token="ada", now=7.0).session.muted == set()
-
-
-def test_an_order_about_somebody_else_stops_no_other_stream_of_who_is_muted() -> None:
-    hub = hub_of_identities(Clock())
-    ada = Member(hub, "Ada", token="ada", tracks=(FACE, FACE))
-    hub.moderation.mute("lobby", ada.stream, is_muted=True, now=1.0)
-    hub.moderation.bar("lobby", "mallory", now=2.0)
-    ada.listen(now=2.0)
-    assert ada.session.muted == {ada.stream}
-
-
-def test_a_mute_ends_after_a_day_and_not_with_the_room() -> None:
-    clock = Clock()
-    hub = hub_of_identities(clock)
-    ada = Member(hub, "Ada", token="ada")
-    hub.moderation.mute("lobby", ada.stream, is_muted=True, now=1.0)
-    hub.disconnect(ada.connection, 1000, "", now=2.0)
-    assert hub.num_rooms == 0
-    clock.now_s += RULING_S - 2
-    assert Member(hub, "Ada", token="ada", now=3.0).session.muted
-    clock.now_s += 3
-    assert not Member(hub, "Ada", token="ada", now=4.0).session.muted
-
-
-def test_an_identity_that_is_barred_stays_out_for_its_time_and_not_only_while_the_room_lasts() -> (
-    None
-):
-    clock = Clock()
-    hub = hub_of_identities(clock)
-    ada = Member(hub, "Ada", token="ada")
-    assert hub.moderation.bar("lobby", "ada", lasts_s=60, now=1.0)
+def test_a_barred_identity_stays_out_until_the_room_is_empty() -> None:
+    hub, olga, (ada,) = room_with_admin("Ada")
+    ask(olga, BarIdentity(identity="ada", is_barred=True), now=1.0)
     assert ada.closed_code == CloseCode.REMOVED
-    assert Member(hub, "Ada", token="ada", now=2.0).closed_code == CloseCode.FORBIDDEN
+    refused = Member(hub, "Ada", token="ada", now=2.0).connection.closed
+    assert refused is not None
+    assert refused.code == CloseCode.FORBIDDEN
+    assert refused.reason == "an admin has barred you until the room is empty"
     assert Member(hub, "Ada", token="ada", room="elsewhere", now=2.0).closed_code is None
-    clock.now_s += 59
-    assert Member(hub, "Ada", token="ada", now=3.0).closed_code == CloseCode.FORBIDDEN
-    clock.now_s += 1
+    hub.disconnect(olga.connection, 1000, "", now=3.0)
     assert Member(hub, "Ada", token="ada", now=4.0).closed_code is None
 
 
-def test_a_bar_may_be_lifted_and_who_has_no_identity_cannot_be_barred() -> None:
-    hub = hub_of_identities(Clock())
-    assert hub.moderation.bar("lobby", "ada", now=1.0)
+def test_a_bar_may_be_lifted_and_given_to_who_is_not_there_yet() -> None:
+    hub, olga, _ = room_with_admin()
+    ask(olga, BarIdentity(identity="ada", is_barred=True), now=1.0)
     assert Member(hub, "Ada", token="ada", now=1.0).closed_code == CloseCode.FORBIDDEN
-    assert hub.moderation.bar("lobby", "ada", is_barred=False, now=2.0)
+    ask(olga, BarIdentity(identity="ada", is_barred=False), now=2.0)
     assert Member(hub, "Ada", token="ada", now=2.0).closed_code is None
-    assert not hub.moderation.bar("lobby", "", now=3.0)
 
 
-def test_a_closed_room_is_empty_and_its_peers_know_why() -> None:
-    hub, (ada, bob, cyd) = hub_with("Ada", "Bob", "Cyd", resumable=True)
-    other = Member(hub, "Dot", room="elsewhere")
-    cyd.lose_connection(now=0.5)
-    assert hub.moderation.close_room("lobby", now=1.0) == 3
-    assert ada.closed_code == bob.closed_code == CloseCode.ROOM_CLOSED
-    assert [room.name for room in hub.membership.rooms.values()] == ["elsewhere"]
-    assert other.closed_code is None
-    assert not any(isinstance(each, PeerLeft) for each in ada.listen(now=1.0))
-
-
-def test_what_is_not_there_cannot_be_muted_removed_or_closed() -> None:
-    hub, (ada,) = hub_with("Ada")
-    assert not hub.moderation.mute("lobby", 99, is_muted=True, now=1.0)
-    assert not hub.moderation.mute("nowhere", 1, is_muted=True, now=1.0)
-    assert not hub.moderation.remove("lobby", "p99", now=1.0)
-    assert not hub.moderation.remove("nowhere", ada.peer_id, now=1.0)
-    assert hub.moderation.close_room("nowhere", now=1.0) is None
+def test_a_room_remembers_a_bounded_number_of_decisions_and_none_about_nobody() -> None:
+    room = Room("lobby", capacity=5)
+    room.decide("", "face", holds=True)
+    for number in range(MAX_DECISIONS + 1):
+        room.decide(f"n{number}", "face", holds=True)
+    held = [room.is_decided(name, "face") for name in ("", "n0", "n1", f"n{MAX_DECISIONS}")]
+    assert held == [False, False, True, True]

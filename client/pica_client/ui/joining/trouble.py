@@ -59,7 +59,6 @@ REFUSALS: dict[int, tuple[str, str]] = {
         "Leave there first, or ask for an invite link of your own: each person needs one.",
     ),
     CloseCode.REMOVED: ("You were removed from the room.", "Ask the host whether you may return."),
-    CloseCode.ROOM_CLOSED: ("The host has closed the room.", "Ask for another room."),
     CloseCode.TOO_FAST: ("The relay has stopped you for sending too much.", "Try again later."),
 }
 """What close codes mean, and what helps."""

@@ -13,6 +13,7 @@ from pica_client.ui.panels.sound import volume_slider
 from pica_client.ui.surface import icons, widgets
 from pica_client.ui.surface.fonts import TEXT_PT
 from pica_client.ui.surface.theme import Metrics, Tone
+from pica_protocol.messages import BarIdentity, MutePeer, RemovePeer
 
 CODE_PT: Final = 19.0
 MENU_PT: Final = 24.0
@@ -43,7 +44,9 @@ def participants_panel(view: CallView, metrics: Metrics) -> list[UserOrder]:
 def signs_of(person: Participant, *, is_encrypted: bool, volume: float = 1.0) -> list[Sign]:
     """What is shown beside a name, each with its meaning for who points at it."""
     signs: list[Sign] = []
-    if person.is_voice_muted:
+    if "voice" in person.muted_kinds:
+        signs.append((icons.VOICE_OFF, "alert", "An admin has muted the voice"))
+    elif person.is_voice_muted:
         signs.append((icons.VOICE_OFF, "alert", "Voice is muted"))
     if volume == 0:
         signs.append((icons.SPEAKER_OFF, "alert", "You have muted this person for yourself"))
@@ -132,7 +135,29 @@ def _menu(person: Participant, view: CallView, metrics: Metrics) -> list[UserOrd
                 found = 1.0 if is_muted else 0.0
             if found != volume:
                 orders.append(SetVolume(person.place, found))
+        if view.status.is_admin:
+            imgui.separator()
+            orders += _moderation(person)
         imgui.end_popup()
+    return orders
+
+
+def _moderation(person: Participant) -> list[UserOrder]:
+    """What an admin may do to a participant."""
+    orders: list[UserOrder] = []
+    kinds = (
+        ("voice", person.has_voice, icons.VOICE, icons.VOICE_OFF),
+        ("face", not person.is_watching, icons.FACE, icons.FACE_OFF),
+    )
+    for kind, is_sent, on, off in kinds:
+        is_muted = kind in person.muted_kinds
+        text = f"{on}  Unmute {kind}" if is_muted else f"{off}  Mute {kind}"
+        if is_sent and imgui.menu_item_simple(text):
+            orders.append(MutePeer(peer_id=person.peer_id, kind=kind, is_muted=not is_muted))
+    if imgui.menu_item_simple(f"{icons.REMOVE}  Remove"):
+        orders.append(RemovePeer(peer_id=person.peer_id))
+    if person.identity and imgui.menu_item_simple(f"{icons.BAR}  Bar until the room is empty"):
+        orders.append(BarIdentity(identity=person.identity, is_barred=True))
     return orders
 
 

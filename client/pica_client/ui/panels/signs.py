@@ -26,8 +26,8 @@ def banner(view: CallView) -> Line | None:
     status = view.status
     if not status.is_connected and status.away_s >= BANNER_AFTER_S:
         return f"Connection lost – coming back … {status.away_s:.0f} s", "alert"
-    if status.is_muted_by_admin and view.state.own_face != "none":
-        return "An admin has muted your face", "warning"
+    if status.muted_by_admin:
+        return f"An admin has muted your {status.muted_by_admin}", "warning"
     if status.own_trouble:
         return status.own_trouble, "warning"
     if status.own_quality == "poor":

@@ -103,7 +103,7 @@ def test_the_pointer_on_a_panel_is_the_surfaces_and_beside_it_the_scenes(hand: H
         (replace(VIEW, status=CallStatus(own_quality="poor")), "Your connection is poor"),
         (replace(VIEW, status=CallStatus(is_connected=False, away_s=0.5)), None),
         (replace(VIEW, status=CallStatus(is_connected=False, away_s=7.2)), "Connection lost"),
-        (replace(VIEW, status=CallStatus(is_muted_by_admin=True)), "An admin has muted"),
+        (replace(VIEW, status=CallStatus(muted_by_admin="voice")), "An admin has muted your voice"),
         (replace(VIEW, status=CallStatus(own_trouble="vmc: no datagram yet")), "no datagram yet"),
     ],
 )

@@ -1,1 +1,0 @@
-"""What an admin may ask of a relay over HTTP."""
