@@ -1,29 +1,22 @@
-"""What held when faults were done to a relay and its clients, kept so: real processes on loopback.
+"""A relay as a real process with little memory, no home and a log on a full disk.
 
-Calls that go through the same on the virtual clock are in tests/call; clusters in
-tests/call/test_cluster.py.
+Faults of a whole call are in ``scripts/faults.py``; those on the virtual clock in tests/call.
 """
 
 import asyncio
 import os
-import signal
-import socket
-import struct
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import AsyncExitStack, contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from websockets.exceptions import WebSocketException
 
-from pica_protocol.errors import LocalProtocolError
 from pica_protocol.frames import Frame
-from pica_protocol.session import Closed
-from simnet.cluster import Node, person, until
-from simnet.peers import open_websocket, peer_in_room
+from simnet.cluster import Node
+from simnet.peers import peer_in_room
 
 pytestmark = pytest.mark.realtime
 
@@ -62,88 +55,6 @@ async def call_goes_on(url: str) -> None:
     async with peer_in_room(url, "Ada") as ada, peer_in_room(url, "Bob") as bob:
         await ada.send_frame(b"hello")
         assert (await bob.until(Frame)).payload == b"hello"
-
-
-def test_a_sender_or_a_viewer_that_is_stopped_for_a_while_goes_on() -> None:
-    async def call(node: Node, sender: "subprocess.Popen[bytes]") -> None:
-        async with person("bob", node, publishes=False) as bob:
-            await until(lambda: len(bob.frames) > 10)
-            sender.send_signal(signal.SIGSTOP)
-            await asyncio.sleep(3.0)
-            sender.send_signal(signal.SIGCONT)
-            count = len(bob.frames)
-            await until(lambda: len(bob.frames) > count + 10)
-            assert bob.left == []
-            # A viewer is stopped with the process that it is in: this one.
-            time.sleep(3.0)  # noqa: ASYNC251
-            count = len(bob.frames)
-            await until(lambda: len(bob.frames) > count + 10)
-            assert bob.link.reconnects == 0
-
-    with relay() as node:
-        words = [sys.executable, "-m", "pica_command", "send", "--url", node.url, "--name", "ada"]
-        sender = subprocess.Popen(words, stderr=subprocess.DEVNULL)
-        try:
-            asyncio.run(call(node, sender))
-        finally:
-            sender.kill()
-            sender.wait()
-
-
-def test_who_was_in_is_back_when_a_killed_relay_is() -> None:
-    async def call(first: Node) -> None:
-        port = int(first.url.rpartition(":")[2])
-        async with (
-            person("ada", first, talks=True) as ada,
-            person("bob", first, talks=True) as bob,
-        ):
-            await until(lambda: ada.sees("bob") and bob.sees("ada"))
-            first.kill()
-            await asyncio.sleep(1.5)
-            with relay(port=port):
-                await until(lambda: ada.link.reconnects == 1 and bob.link.reconnects == 1)
-                count = len(bob.frames)
-                await until(lambda: ada.sees("bob") and len(bob.frames) > count + 10)
-
-    with relay() as node:
-        asyncio.run(call(node))
-
-
-def test_mute_readers_flooders_and_resets_beside_a_call_cost_it_no_frame() -> None:
-    async def flood(url: str) -> None:
-        async with peer_in_room(url, "Flood", room="flooded") as peer:
-            with suppress(LocalProtocolError, WebSocketException):
-                await peer.publish(num_frames=20_000, fps=20_000)
-            await peer.until(Closed)
-
-    async def reset(host: str, port: int) -> None:
-        _, writer = await asyncio.open_connection(host, port)
-        writer.write(b"GET / HTTP/1.1\r\n")
-        sock = writer.get_extra_info("socket")
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-        writer.transport.abort()
-
-    async def call(url: str) -> None:
-        host, _, port = url.removeprefix("ws://").rpartition(":")
-        async with AsyncExitStack() as stack:
-            ada = await stack.enter_async_context(peer_in_room(url, "Ada"))
-            bob = await stack.enter_async_context(peer_in_room(url, "Bob", tracks=()))
-            for _ in range(50):
-                mute = await stack.enter_async_context(open_websocket(url))
-                mute.transport.pause_reading()
-                stack.callback(mute.transport.abort)
-            sending = asyncio.create_task(ada.publish(num_frames=90, fps=30))
-            flooding = asyncio.create_task(flood(url))
-            for _ in range(500):
-                await reset(host, int(port))
-                await asyncio.sleep(0.002)
-            await sending
-            await flooding
-            await asyncio.sleep(0.2)
-            assert len(bob.arrivals) == 90
-
-    with relay() as node:
-        asyncio.run(call(node.url))
 
 
 def test_a_relay_runs_in_little_memory_without_a_home_and_with_a_log_on_a_full_disk(

@@ -43,7 +43,13 @@ SMALL = AvatarSpec(
 )
 TOY = make_toy_avatar(grid=20, spec=SMALL)
 QUICK = LevelOptions(
-    faces=64, rounds=1, points=500, mesh_ratios=(0.3, 0.6), texels=(2, 2), check_faces=4
+    faces=64,
+    rounds=1,
+    points=500,
+    bias_points=10_000,
+    mesh_ratios=(0.3, 0.6),
+    texels=(2, 2),
+    check_faces=4,
 )
 SHIPPED = Path(str(resources.files("pica_core"))) / "avatars" / "sam.pica"
 
