@@ -10,10 +10,9 @@ from dataclasses import replace
 
 from pica_client.e2ee.errors import OpenError
 from pica_client.e2ee.frames import derive_key, metadata_of, open_, seal
-from pica_client.e2ee.suites import AES_128_GCM_SHA256_128
 from pica_protocol.frames import Frame
 
-key = derive_key(os.urandom(16), key_id=0, suite=AES_128_GCM_SHA256_128)
+key = derive_key(os.urandom(16), key_id=0)
 frame = Frame(
     stream=7, sequence=41, layer=0, is_keyframe=True, captured_us=1_000_000, payload=b"a face"
 )
@@ -21,7 +20,7 @@ sealed = seal(frame.payload, metadata_of(frame), key, counter=41)
 print(f"{len(frame.payload)} bytes of payload, {len(sealed)} sealed: {sealed.hex()}")
 assert open_(sealed, metadata_of(frame), key) == frame.payload
 
-other = derive_key(os.urandom(16), key_id=0, suite=AES_128_GCM_SHA256_128)
+other = derive_key(os.urandom(16), key_id=0)
 attempts = {
     "a flipped bit": (bytes([*sealed[:-1], sealed[-1] ^ 1]), metadata_of(frame), key),
     "another stream": (sealed, metadata_of(replace(frame, stream=8)), key),

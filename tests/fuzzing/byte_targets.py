@@ -2,7 +2,7 @@
 
 Each target accepts its bytes or refuses them with a documented error; what else it raises is a
 defect. A media message is a bundle of frames. What lies behind a code that nobody can forge (a
-seal, a note) is read as far as the code.
+seal, a key message) is read as far as the code.
 """
 
 from __future__ import annotations
@@ -17,11 +17,10 @@ from fuzzing.corpus import GOLDEN_BYTES
 from fuzzing.targets import expect
 from helpers.stream_toy import perform, toy_profile
 from helpers.toy import make_toy_avatar
-from pica_client.e2ee.errors import NoteError, OpenError
+from pica_client.e2ee.errors import OpenError
 from pica_client.e2ee.frames import decode_header, derive_key, metadata_of, open_, seal
-from pica_client.e2ee.notes import Note, RoomKeys, decode_note, encode_note
+from pica_client.e2ee.key_messages import KeyMessage, decode, encode, room_key
 from pica_client.e2ee.secret import RoomSecret
-from pica_client.e2ee.suites import SUITES
 from pica_core.avatar.file import load_avatar, save_avatar
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.codec.latent_decoder import LatentDecoder
@@ -32,7 +31,7 @@ from pica_protocol.errors import RemoteProtocolError
 from pica_protocol.frames import Frame, decode_media, encode_frame, media_message, scan_frames
 
 WAY: Final = ("p1", "p2")
-NOTE_KEY: Final = RoomKeys.of(RoomSecret(bytes(range(32))), "lobby").note_key
+CODE_KEY: Final = room_key(RoomSecret(bytes(range(32))), "lobby", b"code")
 METADATA: Final = metadata_of(Frame(stream=1, sequence=2, captured_us=3, payload=b""))
 
 
@@ -60,17 +59,15 @@ def media(data: bytes) -> None:
 
 
 def sealed(data: bytes) -> None:
-    """Read a sealed payload under each suite."""
-    for suite in SUITES.values():
-        with suppress(OpenError):
-            decode_header(data)
-            open_(data, METADATA, derive_key(bytes(16), 7, suite))
+    """Read a sealed payload."""
+    with suppress(OpenError):
+        decode_header(data)
+        open_(data, METADATA, derive_key(bytes(16), 7))
 
 
-def note(data: bytes) -> None:
-    """Read a note about keys."""
-    with suppress(NoteError):
-        decode_note(data, NOTE_KEY, *WAY)
+def key_message(data: bytes) -> None:
+    """Read a message about keys."""
+    decode(data, CODE_KEY, WAY)
 
 
 def avatar_file(data: bytes) -> None:
@@ -101,18 +98,16 @@ def bitstream(data: bytes) -> None:
 
 
 TARGETS: Final[Mapping[str, Callable[[bytes], None]]] = {
-    each.__name__: each for each in (message, media, sealed, note, avatar_file, bitstream)
+    each.__name__: each for each in (message, media, sealed, key_message, avatar_file, bitstream)
 }
 
 
 def seeds() -> dict[str, list[bytes]]:
     """Return good inputs of each target, made by the code as it is now.
 
-    They are the golden bytes of the wire, a frame and a note of each suite, a stream, an avatar.
+    They are the golden bytes of the wire, a sealed frame, a key message, a stream, an avatar.
     """
-    wrapped = Note(public_key=bytes(32), generation=1, suite=4, wrapped_key=bytes(32))
-    notes = [Note(public_key=bytes(32), wants_answer=True), wrapped]
-    suites = [(derive_key(bytes(16), 7, suite), number) for number, suite in SUITES.items()]
+    told = KeyMessage(False, bytes(32), bytes(8), bytes(8), 0, 1, 0, bytes(32))
     stream = b"".join(
         bytes([sent.layer | 8 * sent.is_keyframe, len(sent.payload)]) + sent.payload
         for sent in perform(num_frames=40)
@@ -126,8 +121,8 @@ def seeds() -> dict[str, list[bytes]]:
     return {
         "message": [data for data in wire if data[:1] != b"\x02"],
         "media": [data for data in wire if data[:1] == b"\x02"],
-        "sealed": [seal(b"face", METADATA, key, number) for key, number in suites],
-        "note": [encode_note(note, NOTE_KEY, *WAY) for note in notes],
+        "sealed": [seal(b"face", METADATA, derive_key(bytes(16), 7), 4)],
+        "key_message": [encode(told, CODE_KEY, WAY, bytes(32), bytes(16))],
         "avatar_file": [avatar_bytes],
         "bitstream": [stream, stream[: len(stream) // 2]],
     }

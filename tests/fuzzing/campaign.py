@@ -25,7 +25,7 @@ TARGETS: Final[Mapping[str, Target]] = {
     "hub": relay_targets.hub,
     "tokens": relay_targets.tokens,
     "sealed frames": seal_targets.sealed_frames,
-    "notes": seal_targets.notes,
+    "key messages": seal_targets.key_messages,
     "guard": seal_targets.guard,
     "store messages": store_targets.store_messages,
     "store file": store_targets.structure,

@@ -1,6 +1,6 @@
 """A room of key exchanges without sockets: whispers take a moment, and may be lost, or come twice.
 
-For tests of `pica_client.e2ee`; the real relay is in ``tests/call/test_seal_call.py``.
+For tests of `pica_client.e2ee`; the real relay is in ``tests/call/test_e2ee.py``.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 
 from pica_client.e2ee.guard import Guard
 from pica_client.e2ee.secret import RoomSecret
-from pica_client.e2ee.suites import AES_128_GCM_SHA256_128, Suite
 from pica_protocol.frames import Frame
 from pica_protocol.messages import (
     Joined,
@@ -71,19 +70,17 @@ class Room:
         name: str,
         *,
         secret: RoomSecret = SECRET,
-        suite: Suite = AES_128_GCM_SHA256_128,
         publishes: bool = True,
         guard: Guard | None = None,
         more_tracks: tuple[Track, ...] = (),
         asks_for: str = "r",
-        pad_to: tuple[int, ...] = (),
     ) -> Member:
         """Let somebody in; the name is the peer id."""
         self._serial += 1
         stream = self._serial
         tracks = (Track(kind="face", stream=stream), *more_tracks) if publishes else ()
         chance = random.Random(f"{name}/{self._serial}").randbytes
-        guard = guard or Guard(secret, suite=suite, pad_to=pad_to, random_bytes=chance)
+        guard = guard or Guard(secret, random_bytes=chance)
         others = tuple(member.peer for member in self.members.values())
         peer = Peer(peer_id=name, name=name, tracks=tracks)
         joined = Joined(room="r", peer_id=name, tracks=tracks, peers=others)
@@ -118,8 +115,6 @@ class Room:
             if not times or min(times) > end:
                 break
             self.now = max(self.now, min(times))
-            for member in self.members.values():
-                member.guard.handle_timer(self.now)
             arrived = [w for arrival, w in self._under_way if arrival <= self.now]
             self._under_way = [item for item in self._under_way if item[0] > self.now]
             for sender, receiver, data in arrived:

@@ -144,9 +144,6 @@ class World:
         session, line = person.session, person.line
         if session is None or line is None:
             return
-        timer = person.guard.next_timer()
-        if timer is not None and timer <= self.now:
-            person.guard.handle_timer(self.now)
         if person.is_joined:
             for peer_id, data in person.guard.messages_to_send(self.now):
                 session.tell(Whisper(peer_id=peer_id, data=data))
@@ -173,7 +170,7 @@ class World:
                 if isinstance(passed, Frame):
                     self.look_at_opened(person, passed)
                 person.call.receive_event(passed, self.now)
-            for peer_id in person.guard.members & person.never_members:
+            for peer_id in person.guard.status.verified & person.never_members:
                 self.break_promise(f"{person.name} counts {peer_id}, who had gone before")
         for due in person.call.due_frames(self.now):
             captured_us = due.frame.captured_us
@@ -448,7 +445,7 @@ class World:
             owners = Counter(captured_us % 10 for captured_us in frames)
             if len(owners) != len(self.people) - 1 or min(owners.values()) < 19:
                 self.break_promise(f"an honest relay, and {person.name} opens {dict(owners)}")
-            if person.guard.status.num_verified != len(self.people) - 1:
+            if len(person.guard.status.verified) != len(self.people) - 1:
                 self.break_promise(f"an honest relay, and {person.guard.status.peers}")
 
 

@@ -20,7 +20,7 @@ from pica_client.call.faces import FaceState, FaceStatus
 from pica_client.call.held_lips import HeldLips
 from pica_client.call.participant import RemoteParticipant, Tell
 from pica_client.call.roster import SECRET_NEEDED, Member, RoomState, Roster
-from pica_client.e2ee.status import PeerSeal, SealState, SealStatus
+from pica_client.e2ee.status import SealState, SealStatus
 from pica_client.playout.config import PlayoutConfig
 from pica_client.publish.face_track import FACE_TRACK
 from pica_client.stats import Samples
@@ -266,7 +266,7 @@ class Call:
                 notes={who: seal.note for who, seal in seals.items()}
                 | {peer_id: self._note(seat, now) for peer_id, seat in self._seats.items()},
                 verified=frozenset(
-                    who for who, seal in seals.items() if seal.state is SealState.VERIFIED
+                    who for who, seal in seals.items() if seal is SealState.VERIFIED
                 ),
                 news=tuple(self._roster.take_news()),
                 duration_s=0.0 if joined_s is None else now - joined_s,
@@ -402,7 +402,7 @@ class Call:
         silent_s = 0.0 if seat.last_arrival_s is None else now - seat.last_arrival_s
         return silent_s > STALE_AFTER_S and not seat.is_paused
 
-    def _seals(self) -> Mapping[str, PeerSeal]:
+    def _seals(self) -> Mapping[str, SealState]:
         """How the encryption of each peer stands, by peer id; empty where we do not encrypt."""
         status = self.seal_status()
         return {} if status is None else status.peers
@@ -410,7 +410,7 @@ class Call:
     def _note(self, seat: RemoteParticipant, now: float) -> str:
         """Why a face is not to be seen, or not as it should be; empty when nothing is wrong."""
         peer_id = seat.peer.peer_id
-        note = self._seals().get(peer_id, PeerSeal()).note or seat.note
+        note = self._seals().get(peer_id, SealState.WAITING).note or seat.note
         if note:
             return note
         if self._lacks_secret(peer_id):

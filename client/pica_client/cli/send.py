@@ -13,7 +13,6 @@ from pica_client.avatars.library import AvatarLibrary
 from pica_client.avatars.own_avatar import GiveAvatar, choose_own_avatar
 from pica_client.cli.options import check_voice, connect_timeout_s
 from pica_client.cli.send_keys import HELP, SendKeys, read_keys
-from pica_client.e2ee.padding import parse_buckets
 from pica_client.output import Outputs, check_writable, say
 from pica_client.publish.face_desk import FaceDesk
 from pica_client.publish.own_face import DEFAULT_SOURCE
@@ -62,11 +61,6 @@ class SendOptions:
     """Trust the certificates of this PEM file instead of the system's, at a wss:// address."""
     secret_file: Path | None = None
     """File with the room secret, from pica secret: encrypts end to end, see docs/privacy.md."""
-    short_tags: bool = False
-    """Spend 11 bytes a frame on encryption instead of 19; needs a secret, see docs/privacy.md."""
-    pad: str = "off"
-    """Fill payloads up to these sizes in bytes, as 32,64,256, so that the relay learns less from
-    their sizes; needs a secret, see docs/privacy.md."""
     give_avatar: GiveAvatar = "auto"
     """Give the avatar's file to the relay, for those who do not have it; auto does, unless it ships
     with this package or there is a secret: whoever runs the relay can look at the file."""
@@ -92,8 +86,6 @@ def send(options: SendOptions) -> dict[str, Any]:
         secret_file=options.secret_file,
         token_file=options.token_file,
         ca_file=options.ca_file,
-        short_tags=options.short_tags,
-        pad_to=parse_buckets(options.pad),
     )
     source = open_source(options.source, person=link.name)
     voice = open_voice(options.voice, cleans=options.clean)

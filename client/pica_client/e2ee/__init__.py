@@ -1,18 +1,11 @@
-"""End-to-end encryption of media payloads in the manner of SFrame (RFC 9605).
+"""End-to-end encryption of media payloads in the manner of SFrame (RFC 9605): docs/privacy.md.
 
-The theory, the bytes and what is not protected stand in ``docs/privacy.md``.
+    frames.py        one payload: payload + clear header <-> sealed payload; the replay window
+    secret.py        the room secret and its file
+    key_messages.py  the one message that peers exchange about keys
+    peer_keys.py     what was agreed with one peer, and how its encryption stands
+    guard.py         the key exchange of a room, and frames, for a `pica_client.transport.link.Link`
+    status.py        who is verified, and the code to read aloud
 
-    suites.py       the ciphers                         key, nonce, data -> data and tag
-    frames.py       one payload                         payload + clear header <-> sealed payload
-    padding.py      payloads of a few sizes only
-    secret.py       the room secret and its file
-    description.py  what a peer says of itself
-    notes.py        the one message that peers exchange about keys
-    peer_keys.py    what is held of keys, ours and of each peer, and which counters were seen
-    keys.py         who has which key of whom (a pure state machine)
-    status.py       who is verified, and the code to read aloud
-    guard.py        all of it as one object for a `pica_client.transport.link.Link`
-
-Needs the extra ``seal``, but for `status` and `padding`; nothing outside this folder imports more
-unless a secret is given.
+Only `status` and `secret` work without the extra ``seal``.
 """

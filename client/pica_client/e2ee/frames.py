@@ -1,30 +1,38 @@
 """One payload sealed, and opened again. Pure: keys and counters are arguments.
 
-    sealed = header | encrypted payload | tag
+    sealed = header | encrypted payload | tag of 16 bytes
     header = config byte | key id, 0 to 8 bytes | counter, 0 to 8 bytes      (RFC 9605 4.3)
 
-    config byte   bit 7     the key id follows in (bits 6..4) + 1 bytes; else bits 6..4 are it
-                  bit 3     the counter follows in (bits 2..0) + 1 bytes; else bits 2..0 are it
-
-The tag covers the header and the *metadata*: the fields of the media header that travel in the
-clear. Who moves a payload to another stream, sequence number, layer or time breaks it.
+The cipher is AES_128_GCM_SHA256_128 of RFC 9605. The tag covers the header and the *metadata*: the
+fields of the media header that travel in the clear. A payload that is moved to another stream,
+sequence number, layer or time does not open.
 """
 
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
+from cryptography.exceptions import InvalidTag
+from cryptography.hazmat.primitives.ciphers.aead import AESGCM
 from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 
-from pica_client.e2ee.errors import ForgedFrameError, MalformedFrameError
-from pica_client.e2ee.suites import NONCE_BYTES, Aead, Suite
+from pica_client.e2ee.errors import OpenError
 from pica_protocol.frames import FLAG_KEYFRAME, Frame
 
-MAX_NUMBER: Final = 2**64 - 1
-"""The largest key id or counter that a header can carry."""
+BASE_KEY_BYTES: Final = 16
+TAG_BYTES: Final = 16
+FACE_BYTES: Final = 48
+"""Every face is padded to this size before it is sealed, so that sizes do not tell who speaks; a
+larger one to the next multiple (chosen: coded faces take 28 bytes at most, see docs/privacy.md)."""
+WINDOW: Final = 1024
+"""Counters that are remembered: 12 s of a face at 30 frames a second and a voice at 50 (chosen:
+longer than any delay that a playout would wait for)."""
 
-_METADATA = struct.Struct(">HHBBQ")
+_SUITE: Final = 4
+_NONCE_BYTES: Final = 12
+_METADATA: Final = struct.Struct(">HHBBQ")
+_PADDING_MARK: Final = b"\x80"
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,105 +40,119 @@ class FrameKey:
     """A key ready for use; its parts never leave this process."""
 
     key_id: int
-    suite: Suite
-    aead: Aead
-    salt: bytes
-
-    def __repr__(self) -> str:
-        return f"FrameKey(key_id={self.key_id}, suite={self.suite.name})"
+    cipher: AESGCM = field(repr=False)
+    salt: bytes = field(repr=False)
 
     def nonce(self, counter: int) -> bytes:
         """Return the nonce of one frame: salt xor counter (RFC 9605 4.4.3)."""
-        return (int.from_bytes(self.salt) ^ counter).to_bytes(NONCE_BYTES)
+        return (int.from_bytes(self.salt) ^ counter).to_bytes(_NONCE_BYTES)
 
 
-def derive_key(base_key: bytes, key_id: int, suite: Suite) -> FrameKey:
+def derive_key(base_key: bytes, key_id: int) -> FrameKey:
     """Derive key and salt from a sender's base key (RFC 9605 4.4.2)."""
-    suffix = key_id.to_bytes(8) + suite.number.to_bytes(2)
+    suffix = key_id.to_bytes(8) + _SUITE.to_bytes(2)
 
     def expand(label: bytes, length: int) -> bytes:
         return HKDF(SHA256(), length, salt=b"", info=label + suffix).derive(base_key)
 
-    key = expand(b"SFrame 1.0 Secret key ", suite.key_bytes)
-    salt = expand(b"SFrame 1.0 Secret salt ", NONCE_BYTES)
-    return FrameKey(key_id, suite, suite.aead(key, suite.tag_bytes), salt)
+    key = expand(b"SFrame 1.0 Secret key ", 16)
+    return FrameKey(key_id, AESGCM(key), expand(b"SFrame 1.0 Secret salt ", _NONCE_BYTES))
 
 
 def encode_header(key_id: int, counter: int) -> bytes:
-    """Return the header's bytes: 1 to 17."""
-    key_bits, key_tail = _encode_number("key id", key_id)
-    counter_bits, counter_tail = _encode_number("counter", counter)
-    return bytes([key_bits << 4 | counter_bits]) + key_tail + counter_tail
+    """Return the header's bytes, 1 to 17, each number in the least bytes (RFC 9605 4.3)."""
+    config, tails = 0, b""
+    for number in (key_id, counter):
+        tail = b"" if number < 8 else number.to_bytes((number.bit_length() + 7) // 8)
+        config = config << 4 | (7 + len(tail) if tail else number)
+        tails += tail
+    return bytes([config]) + tails
 
 
 def decode_header(sealed: bytes) -> tuple[int, int, int]:
     """Return key id and counter of a sealed payload, and how many bytes its header takes.
 
     Raises:
-        MalformedFrameError: It is cut off, or a number takes more bytes than it needs.
+        OpenError: It is cut off, or a number takes more bytes than it needs.
     """
-    if not sealed:
-        raise MalformedFrameError("an empty payload is not sealed")
-    key_id, end = _decode_number(sealed, sealed[0] >> 4, 1)
-    counter, end = _decode_number(sealed, sealed[0] & 15, end)
-    return key_id, counter, end
+    numbers, end = list[int](), 1
+    for bits in (sealed[0] >> 4, sealed[0] & 15) if sealed else ():
+        begin, end = end, end + max(bits - 7, 0)
+        numbers.append(bits if bits < 8 else int.from_bytes(sealed[begin:end]))
+    if not numbers or encode_header(*numbers) != sealed[:end]:
+        raise OpenError(f"no header in a payload of {len(sealed)} bytes")
+    return numbers[0], numbers[1], end
 
 
 def metadata_of(frame: Frame) -> bytes:
-    """Return what the tag covers of a frame's clear header: 14 bytes that do not travel again.
-
-    The length is left out: a payload of another length does not open anyway.
-    """
+    """Return what the tag covers of a frame's clear header: 14 bytes that do not travel again."""
     flags = FLAG_KEYFRAME if frame.is_keyframe else 0
     return _METADATA.pack(frame.stream, frame.sequence, frame.layer, flags, frame.captured_us)
 
 
 def seal(payload: bytes, metadata: bytes, key: FrameKey, counter: int) -> bytes:
-    """Encrypt a payload and authenticate it together with its metadata.
+    """Encrypt a payload and authenticate it together with its metadata, which is not carried.
 
-    Args:
-        metadata: Authenticated, not carried; see `metadata_of`.
-        counter: Never the same twice with one key: two payloads under one nonce give away their
-            difference and, with AES-GCM, the means to forge.
+    The counter must never be the same twice with one key: two payloads under one nonce give away
+    their difference, and the means to forge.
     """
     header = encode_header(key.key_id, counter)
-    return header + key.aead.encrypt(key.nonce(counter), payload, header + metadata)
+    return header + key.cipher.encrypt(key.nonce(counter), payload, header + metadata)
 
 
 def open_(sealed: bytes, metadata: bytes, key: FrameKey) -> bytes:
     """Return the payload that a sender with the same key sealed with the same metadata.
 
     Raises:
-        MalformedFrameError: Cut off, or no header.
-        ForgedFrameError: Another key, other metadata, or a bit that is not as it was.
+        OpenError: Another key, other metadata, or a bit that is not as it was.
     """
     key_id, counter, start = decode_header(sealed)
-    if len(sealed) - start < key.suite.tag_bytes:
-        raise MalformedFrameError(f"a sealed payload of {len(sealed)} bytes has no room for a tag")
     if key_id != key.key_id:
-        raise ForgedFrameError(f"sealed with key {key_id}, not {key.key_id}")
+        raise OpenError(f"sealed with key {key_id}, not {key.key_id}")
     associated = sealed[:start] + metadata
-    return key.aead.decrypt(key.nonce(counter), sealed[start:], associated)
+    try:
+        return key.cipher.decrypt(key.nonce(counter), sealed[start:], associated)
+    except InvalidTag:
+        raise OpenError("the tag does not fit") from None
 
 
-def _encode_number(name: str, value: int) -> tuple[int, bytes]:
-    """Four bits for the config byte, and what follows it."""
-    if not 0 <= value <= MAX_NUMBER:
-        raise ValueError(f"{name} must be in 0..{MAX_NUMBER}, got {value}")
-    if value < 8:
-        return value, b""
-    length = (value.bit_length() + 7) // 8
-    return 8 | (length - 1), value.to_bytes(length)
+def pad(face: bytes) -> bytes:
+    """Return a face padded to the one size, or its next multiple: the face, the byte 80, zeros."""
+    marked = face + _PADDING_MARK
+    return marked + bytes(-len(marked) % FACE_BYTES)
 
 
-def _decode_number(data: bytes, bits: int, start: int) -> tuple[int, int]:
-    if bits < 8:
-        return bits, start
-    end = start + (bits & 7) + 1
-    if end > len(data):
-        raise MalformedFrameError(f"header cut off after {len(data)} bytes")
-    value = int.from_bytes(data[start:end])
-    # One value, one encoding: the least number of bytes (RFC 9605 4.3).
-    if value < 8 or value.bit_length() <= (end - start - 1) * 8:
-        raise MalformedFrameError(f"{value} encoded in {end - start} bytes")
-    return value, end
+def unpad(padded: bytes) -> bytes:
+    """Return the face that was padded.
+
+    Raises:
+        OpenError: It is not padded.
+    """
+    face = padded.rstrip(b"\0")
+    if not face.endswith(_PADDING_MARK):
+        raise OpenError("a face without the mark of its padding")
+    return face[:-1]
+
+
+class ReplayWindow:
+    """Lets every counter through once, in any order within the window."""
+
+    def __init__(self, first: int = 0) -> None:
+        """Begin with a counter; whatever is below it counts as seen."""
+        self._highest = first - 1
+        self._seen = (1 << WINDOW) - 1  # bit i: counter highest - i
+
+    def is_new(self, counter: int) -> bool:
+        """Return True if this counter has not been seen, as far as that can be told."""
+        age = self._highest - counter
+        return age < 0 or (age < WINDOW and not self._seen >> age & 1)
+
+    def mark(self, counter: int) -> None:
+        """Remember a counter that `is_new`, once its frame has opened: a forgery uses up none."""
+        ahead = counter - self._highest
+        if ahead > 0:
+            shifted = self._seen << ahead if ahead < WINDOW else 0
+            self._seen = (shifted | 1) & ((1 << WINDOW) - 1)
+            self._highest = counter
+        else:
+            self._seen |= 1 << -ahead

@@ -1,108 +1,109 @@
-"""What is held of keys: our own, and of each peer in the room. The rules are in `keys`."""
+"""What was agreed with one peer since we last heard that it came. The room's rules are in `guard`.
+
+    state             becomes         when
+    waiting           plain           no key message has come for `SILENT_S`
+    any but verified  secret differs  a message comes that no member wrote
+    any but verified  relabelled      a member's message describes it otherwise than the relay
+    any but verified  waiting         a member's message comes
+    any               verified        its key comes, in a message that echoes our challenge
+    any               waiting         it came, came back, or took another public key
+
+Made-up or repeated messages cost a verified peer nothing.
+"""
 
 from dataclasses import dataclass, field
 from typing import Final
 
-from pica_client.e2ee.frames import FrameKey
-from pica_client.e2ee.notes import WrapKey
-from pica_client.e2ee.status import PeerSeal
+from pica_client.e2ee.frames import FrameKey, ReplayWindow, derive_key
+from pica_client.e2ee.key_messages import UNKNOWN
+from pica_client.e2ee.status import SealState
 from pica_protocol.messages import Peer
 
-WINDOW: Final = 1024
-"""Counters that are remembered: 12 s of a face at 30 frames a second and a voice at 50 (chosen:
-longer than any delay that a playout would wait for)."""
-
-
-class ReplayWindow:
-    """Lets every counter through once, in any order within the window.
-
-    Ask `is_new` before a frame is opened, `mark` it once it has been: a forged frame must not use
-    up a counter.
-    """
-
-    def __init__(self, first: int = 0) -> None:
-        """Begin with a counter; whatever is below it counts as seen."""
-        self._highest = first - 1
-        self._seen = (1 << WINDOW) - 1  # bit i: counter highest - i
-
-    def is_new(self, counter: int) -> bool:
-        """Whether this counter has not been seen, as far as that can be told."""
-        age = self._highest - counter
-        return age < 0 or (age < WINDOW and not self._seen >> age & 1)
-
-    def mark(self, counter: int) -> None:
-        """Remember a counter that `is_new`."""
-        ahead = counter - self._highest
-        if ahead > 0:
-            shifted = self._seen << ahead if ahead < WINDOW else 0
-            self._seen = (shifted | 1) & ((1 << WINDOW) - 1)
-            self._highest = counter
-        else:
-            self._seen |= 1 << -ahead
-
-
+KEY_IDS: Final = 8
+"""Key ids go round: so many fit the config byte of a sealed payload, and cost nothing."""
+LATE_FRAMES_S: Final = 2.0
+"""How long a key that was replaced still opens what is under way (chosen: longer than a relay lets
+a slow reader lag)."""
 FIRST_WAIT_S: Final = 0.25
-"""Between the first two notes to a peer that does not answer."""
+LONGEST_WAIT_S: Final = 8.0
+"""Between the first two messages to a peer that does not answer, and between later ones."""
+SILENT_S: Final = 3.0
+"""A peer that has said nothing of keys for so long counts as one that does not encrypt."""
 
 
 @dataclass(slots=True)
 class OpeningKey:
     """A key of somebody else, with what it has opened."""
 
-    generation: int
     key: FrameKey
-    is_padded: bool
     window: ReplayWindow
-    expires_s: float | None = None
-    """When it is forgotten; None while it is the newest."""
-
-
-@dataclass(slots=True)
-class OwnKey:
-    """The key that we seal with."""
-
-    generation: int
-    base_key: bytes
-    key: FrameKey
-    made_s: float
-    counter: int = 0
+    expires_s: float = float("inf")
+    """When it opens nothing more; never while it is the newest."""
 
 
 @dataclass(slots=True)
 class PeerKeys:
-    """One peer in the room, and what we agreed with it."""
+    """One peer in the room."""
 
     peer: Peer
     """What the relay tells of it."""
     description: bytes
-    """What that amounts to: its own notes must say the same."""
+    """What that amounts to: its own messages must say the same."""
+    challenge: bytes
+    """Ours for it: a message that echoes it was written after we heard that the peer came."""
     came_s: float
     due_s: float | None
-    """When it gets its next note; None: it needs none."""
-    public_key: bytes | None = None
-    wrap: WrapKey | None = None
-    unwrap: WrapKey | None = None
-    knows_us: bool = False
+    """When it gets its next message; None: it needs none."""
+    wait_s: float = FIRST_WAIT_S
+    """From its next message to the one after it."""
+    state: SealState = SealState.WAITING
+    public_key: bytes = b""
+    pair_key: bytes = b""
+    its_challenge: bytes = UNKNOWN
     given: int = 0
-    """Newest generation of our key that a note took to it."""
+    """Newest generation of our key that a message took to it."""
     first: int = 0
     """Counter of the first frame under our key that is for it."""
     acknowledged: int = 0
     """Newest generation of our key that it has."""
-    is_returned: bool = False
-    """Whether its id or its public key was here before: then what it says may be old."""
-    proof: int = 1
-    """The generation of our key that it must acknowledge before it counts."""
-    keys: dict[int, OpeningKey] = field(default_factory=dict)
-    """Keys by key id, oldest first."""
     newest: int = 0
-    sent_s: float = float("-inf")
-    wait_s: float = FIRST_WAIT_S
-    is_repeat: bool = False
-    """Whether its next note says nothing new: then it must ask for an answer."""
-    seal: PeerSeal = field(default_factory=PeerSeal)
+    """Newest generation of its key that we have had."""
+    keys: dict[int, OpeningKey] = field(default_factory=dict)
+    """Its keys by key id."""
 
     @property
     def is_verified(self) -> bool:
-        """Whether it has our key of now, and we have one of its."""
-        return self.acknowledged >= self.proof and bool(self.keys)
+        """Return True if the peer has proven to be here, and to know the secret."""
+        return self.state is SealState.VERIFIED
+
+    def is_content(self, generation: int) -> bool:
+        """Return True if the peer has our key of this generation, and we have one of its."""
+        return self.is_verified and self.acknowledged == generation
+
+    def say_more(self, now: float) -> None:
+        """There is something new to tell: do so at once, and then again with short waits."""
+        self.due_s, self.wait_s = now, FIRST_WAIT_S
+
+    def note_sent(self, generation: int, now: float) -> None:
+        """A message has gone out; the next one is due later, if one is needed."""
+        if self.is_content(generation):
+            self.due_s, self.wait_s = None, FIRST_WAIT_S
+        else:
+            self.due_s, self.wait_s = now + self.wait_s, min(2 * self.wait_s, LONGEST_WAIT_S)
+
+    def take_key(self, generation: int, base_key: bytes, first: int, now: float) -> None:
+        """Take a newer key of the peer, which opens from a counter on."""
+        self.keys = {i: key for i, key in self.keys.items() if key.expires_s > now}
+        for opening in self.keys.values():
+            opening.expires_s = min(opening.expires_s, now + LATE_FRAMES_S)
+        key = derive_key(base_key, generation % KEY_IDS)
+        self.keys[key.key_id] = OpeningKey(key, ReplayWindow(first))
+        self.newest, self.state = generation, SealState.VERIFIED
+        self.say_more(now)
+
+    def state_at(self, now: float) -> SealState:
+        """Return what is known of its encryption."""
+        is_silent = not self.public_key and now - self.came_s >= SILENT_S
+        if is_silent and self.state is SealState.WAITING:
+            self.state = SealState.PLAIN
+        return self.state

@@ -5,13 +5,11 @@ faces: those keys are made for each call and never derived from it, so a secret 
 later opens no recording of earlier calls.
 
 The file holds one line, ``pica-secret-1:`` and 32 random bytes in URL-safe base64. A password in
-its place is refused: who records the messages could try passwords at leisure.
+its place is refused: whoever records the messages could try passwords at leisure.
 """
 
-from __future__ import annotations
-
-import binascii
 import os
+import re
 from base64 import urlsafe_b64decode, urlsafe_b64encode
 from collections.abc import Callable
 from pathlib import Path
@@ -23,22 +21,19 @@ SECRET_BYTES: Final = 32
 RandomBytes = Callable[[int], bytes]
 """Returns so many bytes that nobody can guess; `os.urandom` outside tests."""
 
-_PREFIX: Final = "pica-secret-1:"
-_MAX_FILE_BYTES: Final = 256
+_LINE: Final = re.compile(rb"pica-secret-1:([A-Za-z0-9_-]{43}=)\s*")
 
 
 class RoomSecret:
     """Thirty-two bytes that do not print themselves."""
 
     def __init__(self, value: bytes) -> None:
-        if len(value) != SECRET_BYTES:
-            raise ValueError(f"a room secret has {SECRET_BYTES} bytes, got {len(value)}")
         self.value = value
 
     @classmethod
-    def new(cls, random_bytes: RandomBytes = os.urandom) -> RoomSecret:
+    def new(cls) -> "RoomSecret":
         """Draw a new room secret from the system's randomness."""
-        return cls(random_bytes(SECRET_BYTES))
+        return cls(os.urandom(SECRET_BYTES))
 
 
 def save_secret(path: Path, secret: RoomSecret) -> None:
@@ -47,12 +42,11 @@ def save_secret(path: Path, secret: RoomSecret) -> None:
     Raises:
         SecretFileError: There is a file already (a call may depend on it), or none can be made.
     """
-    line = _PREFIX + urlsafe_b64encode(secret.value).decode() + "\n"
     try:
         handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
         try:
-            with open(handle, "w", encoding="ascii") as file:
-                file.write(line)
+            with open(handle, "wb") as file:
+                file.write(b"pica-secret-1:" + urlsafe_b64encode(secret.value) + b"\n")
         except OSError:  # half a secret would be in the way of the next try
             path.unlink()
             raise
@@ -70,17 +64,9 @@ def load_secret(path: Path) -> RoomSecret:
     """
     try:
         with path.open("rb") as file:
-            data = file.read(_MAX_FILE_BYTES + 1)
+            found = _LINE.fullmatch(file.read(256))
     except OSError as error:
         raise SecretFileError(f"{path}: cannot be read: {error.strerror or error}") from error
-    refusal = f"{path}: is no room secret; make one with `pica secret FILE`"
-    if len(data) > _MAX_FILE_BYTES:
-        raise SecretFileError(refusal)
-    try:
-        text = data.decode("ascii").strip()
-        value = urlsafe_b64decode(text.removeprefix(_PREFIX))
-    except (UnicodeDecodeError, binascii.Error) as error:
-        raise SecretFileError(refusal) from error
-    if not text.startswith(_PREFIX) or len(value) != SECRET_BYTES:
-        raise SecretFileError(refusal)
-    return RoomSecret(value)
+    if found is None:
+        raise SecretFileError(f"{path}: is no room secret; make one with `pica secret FILE`")
+    return RoomSecret(urlsafe_b64decode(found[1]))

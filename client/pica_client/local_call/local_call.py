@@ -157,12 +157,12 @@ class LocalCall:
 
 def _make_secret(children: Children) -> Path:
     """Make the secret of one call, and check that it can be used here."""
-    from pica_client.e2ee.guard import guard_from
+    from pica_client.e2ee.guard import Guard
     from pica_client.e2ee.secret import RoomSecret, save_secret
 
-    file = children.folder / "room.secret"
-    save_secret(file, RoomSecret.new())
-    guard_from(file)
+    file, secret = children.folder / "room.secret", RoomSecret.new()
+    save_secret(file, secret)
+    Guard(secret)
     return file
 
 

@@ -28,11 +28,6 @@ class LinkConfig:
     secret_file: Path | None = None
     """File with the room secret; with it, payloads are encrypted end to end. Needs the extra
     `seal`."""
-    short_tags: bool = False
-    """Seal with tags of 8 bytes instead of 16; see `pica_client.e2ee.suites`."""
-    pad_to: tuple[int, ...] = ()
-    """Sizes in bytes that payloads are filled up to before they are sealed; none: as they are. See
-    `pica_client.e2ee.padding`."""
     token_file: Path | None = None
     """File with the token that the relay wants, from `pica token`; read anew for every join, so
     that a fresh one can be put there."""
@@ -47,10 +42,6 @@ class LinkConfig:
             check_address(url)
         if self.ca_file is not None and not any(url.startswith("wss://") for url in self.urls):
             raise OptionError(f"ca-file says whom to trust with wss://; url is {self.url}")
-        if self.short_tags and self.secret_file is None:
-            raise OptionError("short-tags says how to encrypt; it needs a secret-file")
-        if self.pad_to and self.secret_file is None:
-            raise OptionError("pad says how to encrypt; it needs a secret-file")
         if self.token and self.token_file is not None:
             raise OptionError("token and token-file say the same thing; give one of them")
         try:

@@ -112,11 +112,10 @@ class Link:
         """
         if guard is None and config.secret_file is not None:
             # Only here: who does not encrypt needs no cryptography.
-            from pica_client.e2ee.guard import guard_from
+            from pica_client.e2ee.guard import Guard
+            from pica_client.e2ee.secret import load_secret
 
-            guard = guard_from(
-                config.secret_file, short_tags=config.short_tags, pad_to=config.pad_to
-            )
+            guard = Guard(load_secret(config.secret_file))
         self.config = config
         self.counters = LinkCounters()
         self.last_closed: Closed | None = None
@@ -481,12 +480,8 @@ class Link:
 
     async def _until_woken(self) -> float:
         """Wait until there may be something to write, by a timer too; return the time."""
-        sealing_s = None if self.guard is None else self.guard.next_timer()
-        timers = [sealing_s]
+        timers = [None if self.guard is None else self.guard.next_timer()]
         if self._session is not None and self.is_joined:
             timers += [self._description.next_timer(), self._session.frames_due_s]
         timer = min((each for each in timers if each is not None), default=None)
-        now = await wait_until(self._wake, timer)
-        if self.guard is not None and sealing_s is not None and now >= sealing_s:
-            self.guard.handle_timer(now)
-        return now
+        return await wait_until(self._wake, timer)

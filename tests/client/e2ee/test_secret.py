@@ -15,9 +15,8 @@ pytestmark = pytest.mark.unit
 
 
 def test_a_secret_comes_back_from_its_file(tmp_path: Path) -> None:
-    made = RoomSecret(bytes(range(32)))
-    save_secret(tmp_path / "secret", made)
-    assert load_secret(tmp_path / "secret").value == made.value
+    save_secret(tmp_path / "secret", RoomSecret(bytes(range(32))))
+    assert load_secret(tmp_path / "secret").value == bytes(range(32))
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="other rights")
@@ -30,8 +29,7 @@ def test_every_secret_is_another_and_is_not_shown(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     results = [secret(SecretOptions(file=tmp_path / name)) for name in "ab"]
-    values = {load_secret(tmp_path / name).value for name in "ab"}
-    assert len(values) == 2
+    assert len({load_secret(tmp_path / name).value for name in "ab"}) == 2
     assert results[0] == {"file": str(tmp_path / "a")}
     shown = capsys.readouterr()
     line = (tmp_path / "a").read_text().strip()
@@ -59,10 +57,9 @@ def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
     [
         b"",
         b"correct horse battery staple",
-        b"pica-secret-1:",
         b"pica-secret-1:AAAA",
         b"pica-secret-2:" + b"A" * 43 + b"=",
-        b"pica-secret-1:" + b"A" * 42,
+        b"pica-secret-1:" + b"A" * 43 + b"==",
         b"A" * 43 + b"=",
         b"\xff\xfe" * 20,
         b"pica-secret-1:" + b"A" * 10_000,
@@ -70,12 +67,5 @@ def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
 )
 def test_anything_else_is_refused_with_the_fix(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "secret").write_bytes(content)
-    with pytest.raises(
-        SecretFileError, match="is no room secret; make one with `pica secret FILE`"
-    ):
+    with pytest.raises(SecretFileError, match="no room secret; make one with `pica secret FILE`"):
         load_secret(tmp_path / "secret")
-
-
-def test_a_secret_of_another_length_is_our_own_mistake() -> None:
-    with pytest.raises(ValueError, match="has 32 bytes, got 5"):
-        RoomSecret(b"hello")

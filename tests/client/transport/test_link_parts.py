@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -13,6 +15,7 @@ from pica_client.publish.sender import SenderConfig
 from pica_client.stats import Samples, summarise_ms, wire_bytes
 from pica_client.transport.backoff import Backoff
 from pica_client.transport.config import LinkConfig
+from pica_client.transport.self_description import shown_name
 
 pytestmark = pytest.mark.unit
 
@@ -112,3 +115,20 @@ def test_a_rate_or_duration_out_of_range_is_refused(fps: float, seconds: float) 
 def test_peers_of_one_recording_start_at_different_places() -> None:
     assert len(set(peer_sources("csv:take.csv", 5))) == 5
     assert len(set(peer_sources(None, 5))) == 5
+
+
+@pytest.mark.parametrize(
+    ("token", "name"),
+    [
+        ("", "guest"),
+        ("h.eyJuYW1lIjoiQWRhIn0.s", "Ada"),
+        ("h.e30.s", "guest"),
+        ("h.eyJuYW1lIjo1fQ.s", "guest"),
+        ("h.W10.s", "guest"),
+        ("h.-.s", "guest"),
+        ("h." + base64.urlsafe_b64encode(b"[" * 100_000).decode().rstrip("=") + ".s", "guest"),
+        ("h", "guest"),
+    ],
+)
+def test_the_name_of_a_join_token_is_the_one_that_is_shown(token: str, name: str) -> None:
+    assert shown_name("guest", token) == name
