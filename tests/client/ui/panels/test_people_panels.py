@@ -53,6 +53,7 @@ from pica_client.ui.surface import icons
 from pica_client.ui.surface.surface import BACKGROUND
 from pica_client.ui.surface.theme import Metrics, metrics_for
 from pica_client.voice.sound.settings import DeviceState, SoundSettings, SoundState
+from pica_protocol.messages import BarIdentity, MutePeer, RemovePeer
 
 pytestmark = pytest.mark.unit
 
@@ -431,3 +432,40 @@ def test_devices_are_changed_during_a_call_and_another_voice_needs_coming_again(
     assert hand.click("Off: only listen", show) == [replace(mine, voice="none")]
     view = replace(view, state=replace(control, choice=replace(mine, voice="none")))
     assert hand.click("Come again as this", show) == [Order.REJOIN]
+
+
+ADA_OF_TOKENS = replace(ADA, has_voice=True, identity="ada-1")
+AS_ADMIN = replace(
+    VIEW, status=replace(STATUS, participants=(ME, ADA_OF_TOKENS, BEN), is_admin=True)
+)
+
+
+@pytest.mark.parametrize(
+    ("item", "asked"),
+    [
+        ("Mute voice", MutePeer(peer_id="p1", kind="voice", is_muted=True)),
+        ("Mute face", MutePeer(peer_id="p1", kind="face", is_muted=True)),
+        ("Remove", RemovePeer(peer_id="p1")),
+        ("Bar until the room is empty", BarIdentity(identity="ada-1", is_barred=True)),
+    ],
+)
+def test_an_admins_menu_of_a_person_moderates(hand: Hand, item: str, asked: object) -> None:
+    hand.click("More on Ada", lambda metrics: participants_panel(AS_ADMIN, metrics))
+    assert hand.click(item, lambda metrics: participants_panel(AS_ADMIN, metrics)) == [asked]
+
+
+def test_an_admin_lets_go_on_what_is_muted_and_bars_nobody_without_an_identity(hand: Hand) -> None:
+    eve = replace(ADA, has_voice=True, muted_kinds=frozenset({"voice"}))
+    view = replace(VIEW, status=replace(STATUS, participants=(ME, eve), is_admin=True))
+    hand.click("More on Ada", lambda metrics: participants_panel(view, metrics))
+    assert not any("Bar until" in label for label in hand.places)
+    assert hand.click("Unmute voice", lambda metrics: participants_panel(view, metrics)) == [
+        MutePeer(peer_id="p1", kind="voice", is_muted=False)
+    ]
+
+
+def test_who_is_no_admin_finds_nothing_to_moderate_with(hand: Hand) -> None:
+    view = replace(AS_ADMIN, status=replace(AS_ADMIN.status, is_admin=False))
+    hand.click("More on Ada", lambda metrics: participants_panel(view, metrics))
+    words = ("Mute voice", "Mute face", "Remove", "Bar until")
+    assert not any(word in label for label in hand.places for word in words)
