@@ -31,9 +31,6 @@ MAX_CHUNK_BYTES: Final = MAX_CLIENT_MESSAGE_BYTES - 1
 MAX_OFFER_BYTES: Final = 2**40
 """What an offer can say; the relay's own limit is far below."""
 
-CHECKS: Final = ("full", "structure")
-"""What a relay has looked at: all that a receiver checks, or the layout of the file alone."""
-
 _ID: Final = re.compile(r"[0-9a-f]{64}")
 _CHUNK_PREFIX: Final = bytes([CHUNK_KIND])
 
@@ -64,12 +61,8 @@ class Ready(Checked):
 class Stored(Checked):
     """The relay has it, and whoever knows its id can get it."""
 
-    checked: str = ""
-    """One of ``CHECKS``; empty when it was there already."""
-
-    def __post_init__(self) -> None:
-        if self.checked and self.checked not in CHECKS:
-            raise ValueError(f"stored.checked must be one of {CHECKS}, got {quoted(self.checked)}")
+    is_new: bool = False
+    """Whether it has come with this upload; false: it was there already."""
 
 
 StoreMessage = Offer | Ready | Stored | Bye

@@ -31,8 +31,8 @@ from pica_server.ops.certificate import Certificate
 from pica_server.ops.descriptors import Descriptors, most_descriptors
 from pica_server.ops.status_pages import PERIOD_S, LoopWatch, StatusPages
 from pica_server.room.hub import Hub
-from pica_server.store.backends import Backend
 from pica_server.store.downloads import Downloads
+from pica_server.store.folder import AvatarFolder
 from pica_server.store.store import AvatarStore
 from pica_server.store.uploads import Uploads
 
@@ -83,7 +83,7 @@ class Relay:
 
         self.store: AvatarStore | None = None
         if config.avatar_store != "none":
-            self.store = AvatarStore(Backend(config.avatar_store), config.store)
+            self.store = AvatarStore(AvatarFolder(config.avatar_store), config.store)
         counts = self.hub.stats.store
         self._transfers: set[RelaySocket] = set()
         self._downloads = Downloads(self.store, counts, self._transfers, config.origins)

@@ -120,7 +120,7 @@ FRAMES: dict[str, list[Frame]] = {
 STORE_MESSAGES: dict[str, StoreMessage] = {
     "offer": Offer(sha256=_AVATAR, size=4, token="h.c.s"),
     "ready": Ready(),
-    "stored": Stored(checked="full"),
+    "stored": Stored(is_new=True),
 }
 """Samples of the sub-protocol ``pica.store.1``."""
 CHUNK = b"test"

@@ -46,8 +46,8 @@ async def store_relay(
     unix_time: Callable[[], float] = time.time,
     **store: Any,
 ) -> AsyncIterator[Relay]:
-    """Run a relay whose uploads get the check of structure alone, unless told otherwise."""
-    limits = StoreConfig(**{"check": "structure", **store})
+    """Run a relay; ``store`` are limits of its store."""
+    limits = StoreConfig(**store)
     settings = RelayConfig(port=0, avatar_store=str(where), store=limits, **(config or {}))
     async with Relay(settings, unix_time=unix_time) as relay:
         yield relay

@@ -15,7 +15,6 @@ from pica_protocol.messages import Hello
 from pica_protocol.store import (
     MAX_CHUNK_BYTES,
     Offer,
-    Stored,
     decode_chunk,
     encode_chunk,
     is_avatar_id,
@@ -87,11 +86,6 @@ def test_only_64_lower_case_hexadecimal_digits_are_an_id(text: str) -> None:
 def test_an_offer_of_no_size_or_an_absurd_one_is_refused(size: int) -> None:
     with pytest.raises(ValueError, match=r"offer\.size must be in 1\.\."):
         Offer(sha256=ID, size=size)
-
-
-def test_a_relay_cannot_claim_a_check_that_does_not_exist() -> None:
-    with pytest.raises(ValueError, match=r"stored\.checked must be one of"):
-        Stored(checked="thorough")
 
 
 def test_the_token_of_an_offer_is_not_printed_with_it() -> None:

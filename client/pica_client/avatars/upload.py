@@ -57,7 +57,7 @@ async def push_avatar(
         identity: The SHA-256 of the file, in hexadecimal.
 
     Returns:
-        What the relay says: ``checked`` is empty if it had the file.
+        What the relay says.
 
     Raises:
         PushError: The relay is not there, keeps no avatars, or does not take this one.
@@ -132,9 +132,9 @@ class AvatarGiver:
                     continue
                 self._note(str(error))
             else:
-                if stored.checked:
+                if stored.is_new:
                     self._say("gave the relay this avatar's file, for those who do not have it")
-                self.outcome = "given" if stored.checked else "known"
+                self.outcome = "given" if stored.is_new else "known"
             return
 
     def _note(self, why: str) -> None:

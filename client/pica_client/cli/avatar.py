@@ -52,11 +52,8 @@ def avatar_push(options: AvatarPushOptions) -> dict[str, Any]:
             print(f"\r{shown} %", end="\n" if ratio == 1 else "", file=sys.stderr, flush=True)
 
     stored = asyncio.run(push_avatar(link.urls[0], link, file, identity, show))
-    if stored.checked:
-        say(f"{file}: the relay has it now; it checked: {stored.checked}")
-    else:
-        say(f"{file}: the relay had it already")
-    return {"sha256": identity, "was_there": not stored.checked, "checked": stored.checked}
+    say(f"{file}: the relay {'has it now' if stored.is_new else 'had it already'}")
+    return {"sha256": identity, "was_there": not stored.is_new}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

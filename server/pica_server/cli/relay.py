@@ -124,14 +124,12 @@ def _say_what_is_open(config: RelayConfig, store: AvatarStore | None) -> None:
     elif os.name == "posix" and config.keys.stat().st_mode & stat.S_IROTH:
         _say("keys open", "anybody on this machine can read the key file: chmod 600 it")
     if store is not None:
-        how = "all that receivers check" if store.checks_fully else "its layout"
         place = re.sub(r"(?<=://)[^/@\s]*@", "***@", config.avatar_store)  # without a password
         num_avatars = store.num_avatars
         _say(
             "avatar store",
-            f"avatar store {place}: {num_avatars} avatars; of an upload is checked: {how}",
+            f"avatar store {place}: {num_avatars} avatars",
             avatars=num_avatars,
-            checks_fully=store.checks_fully,
         )
 
 

@@ -79,9 +79,8 @@ class RelayConfig:
     metrics_to: tuple[str, ...] = ()
     """Addresses or networks that /metrics is answered to besides this machine, as 10.0.0.0/8."""
     avatar_store: str = "temporary"
-    """Where avatar files are kept that clients give to each other: a folder; an fsspec URL such as
-    s3://BUCKET/FOLDER (with the package of its driver); temporary, a folder that ends
-    with the relay; none."""
+    """Where avatar files are kept that clients give to each other: a folder; s3://BUCKET/FOLDER,
+    with the extra `s3`; temporary, a folder that ends with the relay; none."""
     cluster: str = ""
     """Share rooms with other relays over this NATS, as nats://HOST:4222; it needs JetStream.
     Several servers of one NATS cluster with commas between. See docs/cluster.md."""

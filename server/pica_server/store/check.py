@@ -1,8 +1,8 @@
 """Is this laid out like an avatar file? A look at a safetensors header without numpy. Pure.
 
 This is the check that every upload passes while it comes in, so that a file that cannot be one is
-refused after its first kilobytes. It says nothing about the numbers inside: that is what receivers
-check, and ``check_process`` runs the same check in a process of its own where it is installed.
+refused after its first kilobytes. It says nothing about the numbers inside: receivers check those,
+before they draw anything.
 
 The layout: eight bytes length, little-endian, of the JSON header; the header, tensor name to type,
 shape and place; then the tensors, one after the other to the end of the file.

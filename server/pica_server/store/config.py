@@ -1,7 +1,7 @@
 """How much an avatar store takes, and how fast it gives."""
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pica_server.config.ranges import Range, check_ranges
 
@@ -10,9 +10,6 @@ from pica_server.config.ranges import Range, check_ranges
 class StoreConfig:
     """Limits of the avatar store."""
 
-    check: Literal["auto", "full", "structure"] = "auto"
-    """What an upload must pass: full, all that receivers check, in a process of its own, which
-    needs numpy here; structure, the layout of the file alone; auto, full where that can be."""
     quota_bytes: Annotated[int, Range(1, 2**50)] = 256 * 2**20
     """Bytes of all files together; 4015 above it."""
     largest_bytes: Annotated[int, Range(1024, 64 * 2**20)] = 16 * 2**20

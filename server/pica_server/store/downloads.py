@@ -1,10 +1,13 @@
-"""The way out of the avatar store: files leave by HTTP, on the port of the faces.
+"""The way out of the avatar store: files leave by HTTP (RFC 9110), on the port of the faces.
 
 They must not delay them. So a transfer moves 16 KiB at a time and waits for its turn after each;
-all transfers together keep to a rate, and to a lower one while the event loop is late; and a
-download is never further ahead of its reader than a small socket buffer, so that it does not fill
-the queue of a slow link through which a call goes too. Transfers are limited in number, in all and
-for each address, and one that is slower than it may be is cut.
+all transfers together keep to a rate; and a download is never further ahead of its reader than a
+small socket buffer, so that it does not fill the queue of a slow link through which a call goes
+too. Transfers are limited in number, in all and for each address, and one that is slower than it
+may be is cut.
+
+A file never changes: its name is its hash. So the entity tag is the hash, caches may keep it for
+ever, and a range of it can be joined with what came before a connection broke.
 
 A websocket library answers small things by HTTP, whole and from memory. A file is written to the
 socket by hand here; the library then finds the connection closed and does nothing more.
@@ -12,9 +15,11 @@ socket by hand here; the library then finds the connection closed and does nothi
 
 import asyncio
 import logging
+import re
 import socket
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from email.utils import formatdate
 from http import HTTPStatus
 from typing import Final
@@ -25,9 +30,7 @@ from websockets.http11 import Request, Response
 from pica_protocol.store import AVATARS_PATH, is_avatar_id
 from pica_server.errors import BusyError
 from pica_server.net.socket import RelaySocket, set_tcp_option
-from pica_server.store.http import METHODS, Answer, answer_for, refusal
-from pica_server.store.pacing import Slots
-from pica_server.store.store import AvatarStore
+from pica_server.store.store import AvatarStore, Slots
 
 PIECE_BYTES: Final = 16 * 2**10
 """Written at once (chosen: as a message may have; the kernel takes it in some ten microseconds)."""
@@ -37,7 +40,73 @@ SEND_BUFFER_BYTES: Final = 32 * 2**10
 """How far a download may be ahead of its reader, in the kernel, which may double it (chosen: a
 quarter of a second of a link with 2 Mbit/s; with 50 ms there and back still 5 Mbit/s)."""
 
+CACHE_CONTROL: Final = "public, max-age=31536000, immutable"
+
+_RANGE = re.compile(r"bytes=(\d{1,18})-(\d{0,18})")
 _logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Answer:
+    """Status, headers, and which bytes of the file follow."""
+
+    status: HTTPStatus
+    headers: dict[str, str] = field(default_factory=dict)
+    begin: int = 0
+    end: int = 0
+    text: str = ""
+    """Instead of bytes of the file: for people."""
+
+
+def answer_for(identity: str, size: int, asked: Mapping[str, str]) -> Answer:
+    """Return the answer to a GET of a file that is there.
+
+    Several ranges at once, those that count from the end, and ranges in other units are answered
+    with the whole file, as the standard allows.
+
+    Args:
+        identity: The file's SHA-256 in hexadecimal.
+        size: Its length in bytes, above 0.
+        asked: The request's ``Range`` and ``If-Range``, where it has them.
+    """
+    tag = f'"{identity}"'
+    headers = {
+        "ETag": tag,
+        "Cache-Control": CACHE_CONTROL,
+        "Accept-Ranges": "bytes",
+        "Content-Type": "application/octet-stream",
+        "X-Content-Type-Options": "nosniff",
+    }
+    found = _RANGE.fullmatch(asked.get("Range", ""))
+    if found is None or asked.get("If-Range", tag) != tag:
+        return Answer(status=HTTPStatus.OK, headers=_of_length(headers, size), end=size)
+    begin, end = int(found[1]), min(int(found[2] or size) + 1, size)
+    if begin < end:
+        headers["Content-Range"] = f"bytes {begin}-{end - 1}/{size}"
+        headers = _of_length(headers, end - begin)
+        return Answer(status=HTTPStatus.PARTIAL_CONTENT, headers=headers, begin=begin, end=end)
+    status = HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE
+    answer = refusal(status, f"the file has {size} bytes")
+    answer.headers["Content-Range"] = f"bytes */{size}"
+    return answer
+
+
+def _of_length(headers: dict[str, str], num_bytes: int) -> dict[str, str]:
+    return headers | {"Content-Length": str(num_bytes)}
+
+
+def refusal(status: HTTPStatus, text: str) -> Answer:
+    """Say no, in a line for people."""
+    headers = {
+        "Cache-Control": "no-store",
+        "Content-Type": "text/plain; charset=utf-8",
+        "Content-Length": str(len(text) + 1),
+    }
+    if status == HTTPStatus.METHOD_NOT_ALLOWED:
+        headers["Allow"] = "GET"
+    if status == HTTPStatus.SERVICE_UNAVAILABLE:
+        headers["Retry-After"] = "1"
+    return Answer(status=status, headers=headers, text=f"{text}\n")
 
 
 @dataclass(eq=False)
@@ -63,7 +132,7 @@ class Downloads:
         identity = request.path.removeprefix(AVATARS_PATH).partition("?")[0]
         if store is None:
             answer = refusal(HTTPStatus.NOT_IMPLEMENTED, "this relay keeps no avatars")
-        elif request.method not in METHODS:
+        elif request.method != "GET":
             answer = refusal(HTTPStatus.METHOD_NOT_ALLOWED, "use GET; uploads: pica avatar push")
         elif not is_avatar_id(identity):
             answer = refusal(HTTPStatus.NOT_FOUND, "an avatar's id is its SHA-256, in 64 digits")
@@ -88,14 +157,12 @@ class Downloads:
             return refusal(HTTPStatus.NOT_FOUND, "no such avatar here")
         asked = {
             name: values[0]
-            for name in ("Range", "If-Range", "If-None-Match")
+            for name in ("Range", "If-Range")
             # A header that is there twice counts as not there.
             if len(values := request.headers.get_all(name)) == 1
         }
-        if request.method == "HEAD":
-            asked.pop("Range", None)
         answer = answer_for(identity, size, asked)
-        if request.method == "GET" and answer.begin < answer.end:
+        if answer.begin < answer.end:
             await self._send(store, websocket, self._response(request, answer), identity, answer)
         return answer
 
@@ -156,5 +223,4 @@ class Downloads:
             headers["Access-Control-Allow-Origin"] = origins[0]
             exposed = "Accept-Ranges, Content-Length, Content-Range, ETag"
             headers["Access-Control-Expose-Headers"] = exposed
-        body = b"" if request.method == "HEAD" else answer.text.encode()
-        return Response(answer.status, answer.status.phrase, headers, body)
+        return Response(answer.status, answer.status.phrase, headers, answer.text.encode())

@@ -1,15 +1,16 @@
 """The avatar store: files by the SHA-256 of their bytes, so that a stranger can be seen by all.
 
 Whoever gets a file hashes it, and so need not trust the relay. The store only has to take care of
-what it takes: who may give, how much in all, and that it is an avatar file.
+what it takes: who may upload, how much in all, and that it is laid out as an avatar file.
 
-What blocks (disk, network, hashing, the check) happens in threads of the store. It knows no
-websocket; `downloads` and `uploads` are the ways out and in.
+What blocks (disk and network) happens in threads of the store. It knows no websocket; `downloads`
+and `uploads` are the ways out and in.
 """
 
 import asyncio
 import errno
 import hashlib
+from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
@@ -18,12 +19,10 @@ from io import BufferedWriter
 from pathlib import Path
 from typing import Final, TypeVar
 
-from pica_server.errors import StoreError, StoreFullError, UnfitFileError
-from pica_server.store import check_process
-from pica_server.store.backends import Backend
+from pica_server.errors import BusyError, StoreFullError, UnfitFileError
 from pica_server.store.check import StructureCheck
 from pica_server.store.config import StoreConfig
-from pica_server.store.pacing import Pace
+from pica_server.store.folder import AvatarFolder
 
 NUM_THREADS: Final = 4
 BUFFER_BYTES: Final = 256 * 2**10
@@ -33,33 +32,48 @@ _NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _T = TypeVar("_T")
 
 
+class Slots:
+    """Counts what goes on at the same time, in all and for each address."""
+
+    def __init__(self, limit: int, per_address: int) -> None:
+        self._limit = limit
+        self._per_address = per_address
+        self._by_address: Counter[str] = Counter()  # bounded by the limit
+
+    @contextmanager
+    def taken(self, address: str) -> Iterator[None]:
+        """Hold one; an empty address has no limit of its own.
+
+        Raises:
+            BusyError: There is none.
+        """
+        is_many = bool(address) and self._by_address[address] >= self._per_address
+        if is_many or self._by_address.total() >= self._limit:
+            raise BusyError("too many at once, try again")
+        self._by_address[address] += 1
+        try:
+            yield
+        finally:
+            self._by_address[address] -= 1
+            self._by_address += Counter()  # drops those that hold none
+
+
 class AvatarStore:
-    """Files by id, within a quota.
+    """Files by id, within a quota."""
 
-    Attributes:
-        checks_fully: Whether uploads get the check that receivers make, or only one of structure.
-    """
-
-    def __init__(self, backend: Backend, config: StoreConfig) -> None:
+    def __init__(self, folder: AvatarFolder, config: StoreConfig) -> None:
         """Look what is there.
 
         Raises:
-            StoreError: The backend cannot be used, or the check that is asked for cannot be run.
+            StoreError: The folder cannot be used.
         """
         self.config = config
-        if config.check == "full" and not check_process.is_installed():
-            raise StoreError(
-                "--store.check full needs numpy beside the relay: "
-                "pip install 'pica-telepresence[send]', or use --store.check structure"
-            )
-        self.checks_fully = config.check != "structure" and check_process.is_installed()
-        self._backend = backend
-        self._sizes = backend.prepare(config.max_avatars)  # bounded by max_avatars
-        self._pace = Pace(config.bytes_per_s)
+        self._folder = folder
+        self._sizes = folder.prepare(config.max_avatars)  # bounded by max_avatars
+        self._free_s = 0.0
+        """When all bytes that had a turn are through, at the rate of the configuration."""
         self._reserved_bytes = self._num_reserved = 0
         self._threads = ThreadPoolExecutor(NUM_THREADS, thread_name_prefix="avatar-store")
-        # One check at a time: it takes a core's worth of work, and must not hold up the readers.
-        self._checks = ThreadPoolExecutor(1, thread_name_prefix="avatar-check")
 
     @property
     def num_avatars(self) -> int:
@@ -77,13 +91,13 @@ class AvatarStore:
         return self.config.quota_bytes - self.used_bytes - self._reserved_bytes
 
     async def size(self, identity: str) -> int | None:
-        """Return a file's size, or None if it is not there; asks the backend, which others may
+        """Return a file's size, or None if it is not there; asks the folder, which others may
         share.
 
         Raises:
-            OSError: The backend does not answer.
+            OSError: The folder does not answer.
         """
-        size = await self._in_thread(lambda: self._backend.size(identity))
+        size = await self._in_thread(lambda: self._folder.size(identity))
         if size is None:
             self._sizes.pop(identity, None)
         elif len(self._sizes) < self.config.max_avatars:
@@ -96,19 +110,17 @@ class AvatarStore:
         Raises:
             OSError: It is not there any more, or shorter.
         """
-        data = await self._in_thread(lambda: self._backend.read(identity, begin, end))
+        data = await self._in_thread(lambda: self._folder.read(identity, begin, end))
         if len(data) != end - begin:
             raise OSError(errno.EIO, "a file is shorter than it was")
         return data
 
     async def wait_for_turn(self, num_bytes: int) -> None:
         """Wait until so many bytes may go in or out, as all transfers share one rate."""
-        loop = asyncio.get_running_loop()
-        began_s = loop.time()
-        wait_s = self._pace.wait_s(num_bytes, began_s)
-        await asyncio.sleep(wait_s)
-        now = loop.time()
-        self._pace.note_lateness(now - began_s - wait_s, now)
+        now = asyncio.get_running_loop().time()
+        begin_s = max(self._free_s, now)
+        self._free_s = begin_s + num_bytes / self.config.bytes_per_s
+        await asyncio.sleep(begin_s - now)
 
     async def begin_upload(self, identity: str, size: int) -> "Upload":
         """Make room for a file.
@@ -135,22 +147,19 @@ class AvatarStore:
 
     def close(self) -> None:
         """End the threads and clear up."""
-        self._checks.shutdown(wait=True, cancel_futures=True)
         self._threads.shutdown(wait=True, cancel_futures=True)
-        self._backend.close()
+        self._folder.close()
 
     def _open_spool(self) -> tuple[Path, BufferedWriter]:
-        path = self._backend.spool()
+        path = self._folder.spool()
         return path, path.open("xb")
 
     def _release(self, size: int) -> None:
         self._reserved_bytes -= size
         self._num_reserved -= 1
 
-    async def _in_thread(
-        self, action: Callable[[], _T], threads: ThreadPoolExecutor | None = None
-    ) -> _T:
-        return await asyncio.get_running_loop().run_in_executor(threads or self._threads, action)
+    async def _in_thread(self, action: Callable[[], _T]) -> _T:
+        return await asyncio.get_running_loop().run_in_executor(self._threads, action)
 
 
 @dataclass(eq=False)
@@ -190,12 +199,11 @@ class Upload:
         if len(self._buffer) >= BUFFER_BYTES:
             await self._write_buffer()
 
-    async def finish(self) -> str:
-        """Check the whole file, keep it, and say which check it passed: ``full`` or ``structure``.
+    async def finish(self) -> None:
+        """Check the whole file, and keep it.
 
         Raises:
-            StoreError: It is not the file that was offered, no avatar, cannot be checked, or the
-                disk is full.
+            StoreError: It is not the file that was offered, no avatar, or the disk is full.
             OSError: It cannot be written.
         """
         if self.num_missing:
@@ -206,9 +214,8 @@ class Upload:
         await self._write_buffer()
         store = self._store
         with _full_disk_is_full_store():
-            await store._in_thread(self._check_and_keep, store._checks)
+            await store._in_thread(self._keep)
         store._sizes[self._identity] = self._size
-        return "full" if store.checks_fully else "structure"
 
     async def __aenter__(self) -> "Upload":
         return self
@@ -223,11 +230,9 @@ class Upload:
         with _full_disk_is_full_store():
             await self._store._in_thread(lambda: self._file.write(data))
 
-    def _check_and_keep(self) -> None:
+    def _keep(self) -> None:
         self._file.close()
-        if self._store.checks_fully:
-            check_process.check_fully(self._path, self._identity)
-        self._store._backend.keep(self._path, self._identity)
+        self._store._folder.keep(self._path, self._identity)
 
     def _discard(self) -> None:
         with suppress(OSError):

@@ -17,8 +17,7 @@ from pica_protocol.messages import Bye
 from pica_protocol.store import Offer, Ready, Stored, decode_chunk
 from pica_server.errors import AdmissionError, StoreError, StoreRefusalError, TooLateError
 from pica_server.net.socket import RelaySocket, bound_receive_buffer
-from pica_server.store.pacing import Slots
-from pica_server.store.store import AvatarStore
+from pica_server.store.store import AvatarStore, Slots
 
 MOST_OFFERS: Final = 64
 """Websockets that have not offered anything yet (chosen: eight times the uploads)."""
@@ -110,9 +109,9 @@ class Uploads:
                     self._stats["upload_bytes"] += len(chunk)
                     await upload.write(chunk)
                     await store.wait_for_turn(len(chunk))
-            checked = await upload.finish()
+            await upload.finish()
         self._stats["uploads_kept"] += 1
-        return Stored(checked=checked)
+        return Stored(is_new=True)
 
 
 @asynccontextmanager

@@ -414,7 +414,7 @@ async def test_an_avatar_is_given_once_and_known_after_that(toy: AvatarFile) -> 
         first = await push(relay.url, toy.path, ratios.append)
         second = await push(relay.url, toy.path)
         reply = await ask(relay, f"/avatars/{toy.identity}")
-    assert (first.checked, second.checked) == ("structure", "")
+    assert (first.is_new, second.is_new) == (True, False)
     assert reply.body == toy.data
     assert ratios[-1] == 1
 

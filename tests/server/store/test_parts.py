@@ -16,11 +16,11 @@ from pica_core.avatar import file as avatar_file
 from pica_core.avatar.shipped import shipped_avatar_files
 from pica_server.errors import BusyError, ConfigurationError, UnfitFileError
 from pica_server.store import check as store_check
-from pica_server.store.backends import Backend
 from pica_server.store.check import StructureCheck
 from pica_server.store.config import StoreConfig
-from pica_server.store.http import answer_for, parse_range
-from pica_server.store.pacing import Pace, Slots
+from pica_server.store.downloads import answer_for
+from pica_server.store.folder import AvatarFolder
+from pica_server.store.store import Slots
 
 pytestmark = pytest.mark.unit
 
@@ -126,37 +126,23 @@ def test_the_limits_are_those_of_receivers() -> None:
 # Ranges
 
 CONTENT = bytes(range(50))
-numbers = st.integers(0, 60)
 
 
-@given(numbers, numbers)
+@given(st.integers(0, 60), st.integers(0, 60))
 def test_a_range_from_to_is_that_slice(first: int, last: int) -> None:
-    got = parse_range(f"bytes={first}-{last}", len(CONTENT))
-    if last < first:
-        assert got is None
-    else:
-        assert got is not None
-        assert CONTENT[got[0] : got[1]] == CONTENT[first : last + 1]
-
-
-@given(numbers)
-def test_an_open_range_is_the_rest_and_a_suffix_the_end(number: int) -> None:
-    rest = parse_range(f"bytes={number}-", len(CONTENT))
-    end = parse_range(f"bytes=-{number}", len(CONTENT))
-    assert rest is not None
-    assert end is not None
-    assert CONTENT[rest[0] : rest[1]] == CONTENT[number:]
-    assert CONTENT[end[0] : end[1]] == (CONTENT[-number:] if number else b"")
+    answer = answer_for(ID, len(CONTENT), {"Range": f"bytes={first}-{last}"})
+    assert CONTENT[answer.begin : answer.end] == CONTENT[first : last + 1]
 
 
 @given(st.text(alphabet="bytes=-0123456789, ", max_size=30))
 @example("bytes=-")
+@example("bytes=-5")
 @example("bytes=0-1,3-4")
 @example("bytes=" + "9" * 40 + "-")
 @example("lines=1-2")
 def test_any_range_is_a_part_of_the_file_or_ignored(text: str) -> None:
-    got = parse_range(text, len(CONTENT))
-    assert got is None or 0 <= got[0] <= got[1] <= len(CONTENT)
+    answer = answer_for(ID, len(CONTENT), {"Range": text})
+    assert 0 <= answer.begin <= answer.end <= len(CONTENT)
 
 
 @pytest.mark.parametrize(
@@ -169,10 +155,7 @@ def test_any_range_is_a_part_of_the_file_or_ignored(text: str) -> None:
         ({"Range": "bytes=10-19", "If-Range": f'W/"{ID}"'}, 200, (0, 50)),
         ({"Range": "bytes=0-1,4-5"}, 200, (0, 50)),
         ({"Range": "bytes=50-"}, 416, (0, 0)),
-        ({"Range": "bytes=-0"}, 416, (0, 0)),
-        ({"If-None-Match": f'"x", W/"{ID}"'}, 304, (0, 0)),
-        ({"If-None-Match": "*", "Range": "bytes=0-1"}, 304, (0, 0)),
-        ({"If-None-Match": '"x"'}, 200, (0, 50)),
+        ({"Range": "bytes=-7"}, 200, (0, 50)),
     ],
 )
 def test_the_headers_of_a_request_choose_its_answer(
@@ -180,8 +163,9 @@ def test_the_headers_of_a_request_choose_its_answer(
 ) -> None:
     answer = answer_for(ID, 50, asked)
     assert (answer.status, (answer.begin, answer.end)) == (status, part)
-    assert answer.headers["ETag"] == f'"{ID}"'
-    assert "immutable" in answer.headers["Cache-Control"]
+    if status < 400:
+        assert answer.headers["ETag"] == f'"{ID}"'
+        assert "immutable" in answer.headers["Cache-Control"]
     if status == HTTPStatus.PARTIAL_CONTENT:
         assert answer.headers["Content-Range"] == "bytes 10-19/50"
         assert answer.headers["Content-Length"] == "10"
@@ -189,28 +173,7 @@ def test_the_headers_of_a_request_choose_its_answer(
         assert answer.headers["Content-Range"] == "bytes */50"
 
 
-# Turns and slots
-
-
-@given(st.lists(st.tuples(st.integers(1, 16_384), st.floats(0, 0.1)), min_size=1, max_size=100))
-def test_whoever_waits_as_told_keeps_the_rate(steps: list[tuple[int, float]]) -> None:
-    pace, now, sent = Pace(100_000.0), 0.0, 0
-    for num_bytes, pause_s in steps:
-        now += pause_s
-        now += pace.wait_s(num_bytes, now)
-        assert sent <= 100_000 * (now + 0.002) + 1e-6
-        sent += num_bytes
-
-
-def test_on_a_late_loop_transfers_rest_for_a_multiple_of_it_but_not_for_long() -> None:
-    pace = Pace(1e9)
-    pace.note_lateness(0.001, now=1.0)  # no later than any loop
-    assert pace.wait_s(1, 1.0) == 0
-    pace.note_lateness(0.010, now=2.0)
-    pace.note_lateness(0.005, now=2.0)  # somebody else who waited for the same turn
-    assert pace.wait_s(1, 2.0) == pytest.approx(0.040 - 0.002, abs=1e-6)
-    pace.note_lateness(10.0, now=3.0)
-    assert pace.wait_s(1, 3.0) == pytest.approx(0.050 - 0.002, abs=1e-6)
+# Slots
 
 
 def test_slots_are_limited_in_all_and_for_each_address_and_come_back() -> None:
@@ -239,11 +202,11 @@ def test_first_uploads_at_once_share_the_folder_that_goes_with_the_relay() -> No
     sys.setswitchinterval(1e-6)
     try:
         for _ in range(20):
-            backend = Backend("temporary")
-            backend.prepare(10)
+            folder = AvatarFolder("temporary")
+            folder.prepare(10)
             with ThreadPoolExecutor(4) as pool:
-                spooled = list(pool.map(lambda _, backend=backend: backend.spool(), range(4)))
-            backend.close()
+                spooled = list(pool.map(lambda _, folder=folder: folder.spool(), range(4)))
+            folder.close()
             assert len({path.parent for path in spooled}) == 1
             assert not spooled[0].parent.exists()
     finally:

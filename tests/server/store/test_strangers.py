@@ -25,8 +25,8 @@ from pica_protocol.codec import encode_message
 from pica_protocol.errors import CloseCode
 from pica_protocol.messages import Bye, Hello
 from pica_protocol.store import Offer, encode_chunk
-from pica_server.store.backends import Backend
 from pica_server.store.config import StoreConfig
+from pica_server.store.folder import AvatarFolder
 from pica_server.store.store import AvatarStore
 from simnet.peers import peer_in_room
 
@@ -155,7 +155,7 @@ async def test_what_lies_in_the_folder_under_another_name_is_not_given(tmp_path:
     for name in ("notes.txt", f"{ID}.pica.bak", f"x{ID}.pica"):
         (tmp_path / name).write_bytes(FILE)
     (tmp_path / ("cd" * 32 + ".pica")).symlink_to("/etc/passwd")
-    store = AvatarStore(Backend(str(tmp_path)), StoreConfig())
+    store = AvatarStore(AvatarFolder(str(tmp_path)), StoreConfig())
     assert store.num_avatars == 0
     store.close()
 
@@ -244,9 +244,9 @@ async def test_a_full_disk_is_a_full_store_and_costs_nobody_a_call(
         raise OSError(errno.ENOSPC, "No space left on device")
 
     async with store_relay(tmp_path) as relay, peer_in_room(relay.url, "Ada") as ada:
-        monkeypatch.setattr(Backend, "keep", no_room)
+        monkeypatch.setattr(AvatarFolder, "keep", no_room)
         assert (await upload(relay, FILE)).code == CloseCode.STORE_FULL
-        monkeypatch.setattr(Backend, "spool", no_room)
+        monkeypatch.setattr(AvatarFolder, "spool", no_room)
         assert (await upload(relay, FILE)).code == CloseCode.STORE_FULL
         assert ada.session.closed is None
     assert left_in(tmp_path) == set()
@@ -260,10 +260,10 @@ async def test_a_place_that_breaks_is_a_fault_of_the_relay_without_details(
         raise PermissionError(errno.EACCES, "Permission denied", str(tmp_path))
 
     async with store_relay(tmp_path) as relay:
-        monkeypatch.setattr(Backend, "keep", broken)
+        monkeypatch.setattr(AvatarFolder, "keep", broken)
         outcome = await upload(relay, FILE)
         assert (outcome.code, outcome.reason) == (CloseCode.INTERNAL_ERROR, "the store has a fault")
-        monkeypatch.setattr(Backend, "size", broken)
+        monkeypatch.setattr(AvatarFolder, "size", broken)
         reply = await ask(relay, f"/avatars/{ID}")
         assert (reply.status, str(tmp_path).encode() in reply.body) == (503, False)
 

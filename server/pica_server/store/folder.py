@@ -1,8 +1,8 @@
-"""Where the avatar store keeps its files: a folder, or whatever else fsspec has a driver for.
+"""Where the avatar store keeps its files: a folder, or an ``s3://`` URL by way of fsspec.
 
 Everything here blocks, and is called in the store's threads. A file is there under its final name
-whole or not at all. Names are made here of an id that was checked to be 64 hexadecimal digits, and
-of nothing else.
+whole or not at all. Names are made of an id that was checked to be 64 hexadecimal digits, and of
+nothing else.
 """
 
 import functools
@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Final, ParamSpec, TypeVar
 
 from fsspec.core import url_to_fs
@@ -20,7 +21,6 @@ from fsspec.implementations.local import LocalFileSystem
 
 from pica_protocol.store import is_avatar_id
 from pica_server.errors import StoreError
-from pica_server.store.own_folder import OwnFolder, clear_orphans
 
 SUFFIX: Final = ".pica"
 TEMPORARY: Final = "temporary"
@@ -49,33 +49,35 @@ def _in_os_terms(action: Callable[P, T]) -> Callable[P, T]:
     return run
 
 
-class Backend:
-    """Files by id in one folder of one file system; what comes in is spooled on this machine."""
+class AvatarFolder:
+    """Files by id in one folder; what comes in is written on this machine first."""
 
     def __init__(self, where: str) -> None:
-        """Find the driver of ``temporary``, a folder, or an fsspec URL.
+        """Find ``temporary``, a folder, or an ``s3://`` URL.
 
         Raises:
-            StoreError: There is no driver, or the URL is wrong.
+            StoreError: It is another URL, or s3fs is missing.
         """
         self._name = _without_secrets(where)
         self._files: Any = LocalFileSystem()
         self._root = ""  # of a temporary store until its first file
-        self._spool: Path | None = None
-        self._made: OwnFolder | None = None
-        self._spooling = threading.Lock()
-        if "://" in where:
+        self._incoming: Path | None = None
+        self._made: TemporaryDirectory[str] | None = None
+        self._making = threading.Lock()
+        if where.startswith("s3://"):
             try:
                 # A cached listing would not know what another relay has put there.
-                self._files, self._root = url_to_fs(where, use_listings_cache=False)
-            except (ImportError, ValueError, TypeError) as error:
-                raise StoreError(f"--avatar-store {self._name}: {error}") from error
-            self._root = self._root.rstrip("/")
+                self._files, root = url_to_fs(where, use_listings_cache=False)
+            except ImportError as error:
+                raise StoreError(
+                    f"--avatar-store {self._name} needs s3fs: pip install 'pica-telepresence[s3]'"
+                ) from error
+            self._root = root.rstrip("/")
+        elif "://" in where:
+            raise StoreError(f"--avatar-store {self._name} is neither a folder nor an s3:// URL")
         elif where != TEMPORARY:
             self._root = str(Path(where).expanduser().absolute())
-        self._is_local = isinstance(self._files, LocalFileSystem)
-        if self._is_local and self._root:
-            self._spool = Path(self._root, INCOMING)
+            self._incoming = Path(self._root, INCOMING)
 
     def prepare(self, limit: int) -> dict[str, int]:
         """Make sure that files can be kept here, and return the size of those that are, by id.
@@ -83,19 +85,17 @@ class Backend:
         Raises:
             StoreError: They cannot, or there are more than ``limit``.
         """
-        if self._spool is None:
-            clear_orphans()
         if not self._root:
             return {}
-        incoming = f"{self._root}/{INCOMING}"
         try:
-            self._files.makedirs(incoming, exist_ok=True)
-            trial = f"{incoming}/{secrets.token_hex(16)}"
+            if self._incoming is not None:
+                self._incoming.mkdir(parents=True, exist_ok=True)
+                _delete_abandoned(self._incoming)
+            trial = f"{self._root}/{INCOMING}/{secrets.token_hex(16)}"
             self._files.pipe_file(trial, b"trial")
-            self._files.rm_file(trial)
-            if self._spool is not None:
-                _delete_abandoned(self._spool)
+            # A bucket has no empty folders: the trial is still there when it is listed.
             entries = self._files.ls(self._root, detail=True)
+            self._files.rm_file(trial)
         except Exception as error:  # drivers raise what they like
             what = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
             raise StoreError(
@@ -104,8 +104,9 @@ class Backend:
             ) from error
         found = {}
         for entry in entries:
-            identity = _identity(str(entry["name"]).rpartition("/")[2])
-            if identity is not None and entry.get("type") == "file":
+            name = str(entry["name"]).rpartition("/")[2]
+            identity = name.removesuffix(SUFFIX)
+            if name.endswith(SUFFIX) and is_avatar_id(identity) and entry.get("type") == "file":
                 found[identity] = int(entry["size"] or 0)
         if len(found) > limit:
             raise StoreError(
@@ -116,25 +117,22 @@ class Backend:
 
     def spool(self) -> Path:
         """Return a path for a new local file that becomes one of ours, or is deleted."""
-        with self._spooling:  # uploads come from several threads
-            if self._spool is None:
-                self._made = OwnFolder()
-                self._spool = self._made.path
-                self._root = self._root or str(self._spool)
-        return self._spool / f"{secrets.token_hex(16)}.part"
+        with self._making:  # uploads come from several threads
+            if self._incoming is None:
+                self._made = TemporaryDirectory(prefix="pica-avatars-")
+                self._incoming = Path(self._made.name)
+                self._root = self._root or self._made.name
+        return self._incoming / f"{secrets.token_hex(16)}.part"
 
     @_in_os_terms
     def keep(self, spooled: Path, identity: str) -> None:
         """Keep a spooled file under an id, and delete it there."""
-        if self._is_local:
+        if isinstance(self._files, LocalFileSystem):
             with spooled.open("rb+") as file:
                 os.fsync(file.fileno())  # else a crash could leave a whole name on half a file
             spooled.replace(self._path(identity))
         else:
-            # Not every driver writes all or nothing, but renaming is.
-            unfinished = f"{self._root}/{INCOMING}/{spooled.stem}"
-            self._files.put_file(str(spooled), unfinished)
-            self._files.mv(unfinished, self._path(identity))
+            self._files.put_file(str(spooled), self._path(identity))  # S3 shows whole files only
             spooled.unlink()
 
     @_in_os_terms
@@ -153,17 +151,12 @@ class Backend:
     def close(self) -> None:
         """Delete what was temporary."""
         if self._made is not None:
-            self._made.remove()
+            self._made.cleanup()
 
     def _path(self, identity: str) -> str:
         if not is_avatar_id(identity):
             raise ValueError("nothing but an id is ever joined to a path")
         return f"{self._root}/{identity}{SUFFIX}"
-
-
-def _identity(name: str) -> str | None:
-    identity = name.removesuffix(SUFFIX)
-    return identity if name.endswith(SUFFIX) and is_avatar_id(identity) else None
 
 
 def _delete_abandoned(incoming: Path) -> None:
