@@ -5,16 +5,22 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 DEMO ?=
 WINDOW ?= 320x240
 
-.PHONY: demo test quick lint types imports docs pages window pytest extras fuzz images clean
+.PHONY: demo test static quick lint types imports docs pages window pytest pytest-parallel \
+	pytest-realtime libraries extras fuzz images clean
 
 demo: .venv/.ready-demo
 	@sh scripts/system_libraries.sh
 	$(BIN)/pica demo $(DEMO)
 
-test: .venv/.ready-test
+test: libraries
+	@$(MAKE) --no-print-directory static pytest
+
+libraries: .venv/.ready-test
 	@sh scripts/system_libraries.sh
 	@sh scripts/system_libraries.sh --nats
-	@$(MAKE) --no-print-directory lint types imports docs extras pytest
+
+# All checks that run no tests.
+static: lint types imports docs extras
 
 # Before a commit: format, lint and the pure tests, in less than a minute on two cores. The folders
 # that are left out have no pure tests (but one); to import torch for them would take seconds.
@@ -49,9 +55,13 @@ window: .venv/.ready-test
 	@sh scripts/system_libraries.sh --window
 	$(BIN)/python scripts/window_pictures.py out/window $(WINDOW)
 
-# Tests on a real clock run alone: two at once would slow each other down.
-pytest: .venv/.ready-test
+pytest: pytest-parallel pytest-realtime
+
+pytest-parallel: libraries
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not realtime" $(PYTEST)
+
+# Tests on a real clock run alone: two at once would slow each other down.
+pytest-realtime: libraries
 	$(BIN)/python -m pytest -m realtime $(PYTEST)
 
 # Each part alone in an environment of its own: the relay without numpy, the client without torch.

@@ -8,11 +8,11 @@ from fuzzing.campaign import FuzzFailure, run
 pytestmark = [pytest.mark.unit, pytest.mark.slow]
 
 
-def test_twenty_thousand_damaged_messages_are_accepted_or_refused_as_documented() -> None:
-    figures = run(20_000, seed=20_000)
+def test_thousands_of_damaged_messages_are_accepted_or_refused_as_documented() -> None:
+    figures = run(6_000, seed=6_000)
     outcomes = figures["outcomes"]
-    assert outcomes["accepted"] > 5000
-    assert outcomes["refused MALFORMED"] > 2000
+    assert outcomes["accepted"] > 1500
+    assert outcomes["refused MALFORMED"] > 600
     assert set(figures["by_target"]) == set(campaign.TARGETS)
 
 

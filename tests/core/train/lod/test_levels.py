@@ -54,6 +54,12 @@ QUICK = LevelOptions(
 SHIPPED = Path(str(resources.files("pica_core"))) / "avatars" / "sam.pica"
 
 
+@pytest.fixture(autouse=True)
+def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Judge levels by pictures of 128 pixels instead of 384: they take most of the time."""
+    monkeypatch.setattr("pica_core.train.lod.judge.IMAGE_SIZE", 128)
+
+
 @functools.cache
 def levelled() -> tuple[Avatar, list[LevelReport]]:
     return add_levels(TOY, QUICK)
