@@ -23,7 +23,7 @@ class StoreConfig:
     slowest_bytes_per_s: Annotated[float, Range(1, 1e9)] = 8192.0
     """A transfer that takes longer than that and its size at this rate is cut."""
     uploads: Annotated[int, Range(1, 10_000)] = 8
-    """At once; one more is told to come later (4009)."""
+    """At once, each in memory until it is whole; one more is told to come later (4009)."""
     uploads_per_address: Annotated[int, Range(1, 10_000)] = 2
     """At once; this machine has no limit."""
     downloads: Annotated[int, Range(1, 100_000)] = 64

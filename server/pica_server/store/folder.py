@@ -9,7 +9,6 @@ import functools
 import os
 import secrets
 import threading
-import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -25,11 +24,6 @@ from pica_server.errors import StoreError
 SUFFIX: Final = ".pica"
 TEMPORARY: Final = "temporary"
 """Names a folder that is made with the first file, and ends with the relay."""
-INCOMING: Final = "incoming"
-"""Folder of what is not complete yet, beside the files."""
-ABANDONED_AFTER_S: Final = 86_400.0
-"""What lies in there for a day was left by a relay that died."""
-
 P = ParamSpec("P")
 T = TypeVar("T")
 
@@ -50,7 +44,7 @@ def _in_os_terms(action: Callable[P, T]) -> Callable[P, T]:
 
 
 class AvatarFolder:
-    """Files by id in one folder; what comes in is written on this machine first."""
+    """Files by id in one folder."""
 
     def __init__(self, where: str) -> None:
         """Find ``temporary``, a folder, or an ``s3://`` URL.
@@ -61,7 +55,6 @@ class AvatarFolder:
         self._name = _without_secrets(where)
         self._files: Any = LocalFileSystem()
         self._root = ""  # of a temporary store until its first file
-        self._incoming: Path | None = None
         self._made: TemporaryDirectory[str] | None = None
         self._making = threading.Lock()
         if where.startswith("s3://"):
@@ -77,7 +70,10 @@ class AvatarFolder:
             raise StoreError(f"--avatar-store {self._name} is neither a folder nor an s3:// URL")
         elif where != TEMPORARY:
             self._root = str(Path(where).expanduser().absolute())
-            self._incoming = Path(self._root, INCOMING)
+
+    @property
+    def _is_local(self) -> bool:
+        return isinstance(self._files, LocalFileSystem)
 
     def prepare(self, limit: int) -> dict[str, int]:
         """Make sure that files can be kept here, and return the size of those that are, by id.
@@ -88,10 +84,9 @@ class AvatarFolder:
         if not self._root:
             return {}
         try:
-            if self._incoming is not None:
-                self._incoming.mkdir(parents=True, exist_ok=True)
-                _delete_abandoned(self._incoming)
-            trial = f"{self._root}/{INCOMING}/{secrets.token_hex(16)}"
+            if self._is_local:
+                Path(self._root).mkdir(parents=True, exist_ok=True)
+            trial = f"{self._root}/{secrets.token_hex(16)}"
             self._files.pipe_file(trial, b"trial")
             # A bucket has no empty folders: the trial is still there when it is listed.
             entries = self._files.ls(self._root, detail=True)
@@ -115,25 +110,25 @@ class AvatarFolder:
             )
         return found
 
-    def spool(self) -> Path:
-        """Return a path for a new local file that becomes one of ours, or is deleted."""
-        with self._making:  # uploads come from several threads
-            if self._incoming is None:
-                self._made = TemporaryDirectory(prefix="pica-avatars-")
-                self._incoming = Path(self._made.name)
-                self._root = self._root or self._made.name
-        return self._incoming / f"{secrets.token_hex(16)}.part"
-
     @_in_os_terms
-    def keep(self, spooled: Path, identity: str) -> None:
-        """Keep a spooled file under an id, and delete it there."""
-        if isinstance(self._files, LocalFileSystem):
-            with spooled.open("rb+") as file:
+    def keep(self, identity: str, data: bytes | bytearray) -> None:
+        """Keep a file under an id."""
+        if not self._is_local:
+            self._files.pipe_file(self._path(identity), bytes(data))  # S3 shows whole files only
+            return
+        with self._making:  # uploads come from several threads
+            if not self._root:
+                self._made = TemporaryDirectory(prefix="pica-avatars-")
+                self._root = self._made.name
+        unfinished = Path(self._root, f"{secrets.token_hex(16)}.part")
+        try:
+            with unfinished.open("xb") as file:
+                file.write(data)
+                file.flush()
                 os.fsync(file.fileno())  # else a crash could leave a whole name on half a file
-            spooled.replace(self._path(identity))
-        else:
-            self._files.put_file(str(spooled), self._path(identity))  # S3 shows whole files only
-            spooled.unlink()
+            unfinished.replace(self._path(identity))
+        finally:
+            unfinished.unlink(missing_ok=True)
 
     @_in_os_terms
     def size(self, identity: str) -> int | None:
@@ -157,13 +152,6 @@ class AvatarFolder:
         if not is_avatar_id(identity):
             raise ValueError("nothing but an id is ever joined to a path")
         return f"{self._root}/{identity}{SUFFIX}"
-
-
-def _delete_abandoned(incoming: Path) -> None:
-    for path in incoming.glob("*.part"):
-        with suppress(OSError):  # another relay may be at it too
-            if time.time() - path.stat().st_mtime > ABANDONED_AFTER_S:
-                path.unlink()
 
 
 def _without_secrets(where: str) -> str:

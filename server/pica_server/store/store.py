@@ -13,10 +13,8 @@ import hashlib
 from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
-from io import BufferedWriter
-from pathlib import Path
 from typing import Final, TypeVar
 
 from pica_server.errors import BusyError, StoreFullError, UnfitFileError
@@ -25,8 +23,6 @@ from pica_server.store.config import StoreConfig
 from pica_server.store.folder import AvatarFolder
 
 NUM_THREADS: Final = 4
-BUFFER_BYTES: Final = 256 * 2**10
-"""Bytes of one upload that are gathered in memory until a thread writes them."""
 
 _NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _T = TypeVar("_T")
@@ -122,8 +118,9 @@ class AvatarStore:
         self._free_s = begin_s + num_bytes / self.config.bytes_per_s
         await asyncio.sleep(begin_s - now)
 
-    async def begin_upload(self, identity: str, size: int) -> "Upload":
-        """Make room for a file.
+    @contextmanager
+    def upload(self, identity: str, size: int) -> Iterator["Upload"]:
+        """Make room for a file while the block runs.
 
         Raises:
             StoreFullError: There is none.
@@ -138,25 +135,37 @@ class AvatarStore:
         self._reserved_bytes += size
         self._num_reserved += 1
         try:
-            with _full_disk_is_full_store():
-                path, file = await self._in_thread(self._open_spool)
-        except BaseException:
-            self._release(size)
+            yield Upload(self, identity, size)
+        finally:
+            self._reserved_bytes -= size
+            self._num_reserved -= 1
+
+    async def keep(self, identity: str, data: bytes | bytearray) -> None:
+        """Keep a whole file.
+
+        Raises:
+            UnfitFileError: It has another SHA-256.
+            StoreFullError: The disk is full.
+            OSError: It cannot be written.
+        """
+
+        def check_and_keep() -> None:
+            if hashlib.sha256(data).hexdigest() != identity:
+                raise UnfitFileError("its SHA-256 is not the one that was offered")
+            self._folder.keep(identity, data)
+
+        try:
+            await self._in_thread(check_and_keep)
+        except OSError as error:
+            if error.errno in _NO_ROOM:
+                raise StoreFullError("its disk is full") from error
             raise
-        return Upload(self, identity, size, path, file)
+        self._sizes[identity] = len(data)
 
     def close(self) -> None:
         """End the threads and clear up."""
         self._threads.shutdown(wait=True, cancel_futures=True)
         self._folder.close()
-
-    def _open_spool(self) -> tuple[Path, BufferedWriter]:
-        path = self._folder.spool()
-        return path, path.open("xb")
-
-    def _release(self, size: int) -> None:
-        self._reserved_bytes -= size
-        self._num_reserved -= 1
 
     async def _in_thread(self, action: Callable[[], _T]) -> _T:
         return await asyncio.get_running_loop().run_in_executor(self._threads, action)
@@ -164,40 +173,31 @@ class AvatarStore:
 
 @dataclass(eq=False)
 class Upload:
-    """One file on its way in; ``async with``, which discards what was not finished."""
+    """One file on its way in, in memory until it is whole."""
 
     _store: AvatarStore
     _identity: str
     _size: int
-    _path: Path
-    _file: BufferedWriter
 
     def __post_init__(self) -> None:
-        self._received = 0
-        self._hash = hashlib.sha256()
         self._structure = StructureCheck(self._size)
-        self._buffer = bytearray()  # bounded by BUFFER_BYTES and one chunk
+        self._data = bytearray()  # bounded by the size that was offered
 
     @property
     def num_missing(self) -> int:
         """Bytes that have still to come."""
-        return self._size - self._received
+        return self._size - len(self._data)
 
-    async def write(self, data: bytes | memoryview) -> None:
+    def write(self, data: bytes | memoryview) -> None:
         """Take the next bytes.
 
         Raises:
-            StoreError: They are too many, no avatar file begins like this, or the disk is full.
-            OSError: They cannot be written.
+            UnfitFileError: They are too many, or no avatar file begins like this.
         """
-        self._received += len(data)
-        if self._received > self._size:
+        if len(data) > self.num_missing:
             raise UnfitFileError("more bytes than were offered")
         self._structure.receive(data)
-        self._hash.update(data)  # 16 KiB take twenty microseconds
-        self._buffer += data
-        if len(self._buffer) >= BUFFER_BYTES:
-            await self._write_buffer()
+        self._data += data
 
     async def finish(self) -> None:
         """Check the whole file, and keep it.
@@ -206,46 +206,5 @@ class Upload:
             StoreError: It is not the file that was offered, no avatar, or the disk is full.
             OSError: It cannot be written.
         """
-        if self.num_missing:
-            raise UnfitFileError(f"{self.num_missing} bytes are missing")
-        if self._hash.hexdigest() != self._identity:
-            raise UnfitFileError("its SHA-256 is not the one that was offered")
         self._structure.finish()
-        await self._write_buffer()
-        store = self._store
-        with _full_disk_is_full_store():
-            await store._in_thread(self._keep)
-        store._sizes[self._identity] = self._size
-
-    async def __aenter__(self) -> "Upload":
-        return self
-
-    async def __aexit__(self, *_: object) -> None:
-        self._store._release(self._size)
-        # Not waited for when we are cancelled: the thread does it all the same.
-        await self._store._in_thread(self._discard)
-
-    async def _write_buffer(self) -> None:
-        data, self._buffer = self._buffer, bytearray()
-        with _full_disk_is_full_store():
-            await self._store._in_thread(lambda: self._file.write(data))
-
-    def _keep(self) -> None:
-        self._file.close()
-        self._store._folder.keep(self._path, self._identity)
-
-    def _discard(self) -> None:
-        with suppress(OSError):
-            self._file.close()
-        with suppress(OSError):
-            self._path.unlink(missing_ok=True)
-
-
-@contextmanager
-def _full_disk_is_full_store() -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        if error.errno in _NO_ROOM:
-            raise StoreFullError("its disk is full") from error
-        raise
+        await self._store.keep(self._identity, self._data)

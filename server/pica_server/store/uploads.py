@@ -101,13 +101,13 @@ class Uploads:
             self._stats["uploads_known"] += 1
             return Stored()
         late = TooLateError("the file came too slowly", CloseCode.TOO_SLOW)
-        async with await store.begin_upload(offer.sha256, offer.size) as upload:
+        with store.upload(offer.sha256, offer.size) as upload:
             async with _within(store.config.longest_s(offer.size), late):
                 await websocket.send(encode_message(Ready()))
                 while upload.num_missing:
                     chunk = decode_chunk(await _binary(websocket))
                     self._stats["upload_bytes"] += len(chunk)
-                    await upload.write(chunk)
+                    upload.write(chunk)
                     await store.wait_for_turn(len(chunk))
             await upload.finish()
         self._stats["uploads_kept"] += 1

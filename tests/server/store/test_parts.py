@@ -3,6 +3,7 @@
 import json
 import struct
 import sys
+import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from http import HTTPStatus
 from itertools import pairwise
@@ -197,7 +198,10 @@ def test_a_limit_out_of_range_is_refused_by_name(field: str) -> None:
         StoreConfig(**{field: 0})
 
 
-def test_first_uploads_at_once_share_the_folder_that_goes_with_the_relay() -> None:
+def test_first_uploads_at_once_share_the_folder_that_goes_with_the_relay(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     interval_s = sys.getswitchinterval()
     sys.setswitchinterval(1e-6)
     try:
@@ -205,9 +209,11 @@ def test_first_uploads_at_once_share_the_folder_that_goes_with_the_relay() -> No
             folder = AvatarFolder("temporary")
             folder.prepare(10)
             with ThreadPoolExecutor(4) as pool:
-                spooled = list(pool.map(lambda _, folder=folder: folder.spool(), range(4)))
+                for number in range(4):
+                    pool.submit(folder.keep, f"{number:064x}", b"x")
+            assert len(list(tmp_path.glob("*"))) == 1
+            assert len(list(tmp_path.glob("*/*.pica"))) == 4
             folder.close()
-            assert len({path.parent for path in spooled}) == 1
-            assert not spooled[0].parent.exists()
+            assert list(tmp_path.glob("*")) == []
     finally:
         sys.setswitchinterval(interval_s)
