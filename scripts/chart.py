@@ -21,7 +21,6 @@ import subprocess
 import sys
 import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -244,81 +243,28 @@ FAMILIES = {
     "thin": "dropped by the relay, %",
     "rate": "rate of the link, kbit/s",
 }
-"""Families of network scenarios, and what their axis says; a scenario is FAMILY-LEVEL."""
-Curve = tuple[Sequence[Row], Callable[[Row], Any], dict[str, Any]]
-"""The rows of a line of a chart, what it shows of each, and how it looks."""
-
-
-def draw_conditions(field: str, panels: Mapping[str, Sequence[Curve]]) -> Figure:
-    """Draw a row of charts for each panel, a column for each family of network conditions.
-
-    Args:
-        field: Names the scenario in a row.
-        panels: Curves by the label of their panel.
-    """
-    figure, grid = plt.subplots(
-        len(panels), len(FAMILIES), figsize=(12, 2.4 * len(panels)), sharex="col", sharey="row"
-    )
-    for axes, (label, curves) in zip(grid, panels.items(), strict=True):
-        axes[0].set_ylabel(label)
-        for axis, family in zip(axes, FAMILIES, strict=True):
-            for rows, value, style in curves:
-                named = [(*row[field].rsplit("-", 1), value(row)) for row in rows]
-                points = sorted(
-                    (int(level), shown) for name, level, shown in named if name == family
-                )
-                axis.plot(*zip(*points, strict=True), "o-", **style)
-        axes[-1].legend(fontsize=7)
-    for axis, (family, label) in zip(grid[-1], FAMILIES.items(), strict=True):
-        axis.set_xlabel(label)
-        if family == "rate":
-            axis.set_xscale("log")
-            plain_ticks(axis.xaxis)
-            axis.invert_xaxis()
-    return figure
-
-
-def chart_playout() -> None:
-    """Draw error, delay and concealment of three playout policies under network conditions."""
-    (line, *_) = [line for line in read_lines("playout") if line["command"] == "pica bench playout"]
-    rows = line["result"]["rows"]
-    policies = {"adaptive": BLUE, "fixed": YELLOW, "unbuffered": GREY}
-    figures = {
-        "MSE of the expression": "mse_expression",
-        "added delay p95, ms": "added_delay_ms_p95",
-        "concealed, share": "concealed_ratio",
-    }
-    panels = {
-        label: [
-            (
-                [row for row in rows if row["policy"] == policy],
-                itemgetter(name),
-                {"color": colour, "label": policy},
-            )
-            for policy, colour in policies.items()
-        ]
-        for label, name in figures.items()
-    }
-    save(draw_conditions("scenario", panels), "playout", line)
+"""Families of network scenarios, and what their axis says; a condition is FAMILY-LEVEL."""
 
 
 def chart_voice() -> None:
     """Draw intelligibility, delay and skew of a voice under network conditions."""
     line = read_lines("voice")[-1]
     rows = line["result"]["rows"]
-
-    def age(share: str) -> Callable[[Row], Any]:
-        return lambda row: row["mouth_to_ear_ms"][share]
-
-    panels: dict[str, list[Curve]] = {
-        "words: STOI": [(rows, itemgetter("stoi"), {"color": BLUE, "label": "STOI"})],
-        "mouth to ear, ms": [
-            (rows, age("p50"), {"color": BLUE, "label": "p50"}),
-            (rows, age("p95"), {"color": ORANGE, "label": "p95"}),
-        ],
-        "|skew|, ms": [(rows, lambda row: row["skew_ms"]["p95"], {"color": BLUE, "label": "p95"})],
+    panels: dict[str, Callable[[Row], Any]] = {
+        "words: STOI": lambda row: row["stoi"],
+        "mouth to ear p95, ms": lambda row: row["mouth_to_ear_ms"]["p95"],
+        "|skew| p95, ms": lambda row: row["skew_ms"]["p95"],
     }
-    save(draw_conditions("condition", panels), "voice", line)
+    figure, grid = plt.subplots(3, len(FAMILIES), figsize=(12, 7), sharex="col", sharey="row")
+    for axes, (label, value) in zip(grid, panels.items(), strict=True):
+        axes[0].set_ylabel(label)
+        for axis, family in zip(axes, FAMILIES, strict=True):
+            named = [(*row["condition"].rsplit("-", 1), value(row)) for row in rows]
+            points = sorted((int(level), shown) for name, level, shown in named if name == family)
+            axis.plot(*zip(*points, strict=True), "o-", color=BLUE)
+    for axis, label in zip(grid[-1], FAMILIES.values(), strict=True):
+        axis.set_xlabel(label)
+    save(figure, "voice", line)
     columns: dict[str, Column] = {
         "condition": "condition",
         "wire, kbit/s": lambda row: f"{row['wire_bps'] / 1e3:.1f}",
@@ -355,7 +301,6 @@ CHARTS: dict[str, Callable[[], None]] = {
         chart_relay,
         chart_scene,
         chart_models,
-        chart_playout,
         chart_voice,
         chart_faults,
     )

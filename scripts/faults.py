@@ -20,10 +20,13 @@ import socket
 import statistics
 import subprocess
 import sys
+import tempfile
 import time
 from collections import defaultdict
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from pica_client.bench.relay.processes import relay_metrics
@@ -33,6 +36,7 @@ from pica_client.transport.link import Link
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Joined, Peer, PeerJoined
 from pica_protocol.session import ClientEvent
+from pica_server.auth.tokens import Admission, KeyRing, load_keys, mint
 
 NAMES = ("ada", "bob", "cleo")
 CALM_S = 4.0
@@ -51,19 +55,28 @@ class Call:
     unread: socket.socket | None = None
     """The other end of the relay's log, if nobody reads it."""
 
-    def __init__(self, *, through_proxy: bool) -> None:
+    def __init__(self, fault: Fault) -> None:
+        self._fps = fault.fps
         self._processes: list[subprocess.Popen[str]] = []
         with socket.create_server(("127.0.0.1", 0)) as free:
             self.port = int(free.getsockname()[1])
         self.url = url = f"ws://127.0.0.1:{self.port}"
-        self.relay_arguments: tuple[str, ...] = ()
+        self.relay_arguments = fault.relay
+        self._folder = tempfile.TemporaryDirectory()
+        self.folder = Path(self._folder.name)
+        self.tokens: dict[str, Path] = {}
+        if fault.with_tokens:
+            self.make_tokens()
         self.relay = self.start_relay()
-        if through_proxy:
+        if fault.through_proxy:
             self.proxy = self.start([__file__, "--proxy", str(self.port)], stdout=subprocess.PIPE)
             assert self.proxy.stdout is not None
             url = self.proxy.stdout.readline().strip()
         self.senders = {name: self.start_sender(name, url) for name in NAMES}
-        self.viewer = self.start([__file__, "--watch", self.url], stdout=subprocess.PIPE)
+        words = [__file__, "--watch", self.url]
+        if self.tokens:
+            words += ["--token", str(self.tokens["viewer"])]
+        self.viewer = self.start(words, stdout=subprocess.PIPE)
         assert self.viewer.stdout is not None
         self.viewer.stdout.readline()  # when it has seen all of them
 
@@ -72,6 +85,18 @@ class Call:
         process = subprocess.Popen([sys.executable, *words], text=True, **options)
         self._processes.append(process)
         return process
+
+    def make_tokens(self) -> None:
+        """Make a key file for the relay and a token for each client."""
+        keys = self.folder / "keys"
+        keys.write_text(KeyRing.new_line())
+        ring, now = load_keys(keys), time.time()
+        for name in (*NAMES, "viewer"):
+            admission = Admission(identity=name, avatars=("*",))
+            self.tokens[name] = self.folder / name
+            token = mint(ring, "lobby", admission, now=now, lasts_s=900, starts_s=0)
+            self.tokens[name].write_text(token)
+        self.relay_arguments += ("--keys", str(keys))
 
     def start_relay(self, **options: Any) -> subprocess.Popen[str]:
         """Start the relay, or start it again at the same address, and wait until it listens."""
@@ -85,16 +110,20 @@ class Call:
         raise SystemExit("the relay does not listen")
 
     async def restart_relay(self, away_s: float, *arguments: str, **options: Any) -> None:
-        """Kill the relay and start it a while later, with further arguments."""
+        """Kill the relay and start it a while later, once with further arguments."""
         self.relay.kill()
         self.relay.wait()
         await asyncio.sleep(away_s)
-        self.relay_arguments = arguments
+        before, self.relay_arguments = self.relay_arguments, (*self.relay_arguments, *arguments)
         await asyncio.to_thread(self.start_relay, **options)
+        self.relay_arguments = before
 
     def start_sender(self, name: str, url: str) -> subprocess.Popen[str]:
         """Start a sender."""
         words = ["-m", "pica_command", "send", "--url", url, "--name", name, "--wait"]
+        words += ["--fps", str(self._fps)]
+        if self.tokens:
+            words += ["--token-file", str(self.tokens[name])]
         return self.start(words, stderr=subprocess.DEVNULL)
 
     def stop(self) -> dict[str, list[tuple[float, float]]]:
@@ -107,21 +136,36 @@ class Call:
         for process in self._processes:
             process.kill()
             process.wait()
+        self._folder.cleanup()
         return dict(json.loads(seen))
 
 
 Hurt = Callable[[Call], Awaitable[None]]
 
 
-FAULTS: dict[str, tuple[Hurt, bool]] = {}
-"""What each fault does, and whether senders reach the relay through ``call.proxy``."""
+@dataclass(frozen=True, kw_only=True)
+class Fault:
+    """One thing that goes wrong, and what the call needs for it."""
+
+    hurt: Hurt
+    fps: float = 30.0
+    """Frames a second of each sender."""
+    through_proxy: bool = False
+    """Whether the senders reach the relay through ``call.proxy``."""
+    relay: tuple[str, ...] = ()
+    """Further arguments of the relay."""
+    with_tokens: bool = False
+    """Whether the relay wants tokens."""
 
 
-def fault(name: str, *, through_proxy: bool = False) -> Callable[[Hurt], Hurt]:
-    """Give a fault a row of the table."""
+FAULTS: dict[str, Fault] = {}
+
+
+def fault(name: str, **needs: Any) -> Callable[[Hurt], Hurt]:
+    """Give a fault a row of the table; `needs` are the fields of `Fault`."""
 
     def enter(hurt: Hurt) -> Hurt:
-        FAULTS[name] = hurt, through_proxy
+        FAULTS[name] = Fault(hurt=hurt, **needs)
         return hurt
 
     return enter
@@ -136,14 +180,9 @@ async def pause(processes: list[subprocess.Popen[str]], seconds: float) -> None:
         process.send_signal(signal.SIGCONT)
 
 
-@fault("nothing")
-async def _nothing(call: Call) -> None:
-    await asyncio.sleep(2.0)
+for _seconds, _fps in ((13.0, 30.0), (7.0, 120.0)):
 
-
-for _seconds in (3.0, 13.0):
-
-    @fault(f"relay paused {_seconds:g} s at 30 fps")
+    @fault(f"relay paused {_seconds:g} s at {_fps:g} fps", fps=_fps)
     async def _relay_paused(call: Call, seconds: float = _seconds) -> None:
         await pause([call.relay], seconds)
 
@@ -169,11 +208,9 @@ async def _all_paused(call: Call) -> None:
     await pause([call.relay, *call.senders.values(), call.viewer], 25.0)
 
 
-for _seconds in (1.5, 25.0):
-
-    @fault(f"relay killed, back after {_seconds:g} s")
-    async def _relay_killed(call: Call, seconds: float = _seconds) -> None:
-        await call.restart_relay(seconds)
+@fault("relay killed, back after 1.5 s")
+async def _relay_killed(call: Call) -> None:
+    await call.restart_relay(1.5)
 
 
 @fault("one sender killed, started again after 1 s")
@@ -194,11 +231,25 @@ async def _log_not_read(call: Call) -> None:
 
 
 @fault("way lost without a word", through_proxy=True)
+@fault(
+    "way lost, the address is full",
+    through_proxy=True,
+    relay=("--limits.connections-per-address", "3", "--trusted-proxies", "127.0.0.1"),
+)
 async def _path_lost(call: Call) -> None:
     """Let the proxy swallow what its connections carry while new ones get through: so a lost NAT
     table or a new address looks to a program."""
     assert call.proxy is not None
     call.proxy.send_signal(signal.SIGUSR1)
+
+
+@fault("wrong keys for 2 s", with_tokens=True)
+async def _wrong_keys(call: Call) -> None:
+    wrong = call.folder / "wrong"
+    wrong.write_text(KeyRing.new_line())
+    await call.restart_relay(0.5, "--keys", str(wrong))
+    await asyncio.sleep(2.0)
+    await call.restart_relay(0.0)
 
 
 def figures(
@@ -225,12 +276,12 @@ def figures(
 
 async def run(name: str) -> dict[str, Any]:
     """Inject one fault into one call; return its row."""
-    hurt, through_proxy = FAULTS[name]
-    call = await asyncio.to_thread(Call, through_proxy=through_proxy)
+    fault = FAULTS[name]
+    call = await asyncio.to_thread(Call, fault)
     try:
         await asyncio.sleep(CALM_S)
         begin_s = time.monotonic()
-        await hurt(call)
+        await fault.hurt(call)
         over_s = time.monotonic()
         await asyncio.sleep(min(SETTLED_S + max(over_s - begin_s, 8.0), LONGEST_BACK_S))
         end_s = time.monotonic()
@@ -242,7 +293,7 @@ async def run(name: str) -> dict[str, Any]:
     return {"fault": name, **figures(seen, begin_s, over_s, end_s), "closed": closed}
 
 
-def watch(url: str) -> None:
+def watch(url: str, token_file: Path | None) -> None:
     """Look on until told to stop, then print when each face's frames came and were captured."""
     seen: dict[str, list[tuple[float, float]]] = defaultdict(list)
     names: dict[int, str] = {}
@@ -264,7 +315,7 @@ def watch(url: str) -> None:
         names.update({track.stream: peer.name for peer in peers for track in peer.tracks})
 
     async def look() -> None:
-        config = LinkConfig(url=url, name="viewer", connect_timeout_s=None)
+        config = LinkConfig(url=url, name="viewer", connect_timeout_s=None, token_file=token_file)
         link = Link(config, on_event=on_event)
         asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, link.leave)
         await link.run()
@@ -278,19 +329,23 @@ def proxy(port: int) -> None:
     it swallow what the present connections carry."""
     age = 0
 
-    async def pump(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def pump(
+        reader: asyncio.StreamReader, writer: asyncio.StreamWriter, head: bytes = b""
+    ) -> None:
         born = age
         with suppress(OSError):
             while data := await reader.read(65_536):
                 if born == age:
-                    writer.write(data)
+                    writer.write(data.replace(b"\r\n", b"\r\n" + head, 1))
+                    head = b""
                     await writer.drain()
         if born == age:
             writer.close()
 
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         back, to = await asyncio.open_connection("127.0.0.1", port)
-        await asyncio.gather(pump(reader, to), pump(back, writer))
+        head = b"X-Forwarded-For: 192.0.2.1\r\n"
+        await asyncio.gather(pump(reader, to, head), pump(back, writer))
 
     def grow_old() -> None:
         nonlocal age
@@ -311,10 +366,11 @@ def main() -> None:
     parser.add_argument("names", nargs="*", help="beginnings of the faults' names; all without")
     parser.add_argument("--json", action="store_true", help="print the rows as JSON at the end")
     parser.add_argument("--watch", help=argparse.SUPPRESS)
+    parser.add_argument("--token", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("--proxy", type=int, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.watch:
-        return watch(options.watch)
+        return watch(options.watch, options.token)
     if options.proxy:
         return proxy(options.proxy)
     chosen = [n for n in FAULTS if not options.names or n.startswith(tuple(options.names))]

@@ -10,7 +10,6 @@ docs_words          words of all Markdown files
 largest_folder      source files in the fullest folder of the packages, ``__init__.py`` included
 longest_file        lines of the longest Python file, of tests and scripts, too
 import_circles      groups of modules that import each other in a loop, however far around
-fragment_docstrings docstrings of one line that begin with a preposition or have one or two words
 
 Imports under ``if TYPE_CHECKING`` and inside functions count for circles: a loop that is only
 broken by being late is still a loop.
@@ -63,7 +62,6 @@ ROOMS: dict[str, tuple[int, tuple[str, ...]]] = {
     "client, rest": (600, (CLIENT,)),
 }
 """Lines allowed, and beginnings of the paths that count; the first room that fits takes a file."""
-PREPOSITIONS = {"of", "by", "as", "for", "with", "in", "from", "to", "on", "and"}
 
 
 def tracked(pattern: str) -> list[str]:
@@ -126,22 +124,6 @@ def circles(graph: dict[str, set[str]]) -> list[list[str]]:
     return found
 
 
-def num_fragments(tree: ast.Module) -> int:
-    """Count docstrings that are no sentence, strings under fields and constants included."""
-    bodies = [getattr(node, "body", None) for node in ast.walk(tree)]
-    texts = (
-        child.value.value.split()
-        for body in bodies
-        if isinstance(body, list)
-        for child in body
-        if isinstance(child, ast.Expr)
-        and isinstance(child.value, ast.Constant)
-        and isinstance(child.value.value, str)
-        and "\n" not in child.value.value.strip()
-    )
-    return sum(words[0].lower() in PREPOSITIONS or len(words) < 3 for words in texts if words)
-
-
 def measure() -> dict[str, Any]:
     """Return all counts, the lines of each room, and the circles."""
     lines = {path: len((ROOT / path).read_text().splitlines()) for path in tracked("*.py")}
@@ -160,7 +142,6 @@ def measure() -> dict[str, Any]:
         "largest_folder": max(Counter(str(Path(path).parent) for path in production).values()),
         "longest_file": max(lines.values()),
         "import_circles": len(circles(graph)),
-        "fragment_docstrings": sum(num_fragments(tree) for tree in trees.values()),
         "rooms": {room: [rooms[room], budget] for room, (budget, _) in ROOMS.items()},
         "circles": circles(graph),
     }

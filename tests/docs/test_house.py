@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import ast
-
 import pytest
 
 from helpers.script import load_script
@@ -24,8 +22,3 @@ def test_every_file_of_the_packages_has_a_room_and_nothing_imports_in_circles() 
 
 def test_a_circle_is_found_however_far_around() -> None:
     assert HOUSE.circles({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}}) == [["a", "b", "c"]]
-
-
-def test_docstrings_that_are_no_sentence_are_counted() -> None:
-    text = 'a = 1\n"""Of one."""\ndef f():\n    """Return all of it."""\n'
-    assert HOUSE.num_fragments(ast.parse(text)) == 1
