@@ -15,7 +15,6 @@ from pica_protocol.messages import (
     StreamReport,
     Whisper,
 )
-from pica_protocol.session import State
 from pica_server.auth.tokens import Admission
 from pica_server.config.relay import LimitsConfig, RelayConfig
 from pica_server.errors import AdmissionError
@@ -48,14 +47,6 @@ def test_every_frame_is_delivered_or_counted_as_dropped() -> None:
     assert stats.frames_in == 10
     assert stats.frames_out == 10
     assert stats.dropped == {"replaced": 9, "departed": 1}
-
-
-def test_frames_still_waiting_when_their_publisher_goes_are_not_delivered() -> None:
-    hub, (ada, bob) = hub_with("Ada", "Bob")
-    ada.send_frame(b"x", now=1.0)
-    hub.disconnect(ada.connection, 1006, "", now=1.1)
-    assert bob.listen(now=1.2) == [PeerLeft(peer_id=ada.session.peer_id, reason="lost")]
-    assert hub.stats.dropped == {"departed": 1}
 
 
 def test_a_foreign_stream_closes_its_sender_and_forwards_none_of_the_message() -> None:
@@ -297,15 +288,3 @@ def test_close_codes_that_peers_make_up_are_counted_together() -> None:
     for member, code in zip(members, (3001, 4444, 1000), strict=True):
         hub.receive(member.connection, encode_message(Bye(code=code)), now=1.0)
     assert hub.stats.closed == {0: 2, 1000: 1}
-
-
-def test_a_message_after_the_end_is_ignored() -> None:
-    hub, (ada, bob) = hub_with("Ada", "Bob")
-    hub.close(ada.connection, CloseCode.INTERNAL_ERROR, "test", now=1.0)
-    bob.listen(now=1.0)
-    hub.receive(ada.connection, encode_message(Bye(code=1000)), now=1.1)
-    hub.receive(ada.connection, b"\x02\x00\x01" + bytes(14), now=1.1)
-    hub.disconnect(ada.connection, 1006, "", now=1.2)
-    assert bob.listen(now=1.3) == []
-    assert bob.session.state is State.JOINED
-    assert hub.stats.closed == {1011: 1}

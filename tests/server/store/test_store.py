@@ -111,16 +111,6 @@ async def test_ranges_are_parts_of_the_file_and_nothing_else_is_asked_for(tmp_pa
 
 
 @pytest.mark.asyncio
-async def test_a_file_larger_than_one_read_comes_whole(tmp_path: Path) -> None:
-    large = fake_avatar(1_000_000)
-    async with store_relay(tmp_path) as relay:
-        assert (await upload(relay, large)).code == CloseCode.NORMAL
-        assert (await ask(relay, f"/avatars/{id_of(large)}")).body == large
-        part = await ask(relay, f"/avatars/{id_of(large)}", Range="bytes=200000-800000")
-        assert part.body == large[200_000:800_001]
-
-
-@pytest.mark.asyncio
 async def test_a_bucket_of_s3_will_do(monkeypatch: pytest.MonkeyPatch) -> None:
     bucket = MemoryFileSystem(skip_instance_cache=True)
     monkeypatch.setattr(folder, "url_to_fs", lambda url, **_: (bucket, "/bucket/avatars"))
@@ -130,13 +120,6 @@ async def test_a_bucket_of_s3_will_do(monkeypatch: pytest.MonkeyPatch) -> None:
             assert (await ask(relay, f"/avatars/{ID}", Range="bytes=5-9")).body == FILE[5:10]
     assert bucket.find("/bucket") == [f"/bucket/avatars/{ID}.pica"]
     bucket.rm("/bucket", recursive=True)
-
-
-@pytest.mark.asyncio
-async def test_a_relay_sees_what_another_one_puts_into_the_same_folder(tmp_path: Path) -> None:
-    async with store_relay(tmp_path) as one, store_relay(tmp_path) as other:
-        await upload(one, FILE)
-        assert (await ask(other, f"/avatars/{ID}")).body == FILE
 
 
 @pytest.mark.asyncio
