@@ -199,16 +199,6 @@ class Load:
             cpu = (cpu_after - cpu_before) / (at_after - at_before)
         return self._figures(rooms, seconds, answers, metrics, cpu)
 
-    def begin_farewell(self, timeout_s: float) -> None:
-        """Let the peers go on until the relay has closed them."""
-        for swarm in self._swarms:
-            swarm.order(do="farewell", timeout_s=timeout_s)
-
-    def end_farewell(self, timeout_s: float) -> tuple[int, dict[str, int]]:
-        """Return how many are still there, and with which codes the others were closed."""
-        answers = [swarm.answer(timeout_s + PATIENCE_S) for swarm in self._swarms]
-        return sum(answer["live"] for answer in answers), close_codes(answers)
-
     def leave(self) -> None:
         """End the swarms."""
         self._workers.stop(self._swarms)

@@ -2,8 +2,8 @@
 
 One loop: send the frames that are due, wait, read what has come. It takes its orders from standard
 input, a JSON object a line, and answers each with one on standard output; when the input ends, so
-does it. Orders: ``connect`` (come in, so many a second), ``window`` (send, and count the frames
-captured between two moments) and ``farewell`` (until the relay has closed everybody).
+does it. Orders: ``connect`` (come in, so many a second) and ``window`` (send, and count the frames
+captured between two moments).
 
 What is measured: from just before a frame's ``send`` to just after the ``recv`` that brought it,
 both here, on the clock that all processes of a machine share. So it holds the relay, the kernel on
@@ -112,8 +112,6 @@ class Swarm:
                     self._connect(**order)
                 case "window":
                     self._measure(**order)
-                case "farewell":
-                    self._wait_for_the_end(**order)
         for peer in self._by_fd.values():
             peer.close()
 
@@ -169,13 +167,6 @@ class Swarm:
             self._turn(time.monotonic() + 0.1)
         cpu_ratio = cpu_s / max(end_s - begin_s, 1e-9)
         _answer({**tally.as_dict(), "closed": dict(tally.codes), "cpu_ratio": cpu_ratio})
-
-    def _wait_for_the_end(self, timeout_s: float) -> None:
-        """Go on until the relay has closed everybody; tell with which codes."""
-        deadline = time.monotonic() + timeout_s
-        while self._by_fd and time.monotonic() < deadline and not self._is_over:
-            self._turn(time.monotonic() + 0.1)
-        _answer({"live": len(self._by_fd), "closed": dict(self._tally.codes)})
 
     def _start_sending(self, rooms: int) -> None:
         """Let the peers of the first so many rooms send."""
