@@ -27,6 +27,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from pica_command.options import CommandLine
+from pica_command.table import COMMANDS, command_of, refuse
+
 ROOT = Path(__file__).resolve().parent.parent
 HERE = {"wss://relay.example": "ws://127.0.0.1:8765", "192.168.1.20": "127.0.0.1"}
 """What stands for another machine on a page, and what is reached instead."""
@@ -60,12 +63,16 @@ def blocks_of(page: str) -> Iterator[Block]:
             raise ValueError(f"nobody knows how to run a block {how!r}")
 
 
-def check(words: list[str], folder: Path) -> None:
-    """Fail if a command does not exist or has no such options; it does nothing."""
-    run = ["pica", *words, *(["--print-config"] if "--help" not in words else [])]
-    done = subprocess.run(run, cwd=folder, env=environment(), capture_output=True, text=True)
-    if done.returncode:
-        sys.exit(f"pica {' '.join(words)}: {done.stderr}")
+def check(words: list[str]) -> None:
+    """Read the words of a command, which is not run.
+
+    Raises:
+        UsageError: There is no such command, or it has no such options.
+    """
+    name = command_of(words)
+    if name is None:
+        refuse(words)
+    CommandLine(name, COMMANDS[name], {}, None).read(words[len(name.split()) :])
 
 
 def environment() -> dict[str, str]:
@@ -73,7 +80,7 @@ def environment() -> dict[str, str]:
     kept = {name: value for name, value in os.environ.items() if not name.startswith("PICA_")}
     kept.pop("DISPLAY", None)
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-    return kept | {"PATH": path, "XDG_CONFIG_HOME": tempfile.gettempdir(), "PICA_PROFILE": "none"}
+    return kept | {"PATH": path, "PICA_CONFIG": os.devnull}
 
 
 def run_page(path: Path, folder: Path) -> None:
@@ -88,7 +95,7 @@ def run_page(path: Path, folder: Path) -> None:
                 stop(running)
             elif block.how.startswith("only read"):
                 for words in block.commands:
-                    check(words, folder)
+                    check(words)
             elif block.how:
                 print(f"{path.name} &\n{text}", flush=True)
                 running.append(start(f"exec {text}", folder))

@@ -8,7 +8,7 @@ from hypothesis import settings
 # What the person who runs the tests has set for commands of their own is not part of them.
 for _name in [name for name in os.environ if name.startswith("PICA_")]:
     del os.environ[_name]
-os.environ["PICA_PROFILE"] = "none"
+os.environ["PICA_CONFIG"] = os.devnull
 
 MARKS = {"unit", "call", "render", "train", "realtime", "gpu"}
 

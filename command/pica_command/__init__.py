@@ -1,1 +1,1 @@
-"""The `pica` command: finds its sub-commands by entry point and knows none of them."""
+"""The `pica` command: finds its sub-commands in a table and imports the one that is called."""

@@ -1,18 +1,10 @@
-"""One command whose sub-commands are entry points, each loaded only when it is called.
-
-An entry point of the group ``pica.commands`` names a function with one parameter, a frozen
-dataclass of options, that returns a map or None. The name's dots stand for spaces: ``bench.call``
-is ``pica bench call``; the extras of the entry point are what the command needs. So the relay
-starts without importing numpy, and an extension adds a sub-command by being installed. Variables
-and a file may set options, too: see `pica_command.profile`.
+"""The `pica` command: finds a sub-command in the table, loads it alone, and reports how it ended.
 
 Exit status: 0 done; 2 bad usage or bad input (any exception with an ``exit_code``, or a missing
-extra); 1 a failure, or a result whose ``ok`` is false; 130 stopped by Ctrl-C; 141 nobody reads
-what it prints any more, as after ``| head``. ``--debug`` shows tracebacks and changes none of
-these.
+extra); 1 a failure, or a result whose ``ok`` is false; 130 stopped by Ctrl-C; 141 the reader of the
+output has gone, as after ``| head``.
 """
 
-import inspect
 import json
 import os
 import re
@@ -21,32 +13,28 @@ import signal
 import sys
 import threading
 import traceback
-import typing
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from importlib.metadata import EntryPoint, version
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final
 
-from pica_command.catalogue import commands, listing, nearest, options_type_of, spoken
-from pica_command.errors import UsageError
+from platformdirs import PlatformDirs
+
 from pica_command.extras import DISTRIBUTION, extra_with, install_line
-from pica_command.parsing import description_of, parse_words
-from pica_command.profile import read_command
-from pica_command.settings import as_plain, as_toml, naming_places
+from pica_command.table import COMMANDS, command_of, listing, refuse
 
-DEBUG_FLAG = "--debug"
-JSON_FLAG = "--json"
-PRINT_FLAG = "--print-config"
-COMMON_HELP = (
-    f"With {JSON_FLAG} the last line of stdout is the result, or the error, as one JSON object; "
-    f"{DEBUG_FLAG} shows the traceback of an error; {PRINT_FLAG} prints all options, each with "
-    "where it comes from, and stops."
-)
+DEBUG_FLAG: Final = "--debug"
+JSON_FLAG: Final = "--json"
+COMPLETION_FLAG: Final = "--install-completion"
+CONFIG_VARIABLE: Final = "PICA_CONFIG"
+"""Names another file than the user's."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one sub-command and return its exit status."""
     try:
-        status = _run_and_report(argv)
+        status = _run_and_report(list(sys.argv[1:] if argv is None else argv))
         sys.stdout.flush()
     except BrokenPipeError:
         if not _is_unread():
@@ -56,7 +44,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _is_unread() -> bool:
-    """Say whether whoever read our output has gone; if so, the rest of it goes nowhere."""
+    """Return True if the reader of our output has gone; then the rest of it goes nowhere."""
     if not hasattr(select, "poll"):
         return False  # Windows, where this is another error
     poll = select.poll()
@@ -68,58 +56,43 @@ def _is_unread() -> bool:
     return bool(unread)
 
 
-def _run_and_report(argv: Sequence[str] | None) -> int:
-    arguments = list(sys.argv[1:] if argv is None else argv)
-    flags = {flag for flag in (DEBUG_FLAG, JSON_FLAG, PRINT_FLAG) if flag in arguments}
-    words = [word for word in arguments if word not in flags]
-    known = commands()
-    name, rest = _split(words, known)
-    title = "pica" if name is None else spoken(name)
+def _run_and_report(words: list[str]) -> int:
+    name = command_of(words)
     try:
         if name is None:
-            return _explain(words, known)
-        result = _run(name, known[name], rest, flags)
-    except SystemExit as end:  # --help
+            return _explain(words)
+        result = _run(name, words[len(name.split()) :])
+    except SystemExit as end:
         return end.code if isinstance(end.code, int) else 0
     except (Exception, KeyboardInterrupt) as error:
         if isinstance(error, BrokenPipeError) and _is_unread():
             return 141
-        return _report(error, title, () if name is None else known[name].extras, flags)
-    if JSON_FLAG in flags:
-        print(json.dumps(result if result is not None else {}), flush=True)
+        return _report(error, name, words)
+    if JSON_FLAG in words and result is not None:
+        print(json.dumps(result), flush=True)
     return 0 if result is None or result.get("ok", True) else 1
 
 
-def _split(arguments: list[str], known: Mapping[str, EntryPoint]) -> tuple[str | None, list[str]]:
-    """The longest command that the first words spell, and the words after it."""
-    for count in (2, 1):
-        name = ".".join(arguments[:count])
-        if len(arguments) >= count and name in known:
-            return name, arguments[count:]
-    return None, arguments
+def _run(name: str, words: list[str]) -> Mapping[str, Any] | None:
+    """Run a command; None after its help was printed."""
+    from pica_command.options import CommandLine  # the list of commands does without cyclopts
 
-
-def _run(
-    name: str, entry: EntryPoint, rest: list[str], flags: typing.Collection[str]
-) -> Mapping[str, typing.Any] | None:
     with _nothing_begun():
-        function = entry.load()
-        options_type = options_type_of(entry)
-        description = f"{description_of(inspect.getdoc(function) or '')}\n\n{COMMON_HELP}"
-        if getattr(options_type, "OWN_FILE", False):
-            description += " --config FILE reads options from a TOML file."
+        file = user_file(os.environ)
+        has_file = CONFIG_VARIABLE in os.environ or file.exists()
+        line = CommandLine(name, COMMANDS[name], os.environ, file if has_file else None)
+        options = line.read(words)
+    if options is None:
+        return None
+    with line.naming_places():
+        result: Mapping[str, Any] | None = line.function(**options)
+    return {} if result is None else result
 
-        def parse(words: Sequence[str]) -> typing.Any:
-            return parse_words(options_type, words, prog=spoken(name), description=description)
 
-        options, effective = read_command(name, options_type, rest, os.environ, parse)
-    if PRINT_FLAG in flags:
-        table = "" if getattr(options_type, "OWN_FILE", False) else name
-        print(as_toml(effective, table), end="")
-        return as_plain(effective)
-    with naming_places(effective):
-        result: Mapping[str, typing.Any] | None = function(options)
-    return result
+def user_file(environment: Mapping[str, str]) -> Path:
+    """The TOML file of this user's options; it need not be there."""
+    folder = PlatformDirs(DISTRIBUTION, appauthor=False, roaming=True).user_config_path
+    return Path(environment.get(CONFIG_VARIABLE) or folder / "pica.toml")
 
 
 @contextmanager
@@ -135,59 +108,60 @@ def _nothing_begun() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def _report(
-    error: BaseException, title: str, extras: Sequence[str], flags: typing.Collection[str]
-) -> int:
-    """Say what went wrong in one line, with ``--json`` as an object too; return the status."""
-    kind, message, code, more = _what_of(error, extras)
-    if DEBUG_FLAG in flags or kind == "bug":
+def _report(error: BaseException, name: str | None, words: list[str]) -> int:
+    """Print what went wrong in one line, with ``--json`` as an object too; return the status."""
+    kind, message, code, more = _describe(error, () if name is None else COMMANDS[name].extras)
+    title = f"pica {name or ''}".strip()
+    if DEBUG_FLAG in words or kind == "bug":
         traceback.print_exception(error)
     if kind != "bug":
         print(f"{title}: {message}", file=sys.stderr)
-    if JSON_FLAG in flags:
+    if JSON_FLAG in words:
         described = {"kind": kind, "message": message, "command": title, "exit_code": code}
         print(json.dumps({"error": described | more}), flush=True)
     return code
 
 
-def _what_of(
-    error: BaseException, extras: Sequence[str]
-) -> tuple[str, str, int, dict[str, typing.Any]]:
+def _describe(error: BaseException, extras: Sequence[str]) -> tuple[str, str, int, dict[str, Any]]:
     """Kind, message, exit status and further fields of an error."""
     if isinstance(error, KeyboardInterrupt):
         return "interrupted", "stopped", 130, {}
-    if isinstance(error, ModuleNotFoundError):
-        extra = extra_with(error.name or "", extras)
-        if extra is not None:
-            fix = install_line(extra)
-            message = f"needs {error.name}; install it with: {fix}"
-            return "missing_extra", message, 2, {"extra": extra, "install": fix}
+    if isinstance(error, ModuleNotFoundError) and (extra := extra_with(error.name or "", extras)):
+        fix = install_line(extra)
+        message = f"needs {error.name}; install it with: {fix}"
+        return "missing_extra", message, 2, {"extra": extra, "install": fix}
     message = " ".join(str(error).split())
     code = getattr(error, "exit_code", None)
     if code is None and isinstance(error, OSError) and error.filename is not None:
         code = 2
     if code is None:
         return "bug", message or type(error).__name__, 1, {"type": type(error).__name__}
-    if isinstance(error, UsageError):
-        return "usage", message, int(code), {}
     name = type(error).__name__.removesuffix("Error")
     return re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower(), message, int(code), {}
 
 
-def _explain(words: list[str], known: Mapping[str, EntryPoint]) -> int:
-    """Say which sub-commands there are; an unknown one is bad usage.
+def _explain(words: list[str]) -> int:
+    """List the commands; words that begin none are bad usage.
 
     Raises:
-        UsageError: No command begins so.
+        UsageError: Says what was probably meant, or what to use instead.
     """
     if words[:1] == ["--version"]:
         print(version(DISTRIBUTION))
         return 0
-    family = words[0] if words and any(name.startswith(f"{words[0]}.") for name in known) else ""
+    if words[:1] == [COMPLETION_FLAG]:
+        from pica_command.options import install_completion
+
+        install_completion(words)
+        return 0
+    family = words[0] if words and any(name.startswith(f"{words[0]} ") for name in COMMANDS) else ""
     if not [word for word in words[bool(family) :] if word not in ("-h", "--help")]:
         is_half_a_command = len(words) == 1 and bool(family)
-        print(listing(known, family), file=sys.stderr if is_half_a_command else sys.stdout)
+        print(
+            f"{listing(family)}\n\n`pica COMMAND --help` explains one of them, "
+            f"`pica {COMPLETION_FLAG}` lets your shell complete them.\n"
+            f"Options may also stand in {user_file(os.environ)}.",
+            file=sys.stderr if is_half_a_command else sys.stdout,
+        )
         return 2 if is_half_a_command else 0
-    near = nearest(words, known)
-    hint = f"did you mean `pica {near}`?" if near else "`pica --help` lists all commands"
-    raise UsageError(f"no command {' '.join(words[:2] if family else words[:1])!r}; {hint}")
+    refuse(words)

@@ -11,7 +11,7 @@ pytestmark = pytest.mark.realtime
 
 
 @pytest.mark.parametrize("unread", ["stdout", "both"])
-@pytest.mark.parametrize("words", ["--help", "send --help", "send --print-config", "doctor --json"])
+@pytest.mark.parametrize("words", ["--help", "send --help", "doctor --json"])
 def test_output_that_nobody_reads_is_no_traceback(words: str, unread: str) -> None:
     with subprocess.Popen(
         [sys.executable, "-m", "pica_command", *words.split()],

@@ -6,11 +6,16 @@ import re
 import pytest
 
 from helpers.paths import ROOT
+from helpers.script import load_script
 from pica_command.main import main
 
 pytestmark = pytest.mark.unit
 
 PAGE = (ROOT / "docs" / "command-line.md").read_text()
+
+
+def test_the_page_is_what_its_script_writes() -> None:
+    assert load_script("command_page").page() == PAGE
 
 
 def test_the_errors_on_the_page_are_what_the_command_says(

@@ -8,7 +8,6 @@ import pytest
 
 from helpers.paths import ROOT
 from helpers.script import load_script
-from pica_command.main import main
 
 pytestmark = pytest.mark.unit
 
@@ -20,14 +19,14 @@ SCRIPT = load_script("run_pages")
 
 @pytest.mark.parametrize("name", PAGES)
 def test_every_command_of_a_page_exists_with_its_options(
-    name: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     blocks = list(SCRIPT.blocks_of((ROOT / name).read_text()))
     commands = [words for block in blocks for words in block.commands]
     assert len(commands) >= 7
     for words in commands:
-        assert main([*words, "--print-config"]) == 0, capsys.readouterr().err
+        SCRIPT.check(words)
 
 
 def test_a_page_says_how_its_blocks_are_run() -> None:

@@ -20,10 +20,10 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-from tyro.conf import OmitArgPrefixes
+from cyclopts import Parameter
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.bench.network.impairment import Impairment
@@ -84,12 +84,14 @@ class NetworkOptions:
 class BenchConfig:
     """What to measure; the options of `pica bench call`."""
 
-    call: OmitArgPrefixes[local_call.LocalCallConfig]
+    call: Annotated[local_call.LocalCallConfig, Parameter(name="*")] = field(
+        default_factory=local_call.LocalCallConfig
+    )
     seconds: float = 20.0
     """Measured time, seconds."""
     playout_floor_ms: float = PlayoutConfig().floor_s * 1e3
     """Least playout delay, milliseconds."""
-    network: OmitArgPrefixes[NetworkOptions] = field(default_factory=NetworkOptions)
+    network: Annotated[NetworkOptions, Parameter(name="*")] = field(default_factory=NetworkOptions)
 
     def __post_init__(self) -> None:
         if not 0 < self.seconds <= 600:

@@ -13,8 +13,7 @@ from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
-import tyro
-from tyro.constructors import PrimitiveConstructorSpec
+from cyclopts import Parameter
 
 from pica_client.bench.harness import Took, gl_context, median_ms, spread, take_turns, timed
 from pica_client.bench.head import FRAME_S, front_camera
@@ -61,13 +60,13 @@ AHEAD = np.array([0, 0, 1], np.float32)
 Decode = Callable[[FloatArray], object]
 Provider = Annotated[
     OnnxOptions,
-    tyro.conf.arg(name="provider"),
-    PrimitiveConstructorSpec(
-        nargs=1,
+    Parameter(
+        name="provider",
+        converter=lambda _, tokens: OnnxOptions.for_provider(tokens[0].value),
+        n_tokens=1,
+        accepts_keys=False,
         metavar="NAME",
-        instance_from_str=lambda words: OnnxOptions.for_provider(words[0]),
-        is_instance=lambda value: isinstance(value, OnnxOptions),
-        str_from_instance=lambda options: [options.provider],
+        show_default=lambda options: options.provider,
     ),
 ]
 

@@ -1,31 +1,25 @@
 """How settings of benches are spelled on the command line, lists as one word, and their limits."""
 
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
 from typing import Annotated, Any
 
-from tyro.constructors import PrimitiveConstructorSpec
+from cyclopts import Parameter, Token
 
 from pica_client.errors import OptionError
 
 
-def _listed(
-    kind: Callable[[str], Any], metavar: str, between: str = ","
-) -> PrimitiveConstructorSpec[Any]:
-    def read(words: list[str]) -> tuple[Any, ...]:
+def _listed(kind: Callable[[str], Any], metavar: str, between: str = ",") -> Parameter:
+    def read(_type: object, tokens: Sequence[Token]) -> tuple[Any, ...]:
+        text = tokens[0].value
         try:
-            return tuple(kind(part.strip()) for part in words[0].split(between) if part.strip())
+            return tuple(kind(part.strip()) for part in text.split(between) if part.strip())
         except ValueError as error:
-            raise ValueError(f"{words[0]!r} is given; write numbers with commas") from error
+            raise ValueError(f"{text!r} is given; write numbers with commas") from error
 
-    return PrimitiveConstructorSpec(
-        nargs=1,
-        metavar=metavar,
-        instance_from_str=read,
-        is_instance=lambda value: isinstance(value, tuple),
-        str_from_instance=lambda values: [
-            between.join(f"{value}".removesuffix(".0") for value in values)
-        ],
-    )
+    def show(values: tuple[Any, ...]) -> str:
+        return between.join(f"{value}".removesuffix(".0") for value in values)
+
+    return Parameter(converter=read, n_tokens=1, metavar=metavar, show_default=show)
 
 
 Floats = Annotated[tuple[float, ...], _listed(float, "NUMBERS")]

@@ -12,10 +12,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-import tyro
+from cyclopts import Parameter
 
 from pica_client.bench.head import FaceRenderer
 from pica_client.bench.network.scenarios import BY_NAME, POLICIES, SCENARIOS
@@ -54,7 +54,7 @@ class BenchPlayoutConfig:
     """Format of the payloads: coded, or plain for 8 bits a value and every frame alone."""
     scenarios: Words = ()
     """Names of troubles, separated by commas; all by default."""
-    schedule: tyro.conf.OmitArgPrefixes[Schedule] = field(default_factory=Schedule)
+    schedule: Annotated[Schedule, Parameter(name="*")] = field(default_factory=Schedule)
     """When frames are captured and shown."""
     renders_per_s: float = 10.0
     """Refreshes that are rendered to measure the error, a second."""

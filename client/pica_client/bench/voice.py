@@ -9,10 +9,10 @@ The fields of its rows stand in ``docs/benches.md``. What it does not show: devi
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-import tyro
+from cyclopts import Parameter
 
 from pica_client.bench.network.scenarios import BY_NAME, SCENARIOS
 from pica_client.bench.network.stream_trial import (
@@ -68,7 +68,7 @@ class BenchVoiceConfig:
     """Bit rates of the voice, kbit/s, separated by commas."""
     scenarios: Words = ()
     """Names of troubles, separated by commas; all by default."""
-    schedule: tyro.conf.OmitArgPrefixes[Schedule] = field(default_factory=Schedule)
+    schedule: Annotated[Schedule, Parameter(name="*")] = field(default_factory=Schedule)
     """When frames are captured and shown."""
     seed: int = 0
     """Seed of the network and of the room's noise."""

@@ -3,18 +3,15 @@
 import asyncio
 import sys
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
-
-import tyro
+from typing import Any
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.avatars.upload import push_avatar
 from pica_client.cli.options import parse_size
 from pica_client.output import check_writable, say
 from pica_client.transport.config import LinkConfig
-from pica_command import profile
 from pica_core.avatar.file import avatar_id, load_avatar, save_avatar
 from pica_core.avatar.shipped import avatar_file
 
@@ -23,7 +20,7 @@ from pica_core.avatar.shipped import avatar_file
 class AvatarPushOptions:
     """Options of `pica avatar push`."""
 
-    file: tyro.conf.Positional[Path]
+    file: Path = field(kw_only=False)
     """Name of a shipped avatar, or a .pica file."""
     url: str = "ws://127.0.0.1:8765"
     """Address of the relay, ws:// or wss://."""
@@ -31,7 +28,6 @@ class AvatarPushOptions:
     """File with a join token that allows to wear this avatar, see pica token."""
     ca_file: Path | None = None
     """Trust the certificates of this PEM file instead of the system's, at a wss:// address."""
-    SHARED: ClassVar[tuple[str, ...]] = profile.SHARED
 
 
 def avatar_push(options: AvatarPushOptions) -> dict[str, Any]:
@@ -60,7 +56,7 @@ def avatar_push(options: AvatarPushOptions) -> dict[str, Any]:
 class ThumbnailOptions:
     """Options of `pica avatar thumbnail`."""
 
-    avatar: tyro.conf.Positional[str]
+    avatar: str = field(kw_only=False)
     """Name of a shipped avatar, or a .pica file."""
     out: Path = Path("avatar.png")
     """PNG file to write."""
@@ -86,7 +82,7 @@ def avatar_thumbnail(options: ThumbnailOptions) -> dict[str, Any]:
 class AvatarMeasureOptions:
     """Options of `pica avatar measure`."""
 
-    file: tyro.conf.Positional[Path]
+    file: Path = field(kw_only=False)
     """Name of a shipped avatar, or a .pica file."""
     out: Path
     """Avatar file to write, with the table of errors in it; may be the same."""

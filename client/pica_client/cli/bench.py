@@ -2,9 +2,7 @@
 
 from contextlib import closing
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
-
-from tyro.conf import OmitArgPrefixes
+from typing import Any
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.bench.call import BenchConfig, run_bench
@@ -22,18 +20,16 @@ from pica_client.output import check_writable, say
 from pica_client.signals import terminate_as_interrupt
 from pica_core.avatar.file import Avatar
 
-Config = TypeVar("Config")
 Result = dict[str, Any]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class AvatarBenchOptions(Generic[Config]):
-    """Options of a bench of avatars."""
+class AvatarChoice:
+    """Avatars that a bench measures."""
 
     avatar: str | None = None
     """Names of shipped avatars or .pica files, separated by commas; by default all that ship. All
     benches but drive and scene measure the first alone."""
-    config: OmitArgPrefixes[Config]
 
     def load(self) -> list[Avatar]:
         """The avatars that are measured."""
@@ -58,21 +54,21 @@ def bench_call(options: BenchConfig) -> Result:
     return result
 
 
-def bench_codec(options: AvatarBenchOptions[CodecConfig]) -> Result:
+def bench_codec(avatars: AvatarChoice, options: CodecConfig) -> Result:
     """Measure what the latent stream's bits buy: bitrate against rendered error.
 
     Compares our qualities, thinned and whole, with plain 8 bit, 16-bit float, zlib and zstd with a
     trained dictionary.
     """
-    check_writable(options.config.sheet, ".png")
-    result = run_codec_bench(options.config, options.load()[0])
+    check_writable(options.sheet, ".png")
+    result = run_codec_bench(options, avatars.load()[0])
     say_rows(result["rows"], "source profile payload_bps mse change_mse psnr_loss_db")
     return result
 
 
-def bench_decode(options: AvatarBenchOptions[DecodeBenchConfig]) -> Result:
+def bench_decode(avatars: AvatarChoice, options: DecodeBenchConfig) -> Result:
     """Measure what decoding one face costs: levels, plain export, baseline, candidate blocks."""
-    result = run_decode_bench(options.config, options.load()[0])
+    result = run_decode_bench(options, avatars.load()[0])
     say_rows(
         result["rows"],
         "model level parts threads ms p95 spread plain_ms is_equal difference vertex_mm mse",
@@ -90,42 +86,42 @@ def bench_decode(options: AvatarBenchOptions[DecodeBenchConfig]) -> Result:
     return result
 
 
-def bench_drive(options: AvatarBenchOptions[DriveBenchConfig]) -> Result:
+def bench_drive(avatars: AvatarChoice, options: DriveBenchConfig) -> Result:
     """Measure what a live face becomes at every level: picture, lids, lips, what pokes out.
 
     The truth is the built-in head or the rig itself, at the same values.
     """
-    result = run_drive_bench(options.config, options.load())
+    result = run_drive_bench(options, avatars.load())
     say_rows(result["rows"], "avatar source stage level mse p95_mse lid_mm lip_mm poke_ratio")
     return result
 
 
-def bench_pareto(options: AvatarBenchOptions[ParetoBenchConfig]) -> Result:
+def bench_pareto(avatars: AvatarChoice, options: ParetoBenchConfig) -> Result:
     """Measure error against milliseconds for every level, mesh, precision and block.
 
     Set LP_NUM_THREADS to say how many threads software GL takes.
     """
-    result = run_pareto_bench(options.config, options.load()[0])
+    result = run_pareto_bench(options, avatars.load()[0])
     drawn = [row for row in result["rows"] if row["mse"] is not None]
     say_rows(drawn, "distance_cm level mesh precision total_ms mse change_mse is_best")
     return result
 
 
-def bench_playout(options: AvatarBenchOptions[BenchPlayoutConfig]) -> Result:
+def bench_playout(avatars: AvatarChoice, options: BenchPlayoutConfig) -> Result:
     """Measure what the playout makes of troubled networks: rendered error, delay, recovery.
 
     Runs on a virtual clock and needs no network. Compares the receiver's playout with a fixed
     buffer of 100 ms and with none.
     """
-    return run_bench_playout(options.config, options.load()[0])
+    return run_bench_playout(options, avatars.load()[0])
 
 
-def bench_render(options: AvatarBenchOptions[RenderBenchConfig]) -> Result:
+def bench_render(avatars: AvatarChoice, options: RenderBenchConfig) -> Result:
     """Measure what drawing a head costs: near and far, each level, and a textured baseline.
 
     Set LP_NUM_THREADS to say how many threads software GL takes.
     """
-    result = run_render_bench(options.config, options.load()[0])
+    result = run_render_bench(options, avatars.load()[0])
     say_rows(
         result["rows"],
         "distance_cm model level mesh weights pixels triangles draw_ms vertex_ms draw_cpu_ms "
@@ -135,14 +131,14 @@ def bench_render(options: AvatarBenchOptions[RenderBenchConfig]) -> Result:
     return result
 
 
-def bench_scene(options: AvatarBenchOptions[SceneBenchConfig]) -> Result:
+def bench_scene(avatars: AvatarChoice, options: SceneBenchConfig) -> Result:
     """Measure a scene of talking heads: its cost, and the error that the scheduler leaves.
 
     Avatars are dealt to the heads in turn. Set LP_NUM_THREADS to say how many threads software GL
     takes.
     """
-    check_writable(options.config.sheet, ".png")
-    result = run_scene_bench(options.config, options.load())
+    check_writable(options.sheet, ".png")
+    result = run_scene_bench(options, avatars.load())
     say_rows(
         result["rows"],
         "avatars distance_cm view scheduler total_ms budget_ms decode_ms upload_ms draw_ms plan_ms "
@@ -155,9 +151,9 @@ def bench_scene(options: AvatarBenchOptions[SceneBenchConfig]) -> Result:
     return result
 
 
-def bench_voice(options: AvatarBenchOptions[BenchVoiceConfig]) -> Result:
+def bench_voice(avatars: AvatarChoice, options: BenchVoiceConfig) -> Result:
     """Measure what arrives of a voice and its face on troubled networks: quality, delay, lip-sync.
 
     Runs on a virtual clock and needs neither network nor sound card.
     """
-    return run_bench_voice(options.config, options.load()[0])
+    return run_bench_voice(options, avatars.load()[0])

@@ -9,9 +9,9 @@ import time
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-import tyro
+from cyclopts import Parameter
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -32,12 +32,18 @@ VIEWER_NAME = "viewer"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class DemoCallConfig(local_call.LocalCallConfig):
+    """The call of a demo."""
+
+    has_voices: Annotated[bool, Parameter(name="voices")] = True
+    """Let the senders speak by turns, with the sentences that ship."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class DemoConfig:
     """What to show and where to put it; the options of `pica demo`."""
 
-    call: tyro.conf.OmitArgPrefixes[local_call.LocalCallConfig] = field(
-        default_factory=lambda: local_call.LocalCallConfig(has_voices=True)
-    )
+    call: Annotated[DemoCallConfig, Parameter(name="*")] = field(default_factory=DemoCallConfig)
     seconds: float = 20.0
     """How long the call is drawn."""
     headless: bool = False

@@ -5,19 +5,16 @@ import os
 import shlex
 import sys
 from collections.abc import Callable, Collection
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal
 
-import tyro
-
-from pica_client.errors import OptionError
 from pica_client.output import say
 from pica_client.ui.display import has_display
 from pica_client.user_folders import open_to_others
-from pica_command.catalogue import commands, nearest, spoken
 from pica_command.extras import install_line, modules_by_extra
+from pica_command.table import COMMANDS, refuse
 from pica_core.avatar.shipped import shipped_avatar_files
 from pica_core.errors import GraphicsError
 
@@ -41,7 +38,7 @@ SOFTWARE_RENDERERS: Final = ("llvmpipe", "softpipe", "swiftshader")
 class DoctorOptions:
     """Options of `pica doctor`."""
 
-    command: tyro.conf.Positional[tuple[str, ...]] = ()
+    command: tuple[str, ...] = field(default=(), kw_only=False)
     """A command, such as view or capture rig: only what it needs is examined, and the exit status
     is 1 if it cannot work."""
 
@@ -122,19 +119,14 @@ def _wanted(asked: str) -> set[str]:
     """Subjects that a command, or a family of them, needs.
 
     Raises:
-        OptionError: There is none of that name.
+        UsageError: There is none of that name.
     """
-    name = asked.replace(" ", ".")
-    known = commands()
-    chosen = {one: each for one, each in known.items() if one == name or one.startswith(f"{name}.")}
+    chosen = [name for name in COMMANDS if name == asked or name.startswith(f"{asked} ")]
     if not chosen:
-        near = nearest(asked.split(), known)
-        hint = f"did you mean `pica doctor {near}`?" if near else "`pica --help` lists them"
-        raise OptionError(f"no command {asked!r}; {hint}")
-    wanted = {f"extra {extra.strip()}" for each in chosen.values() for extra in each.extras}
-    for one in chosen:
-        family, whole = one.partition(".")[0], spoken(one).removeprefix("pica ")
-        wanted.update(NEEDS.get(whole, NEEDS.get(family, ())))
+        refuse(asked.split())
+    wanted = {f"extra {extra}" for name in chosen for extra in COMMANDS[name].extras}
+    for name in chosen:
+        wanted.update(NEEDS.get(name, NEEDS.get(name.partition(" ")[0], ())))
     return wanted
 
 

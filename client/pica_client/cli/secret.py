@@ -1,10 +1,8 @@
 """`pica secret`: make what the people of a call share beforehand."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
-
-import tyro
 
 from pica_client.e2ee.secret import RoomSecret, save_secret
 from pica_client.output import say
@@ -14,7 +12,7 @@ from pica_client.output import say
 class SecretOptions:
     """Options of `pica secret`."""
 
-    file: tyro.conf.Positional[Path]
+    file: Path = field(kw_only=False)
     """File to write; it must not be there yet."""
 
 

@@ -5,9 +5,9 @@ import json
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any
 
-import tyro
+from cyclopts import Parameter
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.avatars.own_avatar import GiveAvatar, choose_own_avatar
@@ -23,7 +23,6 @@ from pica_client.transport.config import LinkConfig, guest_name
 from pica_client.transport.link_news import LinkNews
 from pica_client.voice.publisher import VoicePublisher
 from pica_client.voice.source import open_voice
-from pica_command import profile
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -54,7 +53,7 @@ class SendOptions:
     seconds."""
     frame_log: Path | None = None
     """Write capture and encoding time of each frame, in microseconds, into this file at the end."""
-    sender: tyro.conf.OmitArgPrefixes[SenderConfig] = field(default_factory=SenderConfig)
+    sender: Annotated[SenderConfig, Parameter(name="*")] = field(default_factory=SenderConfig)
     token_file: Path | None = None
     """File with the join token that the relay wants, see pica token."""
     ca_file: Path | None = None
@@ -64,7 +63,6 @@ class SendOptions:
     give_avatar: GiveAvatar = "auto"
     """Give the avatar's file to the relay, for those who do not have it; auto does, unless it ships
     with this package or there is a secret: whoever runs the relay can look at the file."""
-    SHARED: ClassVar[tuple[str, ...]] = profile.SHARED
 
 
 def send(options: SendOptions) -> dict[str, Any]:

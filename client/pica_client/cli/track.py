@@ -2,7 +2,7 @@
 
 import time
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,6 @@ import numpy as np
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
-from tyro.conf import Positional
 
 from pica_client.errors import OptionError, SourceError, check_ranges
 from pica_client.output import check_writable, say
@@ -41,7 +40,7 @@ OPENING = ("jawOpen", "mouthClose")
 class TrackOptions:
     """Options of `pica track`."""
 
-    source: Positional[str]
+    source: str = field(kw_only=False)
     """livelink[:PORT][/SUBJECT], vmc[:PORT], ifacialmocap:PHONE_IP, facemotion3d:PHONE_IP or
     webcam[:DEVICE|FILE]."""
     seconds: float = 10.0
@@ -54,7 +53,7 @@ class TrackOptions:
 class CalibrateOptions:
     """Options of `pica calibrate`."""
 
-    source: Positional[str]
+    source: str = field(kw_only=False)
     """The tracker, as for pica track."""
     name: str
     """Whose face it is: the name that you join calls with."""

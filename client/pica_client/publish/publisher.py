@@ -13,7 +13,7 @@ from collections import deque
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
-import tyro
+from cyclopts import Parameter
 
 from pica_client.call.reflection import Reflection
 from pica_client.errors import OptionError, check_ranges
@@ -52,7 +52,7 @@ class SenderConfig:
     """How long to send, once the relay has let us in; 0 is until Ctrl-C."""
     quality: int = DEFAULT_QUALITY
     """Fineness of the coded stream, 0 to 7; each step up costs a quarter more bits."""
-    bitrate_bps: Annotated[float | None, tyro.conf.arg(name="bitrate")] = None
+    bitrate_bps: Annotated[float | None, Parameter(name="bitrate")] = None
     """Payload bits a second to keep to by changing the quality; None keeps the quality."""
     plain: bool = False
     """Send 8 bits a value, 65 kbit/s, as avatars without a stream profile are sent."""

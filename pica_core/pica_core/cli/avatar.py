@@ -1,12 +1,11 @@
 """`pica avatar info`, `pica avatar verify` and `pica avatar precision`."""
 
 import sys
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tyro
 
 from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.avatar.decoder_layers import decoder_layers
@@ -24,7 +23,7 @@ from pica_core.reference.precision import measure_precisions
 class AvatarInfoOptions:
     """Show what an avatar file holds."""
 
-    file: tyro.conf.Positional[Path]
+    file: Path = field(kw_only=False)
     """Name of a shipped avatar, or a .pica file."""
 
 
@@ -32,7 +31,7 @@ class AvatarInfoOptions:
 class AvatarVerifyOptions:
     """Check an avatar file as a receiver would, and its identity."""
 
-    file: tyro.conf.Positional[Path]
+    file: Path = field(kw_only=False)
     """Name of a shipped avatar, or a .pica file."""
     sha256: str = ""
     """Expected identity, hexadecimal; empty to accept any."""
@@ -42,7 +41,7 @@ class AvatarVerifyOptions:
 class AvatarPrecisionOptions:
     """Options of `pica avatar precision`."""
 
-    file: tyro.conf.Positional[Path]
+    file: Path = field(kw_only=False)
     """Name of a shipped avatar or a .pica file, best one that was exported with --precision f32."""
     frames: int = 8
     """Frames of a sentence to decode, at 30 a second."""

@@ -3,11 +3,10 @@
 import re
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-import tyro
 from rich.console import Console
 
 from pica_core.capture.dataset.check import PIXEL_FRAMES, check_capture
@@ -83,7 +82,7 @@ class SynthOptions(RenderArguments):
 class CheckOptions:
     """Options of `pica capture check`."""
 
-    capture: Annotated[Path, tyro.conf.Positional]
+    capture: Path = field(kw_only=False)
     """Capture directory: one of ours, or a Multiface directory as published."""
     pixel_frames: int = PIXEL_FRAMES
     """Frames whose images are decoded and compared with mesh and depth; 0 for all. Of the other
@@ -94,7 +93,7 @@ class CheckOptions:
 class SheetOptions:
     """Options of `pica capture sheet`."""
 
-    capture: Annotated[Path, tyro.conf.Positional]
+    capture: Path = field(kw_only=False)
     """Capture directory to look at."""
     out: Path
     """PNG to write."""

@@ -13,9 +13,9 @@ from collections.abc import Awaitable, Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
-import tyro
+from cyclopts import Parameter
 
 from pica_server.config.relay import RelayConfig
 from pica_server.errors import ConfigurationError, ListenError
@@ -36,7 +36,7 @@ CERTIFICATE_SETTLES_S = 0.5
 class RelayOptions:
     """Options of `pica relay`."""
 
-    config: Annotated[RelayConfig, tyro.conf.arg(name="")] = field(default_factory=RelayConfig)
+    config: Annotated[RelayConfig, Parameter(name="*")] = field(default_factory=RelayConfig)
     """Where to listen, and the limits."""
     ready_file: Path | None = None
     """Write the URL into this file once the relay listens, and remove it at the end."""
@@ -45,8 +45,6 @@ class RelayOptions:
     payloads."""
     log_level: Level = "info"
     """The least that is logged; debug tells of connections that were not let in."""
-    OWN_FILE: ClassVar[bool] = True
-    """Settings come from a file of the relay's own, not from the profile of whoever starts it."""
 
 
 def relay(options: RelayOptions) -> dict[str, Any]:

@@ -12,12 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import tyro
 import yaml
 
+from helpers.command_options import read_options
 from helpers.paths import ROOT
-from helpers.relay_options import read_relay_options
-from pica_command.errors import UsageError
+from pica_command.table import COMMANDS, UsageError
 from pica_server.config.relay import RelayConfig
 from pica_server.ops.status_pages import LoopWatch, StatusPages
 from pica_server.room.hub import Hub
@@ -48,7 +47,8 @@ def instructions(path: Path) -> list[tuple[str, str]]:
 
 def relay_options(words: list[str], environment: dict[str, str]) -> RelayConfig:
     """Read a relay's settings as the command does; unknown ones and bad values raise."""
-    return read_relay_options(words, environment).config
+    config: RelayConfig = read_options("relay", words, environment).config
+    return config
 
 
 def image_environment() -> dict[str, str]:
@@ -119,7 +119,7 @@ class TestDockerfiles:
         command = [*json.loads(words["ENTRYPOINT"]), *json.loads(words["CMD"])]
         scripts = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
         assert command[0] in scripts["scripts"]
-        assert command[1] in scripts["entry-points"]["pica.commands"]
+        assert command[1] in COMMANDS
 
 
 def test_the_relays_image_refuses_to_be_open_by_mistake() -> None:
@@ -186,11 +186,8 @@ def test_a_relay_of_the_compose_file_can_start_and_may_do_little(name: str) -> N
 
 @pytest.mark.parametrize("name", CLIENTS)
 def test_the_clients_of_the_compose_file_have_options_that_exist(name: str) -> None:
-    from pica_client.cli.send import SendOptions
-    from pica_client.cli.view import ViewOptions
-
     command, *words = CLIENTS[name]["command"]
-    options = tyro.cli({"send": SendOptions, "view": ViewOptions}[command], args=words)
+    options = read_options(command, words)
     host = re.fullmatch(r"ws://([a-z-]+):8765", options.url)
     assert host is not None
     assert host[1] in RELAYS

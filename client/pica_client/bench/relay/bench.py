@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from typing import Annotated, Any, Final
 
-import tyro
+from cyclopts import Parameter
 
 from pica_client.bench.option_types import Arguments
 from pica_client.bench.relay.figures import (
@@ -84,7 +84,7 @@ class RelayBenchConfig:
     """Let the peers of each room speak in turn as well, 25 packets a second."""
     capacity: bool = False
     """Look for the most rooms that stay within the bar."""
-    bar_ms: Annotated[float, tyro.conf.arg(name="bar")] = 10.0
+    bar_ms: Annotated[float, Parameter(name="bar")] = 10.0
     """The bar: longest 99th percentile of the forwarding latency, milliseconds."""
     max_rooms: int = 400
     """Where looking for capacity ends."""

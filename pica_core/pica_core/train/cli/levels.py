@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import torch
-import tyro
 
 from pica_core.avatar.file import avatar_id, load_avatar, save_avatar
 from pica_core.avatar.shipped import avatar_file
@@ -18,7 +17,7 @@ from pica_core.train.lod.levels import LevelOptions, LevelReport, add_levels
 class AvatarLevelsOptions:
     """Options of `pica avatar levels`."""
 
-    file: tyro.conf.Positional[Path]
+    file: Path = field(kw_only=False)
     """Name of a shipped avatar, or a .pica file; neither its capture nor its run is needed."""
     out: Path
     """The avatar file to write; may be the same."""

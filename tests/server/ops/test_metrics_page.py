@@ -1,20 +1,15 @@
-"""The page of settings is what the code says; the table of numbers has all of them."""
+"""The table of numbers on the operators' page has all of them."""
 
 import re
 
 import pytest
 
 from helpers.paths import ROOT
-from helpers.script import load_script
 from pica_server.config.relay import RelayConfig
 from pica_server.ops.status_pages import LoopWatch, StatusPages
 from pica_server.room.hub import Hub
 
 pytestmark = pytest.mark.unit
-
-
-def test_the_page_of_settings_is_what_its_script_writes() -> None:
-    assert (ROOT / "docs" / "settings.md").read_text() == load_script("settings_page").page()
 
 
 def test_every_number_of_a_relay_stands_on_the_operators_page_and_no_other() -> None:

@@ -1,0 +1,150 @@
+"""Every command of `pica`: the function that runs it, and the extras it needs.
+
+Two words are a command of a family, as in ``pica bench call``. Nothing named here is imported until
+its command is called, so that the relay starts without numpy.
+"""
+
+import ast
+import difflib
+import importlib
+import importlib.util
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, NoReturn
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """One row of the table."""
+
+    target: str
+    """Module and function. The parameters of the function are frozen dataclasses, whose fields are
+    the options; it returns a mapping or None."""
+    extras: tuple[str, ...] = ()
+    """Optional parts of the package that it needs."""
+    joins: bool = False
+    """It joins a room, so that variables and keys of `SHARED` set its options, too."""
+
+    def load(self) -> Any:
+        """Import the function."""
+        module, _, name = self.target.partition(":")
+        return getattr(importlib.import_module(module), name)
+
+    def summary(self) -> str:
+        """What it does: its docstring up to the first full stop, colon or semicolon.
+
+        It is read from the source, which is not imported: the list of commands is complete on an
+        installation that lacks what some of them need.
+        """
+        module, _, name = self.target.partition(":")
+        spec = importlib.util.find_spec(module)
+        assert spec is not None
+        assert spec.origin is not None
+        for node in ast.parse(Path(spec.origin).read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.FunctionDef) and node.name == name:
+                text = " ".join((ast.get_docstring(node) or "").split())
+                return re.split(r"[.:;](?: |$)", text)[0]
+        return ""
+
+
+SHARED: Final = ("url", "room", "name", "token_file", "ca_file", "secret_file")
+"""Options that the commands which join a room may have in common."""
+
+GROUPS: Final[dict[str, dict[str, Command]]] = {
+    "Calls": {
+        "demo": Command("pica_client.cli.demo:demo", ("view", "video")),
+        "view": Command("pica_client.cli.view:view", ("view",), joins=True),
+        "send": Command("pica_client.cli.send:send", ("send",), joins=True),
+        "track": Command("pica_client.cli.track:track", ("send",)),
+        "calibrate": Command("pica_client.cli.track:calibrate", ("send",)),
+        "webcam setup": Command("pica_client.cli.webcam:webcam_setup", ("webcam",)),
+        "secret": Command("pica_client.cli.secret:secret"),
+    },
+    "A relay": {
+        "relay": Command("pica_server.cli.relay:relay"),
+        "token": Command("pica_server.cli.token:token"),
+    },
+    "Avatars": {
+        "avatar info": Command("pica_core.cli.avatar:avatar_info", ("send",)),
+        "avatar levels": Command("pica_core.train.cli.levels:avatar_levels", ("train",)),
+        "avatar measure": Command("pica_client.cli.avatar:avatar_measure", ("view",)),
+        "avatar precision": Command("pica_core.cli.avatar:avatar_precision", ("send",)),
+        "avatar push": Command("pica_client.cli.avatar:avatar_push", ("send",), joins=True),
+        "avatar thumbnail": Command("pica_client.cli.avatar:avatar_thumbnail", ("view",)),
+        "avatar verify": Command("pica_core.cli.avatar:avatar_verify", ("send",)),
+        "capture check": Command("pica_core.cli.capture:check", ("capture",)),
+        "capture person": Command("pica_core.cli.person:person", ("capture",)),
+        "capture rig": Command("pica_core.cli.rig:rig", ("capture",)),
+        "capture sheet": Command("pica_core.cli.capture:sheet", ("capture",)),
+        "capture synth": Command("pica_core.cli.capture:synth", ("capture",)),
+        "train": Command("pica_core.train.cli.train:train", ("train",)),
+        "export": Command("pica_core.train.cli.train:export", ("train",)),
+        "eval": Command("pica_core.train.cli.eval:eval_runs", ("train",)),
+    },
+    "This machine": {"doctor": Command("pica_client.cli.doctor:doctor")},
+    "Measurements": {
+        "bench call": Command("pica_client.cli.bench:bench_call", ("bench",)),
+        "bench claim": Command("pica_core.train.cli.claim:bench_claim", ("train",)),
+        "bench codec": Command("pica_client.cli.bench:bench_codec", ("bench",)),
+        "bench decode": Command("pica_client.cli.bench:bench_decode", ("bench",)),
+        "bench drive": Command("pica_client.cli.bench:bench_drive", ("bench",)),
+        "bench pareto": Command("pica_client.cli.bench:bench_pareto", ("bench",)),
+        "bench playout": Command("pica_client.cli.bench:bench_playout", ("bench",)),
+        "bench relay": Command("pica_client.cli.bench_relay:bench_relay"),
+        "bench render": Command("pica_client.cli.bench:bench_render", ("bench",)),
+        "bench scene": Command("pica_client.cli.bench:bench_scene", ("bench",)),
+        "bench voice": Command("pica_client.cli.bench:bench_voice", ("bench",)),
+    },
+}
+COMMANDS: Final = {name: row for rows in GROUPS.values() for name, row in rows.items()}
+
+REMOVED: Final = {
+    "completion": "use `pica --install-completion`",
+    "room": "use the participants panel, or GET /rooms, with a token that grants admin",
+    "config": "edit the TOML file that `pica --help` names",
+    "--facekit": "leave it out: the face model is part of the package",
+    "--lenses": "leave it out: cameras of both kinds look at the head",
+    "--print-config": "the options with their defaults are in docs/command-line.md",
+}
+"""Commands, first words of commands, and options that are no more, with what to use instead."""
+
+
+def command_of(words: list[str]) -> str | None:
+    """The longest command that the first words spell."""
+    return next((name for n in (2, 1) if (name := " ".join(words[:n])) in COMMANDS), None)
+
+
+class UsageError(Exception):
+    """Words, variables or keys that no command understands; one line that names the remedy."""
+
+    exit_code = 2
+
+
+def listing(family: str = "") -> str:
+    """The list of all commands, or of those whose first word is `family`."""
+    width = max(map(len, COMMANDS)) + 2
+    lines = [f"Usage: pica {f'{family} ' if family else ''}COMMAND [OPTIONS]"]
+    for heading, rows in GROUPS.items():
+        chosen = [name for name in rows if family in ("", name.partition(" ")[0])]
+        if chosen:
+            lines += ["", f"{heading}:"]
+            lines += [f"  {name:{width}}{rows[name].summary()}" for name in chosen]
+    return "\n".join(lines)
+
+
+def refuse(words: list[str]) -> NoReturn:
+    """Refuse words that begin no command.
+
+    Raises:
+        UsageError: Says what to use instead, or what was probably meant.
+    """
+    family = any(name.startswith(f"{words[0]} ") for name in COMMANDS)
+    for text in (" ".join(words[:2]), words[0]):
+        if text in REMOVED:
+            raise UsageError(f"{text!r} was removed; {REMOVED[text]}")
+    known = {*COMMANDS, *(name.partition(" ")[0] for name in COMMANDS)}
+    near = (difflib.get_close_matches(" ".join(words[:n]), known, n=1, cutoff=0.7) for n in (2, 1))
+    found = next((names[0] for names in near if names), None)
+    hint = f"did you mean `pica {found}`?" if found else "`pica --help` lists all commands"
+    raise UsageError(f"no command {' '.join(words[: 1 + family])!r}; {hint}")

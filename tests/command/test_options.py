@@ -1,0 +1,256 @@
+"""Options from flags, variables and a TOML file, and one line for what is wrong in them."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_type_hints
+
+import pytest
+from cyclopts import Parameter
+
+from helpers.command_options import read_options
+from pica_command.options import CommandLine
+from pica_command.table import COMMANDS, Command, UsageError
+from pica_server.config.relay import LimitsConfig, RelayConfig
+
+pytestmark = pytest.mark.unit
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Pot:
+    """A group of the example."""
+
+    litres: float = 1.0
+    """Its size."""
+    lid: bool = True
+    """With a lid."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Tea:
+    """A group whose fields stand beside those of its owner."""
+
+    cups: int = 2
+    """Number of cups, 1 to 9."""
+    pot: Pot = field(default_factory=Pot)
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.cups <= 9:
+            raise UsageError(f"--cups must be in 1..9, got {self.cups}")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TeaOptions:
+    """Options of the example, with every kind of option."""
+
+    kettle: Path | None = field(default=None, kw_only=False)
+    """What boils the water."""
+    tea: Annotated[Tea, Parameter(name="*")] = field(default_factory=Tea)
+    leaf: Literal["green", "black"] = "green"
+    """Which leaf."""
+    name: str = ""
+    """Whose tea."""
+    clean: bool | None = None
+    """Whether it is cleaned."""
+    guests: tuple[str, ...] = ()
+    """Names of the guests."""
+
+
+def brew(options: TeaOptions) -> None:
+    """Brew tea."""
+
+
+class Brew(Command):
+    """The example in the table."""
+
+    def load(self) -> Any:
+        return brew
+
+
+BREW = Brew("", joins=True)
+
+
+def read(*words: str, file: str | None = None, **environment: str) -> TeaOptions:
+    line = CommandLine("brew", BREW, environment, None if file is None else Path(file))
+    given = line.read(words)
+    assert given is not None
+    options: TeaOptions = given["options"]
+    return options
+
+
+@pytest.fixture(autouse=True)
+def _brew_is_a_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(COMMANDS, "brew", BREW)
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Callable[[str], str]:
+    def _write(text: str) -> str:
+        path = tmp_path / "tea.toml"
+        path.write_text(text)
+        return str(path)
+
+    return _write
+
+
+def test_flags_go_before_the_environment_that_before_the_file_that_before_defaults(
+    write: Callable[[str], str],
+) -> None:
+    file = write('[brew]\ncups = 3\nleaf = "black"\nclean = true\n[brew.pot]\nlitres = 2\n')
+    assert read(
+        *("kettle", "--cups", "5", "--pot.no-lid", "--config", file),
+        PICA_BREW_CUPS="4",
+        PICA_BREW_POT_LITRES="3.5",
+        PICA_BREW_POT_LID="true",
+    ) == TeaOptions(
+        kettle=Path("kettle"),
+        tea=Tea(cups=5, pot=Pot(litres=3.5, lid=False)),
+        leaf="black",
+        clean=True,
+    )
+
+
+def test_the_users_file_is_read_if_no_flag_names_another(write: Callable[[str], str]) -> None:
+    assert read(file=write("[brew]\ncups = 7")).tea.cups == 7
+    assert read("--config", "/dev/null", file=write("[brew]\ncups = 7")).tea.cups == 2
+
+
+def test_commands_that_join_share_variables_and_keys(write: Callable[[str], str]) -> None:
+    file = write('name = "Ada"\nroom = "attic"\n[send]\nfps = 3')
+    assert read(file=file).name == "Ada"
+    assert read(file=file, PICA_NAME="Bob", PICA_ROOM="attic").name == "Bob"
+    assert read(file=file, PICA_NAME="Bob", PICA_BREW_NAME="Cyd").name == "Cyd"
+
+
+@pytest.mark.parametrize(
+    ("option", "text", "value"),
+    [
+        ("leaf", "black", "black"),
+        ("name", "a b", "a b"),
+        ("kettle", "/a/b", Path("/a/b")),
+        ("guests", "Ada, Bob,", ("Ada", "Bob")),
+        ("clean", "no", False),
+        ("leaf", "", "green"),
+    ],
+)
+def test_a_variable_holds_every_kind_and_empty_is_not_set(
+    option: str, text: str, value: object
+) -> None:
+    assert getattr(read(**{f"PICA_BREW_{option.upper()}": text}), option) == value
+
+
+def test_a_list_is_several_words_and_a_list_of_the_file(write: Callable[[str], str]) -> None:
+    wanted = ("Ada", "Bob")
+    assert read("--guests", "Ada", "Bob", "--cups", "3").guests == wanted
+    assert read(file=write('[brew]\nguests = ["Ada", "Bob"]')).guests == wanted
+
+
+def test_a_file_name_in_the_file_is_found_beside_the_file(write: Callable[[str], str]) -> None:
+    file = write('[brew]\nkettle = "red.kettle"')
+    assert read(file=file).kettle == Path(file).parent / "red.kettle"
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("[brew]\ncups = 10", "FILE: cups must be in 1..9, got 10"),
+        ("[brew]\ncups = true", 'FILE: cups: unable to convert "true" into int'),
+        ('[brew]\nleaf = "mint"', 'Invalid value "mint" for FILE: leaf. Choose from: "green"'),
+        ('[brew.pot]\nlid = "x"', 'FILE: pot.lid: unable to convert "x" into bool'),
+        ("[brew.pot]\nlitre = 1", "FILE: unknown key brew.pot.litre; did you mean pot.litres?"),
+        ("[brew]\npot = 1", "FILE: unknown key brew.pot"),
+        ("brew = 1", "FILE: unknown key brew"),
+        ("[brwe]\ncups = 1", "FILE: unknown key brwe; did you mean brew?"),
+        ("cups == 1", "FILE is not a TOML file: "),
+        ("cups = \ud800", "FILE is not a TOML file: "),
+    ],
+)
+def test_what_is_wrong_in_a_file_is_one_line_with_file_and_key(
+    tmp_path: Path, text: str, complaint: str
+) -> None:
+    file = tmp_path / "tea.toml"
+    file.write_bytes(text.encode(errors="surrogatepass"))
+    with pytest.raises(UsageError) as caught:
+        read("--config", str(file))
+    assert complaint.replace("FILE", str(file)) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_that_is_not_there_is_named() -> None:
+    with pytest.raises(UsageError, match=r"nowhere\.toml: No such file"):
+        read("--config", "nowhere.toml")
+
+
+@pytest.mark.parametrize(
+    ("variable", "text", "complaint"),
+    [
+        ("PICA_BREW_CUPS", "ten", 'PICA_BREW_CUPS: unable to convert "ten" into int'),
+        ("PICA_BREW_CUPS", "10", "PICA_BREW_CUPS must be in 1..9, got 10"),
+        ("PICA_BREW_LEAF", "mint", 'Invalid value "mint" for PICA_BREW_LEAF'),
+        (
+            "PICA_BREW_CUP",
+            "1",
+            "unknown environment variable PICA_BREW_CUP; did you mean PICA",
+        ),
+    ],
+)
+def test_what_is_wrong_in_a_variable_is_one_line_with_its_name(
+    variable: str, text: str, complaint: str
+) -> None:
+    with pytest.raises(UsageError) as caught:
+        read(**{variable: text})
+    assert complaint in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (["--cups", "many"], 'Invalid value for --cups: unable to convert "many" into int'),
+        (["--cusp", "5"], "Unknown option: --cusp. Did you mean --cups?"),
+        (["--leaf", "mint"], 'Invalid value "mint" for --leaf. Choose from: "green", "black"'),
+        (["--cups"], "--cups requires an argument"),
+        (["kettle", "noise"], "Unused Tokens: ['noise']"),
+        (["--facekit", "x"], "--facekit was removed; leave it out"),
+    ],
+)
+def test_what_is_wrong_with_words_is_one_line(words: list[str], complaint: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        read(*words)
+    assert complaint in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_help_is_there_whatever_file_and_environment_hold(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    line = CommandLine("brew", BREW, {"PICA_BREW_CUPS": "ten"}, Path("nowhere.toml"))
+    assert line.read(["--help"]) is None
+    assert "Number of cups, 1 to 9. [default: 2]" in capsys.readouterr().out
+
+
+def groups_in(kind: type) -> Iterator[tuple[str, Any, type]]:
+    """Every group of options in a dataclass: its name, its default and its type."""
+    hints = get_type_hints(kind)
+    for each in fields(kind):
+        if is_dataclass(hints[each.name]) and each.default_factory is not MISSING:
+            yield each.name, each.default_factory(), hints[each.name]
+            yield from groups_in(hints[each.name])
+
+
+@pytest.mark.parametrize("name", [name for name in COMMANDS if name != "brew"])
+def test_the_default_of_a_group_is_that_of_its_fields(name: str) -> None:
+    """Of a group of which one option is given, the others come from its fields."""
+    hints = get_type_hints(COMMANDS[name].load())
+    for kind in (each for parameter, each in hints.items() if parameter != "return"):
+        for group, default, group_type in groups_in(kind):
+            assert default == group_type(), group
+
+
+def test_a_relay_reads_its_options_from_all_three(tmp_path: Path) -> None:
+    file = tmp_path / "relay.toml"
+    file.write_text("[relay]\nport = 1234\n[relay.limits]\nburst_s = 4")
+    words = ["--config", str(file), "--room-capacity", "5"]
+    options = read_options("relay", words, {"PICA_RELAY_LIMITS_HANDSHAKES": "9"})
+    limits = LimitsConfig(handshakes=9, burst_s=4)
+    assert options.config == replace(RelayConfig(), port=1234, room_capacity=5, limits=limits)
