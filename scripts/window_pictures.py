@@ -1,4 +1,4 @@
-"""Take pictures of the viewer's window, steered by mouse: join, pin, settings, record, leave.
+"""Take pictures of the viewer's window, steered by mouse: join, panels, record, leave.
 
     python scripts/window_pictures.py OUT [COLUMNSxROWS[@SCALE] ...]
 
@@ -37,7 +37,6 @@ ROOT = Path(__file__).resolve().parents[1]
 SIZES = ("1280x720", "320x240", "2560x1440", "2560x1440@2")
 ROOM = "standup"
 PEOPLE = ("Ada Lovelace", "Ольга Петровна", "李小龍 さくら 김", "מרים  مريم", "Ελένη 😀🎉")
-FIRST = PEOPLE[0]
 PATIENCE_S = 120.0
 
 
@@ -84,15 +83,11 @@ class Desk:
         self._press()
 
     def type(self, label: str, text: str) -> None:
-        """Type into a field until it holds a text."""
-        for _ in range(5):
-            self.click(label)
-            self._run("xdotool", "key", "ctrl+a")
-            self._run("xdotool", "type", "--delay", "150", text)
-            self.wait_frames(4)
-            if self.seen().get("typed", {}).get(label) == text:
-                return
-        raise TimeoutError(f"{label!r} does not take {text!r}: {self.seen()}")
+        """Type a text into a field."""
+        self.click(label)
+        self._run("xdotool", "key", "ctrl+a")
+        self._run("xdotool", "type", "--delay", "150", text)
+        self.wait_frames(4)
 
     def point(self, x: float, y: float) -> None:
         """Move the pointer."""
@@ -126,13 +121,6 @@ class Desk:
             if time.monotonic() > end:
                 raise TimeoutError("the window draws no more")
             time.sleep(0.05)
-
-    def click_head(self, name: str) -> None:
-        """Click on somebody, a little above the name."""
-        left, top, right, _ = self.seen()["heads"][name]
-        self.point((left + right) / 2, top - (right - left) / 3)
-        self.wait_frames(2)
-        self._press()
 
     def _press(self) -> None:
         for step in ("mousedown", "mouseup"):
@@ -193,10 +181,7 @@ def photograph(out: Path, size: tuple[int, int], scale: float) -> None:
         desk.wait("everybody", faces=len(PEOPLE), here=len(PEOPLE) + 1)
         take("02-call")
         desk.click("Got it")
-        desk.click_head(FIRST)
-        desk.wait("pinned", is_pinned=True)
-        take("03-pinned")
-        for number, panel in enumerate(("Participants", "Settings", "Help"), 4):
+        for number, panel in enumerate(("Participants", "Settings", "Help"), 3):
             desk.click(panel)
             desk.wait("open", side=panel.lower())
             take(f"{number:02}-{panel.lower()}")
@@ -204,29 +189,29 @@ def photograph(out: Path, size: tuple[int, int], scale: float) -> None:
             desk.wait("closed", side="none")
         desk.click("Record")
         desk.wait("recording", is_recording=True)
-        take("07-recording")
+        take("06-recording")
         desk.click("Stop recording")
         desk.wait("recorded", is_recording=False)
-        take("08-recorded")
+        take("07-recorded")
         desk.click("Next layout")
-        take("09-layout")
+        take("08-layout")
         os.kill(relay.pid, signal.SIGKILL)
         desk.wait("the relay is gone", is_connected=False, away_s=2)
-        take("10-relay-gone")
+        take("09-relay-gone")
         port = url.rpartition(":")[2]
         again = children.start("relay again", "relay", "--port", port)
         desk.wait("back", is_connected=True, faces=len(PEOPLE))
-        take("11-back")
+        take("10-back")
         desk.click("Leave the call")
-        take("12-leaving")
+        take("11-leaving")
         desk.click("Leave")
         window.wait(60)
         again.let_go()
 
 
 def show_window(notes: Path, arguments: list[str]) -> None:
-    """Be the window's process: run a command, and note of each frame where its buttons are, what
-    its fields hold, where the heads are, and how the call stands."""
+    """Be the window's process: run a command, and note of each frame where its buttons are
+    and how the call stands."""
     sys.path.insert(0, str(ROOT / "tests"))
     import pytest
     from imgui_bundle import imgui
@@ -235,17 +220,13 @@ def show_window(notes: Path, arguments: list[str]) -> None:
     from pica_client.ui import call_surface
     from pica_command.main import main as pica
 
-    typed: dict[str, str] = {}
     state: dict[str, Any] = {"frame": 0}
 
     def note_call(view: CallView, metrics: Metrics) -> list[UserOrder]:
         faces = [bool(each.figures and each.figures.num_decoded) for each in view.people]
-        labels = {person.name: person.label_px for person in view.people if person.label_px}
         state.update(
             faces=sum(faces),
             here=len(view.status.participants),
-            heads=labels,
-            is_pinned=view.state.pinned is not None,
             side=view.state.side,
             is_recording=view.is_recording,
             is_connected=view.status.is_connected,
@@ -254,20 +235,14 @@ def show_window(notes: Path, arguments: list[str]) -> None:
         return []
 
     call_surface.PANELS = (*call_surface.PANELS, note_call)
-    render, field = imgui.render, imgui.input_text_with_hint
+    render = imgui.render
 
-    def note_field(label: str, *arguments: Any) -> tuple[bool, str]:
-        found = field(label, *arguments)
-        typed[label] = found[1]
-        return found
-
-    imgui.input_text_with_hint = note_field  # type: ignore[assignment]
     places = note_places(pytest.MonkeyPatch())
 
     def render_and_note() -> None:
         state["frame"] += 1
         part = notes.with_suffix(".part")
-        part.write_text(json.dumps({**state, "places": places, "typed": typed}))
+        part.write_text(json.dumps({**state, "places": places}))
         part.replace(notes)
         places.clear()
         render()
