@@ -105,6 +105,7 @@ REMOVED: Final = {
     "config": "edit the TOML file that `pica --help` names",
     "--facekit": "leave it out: the face model is part of the package",
     "--lenses": "leave it out: cameras of both kinds look at the head",
+    "--register-links": "give an invite link to `pica view`, or paste it into the form",
     "--print-config": "the options with their defaults are in docs/command-line.md",
 }
 """Commands, first words of commands, and options that are no more, with what to use instead."""

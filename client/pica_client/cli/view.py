@@ -106,8 +106,6 @@ class ViewOptions:
     """Get avatars that are not on this machine from the relay, and keep them."""
     avatar_cache: Path | None = None
     """Where to keep those, instead of this user's folder for such things."""
-    register_links: bool = False
-    """Have the desktop open invite links with this command, and stop."""
 
 
 def view(options: ViewOptions) -> dict[str, Any]:
@@ -115,12 +113,6 @@ def view(options: ViewOptions) -> dict[str, Any]:
 
     With --headless there is no window. Comes back by itself when the relay goes away and returns.
     """
-    if options.register_links:
-        from pica_client.ui.joining.link_handler import register_links
-
-        path = register_links()
-        say(f"invite links are opened with pica view now, says {path}")
-        return {"registered": str(path)}
     if options.record is not None and options.record.is_file():
         raise OptionError(f"{options.record}: is there already; move it away or name another file")
     from pica_client.render.views import EYE_DISTANCE_M
