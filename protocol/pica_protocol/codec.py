@@ -16,7 +16,7 @@ import msgpack
 
 from pica_protocol import limits
 from pica_protocol.errors import LocalProtocolError, RemoteProtocolError
-from pica_protocol.messages import LEFT_OUT, MESSAGE_TYPES, Message, Metadata
+from pica_protocol.messages import MESSAGE_TYPES, Message, Metadata
 from pica_protocol.store import STORE_MESSAGE_TYPES, StoreMessage
 
 CONTROL_KIND: Final = 1
@@ -124,17 +124,11 @@ class _Field(NamedTuple):
     read: _Reader
     default: object
     is_map: bool = False
-    is_left_out: bool = False
-    """Whether it does not travel where it has its default."""
 
 
 def _plain_record(record: Any) -> dict[str, object]:
     values = ((field, getattr(record, field.name)) for field in _SCHEMAS[type(record)])
-    return {
-        field.name: dict(value) if field.is_map else _plain(value)
-        for field, value in values
-        if not (field.is_left_out and value == field.default)
-    }
+    return {field.name: dict(value) if field.is_map else _plain(value) for field, value in values}
 
 
 def _plain(value: Any) -> object:
@@ -215,7 +209,6 @@ def _add_schema(cls: type) -> None:
             _reader(hints[field.name]),
             field.default,
             hints[field.name] == Metadata,
-            LEFT_OUT in field.metadata,
         )
         for field in fields(cast(Any, cls))
     )

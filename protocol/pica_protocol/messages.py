@@ -2,10 +2,7 @@
 
 Direction and bytes of each are shown in ``docs/protocol.md``. The annotations are the schema that
 ``codec.py`` reads: ``int``, ``bool``, ``str``, ``bytes``, ``int | None``, another record, a tuple
-of one of these, or ``Metadata``; what an annotation adds to a type is the field's limit. A later
-version may add a field with a default; it never reorders, retypes or removes one. A field made by
-``_added`` travels only where it is not its default, so the bytes of a message without it stay those
-of before.
+of one of these, or ``Metadata``; what an annotation adds to a type is the field's limit.
 """
 
 import functools
@@ -25,9 +22,6 @@ Metadata = tuple[tuple[str, str], ...]
 """What a peer says of itself, a few short texts by key; a map on the wire."""
 BYE_CODES: Final = (1000, 1001, 1009, 1011)
 """Codes below 3000 that a ``Bye`` may carry (RFC 6455 7.4)."""
-LEFT_OUT: Final = "left out where it is the default"
-"""Stands in the metadata of such a field."""
-
 Check = Callable[[str, Any], None]
 """Takes the name of a field and its value; raises ``ValueError``."""
 
@@ -101,11 +95,6 @@ class Checked:
             check(said, getattr(self, name))
 
 
-def _added(default: Any) -> Any:
-    """Return a field that a later version has added."""
-    return field(default=default, metadata={LEFT_OUT: True})
-
-
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Track(Checked):
     """One thing a peer publishes. The relay looks at ``stream`` and ``policy`` only."""
@@ -146,9 +135,9 @@ class Peer(Checked):
     tracks: Annotated[tuple[Track, ...], _tracks(1, limits.MAX_STREAM)] = ()
     metadata: Said = ()
     """What it says of itself; not to be trusted."""
-    identity: Annotated[str, _if_any(limits.check_token)] = _added("")
+    identity: Annotated[str, _if_any(limits.check_token)] = ""
     """Who it is by the token that it came in with; empty without tokens."""
-    is_name_assured: bool = _added(False)
+    is_name_assured: bool = False
     """Whether the name stands in that token, and is not what its owner would like to be called."""
 
 
@@ -202,7 +191,7 @@ class Joined(Checked):
     """What to come back with, once; empty: the place is not kept. A secret."""
     resume_ms: Count = 0
     """How long the place is kept after the connection broke, milliseconds."""
-    name: Annotated[str, _text(limits.MAX_NAME_BYTES)] = _added("")
+    name: Annotated[str, _text(limits.MAX_NAME_BYTES)] = ""
     """What the others are shown, where the token says it; empty: the name of the ``Join``."""
     is_admin: bool = False
     """Whether the token has the grant ``admin``: this client may moderate the room."""
