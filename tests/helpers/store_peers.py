@@ -21,9 +21,8 @@ from websockets.typing import Subprotocol
 from pica_protocol.codec import decode_store_message, encode_message
 from pica_protocol.messages import Bye
 from pica_protocol.store import MAX_CHUNK_BYTES, STORE_SUBPROTOCOL, Offer, Stored, encode_chunk
-from pica_server.config.relay import RelayConfig
+from pica_server.config.relay import RelayConfig, StoreConfig
 from pica_server.relay import Relay
-from pica_server.store.config import StoreConfig
 
 
 def fake_avatar(size: int = 40_000, *, seed: int = 0) -> bytes:

@@ -17,9 +17,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Final, TypeVar
 
+from pica_server.config.relay import StoreConfig
 from pica_server.errors import BusyError, StoreFullError, UnfitFileError
 from pica_server.store.check import StructureCheck
-from pica_server.store.config import StoreConfig
 from pica_server.store.folder import AvatarFolder
 
 NUM_THREADS: Final = 4

@@ -14,8 +14,7 @@ from pica_protocol.session import Closed
 from pica_server.config.relay import LimitsConfig, RelayConfig
 from pica_server.errors import ConfigurationError
 from pica_server.relay import Relay
-from pica_server.room.drain import TELLING_SHARE, departures
-from pica_server.room.hub import Hub
+from pica_server.room.hub import TELLING_SHARE, Hub, departures
 from simnet.clock import current_network, in_virtual_time
 from simnet.peers import now, open_websocket, peer_in_room
 

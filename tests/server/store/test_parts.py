@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 
 from pica_core.avatar import file as avatar_file
 from pica_core.avatar.shipped import shipped_avatar_files
+from pica_server.config.relay import StoreConfig
 from pica_server.errors import BusyError, ConfigurationError, UnfitFileError
 from pica_server.store import check as store_check
 from pica_server.store.check import StructureCheck
-from pica_server.store.config import StoreConfig
 from pica_server.store.downloads import answer_for
 from pica_server.store.folder import AvatarFolder
 from pica_server.store.store import Slots
