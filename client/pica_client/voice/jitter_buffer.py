@@ -18,9 +18,9 @@ pause, and up again with the next late packet, tears more words than it saves ti
     the next packet                          it, shorter or longer where the       goes on
                                              delay is not what it should be
     a later one, the next is lost            concealment by the codec, 100 ms      goes on
-    the next, captured after a silence       comfort noise until it is due         free
-    nothing, and it was quiet                comfort noise                         free
-    nothing, in the middle of speech         concealment, 100 ms; then noise       stands still
+    the next, captured after a silence       silence until it is due               free
+    nothing, and it was quiet                silence                               free
+    nothing, in the middle of speech         concealment, 100 ms; then silence     stands still
     much, and it is far too old              the newest: a leap
 
 In silence time is free: there the delay changes at once and by any amount. In speech it changes by
@@ -42,7 +42,6 @@ from pica_client.errors import VoiceError
 from pica_client.playout.jitter import JitterEstimate
 from pica_client.playout.sender_clock import RESTART_FRAMES, SenderClock
 from pica_client.voice import stretch
-from pica_client.voice.comfort_noise import LOUDEST, ComfortNoise
 from pica_client.voice.packet import FRAME_S, VoicePacket
 from pica_client.voice.packet import FRAME_SAMPLES as FRAME
 from pica_client.voice.packet import SAMPLE_RATE_HZ as RATE_HZ
@@ -67,6 +66,8 @@ FIRST_FLOOR_RMS = 0.002
 """Noise floor that is believed before anything has been heard: -54 dB."""
 FLOOR_RISE = 1.01
 """How much the noise floor may rise with each frame: threefold in two seconds."""
+LOUDEST = 0.01
+"""Root mean square above which no frame is quiet: -40 dB of full scale (chosen)."""
 HISTORY = 64
 """Ticks whose moment is known: 1.3 s, more than a loudspeaker's latency."""
 
@@ -131,8 +132,8 @@ class JitterBufferReport:
     """Frames decoded from packets."""
     concealed: int = 0
     """Frames made up where speech should have been."""
-    noise: int = 0
-    """Frames of comfort noise."""
+    silent: int = 0
+    """Frames of silence that stand where nothing is sent."""
     stretched: int = 0
     """Ticks made shorter or longer."""
     leaps: int = 0
@@ -168,7 +169,6 @@ class JitterBuffer:
         self._sender = SenderClock()
         self._jitter = JitterEstimate(quantile=config.jitter_quantile, window_s=config.window_s)
         self._target_s = FRAME_S + config.least_jitter_s  # beyond the fastest transit
-        self._noise = ComfortNoise()
         self._report = JitterBufferReport()
         self._waiting: list[ReceivedFrame] = []  # by number; at most MAX_PACKETS
         self._last_number: int | None = None
@@ -180,7 +180,7 @@ class JitterBuffer:
         self._num_broken = 0
         self._num_concealed = 0  # in a row
         self._num_stood = 0  # of these, while time stood still
-        self._is_starved = False  # noise stands where speech should be
+        self._is_starved = False  # silence stands where speech should be
         self._behind_s, self._rest_ticks = 0.0, 0
         self._offset_us = 0.0
         self.moments_us: Float64Array = np.zeros(FRAME)
@@ -323,7 +323,7 @@ class JitterBuffer:
             if self._is_quiet or self._num_concealed >= MAX_CONCEALED:
                 self._is_starved |= not self._is_quiet
                 begin_s, rate = (self._end_s, 0.0) if self._is_starved else (due_s, 1.0)
-                self._append_noise(begin_s, FRAME, rate)
+                self._append_silence(begin_s, FRAME, rate)
             else:
                 self._num_stood += 1
                 self._conceal(self._end_s)
@@ -342,7 +342,7 @@ class JitterBuffer:
             self._report.lost += num_missing
             self._last_number = following.number - 1
             wait_s = following.media_s - due_s
-            self._append_noise(due_s, min(round(wait_s * RATE_HZ), FRAME))
+            self._append_silence(due_s, min(round(wait_s * RATE_HZ), FRAME))
         else:
             self._decode_next()
 
@@ -350,10 +350,10 @@ class JitterBuffer:
         moments = begin_s + np.arange(len(sound)) * (rate / RATE_HZ)
         self._fifo = np.concatenate([self._fifo, np.stack([sound, moments])], axis=1)
 
-    def _append_noise(self, begin_s: float, num_samples: int, rate: float = 1.0) -> None:
-        self._report.noise += not self._is_starved
+    def _append_silence(self, begin_s: float, num_samples: int, rate: float = 1.0) -> None:
+        self._report.silent += not self._is_starved
         self._report.concealed += self._is_starved
-        self._append(self._noise.make()[:num_samples], begin_s, rate)
+        self._append(np.zeros(num_samples), begin_s, rate)
 
     def _conceal(self, begin_s: float) -> None:
         self._num_concealed += 1
@@ -386,8 +386,6 @@ class JitterBuffer:
         rms = float(np.sqrt(np.mean(np.square(ending))))
         self._floor_rms = min(rms, self._floor_rms * FLOOR_RISE + 1e-6)
         self._is_quiet = self._sounds_quiet(rms)
-        if self._is_quiet:
-            self._noise.learn(ending)
         self._append(sound, packet.media_s)
 
     def _sounds_quiet(self, rms: float) -> bool:

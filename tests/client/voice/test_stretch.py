@@ -3,7 +3,6 @@ import pytest
 
 from helpers.spoken import hum
 from pica_client.voice import stretch
-from pica_client.voice.comfort_noise import LOUDEST, SIZE, ComfortNoise
 from pica_client.voice.packet import SAMPLE_RATE_HZ as RATE_HZ
 
 pytestmark = pytest.mark.unit
@@ -36,24 +35,3 @@ def test_a_stretched_tone_keeps_its_pitch_and_makes_no_step(change):
 
     assert abs(len(changed) - len(sound)) == lag
     assert np.abs(np.diff(changed)).max() < 1.1 * np.abs(np.diff(sound)).max()
-
-
-def test_comfort_noise_is_as_loud_and_as_dark_as_the_room():
-    rng = np.random.default_rng(0)
-    dark = np.convolve(0.003 * rng.standard_normal(SIZE * 200), np.ones(8) / 8, "same")
-    noise = ComfortNoise()
-    for begin in range(0, len(dark), SIZE):
-        noise.learn(dark[begin : begin + SIZE])
-
-    made = np.concatenate([noise.make() for _ in range(100)])
-
-    assert np.std(made) == pytest.approx(np.std(dark), rel=0.2)
-    spectra = [np.abs(np.fft.rfft(each[: SIZE * 100].reshape(-1, SIZE))) for each in (made, dark)]
-    highs = [spectrum[:, 200:].mean() / spectrum[:, :50].mean() for spectrum in spectra]
-    assert highs[0] == pytest.approx(highs[1], rel=0.3)
-
-
-def test_comfort_noise_is_never_loud():
-    noise = ComfortNoise()
-    noise.learn(np.random.default_rng(0).standard_normal(SIZE))
-    assert np.std(noise.make()) <= LOUDEST * 1.01
