@@ -18,7 +18,15 @@ from pica_client.transport.connect import RelayWebsocket, open_websocket
 from pica_client.transport.link import Link
 from pica_protocol import SUBPROTOCOL
 from pica_protocol.errors import CloseCode
-from pica_protocol.messages import Joined, KeyframeRequest, PeerJoined, Whisper
+from pica_protocol.messages import (
+    BarIdentity,
+    Joined,
+    KeyframeRequest,
+    MutePeer,
+    PeerJoined,
+    StreamMuted,
+    Whisper,
+)
 from pica_protocol.server_session import ServerSession
 from pica_protocol.session import ClientEvent, Closed, State
 from pica_server.auth.tokens import Admission, KeyRing, load_keys, mint
@@ -480,5 +488,39 @@ def test_a_token_file_without_a_token_is_named(content: bytes | None, tmp_path: 
     async def scenario() -> None:
         with pytest.raises(OptionError, match=r"token-file .*token: "):
             await Link(LinkConfig(url=URL, token_file=path)).run()
+
+    scenario()
+
+
+def test_an_admins_link_mutes_and_bars_and_tells_what_is_muted(tmp_path: Path) -> None:
+    path = tmp_path / "keys"
+    path.write_text(KeyRing.new_line())
+
+    def token(identity: str, *, may_admin: bool = False) -> str:
+        admission = Admission(identity=identity, may_admin=may_admin)
+        return mint(load_keys(path), "r", admission, now=1e9, lasts_s=60, starts_s=0)
+
+    @in_virtual_time
+    async def scenario() -> None:
+        seen = Seen()
+        config = LinkConfig(url=URL, room="r", token=token("olga", may_admin=True))
+        link = Link(config, on_event=seen.take, rng=random.Random(0))
+        assert not link.is_admin
+        async with (
+            Relay(RelayConfig(keys=path), unix_time=lambda: 1e9),
+            peer_in_room(URL, "Ada", room="r", token=token("ada")) as ada,
+        ):
+            running = asyncio.create_task(link.run())
+            await seen.joined.wait()
+            assert link.is_admin
+            link.moderate(MutePeer(peer_id=ada.session.peer_id, kind="face", is_muted=True))
+            await ada.until(StreamMuted)
+            await asyncio.sleep(0.1)
+            assert link.muted_streams == {ada.session.tracks[0].stream}
+            link.moderate(BarIdentity(identity="ada", is_barred=True))
+            closed = await ada.until(Closed)
+            assert closed.reason == "an admin has removed you from the room"
+            link.leave()
+            await running
 
     scenario()
