@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import asyncio
 import random
-from collections.abc import Awaitable
 from pathlib import Path
 
 import pytest
@@ -138,47 +137,55 @@ async def test_a_link_that_is_sent_to_nobody_comes_back() -> None:
         await running
 
 
+async def send_away(websocket: ServerConnection, url: str, *, joins: bool) -> None:
+    """Be a relay that has not the room, or lets in and sends away at once."""
+    loop = asyncio.get_running_loop()
+    session = ServerSession(now=loop.time())
+    while session.state is not State.DECIDING:
+        session.receive_data(await websocket.recv(), loop.time())
+    if joins:
+        session.accept(Joined(room="r", peer_id="p1"))
+    session.close(CloseCode.GOING_AWAY, "not here", url)
+    for data in session.messages_to_send(loop.time()):
+        await websocket.send(data)
+    await websocket.close(CloseCode.GOING_AWAY)
+
+
+PICA = [Subprotocol(SUBPROTOCOL)]
+
+
 @in_virtual_time
-async def test_a_link_on_tls_is_not_sent_where_there_is_none() -> None:
-    config = LinkConfig(url="wss://relay:8765", room="r")
-    seen = Seen()
+async def test_a_link_that_joins_goes_at_once_to_the_relay_that_has_its_room() -> None:
+    async def answer(websocket: ServerConnection) -> None:
+        await send_away(websocket, "ws://relay:8766", joins=False)
 
-    def connector(_url: str) -> Awaitable[RelayWebsocket]:
-        return open_websocket(URL)  # the virtual network has no TLS
-
-    link = Link(config, on_event=seen.take, rng=random.Random(0), connector=connector)
-    async with Relay(RelayConfig(drain_to="ws://other:8766")) as relay:
+    loop = asyncio.get_running_loop()
+    async with (
+        Relay(RelayConfig(port=8766)),
+        serve(answer, "relay", 8765, subprotocols=PICA, compression=None),
+    ):
+        link, seen = make_link()
+        start = loop.time()
         running = asyncio.create_task(link.run())
         await seen.joined.wait()
-        await asyncio.sleep(10)
-        await relay.drain()
-        await seen.closed.wait()
-        await asyncio.sleep(1)
-        assert link.url == "wss://relay:8765"
+        assert loop.time() - start < 0.1
+        assert link.url == "ws://relay:8766"
+        assert link.reconnects == 0
         link.leave()
         await running
 
 
+@pytest.mark.parametrize("joins", [False, True])
 @in_virtual_time
-async def test_relays_that_send_a_link_to_and_fro_make_it_slower() -> None:
-    loop = asyncio.get_running_loop()
+async def test_relays_that_send_a_link_to_and_fro_make_it_slower(joins: bool) -> None:
     welcomes: list[float] = []
 
-    async def go_away(websocket: ServerConnection) -> None:
-        session = ServerSession(now=loop.time())
-        while session.state is not State.DECIDING:
-            session.receive_data(await websocket.recv(), loop.time())
-        welcomes.append(loop.time())
-        join_reply = Joined(room="r", peer_id="p1")
-        session.accept(join_reply)
-        session.close(CloseCode.GOING_AWAY, "not here", "ws://relay:8765")
-        for data in session.messages_to_send(loop.time()):
-            await websocket.send(data)
-        await websocket.close(CloseCode.GOING_AWAY)
+    async def answer(websocket: ServerConnection) -> None:
+        welcomes.append(asyncio.get_running_loop().time())
+        await send_away(websocket, "ws://relay:8765", joins=joins)
 
-    pica = [Subprotocol(SUBPROTOCOL)]
-    async with serve(go_away, "relay", 8765, subprotocols=pica, compression=None):
-        link, _ = make_link()
+    async with serve(answer, "relay", 8765, subprotocols=PICA, compression=None):
+        link, _ = make_link(connect_timeout_s=None)
         running = asyncio.create_task(link.run())
         await asyncio.sleep(120)
         link.leave()

@@ -272,14 +272,17 @@ class Link:
         limit_s = self.config.connect_timeout_s
         give_up_s = None if limit_s is None else loop.time() + limit_s
         troubles: dict[str, Exception] = {}  # by address, and the latest alone
+        num_redirects = 0  # since the room was joined
         while not self._is_leaving:
             joined_s, is_last, websocket = None, False, self.lookout.take_successor()
+            elsewhere = ""
             try:
                 token = self.config.token or read_token(self.config.token_file)
                 websocket = websocket or await self._connect_or_leave(give_up_s)
                 if websocket is None:
                     return
                 joined_s = await self._talk(websocket, token)
+                elsewhere = self._elsewhere()
             except (RelayUnreachableError, RelayRefusedError, OptionError) as error:
                 if websocket is not None:
                     websocket.transport.abort()
@@ -291,12 +294,14 @@ class Link:
                 return
             if self.lookout.has_successor:
                 continue
-            if joined_s is None and not is_last and self._addresses.num_left:
-                continue
-            lasted_s, elsewhere = 0.0, ""
-            if joined_s is not None:
-                lasted_s, elsewhere = loop.time() - joined_s, self._elsewhere()
+            if elsewhere or joined_s is not None:
                 self._addresses.begin_with(elsewhere or self.url)
+            elif not is_last and self._addresses.num_left:
+                continue
+            lasted_s = 0.0 if joined_s is None else loop.time() - joined_s
+            num_redirects = num_redirects + 1 if elsewhere and joined_s is None else 0
+            if num_redirects == 1:
+                continue
             wait_s = self._backoff.next_wait_s(lasted_s)
             if elsewhere and lasted_s >= SETTLED_S:
                 # The relay that sends us away spreads its clients over time. Two that send us to
