@@ -34,7 +34,7 @@ ROOMS: dict[str, tuple[int, tuple[str, ...]]] = {
     "command": (350, ("command/",)),
     "protocol": (1300, ("protocol/",)),
     "server/room": (1100, (SERVER + "room/",)),
-    "server/placement": (450, (SERVER + "cluster/", SERVER + "placement")),
+    "server/placement": (450, (SERVER + "placement/",)),
     "server/net": (500, (SERVER + "net/",)),
     "server/store": (500, (SERVER + "store/",)),
     "server, rest": (1750, (SERVER,)),

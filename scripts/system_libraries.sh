@@ -1,6 +1,6 @@
 #!/bin/sh
 # Makes sure of what pip cannot bring: OpenGL through EGL, with --venv PYTHON the venv module, with
-# --nats the NATS server that the tests of a cluster start for themselves, with --window an X server
+# --nats the NATS server that the tests of several relays start for themselves, with --window an X server
 # without a screen and a hand for it.
 # Installs through apt-get when that is allowed, else prints the exact line and stops.
 set -eu

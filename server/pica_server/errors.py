@@ -12,7 +12,6 @@ RelayError
 │       ├── BusyError       a transfer more than go on at once
 │       └── TooLateError    a transfer that takes longer than it may
 ├── ClusterError         the cluster cannot be joined
-├── ClusterMessageError  another node sent what cannot be read
 ├── RoomFullError        one peer more than the room takes
 └── OutboxFullError      more control messages than a peer that reads would leave waiting
 """
@@ -84,14 +83,6 @@ class TooLateError(StoreRefusalError):
 
 class ClusterError(RelayError):
     """The cluster cannot be joined: names the setting and the fix."""
-
-
-class ClusterAwayError(ClusterError):
-    """Nobody answers where the cluster should be; somebody may, later."""
-
-
-class ClusterMessageError(RelayError, ValueError):
-    """Another node, or whoever may use its NATS, sent what cannot be read; quotes nothing of it."""
 
 
 class RoomFullError(RelayError):

@@ -22,7 +22,7 @@ from pica_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
 from pica_protocol.store import AVATARS_PATH, STORE_SUBPROTOCOL
 from pica_server.auth.tokens import KeyRing, admin_scope, admit, admit_upload, load_keys
 from pica_server.config.relay import RelayConfig
-from pica_server.errors import AdmissionError, ListenError
+from pica_server.errors import AdmissionError, ClusterError, ListenError
 from pica_server.net.limits import SocketGuard
 from pica_server.net.proxies import is_in, is_loopback, networks
 from pica_server.net.pump import Pump
@@ -37,7 +37,8 @@ from pica_server.store.store import AvatarStore
 from pica_server.store.uploads import Uploads
 
 if TYPE_CHECKING:
-    from pica_server.cluster.nats import Cluster
+    from pica_server.placement.nats import Bucket
+    from pica_server.placement.placement import Placed
 
 _MAX_QUEUED_MESSAGES = 16
 """Messages read ahead from one websocket before its socket is left alone."""
@@ -59,7 +60,7 @@ class Relay:
         KeyFileError: The key file cannot be used.
         StoreError: The avatar store cannot be used.
         ListenError: On entry, when the address cannot be bound.
-        ClusterError: On entry, when the cluster cannot be joined.
+        ClusterError: On entry, when NATS has no JetStream or does not let us in.
     """
 
     def __init__(self, config: RelayConfig, *, unix_time: Callable[[], float] = time.time) -> None:
@@ -108,7 +109,13 @@ class Relay:
         self._silent: set[RelaySocket] = set()
         self._descriptors = Descriptors(most_descriptors(), self.hub.stats.limits_hit)
         self._server: Server | None = None
-        self._cluster: Cluster | None = None
+        self._bucket: Bucket | None = None
+        if config.cluster:
+            # Only here: a relay alone needs no NATS.
+            from pica_server.placement import nats
+
+            self._bucket = nats.Bucket(config.cluster, self.hub, self._follow, unix_time)
+            self.hub.membership.placement = self._bucket.placement
         self._watch = LoopWatch()
         admin_room = (
             None if keys is None else lambda token: admin_scope(keys, token, now=unix_time())
@@ -137,15 +144,6 @@ class Relay:
         config = self.config
         self._pump.start()
         asyncio.get_running_loop().set_exception_handler(self._on_error)
-        if config.cluster:
-            # Only here: a relay alone needs no NATS.
-            from pica_server.cluster.nats import Cluster
-
-            self._cluster = Cluster(
-                config.cluster, self.hub, config.room_capacity, self._pump.after_turn_soon
-            )
-            self._pump.cluster = self._cluster
-            await self._cluster.start()
         server = serve(
             self._serve,
             config.host,
@@ -166,19 +164,22 @@ class Relay:
             close_timeout=config.close_timeout_s,
             server_header=None,
             logger=_websockets_logger,
-            reuse_port=config.share_port or None,
         )
         try:
             self._server = await server
         except OSError as error:
-            if self._cluster is not None:
-                await self._cluster.stop()
             raise ListenError(
                 f"cannot listen on {config.host}:{config.port}: {error.strerror or error}; "
                 "choose another --port (0 takes a free one) or --host"
             ) from error
         for sock in self._server.sockets:
             bound_receive_buffer(sock, config.receive_buffer_bytes)
+        if self._bucket is not None:
+            try:
+                await self._bucket.start(config.public_url or self.url)
+            except ClusterError:
+                await self.__aexit__(None, None, None)
+                raise
         self._watch_later()
         return self
 
@@ -193,8 +194,8 @@ class Relay:
         for websocket in self._transfers:
             websocket.transport.abort()
         await self._server.wait_closed()
-        if self._cluster is not None:
-            await self._cluster.stop()
+        if self._bucket is not None:
+            await self._bucket.stop()
         if self.store is not None:
             self.store.close()
         self._pump.stop()
@@ -245,6 +246,11 @@ class Relay:
     def cut(self) -> None:
         """Cut every websocket without another word."""
         self._pump.cut()
+
+    def _follow(self, events: "list[Placed]") -> None:
+        """Do what placement has decided since."""
+        self.hub.membership.follow(events, self._now())
+        self._pump.after_turn_soon()
 
     def _watch_later(self) -> None:
         loop = asyncio.get_running_loop()

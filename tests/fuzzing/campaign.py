@@ -30,7 +30,6 @@ TARGETS: Final[Mapping[str, Target]] = {
     "store messages": store_targets.store_messages,
     "store file": store_targets.structure,
     "store ranges": store_targets.ranges,
-    "cluster messages": store_targets.cluster_messages,
     "voice": voice_targets.voice,
 }
 
@@ -43,7 +42,6 @@ WEIGHTS: Final[Mapping[str, int]] = {
     "tokens": 4,
     "guard": 2,
     "store messages": 4,
-    "cluster messages": 2,
 }
 """How often a target has its turn; a session is over after a few messages, so many are needed."""
 

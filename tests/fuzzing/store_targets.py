@@ -1,4 +1,4 @@
-"""More to throw damaged messages at: the avatar store's door, and what nodes tell each other."""
+"""More to throw damaged messages at: the avatar store's door."""
 
 from __future__ import annotations
 
@@ -7,30 +7,14 @@ import random
 from http import HTTPStatus
 from typing import Any, Final
 
-from fuzzing.corpus import GOLDEN_BYTES, media
+from fuzzing.corpus import GOLDEN_BYTES
 from fuzzing.meter import Meter
 from fuzzing.mutator import INTEGERS, TEXTS, Mutator
 from fuzzing.targets import expect, refusal
 from pica_protocol.codec import decode_store_message, encode_message
 from pica_protocol.errors import RemoteProtocolError
-from pica_protocol.messages import Peer, Track, Whisper
 from pica_protocol.store import MAX_CHUNK_BYTES, decode_chunk, is_avatar_id
-from pica_server.cluster.messages import (
-    Ask,
-    Interest,
-    MediaHeader,
-    Member,
-    NodeId,
-    Passed,
-    Record,
-    decode_media_header,
-    decode_node_message,
-    decode_record,
-    encode_media,
-    encode_node_message,
-    encode_record,
-)
-from pica_server.errors import ClusterMessageError, UnfitFileError
+from pica_server.errors import UnfitFileError
 from pica_server.store.check import StructureCheck
 from pica_server.store.downloads import answer_for
 
@@ -134,31 +118,3 @@ def ranges(rng: random.Random, meter: Meter) -> None:
         path = mutator.mutate_bytes(_AVATAR.encode()).decode("latin-1")
         if is_avatar_id(path):
             expect(len(path) == 64 and path.isalnum(), "an id with tricks in it:", path)
-
-
-def cluster_messages(rng: random.Random, meter: Meter) -> None:
-    """What comes over NATS: from a node, or from somebody who should not be able to write there."""
-    node = NodeId(3, "a1b2").name
-    peer = Peer(peer_id="p1", name="Ada", tracks=(Track(kind="face", stream=1),))
-    record = Record((Member(node, peer, is_away=True, muted=(1,)),), {"p2": "left"}, node)
-    whisper = Whisper(peer_id="p1", data=b"x" * 20)
-    good = [
-        encode_record(record),
-        encode_node_message(Interest("r" * 32, node, 5, 1, 7, True, {1: 7, 513: 0})),
-        encode_node_message(Ask("r" * 32, 1, "asked")),
-        encode_node_message(Passed("r" * 32, "p2", whisper)),
-        encode_media(MediaHeader(3, 1, 9), media(rng, 1)),
-    ]
-    mutator = Mutator(rng, good)
-    for _ in range(40):
-        which = rng.randrange(len(good))
-        data = mutator.mutate_bytes(good[which])
-        if rng.random() < 0.5 and which < 4:
-            data = mutator.mutate(b"\x01" + good[which])[1:]
-        decode = (decode_record, *(decode_node_message,) * 3, decode_media_header)[which]
-        try:
-            meter.call(decode, data)
-        except ClusterMessageError:
-            meter.note("refused ClusterMessageError")
-            continue
-        meter.note("accepted")

@@ -15,8 +15,8 @@ from pathlib import Path
 import pytest
 
 from pica_protocol.frames import Frame
-from simnet.cluster import Node
 from simnet.peers import peer_in_room
+from simnet.relays import RelayProcess
 
 pytestmark = pytest.mark.realtime
 
@@ -29,7 +29,7 @@ RELAY = [sys.executable, "-m", "pica_command", "relay", "--avatar-store", "none"
 @contextmanager
 def relay(
     *prefix: str, port: int = 0, folder: Path | None = None, **options: object
-) -> Iterator[Node]:
+) -> Iterator[RelayProcess]:
     """Run a relay, perhaps through another command, or with other options of a process."""
     ready = (folder or Path(os.devnull)) / "url"
     words = [*prefix, *RELAY, str(port)]
@@ -45,7 +45,7 @@ def relay(
                 assert process.poll() is None
                 time.sleep(0.02)
             url = ready.read_text().strip()
-        yield Node(process, url)
+        yield RelayProcess(process, url)
     finally:
         process.kill()
         process.communicate()

@@ -13,8 +13,8 @@ from pica_protocol.session import Closed
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
 from simnet.clock import current_network, in_virtual_time
-from simnet.cluster import Node, start_relay
 from simnet.peers import now, peer_in_room
+from simnet.relays import RelayProcess, start_relay
 
 pytestmark = pytest.mark.realtime
 
@@ -45,17 +45,19 @@ async def test_a_proxy_that_stalls_expels_nobody_whatever_their_rate() -> None:
 
 
 @pytest.fixture
-def relay() -> Iterator[Node]:
+def relay() -> Iterator[RelayProcess]:
     process = start_relay("--port", "0", "--limits.messages-per-s", "40")
     assert process.stderr is not None
-    node = Node(process, process.stderr.readline().split()[-1])
+    node = RelayProcess(process, process.stderr.readline().split()[-1])
     yield node
     process.send_signal(signal.SIGCONT)
     process.kill()
     process.communicate()
 
 
-def test_a_relay_that_was_stopped_expels_nobody_for_what_came_meanwhile(relay: Node) -> None:
+def test_a_relay_that_was_stopped_expels_nobody_for_what_came_meanwhile(
+    relay: RelayProcess,
+) -> None:
     """Of 40 messages a second that each may send, 30 a second pile up for three seconds."""
 
     async def call() -> None:
@@ -73,7 +75,7 @@ def test_a_relay_that_was_stopped_expels_nobody_for_what_came_meanwhile(relay: N
     asyncio.run(call())
 
 
-def test_the_kernel_holds_little_for_a_relay_that_does_not_read(relay: Node) -> None:
+def test_the_kernel_holds_little_for_a_relay_that_does_not_read(relay: RelayProcess) -> None:
     """So who sends feels it, and thins its own stream."""
 
     async def call() -> int:

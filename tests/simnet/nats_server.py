@@ -1,7 +1,6 @@
-"""A real NATS server with JetStream on a free loopback port, for tests of a cluster."""
+"""A real NATS server with JetStream on a free loopback port, for tests of placement."""
 
 import shutil
-import signal
 import socket
 import subprocess
 import time
@@ -22,12 +21,11 @@ class NatsServer:
         url: Where it listens.
     """
 
-    def __init__(self, folder: Path, *, jetstream: bool = True, config: Path | None = None) -> None:
+    def __init__(self, folder: Path, *, jetstream: bool = True) -> None:
         with socket.create_server(("127.0.0.1", 0)) as free:
             self.port = free.getsockname()[1]
         self.url = f"nats://127.0.0.1:{self.port}"
         self._folder = folder
-        self._config = config
         self._jetstream = jetstream
         self._process: subprocess.Popen[bytes] | None = None
 
@@ -37,9 +35,6 @@ class NatsServer:
         words = [PROGRAM, "-a", "127.0.0.1", "-p", str(self.port)]
         if self._jetstream:
             words += ["-js", "-sd", str(self._folder)]
-        if self._config is not None:
-            self._config.touch()
-            words += ["-c", str(self._config)]
         self._process = subprocess.Popen(words, stderr=subprocess.DEVNULL)
         deadline = time.monotonic() + 10
         while time.monotonic() < deadline:
@@ -51,37 +46,9 @@ class NatsServer:
                 time.sleep(0.02)
         raise AssertionError("nats-server does not listen")
 
-    def restart_if_ended(self) -> bool:
-        """Start it again if it ended by itself, as what watches over services does; say whether it
-        had."""
-        has_ended = self._process is not None and self._process.poll() is not None
-        if has_ended:
-            self.start()
-        return has_ended
-
-    def freeze(self) -> None:
-        """Stop it without ending it."""
-        assert self._process is not None
-        self._process.send_signal(signal.SIGSTOP)
-
-    def thaw(self) -> None:
-        """Let it go on."""
-        assert self._process is not None
-        self._process.send_signal(signal.SIGCONT)
-
-    def ask_for_password(self, password: str) -> None:
-        """Let nobody in without this password from now on, and send away who is in. Only with a
-        server made with ``config``."""
-        assert self._process is not None
-        assert self._config is not None
-        self._config.write_text(f'authorization {{ token: "{password}" }}')
-        self._process.send_signal(signal.SIGHUP)
-
-    def let_everybody_in(self) -> None:
-        """Ask for no password when it starts again: Debian's 2.9 loses JetStream if told at
-        once."""
-        assert self._config is not None
-        self._config.write_text("")
+    def empty(self) -> None:
+        """Forget what it has stored; it must not run."""
+        shutil.rmtree(self._folder)
 
     def stop(self) -> None:
         """Kill it."""

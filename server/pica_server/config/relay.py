@@ -1,7 +1,6 @@
 """Everything an operator may set, with unit and range."""
 
 import re
-import socket
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
@@ -135,10 +134,11 @@ class RelayConfig:
     """Where avatar files are kept that clients give to each other: a folder; s3://BUCKET/FOLDER,
     with the extra `s3`; temporary, a folder that ends with the relay; none."""
     cluster: str = ""
-    """Share rooms with other relays over this NATS, as nats://HOST:4222; it needs JetStream.
-    Several servers of one NATS cluster with commas between. See docs/cluster.md."""
-    share_port: bool = False
-    """Let other relays on this machine listen on the same port: the kernel spreads the clients."""
+    """Spread rooms over all relays with this NATS, as nats://HOST:4222; it needs JetStream. Several
+    servers of one NATS cluster with commas between. See docs/cluster.md."""
+    public_url: str = ""
+    """Where clients of other relays of the cluster reach this one, as wss://HOST:PORT; empty: where
+    it listens."""
     room_capacity: Annotated[int, Range(1, MAX_PEERS)] = 16
     """Peers in one room."""
     max_connections: Annotated[int, Range(1, 1_000_000)] = 1024
@@ -183,6 +183,7 @@ class RelayConfig:
             raise ConfigurationError("--avatar-store is empty; name a folder, or none")
         try:
             check_url("drain-to", self.drain_to)
+            check_url("public-url", self.public_url)
         except ValueError as error:
             raise ConfigurationError(f"--{error}") from error
         for flag, names in (
@@ -201,8 +202,11 @@ class RelayConfig:
         for url in filter(None, self.cluster.split(",")):
             if not _NATS_URL.fullmatch(url):
                 raise ConfigurationError("--cluster is no address of NATS: write nats://HOST:4222")
-        if self.share_port and not hasattr(socket, "SO_REUSEPORT"):
-            raise ConfigurationError("--share-port does not work on this system: leave it out")
+        if self.cluster and not self.public_url and not is_loopback(self.host):
+            raise ConfigurationError(
+                "--cluster redirects clients of other relays to this one: say where they reach it "
+                "with --public-url wss://HOST:PORT"
+            )
         for origin in self.origins:
             if not _ORIGIN.fullmatch(origin):
                 raise ConfigurationError(f"--origins {origin} is no origin: write https://HOST")

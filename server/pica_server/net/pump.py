@@ -21,7 +21,6 @@ import socket
 import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from typing import TYPE_CHECKING
 from zlib import crc32
 
 from websockets.asyncio.server import ServerConnection
@@ -37,9 +36,6 @@ from pica_server.room.connection import Connection
 from pica_server.room.hub import HOLD_STEP_S, Hub
 from pica_server.room.outbox import OutboundMessage
 from pica_server.room.room import Room
-
-if TYPE_CHECKING:
-    from pica_server.cluster.nats import Cluster
 
 _UNSENT_LIMIT_BYTES = 2048
 """Unsent bytes in the kernel's buffer (chosen: about thirty frames)."""
@@ -58,14 +54,9 @@ _logger = logging.getLogger(__name__)
 
 
 class Pump:
-    """Moves messages between websockets and one hub.
-
-    Attributes:
-        cluster: Does its part after everything that happens, or None.
-    """
+    """Moves messages between websockets and one hub."""
 
     def __init__(self, hub: Hub, config: RelayConfig) -> None:
-        self.cluster: Cluster | None = None
         self._hub = hub
         self._config = config
         self._all_gone = asyncio.Event()
@@ -228,7 +219,7 @@ class Pump:
         self._soon = None
         inbox, self._inbox = self._inbox, {}
         inbox = self._feed(inbox)
-        # Also when nothing has come: the cluster may have asked for this turn.
+        # Also when nothing has come: placement may have asked for this turn.
         self.after_events()
         if inbox or self._unread:
             self._read_later({each: some[_MOST_AT_ONCE:] for each, some in inbox.items()})
@@ -319,8 +310,6 @@ class Pump:
 
     def after_events(self) -> None:
         """Send to those who have got something, and set the timer to the next deadline."""
-        if self.cluster is not None:
-            self.cluster.step()
         self._send_all(self._hub.take_ready())
         self._set_timer()
 

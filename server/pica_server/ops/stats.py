@@ -103,14 +103,10 @@ class RelayStats:
     """Frames that receivers reported missing."""
     reported_concealed: int = 0
     """Display times that receivers reported without a fresh frame."""
-    cluster: Counter[str] = field(default_factory=Counter)
-    """What happened between this node and its cluster: ``frames_in``, ``frames_out``,
-    ``media_out`` messages; answers of the store, ``found written conflict failed``; the node
-    became ``clustered``, ``uncertain``, ``local``, was ``reconnected``, ``restarted``; the store
-    was ``reopened``;
-    ``media_lost``, ``overrun``: NATS dropped something; ``unreadable`` messages."""
-    cluster_dropped: Counter[str] = field(default_factory=Counter)
-    """Frames that did not go to another node because NATS takes too little, as ``dropped``."""
+    placement: Counter[str] = field(default_factory=Counter)
+    """Rooms: ``claimed`` for this relay or another; ``redirected`` to the relay that has them;
+    ``taken_over`` from a dead relay; ``handed_over`` by a drain; ``contested``, as two relays had
+    one; ``local``, made here while NATS was ``away``. ``unreadable`` keys."""
     forwarding: LatencyHistogram = field(default_factory=LatencyHistogram)
     """Latencies from a frame's receipt to the moment the receiver's socket took it."""
 

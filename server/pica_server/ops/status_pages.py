@@ -82,7 +82,7 @@ class StatusPages:
                 worst_s = self._watch.worst_s(now)
                 trouble = f"stalled for {worst_s:.1f} s" if worst_s >= WORST_S else ""
                 # No reason to start it again: its rooms go on, and it comes back by itself.
-                return _verdict(trouble, self._cluster_trouble)
+                return _verdict(trouble, self._placement_trouble)
             case "/readyz":
                 if self._hub.connections.is_draining:
                     return _verdict("draining")
@@ -91,7 +91,7 @@ class StatusPages:
                     retry_after = f"{self._hub.brake.retry_after_s:.0f}"
                     return replace(page, headers={"Retry-After": retry_after})
                 is_full = self._hub.num_connections >= self._config.max_connections
-                return _verdict("full" if is_full else "", self._cluster_trouble)
+                return _verdict("full" if is_full else "", self._placement_trouble)
             case "/metrics" if is_local or self._config.open_metrics:
                 return Page(HTTPStatus.OK, self._metrics(now), CONTENT_TYPE)
             case "/rooms":
@@ -128,15 +128,15 @@ class StatusPages:
         return Page(HTTPStatus.OK, f"{text}\n", "application/json", headers)
 
     @property
-    def _cluster_trouble(self) -> str:
-        cluster = self._hub.connections.cluster_peers
-        return "" if cluster is None else cluster.trouble
+    def _placement_trouble(self) -> str:
+        placement = self._hub.membership.placement
+        return "" if placement is None or placement.is_up else "NATS lost, new rooms are local"
 
     def _metrics(self, now: float) -> str:
         hub = self._hub
-        cluster = hub.connections.cluster_peers
-        num_nodes = 0 if cluster is None else cluster.num_nodes
-        is_up = cluster is not None and not cluster.trouble
+        placement = hub.membership.placement
+        num_relays = 0 if placement is None else placement.num_relays(now)
+        is_up = placement is not None and placement.is_up
         store = self._store
         used_bytes, num_free_bytes = (store.used_bytes, store.num_free_bytes) if store else (0, 0)
         return metrics_text(
@@ -145,8 +145,8 @@ class StatusPages:
                 "avatars": ("Files in the avatar store.", store.num_avatars if store else 0),
                 "avatar_store_bytes": ("Bytes of those files.", used_bytes),
                 "avatar_store_free_bytes": ("Left of the store's quota.", num_free_bytes),
-                "cluster_up": ("1 while rooms are shared with other nodes.", float(is_up)),
-                "cluster_nodes": ("Nodes of the cluster that live, with this one.", num_nodes),
+                "placement_up": ("1 while NATS places rooms on relays.", float(is_up)),
+                "placement_relays": ("Relays that are alive, with this one.", num_relays),
                 "open_connections": ("Connections that are open now.", hub.num_connections),
                 "rooms": ("Rooms with somebody in them.", hub.num_rooms),
                 "draining": ("1 while everybody is sent away.", float(hub.connections.is_draining)),

@@ -17,7 +17,6 @@ from pica_protocol.codec import encode_message
 from pica_protocol.errors import CloseCode
 from pica_protocol.messages import Message
 from pica_protocol.server_session import ServerSession
-from pica_server.cluster.peers import ClusterPeers
 from pica_server.config.relay import RelayConfig
 from pica_server.errors import OutboxFullError
 from pica_server.ops.stats import RelayStats
@@ -42,8 +41,6 @@ class Connections:
         on_over: Told of every connection that is over, once or more, to clear up after it; it
             begins with ``wind_up``.
         is_draining: Whether everybody is being sent away, and nobody let in.
-        cluster_peers: The other nodes of the cluster, or None.
-        prefix: Begins the id of every peer; with a cluster it is different on each node.
     """
 
     def __init__(self, config: RelayConfig, stats: RelayStats) -> None:
@@ -56,8 +53,6 @@ class Connections:
         self.on_over: Callable[[Connection, float], None] = lambda connection, now: None
         self.brake = Brake()
         self.is_draining = False
-        self.cluster_peers: ClusterPeers | None = None
-        self.prefix = "p"
         self._serials = count(1)
         self._by_address: Counter[str] = Counter()  # bounded by the number of connections
 
@@ -74,7 +69,7 @@ class Connections:
         session = ServerSession(software=SOFTWARE, now=now, timeout_s=config.handshake_timeout_s)
         outbox = Outbox(config.max_control_bytes, self.stats.dropped, brake=self.brake)
         serial = next(self._serials)
-        peer_id = f"{self.prefix}{serial}"
+        peer_id = f"p{serial}"
         connection = Connection(serial, session, outbox, limits, address, now, peer_id)
         self.stats.connections += 1
         is_full = len(self.by_peer) >= config.max_connections
@@ -97,8 +92,8 @@ class Connections:
         self.by_peer[peer_id] = connection
 
     def connected(self, room: Room) -> list[Connection]:
-        """Return the connections of those in a room who are on this node and not away."""
-        found = (self.by_peer.get(peer.peer_id) for peer in room.peers_here)
+        """Return the connections of those in a room who are not away."""
+        found = (self.by_peer.get(peer.peer_id) for peer in room.peers)
         return [connection for connection in found if connection is not None]
 
     def close(self, connection: Connection, code: CloseCode, reason: str, now: float) -> None:
@@ -136,9 +131,10 @@ class Connections:
         reason = f"more than {rate:g} {what} a second"
         self.refuse(connection, what, CloseCode.TOO_FAST, reason, now)
 
-    def send_elsewhere(self, connections: Sequence[Connection], now: float) -> None:
-        """Close some because the relay is stopping, and tell them of another to go to."""
-        reason, url = "the relay is stopping", self.config.drain_to
+    def send_elsewhere(self, connections: Sequence[Connection], now: float, url: str = "") -> None:
+        """Redirect some: to a relay that has their room, or because this one is stopping."""
+        reason = "the room is on another relay" if url else "the relay is stopping"
+        url = url or self.config.drain_to
         self.close_together(connections, CloseCode.GOING_AWAY, reason, now, url)
 
     def wind_up(self, connection: Connection, now: float) -> bool:
@@ -188,8 +184,8 @@ class Connections:
         heapq.heappush(self.timers, (deadline, connection.serial, connection))
 
     def tell_others(self, room: Room, peer_id: str, message: Message, now: float) -> None:
-        """Tell something to everybody in a room who is on this node, but not to one of them."""
-        for other in room.peers_here:
+        """Tell something to everybody in a room, but not to one of them."""
+        for other in room.peers:
             # Closing one that is full tells the rest, and so may close more: look again.
             connection = self.by_peer.get(other.peer_id)
             if connection is not None and other.peer_id != peer_id:

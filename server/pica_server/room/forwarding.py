@@ -1,8 +1,4 @@
-"""What goes from peer to peer: frames to all who want them, keyframes asked for, whispers. Pure.
-
-Frames go to receivers on this node, and once to each other node of the cluster where somebody wants
-them.
-"""
+"""What goes from peer to peer: frames to all who want them, keyframes asked for, whispers. Pure."""
 
 from dataclasses import replace
 from typing import Final
@@ -13,7 +9,6 @@ from pica_protocol.limits import MAX_LAYER
 from pica_protocol.messages import KeyframeRequest, StreamMuted, Whisper
 from pica_protocol.session import Media
 from pica_protocol.stream_queue import Put
-from pica_server.cluster.media import NodeLink
 from pica_server.room.connection import Connection
 from pica_server.room.connections import Connections
 from pica_server.room.outbox import ArrivedFrame
@@ -26,16 +21,11 @@ NOTHING_DECODABLE: Final = -1
 
 
 class Forwarding:
-    """What passes through one relay.
-
-    Attributes:
-        ready_links: Links to other nodes with something to send; whoever empties one takes it out.
-    """
+    """What passes through one relay."""
 
     def __init__(self, connections: Connections) -> None:
         self._connections = connections
         self._stats = connections.stats
-        self.ready_links: dict[NodeLink, None] = {}
 
     def forward(self, connection: Connection, media: Media, now: float) -> None:
         """Take frames from their publisher, who is in a room."""
@@ -49,15 +39,10 @@ class Forwarding:
         if len(media.spans) > 1 and not connection.messages_in.take(now, len(media.spans) - 1):
             self._connections.close_too_fast(connection, "messages", now)
             return
-        self.deliver(room, media, now)
+        self._deliver(room, media, now)
 
-    def deliver(self, room: Room, media: Media, now: float, *, num_here: int = 1) -> None:
-        """Give frames to all who want them, here and on other nodes.
-
-        Args:
-            media: The frames, of streams that are there.
-            num_here: Of the publisher: 1 if it is connected here, else 0.
-        """
+    def _deliver(self, room: Room, media: Media, now: float) -> None:
+        """Give frames of streams that are there to all who want them."""
         needed: dict[tuple[int, Put], None] = {}
         connections, stats = self._connections, self._stats
         by_peer = connections.by_peer
@@ -80,9 +65,8 @@ class Forwarding:
                 stream.remember(frame.data, frame.is_keyframe)
             if stream.deadline_s is not None:
                 ready = connections.first
-                outboxes = [by_peer[peer_id].outbox for peer_id in receivers]
-                for outbox in outboxes + [link.outbox for link in room.links.values()]:
-                    outbox.open_ordered(number, stream.deadline_s)
+                for peer_id in receivers:
+                    by_peer[peer_id].outbox.open_ordered(number, stream.deadline_s)
             for peer_id in receivers:
                 receiver = by_peer[peer_id]
                 fate = receiver.outbox.put(frame)
@@ -90,15 +74,9 @@ class Forwarding:
                     ready[receiver] = None
                     if fate is not _WAITS:
                         needed[number, fate] = None
-            for link in room.links.values():
-                wanted = link.put(frame)
-                if wanted is not None and wanted is not _DROPPED:
-                    self.ready_links[link] = None
-                    if wanted is not _WAITS:
-                        needed[number, wanted] = None
             stats.frames_in += 1
             stats.frames_in_by_layer[layer] += 1
-            stats.unwanted += len(room) - num_here - len(receivers)
+            stats.unwanted += len(room) - 1 - len(receivers)
         for number, fate in needed:
             self.ask_for_keyframe(room, number, fate.value, now)
 
@@ -159,8 +137,6 @@ class Forwarding:
             return  # it has just ended
         starts_again = room.want(connection.peer_id, stream, layer)
         self._stats.unwanted += connection.outbox.want(stream, layer)
-        if self._connections.cluster_peers is not None:
-            self._connections.cluster_peers.note_subscriptions(room)
         if starts_again:
             self._resume(connection, room, stream, now)
 
@@ -197,16 +173,11 @@ class Forwarding:
         connection = connections.by_peer.get(publisher)
         if connection is not None:
             connections.send(connection, KeyframeRequest(stream=stream), now)
-        elif connections.cluster_peers is not None:
-            connections.cluster_peers.ask_for_keyframe(room, publisher, stream, why)
 
     def mute(self, room: Room, number: int, stream: Stream, *, is_muted: bool, now: float) -> None:
         """Stop a stream, or let it go on, and tell everybody here."""
         stream.is_muted = is_muted
         room.forget_chain(number)
-        if is_muted:
-            for outbox in [link.outbox for link in room.links.values()]:
-                self._connections.note_dropped(outbox.interrupt(number), "muted")
         for receiver in self._connections.connected(room):
             if is_muted:
                 self._connections.note_dropped(receiver.outbox.interrupt(number), "muted")
@@ -219,8 +190,6 @@ class Forwarding:
         """Drop what waits of a stream that has ended."""
         for receiver in self._connections.connected(room):
             self._connections.note_dropped(receiver.outbox.forget_stream(number), "departed")
-        for link in room.links.values():
-            self._connections.note_dropped(link.forget_stream(number), "departed")
 
     def whisper(self, connection: Connection, whisper: Whisper, now: float) -> None:
         """Pass a whisper on, under its sender's name, or drop it."""
@@ -229,39 +198,14 @@ class Forwarding:
         if not connection.whispers.take(now):
             stats.whispers_dropped["rate"] += 1
             return
-        cluster_peers = self._connections.cluster_peers
-        if cluster_peers is not None and cluster_peers.whisper(room, connection.peer_id, whisper):
-            stats.whispers += 1
-        elif whisper.peer_id != connection.peer_id:
-            self.pass_whisper(room, connection.peer_id, whisper, now)
-        else:
-            stats.whispers_dropped["nobody"] += 1
-
-    def pass_whisper(self, room: Room, sender: str, whisper: Whisper, now: float) -> None:
-        """Pass a whisper to a peer that is connected here."""
-        connections, stats = self._connections, self._stats
+        connections = self._connections
         receiver = connections.by_peer.get(whisper.peer_id)
-        if receiver is None or receiver.room is not room:
+        if receiver is None or receiver is connection or receiver.room is not room:
             stats.whispers_dropped["nobody"] += 1
             return
         # Whispers of many must not fill the queue that closes a peer for reading too slowly.
         if receiver.outbox.waiting_control_bytes > connections.config.max_control_bytes // 4:
             stats.whispers_dropped["backlog"] += 1
             return
-        connections.send(receiver, replace(whisper, peer_id=sender), now)
+        connections.send(receiver, replace(whisper, peer_id=connection.peer_id), now)
         stats.whispers += 1
-
-    def drop_link(self, room: Room, node: str) -> None:
-        """Forget another node that has left a room."""
-        link = room.links.pop(node)
-        self.ready_links.pop(link, None)
-
-    def resume_link(self, room: Room, link: NodeLink, number: int, now: float) -> None:
-        """Give another node what was kept of a stream that it begins to read."""
-        stream = room.stream(number)
-        if stream is None or not stream.chain:
-            return
-        link.outbox.resume(number, stream.chain, is_whole=stream.is_whole, now=now)
-        self.ready_links[link] = None
-        if not stream.is_whole:
-            self.ask_for_keyframe(room, number, Put.KEYLESS.value, now)

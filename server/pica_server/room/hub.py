@@ -5,7 +5,7 @@ asks which connections have something to send (``take_ready``) and takes it from
 a time (``take``, ``sent``). The parts decide:
 
     connections   the connections: how they begin and end, who is late, what is said to whom
-    forwarding    frames, keyframe requests and whispers, from peer to peer and node to node
+    forwarding    frames, keyframe requests and whispers, from peer to peer
     membership    rooms: who comes, goes, is away for a while and comes back
     moderation    what admins ask for in their room
 
@@ -32,7 +32,6 @@ from pica_protocol.messages import (
 )
 from pica_protocol.session import Closed, Media, ServerEvent
 from pica_server.auth.tokens import Admission
-from pica_server.cluster.peers import ClusterPeers
 from pica_server.config.relay import RelayConfig
 from pica_server.ops.stats import RelayStats
 from pica_server.room.connection import Connection
@@ -119,11 +118,6 @@ class Hub:
         # Whose messages wait for more to share them with: each stands here once.
         self._held: list[tuple[float, int, Connection]] = []
 
-    def meet(self, cluster_peers: ClusterPeers, prefix: str) -> None:
-        """Be one node of a cluster from now on; nobody is here yet. ``prefix`` begins the id of
-        every peer of this node, and of no other one's."""
-        self.connections.cluster_peers, self.connections.prefix = cluster_peers, prefix
-
     @property
     def num_connections(self) -> int:
         """Connections that are not over yet."""
@@ -133,6 +127,13 @@ class Hub:
     def num_rooms(self) -> int:
         """Rooms with somebody in them."""
         return len(self.membership.rooms)
+
+    @property
+    def takes_rooms(self) -> bool:
+        """Whether there is a place for rooms that are placed on this relay."""
+        connections = self.connections
+        is_full = self.num_connections >= self._config.max_connections
+        return not (is_full or connections.is_draining or self.brake.level)
 
     def room(self, name: str) -> Room | None:
         """Return a room, or None if nobody is in it here."""
@@ -284,10 +285,9 @@ class Hub:
     def _send_rooms_away(self, now: float) -> None:
         while self._departures and self._departures[0][0] <= now:
             _, name = self._departures.popleft()
-            room = self.room(name)
-            if room is not None:  # else it has emptied by itself
-                self.connections.send_elsewhere(self.connections.connected(room), now)
-                self.membership.give_up_away(room, "lost", now)
+            placement = self.membership.placement
+            if placement is None or not placement.hand_over(name, now):
+                self.membership.send_elsewhere(name, [], "", now)
 
     def _handle(self, connection: Connection, event: ServerEvent, now: float) -> None:
         match event:

@@ -1,18 +1,16 @@
 """Who is in which room of one relay: coming, going, being away for a while, coming back. Pure.
 
-A peer of this node has a connection, or it is away: its connection broke, and its place is kept for
-a while (see `ResumeTickets`). A connection that comes back to a place takes the id of the peer
-there. In a cluster the rooms also hold the peers of other nodes.
+A peer has a connection, or it is away: its connection broke, and its place is kept for a while (see
+`ResumeTickets`). A connection that comes back to a place takes the id of the peer there.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from pica_protocol.errors import CloseCode
 from pica_protocol.messages import (
     Join,
     Joined,
-    Peer,
     PeerAway,
     PeerBack,
     PeerJoined,
@@ -23,9 +21,9 @@ from pica_protocol.messages import (
 )
 from pica_protocol.session import Closed
 from pica_server.auth.tokens import Admission
-from pica_server.cluster.messages import Member
 from pica_server.errors import AdmissionError, RoomFullError
 from pica_server.net.limits import TokenBucket
+from pica_server.placement.placement import Placed, Placement
 from pica_server.room.connection import Connection
 from pica_server.room.connections import Connections
 from pica_server.room.forwarding import Forwarding
@@ -39,6 +37,7 @@ class Membership:
 
     Attributes:
         rooms: Every room with somebody in it, by name; to be read only.
+        placement: Finds the relay of a room that is not here; None: all rooms are.
     """
 
     _connections: Connections
@@ -53,6 +52,9 @@ class Membership:
         # The last connection of those who are away; as many as there are places kept.
         self._away: dict[str, Connection] = {}
         self._joins: TokenBucket | None = None  # full when the first one comes
+        self.placement: Placement | None = None
+        # Joins for which the relay of the room is being looked for; one of each connection.
+        self._waiting: dict[str, list[tuple[Connection, Join, Admission]]] = {}
         self._connections.on_over = self.clear_up
 
     def join(self, connection: Connection, join: Join, now: float) -> None:
@@ -74,6 +76,36 @@ class Membership:
             reason = "too many join at once, try again"
             refuse(connection, "joins", CloseCode.BUSY, reason, now)
             return
+        if self.placement is None or join.room in self.rooms:
+            self._let_in(connection, join, admission, now)
+            return
+        self._waiting.setdefault(join.room, []).append((connection, join, admission))
+        self.placement.ask(join.room, now)
+        self.follow(self.placement.take_events(), now)
+
+    def follow(self, events: Sequence[Placed], now: float) -> None:
+        """Let those in for whose rooms this relay was chosen, and redirect the others."""
+        for room, url in events:
+            waiting = [w for w in self._waiting.pop(room, []) if w[0].closed is None]
+            if url is not None:
+                self.send_elsewhere(room, [connection for connection, _, _ in waiting], url, now)
+                continue
+            for connection, join, admission in waiting:
+                self._let_in(connection, join, admission, now)
+
+    def send_elsewhere(
+        self, room_name: str, waiting: Sequence[Connection], url: str, now: float
+    ) -> None:
+        """Redirect those who are in a room, and those who wait for it."""
+        room, connections = self.rooms.get(room_name), self._connections
+        inside = [] if room is None else connections.connected(room)
+        connections.send_elsewhere([*waiting, *inside], now, url)
+        if room is not None:
+            self.give_up_away(room, "lost", now)
+
+    def _let_in(self, connection: Connection, join: Join, admission: Admission, now: float) -> None:
+        """Let somebody into a room of this relay, or close them."""
+        refuse = self._connections.refuse
         connection.is_resumable = join.resumable
         if join.resume and self._come_back(connection, join, admission, now):
             return
@@ -87,31 +119,15 @@ class Membership:
             reason = "an admin has barred you until the room is empty"
             refuse(connection, "admission", CloseCode.FORBIDDEN, reason, now)
             return
-        cluster_peers = self._connections.cluster_peers
-        if cluster_peers is not None:
-            cluster_peers.join(connection, join, admission, now)
-            return
         self._make_place(join.room, now)
         room = self._room(join.room)
         try:
             joined = room.join(connection.peer_id, join, admission)
         except RoomFullError:
-            self.refuse(connection, join.room, now)
+            reason = f"room {join.room} is full: {self._connections.config.room_capacity} peers"
+            refuse(connection, "room", CloseCode.ROOM_FULL, reason, now)
             return
         self._enter(connection, room, joined, admission, now)
-
-    def enter(
-        self, connection: Connection, name: str, peer: Peer, admission: Admission, now: float
-    ) -> None:
-        """Let somebody in for whom the nodes of the cluster have agreed on a place."""
-        room = self._room(name)
-        joined = room.enter(peer, may_subscribe=admission.may_subscribe)
-        self._enter(connection, room, joined, admission, now)
-
-    def refuse(self, connection: Connection, name: str, now: float) -> None:
-        """Close somebody for whom a room has no place."""
-        reason = f"room {name} is full: {self._connections.config.room_capacity} peers"
-        self._connections.refuse(connection, "room", CloseCode.ROOM_FULL, reason, now)
 
     def update_metadata(self, connection: Connection, update: UpdateMetadata, now: float) -> None:
         """Note what somebody says of themselves, and tell the others."""
@@ -123,8 +139,6 @@ class Membership:
         elif room.update_metadata(connection.peer_id, metadata):
             news = PeerUpdated(peer_id=connection.peer_id, metadata=metadata)
             connections.tell_others(room, connection.peer_id, news, now)
-            if connections.cluster_peers is not None:
-                connections.cluster_peers.note_member(room, connection.peer_id)
 
     def close(self, connection: Connection, code: CloseCode, reason: str, now: float) -> None:
         """End a connection from this side; one that is lost, for good."""
@@ -139,7 +153,7 @@ class Membership:
             self.close(connection, code, reason, now)
 
     def close_peer(self, peer_id: str, code: CloseCode, reason: str, now: float) -> None:
-        """Put a peer of this node out, whether it is away or not."""
+        """Put a peer out, whether it is away or not."""
         connection = self._connections.by_peer.get(peer_id) or self._away[peer_id]
         self.close(connection, code, reason, now)
 
@@ -153,8 +167,8 @@ class Membership:
         self._depart(self._away.pop(peer_id), reason, now)
 
     def give_up_away(self, room: Room, reason: str, now: float) -> None:
-        """Take all of this node who are away out of a room."""
-        for peer_id in room.away_here:
+        """Take all who are away out of a room."""
+        for peer_id in room.away:
             self.give_up(peer_id, reason, now)
 
     def clear_up(self, connection: Connection, now: float) -> None:
@@ -170,45 +184,9 @@ class Membership:
             self._stats.resumes["away"] += 1
             self._away[peer_id] = connection
             room.go_away(peer_id)
-            if connections.cluster_peers is not None:
-                connections.cluster_peers.note_member(room, peer_id)
             connections.tell_others(room, peer_id, PeerAway(peer_id=peer_id), now)
             return
         self._depart(connection, reason, now)
-
-    def arrive(self, name: str, node: str, peer: Peer, now: float) -> None:
-        """Note a peer that came in on another node, and tell who is here."""
-        room = self._room(name)
-        self.rooms[name] = room
-        room.arrive(peer, node)
-        self._connections.tell_others(room, peer.peer_id, PeerJoined(peer=peer), now)
-
-    def follow(self, name: str, before: Member, member: Member, now: float) -> None:
-        """Note what is different about a peer of another node, and tell who is here."""
-        room, peer_id = self.rooms.get(name), member.peer.peer_id
-        if room is None or not room.node_of(peer_id):
-            return
-        tell_others = self._connections.tell_others
-        if room.update_metadata(peer_id, member.peer.metadata):
-            news = PeerUpdated(peer_id=peer_id, metadata=member.peer.metadata)
-            tell_others(room, peer_id, news, now)
-        if member.is_away and not before.is_away:
-            room.go_away(peer_id)
-            tell_others(room, peer_id, PeerAway(peer_id=peer_id), now)
-        elif before.is_away and not member.is_away:
-            room.note_back(peer_id)
-            tell_others(room, peer_id, PeerBack(peer_id=peer_id), now)
-        for number in set(before.muted) ^ set(member.muted):
-            stream = room.stream(number)
-            if stream is not None and stream.publisher == peer_id:
-                is_muted = number in member.muted
-                self._forwarding.mute(room, number, stream, is_muted=is_muted, now=now)
-
-    def depart(self, name: str, peer_id: str, reason: str, now: float) -> None:
-        """Note that a peer has gone that was on another node, and tell who is here."""
-        room = self.rooms.get(name)
-        if room is not None and room.node_of(peer_id):
-            self._forget(room, peer_id, reason, now)
 
     def _room(self, name: str) -> Room:
         room = self.rooms.get(name)
@@ -218,6 +196,8 @@ class Membership:
         self, connection: Connection, room: Room, joined: Joined, admission: Admission, now: float
     ) -> None:
         self.rooms[room.name] = room
+        if self.placement is not None and len(room) == 1:
+            self.placement.note_started(room.name)
         peer = room.peer(connection.peer_id)
         for track in peer.tracks:
             stream = room.stream(track.stream)
@@ -229,8 +209,6 @@ class Membership:
         tell_others(room, peer.peer_id, PeerJoined(peer=peer), now)
         for number in room.muted_of(peer.peer_id):
             tell_others(room, peer.peer_id, StreamMuted(stream=number, is_muted=True), now)
-            if self._connections.cluster_peers is not None:
-                self._connections.cluster_peers.note_member(room, peer.peer_id)
         if admission.may_subscribe:
             self._forwarding.catch_up(connection, room, now)
 
@@ -258,15 +236,11 @@ class Membership:
             connections.wind_up(former, now)
         connections.rename(connection, peer_id)
         joined = room.come_back(peer_id, may_subscribe=admission.may_subscribe)
-        if connections.cluster_peers is not None:
-            connections.cluster_peers.come_back(connection, room)
         self._accept(connection, room, joined, admission, now)
         connections.tell_others(room, peer_id, PeerBack(peer_id=peer_id), now)
         if room.update_metadata(peer_id, join.metadata):
             news = PeerUpdated(peer_id=peer_id, metadata=join.metadata)
             connections.tell_others(room, peer_id, news, now)
-        if connections.cluster_peers is not None:
-            connections.cluster_peers.note_member(room, peer_id)
         if admission.may_subscribe:
             self._forwarding.catch_up(connection, room, now)
         return True
@@ -308,7 +282,7 @@ class Membership:
             return
         peer_id = room.peer_of(identity)
         if not identity and not join.resume:
-            before = (lost for each in room.away_here if (lost := self._away[each]))
+            before = (lost for each in room.away if (lost := self._away[each]))
             same = (lost.peer_id for lost in before if lost.address == connection.address)
             peer_id = next((each for each in same if room.is_like(each, join)), None)
         if peer_id is not None:
@@ -318,8 +292,6 @@ class Membership:
     def _depart(self, connection: Connection, reason: str, now: float) -> None:
         """Take somebody whose connection is over out of the room, if they are in one."""
         self._tickets.forget(connection.peer_id)
-        if self._connections.cluster_peers is not None:
-            self._connections.cluster_peers.leave(connection, reason)
         room, connection.room = connection.room, None
         if room is not None:
             self._forget(room, connection.peer_id, reason, now)
@@ -328,9 +300,9 @@ class Membership:
         """Clear up after a member of a room, and tell the others."""
         peer = room.leave(peer_id)
         if len(room) == 0:
-            for node in list(room.links):
-                self._forwarding.drop_link(room, node)
             del self.rooms[room.name]
+            if self.placement is not None:
+                self.placement.note_ended(room.name, now)
             return
         for track in peer.tracks:
             self._forwarding.forget_stream(room, track.stream)

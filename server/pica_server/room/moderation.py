@@ -1,8 +1,7 @@
 """What an admin asks for in a room: remove a participant, mute a kind of stream, bar an identity.
 
-Pure. Only a participant whose token has the grant ``admin`` may ask. What must be done on another
-node of the cluster is passed on to it. Whoever is not in the room any more is left alone: the
-request and the leaving have crossed.
+Pure. Only a participant whose token has the grant ``admin`` may ask. Whoever is not in the room any
+more is left alone: the request and the leaving have crossed.
 """
 
 from dataclasses import dataclass
@@ -45,18 +44,15 @@ class Moderation:
                         self.mute(room, track.stream, is_muted=is_muted, now=now)
             case messages.BarIdentity(identity=identity, is_barred=is_barred):
                 self.bar(room, identity, is_barred=is_barred, now=now)
-                self._order(room, "bar" if is_barred else "unbar", identity)
 
     def remove(self, room: Room, peer_id: str, now: float) -> None:
         """Remove a participant, who may be away."""
-        if room.node_of(peer_id):
-            self._order(room, "remove", peer_id)
-        elif peer_id in room:
+        if peer_id in room:
             reason = "an admin has removed you from the room"
             self._membership.close_peer(peer_id, CloseCode.REMOVED, reason, now)
 
     def bar(self, room: Room, identity: str, *, is_barred: bool, now: float) -> None:
-        """Remove an identity from this node and keep it out until the room is empty, or let it join
+        """Remove an identity from the room and keep it out until the room is empty, or let it join
         again."""
         room.decide(identity, BAR, holds=is_barred)
         peer_id = room.peer_of(identity)
@@ -69,17 +65,7 @@ class Moderation:
         stream = room.stream(number)
         if stream is None or stream.is_muted is is_muted:
             return
-        if room.is_remote(number):
-            self._order(room, "mute" if is_muted else "unmute", str(number))
-            return
         peer = room.peer(stream.publisher)
         kind = next(track.kind for track in peer.tracks if track.stream == number)
         room.decide(peer.identity, kind, holds=is_muted)
         self._forwarding.mute(room, number, stream, is_muted=is_muted, now=now)
-        if self._connections.cluster_peers is not None:
-            self._connections.cluster_peers.note_member(room, stream.publisher)
-
-    def _order(self, room: Room, what: str, target: str) -> None:
-        """Have something done where it must be, if there are other nodes."""
-        if self._connections.cluster_peers is not None:
-            self._connections.cluster_peers.order(room, what, target)

@@ -15,7 +15,6 @@ from pica_protocol.limits import MAX_LAYER, MAX_STREAM
 from pica_protocol.messages import Join, Joined, Metadata, Peer, Track
 from pica_protocol.stream_queue import MAX_CHAIN_BYTES, MAX_CHAIN_FRAMES
 from pica_server.auth.tokens import Admission
-from pica_server.cluster.media import NodeLink
 from pica_server.errors import RoomFullError
 
 _NOTHING = -1
@@ -35,8 +34,6 @@ class _Member:
     default_layer: int = MAX_LAYER
     is_away: bool = False
     """Its connection is lost, and it may come back."""
-    node: str = ""
-    """Where it is connected, if that is another node of the cluster."""
 
 
 @dataclass(slots=True)
@@ -95,11 +92,7 @@ def as_peer(peer_id: str, join: Join, admission: Admission, tracks: tuple[Track,
 
 
 class Room:
-    """One room and the subscriptions of its members.
-
-    Attributes:
-        links: The other nodes of the cluster with peers in this room, as receivers of frames.
-    """
+    """One room and the subscriptions of its members."""
 
     def __init__(self, name: str, capacity: int) -> None:
         self.name = name
@@ -107,15 +100,13 @@ class Room:
         self._members: dict[str, _Member] = {}
         self._streams: dict[int, Stream] = {}
         self._last_stream = 0
-        self._num_remote = 0
         # Who gets the frames of a stream and layer: looked up for every frame, changed rarely.
         self._receivers: dict[tuple[int, int], list[str]] = {}
-        self.links: dict[str, NodeLink] = {}
         self._decisions: dict[tuple[str, str], None] = {}
 
     def __len__(self) -> int:
-        """How many are connected here; the peers of other nodes are not counted."""
-        return len(self._members) - self._num_remote
+        """How many are in the room, those who are away among them."""
+        return len(self._members)
 
     def __contains__(self, peer_id: str) -> bool:
         return peer_id in self._members
@@ -129,11 +120,6 @@ class Room:
     def peers(self) -> tuple[Peer, ...]:
         """Everybody in the room, in the order of their coming."""
         return tuple(member.peer for member in self._members.values())
-
-    @property
-    def peers_here(self) -> tuple[Peer, ...]:
-        """Those who are connected to this node, in the order of their coming."""
-        return tuple(member.peer for member in self._members.values() if not member.node)
 
     @property
     def streams(self) -> Iterable[tuple[int, Stream]]:
@@ -154,30 +140,16 @@ class Room:
             raise RoomFullError(f"room {self.name} is full: {self._capacity} peers")
         own = tuple(replace(t, stream=self._new_stream(peer_id, t)) for t in join.tracks)
         peer = as_peer(peer_id, join, admission, own)
-        return self.enter(peer, may_subscribe=admission.may_subscribe)
-
-    def enter(self, peer: Peer, *, may_subscribe: bool = True) -> Joined:
-        """Let a peer in whose tracks have their streams, and return what to tell it."""
         present = self.peers
         self._receivers.clear()
-        default_layer = MAX_LAYER if may_subscribe else _NOTHING
-        self._members[peer.peer_id] = _Member(peer, default_layer=default_layer)
-        for track in peer.tracks:
-            self._streams.setdefault(track.stream, Stream.of(peer.peer_id, track))
+        default_layer = MAX_LAYER if admission.may_subscribe else _NOTHING
+        self._members[peer_id] = _Member(peer, default_layer=default_layer)
         return self._joined(peer, present)
-
-    def arrive(self, peer: Peer, node: str) -> None:
-        """Note a peer that is connected to another node."""
-        self._num_remote += peer.peer_id not in self
-        self.enter(peer, may_subscribe=False)
-        self._members[peer.peer_id].node = node
 
     def leave(self, peer_id: str) -> Peer:
         """Forget a peer, its streams and everybody's subscriptions for them."""
         self._receivers.clear()
-        gone = self._members.pop(peer_id)
-        self._num_remote -= bool(gone.node)
-        peer = gone.peer
+        peer = self._members.pop(peer_id).peer
         for track in peer.tracks:
             del self._streams[track.stream]
             for member in self._members.values():
@@ -204,10 +176,6 @@ class Room:
         who has crashed and begun anew, as far as can be told."""
         name = self._members[peer_id].peer.name
         return name == join.name and self.is_place_of(peer_id, "", join.tracks)
-
-    def note_back(self, peer_id: str) -> None:
-        """Note that a peer of another node has come back to its place there."""
-        self._members[peer_id].is_away = False
 
     def muted_of(self, peer_id: str) -> tuple[int, ...]:
         """Return those streams of a peer that an admin has stopped."""
@@ -254,40 +222,14 @@ class Room:
         """Ids of those who have lost their connection and may come back."""
         return tuple(peer_id for peer_id, member in self._members.items() if member.is_away)
 
-    @property
-    def away_here(self) -> tuple[str, ...]:
-        """Those of them who were on this node."""
-        return tuple(peer_id for peer_id in self.away if not self.node_of(peer_id))
-
     def peer_of(self, identity: str) -> str | None:
-        """Return the peer id of somebody who is on this node for sure, or None."""
-        found = (peer.peer_id for peer in self.peers_here if identity == peer.identity)
+        """Return the peer id of an identity in the room, or None."""
+        found = (peer.peer_id for peer in self.peers if identity == peer.identity)
         return next(found, None) if identity else None
 
     def peer(self, peer_id: str) -> Peer:
         """Return one member as the others see it."""
         return self._members[peer_id].peer
-
-    def node_of(self, peer_id: str) -> str:
-        """Return the other node that a peer is connected to, or empty."""
-        member = self._members.get(peer_id)
-        return "" if member is None else member.node
-
-    def is_remote(self, stream: int) -> bool:
-        """Say whether a stream comes from another node."""
-        found = self._streams.get(stream)
-        return found is not None and bool(self.node_of(found.publisher))
-
-    def interest(self) -> dict[int, int]:
-        """Return what all who are here together want of other nodes' streams: the highest layer
-        of each; a stream that nobody wants is missing."""
-        here = [member for member in self._members.values() if not member.node]
-        wanted = {}
-        for stream in filter(self.is_remote, self._streams):
-            layer = max(m.highest_layer.get(stream, m.default_layer) for m in here)
-            if layer > _NOTHING:
-                wanted[stream] = layer
-        return wanted
 
     def forget_chain(self, stream: int) -> None:
         """Forget what was kept of a stream that does not come any more."""

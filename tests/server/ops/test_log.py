@@ -66,9 +66,9 @@ def test_a_json_line_has_time_level_event_and_fields() -> None:
 
 def test_a_text_line_has_the_same() -> None:
     with Logged(style="text") as log:
-        OURS.warning("cluster connection lost", extra={"nodes": 2})
+        OURS.warning("connection lost", extra={"relays": 2})
     (line,) = log.lines
-    assert line.split(" ", 1)[1] == "warning cluster connection lost nodes=2"
+    assert line.split(" ", 1)[1] == "warning connection lost relays=2"
 
 
 def test_what_the_command_says_is_a_sentence_for_people_and_an_event_for_machines() -> None:

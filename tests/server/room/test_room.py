@@ -181,12 +181,3 @@ class RoomMachine(RuleBasedStateMachine):
 
 RoomMachine.TestCase.settings = settings(max_examples=60, stateful_step_count=30)
 TestRoomMachine = RoomMachine.TestCase
-
-
-def test_a_peer_of_another_node_that_arrives_twice_is_one() -> None:
-    room = room_of("Ada")
-    for _ in range(2):
-        room.arrive(Peer(peer_id="elsewhere", name="Xen"), "node")
-    assert len(room) == 1
-    room.leave("elsewhere")
-    assert len(room) == 1

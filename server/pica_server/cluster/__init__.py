@@ -1,1 +1,0 @@
-"""Rooms that live on several relays, over NATS."""

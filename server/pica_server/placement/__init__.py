@@ -1,0 +1,1 @@
+"""Which relay has which room: a bucket of NATS maps rooms to relays."""

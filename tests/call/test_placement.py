@@ -1,0 +1,198 @@
+"""Rooms on three relays with a real NATS server: placed, redirected, killed, drained, without NATS.
+
+What is counted is asserted; times are printed (run with ``-s``), since they are the machine's.
+"""
+
+import asyncio
+import os
+import time
+from collections.abc import Iterator
+from contextlib import AsyncExitStack
+from pathlib import Path
+
+import pytest
+
+from simnet.nats_server import NatsServer, needs_nats
+from simnet.relays import Person, RelayProcess, person, running_relays, start_relay, until
+
+pytestmark = [pytest.mark.realtime, needs_nats]
+
+if os.name == "nt":
+    pytest.skip("stops relays with Unix signals", allow_module_level=True)
+
+NUM_ROOMS = 100
+
+
+@pytest.fixture
+def nats(tmp_path: Path) -> Iterator[NatsServer]:
+    server = NatsServer(tmp_path)
+    server.start()
+    yield server
+    server.stop()
+
+
+@pytest.fixture
+def relays(nats: NatsServer) -> Iterator[list[RelayProcess]]:
+    with running_relays(3, nats.url) as running:
+        yield running
+
+
+def report(text: str) -> None:
+    print(f"\n    measured: {text}")
+
+
+async def until_number(relay: RelayProcess, name: str, value: float) -> None:
+    for _ in range(200):
+        if await asyncio.to_thread(relay.number, name) == value:
+            return
+        await asyncio.sleep(0.05)
+    raise AssertionError(f"{name} does not become {value}")
+
+
+async def total(relays: list[RelayProcess], name: str) -> float:
+    return sum([await asyncio.to_thread(relay.number, name) for relay in relays])
+
+
+async def pairs(
+    stack: AsyncExitStack, relays: list[RelayProcess], num_rooms: int
+) -> list[tuple[Person, Person]]:
+    """Two people in each room, who ask different relays for it."""
+
+    async def pair(number: int) -> tuple[Person, Person]:
+        ways = [relays[(number + turn) % len(relays) :] + relays for turn in (0, 1)]
+        ada, ben = [
+            await stack.enter_async_context(
+                person(f"{name}{number}", *dict.fromkeys(way), room=f"room{number}")
+            )
+            for name, way in zip(("ada", "ben"), ways, strict=True)
+        ]
+        return ada, ben
+
+    made = [await pair(number) for number in range(num_rooms)]
+    await until(lambda: all(map(are_together, made)))
+    return made
+
+
+def are_together(pair: tuple[Person, Person]) -> bool:
+    ada, ben = pair
+    is_at_one = ada.link.url == ben.link.url
+    return is_at_one and ada.sees(ben.name) and ben.sees(ada.name)
+
+
+def test_a_room_lives_on_one_relay_whichever_is_asked_and_all_relays_get_rooms(
+    relays: list[RelayProcess],
+) -> None:
+    async def call() -> None:
+        async with AsyncExitStack() as stack:
+            await pairs(stack, relays, 12)
+            num_rooms = [await asyncio.to_thread(each.number, "rooms") for each in relays]
+            assert sum(num_rooms) == 12
+            assert min(num_rooms) >= 2
+
+    asyncio.run(call())
+
+
+def test_the_people_of_a_killed_relay_are_back_in_their_rooms_within_five_seconds(
+    relays: list[RelayProcess],
+) -> None:
+    async def call() -> None:
+        async with AsyncExitStack() as stack:
+            made = await pairs(stack, relays, NUM_ROOMS)
+            hit = [pair for pair in made if pair[0].link.url == relays[0].url]
+            assert hit
+            killed_s = time.monotonic()
+            relays[0].kill()
+            await until(
+                lambda: all(are_together(p) and p[0].link.url != relays[0].url for p in made)
+            )
+            report(f"{len(hit)} rooms back {time.monotonic() - killed_s:.2f} s after the kill")
+            assert not any(p.link.reconnects for pair in made if pair not in hit for p in pair)
+
+    asyncio.run(call())
+
+
+def test_no_call_ends_when_nats_is_killed_and_comes_back_empty(
+    relays: list[RelayProcess], tmp_path: Path, nats: NatsServer
+) -> None:
+    async def call() -> None:
+        async with AsyncExitStack() as stack:
+            made = await pairs(stack, relays, NUM_ROOMS)
+            nats.stop()
+            nats.empty()
+            await asyncio.sleep(3.0)
+            page = await asyncio.to_thread(relays[0].page, "/healthz")
+            assert page == "ok\nNATS lost, new rooms are local\n"
+            news = await stack.enter_async_context(person("new", *relays, room="made-without"))
+            assert news.has_joined
+            assert await total(relays, 'placement_total{event="local"}') == 1
+            await asyncio.to_thread(nats.start)
+            back_s = time.monotonic()
+            for each in relays:
+                await until_number(each, "placement_up", 1)
+            report(f"all relays place rooms {time.monotonic() - back_s:.2f} s after NATS is back")
+            await asyncio.sleep(1.0)
+            assert all(map(are_together, made))
+            everybody = [news, *(p for pair in made for p in pair)]
+            assert not any(p.link.reconnects for p in everybody)
+            for number, pair in enumerate(made[:6]):
+                cleo = person("cleo", *relays[number % 3 :], *relays, room=f"room{number}")
+                async with cleo as late:
+                    await until(lambda late=late, pair=pair: late.sees(*(p.name for p in pair)))
+
+    asyncio.run(call())
+
+
+def test_rooms_that_were_made_twice_without_nats_become_one(
+    relays: list[RelayProcess], nats: NatsServer
+) -> None:
+    async def call() -> None:
+        nats.stop()
+        async with (
+            person("ada", relays[0], relays[1], room="twice") as ada,
+            person("ben", relays[1], relays[0], room="twice") as ben,
+        ):
+            assert ada.link.url != ben.link.url
+            await asyncio.to_thread(nats.start)
+            took_s = await until(lambda: are_together((ada, ben)))
+            report(f"together {took_s:.2f} s after NATS is back")
+            assert (ada.link.reconnects, ben.link.reconnects) == (0, 1)
+
+    asyncio.run(call())
+
+
+def test_a_relay_that_is_drained_hands_its_rooms_over(relays: list[RelayProcess]) -> None:
+    async def call() -> None:
+        async with AsyncExitStack() as stack:
+            made = await pairs(stack, relays, 12)
+            relays[0].process.terminate()
+            await until(lambda: relays[0].process.poll() is not None)
+            took_s = await until(lambda: all(map(are_together, made)))
+            report(f"together {took_s:.2f} s after the relay has ended")
+            assert relays[0].process.returncode == 0
+            assert all(p.link.reconnects <= 1 for pair in made for p in pair)
+
+    asyncio.run(call())
+
+
+@pytest.mark.parametrize(
+    ("url", "complaint"),
+    [
+        ("http://127.0.0.1:4222", "--cluster is no address of NATS: write nats://HOST:4222"),
+        ("PLAIN", "start nats-server with -js"),
+    ],
+)
+def test_a_cluster_that_cannot_be_joined_ends_in_one_line_without_the_password(
+    url: str, complaint: str, tmp_path: Path
+) -> None:
+    plain = NatsServer(tmp_path, jetstream=False)
+    plain.start()
+    secret = plain.url.replace("//", "//user:secret@")
+    try:
+        process = start_relay("--port", "0", "--cluster", secret if url == "PLAIN" else url)
+        _, stderr = process.communicate(timeout=30)
+    finally:
+        plain.stop()
+    assert process.returncode == 2, stderr
+    (line,) = stderr.splitlines()
+    assert complaint in line
+    assert "secret" not in line

@@ -1,0 +1,140 @@
+"""Relays as processes, and people in a call who find another relay when theirs dies.
+
+Real processes, a real NATS, real links: nothing here is simulated, so times are the machine's.
+"""
+
+import asyncio
+import random
+import signal
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import asynccontextmanager, contextmanager
+
+from pica_client.transport.config import LinkConfig
+from pica_client.transport.link import Link
+from pica_protocol.messages import Joined, PeerJoined, PeerLeft, Track
+from pica_protocol.session import ClientEvent
+
+
+class RelayProcess:
+    """One relay process.
+
+    Attributes:
+        url: Where it listens.
+        process: The process.
+    """
+
+    def __init__(self, process: subprocess.Popen[str], url: str) -> None:
+        self.process = process
+        self.url = url
+
+    def kill(self) -> None:
+        """Kill it as the kernel does a process that has taken too much memory."""
+        self.process.kill()
+        self.process.wait()
+
+    def freeze(self) -> None:
+        """Stop it without ending it."""
+        self.process.send_signal(signal.SIGSTOP)
+
+    def thaw(self) -> None:
+        """Let it go on."""
+        self.process.send_signal(signal.SIGCONT)
+
+    def page(self, path: str) -> str:
+        """Fetch a status page; blocks."""
+        with urllib.request.urlopen(f"http{self.url[2:]}{path}", timeout=5) as response:
+            text: str = response.read().decode()
+            return text
+
+    def number(self, name: str) -> float:
+        """Fetch one of its numbers; 0 if it has not been counted yet. Blocks."""
+        for line in self.page("/metrics").splitlines():
+            if line.startswith(f"pica_{name} "):
+                return float(line.split()[-1])
+        return 0.0
+
+
+def start_relay(*words: str) -> subprocess.Popen[str]:
+    """Start a relay on a free port, without waiting for it."""
+    command = [sys.executable, "-m", "pica_command", "relay", "--avatar-store", "none", *words]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+@contextmanager
+def running_relays(count: int, nats_url: str, *words: str) -> Iterator[list[RelayProcess]]:
+    """Run so many relays that place their rooms over one NATS."""
+    processes = [start_relay("--port", "0", "--cluster", nats_url, *words) for _ in range(count)]
+    relays = []
+    try:
+        for process in processes:
+            assert process.stderr is not None
+            line = process.stderr.readline()
+            assert line.startswith("listening on "), line + process.stderr.read()
+            relays.append(RelayProcess(process, line.split()[-1]))
+        yield relays
+    finally:
+        for process in processes:
+            process.kill()
+            process.communicate()
+
+
+class Person:
+    """Somebody in a call, with a face track that says nothing.
+
+    Attributes:
+        link: The real link.
+        others: Names of those who are in the room with them, by peer id.
+        has_joined: Whether they were let in at least once.
+    """
+
+    def __init__(self, name: str, url: str, *, room: str) -> None:
+        self.name = name
+        self.others: dict[str, str] = {}
+        self.has_joined = False
+        config = LinkConfig(url=url, room=room, name=name, connect_timeout_s=10.0)
+        tracks, rng = (Track(kind="face"),), random.Random(name)
+        self.link = Link(config, tracks, on_event=self._note, rng=rng)
+
+    def sees(self, *names: str) -> bool:
+        """Return True if exactly these are in the room with them."""
+        return sorted(self.others.values()) == sorted(names)
+
+    def _note(self, event: ClientEvent, _now: float) -> None:
+        match event:
+            case Joined():
+                self.has_joined = True
+                self.others = {peer.peer_id: peer.name for peer in event.peers}
+            case PeerJoined(peer=peer):
+                self.others[peer.peer_id] = peer.name
+            case PeerLeft(peer_id=peer_id):
+                del self.others[peer_id]
+
+
+@asynccontextmanager
+async def person(name: str, *relays: RelayProcess, room: str = "lobby") -> AsyncIterator[Person]:
+    """Be in a room, by way of the first of these relays that answers; then leave."""
+    somebody = Person(name, ",".join(relay.url for relay in relays), room=room)
+    running = asyncio.create_task(somebody.link.run())
+    try:
+        await until(lambda: somebody.has_joined or running.done())
+        yield somebody
+    finally:
+        somebody.link.leave()
+        await running
+
+
+async def until(is_so: Callable[[], bool], timeout_s: float = 15.0) -> float:
+    """Wait until something is so; return how long that took.
+
+    Raises:
+        AssertionError: It is still not so.
+    """
+    start = time.monotonic()
+    while not is_so():
+        assert time.monotonic() - start < timeout_s, "it does not come to that"
+        await asyncio.sleep(0.005)
+    return time.monotonic() - start
