@@ -1,4 +1,4 @@
-"""Render a tiny capture of a built-in head: what a camera dome would record, made from nothing.
+"""Render a tiny capture of a person of the face model: what a camera dome would record.
 
 You learn what training reads: images of several calibrated cameras, a tracked mesh and an
 average texture per frame, depth, and the expression of each frame. The contact sheet shows all
@@ -12,17 +12,24 @@ from pathlib import Path
 from pica_core.capture.dataset.check import check_capture
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.dataset.sheet import write_sheet
-from pica_core.capture.procedural.subject import StageOptions, render_capture
+from pica_core.capture.person.choices import draw_person
+from pica_core.capture.person.subject import PersonSubject
+from pica_core.capture.stage.synth import RenderOptions, render_subject
 
 OUT = Path(sys.argv[1] if len(sys.argv) > 1 else "out")
 OUT.mkdir(parents=True, exist_ok=True)
-OPTIONS = StageOptions(
-    head="S1", frames=6, cameras=2, width=128, height=128, texture_size=64,
-    bake_size=256, self_shadow=False, tracked_vertices=1000,
-)  # fmt: skip
+OPTIONS = RenderOptions(
+    frames=6, cameras=2, width=128, height=128, texture_size=64, tracked_vertices=1000
+)
+
+
+def make_subject() -> PersonSubject:
+    """Put person number 7 on the stage, on a coarse mesh and without shadows: seconds count."""
+    return PersonSubject(draw_person(7), bake_size=256, self_shadow=False, coarse=True)
+
 
 with tempfile.TemporaryDirectory() as folder:
-    counts = render_capture(OPTIONS, Path(folder))
+    counts = render_subject(make_subject, OPTIONS, Path(folder))
     capture = Capture.open(Path(folder))
     print(f"{counts['images']} images by {len(capture.cameras)} cameras")
     for split in ("train", "test"):

@@ -13,7 +13,9 @@ import torch
 
 from pica_core.avatar.file import avatar_id, save_avatar
 from pica_core.capture.dataset.dataset import Capture
-from pica_core.capture.procedural.subject import StageOptions, render_capture
+from pica_core.capture.person.choices import draw_person
+from pica_core.capture.person.subject import PersonSubject
+from pica_core.capture.stage.synth import RenderOptions, render_subject
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.train.config import PRESETS
 from pica_core.train.data.training import TrainingData
@@ -22,13 +24,17 @@ from pica_core.train.loop import Losses, open_trainer
 
 OUT = Path(sys.argv[1] if len(sys.argv) > 1 else "out")
 OUT.mkdir(parents=True, exist_ok=True)
-STAGE = StageOptions(
-    frames=6, cameras=2, width=64, height=64, texture_size=64,
-    bake_size=256, self_shadow=False, tracked_vertices=1000,
-)  # fmt: skip
+STAGE = RenderOptions(
+    frames=6, cameras=2, width=64, height=64, texture_size=64, tracked_vertices=1000
+)
 CONFIG = PRESETS["tiny"].changed(
     schedule={"geometry_steps": 3, "joint_steps": 3, "driver_steps": 3}
 )
+
+
+def make_subject() -> PersonSubject:
+    """Put person number 7 on the stage, on a coarse mesh and without shadows: seconds count."""
+    return PersonSubject(draw_person(7), bake_size=256, self_shadow=False, coarse=True)
 
 
 def show(step: int, phase: str, losses: Losses) -> bool:
@@ -39,13 +45,13 @@ def show(step: int, phase: str, losses: Losses) -> bool:
 
 torch.set_num_threads(1)
 with tempfile.TemporaryDirectory() as folder:
-    render_capture(STAGE, Path(folder, "capture"))
+    render_subject(make_subject, STAGE, Path(folder, "capture"))
     data = TrainingData(Capture.open(Path(folder, "capture")))
     with open_trainer(data, CONFIG, Path(folder, "run")) as trainer:
         trainer.run(show)
         assert isinstance(trainer.model, PixelCodecAvatar)
         avatar = make_avatar(
-            trainer.model, data, name="Nobody", identity="S1", licence="Apache-2.0", model_card={}
+            trainer.model, data, name="Nobody", identity="P7", licence="Apache-2.0", model_card={}
         )
 file = OUT / "nobody.pica"
 save_avatar(file, avatar)

@@ -34,7 +34,7 @@ HOST_USER, IMAGE_USER = 1000, 10001
 """The owner of a key file who runs a container under their own id, and the images' own user."""
 TIMEOUT_S = 900.0
 TRAIN_LINES = (
-    "capture synth --out capture --frames 12 --cameras 5 --size 96x72 --texture-size 64",
+    "capture person --out capture --frames 12 --cameras 5 --size 96x72 --texture-size 64",
     "train --capture capture --out run --preset tiny --eval-frames 1",
     "export --run run --capture capture --out avatar.pica --name Ada --no-stream --no-levels",
 )

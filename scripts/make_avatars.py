@@ -1,8 +1,8 @@
 """Make the avatars that ship: capture each person of the face model, train, export, measure.
 
-    python scripts/make_avatars.py --facekit ICT-FaceKit --work work                # all six
-    python scripts/make_avatars.py --facekit ICT-FaceKit --work work --names nora   # one of them
-    python scripts/make_avatars.py --facekit ICT-FaceKit --work work --fit-size     # size alone
+    python scripts/make_avatars.py --work work                # all six
+    python scripts/make_avatars.py --work work --names nora   # one of them
+    python scripts/make_avatars.py --work work --fit-size     # size alone
 
 About twenty minutes each on a core. What is done is left alone and what was stopped goes on. The
 people are described in `scripts/people`.
@@ -32,7 +32,6 @@ LICENCE = "Apache-2.0; face model ICT-FaceKit: MIT, (c) 2020 USC ICT"
 def main() -> None:
     """Make what is not there yet."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--facekit", type=Path, required=True, help="clone of ICT-FaceKit")
     parser.add_argument("--work", type=Path, required=True, help="captures and runs")
     parser.add_argument("--names", nargs="*", default=list(PEOPLE), choices=list(PEOPLE))
     parser.add_argument("--fit-size", action="store_true", help="bring files to their size alone")
@@ -44,15 +43,15 @@ def main() -> None:
         place = options.work / name
         if (place / "done").exists():
             continue
-        make(name, options.facekit, place)
+        make(name, place)
         (place / "done").touch()
 
 
-def make(name: str, facekit: Path, place: Path) -> None:
+def make(name: str, place: Path) -> None:
     """Make one avatar, as far as that is not done."""
     capture, run, file = place / "capture", place / "run", str(FOLDER / f"{name}.pica")
     if not (capture / "person.json").exists():
-        words = ["--facekit", str(facekit), "--person", str(PEOPLE[name]), "--out", str(capture)]
+        words = ["--person", str(PEOPLE[name]), "--out", str(capture)]
         pica("capture", "person", *words, *STAGE.split())
     of = ["--capture", str(capture), "--out"]
     if not (run / "evaluation.json").exists():

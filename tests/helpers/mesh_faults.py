@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from helpers.head_checks import POKE_MM, SMALL_MM2, front_depth
 from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.rig.features import Limits, find_features
 from pica_core.capture.rig.guards import PoseGuard
@@ -20,6 +19,13 @@ from pica_core.types import BoolArray, Float64Array, FloatArray, Int64Array, Int
 SKIN, EYE, TEETH, COLLAR, HAIR = (
     MATERIALS.index(name) for name in ("skin", "eye", "teeth", "collar", "hair")
 )
+SMALL_MM2 = 0.25
+"""Smaller faces are left out: half a millimetre across, a pixel of a whole-head picture."""
+CELL_MM = 2.0
+ROW = 1 << 20
+"""Cells in a row of the grid in which faces are listed: more than there ever are."""
+POKE_MM = 0.15
+"""How far a part must stand out of the skin to count: about a pixel of a close camera."""
 TURNS = (0.0, 90.0, 180.0, 270.0)
 """Degrees about the head from which clothes and hair are looked at."""
 UNDER_MM = 12.0
@@ -135,3 +141,45 @@ class MeshChecks:
 def _turned(points: Float64Array, degrees: float) -> Float64Array:
     cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     return points @ np.array([[cosine, 0, sine], [0, 1, 0], [-sine, 0, cosine]])
+
+
+def front_depth(vertices: Float64Array, faces: Int64Array, points: Float64Array) -> Float64Array:
+    """Depth z of the foremost face over each point, seen along -z; +inf where none covers it.
+
+    Args:
+        vertices: ``[V, 3]``.
+        faces: ``[F, 3]``.
+        points: ``[P, 3]``; z is not used.
+    """
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    det = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * (b[:, 1] - a[:, 1])
+    facing = det > 1e-6
+    a, b, c, det = a[facing], b[facing], c[facing], det[facing]
+    # Faces are listed in the square cells that they touch; a point meets those of its own cell.
+    corner = points[:, :2].min(0) - CELL_MM
+    low = np.floor((np.minimum(np.minimum(a, b), c)[:, :2] - corner) / CELL_MM).astype(np.int64)
+    high = np.floor((np.maximum(np.maximum(a, b), c)[:, :2] - corner) / CELL_MM).astype(np.int64)
+    span = high - low + 1
+    count = span.prod(1)
+    face = np.repeat(np.arange(len(a)), count)
+    step = np.arange(len(face)) - np.repeat(np.cumsum(count) - count, count)
+    across = span[face, 0]
+    cell = (low[face, 0] + step % across) + (low[face, 1] + step // across) * ROW
+    order = np.argsort(cell, kind="stable")
+    cell, face = cell[order], face[order]
+    where = np.floor((points[:, :2] - corner) / CELL_MM).astype(np.int64)
+    wanted = where[:, 0] + where[:, 1] * ROW
+    start, stop = np.searchsorted(cell, wanted, "left"), np.searchsorted(cell, wanted, "right")
+    number = stop - start
+    point = np.repeat(np.arange(len(points)), number)
+    listed = np.arange(len(point)) - np.repeat(np.cumsum(number) - number, number)
+    met = face[np.repeat(start, number) + listed]
+    x, y = points[point, 0], points[point, 1]
+    p, q, r, d = a[met], b[met], c[met], det[met]
+    v = ((x - p[:, 0]) * (r[:, 1] - p[:, 1]) - (r[:, 0] - p[:, 0]) * (y - p[:, 1])) / d
+    w = ((q[:, 0] - p[:, 0]) * (y - p[:, 1]) - (x - p[:, 0]) * (q[:, 1] - p[:, 1])) / d
+    inside = (v >= 0) & (w >= 0) & (v + w <= 1)
+    z = p[:, 2] + v * (q[:, 2] - p[:, 2]) + w * (r[:, 2] - p[:, 2])
+    best = np.full(len(points), -np.inf)
+    np.maximum.at(best, point[inside], z[inside])
+    return np.where(np.isfinite(best), best, np.inf)

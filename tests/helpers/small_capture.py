@@ -1,22 +1,42 @@
-"""A capture of a built-in head that is rendered in seconds."""
+"""People of the face model's coarse mesh, and captures of them that are rendered in seconds."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
-from pica_core.capture.procedural.subject import StageOptions, render_capture
+from pica_core.capture.person.choices import draw_person
+from pica_core.capture.person.subject import PersonSubject, make_head
+from pica_core.capture.rig.head import RigHead
+from pica_core.capture.stage.synth import Progress, RenderOptions, render_subject
+
+PERSON = draw_person(7, hair="short", beard="none", clothes="tee")
+"""Whose capture it is."""
+NAME = f"{PERSON.sex}, {PERSON.age}"
+"""What captures call this person."""
+
+
+def small_head(*, coarse: bool = True) -> RigHead:
+    """The head; made once a process."""
+    return make_head(PERSON, coarse=coarse)[0]
+
+
+def small_subject(*, bake_size: int = 256, self_shadow: bool = False) -> PersonSubject:
+    """The person on the stage, without shadows that take seconds to measure."""
+    return PersonSubject(PERSON, bake_size=bake_size, self_shadow=self_shadow, coarse=True)
+
+
+def render_capture(
+    options: RenderOptions, out: Path, progress: Progress = lambda done, total: None
+) -> dict[str, Any]:
+    """Render the person; arguments, result and errors as `render_subject`."""
+    return render_subject(small_subject, options, out, progress)
 
 
 def render_small(folder: Path, *, frames: int = 6, cameras: int = 2, size: int = 64) -> Path:
-    """Render square images of `size` pixels without measuring shadows."""
-    options = StageOptions(
-        frames=frames,
-        cameras=cameras,
-        width=size,
-        height=size,
-        texture_size=64,
-        bake_size=256,
-        self_shadow=False,
+    """Render square images of `size` pixels."""
+    options = RenderOptions(
+        frames=frames, cameras=cameras, width=size, height=size, texture_size=64
     )
     render_capture(options, folder)
     return folder

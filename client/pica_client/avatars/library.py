@@ -14,7 +14,7 @@ from typing import Final, Protocol
 
 from pica_client.errors import AvatarLookupError
 from pica_core.avatar.file import Avatar, avatar_id, load_avatar
-from pica_core.avatar.shipped import FORMER, SUFFIX, shipped_avatar_files
+from pica_core.avatar.shipped import SUFFIX, shipped_avatar_files
 from pica_core.errors import AvatarFileError
 from pica_core.reference.decoders import still_map
 
@@ -85,7 +85,7 @@ class AvatarLibrary:
             AvatarFileError: The file cannot be read.
         """
         for identity, path in self._paths.items():
-            if path.stem.lower() in (name.lower(), FORMER.get(name.lower())):
+            if path.stem.lower() == name.lower():
                 return identity
         path = Path(name).expanduser()
         if path.suffix != SUFFIX:

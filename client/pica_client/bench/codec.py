@@ -17,18 +17,16 @@ import numpy as np
 
 from pica_client.bench.difference_sheet import Cell, write_sheet
 from pica_client.bench.harness import timed
-from pica_client.bench.head import FaceRenderer, evaluation_cameras, psnr_db
+from pica_client.bench.head import FaceRenderer
 from pica_client.bench.option_types import Ints, Words
 from pica_client.errors import OptionError, check_ranges
 from pica_client.output import say
 from pica_client.playout.motion import blend
-from pica_client.render.drawing import Drawing, change_mse, drawn_mse, masked_mse
+from pica_client.render.drawing import Drawing, change_mse, drawn_mse
 from pica_client.sources import open_source
 from pica_client.stats import describe_machine, wire_bytes
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
-from pica_core.capture.procedural.heads import HEADS
-from pica_core.capture.procedural.subject import ProceduralSubject
 from pica_core.capture.stage.stream_training_faces import stream_training_performances
 from pica_core.codec.latent_sample import LatentSample, ReceivedFrame
 from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
@@ -107,13 +105,11 @@ def run_codec_bench(config: CodecConfig, avatar: Avatar) -> dict[str, Any]:
     rows: list[dict[str, Any]] = []
     cells: list[Cell] = []
     coders = _coders(profile, avatar, config)
-    for source, (arkit, samples) in takes.items():
+    for source, samples in takes.items():
         places = np.linspace(FPS / 2, len(samples) - 2, config.moments).astype(int)
         moments = np.unique(places).tolist()
-        # One GL context at a time on this thread: the stage's is gone before the renderer's comes.
-        truth = _draw_truth(avatar, arkit, moments, config)
         with FaceRenderer(avatar, size_px=config.image_size, views=VIEWS) as renderer:
-            compare = _Comparison(renderer, samples, moments, truth)
+            compare = _Comparison(renderer, samples, moments)
             for name, code in coders.items():
                 say(f"{source}: {name}")
                 row = {"profile": name, "source": source, "fps": FPS, **compare(code(samples))}
@@ -135,36 +131,15 @@ def run_codec_bench(config: CodecConfig, avatar: Avatar) -> dict[str, Any]:
     }
 
 
-def _read(source: str, seconds: float, avatar: Avatar) -> tuple[FloatArray, list[LatentSample]]:
-    """A performance as a sender has it: expressions, float32 ``[T, 52]``, and what it makes of
-    them, one a frame."""
+def _read(source: str, seconds: float, avatar: Avatar) -> list[LatentSample]:
+    """What a sender makes of a performance, one a frame."""
     player = open_source(source)
     frames = [player.frame_at(index / FPS) for index in range(round(seconds * FPS))]
     arkit = np.stack([frame.arkit for frame in frames])
-    samples = [
+    return [
         LatentSample(latent=latent, rotation=frame.rotation, translation_m=frame.translation_m)
         for latent, frame in zip(ExpressionEncoder(avatar).encode(arkit), frames, strict=True)
     ]
-    return arkit, samples
-
-
-def _draw_truth(
-    avatar: Avatar, arkit: FloatArray, moments: Sequence[int], config: CodecConfig
-) -> list[Image] | None:
-    """The head itself at some moments, if the stage knows it. uint8 ``[views, H, W, 3]`` each."""
-    if avatar.manifest.identity not in HEADS:
-        return None
-    # One GL context at a time on this thread: the stage's is gone before the renderer's comes.
-    stage = ProceduralSubject(avatar.manifest.identity)
-    cameras = evaluation_cameras(VIEWS, config.image_size)
-    images = []
-    try:
-        for moment in moments:
-            stage.pose(arkit[moment])
-            images.append(np.stack([stage.draw(camera).image for camera in cameras]))
-    finally:
-        stage.release()
-    return images
 
 
 class _Comparison:
@@ -175,9 +150,8 @@ class _Comparison:
         renderer: FaceRenderer,
         sent: Sequence[LatentSample],
         moments: Sequence[int],
-        truth: list[Image] | None,
     ) -> None:
-        self._renderer, self._sent, self._moments, self._truth = renderer, sent, moments, truth
+        self._renderer, self._sent, self._moments = renderer, sent, moments
         self.worst: tuple[Image, Image] = (np.zeros((1, 1, 3), np.uint8),) * 2
         """Front view of the largest error of the last measurement: as it should be, as shown."""
         self._uncoded = [self._draw_pair(sent, moment) for moment in moments]
@@ -186,7 +160,7 @@ class _Comparison:
         return [self._renderer.draw(sample.latent) for sample in samples[at : at + 2]]
 
     def __call__(self, coded: Coded) -> dict[str, Any]:
-        errors, changes, losses = [], [], []
+        errors, changes = [], []
         for index, moment in enumerate(self._moments):
             plain, plain_next = self._uncoded[index]
             shown, shown_next = self._draw_pair(coded.shown, moment)
@@ -194,12 +168,6 @@ class _Comparison:
             if errors[-1] == max(errors):
                 self.worst = (plain.image[0], shown.image[0])
             changes.append(change_mse((shown, shown_next), (plain, plain_next)))
-            if self._truth is not None:
-                truth = self._truth[index]
-                losses.append(
-                    psnr_db(masked_mse(truth, plain.image, plain.covered))
-                    - psnr_db(masked_mse(truth, shown.image, shown.covered))
-                )
         seconds = len(self._sent) / FPS
         pairs = zip(coded.shown, self._sent, strict=True)
         pose = np.mean([np.abs(_pose(shown) - _pose(sent)) for shown, sent in pairs], axis=0)
@@ -211,8 +179,6 @@ class _Comparison:
             "mse": round(float(np.mean(errors)), 3),
             "worst_frame_mse": round(max(errors), 3),
             "change_mse": round(float(np.mean(changes)), 3),
-            "psnr_loss_db": round(float(np.mean(losses)), 4) if losses else None,
-            "worst_frame_loss_db": round(max(losses), 3) if losses else None,
             "pose_mrad": round(float(pose[:3].mean()) * 1e3, 3),
             "pose_mm": round(float(pose[3:].mean()) * 1e3, 3),
             "encode_us": round(median(coded.encode_s) * 1e6, 1),

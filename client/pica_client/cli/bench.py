@@ -62,7 +62,7 @@ def bench_codec(avatars: AvatarChoice, options: CodecConfig) -> Result:
     """
     check_writable(options.sheet, ".png")
     result = run_codec_bench(options, avatars.load()[0])
-    say_rows(result["rows"], "source profile payload_bps mse change_mse psnr_loss_db")
+    say_rows(result["rows"], "source profile payload_bps mse change_mse")
     return result
 
 
@@ -89,7 +89,7 @@ def bench_decode(avatars: AvatarChoice, options: DecodeBenchConfig) -> Result:
 def bench_drive(avatars: AvatarChoice, options: DriveBenchConfig) -> Result:
     """Measure what a live face becomes at every level: picture, lids, lips, what pokes out.
 
-    The truth is the built-in head or the rig itself, at the same values.
+    The truth is the person or the rig itself, at the same values.
     """
     result = run_drive_bench(options, avatars.load())
     say_rows(result["rows"], "avatar source stage level mse p95_mse lid_mm lip_mm poke_ratio")

@@ -26,7 +26,7 @@ NEEDS: Final = {
     "send": ("avatars",),
     "avatar thumbnail": ("OpenGL", "ONNX Runtime"),
     "avatar measure": ("OpenGL", "ONNX Runtime"),
-    "capture synth": ("OpenGL",),
+    "capture person": ("OpenGL",),
     "capture rig": ("OpenGL",),
     "bench": ("OpenGL", "ONNX Runtime", "avatars"),
 }

@@ -16,7 +16,7 @@ from pica_core.types import FloatArray
 FACE_LOW_M, FACE_HIGH_M = (-0.085, -0.125, 0.04), (0.085, 0.13, 0.04)
 """Opposite corners of what no name may cover: chin to hairline, ear to ear."""
 HALF_WIDTH_M = 0.175
-"""A name is no wider than shoulders (chosen: those of the built-in heads)."""
+"""A name is no wider than shoulders (chosen)."""
 BELOW_CHIN_M = 0.03
 GAP_SHARE = 0.1
 """Part of a name's height that stays free around it."""

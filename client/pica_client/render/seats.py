@@ -32,7 +32,7 @@ Layout = Literal["line", "arc", "table", "grid"]
 LAYOUTS: tuple[Layout, ...] = get_args(Layout)
 
 SHOULDERS_M = 0.36
-"""Width of the shoulders of whoever has no avatar yet; those of the built-in heads are as broad."""
+"""Width of the shoulders of whoever has no avatar yet."""
 MIN_SHOULDERS_M, MAX_SHOULDERS_M = 0.22, 0.56
 """A head alone keeps room for its movements, and no file from a stranger pushes everybody aside."""
 SHOULDER_GAP_M = 0.025

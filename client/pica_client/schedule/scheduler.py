@@ -47,7 +47,7 @@ class SchedulerOptions:
 
     full_px: float = 80.0
     """Height from which a head gets more than the coarsest level: the next to full one, or full
-    maps on the coarsest mesh if there is none (all thresholds are tuned on one avatar, Sam, at 50
+    maps on the coarsest mesh if there is none (all thresholds are tuned on one avatar at 50
     and 130 cm)."""
     mesh_px: tuple[float, ...] = (250.0, 500.0)
     """Heights from which it gets full maps on the next finer mesh, on the full one at last."""

@@ -8,19 +8,14 @@ from typing import Final
 from pica_core.errors import AvatarFileError
 
 SUFFIX: Final = ".pica"
-SCULPTED: Final = "sam"
-"""A procedural head among people of a face model."""
-FORMER: Final = {"ines": "amara", "karim": "tariq", "mei": "yun", "olav": "henrik"}
-"""Who is meant by the names of avatars that shipped before: preferences and scripts hold them."""
 
 
 def shipped_avatar_files() -> list[Path]:
-    """The avatar files inside the package, by name; people before the sculpted head."""
+    """The avatar files inside the package, by name."""
     folder = resources.files("pica_core") / "avatars"
     if not folder.is_dir():
         return []
-    files = [Path(str(item)) for item in folder.iterdir() if item.name.endswith(SUFFIX)]
-    return sorted(files, key=lambda file: (file.stem == SCULPTED, file.stem))
+    return sorted(Path(str(item)) for item in folder.iterdir() if item.name.endswith(SUFFIX))
 
 
 def avatar_file(named: Path) -> Path:
@@ -32,8 +27,7 @@ def avatar_file(named: Path) -> Path:
     if named.suffix == SUFFIX or named.is_file():
         return Path(os.path.expanduser(named))
     shipped = {path.stem: path for path in shipped_avatar_files()}
-    name = FORMER.get(str(named).lower(), str(named).lower())
-    if name not in shipped:
+    if (name := str(named).lower()) not in shipped:
         known = ", ".join(shipped) or "none"
         raise AvatarFileError(
             f"avatar {str(named)!r} is unknown; shipped are: {known}; or give a {SUFFIX} file"

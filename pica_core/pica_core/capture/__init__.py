@@ -1,1 +1,1 @@
-"""Captures: built-in heads, the stage, the dataset layout and its reader. Needs no torch."""
+"""Captures: people and rigs, the stage, the dataset layout and its reader. Needs no torch."""

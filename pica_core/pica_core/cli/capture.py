@@ -1,4 +1,4 @@
-"""`pica capture synth`, `pica capture check` and `pica capture sheet`."""
+"""`pica capture check` and `pica capture sheet`, and the options of both renders."""
 
 import re
 import time
@@ -11,7 +11,6 @@ from rich.console import Console
 
 from pica_core.capture.dataset.check import PIXEL_FRAMES, check_capture
 from pica_core.capture.dataset.sheet import write_sheet
-from pica_core.capture.procedural.subject import StageOptions, render_capture
 from pica_core.capture.stage.progress import rendering_bar
 from pica_core.capture.stage.synth import Progress, RenderOptions
 from pica_core.errors import CaptureError
@@ -66,19 +65,6 @@ class RenderArguments:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class SynthOptions(RenderArguments):
-    """Options of `pica capture synth`."""
-
-    head: str = "S1"
-    """Identity, such as S1."""
-    lenses: str = "mixed"
-    """mixed: some cameras look at mouth and eyes from near; one: all have one lens and look at the
-    head, as in the paper's dome."""
-    depth_every: int = 4
-    """Depth as a stereo method finds it for every so many frames of a take; exact depth for all."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
 class CheckOptions:
     """Options of `pica capture check`."""
 
@@ -103,18 +89,6 @@ def baked_side(stage: RenderOptions) -> int:
     """Side of the baked appearance of a rig for images of this size, texels."""
     side = 1 << (TEXELS_PER_PIXEL * max(stage.width, stage.height) - 1).bit_length()
     return min(max(side, 512), 4096)
-
-
-def synth(options: SynthOptions) -> dict[str, Any]:
-    """Render a built-in head on a synthetic stage into a capture directory."""
-    stage = StageOptions(
-        head=options.head,
-        lenses=options.lenses,
-        depth_every=options.depth_every,
-        **options.values(),
-    )
-    console = Console(stderr=True)
-    return options.render(console, lambda show: render_capture(stage, options.out, show))
 
 
 def check(options: CheckOptions) -> dict[str, Any]:

@@ -16,7 +16,6 @@ from pica_core.capture.person.choices import (
     read_coefficients,
     read_person,
 )
-from pica_core.capture.person.model import FaceModel, read_model
 from pica_core.capture.person.subject import PersonSubject
 from pica_core.capture.stage.synth import RenderOptions, render_subject
 from pica_core.cli.capture import RenderArguments, baked_side
@@ -29,8 +28,9 @@ FILE = "person.json"
 class PersonOptions(RenderArguments):
     """Options of `pica capture person`. What is not named is drawn from the seed."""
 
-    facekit: Path
-    """Folder of the face model: a clone of the public repository ICT-VGL/ICT-FaceKit."""
+    lenses: str = "mixed"
+    """mixed: some cameras look at mouth and eyes from near; one: all have one lens and look at the
+    head, as in the paper's dome."""
     person: Path | None = None
     """A person.json: makes that person again."""
     coefficients: Path | None = None
@@ -54,7 +54,7 @@ class PersonOptions(RenderArguments):
     clothes_colour: str | None = None
     """white, charcoal, navy, burgundy, olive, teal, ochre, sand or lilac."""
 
-    def choose(self, model: FaceModel) -> tuple[Person, int]:
+    def choose(self) -> tuple[Person, int]:
         """The person that is meant, and how many coefficients were clipped."""
         names = (*NAMED, "age", "skin")
         chosen = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
@@ -66,15 +66,14 @@ class PersonOptions(RenderArguments):
         clipped = 0
         if self.coefficients is not None:
             chosen["coefficients"], clipped = read_coefficients(self.coefficients)
-        return draw_person(self.seed, model.sex_direction(), **chosen), clipped
+        return draw_person(self.seed, **chosen), clipped
 
 
 def person(options: PersonOptions) -> dict[str, Any]:
-    """Render a person of the ICT-FaceKit face model into a capture directory."""
-    stage = RenderOptions(**options.values())
+    """Render a person of the face model into a capture directory."""
+    stage = RenderOptions(lenses=options.lenses, **options.values())
     console = Console(stderr=True, highlight=False)
-    model = read_model(options.facekit)
-    who, clipped = options.choose(model)
+    who, clipped = options.choose()
     if clipped:
         console.print(f"{clipped} coefficients were beyond {CLIP:g} and were clipped")
     console.print(
@@ -84,7 +83,7 @@ def person(options: PersonOptions) -> dict[str, Any]:
     notes: list[str] = []
 
     def make() -> PersonSubject:
-        subject = PersonSubject(model, who, bake_size=baked_side(stage))
+        subject = PersonSubject(who, bake_size=baked_side(stage))
         for note in subject.notes:
             console.print(note)
         notes.extend(subject.notes)

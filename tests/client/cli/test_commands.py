@@ -42,11 +42,11 @@ def avatar(tmp_path: Path) -> str:
             "avatar 'nobody' is unknown",
         ),
         (
-            ["view", "--headless", "--own-avatar", "sam"],
+            ["view", "--headless", "--own-avatar", "nora"],
             "own-avatar says how one's own face looks; to send one, add --send performance:talk",
         ),
         (
-            ["view", "--url", "ws://x", "--send", "none", "--own-avatar", "sam"],
+            ["view", "--url", "ws://x", "--send", "none", "--own-avatar", "nora"],
             "own-avatar says how one's own face looks",
         ),
         (["view", "--size", "big"], "size is 'big'; write COLUMNSxROWS"),

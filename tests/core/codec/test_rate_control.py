@@ -92,7 +92,7 @@ def test_frames_with_room_never_make_more_than_the_rate_and_what_the_bucket_hold
 @functools.cache
 def shipped() -> tuple[StreamProfile, dict[str, npt.NDArray[np.float32]]]:
     """The tables of the avatar that benches keep, and latents of talk and of large motions."""
-    path = Path(str(resources.files("pica_core"))) / "avatars" / "sam.pica"
+    path = Path(str(resources.files("pica_core"))) / "avatars" / "nora.pica"
     avatar = load_avatar(path)
     profile, encoder = avatar.stream_profile(), ExpressionEncoder(avatar)
     assert profile is not None

@@ -10,7 +10,8 @@ from typing import Any
 
 import pytest
 
-from pica_core.capture.procedural.subject import StageOptions, render_capture
+from helpers.small_capture import render_capture
+from pica_core.capture.stage.synth import RenderOptions
 from pica_core.errors import CaptureError, CheckpointError, PicaCoreError, TrainingOptionError
 from pica_core.train.cli.claim import ClaimOptions, bench_claim, views_below
 from pica_core.train.config import PRESETS
@@ -18,14 +19,12 @@ from pica_core.train.config import PRESETS
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
 
 STEPS = dict.fromkeys(("geometry_steps", "joint_steps", "driver_steps"), 3)
-STAGE = StageOptions(
+STAGE = RenderOptions(
     frames=20,
     cameras=2,
     width=64,
     height=64,
     texture_size=64,
-    bake_size=256,
-    self_shadow=False,
     tracked_vertices=400,
 )
 

@@ -8,12 +8,12 @@ import pytest
 import torch
 from PIL import Image
 
+from helpers.small_capture import render_capture
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.avatar.file import Avatar, load_avatar
 from pica_core.avatar.linear import components_of
 from pica_core.avatar.shipped import avatar_file
 from pica_core.capture.dataset.dataset import Capture
-from pica_core.capture.procedural.subject import StageOptions, render_capture
 from pica_core.capture.stage.expressions import sample_takes
 from pica_core.capture.stage.poses import (
     Poses,
@@ -23,6 +23,7 @@ from pica_core.capture.stage.poses import (
     read_poses,
     write_poses,
 )
+from pica_core.capture.stage.synth import RenderOptions
 from pica_core.errors import CaptureError
 from pica_core.latent import NUM_LATENT
 from pica_core.model.bases import Bases
@@ -112,7 +113,7 @@ def test_a_damaged_file_of_poses_is_named(tmp_path: Path) -> None:
 @pytest.fixture(scope="module")
 def captured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("live") / "capture"
-    options = StageOptions(frames=12, cameras=2, width=96, height=96, texture_size=64)
+    options = RenderOptions(frames=12, cameras=2, width=96, height=96, texture_size=64)
     render_capture(options, folder)
     return folder
 

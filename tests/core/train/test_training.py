@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 import torch
 
+from helpers.small_capture import render_capture
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import load_avatar
 from pica_core.capture.dataset.dataset import Capture
-from pica_core.capture.procedural.subject import StageOptions, render_capture
+from pica_core.capture.stage.synth import RenderOptions
 from pica_core.capture.triangles import components
 from pica_core.errors import CheckpointError, TrainingDivergedError, TrainingOptionError
 from pica_core.model.decoders import sample_map
@@ -41,7 +42,7 @@ shows the mean texture already)."""
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> TrainingData:
     folder = tmp_path_factory.mktemp("capture")
-    options = StageOptions(frames=12, cameras=2, width=128, height=128, texture_size=64)
+    options = RenderOptions(frames=12, cameras=2, width=128, height=128, texture_size=64)
     render_capture(options, folder)
     return TrainingData(Capture.open(folder))
 

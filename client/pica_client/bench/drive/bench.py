@@ -1,6 +1,6 @@
 """Avatars under live drive, against the head itself at the same values.
 
-The truth is a built-in head, a rig, or a person of the face model, posed by what a source does. The
+The truth is a rig, or a person of the face model, posed by what a source does. The
 avatar is driven by the same values through each step of a live call (`drive.steps`) and shown at
 each level of detail.
 
@@ -29,8 +29,6 @@ from pica_client.render.drawing import masked_mse
 from pica_client.stats import describe_machine
 from pica_core.avatar.file import Avatar
 from pica_core.capture.dataset.files import Topology
-from pica_core.capture.procedural.heads import HEADS
-from pica_core.capture.procedural.subject import ProceduralSubject
 from pica_core.capture.stage.subject import Subject
 from pica_core.capture.triangles import signed_areas, spread_samples
 from pica_core.reference.face_errors import poking, region_errors_mm, vertex_parts
@@ -58,11 +56,9 @@ class DriveBenchConfig:
     """Which of driver, codec, live, offset, calibrated, and webcam, which needs pica webcam
     setup."""
     rig: Path | None = None
-    """The rig that the avatar was made of; without it the built-in head of its identity."""
+    """The rig that the avatar was made of."""
     person: Path | None = None
-    """Instead of a rig, the JSON file of a person that the avatar was made of; needs `facekit`."""
-    facekit: Path | None = None
-    """Folder of the face model (docs/people.md), for `person`."""
+    """Instead of a rig, the JSON file of a person that the avatar was made of."""
     seconds: float = 20.0
     """Length of each source."""
     moments: int = 24
@@ -147,7 +143,7 @@ def _measure(config: DriveBenchConfig, avatar: Avatar) -> list[dict[str, Any]]:
         subject.release()  # one GL context at a time on this thread
     rows = []
     with FaceRenderer(avatar, size_px=config.image_size, views=VIEWS) as renderer:
-        compare = _Comparison(avatar, subject.topology, renderer)
+        compare = _Comparison(avatar, subject, renderer)
         for source in config.sources:
             for stage in config.stages:
                 say(f"{name}: {source}: {stage}")
@@ -191,40 +187,42 @@ def _subject(config: DriveBenchConfig, avatar: Avatar) -> Subject:
         from pica_core.capture.stage.rig import RigSubject
 
         subject = RigSubject(config.rig)
-    elif config.person is not None and config.facekit is not None:
+    elif config.person is not None:
         from pica_core.capture.person.choices import read_person
-        from pica_core.capture.person.model import read_model
         from pica_core.capture.person.subject import PersonSubject
 
-        subject = PersonSubject(read_model(config.facekit), read_person(config.person)[0])
-    elif identity in HEADS:
-        subject = ProceduralSubject(identity)
+        subject = PersonSubject(read_person(config.person)[0])
     else:
-        raise OptionError(
-            f"avatar {identity!r} is of no built-in head; name its --rig, or --person and --facekit"
-        )
-    if same_vertices(avatar.tensors["mesh.faces"], subject.topology.faces) is None:
+        raise OptionError(f"avatar {identity!r}: name the --rig or the --person it was made of")
+    if _order(avatar, subject) is None:
         raise OptionError(f"avatar {identity!r} has another mesh than {subject.name!r}")
     return subject
+
+
+def _order(avatar: Avatar, subject: Subject) -> IntArray | None:
+    """The vertex of a subject at each vertex of an avatar, `same_vertices`."""
+    chart, mesh = subject.topology.faces, subject.head.mesh.faces
+    return same_vertices(avatar.tensors["mesh.faces"], chart[: len(mesh)])
 
 
 def same_vertices(faces: IntArray, wanted: IntArray) -> IntArray | None:
     """The vertex of the truth at each vertex of an avatar, whose bases may have reordered them.
 
-    An avatar keeps the triangles of its capture in their order; texture coordinates say nothing,
-    for another version of us may have packed the chart otherwise.
+    An avatar keeps the triangles of its capture in their order. Texture coordinates say nothing,
+    and neither do the triangles that a chart adds along its seams after those of the mesh: another
+    version of us may have packed it otherwise.
 
     Args:
         faces: The avatar's triangles, int32 ``[F, 3]``, which use all of its vertices.
+        wanted: The mesh's, in the vertices of the truth, int32 ``[M, 3]``.
 
     Returns:
-        int32 ``[V]``; None if they are not the same.
+        int32 ``[V]``, -1 for what seams have added; None if they are not the same.
     """
-    if faces.shape != wanted.shape or faces.max() != wanted.max():
-        return None
-    found = np.zeros(faces.max() + 1, np.int32)
-    found[faces] = wanted
-    return found if np.array_equal(found[faces], wanted) else None
+    count = len(wanted)
+    found = np.full(faces.max() + 1, -1, np.int32)
+    found[faces[:count]] = wanted[: len(faces)]
+    return found if np.array_equal(found[faces[:count]], wanted) else None
 
 
 def _draw_truth(subject: Subject, arkit: FloatArray, config: DriveBenchConfig) -> _Truth:
@@ -237,15 +235,16 @@ def _draw_truth(subject: Subject, arkit: FloatArray, config: DriveBenchConfig) -
 class _Comparison:
     """Shows latents of one avatar beside the truth."""
 
-    def __init__(self, avatar: Avatar, topology: Topology, renderer: FaceRenderer) -> None:
+    def __init__(self, avatar: Avatar, subject: Subject, renderer: FaceRenderer) -> None:
         self._avatar, self._renderer = avatar, renderer
-        self._used = {
-            level: np.unique(avatar.level_faces(level)) for level in avatar.levels[:-1]
-        } | {avatar.levels[-1]: np.arange(len(topology.vertex_uv))}
-        order = same_vertices(avatar.tensors["mesh.faces"], topology.faces)
+        order = _order(avatar, subject)
         assert order is not None  # `_subject` has looked
         self._order = order
-        regions = {name: mask[order] for name, mask in topology.regions.items()}
+        self._used = {
+            level: np.unique(avatar.level_faces(level)) for level in avatar.levels[:-1]
+        } | {avatar.levels[-1]: np.arange(len(order))}
+        known = order >= 0
+        regions = {name: mask[order] & known for name, mask in subject.topology.regions.items()}
         self._regions = {name: regions[name] for name in REGIONS}
         uv, faces = (avatar.tensors[f"mesh.{name}"] for name in ("vertex_uv", "faces"))
         self._parts = part_map(Topology(vertex_uv=uv, faces=faces, regions=regions))

@@ -13,7 +13,7 @@ import numpy as np
 
 from pica_core.capture.dataset.files import read_bytes
 from pica_core.capture.person.hair import STYLES
-from pica_core.capture.person.model import NUM_MODES
+from pica_core.capture.person.model import NUM_MODES, read_model
 from pica_core.errors import CaptureError, check_ranges
 
 Rgb = tuple[float, float, float]
@@ -102,12 +102,11 @@ RANGES: dict[str, tuple[float, float]] = {
 }  # fmt: skip
 
 
-def draw_person(seed: int, sex_direction: Any, **chosen: Any) -> Person:
+def draw_person(seed: int, **chosen: Any) -> Person:
     """A person by chance; what is `chosen` stands, and what hangs on it follows.
 
     Args:
         seed: Fixes all that is not chosen.
-        sex_direction: `FaceModel.sex_direction`. ``[100]``.
         **chosen: Fields of `Person` that are not to be drawn.
     """
     random = np.random.default_rng([seed, 0x9E25])
@@ -129,7 +128,7 @@ def draw_person(seed: int, sex_direction: Any, **chosen: Any) -> Person:
         return names[int(random.integers(len(names)))]
 
     values: dict[str, Any] = {
-        "coefficients": drawn + (1.0 if man else -1.0) * np.asarray(sex_direction),
+        "coefficients": drawn + (1.0 if man else -1.0) * read_model().male,
         "sex": sex, "age": age, "skin": round(skin, 2),
         "redness": round(float(random.uniform(0.5, 1.0) * np.interp(skin, [1, 6], [1.1, 0.4])), 2),
         "freckles": round(max(0.0, float(random.normal(-0.1, 0.35))) * (skin < 3.2), 2),
@@ -148,15 +147,19 @@ def draw_person(seed: int, sex_direction: Any, **chosen: Any) -> Person:
     return Person(seed=seed, **values)
 
 
+def person_of(table: dict[str, Any]) -> Person:
+    """A person of the values that `Person.as_json` and `capture.json` hold."""
+    if unknown := sorted(set(table) - {each.name for each in fields(Person)}):
+        raise CaptureError(f"{unknown[0]!r} is no property of a person")
+    return Person(**(table | {"coefficients": tuple(table["coefficients"])}))
+
+
 def read_person(path: Path) -> tuple[Person, int]:
     """A person as `Person.as_json` wrote it, and how many coefficients were clipped."""
     try:
         table = json.loads(read_bytes(path))
         coefficients = np.array(table["coefficients"], np.float64).reshape(-1)
-        table["coefficients"] = tuple(np.clip(coefficients, -CLIP, CLIP).tolist())
-        if unknown := sorted(set(table) - {each.name for each in fields(Person)}):
-            raise CaptureError(f"{path}: {unknown[0]!r} is no property of a person")
-        person = Person(**table)
+        person = person_of(table | {"coefficients": np.clip(coefficients, -CLIP, CLIP).tolist()})
     except (ValueError, TypeError, KeyError, RecursionError) as error:
         raise CaptureError(f"{path}: not a person ({error})") from error
     return person, int(np.count_nonzero(np.abs(coefficients) > CLIP))

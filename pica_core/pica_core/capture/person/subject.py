@@ -1,10 +1,12 @@
 """A person on the stage: a rig of the face model, dressed and painted by what was chosen."""
 
-from pathlib import Path
+import functools
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
+from pica_core.avatar.arkit import ARKIT_NAMES
 from pica_core.capture.person.choices import (
     CLOTH_COLOURS,
     EYE_COLOURS,
@@ -12,12 +14,10 @@ from pica_core.capture.person.choices import (
     SKIN_TONES,
     Person,
 )
-from pica_core.capture.person.dress import dress
-from pica_core.capture.person.model import RIGHTS, FaceModel
+from pica_core.capture.person.dress import Dressed, dress
+from pica_core.capture.person.model import RIGHTS, read_model
 from pica_core.capture.rig.head import RigHead
-from pica_core.capture.rig.mesh import build_mesh
 from pica_core.capture.rig.names import map_names
-from pica_core.capture.stage.rig import describe_rig
 from pica_core.capture.stage.subject import BAKE_SIZE, Subject
 
 GREY = np.array((0.28, 0.27, 0.26))
@@ -48,35 +48,37 @@ def paint(person: Person) -> dict[str, Any]:
 
 
 class PersonSubject(Subject):
-    """A person on the stage.
-
-    Raises:
-        CaptureError: The model makes no head.
-    """
+    """A person on the stage."""
 
     def __init__(
         self,
-        model: FaceModel,
         person: Person,
         *,
         bake_size: int = BAKE_SIZE,
         self_shadow: bool = True,
+        coarse: bool = False,
     ) -> None:
-        source = model.person(person.coefficients)
-        names = map_names(list(source.shapes))
-        dressed = dress(build_mesh(source, names), person)
+        head, dressed = make_head(person, coarse=coarse)
         self.notes = dressed.notes
-        head = RigHead(dressed.mesh, names, f"{person.sex}, {person.age}")
         super().__init__(
             head,
-            describe_rig(Path(model.source.path.name), source, head, {}),
+            {
+                "source": "synthetic: a person of ICT-FaceKit Light's modes; nobody's likeness",
+                "licence": RIGHTS,
+                "person": asdict(person),
+            },
             look=paint(person),
             growth=dressed.growth,
             bake_size=bake_size,
             self_shadow=self_shadow,
         )
-        self._about |= {
-            "source": "synthetic: a person of ICT-FaceKit Light's modes; nobody's likeness",
-            "licence": RIGHTS,
-            "person": {name: getattr(person, name) for name in person.__slots__},
-        }
+
+
+@functools.lru_cache(maxsize=8)
+def make_head(person: Person, *, coarse: bool = False) -> tuple[RigHead, Dressed]:
+    """The posable head of a person, seconds of work. It does not change, so calls share it."""
+    mesh = read_model(coarse=coarse).mesh(person.coefficients)
+    dressed = dress(mesh, person)
+    moved = np.abs(mesh.motion_m).max((1, 2)) > 0
+    names = map_names([name for name, moves in zip(ARKIT_NAMES, moved, strict=True) if moves])
+    return RigHead(dressed.mesh, names, f"{person.sex}, {person.age}"), dressed

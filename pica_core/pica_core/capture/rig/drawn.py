@@ -1,4 +1,4 @@
-"""What is drawn: a rig, or a built-in head that is drawn as one, with its one chart."""
+"""What is drawn: a rig with its one chart."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -31,7 +31,7 @@ class PackedChart:
 
 
 class DrawnRig(Protocol):
-    """A head that can be painted and posed: a rig, or one that is made to be drawn as a rig.
+    """A head that can be painted and posed.
 
     Attributes:
         names: Which shapes it has.

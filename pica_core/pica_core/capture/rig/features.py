@@ -2,7 +2,7 @@
 
     mouth    skin that an opening jaw pulls apart: the line where the lips touch
     eyes     eyeballs as a front view sees them between the lids
-    regions  named vertex sets, as the built-in heads have them
+    regions  named vertex sets
 
 A rig without jawOpen, or without eyeballs, lacks what hangs on it.
 """
@@ -23,7 +23,7 @@ from pica_core.errors import ShapeError
 from pica_core.types import BoolArray, Float64Array, FloatArray, IntArray
 
 UPPER_LIP_M, LOWER_LIP_M = 0.0075, 0.0095
-"""Heights of the vermilion (Farkas 1994, as the built-in heads), where nothing else is known."""
+"""Heights of the vermilion (Farkas 1994), where nothing else is known."""
 HIDDEN = 0.004
 """Visibility at rest of what lies behind closed lips."""
 LID_M = 0.0012

@@ -1,4 +1,4 @@
-"""Find a rig's units and axes from what its shapes move, and put it where built-in heads are.
+"""Find a rig's units and axes from what its shapes move, and put it where all heads are.
 
 Left shapes move the subject's left, eyes and brows lie above mouth and jaw, and the face is where
 the motion is. Axes snap to the file's own axes: a rig that stands askew in its file is left askew.
@@ -18,7 +18,7 @@ FACE_M = (0.036, 0.36)
 """From the middle of what eye shapes move to the middle of what mouth shapes move: 60 to 85 mm in
 people. One decade around that, so that exactly one of the units fits."""
 EYES_AT_M = (0.0, 0.022, 0.074)
-"""Where the middle between the eyeballs goes: as in the built-in heads."""
+"""Where the middle between the eyeballs goes."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

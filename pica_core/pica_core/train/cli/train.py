@@ -45,7 +45,7 @@ class TrainOptions:
     """Options of `pica train`."""
 
     capture: Path
-    """Folder of the capture (`pica capture synth` makes one)."""
+    """Folder of the capture (`pica capture person` makes one)."""
     out: Path
     """Folder of the run: checkpoint, metrics, held-out error."""
     variant: VariantName | None = None

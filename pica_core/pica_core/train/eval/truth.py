@@ -19,8 +19,8 @@ import numpy as np
 
 from pica_core.camera import Camera, look_at
 from pica_core.capture.dataset.dataset import Capture, CaptureFrame, Topology
-from pica_core.capture.procedural.heads import HEADS
-from pica_core.capture.procedural.subject import ProceduralSubject
+from pica_core.capture.person.choices import person_of
+from pica_core.capture.person.subject import PersonSubject
 from pica_core.train.data.training import TrainingData
 from pica_core.train.eval.metrics import mse
 from pica_core.train.rasterise import Rasteriser
@@ -180,14 +180,13 @@ def one_sample_mse(data: TrainingData, frames: list[int]) -> float | None:
 
 
 @contextmanager
-def _on_stage(data: TrainingData, frame: int) -> Iterator[ProceduralSubject | str]:
+def _on_stage(data: TrainingData, frame: int) -> Iterator[PersonSubject | str]:
     """The capture's subject, or why nobody can draw it."""
     capture = data.capture
-    name = str(capture.info.get("head", ""))
-    if name not in HEADS or not capture.has_truth:
+    if "person" not in capture.info or not capture.has_truth:
         yield "nobody can draw this capture's subject from a place without a camera"
         return
-    subject = ProceduralSubject(name)
+    subject = PersonSubject(person_of(capture.info["person"]))
     try:
         views = data.images.evaluation_views_of(frame)
         view, image = data.images.first_readable(frame, views)

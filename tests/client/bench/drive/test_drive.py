@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from helpers.paths import ROOT
+from helpers.small_capture import PERSON, small_head
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.bench.drive.bench import (
     DriveBenchConfig,
@@ -29,9 +31,7 @@ from pica_client.bench.drive.steps import (
 from pica_client.errors import OptionError, SourceError
 from pica_client.sources import open_source
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
-from pica_core.capture.dataset.files import Topology
-from pica_core.capture.procedural.heads import make_head
-from pica_core.capture.procedural.subject import ProceduralSubject
+from pica_core.capture.person.subject import PersonSubject
 from pica_core.reference.face_errors import vertex_parts
 
 pytestmark = pytest.mark.render
@@ -43,7 +43,7 @@ ROWS = ("avatar", "source", "stage", "level", "mse", "p95_mse", "lid_mm", "lip_m
 def result(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Path]:
     folder = tmp_path_factory.mktemp("worst")
     library = AvatarLibrary()
-    sam = library.load(library.find("sam"))
+    nora = library.load(library.find("nora"))
     library.close()
     config = DriveBenchConfig(
         sources=("performance:talk",),
@@ -52,9 +52,10 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Pa
         moments=2,
         image_size=128,
         worst=folder,
+        person=ROOT / "scripts" / "people" / "nora.json",
         num_worst=1,
     )
-    return run_drive_bench(config, [sam]), folder
+    return run_drive_bench(config, [nora]), folder
 
 
 def test_every_stage_and_level_has_a_row_and_a_picture(
@@ -99,14 +100,13 @@ def test_a_perfect_tracker_s_live_face_is_the_source_but_for_smoothing() -> None
 
 
 def test_the_map_of_parts_says_of_every_vertex_what_it_is() -> None:
-    head = make_head("S1")
-    topology = Topology(vertex_uv=head.vertex_uv, faces=head.faces, regions=head.regions)
-    found = read_parts(part_map(topology), head.vertex_uv)
-    assert (found == vertex_parts(head.regions, len(head.vertex_uv))).mean() > 0.97
+    topology = small_head().topology
+    found = read_parts(part_map(topology), topology.vertex_uv)
+    assert (found == vertex_parts(topology.regions, len(topology.vertex_uv))).mean() > 0.97
 
 
 def test_vertices_of_an_avatar_are_found_in_any_order_and_no_others() -> None:
-    head = make_head("S1")
+    head = small_head().topology
     order = np.random.default_rng(3).permutation(len(head.vertex_uv))
     faces = np.argsort(order)[head.faces]
     assert np.array_equal(same_vertices(faces, head.faces), order)
@@ -114,13 +114,16 @@ def test_vertices_of_an_avatar_are_found_in_any_order_and_no_others() -> None:
     faces[7] = faces[7, ::-1]
     assert same_vertices(faces, head.faces) is None
     assert same_vertices(head.faces[1:], head.faces) is None
+    assert same_vertices(head.faces[:-1], head.faces) is None
+    more = np.concatenate([head.faces, head.faces[:1] + len(order)])
+    assert same_vertices(more, head.faces).tolist()[-1] == -1
 
 
 def test_a_webcam_sees_a_drawn_jaw_open_and_eyes_close() -> None:
     pytest.importorskip("ai_edge_litert")
     from pica_client.bench.drive.webcam import SeenByWebcam
 
-    subject = ProceduralSubject("S1", bake_size=512, self_shadow=False)
+    subject = PersonSubject(PERSON, bake_size=512, self_shadow=False)
     try:
         webcam = SeenByWebcam(subject)
     except SourceError as error:

@@ -89,8 +89,8 @@ def test_a_certificate_file_is_for_addresses_that_use_one(tmp_path: Path) -> Non
 
 def test_the_face_is_the_one_that_was_chosen() -> None:
     base = FaceChoice(give="no")
-    chosen = JoinForm(replace(FILLED, source="performance:talk", avatar=" sam ")).face(base)
-    assert chosen == FaceChoice(source="performance:talk", avatar="sam", give="no")
+    chosen = JoinForm(replace(FILLED, source="performance:talk", avatar=" nora ")).face(base)
+    assert chosen == FaceChoice(source="performance:talk", avatar="nora", give="no")
     assert JoinForm(FILLED).face(base) == FaceChoice(source="", avatar=None, give="no")
     # A webcam needs a camera and networks that a test machine may lack.
     assert all(open_source(source) for source, _ in SOURCES if source not in ("", "webcam"))

@@ -30,7 +30,7 @@ class Shown:
         view = JoinView(
             fields=self.form.fields,
             trouble=self.form.trouble,
-            portraits=dict.fromkeys(["amara", "sam"]),
+            portraits=dict.fromkeys(["amara", "nora"]),
             default_avatar="amara",
             sound=self.sound,
         )
@@ -50,8 +50,8 @@ def test_the_form_is_filled_and_joined_by_mouse_and_keys(hand: Hand) -> None:
     shown = Shown(replace(FILLED, name=""))
     hand.click("##name", shown)
     hand.type("Grace", shown)
-    hand.click("avatar sam", shown)
-    assert shown.form.fields == replace(FILLED, name="Grace", avatar="sam")
+    hand.click("avatar nora", shown)
+    assert shown.form.fields == replace(FILLED, name="Grace", avatar="nora")
     assert hand.click("Join", shown) == [JoinOrder.JOIN]
     assert shown.form.outcome == "join"
 
@@ -85,8 +85,8 @@ def _choose_and_try(hand: Hand) -> None:
 
 
 def test_the_avatar_that_goes_by_the_name_is_had_by_a_second_click(hand: Hand) -> None:
-    shown = Shown(replace(FILLED, avatar="sam"))
-    hand.click("avatar sam", shown)
+    shown = Shown(replace(FILLED, avatar="nora"))
+    hand.click("avatar nora", shown)
     assert shown.form.fields.avatar == ""
 
 

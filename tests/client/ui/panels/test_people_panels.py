@@ -204,7 +204,7 @@ def test_each_setting_is_one_click(hand: Hand) -> None:
 
 def test_source_avatar_and_name_are_chosen_during_the_call(hand: Hand) -> None:
     me = OwnChoice(name="Me", source="livelink")
-    state = replace(SETTINGS.state, choice=me, entered_as=me, avatars=("amara", "sam"))
+    state = replace(SETTINGS.state, choice=me, entered_as=me, avatars=("amara", "nora"))
     own = OwnFaceView(source="livelink", seen=Seen(True, (), None))
     view = replace(SETTINGS, state=state, own=own)
 
@@ -215,9 +215,9 @@ def test_source_avatar_and_name_are_chosen_during_the_call(hand: Hand) -> None:
     assert hand.click("VTuber", show) == [replace(me, source="vmc")]
     assert hand.click("Calibrate", show) == [Order.CALIBRATE]
     hand.click("##avatar", show)
-    assert hand.click("Sam", show) == [replace(me, avatar="sam")]
+    assert hand.click("Nora", show) == [replace(me, avatar="nora")]
     assert not any("Come again" in label for label in hand.places)
-    view = replace(view, state=replace(state, choice=replace(me, avatar="sam")))
+    view = replace(view, state=replace(state, choice=replace(me, avatar="nora")))
     assert hand.click("Come again", show) == [Order.REJOIN]
 
 
@@ -416,7 +416,7 @@ def test_devices_are_changed_during_a_call_and_another_voice_needs_coming_again(
     )
     mine = OwnChoice(name="Me", source="performance:talk", voice="mic")
     control = ControlState(side="settings", own_face="sent", own_voice="sent", choice=mine)
-    control = replace(control, entered_as=mine, avatars=("ines",))
+    control = replace(control, entered_as=mine, avatars=("nora",))
     view = CallView(now=1.0, state=control, sound=state)
 
     def show(metrics: Metrics) -> list[UserOrder]:

@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from helpers.small_capture import render_capture
 from pica_core.camera import look_at
 from pica_core.capture.dataset.check import check_capture
 from pica_core.capture.dataset.check_geometry import silhouette_problem
 from pica_core.capture.dataset.dataset import Capture
-from pica_core.capture.procedural.subject import StageOptions, render_capture
+from pica_core.capture.stage.synth import RenderOptions
 from pica_core.cli.capture import CheckOptions, check
 from pica_core.errors import CaptureError
 
@@ -26,15 +27,13 @@ pytestmark = pytest.mark.render
 @pytest.fixture(scope="module")
 def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("capture") / "S1"
-    options = StageOptions(
+    options = RenderOptions(
         frames=5,
         cameras=2,
         width=64,
         height=64,
         texture_size=64,
         seed=5,
-        bake_size=256,
-        self_shadow=False,
         tracked_vertices=900,
     )
     render_capture(options, out)

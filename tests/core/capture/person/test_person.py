@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from helpers.mesh_faults import MeshChecks
-from helpers.paths import SHARED_DATA
 from pica_command.main import main
 from pica_core.avatar.arkit import ARKIT_INDEX
 from pica_core.capture.dataset.dataset import Capture
@@ -17,10 +16,9 @@ from pica_core.capture.person.clothes import CUTS, dress_surface
 from pica_core.capture.person.dress import dress
 from pica_core.capture.person.hair import STYLES, cover, grow, raise_cap
 from pica_core.capture.person.lids import close_lips
-from pica_core.capture.person.model import NUM_MODES, FaceModel, read_model
+from pica_core.capture.person.model import NUM_MODES, read_model
 from pica_core.capture.rig.features import LID_M, Limits, find_features
-from pica_core.capture.rig.mesh import RigMesh, build_mesh
-from pica_core.capture.rig.names import map_names
+from pica_core.capture.rig.mesh import RigMesh
 from pica_core.capture.rig.visibility import front_view
 from pica_core.capture.stage.expressions import blend
 from pica_core.capture.triangles import unfolded
@@ -28,15 +26,6 @@ from pica_core.errors import CaptureError
 from pica_core.types import Float64Array
 
 pytestmark = pytest.mark.render
-
-ICT = SHARED_DATA / "ict_facekit_light"
-needs_ict = pytest.mark.skipif(not ICT.is_dir(), reason="the face model is not there")
-NOBODY = np.zeros(NUM_MODES)
-
-
-@pytest.fixture(scope="module")
-def model() -> FaceModel:
-    return read_model(ICT)
 
 
 def ball() -> tuple[Float64Array, Float64Array]:
@@ -53,15 +42,15 @@ def ball() -> tuple[Float64Array, Float64Array]:
 
 
 def test_a_seed_makes_one_person_and_a_choice_stands() -> None:
-    one, other = draw_person(4, NOBODY, age=61), draw_person(4, NOBODY, age=61)
+    one, other = draw_person(4, age=61), draw_person(4, age=61)
     assert one == other
     assert one.age == 61
-    assert one != draw_person(5, NOBODY, age=61)
-    assert max(np.abs(draw_person(4, NOBODY + 9).coefficients)) == CLIP
+    assert one != draw_person(5, age=61)
+    assert max(np.abs(draw_person(4, coefficients=9 * read_model().male).coefficients)) == CLIP
 
 
 def test_a_person_comes_back_from_its_file(tmp_path: Path) -> None:
-    person = draw_person(7, NOBODY, sex="male", beard="full")
+    person = draw_person(7, sex="male", beard="full")
     path = tmp_path / "person.json"
     path.write_text(person.as_json())
     assert read_person(path) == (person, 0)
@@ -91,16 +80,6 @@ def test_a_file_that_is_no_person_is_refused(
     path.write_text(json.dumps(json.loads(Person(seed=1).as_json()) | change))
     with pytest.raises(CaptureError, match=words):
         read_person(path)
-
-
-def test_a_folder_that_is_no_face_model_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(CaptureError, match="no such folder"):
-        read_model(tmp_path / "none")
-    with pytest.raises(CaptureError, match=r"generic_neutral_mesh.obj: the file is missing"):
-        read_model(tmp_path)
-    (tmp_path / "generic_neutral_mesh.obj").write_text("v 0 0 0\n")
-    with pytest.raises(CaptureError, match=r"identity000.obj is missing \(100 of 100 modes are\)"):
-        read_model(tmp_path)
 
 
 def teeth_seen(mesh: RigMesh) -> int:
@@ -133,19 +112,16 @@ def test_hair_lies_outside_of_head_and_clothes(name: str) -> None:
         assert np.linalg.norm(head, axis=1).min() > 0.97
 
 
-@needs_ict
-def test_sexes_lie_apart_and_no_coefficient_is_large(model: FaceModel) -> None:
-    way = model.sex_direction()
-    assert np.linalg.norm(way) == pytest.approx(2.2)
-    man, woman = model.person(way).positions, model.person(-way).positions
+def test_sexes_lie_apart_and_no_coefficient_is_large() -> None:
+    model = read_model()
+    assert np.linalg.norm(model.male) == pytest.approx(2.2)
+    man, woman = model.mesh(model.male).rest_m, model.mesh(-model.male).rest_m
     assert np.ptp(man[:, 0]) > np.ptp(woman[:, 0])
 
 
-@needs_ict
-def test_hair_and_clothes_hide_no_face(model: FaceModel) -> None:
-    person = draw_person(3, model.sex_direction(), hair="long", clothes="shirt")
-    source = model.person(person.coefficients)
-    bare = build_mesh(source, map_names(list(source.shapes)))
+def test_hair_and_clothes_hide_no_face() -> None:
+    person = draw_person(3, hair="long", clothes="shirt")
+    bare = read_model().mesh(person.coefficients)
     dressed = dress(bare, person)
     added = dressed.mesh.rest_m[len(bare.rest_m) :]
     eyes = bare.eyes[0].centre_m
@@ -155,11 +131,9 @@ def test_hair_and_clothes_hide_no_face(model: FaceModel) -> None:
     assert not dressed.notes
 
 
-@needs_ict
-def test_no_triangle_of_a_full_beard_turns_over_at_rest(model: FaceModel) -> None:
-    person = draw_person(0, model.sex_direction(), hair="bald", beard="full")
-    source = model.person(person.coefficients)
-    mesh = dress(build_mesh(source, map_names(list(source.shapes))), person).mesh
+def test_no_triangle_of_a_full_beard_turns_over_at_rest() -> None:
+    person = draw_person(0, hair="bald", beard="full")
+    mesh = dress(read_model().mesh(person.coefficients), person).mesh
     checks = MeshChecks(mesh)
     assert checks.folded_at_rest.sum() == 0
     assert checks.faults(blend(eyeLookDown=1.0)).eyes == 0
@@ -168,12 +142,10 @@ def test_no_triangle_of_a_full_beard_turns_over_at_rest(model: FaceModel) -> Non
             assert checks.faults(blend(eyeBlink=blink, **gaze)).eyes == 0
 
 
-@needs_ict
 @pytest.mark.parametrize("seed", [3, 7])
-def test_lids_meet_in_a_blink_whatever_else_they_do(model: FaceModel, seed: int) -> None:
-    person = draw_person(seed, model.sex_direction())
-    source = model.person(person.coefficients)
-    mesh = dress(build_mesh(source, map_names(list(source.shapes))), person).mesh
+def test_lids_meet_in_a_blink_whatever_else_they_do(seed: int) -> None:
+    person = draw_person(seed)
+    mesh = dress(read_model().mesh(person.coefficients), person).mesh
     checks, features = MeshChecks(mesh), find_features(mesh)
     edge = features.regions["lids"] & (features.eye_gap_m < LID_M)
 
@@ -193,9 +165,8 @@ def test_lids_meet_in_a_blink_whatever_else_they_do(model: FaceModel, seed: int)
         assert widest_gap_mm(blend(eyeBlink=1.0, **also)) < 0.0
 
 
-@needs_ict
-def test_a_blink_closes_only_what_a_glance_down_has_left_open(model: FaceModel) -> None:
-    mesh = build_mesh(model.source, map_names(list(model.source.shapes)))
+def test_a_blink_closes_only_what_a_glance_down_has_left_open() -> None:
+    mesh = read_model().mesh(np.zeros(NUM_MODES))
     limits, blink = Limits(mesh, find_features(mesh)), ARKIT_INDEX["eyeBlinkLeft"]
     assert limits.apply(blend(eyeBlink=1.0))[blink] == pytest.approx(1.0)
     assert 0.1 < limits.apply(blend(eyeBlink=1.0, eyeLookDown=1.0))[blink] < 0.9
@@ -214,12 +185,10 @@ def test_places_that_would_turn_a_triangle_over_go_less_far() -> None:
     assert np.array_equal(unfolded(square, square + 2.0, faces), square + 2.0)
 
 
-@needs_ict
-def test_lips_that_an_identity_parts_meet_at_rest(model: FaceModel) -> None:
+def test_lips_that_an_identity_parts_meet_at_rest() -> None:
     # The lips of this one are the farthest apart of the people that ship.
-    person = draw_person(17, model.sex_direction(), sex="male")
-    source = model.person(person.coefficients)
-    bare = build_mesh(source, map_names(list(source.shapes)))
+    person = draw_person(17, sex="male")
+    bare = read_model().mesh(person.coefficients)
     features = find_features(bare)
     closed = close_lips(bare, features)
     moved = closed.rest_m - bare.rest_m
@@ -229,9 +198,8 @@ def test_lips_that_an_identity_parts_meet_at_rest(model: FaceModel) -> None:
     assert before > 40 > 5 > after
 
 
-@needs_ict
 def test_a_person_becomes_a_capture_with_all_that_was_chosen(tmp_path: Path) -> None:
-    words = ["capture", "person", "--facekit", str(ICT), "--out", str(tmp_path / "out")]
+    words = ["capture", "person", "--out", str(tmp_path / "out")]
     options = ["--frames", "4", "--cameras", "1", "--size", "48x48", "--texture-size", "64"]
     assert main([*words, *options, "--seed", "9", "--hair", "buzz", "--age", "50"]) == 0
 
@@ -243,11 +211,10 @@ def test_a_person_becomes_a_capture_with_all_that_was_chosen(tmp_path: Path) -> 
     assert capture.mask(capture.frames[0], "front").max() > 0
 
 
-@needs_ict
 def test_wrong_choices_leave_nothing_behind(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = ["capture", "person", "--facekit", str(ICT), "--out", str(tmp_path / "out")]
+    words = ["capture", "person", "--out", str(tmp_path / "out")]
     assert main([*words, "--hair", "mohawk"]) != 0
     assert "hair is 'mohawk'; there are bald" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

@@ -90,7 +90,7 @@ def test_a_take_of_another_tracker_is_refused_and_nothing_is_written(
 
     with pytest.raises(CaptureError, match=words):
         read_own_take(path)
-    code = main(["capture", "synth", "--take", str(path), "--out", str(out)])
+    code = main(["capture", "person", "--take", str(path), "--out", str(out)])
 
     assert code == 2
     assert "other.csv" in capsys.readouterr().err.replace("\n", "")

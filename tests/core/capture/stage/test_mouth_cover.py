@@ -7,9 +7,9 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from helpers.small_capture import small_head
 from pica_core.capture.dataset.dataset import Topology
 from pica_core.capture.dataset.files import MAP_SIZE
-from pica_core.capture.procedural.heads import make_head
 from pica_core.capture.stage.expressions import blend
 from pica_core.capture.stage.mouth_cover import cover_mouth
 from pica_core.capture.stage.tracked_topology import COVER, track_topology
@@ -20,20 +20,19 @@ pytestmark = [pytest.mark.unit, pytest.mark.slow]
 OPEN = blend(jawOpen=0.7)
 
 
-@pytest.fixture(scope="module", params=["S1", "S6"])
-def tracked(request: pytest.FixtureRequest) -> tuple[Topology, np.ndarray, str]:
-    head = make_head(request.param)
-    dense = Topology(vertex_uv=head.vertex_uv, faces=head.faces, regions=head.regions)
-    shapes = head.vertices_batch(np.stack([blend(), OPEN, blend(eyeBlink=1.0)]))
-    return *track_topology(dense, shapes, 3000), request.param
+@pytest.fixture(scope="module")
+def tracked() -> tuple[Topology, np.ndarray]:
+    head = small_head(coarse=False)
+    shapes = np.stack([head.vertices(each) for each in (blend(), OPEN, blend(eyeBlink=1.0))])
+    return track_topology(head.topology, shapes, 3000)
 
 
 def directed_edges(faces: np.ndarray) -> list[tuple[int, int]]:
     return [tuple(edge) for edge in faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).tolist()]
 
 
-def test_the_cover_closes_the_border_of_the_lips(tracked: tuple[Topology, np.ndarray, str]) -> None:
-    topology, index, _ = tracked
+def test_the_cover_closes_the_border_of_the_lips(tracked: tuple[Topology, np.ndarray]) -> None:
+    topology, index = tracked
     cover = topology.regions[COVER]
     assert cover.sum() > 20
     places = index[topology.faces]  # the cover's vertices are the lips' once more
@@ -45,10 +44,10 @@ def test_the_cover_closes_the_border_of_the_lips(tracked: tuple[Topology, np.nda
 
 
 def test_an_open_mouth_shows_the_outer_side_of_its_cover(
-    tracked: tuple[Topology, np.ndarray, str],
+    tracked: tuple[Topology, np.ndarray],
 ) -> None:
-    topology, index, name = tracked
-    vertices = make_head(name).vertices(OPEN)[index]
+    topology, index = tracked
+    vertices = small_head(coarse=False).vertices(OPEN)[index]
     faces = topology.faces[topology.regions[COVER][topology.faces].all(1)]
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     normals = np.cross(b - a, c - a)
@@ -57,8 +56,8 @@ def test_an_open_mouth_shows_the_outer_side_of_its_cover(
     assert area[normals[:, 2] > 0].sum() > 0.97 * area.sum()
 
 
-def test_the_cover_has_texels_of_its_own(tracked: tuple[Topology, np.ndarray, str]) -> None:
-    topology, _, _ = tracked
+def test_the_cover_has_texels_of_its_own(tracked: tuple[Topology, np.ndarray]) -> None:
+    topology, _ = tracked
     cover = topology.regions[COVER]
     texel = topology.vertex_uv * MAP_SIZE - 0.5
     np.testing.assert_allclose(texel[cover], np.rint(texel[cover]), atol=1e-3)
@@ -72,10 +71,10 @@ def test_the_cover_has_texels_of_its_own(tracked: tuple[Topology, np.ndarray, st
 
 
 def test_a_tracker_keeps_cover_and_lips_together(
-    tracked: tuple[Topology, np.ndarray, str],
+    tracked: tuple[Topology, np.ndarray],
 ) -> None:
-    topology, index, name = tracked
-    rest = make_head(name).vertices(blend())[index]
+    topology, index = tracked
+    rest = small_head(coarse=False).vertices(blend())[index]
     found = SimulatedTracker(topology, rest, 3, index).follow(rest, rest, 0, 1.5)
     for dense in np.unique(index[topology.regions[COVER]]):
         assert len(np.unique(found[index == dense], axis=0)) == 1

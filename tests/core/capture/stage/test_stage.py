@@ -6,39 +6,37 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from helpers.small_capture import render_capture, small_head, small_subject
 from pica_command.main import main
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.dataset.files import load_image
 from pica_core.capture.dataset.multiface import MATERIALS, krt_text, read_krt
 from pica_core.capture.dataset.sheet import write_sheet
 from pica_core.capture.dataset.writer import BackgroundWriter
-from pica_core.capture.procedural.heads import make_head
-from pica_core.capture.procedural.subject import ProceduralSubject, StageOptions, render_capture
+from pica_core.capture.person.subject import PersonSubject
 from pica_core.capture.stage.dome import EVALUATION_VIEWS, dome_cameras
 from pica_core.capture.stage.expressions import blend
 from pica_core.capture.stage.subject import DEPTH_TOLERANCE_M
+from pica_core.capture.stage.synth import RenderOptions
 from pica_core.errors import CaptureError
 
 pytestmark = pytest.mark.render
 
-OPTIONS = StageOptions(
-    head="S1",
+OPTIONS = RenderOptions(
     frames=4,
     cameras=2,
     width=64,
     height=64,
     texture_size=64,
     seed=5,
-    bake_size=256,
-    self_shadow=False,
     depth_every=2,
     tracked_vertices=900,
 )
 
 
 @pytest.fixture(scope="module")
-def subject() -> ProceduralSubject:
-    return ProceduralSubject("S1", bake_size=256, self_shadow=False)
+def subject() -> PersonSubject:
+    return small_subject()
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +66,7 @@ def files_of(root: Path) -> dict[str, bytes]:
     }
 
 
-def test_projected_vertices_meet_the_rendered_depth(subject: ProceduralSubject) -> None:
+def test_projected_vertices_meet_the_rendered_depth(subject: PersonSubject) -> None:
     camera = dome_cameras(1, 256, 256)[0]
     vertices = subject.pose(blend(jawOpen=0.3))
     view = subject.draw(camera)
@@ -83,7 +81,7 @@ def test_projected_vertices_meet_the_rendered_depth(subject: ProceduralSubject) 
     inside = shown & (facing > 0.7) & (row >= 0) & (row < 256) & (column >= 0) & (column < 256)
     seen = inside.copy()
     seen[inside] = mask[row[inside], column[inside]] > 0
-    assert seen[inside].mean() > 0.995
+    assert seen[inside].mean() > 0.98  # clothes hide some of the neck
     off = distance[seen] - depth[row[seen], column[seen]]
     near = np.abs(off) < 0.004  # the rest lies behind something nearer
     assert near.mean() > 0.8
@@ -91,7 +89,7 @@ def test_projected_vertices_meet_the_rendered_depth(subject: ProceduralSubject) 
     assert (off > -0.003).mean() > 0.995
 
 
-def test_closed_lids_hide_the_eyes(subject: ProceduralSubject) -> None:
+def test_closed_lids_hide_the_eyes(subject: PersonSubject) -> None:
     camera = dome_cameras(1, 384, 384)[0]
     eye = MATERIALS.index("eye") + 1
     subject.pose(blend())
@@ -102,24 +100,25 @@ def test_closed_lids_hide_the_eyes(subject: ProceduralSubject) -> None:
     assert (closed_mask == eye).sum() <= 6
 
 
-def test_teeth_show_when_the_mouth_opens_and_not_at_rest(subject: ProceduralSubject) -> None:
+def test_teeth_show_when_the_mouth_opens_and_not_at_rest(subject: PersonSubject) -> None:
     camera = dome_cameras(1, 384, 384)[0]
     teeth = MATERIALS.index("teeth") + 1
     subject.pose(blend())
     closed = subject.draw(camera).mask
     subject.pose(blend(jawOpen=0.7))
     opened = subject.draw(camera).mask
-    assert (closed == teeth).sum() <= 4
-    assert (opened == teeth).sum() > 20
+    assert (closed == teeth).sum() < 20 < (opened == teeth).sum()
 
 
 def test_an_unwrapped_texture_covers_the_face_and_matches_the_image(
-    subject: ProceduralSubject,
+    subject: PersonSubject,
 ) -> None:
     cameras = dome_cameras(5, 192, 192)
     subject.pose(blend())
     texture, seen = subject.unwrap([(camera, subject.draw(camera)) for camera in cameras], 128)
-    assert seen[30:75, 40:88].mean() > 0.85  # brows to chin
+    face = subject.topology.vertex_uv[subject.topology.regions["face"]]
+    column, row = (128 * face).astype(int).T
+    assert seen[row, column].mean() > 0.85
     assert texture[~seen].max() == 0
     assert texture[seen].mean() > 40
     assert DEPTH_TOLERANCE_M < 0.002
@@ -162,14 +161,14 @@ def test_krt_text_reads_back(tmp_path: Path) -> None:
 
 def test_a_capture_reads_back_what_the_stage_rendered(rendered: Path) -> None:
     capture = Capture.open(rendered)
-    head = make_head("S1")
+    head = small_head()
     assert len(capture.frames) == 4
     assert {frame.split for frame in capture.frames} == {"train", "test"}
     frame = capture.frames_of("test")[0]
     np.testing.assert_allclose(
         capture.true_vertices_m(frame), head.vertices(capture.arkit(frame)), atol=2e-6
     )
-    np.testing.assert_array_equal(capture.topology.faces, head.faces)
+    np.testing.assert_array_equal(capture.topology.faces, head.chart.faces)
     assert capture.image(frame, "front").shape == (64, 64, 3)
     depth, mask = capture.true_depth_m(frame, "front"), capture.mask(frame, "front")
     assert ((depth > 0) == (mask > 0)).all()
@@ -209,14 +208,13 @@ def test_a_render_that_cannot_begin_leaves_nothing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "file").write_text("mine")
-    for out, head, message in (
-        ("new", "S9", "head 'S9' is unknown; built in are S1, S2, S3, S4, S5, S6"),
-        ("file", "S1", f"{tmp_path / 'file'}: is no directory; name one to make"),
-        ("file/new", "S1", f"{tmp_path / 'file/new/render.json'}: cannot write (Not a directory)"),
+    for out, message in (
+        ("file", f"{tmp_path / 'file'}: is no directory; name one to make"),
+        ("file/new", f"{tmp_path / 'file/new/render.json'}: cannot write (Not a directory)"),
     ):
-        words = ["capture", "synth", "--head", head, "--out", str(tmp_path / out)]
+        words = ["capture", "person", "--out", str(tmp_path / out)]
         assert main(words) == 2
-        assert capsys.readouterr().err == f"pica capture synth: {message}\n"
+        assert capsys.readouterr().err.endswith(f"pica capture person: {message}\n")
     assert files_of(tmp_path) == {"file": b"mine"}
 
 
@@ -281,7 +279,7 @@ def test_an_unknown_camera_lists_the_known_ones(rendered: Path) -> None:
 
 def test_a_size_out_of_range_is_refused() -> None:
     with pytest.raises(CaptureError, match="frames is 1; 4 to 100000 is"):
-        StageOptions(frames=1)
+        RenderOptions(frames=1)
 
 
 def test_an_image_that_cannot_be_written_ends_the_render(tmp_path: Path) -> None:

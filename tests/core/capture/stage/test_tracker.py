@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from helpers.small_capture import small_head
 from pica_core.camera import look_at
 from pica_core.capture.dataset.dataset import Topology
-from pica_core.capture.procedural.heads import ProceduralHead, make_head
+from pica_core.capture.rig.head import RigHead
 from pica_core.capture.stage.expressions import blend, sample_takes
 from pica_core.capture.stage.head_motion import head_to_world
 from pica_core.capture.stage.mvs_depth import OUTLIER_RATIO, find_depth
@@ -18,19 +19,19 @@ pytestmark = [pytest.mark.unit, pytest.mark.slow]
 
 
 @pytest.fixture(scope="module")
-def head() -> ProceduralHead:
-    return make_head("S1")
+def head() -> RigHead:
+    return small_head(coarse=False)
 
 
 @pytest.fixture(scope="module")
-def dense(head: ProceduralHead) -> Topology:
-    return Topology(vertex_uv=head.vertex_uv, faces=head.faces, regions=head.regions)
+def dense(head: RigHead) -> Topology:
+    return head.topology
 
 
 @pytest.fixture(scope="module")
-def tracked(head: ProceduralHead, dense: Topology) -> tuple[Topology, np.ndarray]:
+def tracked(head: RigHead, dense: Topology) -> tuple[Topology, np.ndarray]:
     shapes = [blend(), blend(jawOpen=0.7), blend(eyeBlink=1.0)]
-    return track_topology(dense, head.vertices_batch(np.stack(shapes)))
+    return track_topology(dense, np.stack([head.vertices(each) for each in shapes]))
 
 
 def edges_of(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -39,7 +40,7 @@ def edges_of(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_the_tracked_mesh_is_7000_of_the_dense_vertices_in_one_sheet(
-    head: ProceduralHead, dense: Topology, tracked: tuple[Topology, np.ndarray]
+    head: RigHead, dense: Topology, tracked: tuple[Topology, np.ndarray]
 ) -> None:
     topology, index = tracked
     assert 6500 <= len(index) <= 7500
@@ -64,7 +65,7 @@ def test_the_tracked_mesh_has_lips_and_no_inside_of_the_mouth(
 
 
 def test_the_mouth_of_the_tracked_mesh_opens(
-    head: ProceduralHead, tracked: tuple[Topology, np.ndarray]
+    head: RigHead, tracked: tuple[Topology, np.ndarray]
 ) -> None:
     topology, index = tracked
     edges, uses = edges_of(topology.faces)
@@ -75,15 +76,15 @@ def test_the_mouth_of_the_tracked_mesh_opens(
     assert np.ptp(opened[middle, 1]) > 0.01
 
 
-def test_the_tracked_mesh_is_the_same_every_time(head: ProceduralHead, dense: Topology) -> None:
-    shapes = head.vertices_batch(np.stack([blend(), blend(jawOpen=0.7)]))
+def test_the_tracked_mesh_is_the_same_every_time(head: RigHead, dense: Topology) -> None:
+    shapes = np.stack([head.vertices(blend()), head.vertices(blend(jawOpen=0.7))])
     (one, index), (other, other_index) = (track_topology(dense, shapes, 400) for _ in range(2))
     np.testing.assert_array_equal(index, other_index)
     np.testing.assert_array_equal(one.faces, other.faces)
 
 
 def test_a_tracker_errs_smoothly_by_less_than_a_millimetre(
-    head: ProceduralHead, tracked: tuple[Topology, np.ndarray]
+    head: RigHead, tracked: tuple[Topology, np.ndarray]
 ) -> None:
     topology, index = tracked
     rest = head.vertices(blend())[index]
@@ -105,7 +106,7 @@ def test_a_tracker_errs_smoothly_by_less_than_a_millimetre(
 
 
 def test_lips_that_move_fast_are_tracked_late(
-    head: ProceduralHead, tracked: tuple[Topology, np.ndarray]
+    head: RigHead, tracked: tuple[Topology, np.ndarray]
 ) -> None:
     topology, index = tracked
     before, now = blend().astype(np.float32), blend(jawOpen=0.35).astype(np.float32)
@@ -119,7 +120,7 @@ def test_lips_that_move_fast_are_tracked_late(
     lips = topology.regions["lips"]
     low = lips & (exact[:, 1] < np.median(exact[lips, 1]))
     assert (late - prompt)[low, 1].mean() > 0.0003  # above where the lip is now
-    assert np.abs((late - prompt)[topology.regions["hair"]]).max() == 0
+    assert np.abs((late - prompt)[topology.regions["collar"]]).max() == 0
     np.testing.assert_allclose(lagged_arkit(now, np.stack([now, now])), now, atol=1e-7)
 
 

@@ -12,10 +12,12 @@ import numpy as np
 import pytest
 import torch
 
+from helpers.small_capture import NAME, PERSON, render_capture
 from pica_core.avatar.spec import BLOCKS
 from pica_core.avatar.variants import VARIANTS
 from pica_core.capture.dataset.dataset import Capture
-from pica_core.capture.procedural.subject import ProceduralSubject, StageOptions, render_capture
+from pica_core.capture.person.subject import PersonSubject
+from pica_core.capture.stage.synth import RenderOptions
 from pica_core.errors import CheckpointError, TrainingOptionError
 from pica_core.train.checkpoint import write_checkpoint
 from pica_core.train.cli.eval import EvalOptions, eval_runs
@@ -50,14 +52,12 @@ from pica_core.train.rasterise import Rasteriser
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
 
 VARIANTS_HERE = ("full", "baseline", "coarse")
-STAGE = StageOptions(
+STAGE = RenderOptions(
     frames=20,
     cameras=1,
     width=80,
     height=80,
     texture_size=64,
-    bake_size=256,
-    self_shadow=False,
     tracked_vertices=400,
 )
 
@@ -207,7 +207,7 @@ def test_the_near_camera_is_closer_than_any_of_the_capture(data: TrainingData) -
     assert 0.2 * min(distances) > NEAR_DISTANCE_M
 
 
-class KeptSubject(ProceduralSubject):
+class KeptSubject(PersonSubject):
     """A head that stays for another go: baking one takes seconds."""
 
     def release(self) -> None:
@@ -217,16 +217,16 @@ class KeptSubject(ProceduralSubject):
 def test_near_field_pictures_are_skipped_where_the_stage_draws_another_picture(
     data: TrainingData, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    subject = KeptSubject("S1", bake_size=STAGE.bake_size, self_shadow=False)
+    subject = KeptSubject(PERSON, bake_size=256, self_shadow=False, coarse=True)
     frames = data.test_frames[:1]
-    monkeypatch.setattr("pica_core.train.eval.truth.ProceduralSubject", lambda name: subject)
+    monkeypatch.setattr("pica_core.train.eval.truth.PersonSubject", lambda person: subject)
     try:
         same = near_field(data, frames)
         image = data.images.image
         monkeypatch.setattr(data.images, "image", lambda frame, view: image(frame, view) // 2)
         other = near_field(data, frames)
     finally:
-        ProceduralSubject.release(subject)
+        PersonSubject.release(subject)
 
     assert "no longer draws what the capture holds" in str(other)
     assert not isinstance(same, str)
@@ -236,7 +236,7 @@ def test_near_field_pictures_are_skipped_where_the_stage_draws_another_picture(
 def test_what_needs_the_head_itself_is_skipped_for_a_real_capture(
     data: TrainingData, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(data.capture.info, "head", "a real person")
+    monkeypatch.delitem(data.capture.info, "person")
 
     assert "nobody can draw" in str(near_field(data, data.test_frames[:1]))
     assert one_sample_mse(data, data.test_frames[:1]) is None
@@ -245,8 +245,8 @@ def test_what_needs_the_head_itself_is_skipped_for_a_real_capture(
 def test_one_sample_a_pixel_errs_by_less_than_a_picture_half_a_pixel_off(
     data: TrainingData, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    subject = KeptSubject("S1", bake_size=STAGE.bake_size, self_shadow=False)
-    monkeypatch.setattr("pica_core.train.eval.truth.ProceduralSubject", lambda name: subject)
+    subject = KeptSubject(PERSON, bake_size=256, self_shadow=False, coarse=True)
+    monkeypatch.setattr("pica_core.train.eval.truth.PersonSubject", lambda person: subject)
     frame = data.test_frames[0]
     errors = []
     try:
@@ -259,7 +259,7 @@ def test_one_sample_a_pixel_errs_by_less_than_a_picture_half_a_pixel_off(
             seen = data.images.image(frame, view)[is_head].astype(float)
             errors.append(mse(moved[is_head].astype(float), seen))
     finally:
-        ProceduralSubject.release(subject)
+        PersonSubject.release(subject)
 
     assert error is not None
     assert 1 < error < np.mean(errors)
@@ -313,7 +313,7 @@ def test_rows_of_a_table_have_what_the_charts_need(
     assert len(rows) == len(VARIANTS_HERE) * len(data.images.evaluation_views)
     for row in rows:
         assert set(wanted.split()) <= set(row)
-        assert row["identity"] == "S1"
+        assert row["identity"] == NAME
         assert row["mse_low"] <= row["mse"] <= row["mse_high"]
         assert 0 < row["ssim"] < 1
         assert row["temporal_mse"] < row["mse"]
@@ -367,7 +367,7 @@ def test_frames_that_were_trained_on_can_be_measured_and_are_called_so(
 def test_geometry_is_judged_by_region_beside_the_trackers(table: dict[str, Any]) -> None:
     result = table["result"]
 
-    assert set(result["tracked_mesh"]["S1"]) == {"mouth", "eyes", "rest"}
+    assert set(result["tracked_mesh"][NAME]) == {"mouth", "eyes", "rest"}
     for run in result["runs"]:
         assert 0 < run["geometry"]["rest"] < DEPTH_CAP_MM
         assert run["near"] == {"skipped": "not asked for"}

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shutil
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +12,10 @@ import pytest
 import torch
 
 from helpers.published_capture import write_published
+from helpers.small_capture import NAME, render_capture, small_subject
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.dataset.multiface import mesh_path
-from pica_core.capture.procedural.subject import ProceduralSubject, StageOptions, render_capture
+from pica_core.capture.stage.synth import RenderOptions
 from pica_core.errors import CaptureError
 from pica_core.train.checkpoint import write_checkpoint
 from pica_core.train.cli.eval import EvalOptions, eval_runs
@@ -29,14 +29,12 @@ from pica_core.train.prior import face_prior
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
 
-STAGE = StageOptions(
+STAGE = RenderOptions(
     frames=20,
     cameras=2,
     width=64,
     height=64,
     texture_size=64,
-    bake_size=256,
-    self_shadow=False,
     tracked_vertices=400,
 )
 TINY = PRESETS["tiny"]
@@ -124,8 +122,7 @@ def test_the_change_does_not_span_a_frame_that_is_left_out(tmp_path: Path) -> No
 def test_a_frame_counts_by_the_views_that_have_it(
     capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    quick = partial(ProceduralSubject, bake_size=STAGE.bake_size, self_shadow=False)
-    monkeypatch.setattr("pica_core.train.eval.truth.ProceduralSubject", quick)
+    monkeypatch.setattr("pica_core.train.eval.truth.PersonSubject", lambda person: small_subject())
     front, left = (held_out_images(capture, view) for view in ("front", "left"))
     for path in (front[0], left[1], front[2], left[2]):
         path.unlink()
@@ -141,4 +138,4 @@ def test_a_frame_counts_by_the_views_that_have_it(
     total = sum(row["mse"] * row["frames"] for row in rows)
     assert total == pytest.approx(first + second + 2 * sum(others))
     assert run["near"]["frames"] == 1
-    assert result["one_sample_mse"]["S1"] > 0
+    assert result["one_sample_mse"][NAME] > 0

@@ -51,7 +51,7 @@ QUICK = LevelOptions(
     texels=(2, 2),
     check_faces=4,
 )
-SHIPPED = Path(str(resources.files("pica_core"))) / "avatars" / "sam.pica"
+SHIPPED = Path(str(resources.files("pica_core"))) / "avatars" / "nora.pica"
 
 
 @pytest.fixture(autouse=True)

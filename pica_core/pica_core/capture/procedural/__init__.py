@@ -1,1 +1,0 @@
-"""The built-in heads, each made from a row of numbers."""

@@ -1,0 +1,152 @@
+"""Make the face model that ships, of the public files of ICT-FaceKit Light.
+
+    python scripts/make_face_model.py FOLDER pica_core/pica_core/capture/face_model.npz
+
+FOLDER holds ``ict_head.glb`` (neutral and expressions), ``generic_neutral_mesh.obj`` and
+``identity_modes.npz`` (`modes` int16 ``[K, V, 3]`` in the OBJ's vertex order, times `scale_cm`).
+Layers over the eyes are left out. Places are stored in steps, as differences along the vertices;
+the largest errors are printed.
+
+Source: Li et al., "Learning Formation of Physically-Based Face Attributes", CVPR 2020. MIT licence,
+    Copyright (c) 2020 USC Institute for Creative Technologies.
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from pica_core.avatar.arkit import ARKIT_INDEX
+from pica_core.capture.dataset.multiface import MATERIALS
+from pica_core.capture.dataset.obj import read_obj
+from pica_core.capture.person.model import (
+    COARSE,
+    EYES,
+    MODE_M,
+    MOTION_M,
+    NUM_MODES,
+    REST_M,
+    UV_STEP,
+    read_model,
+)
+from pica_core.capture.rig.gltf import read_glb
+from pica_core.capture.rig.mesh import RigMesh, build_mesh
+from pica_core.capture.rig.names import map_names
+from pica_core.capture.triangles import nearest
+from pica_core.train.lod.simplify import Simplifier
+from pica_core.types import Array, Float64Array, FloatArray
+
+MALE = (
+    ((2.6, 4.4, 9.3), 1.3, (0.0, -0.15, 0.40)),
+    ((5.8, -5.5, 3.0), 2.2, (0.55, -0.40, 0.0)),
+    ((1.3, -8.8, 9.6), 1.8, (0.25, -0.50, 0.35)),
+    ((0.0, -1.3, 12.0), 1.3, (0.0, -0.10, 0.30)),
+    ((1.8, -1.8, 10.4), 0.9, (0.15, 0.0, 0.0)),
+    ((0.6, -4.6, 11.0), 0.9, (0.0, 0.0, -0.15)),
+    ((5.0, -12.5, 0.5), 3.5, (0.80, 0.0, 0.20)),
+)
+"""What sets a man's face off from the mean of both: place, reach and direction in cm, on the
+subject's left; mirrored on the right (chosen after Zhuang & Bradtmiller 2005: brow, jaw, chin, nose
+and neck)."""
+SEX_LENGTH = 2.2
+"""How far along its direction a sex lies, in standard deviations of the modes (chosen)."""
+COARSE_FACES = 9000
+HEAD_CM = (0.0, 1.43, 0.5)
+"""The origin of the places in `MALE`, in the model's own coordinates."""
+
+
+def main() -> None:
+    """Write the model, and print the largest error of each array."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("out", type=Path)
+    options = parser.parse_args()
+    source = read_glb(options.folder / "ict_head.glb")
+    modes_m, male = read_modes(options.folder, source.positions)
+    mesh = build_mesh(source, map_names(list(source.shapes)))
+    # Which of the file's vertices each one is: the tops of both are the same.
+    places = mesh.frame.points(source.positions)
+    place, top = places[places[:, 1].argmax()], mesh.rest_m[mesh.rest_m[:, 1].argmax()]
+    kept, apart = nearest(mesh.rest_m, places + (top - place))
+    assert apart.max() < 1e-9
+    assert mesh.uv is not None
+    assert mesh.uv_faces is not None
+    exact = {
+        "rest": (mesh.rest_m, REST_M, 0),
+        "modes": (mesh.frame.points(modes_m[:, kept]), MODE_M, 1),
+        "motion": (mesh.motion_m, MOTION_M, 1),
+        "uv": (mesh.uv, UV_STEP, 0),
+        "faces": (mesh.faces, 1, 0),
+        "uv_faces": (mesh.uv_faces, 1, 0),
+    }
+    table = {name: planes(*values) for name, values in exact.items()}
+    table |= {name: eye.vertices for name, eye in zip(EYES, mesh.eyes, strict=True)}
+    table |= coarse(mesh)
+    np.savez_compressed(options.out, part=mesh.part.astype(np.uint8), male=male, **table)
+    print(f"{options.out}: {options.out.stat().st_size / 1e6:.2f} MB")
+    model = read_model()
+    for name, array in (
+        ("rest", model.mean.rest_m), ("modes", model.modes_m), ("motion", model.mean.motion_m),
+    ):  # fmt: skip
+        print(f"{name}: off by {1000 * np.abs(array - exact[name][0]).max():.4f} mm at most")
+
+
+def coarse(mesh: RigMesh) -> dict[str, Array]:
+    """Triangles over some of the vertices, that hold in strong expressions."""
+    assert mesh.uv is not None
+    assert mesh.uv_faces is not None
+    corners = np.stack([mesh.uv_faces.ravel(), mesh.faces.ravel()], 1)
+    pairs, split = np.unique(corners, axis=0, return_inverse=True)
+    uv, place = pairs.T
+    poses = [mesh.rest_m]
+    for name in ("jawOpen", "eyeBlink", "mouthSmile"):
+        chosen = [k for shape, k in ARKIT_INDEX.items() if shape.startswith(name)]
+        poses.append(mesh.rest_m + mesh.motion_m[chosen].sum(0))
+    simplifier = Simplifier(np.stack(poses)[:, place], mesh.uv[uv], split.reshape(-1, 3))
+    simplifier.reduce(COARSE_FACES, None)
+    faces = simplifier.faces()
+    shared = np.zeros((len(mesh.rest_m), len(MATERIALS)), np.int64)  # parts of faces around
+    np.add.at(shared, (mesh.faces, mesh.part[:, None]), 1)
+    return {
+        COARSE + "faces": planes(place[faces], 1, 0),
+        COARSE + "uv_faces": planes(uv[faces], 1, 0),
+        COARSE + "part": shared[place[faces]].min(1).argmax(1).astype(np.uint8),
+    }
+
+
+def planes(values: Array, step: float, axis: int) -> Array:
+    """Differences of integers along an axis, as planes of bytes from the lowest."""
+    changes = np.diff(np.rint(values / step).astype("<i4"), axis=axis, prepend=0)
+    if np.abs(changes).max() < 2**15:
+        changes = changes.astype("<i2")
+    return np.moveaxis(changes[..., None].view(np.uint8), -1, 0)
+
+
+def read_modes(folder: Path, points_m: Float64Array) -> tuple[FloatArray, Float64Array]:
+    """Modes at the vertices of the .glb, metres ``[100, V, 3]``, and a man's coefficients."""
+    with np.load(folder / "identity_modes.npz") as archive:
+        packed, scale_cm = archive["modes"], float(archive["scale_cm"])
+    neutral_cm = read_obj(folder / "generic_neutral_mesh.obj").positions()
+    found, apart = nearest(100 * points_m, neutral_cm)
+    assert apart.max() < 0.001
+    modes_cm = packed[:, found].astype(np.float32) * np.float32(scale_cm)
+    return modes_cm / 100, sex_direction(100 * points_m - HEAD_CM, modes_cm)
+
+
+def sex_direction(points_cm: Float64Array, modes_cm: FloatArray) -> Float64Array:
+    """Coefficients that come nearest to what `MALE` wants, `SEX_LENGTH` long. ``[100]``."""
+    wanted = np.zeros_like(points_cm)
+    for centre, reach, move in MALE:
+        for side in (1.0, -1.0):
+            apart = points_cm - np.array(centre) * [side, 1, 1]
+            weight = np.exp(-0.5 * (apart**2).sum(1) / reach**2)
+            wanted += weight[:, None] * np.array(move) * [side, 1, 1]
+    chosen = np.arange(0, len(points_cm), 3)
+    table = modes_cm[:, chosen].reshape(NUM_MODES, -1).astype(np.float64)
+    ridge = 0.02 * np.trace(table @ table.T) / NUM_MODES * np.eye(NUM_MODES)
+    found = np.linalg.solve(table @ table.T + ridge, table @ wanted[chosen].ravel())
+    return SEX_LENGTH * found / np.linalg.norm(found)
+
+
+if __name__ == "__main__":
+    main()
