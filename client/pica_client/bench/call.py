@@ -9,7 +9,7 @@ Wall-clock numbers hold for this machine under its present load.
 
 Chosen, with the reason:
 - two decoding threads for all avatars: five peers need 150 decodes a second. One thread is enough
-  for block C (1 to 3 ms each; no difference was measured), two keep up with blocks of up to 10 ms;
+  for block G (1 to 3 ms each; no difference was measured), two keep up with blocks of up to 10 ms;
 - a decode waits in a queue, first come first served, which drops nothing until it is full.
 """
 

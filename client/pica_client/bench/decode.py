@@ -138,7 +138,7 @@ def run_decode_bench(config: DecodeBenchConfig, avatar: Avatar) -> dict[str, Any
         took = dict(zip(cases, samples, strict=True))
         rows = [
             _row(case, took, models.get(case.model), differences, latents, config)
-            | _skipped(decodes[case])
+            | {"upload_bytes": _upload_bytes(decodes[case])}
             for case in cases
             if not case.is_plain
         ]
@@ -200,7 +200,7 @@ def export_difference(
     Returns:
         The largest difference of any value of either map, over the largest value of that map.
     """
-    fast = OnnxDecoder(avatar, replace(onnx, skip_m=0.0))
+    fast = OnnxDecoder(avatar, onnx)
     plain = open_session(decoder_graph(avatar, level=level, plain=True), onnx)
     worst = 0.0
     for latent in latents:
@@ -284,9 +284,7 @@ class _Frame(_Talk):
         self._planner.plan([self._head], [self._camera], IMAGE_SIZE, FRAME_BUDGET_S, now)
         self._planner.requests([self._head], now)  # always decoded here, however little has changed
         maps = super().__call__(latent)
-        self._renderer.update_maps(
-            self._slot, maps.position_map, maps.expression_map, maps.row_versions
-        )
+        self._renderer.update_maps(self._slot, maps.position_map, maps.expression_map)
         return maps
 
     @property
@@ -294,15 +292,11 @@ class _Frame(_Talk):
         return self._renderer.bytes_uploaded(self._slot)
 
 
-def _skipped(decode: Decode) -> dict[str, Any]:
-    """The share of regions that were made, and bytes uploaded, of a frame."""
-    found: dict[str, Any] = dict.fromkeys(("regions", "upload_bytes"))
-    if isinstance(decode, _Talk) and (regions := decode.decoder.regions) is not None:
-        share = regions.num_decoded / max(regions.num_decoded + regions.num_skipped, 1)
-        found["regions"] = round(share, 4)
-    if isinstance(decode, _Frame):
-        found["upload_bytes"] = round(decode.bytes_uploaded / max(decode.num_frames, 1))
-    return found
+def _upload_bytes(decode: Decode) -> int | None:
+    """Bytes uploaded, of a frame."""
+    if not isinstance(decode, _Frame):
+        return None
+    return round(decode.bytes_uploaded / max(decode.num_frames, 1))
 
 
 def _baseline_frame(

@@ -15,7 +15,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from pica_client.decode.onnx_runtime import onnxruntime
-from pica_client.decode.regions import SKIP_M, RegionDecoder
 from pica_client.decode.request import DecodedMaps, Parts
 from pica_client.errors import OptionError, check_ranges
 from pica_core.avatar.baseline import BaselineAvatar
@@ -33,13 +32,11 @@ class OnnxOptions:
 
     threads: int = 1
     """Threads per decode. One is best when several avatars share few cores (measured: a second
-    thread makes block C slower, its layers are too small)."""
+    thread makes block G slower, its layers are too small)."""
     provider: str = CPU_PROVIDER
     """ONNX Runtime execution provider, by its own name."""
     provider_options: Mapping[str, str] = field(default_factory=dict)
     """Options of the provider, handed on as they are."""
-    skip_m: float = SKIP_M
-    """Farthest that vertices of a region that is not made anew may be off, metres."""
 
     def __post_init__(self) -> None:
         check_ranges(self, threads=(1, 64))
@@ -95,9 +92,6 @@ def open_session(graph: bytes, options: OnnxOptions) -> Any:
 class OnnxDecoder:
     """The per-object half of one avatar.
 
-    Attributes:
-        regions: What makes the full level's vertices where bases do, on the CPU; else None.
-
     Raises:
         OptionError: The provider is not in this build of ONNX Runtime, or does not start.
     """
@@ -106,17 +100,12 @@ class OnnxDecoder:
         self._avatar = avatar
         self._options = options or OnnxOptions()
         self._sessions: dict[tuple[int, Parts], Any] = {}  # at most two per level
-        self.regions: RegionDecoder | None = None
-        if avatar.spec.geometry == "bases" and self._options.provider == CPU_PROVIDER:
-            self.regions = RegionDecoder(avatar, self._options.skip_m)
         self.prepare()
 
     def prepare(self, level: int | None = None, parts: Parts = "both") -> Any:
         """Get ready for such decodes; may take long, once. Gives their session; OptionError if they
         cannot be had."""
         size = self._avatar.spec.map_size if level is None else level
-        if self._regions_of(level) is not None:
-            parts = "expression"
         session = self._sessions.get((size, parts))
         if session is None:
             if size not in self._avatar.levels:
@@ -137,18 +126,11 @@ class OnnxDecoder:
         maps of a level; None is the full one."""
         session = self.prepare(level, parts)
         feeds = {"latent": latent[None], "view_direction": view_direction[None]}
-        regions = self._regions_of(level)
-        if parts == "both" and regions is None:
+        if parts == "both":
             position_map, expression_map = session.run(["position_map", "expression_map"], feeds)
             return DecodedMaps(position_map, expression_map, len(expression_map))
         (expression_map,) = session.run(["expression_map"], feeds)
-        sheet = versions = None
-        if parts == "both" and regions is not None:
-            sheet, versions = regions.decode(latent)
-        return DecodedMaps(sheet, expression_map, len(expression_map), versions)
-
-    def _regions_of(self, level: int | None) -> RegionDecoder | None:
-        return self.regions if level in (None, self._avatar.spec.map_size) else None
+        return DecodedMaps(None, expression_map, len(expression_map))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from pica_core.types import FloatArray, Int64Array
+from pica_core.types import FloatArray
 
 Parts = Literal["both", "expression"]
 """Maps to make: both, or the expression map alone."""
@@ -22,9 +22,6 @@ class DecodedMaps:
     """float32 ``[S, S, 4]``, C-contiguous."""
     level: int = 0
     """S, texels per side of what was decoded."""
-    row_versions: Int64Array | None = None
-    """Of the position map, ``[R]``: rows of one number, of any two decodes, hold the same vertices.
-    None where that is not known, and all rows are to be uploaded."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,6 +79,4 @@ class DecodeResult:
             return self
         if self.maps.position_map is not None or former.maps.position_map is None:
             return self
-        kept = former.maps
-        maps = replace(self.maps, position_map=kept.position_map, row_versions=kept.row_versions)
-        return replace(self, maps=maps)
+        return replace(self, maps=replace(self.maps, position_map=former.maps.position_map))

@@ -5,17 +5,14 @@ A kind remembers which level came last and which one before it, so that a change
 in: `Placement.blend` mixes the two.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 
 import moderngl
 import numpy as np
 
 from pica_client.render.gpu_program import clamp
 from pica_core.errors import ShapeError
-from pica_core.types import FloatArray, Int64Array
-
-MERGED_ROWS = 4
-"""Runs of changed rows with fewer unchanged ones between them are uploaded as one."""
+from pica_core.types import FloatArray
 
 
 class MapSeries:
@@ -41,7 +38,6 @@ class MapSeries:
         self.level = self.level_before = 0
         """Level of the map that came last, 0 if none came; and of the last map of another level
         before, or the same where there is none."""
-        self._versions: dict[int, Int64Array] = {}
         self.bytes_written = 0
         """What `write` has uploaded so far."""
 
@@ -62,27 +58,10 @@ class MapSeries:
             known = ", ".join(map(str, shapes))
             raise ShapeError(f"map is {array.dtype} {array.shape}; float32 {known} is needed")
 
-    def write(self, array: FloatArray, row_versions: Int64Array | None = None) -> None:
-        """Upload a map that `check` has passed, but for rows whose versions are there already."""
+    def write(self, array: FloatArray) -> None:
+        """Upload a map that `check` has passed."""
         level = array.shape[1]
         if level != self.level:
             self.level, self.level_before = level, self.level or level
-        held = self._versions.pop(level, None)
-        if row_versions is not None:
-            self._versions[level] = row_versions
-        runs = [(0, len(array))]
-        if held is not None and row_versions is not None:
-            runs = list(_runs(np.flatnonzero(held != row_versions).tolist()))
-        for start, end in runs:
-            rows = np.ascontiguousarray(array[start:end])
-            self._textures[level].write(rows, viewport=(0, start, level, end - start))
-            self.bytes_written += rows.nbytes
-
-
-def _runs(rows: list[int]) -> Iterator[tuple[int, int]]:
-    """Runs ``[start, end)`` that cover ascending rows."""
-    for number, row in enumerate(rows):
-        if number == 0 or row - rows[number - 1] > MERGED_ROWS:
-            start = row
-        if number + 1 == len(rows) or rows[number + 1] - row > MERGED_ROWS:
-            yield start, row + 1
+        self._textures[level].write(np.ascontiguousarray(array))
+        self.bytes_written += array.nbytes

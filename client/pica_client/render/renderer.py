@@ -51,7 +51,7 @@ from pica_core.avatar.spec import POSITION_CHANNELS
 from pica_core.camera import Camera
 from pica_core.errors import GraphicsError
 from pica_core.gl import GL_VERSION, freeing, wait_for_gpu
-from pica_core.types import FloatArray, Image, Int64Array
+from pica_core.types import FloatArray, Image
 
 __all__ = ["DrawStats", "RenderOptions", "Renderer"]
 
@@ -189,7 +189,6 @@ class Renderer(Closing):
         slot: str,
         position_map: FloatArray | None,
         expression_map: FloatArray | None,
-        row_versions: Int64Array | None = None,
     ) -> None:
         """Upload freshly decoded maps; the two need not be of one level.
 
@@ -198,8 +197,6 @@ class Renderer(Closing):
             position_map: Metres, float32 ``[S, S, 3]`` at the full level, the sheet of a coarser
                 one's vertices ``[R, S, 3]``. None keeps the one that is there.
             expression_map: float32 ``[S, S, C]``, or None.
-            row_versions: Of the position map, as `DecodedMaps` has them: rows that are there
-                already are not uploaded again. None uploads all.
 
         Raises:
             ShapeError: Maps of another size than the avatar's levels. Nothing is changed.
@@ -207,13 +204,13 @@ class Renderer(Closing):
         entry = self._slots.get(slot)
         if entry is None or entry.maps is None:
             return
-        arrays, versions = (position_map, expression_map), (row_versions, None)
+        arrays = position_map, expression_map
         for series, array in zip(entry.maps, arrays, strict=True):
             if array is not None:
                 series.check(array)
-        for series, array, version in zip(entry.maps, arrays, versions, strict=True):
+        for series, array in zip(entry.maps, arrays, strict=True):
             if array is not None:
-                series.write(array, version)
+                series.write(array)
 
     def bytes_uploaded(self, slot: str) -> int:
         """Bytes of maps that went to the GPU for a slot; 0 where there is no avatar."""

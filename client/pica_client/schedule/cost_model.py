@@ -27,7 +27,7 @@ EXPECTED_DECODE_S: Mapping[Parts, Mapping[int, float]] = {
     "both": {64: 0.5e-3, 128: 1.6e-3, 256: 2.5e-3},
     "expression": {64: 0.3e-3, 128: 0.8e-3, 256: 1.3e-3},
 }
-"""Seconds on one thread (measured: the fastest of 600 decodes of block C on a busy machine of two
+"""Seconds on one thread (measured: the fastest of 600 decodes of block G on a busy machine of two
 cores). Only their proportions matter once one decode has been measured. Other levels scale with
 their texels."""
 WINDOW = 9

@@ -284,9 +284,7 @@ class AvatarPresenter:
                 continue
             begin_s = self._clock()
             maps = result.maps
-            self._renderer.update_maps(
-                result.slot, maps.position_map, maps.expression_map, maps.row_versions
-            )
+            self._renderer.update_maps(result.slot, maps.position_map, maps.expression_map)
             upload_s = self._clock() - begin_s
             self._planner.note_decoded(entry.head, result, upload_s, now)
             self._meter.add("upload", upload_s)

@@ -1,16 +1,15 @@
 """The per-object decoders as a list of plain layers: one description for torch and ONNX alike.
 
 The paper's block (Fig. 3b) doubles the resolution and gives its first convolution a bias per
-channel *and* location ("untied bias"); the figure itself is not in the text. Candidates, our choice
-by name in the spec:
+channel *and* location ("untied bias"); the figure itself is not in the text. Two, by name in the
+spec:
 
-    B    deconv 4x4 stride 2, untied bias at output size, leaky; conv 3x3
-    H2   conv 3x3, untied bias at input size, leaky; then B
-    C    conv 3x3, untied bias at input size, leaky; conv 1x1 to 4c; pixel shuffle
-         (the cheapest: 3-4 times fewer multiply-adds)
-    G    C, and in the decoders of geometry a factor per channel and location ("untied gain") at its
-         output: what moves how far, such as lips beside each other that an opening jaw parts, need
-         not be made of biases
+    H2   conv 3x3, untied bias at input size, leaky; deconv 4x4 stride 2, untied bias at output
+         size, leaky; conv 3x3 (the paper's, as we read it)
+    G    conv 3x3, untied bias at input size, leaky; conv 1x1 to 4c; pixel shuffle; and in the
+         decoders of geometry a factor per channel and location ("untied gain") at its output: what
+         moves how far, such as lips beside each other that an opening jaw parts, need not be made
+         of biases (3-4 times fewer multiply-adds)
 
 A LeakyReLU follows every block but the last, whose output is the map itself.
 """
@@ -135,20 +134,19 @@ def _block_of(spec: AvatarSpec, level: int) -> int:
 
 
 def _block(block: str, prefix: str, c_in: int, c_out: int, size: int) -> list[Layer]:
-    if block == "B":
-        return [
-            Layer("deconv4", f"{prefix}.up", c_in, c_out, size * 2),
-            Layer("untied_bias", f"{prefix}.up_bias", c_out, c_out, size * 2),
-            Layer("leaky_relu", f"{prefix}.up_act", c_out, c_out, size * 2),
-            Layer("conv3", f"{prefix}.conv", c_out, c_out, size * 2, has_bias=True),
-        ]
     first = [
         Layer("conv3", f"{prefix}.first", c_in, c_out, size),
         Layer("untied_bias", f"{prefix}.first_bias", c_out, c_out, size),
         Layer("leaky_relu", f"{prefix}.first_act", c_out, c_out, size),
     ]
     if block == "H2":
-        return [*first, *_block("B", prefix, c_out, c_out, size)]
+        return [
+            *first,
+            Layer("deconv4", f"{prefix}.up", c_out, c_out, size * 2),
+            Layer("untied_bias", f"{prefix}.up_bias", c_out, c_out, size * 2),
+            Layer("leaky_relu", f"{prefix}.up_act", c_out, c_out, size * 2),
+            Layer("conv3", f"{prefix}.conv", c_out, c_out, size * 2, has_bias=True),
+        ]
     return [
         *first,
         Layer("conv1", f"{prefix}.expand", c_out, 4 * c_out, size, has_bias=True),

@@ -20,8 +20,8 @@ POSITION_CHANNELS = 3
 RGB_CHANNELS = 3
 LEAKY_SLOPE = 0.2
 """Negative slope of every LeakyReLU (paper A.1)."""
-BLOCKS = ("B", "H2", "C", "G")
-"""Building blocks of the decoders that we know: the paper draws its own in a figure only (3b)."""
+BLOCKS = ("H2", "G")
+"""Building blocks of the decoders: the paper's, which it draws in a figure only (3b), and ours."""
 
 ENCODINGS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -53,7 +53,7 @@ new, so that older programs still read the files that they can draw."""
 class AvatarSpec:
     """Everything that fixes the shapes of an avatar's tensors."""
 
-    block: str = "C"
+    block: str = "G"
     """Building block of the two per-object decoders (our choice; see `decoder_layers`)."""
     map_size: int = 256
     """Rows and columns of position map and expression map, texels. A power of two times

@@ -148,7 +148,7 @@ def test_torch_and_onnx_leave_by_the_same_exit(block: str, level: int, plain: bo
 @pytest.fixture(scope="module")
 def judged() -> tuple[Avatar, dict[str, np.ndarray], np.ndarray, np.ndarray]:
     """An avatar, pixel inputs, torch's colours and the float64 reference's."""
-    model = trained_looking_model("C")
+    model = trained_looking_model("G")
     *_, expression_map = decoded(model)
     generator = torch.Generator().manual_seed(5)
     uv = torch.rand(NUM_PIXELS, 2, generator=generator)

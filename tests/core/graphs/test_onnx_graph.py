@@ -97,7 +97,7 @@ def test_one_map_alone_is_nearly_the_one_of_both(block: str, level: int, plain: 
 
 def test_a_level_that_the_avatar_lacks_has_no_graph() -> None:
     with pytest.raises(ValueError, match="level is 32; this avatar has 64, 128, 256"):
-        decoder_graph(toy("C"), level=32)
+        decoder_graph(toy("G"), level=32)
 
 
 @pytest.mark.parametrize("block", BLOCKS)
@@ -108,12 +108,12 @@ def test_the_graph_is_valid_onnx_of_an_old_operator_set(block: str) -> None:
 
 
 def test_the_rearranged_graph_shuffles_no_pixels_and_scales_no_map() -> None:
-    operators = {n.op_type for n in onnx.load_from_string(decoder_graph(toy("C"))).graph.node}
+    operators = {n.op_type for n in onnx.load_from_string(decoder_graph(toy("G"))).graph.node}
     assert not operators & {"DepthToSpace", "Mul"}
 
 
 def test_the_view_direction_changes_the_expression_map_alone() -> None:
-    graph, inputs = decoder_graph(toy("C")), some_inputs()
+    graph, inputs = decoder_graph(toy("G")), some_inputs()
     before = run(graph, **inputs)
     after = run(graph, latent=inputs["latent"], view_direction=np.array([[0.6, 0.0, 0.8]]))
     np.testing.assert_array_equal(before[0], after[0])
@@ -124,7 +124,7 @@ def test_the_view_direction_changes_the_expression_map_alone() -> None:
 def test_a_hopeless_latent_decodes_to_maps_of_the_right_shape(value: float) -> None:
     inputs = some_inputs()
     inputs["latent"][:] = value
-    position_map, expression_map = run(decoder_graph(toy("C")), **inputs)
+    position_map, expression_map = run(decoder_graph(toy("G")), **inputs)
     assert position_map.shape == (256, 256, 3)
     assert expression_map.shape == (256, 256, 4)
 

@@ -196,7 +196,7 @@ def test_a_run_starts_from_the_weights_of_another(data: TrainingData, tmp_path: 
 
 
 def test_a_run_does_not_start_from_another_model(data: TrainingData, tmp_path: Path) -> None:
-    other = replace(short(1, 0, 0), model=replace(PRESETS["tiny"].model, block="B"))
+    other = replace(short(1, 0, 0), model=replace(PRESETS["tiny"].model, block="H2"))
     with open_trainer(data, other, tmp_path / "first") as first:
         first.save()
 

@@ -86,10 +86,10 @@ def read_model(*, coarse: bool = False) -> FaceModel:
     ]
     motion = _sums(table["motion"], 1)[:, used]
     mean = RigMesh(
-        rest_m=REST_M * _sums(table["rest"])[used],
+        rest_m=REST_M * _sums(table["rest"])[used].astype(np.float64),
         motion_m=np.float32(MOTION_M) * motion.astype(np.float32),
         faces=faces,
-        uv=UV_STEP * _sums(table["uv"])[used_uv],
+        uv=UV_STEP * _sums(table["uv"])[used_uv].astype(np.float64),
         uv_faces=uv_faces,
         part=part,
         material=np.full(len(part), -1, np.int32),

@@ -57,7 +57,7 @@ class TrainOptions:
     start_from: Path | None = None
     """Folder of another run whose weights to start from: to go on with another preset, or on
     another capture."""
-    block: Literal["B", "H2", "C", "G"] | None = None
+    block: Literal["H2", "G"] | None = None
     """Block of the decoders, if not the preset's."""
     encoder: Literal["light", "paper"] | None = None
     """Encoder, if not the preset's."""

@@ -386,11 +386,11 @@ def test_the_best_of_a_view_is_bold() -> None:
 
 def test_blocks_of_one_variant_are_told_apart() -> None:
     row = {"identity": "S1", "view": "front", "mse_low": 0.0, "mse_high": 9.0, "seed": 0}
-    rows = [{**row, "variant": "full", "block": block, "mse": 2.0} for block in ("C", "H2")]
+    rows = [{**row, "variant": "full", "block": block, "mse": 2.0} for block in ("G", "H2")]
 
     text = error_table(rows, ("full",))
 
-    assert "| S1 | full, block C |" in text
+    assert "| S1 | full, block G |" in text
     assert "| S1 | full, block H2 |" in text
 
 
