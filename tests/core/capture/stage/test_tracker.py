@@ -44,7 +44,7 @@ def test_the_tracked_mesh_is_7000_of_the_dense_vertices_in_one_sheet(
 ) -> None:
     topology, index = tracked
     assert 6500 <= len(index) <= 7500
-    own = ~topology.regions["mouth_cover"]
+    own = ~topology.region("mouth_cover")
     assert len(np.unique(index[own])) == own.sum()
     np.testing.assert_array_equal(topology.vertex_uv[own], dense.vertex_uv[index][own])
     assert edges_of(topology.faces)[1].max() == 2  # no edge has three triangles
