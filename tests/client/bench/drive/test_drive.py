@@ -43,7 +43,7 @@ ROWS = ("avatar", "source", "stage", "level", "mse", "p95_mse", "lid_mm", "lip_m
 def result(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Path]:
     folder = tmp_path_factory.mktemp("worst")
     library = AvatarLibrary()
-    nora = library.load(library.find("nora"))
+    amara = library.load(library.find("amara"))
     library.close()
     config = DriveBenchConfig(
         sources=("performance:talk",),
@@ -52,10 +52,10 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Pa
         moments=2,
         image_size=128,
         worst=folder,
-        person=ROOT / "scripts" / "people" / "nora.json",
+        person=ROOT / "scripts" / "people" / "amara.json",
         num_worst=1,
     )
-    return run_drive_bench(config, [nora]), folder
+    return run_drive_bench(config, [amara]), folder
 
 
 def test_every_stage_and_level_has_a_row_and_a_picture(

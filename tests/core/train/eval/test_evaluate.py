@@ -329,7 +329,7 @@ def test_the_report_names_every_model_and_is_written(table: dict[str, Any]) -> N
     text = (table["out"] / "table.md").read_text()
 
     for variant in VARIANTS_HERE:
-        assert f"| S1 | {variant} |" in text
+        assert f"| {NAME} | {variant} |" in text
     assert "tracked mesh" in text
     assert json.loads((table["out"] / "eval.json").read_text())["table"] == 1
 
