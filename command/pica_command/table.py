@@ -77,7 +77,6 @@ GROUPS: Final[dict[str, dict[str, Command]]] = {
         "capture person": Command("pica_core.cli.person:person", ("capture",)),
         "capture rig": Command("pica_core.cli.rig:rig", ("capture",)),
         "capture sheet": Command("pica_core.cli.capture:sheet", ("capture",)),
-        "capture synth": Command("pica_core.cli.capture:synth", ("capture",)),
         "train": Command("pica_core.train.cli.train:train", ("train",)),
         "export": Command("pica_core.train.cli.train:export", ("train",)),
         "eval": Command("pica_core.train.cli.eval:eval_runs", ("train",)),
