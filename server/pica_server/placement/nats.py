@@ -1,10 +1,10 @@
-"""The bucket that places rooms on relays, in NATS with JetStream. Nothing is decided here.
+"""The bucket of keys that places rooms on relays, in NATS with JetStream; `Placement` decides.
 
-The bucket repeats (``republish``) each accepted write on a subject, so nobody polls. A connection
-that is lost is made anew every `RECONNECT_S`; meanwhile `Placement` goes on without.
+The bucket repeats (``republish``) each accepted write on a subject, so relays need not poll. A
+connection that is lost is made again every `RECONNECT_S`; rooms go on meanwhile.
 
-NATS 2.9.10 ends with a fault of its own when a key is read while the bucket is made, so nothing is
-read before a beat has been written.
+NATS 2.9.10 crashes when a key is read while the bucket is made, so no key is read before a beat has
+been written.
 """
 
 import asyncio
@@ -43,7 +43,7 @@ REQUEST_S: Final = 1.0
 RECONNECT_S: Final = 0.2
 TICK_S: Final = 0.25
 STOP_S: Final = 1.0
-"""Seconds for removing what is this relay's when it stops."""
+"""Seconds for removing the keys of this relay when it stops."""
 _NUM_WORKERS: Final = 8
 _AWAY: Final = (nats.errors.Error, TimeoutError, OSError)
 
@@ -54,7 +54,7 @@ class Bucket:
     """The connection of one relay to the bucket.
 
     Attributes:
-        placement: Decides; told here what the bucket says.
+        placement: Decides which relay has which room.
     """
 
     def __init__(
@@ -68,8 +68,9 @@ class Bucket:
 
         Args:
             urls: Of NATS; several servers of one NATS cluster with commas between.
-            hub: Whose rooms are placed.
-            on_events: Takes on the loop what placement has decided.
+            hub: The hub whose rooms are placed.
+            on_events: Called on the loop with decisions of the placement.
+            unix_time: The clock of claims, seconds since 1970.
         """
         me, rooms = secrets.token_hex(8), hub.membership.rooms
         self._requests: asyncio.Queue[Request] = asyncio.Queue()  # at most one for each room
@@ -87,13 +88,13 @@ class Bucket:
         self._tasks: list[asyncio.Task[None]] = []
 
     async def start(self, url: str) -> None:
-        """Join the other relays; without NATS that happens when it is there.
+        """Connect to NATS; if it does not answer, go on trying.
 
         Args:
             url: Where clients reach this relay.
 
         Raises:
-            ClusterError: NATS has no JetStream, or does not let us in.
+            ClusterError: NATS has no JetStream, or refuses this relay.
         """
         self._url = url
         try:
@@ -111,7 +112,7 @@ class Bucket:
         self._tasks = [asyncio.create_task(loop) for loop in loops]
 
     async def stop(self) -> None:
-        """Give up what is this relay's; the hub has closed its rooms before."""
+        """Remove the keys of this relay; the hub has closed its rooms before."""
         with suppress(TimeoutError, *_AWAY):
             async with asyncio.timeout(STOP_S):
                 await self._requests.join()
@@ -125,7 +126,7 @@ class Bucket:
             await self._client.close()
 
     async def _connect(self) -> None:
-        """Make a connection, follow the news, and make the bucket if it is not there."""
+        """Connect, subscribe to changes, and make the bucket if it does not exist."""
         client = Client()
         try:
             async with asyncio.timeout(CONNECT_S):
@@ -133,6 +134,8 @@ class Bucket:
                     self._urls,
                     name="pica-relay",
                     allow_reconnect=False,
+                    max_reconnect_attempts=1,  # of one call to connect
+                    reconnect_time_wait=RECONNECT_S,  # type: ignore[arg-type]
                     connect_timeout=2,
                     error_cb=self._on_error,
                     disconnected_cb=self._on_disconnected,
@@ -158,7 +161,7 @@ class Bucket:
             )
 
     async def _renew(self) -> None:
-        """Write this relay's beat over the last one: if that is not there, all is read again."""
+        """Write a beat over the last one; if that is missing, read all keys again."""
         assert self._bucket is not None
         hub, placement, now = self._hub, self.placement, self._now()
         data = placement.beat(self._url, hub.num_connections, is_open=hub.takes_rooms, now=now)
@@ -174,7 +177,7 @@ class Bucket:
         self._take_events()
 
     async def _keep(self) -> None:
-        """Keep the connection and the beat; its owner cancels this."""
+        """Keep the connection and renew the beat until cancelled."""
         while True:
             await asyncio.sleep(BEAT_S if self.placement.is_up else RECONNECT_S)
             try:
@@ -193,7 +196,7 @@ class Bucket:
             self._take_events()
 
     async def _work(self) -> None:
-        """Make requests, one after the other."""
+        """Answer requests of the placement until cancelled."""
         while True:
             key, data, revision = await self._requests.get()
             try:
@@ -205,7 +208,7 @@ class Bucket:
             self._take_events()
 
     async def _make(self, key: str, data: bytes | None, revision: int) -> tuple[bytes, int] | None:
-        """Make one request, and return what the bucket says of the key then, if that is known."""
+        """Read or write a key; return its data and revision then, or None if it is not known."""
         bucket = self._bucket
         if bucket is None or self._client is None or self._client.is_closed:
             return None

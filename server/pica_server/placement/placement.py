@@ -1,22 +1,21 @@
-"""Which relay has a room, by what a bucket that all relays share says of it. Pure.
+"""Decide which relay has a room, from a bucket of keys that all relays share. Pure.
 
 A room lives on one relay. The bucket has one key for each relay, its beat, renewed every `BEAT_S`,
 and one for each room, the claim of the relay that has it. A claim holds for as long as its relay
-beats; a relay that has not been heard for `LEASE_S` is dead. A key is written only over the
-revision that was read, so of several relays that write at once one succeeds, and the others read
-again and follow it.
+beats; a relay that has been silent for `LEASE_S` is dead. A key is written only over the revision
+that was read: of several relays that write at once one succeeds, and the others read again.
 
-    the bucket says   people are here                  joins wait                   neither
-    this relay        stay, or hand over               let them in                  remove
-    another, alive    the better claim wins            redirect                     forget
-    another, late     stay                             wait                         forget
-    another, dead     take it over                     take it over                 forget
-    nobody            claim it                         claim it for the relay of    forget
-                                                       the fewest connections
-    no answer         stay                             let them in                  forget
+    the bucket names      the room is here           joins wait for it          neither
+    this relay            keep, or hand over         admit                      remove the key
+    a relay that beats    the better claim holds     redirect                   forget
+    a relay that is late  keep                       wait                       forget
+    a dead relay          take over                  take over                  forget
+    no relay              claim                      claim for the relay of     forget
+                                                     the fewest connections
+    (no answer)           keep                       admit                      forget
 
-The better claim is the one of the higher term; of the same term the older one. A relay that takes a
-room over, or hands it over, raises the term: who was cut off for a while thereby gives way.
+The better claim is the one of the higher term, and of the same term the older one. Taking a room
+over or handing it over raises the term, so a relay that was cut off meanwhile gives way.
 """
 
 import hashlib
@@ -33,21 +32,21 @@ BEAT_S: Final = 0.4
 LATE_S: Final = 0.7
 """A relay that has missed a beat is late: joins for its rooms wait until it is heard, or dead."""
 LEASE_S: Final = 2.0
-"""A relay that has not been heard for so long is dead (chosen: its people are to be back in their
+"""A relay that has been silent for so long is dead (chosen: participants are to be back in their
 rooms within five seconds)."""
 RESERVED_S: Final = 10.0
-"""So long a room waits for the first of those who were sent to this relay (chosen)."""
+"""A claim without participants is kept for so long: they are being redirected (chosen)."""
 REWRITE_S: Final = 200.0
-"""A claim is written again after that; the bucket drops what is three times as old."""
+"""A claim is written again after that; the bucket drops keys that are three times as old."""
 RETRY_S: Final = 0.1
-"""From a request that did not succeed until the key is read again."""
+"""Wait between a request that failed and reading the key again (chosen)."""
 _GAP_S: Final = 1.0
 """Time without a tick in which this relay stood still, and could not hear the others."""
 
 
 @dataclass(frozen=True, slots=True)
 class Beat:
-    """What a relay says of itself."""
+    """The key of a relay."""
 
     relay: str
     url: str
@@ -59,7 +58,7 @@ class Beat:
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """Which relay has a room."""
+    """The key of a room: the relay that has it."""
 
     relay: str
     term: int
@@ -69,25 +68,25 @@ class Claim:
 
     @property
     def rank(self) -> tuple[int, int, str]:
-        """Of two claims for one room the lower one holds."""
+        """The claim of the lower rank holds."""
         return -self.term, self.since_ms, self.relay
 
 
 class Request(NamedTuple):
-    """Wants to know what the bucket says of a key, or to write it over a revision."""
+    """Read a key, or write it over a revision."""
 
     key: str
     data: bytes | None = None
-    """None reads, and nothing removes the key."""
+    """None reads the key, and empty data removes it."""
     revision: int = 0
 
 
 class Placed(NamedTuple):
-    """A relay is found: who waits for the room is let in, or redirected with all who are in it."""
+    """The relay of a room is found: joins that wait are admitted, or redirected with its peers."""
 
     room: str
     url: str | None
-    """The other relay, "" if it has no address; None: it is this one."""
+    """Address of the other relay, "" if there is none; None: this relay has the room."""
 
 
 _Record = TypeVar("_Record", Beat, Claim)
@@ -98,35 +97,35 @@ class _Relay:
     beat: Beat
     heard_s: float
     num_placed: int = 0
-    """Rooms that this relay has claimed for it since."""
+    """Rooms that this relay has claimed for it since that beat."""
 
 
 @dataclass(slots=True)
 class _Place:
-    """One room: what is known and wanted of it."""
+    """One room that this relay has to do with."""
 
     key: str
     room: str = ""
     has_joins: bool = False
     """Joins wait for it."""
     own: Claim | None = None
-    """Our claim while its people are here."""
+    """The claim of this relay while the room is here."""
     known: tuple[Claim | None, int] | None = None
-    """What the bucket says, and its revision; None: it must be read."""
+    """The claim in the bucket and its revision; None: it must be read."""
     first_known_s: float | None = None
     reserved_until_s: float = 0.0
     written_s: float = 0.0
     retry_s: float = 0.0
     request: Request | None = None
-    """Under way."""
+    """The request that has no answer yet."""
     is_overtaken: bool = False
-    """The bucket has said something else since the request was made."""
+    """The key has changed since the request was made."""
     leaves_to: str = ""
-    """The relay that gets it."""
+    """The relay that the room is handed over to."""
 
 
 def room_key(room: str) -> str:
-    """Return the key of a room; names of rooms stand in no subject."""
+    """Return the key of a room, a hash of its name."""
     return "room." + hashlib.sha256(b"pica room\0" + room.encode()).hexdigest()[:32]
 
 
@@ -154,10 +153,10 @@ class Placement:
         """Begin without the bucket.
 
         Args:
-            me: The id of this relay, different for each run.
-            rooms: The rooms with people on this relay, as they are now.
-            unix_time: The clock for claims, seconds since 1970.
-            request: Makes a request later; each gets one answer.
+            me: The id of this relay, another one for each run.
+            rooms: The rooms with peers on this relay, now and later.
+            unix_time: The clock of claims, seconds since 1970.
+            request: Takes a request, to be answered once by ``receive_answer``.
         """
         self.is_up = False
         self._me = me
@@ -180,22 +179,21 @@ class Placement:
         place.has_joins = True
         self._advance(place, now)
 
-    def note_started(self, room: str) -> None:
-        """Note that the first of its people is in a room here."""
+    def note_started(self, room: str, now: float) -> None:
+        """Note that a room has got its first peer here."""
         place = self._place(room)
-        known = place.known[0] if place.known is not None else None
-        is_mine = known is not None and known.relay == self._me
-        place.own = known if is_mine else self._new_claim(self._me, 0)
+        place.own = self._new_claim(self._me, 0)
+        self._advance(place, now)
 
     def note_ended(self, room: str, now: float) -> None:
-        """Note that nobody is in a room any more."""
+        """Note that the last peer has left a room."""
         place = self._places.get(room_key(room))
         if place is not None:
             place.own, place.leaves_to, place.reserved_until_s = None, "", 0.0
             self._advance(place, now)
 
     def hand_over(self, room: str, now: float) -> bool:
-        """Give a room to another relay; ``Placed`` follows. False if there is none."""
+        """Hand a room over to another relay; ``Placed`` follows. Return False if there is none."""
         place = self._places.get(room_key(room))
         target = self._choose(self._relays.keys() - {self._me}, now)
         if place is None or target is None or not self.is_up:
@@ -205,13 +203,13 @@ class Placement:
         return True
 
     def beat(self, url: str, num_connections: int, *, is_open: bool, now: float) -> bytes:
-        """Return what this relay says of itself now."""
+        """Return the beat of this relay."""
         beat = Beat(self._me, url, num_connections, is_open)
         self._relays[self._me] = _Relay(beat, now)
         return _encode(beat)
 
     def receive_renewed(self, now: float) -> None:
-        """Note that the bucket has taken a beat; if it was away, all is read again."""
+        """Note that a beat was written; if the bucket was away, read all keys again."""
         if not self.is_up:
             self.is_up = True
             for relay in self._relays.values():
@@ -219,20 +217,20 @@ class Placement:
             self.doubt_all(now)
 
     def receive_away(self, now: float) -> None:
-        """Note that the bucket does not answer: rooms go on, new ones are made here."""
+        """Note that the bucket does not answer: rooms go on, and new ones are made here."""
         self._counts["away"] += self.is_up
         self.is_up = False
         for place in list(self._places.values()):
             self._advance(place, now)
 
     def doubt_all(self, now: float) -> None:
-        """Read everything again: news may have been lost, or the bucket was made anew."""
+        """Read all keys again: news may have been lost, or the bucket was made again."""
         for place in list(self._places.values()):
             place.known, place.is_overtaken = None, True
             self._advance(place, now)
 
     def receive_news(self, key: str, data: bytes, now: float) -> None:
-        """Take what has just been written to a key."""
+        """Take the data that was just written to a key."""
         if key.startswith("relay."):
             beat, relay = self._decode(Beat, data), key.removeprefix("relay.")
             if beat is not None:
@@ -255,8 +253,8 @@ class Placement:
         """Take the answer to a request.
 
         Args:
-            key: Of the request.
-            found: What the bucket says now, and its revision; None if that is not known.
+            key: The key of the request.
+            found: The data of the key now and its revision; None if they are not known.
         """
         place = self._places[key]
         request, place.request, place.known = place.request, None, None
@@ -273,8 +271,7 @@ class Placement:
         self._advance(place, now)
 
     def tick(self, now: float) -> None:
-        """Do what has become due; called every quarter of a second, or later if this relay stood
-        still."""
+        """Do what is due; called every quarter of a second, or later if this relay stood still."""
         if self._ticked_s is not None and (gap_s := now - self._ticked_s) > _GAP_S:
             for relay in self._relays.values():
                 relay.heard_s += gap_s
@@ -286,12 +283,12 @@ class Placement:
             self._advance(place, now)
 
     def take_events(self) -> list[Placed]:
-        """Take what has come out, in order."""
+        """Take the decisions made since the last call, in order."""
         events, self._events = self._events, []
         return events
 
     def _advance(self, place: _Place, now: float) -> None:
-        """Do what the table says."""
+        """Do what the table of this module says."""
         is_here = place.room in self._rooms
         if not self.is_up:
             if place.has_joins:
@@ -318,7 +315,7 @@ class Placement:
             self._follow(place, claim, is_here=is_here, now=now)
 
     def _claim(self, place: _Place, *, is_here: bool, now: float) -> None:
-        """Claim a room that no relay has."""
+        """Claim a room that no relay has, here or where the fewest connections are."""
         if is_here and place.own is not None:
             self._request(place, place.own)
         elif place.has_joins:
@@ -327,7 +324,7 @@ class Placement:
             self._request(place, self._new_claim(target.beat.relay, 0))
 
     def _hold(self, place: _Place, claim: Claim, *, is_here: bool, now: float) -> None:
-        """Keep a room that this relay has, or let it go."""
+        """Keep a room that this relay has, hand it over, or give it up."""
         if place.has_joins:
             self._let_in(place, now)
         elif not is_here:
@@ -382,14 +379,14 @@ class Placement:
         return Claim(relay, term, round(self._unix_time() * 1000))
 
     def _request(self, place: _Place, what: Claim | bytes | None) -> None:
-        """Have a claim written, the key removed (empty), or read (None)."""
+        """Request to write a claim, to remove the key (empty) or to read it (None)."""
         data = _encode(what) if isinstance(what, Claim) else what
         place.request = Request(place.key, data, place.known[1] if place.known else 0)
         place.is_overtaken = False
         self._make_request(place.request)
 
     def _decode(self, kind: type[_Record], data: bytes) -> _Record | None:
-        """Read a beat or a claim; what cannot be read is none."""
+        """Decode a beat or a claim; None if there is none, or it is malformed."""
         if not data:
             return None
         try:

@@ -37,7 +37,7 @@ class Membership:
 
     Attributes:
         rooms: Every room with somebody in it, by name; to be read only.
-        placement: Finds the relay of a room that is not here; None: all rooms are.
+        placement: Finds the relay of a room that is not here; None without other relays.
     """
 
     _connections: Connections
@@ -53,7 +53,7 @@ class Membership:
         self._away: dict[str, Connection] = {}
         self._joins: TokenBucket | None = None  # full when the first one comes
         self.placement: Placement | None = None
-        # Joins for which the relay of the room is being looked for; one of each connection.
+        # Joins that wait until the relay of their room is known, at most one for each connection.
         self._waiting: dict[str, list[tuple[Connection, Join, Admission]]] = {}
         self._connections.on_over = self.clear_up
 
@@ -84,7 +84,7 @@ class Membership:
         self.follow(self.placement.take_events(), now)
 
     def follow(self, events: Sequence[Placed], now: float) -> None:
-        """Let those in for whose rooms this relay was chosen, and redirect the others."""
+        """Admit joins for rooms that are placed here, and redirect those for other rooms."""
         for room, url in events:
             waiting = [w for w in self._waiting.pop(room, []) if w[0].closed is None]
             if url is not None:
@@ -96,7 +96,7 @@ class Membership:
     def send_elsewhere(
         self, room_name: str, waiting: Sequence[Connection], url: str, now: float
     ) -> None:
-        """Redirect those who are in a room, and those who wait for it."""
+        """Redirect the peers of a room, and joins that wait for it."""
         room, connections = self.rooms.get(room_name), self._connections
         inside = [] if room is None else connections.connected(room)
         connections.send_elsewhere([*waiting, *inside], now, url)
@@ -197,7 +197,7 @@ class Membership:
     ) -> None:
         self.rooms[room.name] = room
         if self.placement is not None and len(room) == 1:
-            self.placement.note_started(room.name)
+            self.placement.note_started(room.name, now)
         peer = room.peer(connection.peer_id)
         for track in peer.tracks:
             stream = room.stream(track.stream)

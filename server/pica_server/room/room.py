@@ -79,18 +79,6 @@ class Stream:
                 self.is_whole = False
 
 
-def as_peer(peer_id: str, join: Join, admission: Admission, tracks: tuple[Track, ...]) -> Peer:
-    """Return somebody who joins, as the others see them; their tracks have their streams."""
-    return Peer(
-        peer_id=peer_id,
-        name=admission.name or join.name,
-        tracks=tracks,
-        metadata=join.metadata,
-        identity=admission.identity,
-        is_name_assured=bool(admission.name),
-    )
-
-
 class Room:
     """One room and the subscriptions of its members."""
 
@@ -138,8 +126,14 @@ class Room:
         """
         if self.is_full:
             raise RoomFullError(f"room {self.name} is full: {self._capacity} peers")
-        own = tuple(replace(t, stream=self._new_stream(peer_id, t)) for t in join.tracks)
-        peer = as_peer(peer_id, join, admission, own)
+        peer = Peer(
+            peer_id=peer_id,
+            name=admission.name or join.name,
+            tracks=tuple(replace(t, stream=self._new_stream(peer_id, t)) for t in join.tracks),
+            metadata=join.metadata,
+            identity=admission.identity,
+            is_name_assured=bool(admission.name),
+        )
         present = self.peers
         self._receivers.clear()
         default_layer = MAX_LAYER if admission.may_subscribe else _NOTHING

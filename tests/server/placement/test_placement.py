@@ -53,15 +53,15 @@ class Relay:
         """Let people in, or send them where placement says."""
         for room, url in self.placement.take_events():
             if url is None:
-                self.enter(room)
+                self.enter(room, now)
                 continue
             self.redirects.append(url)
             if room in self.rooms:
                 self.empty(room, now)
 
-    def enter(self, room: str) -> None:
+    def enter(self, room: str, now: float) -> None:
         self.rooms.add(room)
-        self.placement.note_started(room)
+        self.placement.note_started(room, now)
 
     def empty(self, room: str, now: float) -> None:
         self.rooms.discard(room)
@@ -241,7 +241,7 @@ def test_the_key_of_a_room_goes_with_its_last_peer(pair: Pair) -> None:
 def test_a_room_that_is_left_and_entered_at_once_is_claimed_again(pair: Pair) -> None:
     _, b, bucket = pair
     b.empty("lobby", 1.0)
-    b.enter("lobby")
+    b.enter("lobby", 1.0)
     bucket.settle(1.0)
     assert bucket.entries[KEY][0]
 
@@ -352,7 +352,8 @@ def test_any_bytes_in_the_bucket_are_read_or_counted(key: str, data: bytes) -> N
 
 STEPS = st.lists(
     st.tuples(
-        st.sampled_from(["ask", "empty", "answer", "away", "beat", "wipe"]), st.integers(0, 2)
+        st.sampled_from(["ask", "empty", "again", "answer", "away", "beat", "wipe"]),
+        st.integers(0, 2),
     ),
     max_size=60,
 )
@@ -373,6 +374,9 @@ def test_whatever_happens_a_room_is_on_one_relay_when_all_is_calm_again(
                 ask(relay, now)
             case "empty" if "lobby" in relay.rooms:
                 relay.empty("lobby", now)
+            case "again" if "lobby" in relay.rooms:
+                relay.empty("lobby", now)
+                relay.enter("lobby", now)
             case "answer" if relay.requests:
                 bucket.answer(relay, now)
             case "away":
