@@ -26,7 +26,6 @@ from pica_client.bench.network.stream_trial import (
 )
 from pica_client.bench.option_types import Words, check_names
 from pica_client.bench.playout import open_ends, true_face
-from pica_client.call.held_lips import HeldLips
 from pica_client.errors import OptionError, check_ranges
 from pica_client.output import say
 from pica_client.playout.buffer import Playout
@@ -89,9 +88,8 @@ class _Heard:
     sound: FloatArray
     moments: Array
     """When each sample was captured; NaN where nothing was heard. ``[ticks, FRAME]``."""
-    skews: list[tuple[float, float, float, bool]]
-    """(time, skew, skew without the voice's lips, whether the face stands still for want of
-    frames), seconds."""
+    skews: list[tuple[float, float, bool]]
+    """(time, skew, whether the face stands still for want of frames), seconds."""
     counted: Array
     """(time, played, concealed, stretched) after each tick. ``[ticks, 4]``."""
     cpu_s: float
@@ -128,7 +126,7 @@ def run_bench_voice(config: BenchVoiceConfig, avatar: Avatar) -> dict[str, Any]:
         for scenario in chosen:
             ends = open_ends(avatar, "coded", schedule.fps)
             delivery = deliver(face, ends, scenario, schedule, seed=config.seed, voice=voice)
-            heard = _listen(delivery, schedule, is_spoken, avatar)
+            heard = _listen(delivery, schedule, is_spoken)
             rows.append(
                 {
                     "condition": scenario.name,
@@ -177,11 +175,9 @@ def _packets(sound: FloatArray, bitrate: int) -> list[tuple[float, Frame]]:
     return packets
 
 
-def _listen(
-    delivery: Delivery, schedule: Schedule, is_spoken: Callable[[int], bool], avatar: Avatar
-) -> _Heard:
+def _listen(delivery: Delivery, schedule: Schedule, is_spoken: Callable[[int], bool]) -> _Heard:
     """Play what came: ticks of sound and refreshes of the display, in the order of time."""
-    buffer, playout, lips = JitterBuffer(OpusDecoder()), Playout(), HeldLips(OpusDecoder)
+    buffer, playout = JitterBuffer(OpusDecoder()), Playout()
     arrivals: list[tuple[float, Any]] = [
         *((frame.arrived_s, frame) for frame in delivery.arrivals),
         *delivery.voices,
@@ -193,7 +189,7 @@ def _listen(
     events += [((k + DISPLAY_PHASE) / schedule.display_hz, False) for k in range(refreshes)]
     sounds: list[FloatArray] = []
     moments = np.full((num_ticks, FRAME), np.nan)
-    skews: list[tuple[float, float, float, bool]] = []
+    skews: list[tuple[float, float, bool]] = []
     counted: list[tuple[float, int, int, int]] = []
     cpu_s, position, samples = 0.0, 0, delivery.samples()
     for now, is_sound in sorted(events):
@@ -204,7 +200,6 @@ def _listen(
             if isinstance(arrival, Frame):
                 packet = decode_payload(arrival.sequence, arrival.captured_us, arrival.payload)
                 buffer.receive(packet, arrived_s)
-                lips.receive("", packet)
             else:
                 receive_arrival(playout, arrival, samples)
         if not is_sound:
@@ -213,11 +208,8 @@ def _listen(
             is_heard = bool(sounds) and float(np.std(sounds[-1])) > SPOKEN_RMS
             if face is None:
                 continue
-            latent, still_us = face.sample.latent, face.captured_us
-            _, shown_us = lips.move("", avatar, latent, still_us, heard_us, now)
             if heard_us is not None and is_heard and is_spoken(heard_us):
-                skews_s = (shown_us - heard_us) / 1e6, (still_us - heard_us) / 1e6
-                skews.append((now, *skews_s, face.is_concealed))
+                skews.append((now, (face.captured_us - heard_us) / 1e6, face.is_concealed))
             continue
         sounds.append(buffer.pull(now))
         cpu_s += time.process_time() - begin_s
@@ -267,7 +259,7 @@ def _timing(heard: _Heard, schedule: Schedule) -> dict[str, Any]:
     is_troubled = (heard.counted[:, 0] >= begin_s) & (heard.counted[:, 0] < end_s)
     delays_s = heard.delays_s[is_troubled]
     refreshes = [row for row in heard.skews if begin_s <= row[0] < end_s]
-    skews = [skew for _, skew, _, _ in refreshes]
+    skews = [skew for _, skew, _ in refreshes]
     num_held = sum(is_held for *_, is_held in refreshes)
     counts = heard.counted[is_troubled]
     ticks, (played, concealed, stretched) = len(counts), (counts[-1] - counts[0])[1:]
@@ -278,7 +270,6 @@ def _timing(heard: _Heard, schedule: Schedule) -> dict[str, Any]:
             "worst": round(max(skews, key=abs, default=0.0) * 1e3, 1),
             "earliest": round(min(skews, default=0.0) * 1e3, 1),
         },
-        "still_skew_ms": _ms((abs(skew) for _, _, skew, _ in refreshes), 95),
         "face_held_ratio": round(num_held / max(len(refreshes), 1), 4),
         "concealed_ratio": round(float(concealed / max(played + concealed, 1)), 4),
         "stretched_ratio": round(float(stretched / ticks), 4),

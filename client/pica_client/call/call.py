@@ -17,7 +17,6 @@ from typing import Any, NamedTuple
 from pica_client.avatars.library import AvatarStore
 from pica_client.call.connection_quality import StreamHealth
 from pica_client.call.faces import FaceState, FaceStatus
-from pica_client.call.held_lips import HeldLips
 from pica_client.call.participant import RemoteParticipant, Tell
 from pica_client.call.roster import SECRET_NEEDED, Member, RoomState, Roster
 from pica_client.e2ee.status import SealState, SealStatus
@@ -30,7 +29,6 @@ from pica_core.codec.latent_sample import DecodedFrame
 from pica_core.errors import AvatarFileError, ProfileError
 from pica_protocol import messages
 from pica_protocol.frames import Frame
-from pica_protocol.limits import MAX_LAYER
 from pica_protocol.session import ClientEvent
 
 KEYFRAME_REQUEST_INTERVAL_S = 0.5
@@ -78,9 +76,7 @@ class Call:
             have changed it.
         heard_us: Says which moment of somebody's voice leaves the loudspeaker, by peer id and our
             clock; their face is then led by it.
-        lips: Moves the lips of a face that stands still by its voice; None: they stand still, too.
-        skews_s: By how much the lips of each face that was shown were off its voice, either way; of
-            one that stands still for want of frames, too.
+        skews_s: By how much each face that was shown was off its voice, either way.
         delays_s: How old the sound was that was heard when a face was shown; only where sender and
             receiver share a clock does it say anything.
     """
@@ -104,8 +100,6 @@ class Call:
         self.on_members: Callable[[Sequence[Member]], None] = lambda members: None
         self.heard_us: Callable[[str, float], int | None] = lambda peer_id, now: None
         self.skews_s, self.delays_s = Samples(), Samples()
-        self._max_layer = MAX_LAYER
-        self.lips: HeldLips | None = None
 
     # The network's side
 
@@ -200,15 +194,6 @@ class Call:
             has_changed = seat is not None and seat.subscription.subscribe(layer, now)
         if has_changed:
             self.on_subscription()
-
-    def limit_layers(self, layer: int, now: float) -> None:
-        """Ask for no more than a layer of everybody's face, now and of who comes; see
-        `YieldingFaces`."""
-        with self._lock:
-            self._max_layer = layer
-            for seat in self._seats.values():
-                seat.subscription.limit(layer, now)
-        self.on_subscription()
 
     def faces(self, now: float) -> list[FaceState]:
         """Return everybody's face at display time; see `FaceSource.faces`."""
@@ -345,7 +330,6 @@ class Call:
                 with suppress(AvatarFileError):
                     self._avatars.get(track.avatar)
                 seat = RemoteParticipant(peer, track, self._playout)
-                seat.subscription.limit(self._max_layer, 0.0)
                 self._seats[peer.peer_id] = self._by_stream[track.stream] = seat
                 for former in [each for each in self._departed if each.is_same_person(peer)][-1:]:
                     self._departed.remove(former)
@@ -443,20 +427,14 @@ class Call:
             newest = played.newest
             arrived_us = round(newest.arrived_s * 1e6)
             self._shown.append(Shown(peer.name, played.captured_us, newest.captured_us, arrived_us))
-        sample, shown_us = played.sample, played.captured_us
-        latent = sample.latent
-        avatar = None if self.lips is None else self._avatars.get(avatar_id)
-        if self.lips is not None and avatar is not None:
-            whose = (peer.peer_id, avatar, latent)
-            latent, shown_us = self.lips.move(*whose, shown_us, heard_us, now)
-        if heard_us is not None and (not is_held or shown_us != played.captured_us):
-            self.skews_s.add(abs(shown_us - heard_us) / 1e6)
-            self.delays_s.add(now - heard_us / 1e6)
+            if heard_us is not None:
+                self.skews_s.add(abs(played.captured_us - heard_us) / 1e6)
+                self.delays_s.add(now - heard_us / 1e6)
         return replace(
             face,
-            latent=latent,
-            rotation=sample.rotation,
-            translation_m=sample.translation_m,
+            latent=played.sample.latent,
+            rotation=played.sample.rotation,
+            translation_m=played.sample.translation_m,
             captured_us=max(played.captured_us, 0),
             status=status,
             note=note,

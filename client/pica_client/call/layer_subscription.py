@@ -1,7 +1,6 @@
 """Which layers of a stream the relay is told that we want, and when. Pure.
 
     subscribe(layer, now)    what is wanted from now on; None is nothing at all
-    limit(layer, now)        what there is room for
     due(now)                 the layer to tell the relay now, if any
     note_told(layer, now)    the relay was told
     next_timer()             when something is due
@@ -35,7 +34,6 @@ class LayerSubscription:
 
     def __init__(self) -> None:
         self.told = self._wanted = MAX_LAYER  # a relay that was told nothing sends everything
-        self._asked = self._limit = MAX_LAYER
         self._lower_s = math.inf  # when less is asked for
         self._highest = NOTHING  # most that was wanted since the first request for less
         self._lowered_s = -math.inf
@@ -43,8 +41,7 @@ class LayerSubscription:
     def subscribe(self, layer: int | None, now: float) -> bool:
         """Note the highest layer that is wanted, None is nothing at all; return whether `due` or
         `next_timer` may say something new."""
-        self._asked = NOTHING if layer is None else min(layer, MAX_LAYER)
-        wanted = min(self._asked, self._limit)
+        wanted = NOTHING if layer is None else min(layer, MAX_LAYER)
         if wanted == self._wanted:
             return False
         self._wanted = wanted
@@ -55,17 +52,6 @@ class LayerSubscription:
         else:
             self._lower(now)
         return True
-
-    @property
-    def is_pushed_out(self) -> bool:
-        """Whether something is wanted and `limit` leaves nothing of it."""
-        return self._limit == NOTHING < self._asked
-
-    def limit(self, layer: int, now: float) -> None:
-        """Want no more than a layer, whatever is asked for; less holds at once."""
-        self._limit = layer
-        self._wanted = self._highest = min(self._asked, layer)
-        self._lower_s = now if self._wanted < self.told else math.inf
 
     def due(self, now: float) -> int | None:
         """The layer that the relay is to be told by now, `NOTHING` included; None if there is no

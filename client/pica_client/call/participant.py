@@ -133,8 +133,6 @@ class RemoteParticipant:
             return "muted by an admin"
         if self.is_away:
             return "connection lost"
-        if self.subscription.is_pushed_out:
-            return "the network carries voices alone"
         return FACE_NOTES.get(self._face_mode, "")
 
     @property

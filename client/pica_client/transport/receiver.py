@@ -13,7 +13,6 @@ from typing import Any, Self
 
 from pica_client.avatars.upload import AvatarGiver
 from pica_client.call.call import Call
-from pica_client.call.yielding import YieldingFaces
 from pica_client.publish.face_track import FACE_TRACK, RECORDS_KEY, RECORDS_YES
 from pica_client.publish.publisher import Publisher
 from pica_client.transport.config import LinkConfig
@@ -21,7 +20,6 @@ from pica_client.transport.dialer import Connector
 from pica_client.transport.link import Link
 from pica_client.transport.link_news import LinkNews
 from pica_client.transport.timers import wait_until
-from pica_client.voice.packet import VoicePacket
 from pica_client.voice.publisher import VoicePublisher
 from pica_client.voice.receiver import OnVoice, VoiceReceiver
 from pica_protocol.messages import Joined, Moderation, Peer, PeerJoined
@@ -41,7 +39,6 @@ class Receiver:
 
     Attributes:
         is_recording: Whether the others are told that what is seen here is kept.
-        yielding: How many layers of faces there is room for beside the voices.
     """
 
     def __init__(
@@ -72,9 +69,7 @@ class Receiver:
         self.voice = voice
         if publisher is not None:
             publisher.listen_to(voice)
-        self._hand_on = on_voice
-        self.yielding = YieldingFaces()
-        self.voices = VoiceReceiver(None if on_voice is None else self._on_voice)
+        self.voices = VoiceReceiver(on_voice)
         self._takes_faces = takes_faces
         tracks = tuple(each.track for each in (publisher, voice) if each is not None)
         self.link = Link(link_config, tracks, on_event=self._on_event, connector=connector, rng=rng)
@@ -190,13 +185,6 @@ class Receiver:
         if self._news is not None:
             self._news.receive_event(event, now)
         self.arrived.set()
-
-    def _on_voice(self, peer_id: str, packet: VoicePacket, arrived_s: float) -> None:
-        """Hand a voice on; faces make room for it."""
-        if self.yielding.receive(peer_id, packet.captured_us, arrived_s):
-            self.call.limit_layers(self.yielding.max_layer, arrived_s)
-        assert self._hand_on is not None
-        self._hand_on(peer_id, packet, arrived_s)
 
     def _decline(self, peers: Sequence[Peer]) -> None:
         """Tell the relay which streams of newcomers it need not send us."""

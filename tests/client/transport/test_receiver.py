@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import asyncio
-from unittest import mock
 
 import pytest
 
 from helpers.senders import LoadedAvatars
 from helpers.toy import make_toy_avatar
 from pica_client.call.call import Call
-from pica_client.call.layer_subscription import NOTHING
 from pica_client.publish.publisher import Publisher, SenderConfig
 from pica_client.sources.source import Unseen
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.receiver import Receiver
 from pica_core.avatar.arkit import ExpressionFrame
-from pica_protocol.messages import Joined, Peer, PeerJoined, Track
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
 
@@ -72,36 +69,3 @@ def test_a_receiver_says_that_it_is_good_for_one_call() -> None:
         pass
     with pytest.raises(RuntimeError, match="one call"):
         asyncio.run(receiver.run())
-
-
-def test_on_a_narrow_way_a_newcomer_is_told_of_as_well() -> None:
-    def peer(name: str, stream: int) -> Peer:
-        return Peer(peer_id=name, name=name, tracks=(Track(kind="face", stream=stream),))
-
-    async def call() -> list[tuple[int, int | None]]:
-        told: list[tuple[int, int | None]] = []
-        receiver = make_receiver("ws://127.0.0.1:9")
-
-        def want(stream: int, layer: int | None) -> bool:
-            told.append((stream, layer))
-            return True
-
-        async def joined() -> None:
-            now = asyncio.get_running_loop().time()
-            receiver._on_event(Joined(room="r", peer_id="me", peers=(peer("ada", 1),)), now)
-            receiver.call.limit_layers(NOTHING, now)
-            await asyncio.sleep(0)
-            receiver._on_event(PeerJoined(peer=peer("bob", 2)), now)
-            async with asyncio.timeout(PATIENCE_S):
-                while len(told) < 2:  # noqa: ASYNC110 - what is waited for has no event
-                    await asyncio.sleep(0)
-
-        with (
-            mock.patch.object(receiver.link, "want", want),
-            mock.patch.object(receiver.link, "run", joined),
-            mock.patch.object(type(receiver.link), "is_joined", True),
-        ):
-            await receiver.run()
-        return told
-
-    assert asyncio.run(call()) == [(1, None), (2, None)]

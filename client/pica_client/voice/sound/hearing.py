@@ -6,9 +6,8 @@ from typing import Any
 import numpy as np
 
 from pica_client.call.call import Call
-from pica_client.call.held_lips import HeldLips
 from pica_client.call.roster import Member
-from pica_client.voice.opus import OpusDecoder, available
+from pica_client.voice.opus import available
 from pica_client.voice.packet import VoicePacket
 from pica_client.voice.sound.process import SoundProcess
 
@@ -24,7 +23,6 @@ class Hearing:
         self._call = call
         self._seated: list[str] = []
         call.heard_us, call.on_members = sound.heard_us, self.seat
-        self._lips = call.lips = HeldLips(OpusDecoder)
 
     def seat(self, members: Sequence[Member]) -> None:
         """Give everybody with a face or a voice a place, in the order of coming; others are
@@ -32,14 +30,12 @@ class Hearing:
         seated = [each.peer.peer_id for each in members if each.has_voice or not each.is_watching]
         if seated != self._seated:
             self._seated = seated
-            self._lips.keep(set(seated))
             places = np.linspace(-1, 1, len(seated)) if len(seated) > 1 else np.zeros(len(seated))
             self._sound.seat(dict(zip(seated, (WIDTH_RAD * places).tolist(), strict=True)))
 
     def receive(self, peer_id: str, packet: VoicePacket, arrived_s: float) -> None:
         """Take a packet of somebody's voice."""
         self._sound.receive(peer_id, packet, arrived_s)
-        self._lips.receive(peer_id, packet)
 
     def stats(self) -> dict[str, Any]:
         """How sound and faces went since the call's statistics began.
