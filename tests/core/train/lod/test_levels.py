@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -12,16 +11,11 @@ import torch
 
 from helpers.mesh_edges import boundary_edges
 from helpers.toy import grid_faces, make_toy_avatar, with_toy_levels
-from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar, avatar_id, load_avatar, save_avatar
 from pica_core.avatar.levels import JUDGED
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.errors import AvatarFileError, TrainingOptionError
 from pica_core.model.decoders import sample_map
-from pica_core.reference.decoders import decode_expression_map, decode_position_map
-from pica_core.reference.mesh import sample_vertices
-from pica_core.reference.pixel import decode_pixels
-from pica_core.reference.sampling import sample_bilinear
 from pica_core.train.cli.levels import AvatarLevelsOptions, avatar_levels
 from pica_core.train.lod.exits import (
     FaceSet,
@@ -33,13 +27,12 @@ from pica_core.train.lod.exits import (
 from pica_core.train.lod.judge import PokeFinder, seen_vertices
 from pica_core.train.lod.levels import LevelOptions, LevelReport, add_levels
 from pica_core.train.lod.simplify import Simplifier, weld
-from pica_core.types import Array
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
 
 
 SMALL = AvatarSpec(
-    map_size=128, hidden_channels=(8, 6, 4), uv_encoding_size=16, axis_encoding_size=20
+    block="H2", map_size=128, hidden_channels=(8, 6, 4), uv_encoding_size=16, axis_encoding_size=20
 )
 TOY = make_toy_avatar(grid=20, spec=SMALL)
 QUICK = LevelOptions(
@@ -51,7 +44,6 @@ QUICK = LevelOptions(
     texels=(2, 2),
     check_faces=4,
 )
-SHIPPED = Path(str(resources.files("pica_core"))) / "avatars" / "nora.pica"
 
 
 @pytest.fixture(autouse=True)
@@ -63,25 +55,6 @@ def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
 @functools.cache
 def levelled() -> tuple[Avatar, list[LevelReport]]:
     return add_levels(TOY, QUICK)
-
-
-@functools.cache
-def shipped() -> Avatar:
-    return load_avatar(SHIPPED)
-
-
-def some_latent(avatar: Avatar, seed: int) -> Array:
-    arkit = np.random.default_rng(seed).uniform(0, 0.5, 52)
-    return ExpressionEncoder(avatar).encode(arkit)
-
-
-def decode_vertices(avatar: Avatar, latent: Array, level: int) -> Array:
-    """Where the vertices are that a level's mesh uses, in ascending order. ``[V', 3]`` metres."""
-    used = np.unique(avatar.level_faces(level))
-    found = decode_position_map(avatar, latent, level)
-    if level == avatar.spec.map_size:
-        return sample_bilinear(found, avatar.tensors["mesh.vertex_uv"][used])
-    return found.reshape(-1, 3)[: len(used)]
 
 
 # Exits
@@ -99,13 +72,12 @@ def test_what_is_made_can_be_saved_and_loaded(tmp_path: Path) -> None:
     assert load_avatar(tmp_path / "toy.pica").levels == (32, 64, 128)
 
 
-def test_the_report_is_of_each_level_and_beats_a_face_that_does_not_move() -> None:
+def test_the_report_is_of_each_level() -> None:
     small, large = levelled()[1]
     assert (small.level, large.level) == (32, 64)
     assert small.triangles < large.triangles
     for report in (small, large):
         assert report.triangles == len(levelled()[0].level_faces(report.level))
-        assert report.vertex_error_mm < 0.7 * report.vertex_rest_mm
 
 
 def test_levels_are_made_anew_with_the_same_result_and_their_errors_are_forgotten() -> None:
@@ -240,50 +212,6 @@ def test_vertices_within_a_texel_of_the_map_go_first() -> None:
         mesh.reduce(800, map_size)
         crowded.append((uv[np.unique(mesh.faces()), 0] < 0.05).sum())
     assert crowded[0] < 0.9 * crowded[1] <= 0.9 * crowded[2]
-
-
-@pytest.mark.parametrize(("level", "part"), [(64, 0.16), (128, 0.28)])
-def test_a_shipped_avatars_mesh_fits_its_level(level: int, part: float) -> None:
-    whole = len(shipped().tensors["mesh.faces"])
-    assert len(shipped().level_faces(level)) == pytest.approx(part * whole, rel=0.03)
-
-
-@pytest.mark.parametrize("level", [64, 128])
-def test_a_shipped_avatars_coarser_mesh_opens_no_crack(level: int) -> None:
-    tensors = shipped().tensors
-    rest = sample_vertices(tensors["geometry.mean"], tensors["mesh.vertex_uv"])
-    place = weld(rest)
-    before = boundary_edges(tensors["mesh.faces"], place)
-    after = boundary_edges(shipped().level_faces(level), place)
-    assert len(boundary_edges(tensors["mesh.faces"])) > 1.2 * len(before), "there are seams"
-    assert len(after) <= len(before)
-    # A crack would be a boundary where there was none: at vertices inside the full mesh.
-    assert set(after.reshape(-1).tolist()) <= set(before.reshape(-1).tolist())
-
-
-@pytest.mark.parametrize(("level", "limit_mm"), [(64, 0.3), (128, 0.15)])
-def test_a_shipped_avatars_exit_is_near_its_full_model(level: int, limit_mm: float) -> None:
-    avatar = shipped()
-    uv = avatar.tensors["mesh.vertex_uv"][np.unique(avatar.level_faces(level))]
-    latent = some_latent(avatar, 3)
-    full = sample_vertices(decode_position_map(avatar, latent), uv)
-    low = decode_vertices(avatar, latent, level)
-    assert np.linalg.norm(low - full, axis=1).mean() * 1000 < limit_mm
-    view = np.array([0.3, 0.1, 0.95])
-    colours = [
-        decode_pixels(
-            avatar.spec,
-            avatar.tensors,
-            sample_bilinear(decode_expression_map(avatar, latent, view, size), uv),
-            full,
-            uv,
-        )
-        for size in (level, avatar.spec.map_size)
-    ]
-    assert np.square(255 * (colours[0] - colours[1])).mean() < {64: 40, 128: 16}[level]
-
-
-# The command
 
 
 def test_the_command_adds_levels_to_a_file_and_leaves_the_rest_of_it_alone(tmp_path: Path) -> None:
