@@ -198,7 +198,7 @@ class Placement:
         target = self._choose(self._relays.keys() - {self._me}, now)
         if place is None or target is None or not self.is_up:
             return False
-        place.leaves_to = target.beat.relay
+        place.leaves_to, target.num_placed = target.beat.relay, target.num_placed + 1
         self._advance(place, now)
         return True
 

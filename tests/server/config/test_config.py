@@ -18,6 +18,13 @@ def test_this_machine_is_no_danger(host: str) -> None:
     assert RelayConfig(host=host).host == host
 
 
+def test_a_relay_among_others_beyond_this_machine_needs_an_address_to_redirect_to() -> None:
+    cluster = "nats://127.0.0.1:4222"
+    with pytest.raises(ConfigurationError, match="with --public-url wss://HOST:PORT"):
+        RelayConfig(host="relay.example.org", insecure=True, cluster=cluster)
+    assert RelayConfig(cluster=cluster).public_url == ""
+
+
 @pytest.mark.parametrize("origin", ["", "*", "example.org", "https://example.org/page"])
 def test_what_is_no_origin_is_refused(origin: str) -> None:
     with pytest.raises(ConfigurationError, match="is no origin: write https://HOST"):

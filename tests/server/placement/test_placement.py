@@ -320,6 +320,22 @@ def test_a_room_is_handed_over_before_its_people_are_redirected(pair: Pair) -> N
     assert a.rooms == {"lobby"}  # it knows already
 
 
+def test_rooms_are_handed_over_to_several_relays() -> None:
+    a, b, c = relays = Relay("a"), Relay("b", load=9), Relay("c")
+    bucket = Bucket(*relays)
+    b.load = 0
+    for room in ("one", "two"):
+        ask(b, 0.1, room)
+    b.placement.receive_away(0.1)
+    b.follow(0.1)
+    bucket.beat(b, now=0.2)
+    bucket.settle(0.2)
+    assert b.rooms == {"one", "two"}
+    assert all(b.placement.hand_over(room, 0.3) for room in ("one", "two"))
+    bucket.settle(0.3)
+    assert sorted(b.redirects) == [a.url, c.url]
+
+
 def test_a_relay_alone_has_nobody_to_hand_a_room_to() -> None:
     a = Relay("a")
     bucket = Bucket(a)
