@@ -71,7 +71,6 @@ GROUPS: Final[dict[str, dict[str, Command]]] = {
         "avatar measure": Command("pica_client.cli.avatar:avatar_measure", ("view",)),
         "avatar precision": Command("pica_core.cli.avatar:avatar_precision", ("send",)),
         "avatar push": Command("pica_client.cli.avatar:avatar_push", ("send",), joins=True),
-        "avatar thumbnail": Command("pica_client.cli.avatar:avatar_thumbnail", ("view",)),
         "avatar verify": Command("pica_core.cli.avatar:avatar_verify", ("send",)),
         "capture check": Command("pica_core.cli.capture:check", ("capture",)),
         "capture person": Command("pica_core.cli.person:person", ("capture",)),

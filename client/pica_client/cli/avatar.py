@@ -1,15 +1,12 @@
-"""`pica avatar push`, `pica avatar thumbnail` and `pica avatar measure`."""
+"""`pica avatar push` and `pica avatar measure`."""
 
 import asyncio
 import sys
-from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pica_client.avatars.library import AvatarLibrary
 from pica_client.avatars.upload import push_avatar
-from pica_client.cli.options import parse_size
 from pica_client.output import check_writable, say
 from pica_client.transport.config import LinkConfig
 from pica_core.avatar.file import avatar_id, load_avatar, save_avatar
@@ -50,32 +47,6 @@ def avatar_push(options: AvatarPushOptions) -> dict[str, Any]:
     stored = asyncio.run(push_avatar(link.urls[0], link, file, identity, show))
     say(f"{file}: the relay {'has it now' if stored.is_new else 'had it already'}")
     return {"sha256": identity, "was_there": not stored.is_new}
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class ThumbnailOptions:
-    """Options of `pica avatar thumbnail`."""
-
-    avatar: str = field(kw_only=False)
-    """Name of a shipped avatar, or a .pica file."""
-    out: Path = Path("avatar.png")
-    """PNG file to write."""
-    size: str = "256x256"
-    """Columns x rows of the picture."""
-
-
-def avatar_thumbnail(options: ThumbnailOptions) -> dict[str, Any]:
-    """Draw an avatar's resting face into a PNG file."""
-    from pica_client.render.recorder import save_png
-    from pica_client.render.thumbnail import draw_thumbnail
-
-    check_writable(options.out, ".png")
-    size = parse_size(options.size)
-    with closing(AvatarLibrary()) as library:
-        avatar = library.load(library.find(options.avatar))
-    save_png(options.out, draw_thumbnail(avatar, size))
-    say(f"wrote {options.out}")
-    return {"name": avatar.manifest.name, "out": str(options.out)}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -18,6 +18,12 @@ def shipped_avatar_files() -> list[Path]:
     return sorted(Path(str(item)) for item in folder.iterdir() if item.name.endswith(SUFFIX))
 
 
+def shipped_portraits() -> dict[str, Path]:
+    """The PNG files that show the shipped avatars at rest, by the avatars' names."""
+    pictures = {file.stem: file.with_suffix(".png") for file in shipped_avatar_files()}
+    return {name: picture for name, picture in pictures.items() if picture.is_file()}
+
+
 def avatar_file(named: Path) -> Path:
     """The file that somebody means by a name: itself, or that of an avatar that ships.
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from pica_command.main import main
-from pica_core.avatar.shipped import avatar_file, shipped_avatar_files
+from pica_core.avatar.shipped import avatar_file, shipped_avatar_files, shipped_portraits
 from pica_core.errors import AvatarFileError
 
 pytestmark = pytest.mark.unit
@@ -33,6 +33,15 @@ def test_no_file_that_ships_has_more_than_four_million_bytes() -> None:
     assert all(path.stat().st_size <= 4_000_000 for path in shipped_avatar_files())
 
 
+def test_a_small_picture_of_each_person_ships() -> None:
+    people = {
+        file.stem for file in (Path(__file__).parents[3] / "scripts" / "people").glob("*.json")
+    }
+    portraits = shipped_portraits()
+    assert people <= portraits.keys()
+    assert all(picture.stat().st_size <= 60_000 for picture in portraits.values())
+
+
 @pytest.mark.parametrize(
     "words",
     [
@@ -40,7 +49,6 @@ def test_no_file_that_ships_has_more_than_four_million_bytes() -> None:
         ["avatar", "verify"],
         ["avatar", "precision"],
         ["avatar", "push"],
-        ["avatar", "thumbnail"],
         ["avatar", "measure", "--out", "out.pica"],
         ["avatar", "levels", "--out", "out.pica"],
         ["send", "--avatar"],

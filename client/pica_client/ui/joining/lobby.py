@@ -6,6 +6,8 @@ from contextlib import ExitStack
 from typing import Any
 
 import moderngl
+import numpy as np
+from PIL import Image as PillowImage
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.avatars.own_avatar import avatar_by_name
@@ -14,7 +16,6 @@ from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.room import STILL
 from pica_client.ui.events import CloseWanted
 from pica_client.ui.joining.form import JoinForm, JoinOrder
-from pica_client.ui.joining.portraits import Portraits
 from pica_client.ui.panels.join import JoinView, connecting_panel, join_panel
 from pica_client.ui.panels.sound import MICROPHONE
 from pica_client.ui.surface.painter import Painter
@@ -22,6 +23,7 @@ from pica_client.ui.surface.surface import Surface
 from pica_client.ui.surface.theme import Metrics
 from pica_client.ui.window import Window
 from pica_client.voice.sound.process import SoundProcess
+from pica_core.avatar.shipped import shipped_portraits
 
 PERIOD_S = 1 / 30
 
@@ -51,9 +53,11 @@ class Lobby(Closing):
             self._surface.use_clipboard(window.clipboard, window.copy)
             stack.callback(self._surface.close)
             self._painter = Painter(window.context, self._surface)
-            self._portraits = Portraits(library)
-            stack.callback(self._portraits.close)
-            self._textures: dict[str, int] = {}
+            self._portraits: dict[str, int] = {}
+            for name, file in shipped_portraits().items():
+                with PillowImage.open(file) as image:
+                    picture = np.asarray(image.convert("RGB"))
+                self._portraits[name] = self._painter.show(name, picture)
             self._resources = stack.pop_all()
 
     def close(self) -> None:
@@ -99,14 +103,11 @@ class Lobby(Closing):
         return not (is_cancelled or self._wants_close)
 
     def _view(self, form: JoinForm) -> JoinView:
-        for name, image in self._portraits.take().items():
-            if name not in self._textures:
-                self._textures[name] = self._painter.show(name, image)
         names = self._library.names
         return JoinView(
             fields=form.fields,
             trouble=form.trouble,
-            portraits={name: self._textures.get(name) for name in names},
+            portraits={name: self._portraits.get(name) for name in names},
             sound=None if self._sound is None else self._sound.state,
             default_avatar=avatar_by_name(form.fields.name, names) if names else "",
         )
