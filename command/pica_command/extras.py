@@ -13,7 +13,7 @@ from typing import Any, Final
 from urllib.parse import unquote, urlsplit
 from urllib.request import url2pathname
 
-DISTRIBUTION: Final = "pica-telepresence"
+from pica_command.table import DISTRIBUTION
 
 _MODULES: Final = {
     "dracopy": "DracoPy",

@@ -15,14 +15,12 @@ import threading
 import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
 from platformdirs import PlatformDirs
 
-from pica_command.extras import DISTRIBUTION, extra_with, install_line
-from pica_command.table import COMMANDS, command_of, listing, refuse
+from pica_command.table import COMMANDS, DISTRIBUTION, command_of, listing, refuse
 
 DEBUG_FLAG: Final = "--debug"
 JSON_FLAG: Final = "--json"
@@ -126,10 +124,13 @@ def _describe(error: BaseException, extras: Sequence[str]) -> tuple[str, str, in
     """Kind, message, exit status and further fields of an error."""
     if isinstance(error, KeyboardInterrupt):
         return "interrupted", "stopped", 130, {}
-    if isinstance(error, ModuleNotFoundError) and (extra := extra_with(error.name or "", extras)):
-        fix = install_line(extra)
-        message = f"needs {error.name}; install it with: {fix}"
-        return "missing_extra", message, 2, {"extra": extra, "install": fix}
+    if isinstance(error, ModuleNotFoundError):
+        from pica_command.extras import extra_with, install_line
+
+        if extra := extra_with(error.name or "", extras):
+            fix = install_line(extra)
+            message = f"needs {error.name}; install it with: {fix}"
+            return "missing_extra", message, 2, {"extra": extra, "install": fix}
     message = " ".join(str(error).split())
     code = getattr(error, "exit_code", None)
     if code is None and isinstance(error, OSError) and error.filename is not None:
@@ -147,6 +148,8 @@ def _explain(words: list[str]) -> int:
         UsageError: Says what was probably meant, or what to use instead.
     """
     if words[:1] == ["--version"]:
+        from importlib.metadata import version
+
         print(version(DISTRIBUTION))
         return 0
     if words[:1] == [COMPLETION_FLAG]:

@@ -13,6 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, NoReturn
 
+DISTRIBUTION: Final = "pica-telepresence"
+"""The name under which this package is installed."""
+
 
 @dataclass(frozen=True, slots=True)
 class Command:

@@ -13,7 +13,7 @@ from collections.abc import Awaitable, Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
@@ -21,8 +21,9 @@ from pica_server.config.relay import RelayConfig
 from pica_server.errors import ConfigurationError, ListenError
 from pica_server.ops.certificate import Certificate
 from pica_server.ops.log import Level, Style, logging_to, say
-from pica_server.relay import Relay
-from pica_server.store.store import AvatarStore
+
+if TYPE_CHECKING:
+    from pica_server.store.store import AvatarStore
 
 _logger = logging.getLogger(__name__)
 
@@ -81,6 +82,8 @@ def _loop_factory(options: RelayOptions) -> Callable[[], asyncio.AbstractEventLo
 
 
 async def _run(options: RelayOptions, signals: "_Signals") -> dict[str, Any]:
+    from pica_server.relay import Relay  # `pica relay --help` does without it
+
     log = logging_to(sys.stderr, options.log, options.log_level, time.monotonic)
     with log as log_counts, ExitStack() as stack:
         server = Relay(options.config)
@@ -114,7 +117,7 @@ async def _run(options: RelayOptions, signals: "_Signals") -> dict[str, Any]:
     return {"url": url, **stats}
 
 
-def _say_what_is_open(config: RelayConfig, store: AvatarStore | None) -> None:
+def _say_what_is_open(config: RelayConfig, store: "AvatarStore | None") -> None:
     if config.insecure:
         _say("insecure", "INSECURE: anybody who reaches this port may join any room")
     elif config.keys is None:
