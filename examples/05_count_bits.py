@@ -12,7 +12,6 @@ from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import load_avatar
 from pica_core.avatar.shipped import shipped_avatar_files
 from pica_core.avatar.streams import open_decoder, open_encoder
-from pica_core.codec.latent_sample import ReceivedFrame
 from pica_core.codec.latent_stream import StreamConfig
 
 FPS, SECONDS = 30, 4
@@ -26,15 +25,13 @@ for name, quality, plain in (("quality 0", 0, False), ("quality 3", 3, False),
                              ("quality 7", 7, False), ("plain", 3, True)):  # fmt: skip
     encoder, profile = open_encoder(avatar, StreamConfig(fps=FPS, quality=quality), plain=plain)
     decoder = open_decoder(avatar, profile)
-    num_bytes, number, errors = 0, 0, []
+    num_bytes, errors = 0, []
     for index, (frame, latent) in enumerate(zip(frames, latents, strict=True)):
         now_us = round(index / FPS * 1e6)
         coded = encoder.encode(latent, frame.rotation, frame.translation_m, now_us)
         if coded is None:
             continue  # the face stands still, and the receiver knows
         num_bytes += len(coded.payload)
-        received = ReceivedFrame(number, now_us, coded.layer, coded.is_keyframe, coded.payload)
-        for decoded in decoder.receive(received):
-            errors.append(np.square(decoded.sample.latent - latent).mean())
-        number += 1
+        decoded = decoder.decode(coded.payload)
+        errors.append(np.square(decoded.latent - latent).mean())
     print(f"{name:10} {num_bytes * 8 / SECONDS / 1000:7.2f}  {np.sqrt(np.mean(errors)):.4f}")

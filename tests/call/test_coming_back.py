@@ -144,7 +144,6 @@ async def test_a_sender_that_comes_back_has_its_old_seat_and_goes_on_within_a_se
     assert display.notes(9.0, 19.0) == {""}
     (peer,) = received["peers"]  # type: ignore[misc, attr-defined]
     assert peer["restarts"] == 0
-    assert peer["unreferenced"] == 0
 
 
 @in_virtual_time

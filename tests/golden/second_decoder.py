@@ -6,7 +6,6 @@ enough to write a third in another language. Slow and small on purpose.
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 Profile = Mapping[str, Any]
@@ -15,22 +14,6 @@ Profile = Mapping[str, Any]
 
 class DamagedError(Exception):
     """What the page calls an error."""
-
-
-class MissingError(Exception):
-    """The reference is not there."""
-
-
-@dataclass(frozen=True)
-class Decoded:
-    """What a decoder keeps of a frame."""
-
-    number: int
-    layer: int
-    quality: int
-    c: list[int]
-    m: list[int]
-    is_still: bool
 
 
 class _Coder:
@@ -76,85 +59,41 @@ class _Coder:
         self.next += 1
 
 
-def decode(
-    profile: Profile,
-    payload: bytes,
-    *,
-    number: int,
-    layer: int,
-    is_keyframe: bool,
-    kept: Mapping[int, Decoded],
-) -> Decoded:
-    """One frame.
-
-    Args:
-        profile: The arrays.
-        payload: Of the frame.
-        number: The unwrapped sequence.
-        layer: From the header.
-        is_keyframe: From the header.
-        kept: Frames decoded before, by number.
-    """
+def decode(profile: Profile, payload: bytes) -> tuple[list[int], bool]:
+    """Coefficients of one frame, and whether the sender falls silent after it."""
     coder = _Coder(payload)
-    reference = None
-    num_qualities, num_coefficients = len(profile["steps"]), len(profile["steps"][0])
-    num_latent = num_coefficients - 6
-    if is_keyframe:
-        if layer != 0:
-            raise DamagedError
-        kind = 0
-        quality = coder.number(4)
-        if quality >= num_qualities:
-            raise DamagedError
-    else:
-        if layer not in (0, 1, 2):
-            raise DamagedError
-        reference = kept.get(number - (coder.symbol(profile["distance_tables"][layer]) + 1))
-        if reference is None:
-            raise MissingError
-        kinds = {(0, 0): 1, (1, 0): 2, (2, 0): 3, (2, 1): 4}
-        if (layer, reference.layer) not in kinds:
-            raise DamagedError
-        kind = kinds[layer, reference.layer]
-        quality = (reference.quality + coder.symbol(profile["quality_table"])) % num_qualities
-    header = coder.symbol(profile["header_tables"][kind])
-    zeros = [0] * num_coefficients
-    c_ref, m_ref = (zeros, zeros) if reference is None else (reference.c, reference.m)
-    steps = profile["steps"][quality]
-    residuals = list(zeros)
-    for bit, section in (
-        (1, range(num_latent)),
-        (2, range(num_latent, num_coefficients)),
-    ):
-        if header & bit:
-            for k in section:
-                motion_level = sum(2 * abs(m_ref[k]) >= level * steps[k] for level in (1, 3, 7, 16))
-                before = residuals[max(section.start, k - 16) : k]
-                activity = sum(map(abs, before))
-                activity_level = sum(level <= activity for level in (1, 4, 9, 20))
-                index = profile["table_index"][kind][k][5 * motion_level + activity_level]
-                residuals[k] = _residual(coder, profile["tables"][index])
+    steps = profile["steps"][coder.symbol(profile["quality_table"])]
+    header = coder.symbol(profile["header_table"])
+    num_latent = len(profile["table_index"])
+    values = [0] * len(steps)
+    if header & 1:
+        for k in range(num_latent):
+            activity = sum(map(abs, values[max(k - 16, 0) : k]))
+            context = sum(level <= activity for level in (1, 4, 9, 20, 40))
+            values[k] = _coefficient(coder, profile["tables"][profile["table_index"][k][context]])
+    if header & 2:
+        for k, table in enumerate(profile["pose_tables"], num_latent):
+            length = coder.symbol(table)
+            if length:
+                sign = -1 if coder.number(1) else 1
+                low = min(length - 1, 12)
+                upper = coder.number(length - 1 - low)
+                values[k] = sign * (2 ** (length - 1) + upper * 2**low + coder.number(low))
     coder.end()
-    c = []
-    for k in range(num_coefficients):
-        prediction = c_ref[k] + ((profile["gains"][kind][k] * m_ref[k]) >> 6)
-        c.append(prediction + residuals[k] * steps[k])
-        if abs(c[k]) > 65536:
-            raise DamagedError
-    m = zeros if reference is None else [c[k] - c_ref[k] for k in range(num_coefficients)]
-    return Decoded(number, layer, quality, c, m, bool(header & 4))
+    c = [value * step for value, step in zip(values, steps, strict=True)]
+    if max(map(abs, c)) > 65536:
+        raise DamagedError
+    return c, bool(header & 4)
 
 
-def _residual(coder: _Coder, table: list[int]) -> int:
+def _coefficient(coder: _Coder, table: list[int]) -> int:
     s = coder.symbol(table)
-    if s == 0:
-        return 0
     n = (s + 1) // 2
-    if n == 12:
+    if n == 20:
         length = coder.number(4)
         if length > 13:
             raise DamagedError
-        n = 12 + 2**length + coder.number(length) - 1
+        n = 20 + 2**length + coder.number(length) - 1
     return n if s % 2 else -n
 
 
@@ -171,7 +110,7 @@ def latent_units(profile: Profile, c: list[int]) -> list[int]:
 
 def profile_hash(profile: Mapping[str, Mapping[str, Any]]) -> str:
     """The name of a profile from its arrays as the golden file holds them: type, shape, values."""
-    digest = hashlib.sha256(b"pica latent stream 1\n")
+    digest = hashlib.sha256(b"pica latent stream 2\n")
     for name in sorted(profile):
         array = profile[name]
         digest.update(f"{name} {array['type']} {array['shape']}\n".encode("ascii"))

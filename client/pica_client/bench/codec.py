@@ -18,8 +18,8 @@ import numpy as np
 from pica_client.bench.difference_sheet import Cell, write_sheet
 from pica_client.bench.harness import timed
 from pica_client.bench.head import FaceRenderer
-from pica_client.bench.option_types import Ints, Words
-from pica_client.errors import OptionError, check_ranges
+from pica_client.bench.option_types import Words
+from pica_client.errors import check_ranges
 from pica_client.output import say
 from pica_client.playout.motion import blend
 from pica_client.render.drawing import Drawing, change_mse, drawn_mse
@@ -28,7 +28,7 @@ from pica_client.stats import describe_machine, wire_bytes
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
 from pica_core.capture.stage.stream_training_faces import stream_training_performances
-from pica_core.codec.latent_sample import LatentSample, ReceivedFrame
+from pica_core.codec.latent_sample import LatentSample
 from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
 from pica_core.codec.plain_stream import decode_latent, encode_latent
 from pica_core.codec.profile import StreamProfile
@@ -42,7 +42,7 @@ DICTIONARY_BYTES = 110 * 1024
 VIEWS = ("front", "left")
 SHEET_PROFILES = (
     *("quality-7", "quality-3", "quality-0", "quality-3-layer-1", "quality-3-layer-0"),
-    *("rate-500", "rate-250", "plain-8-bit"),
+    "plain-8-bit",
 )
 """What the sheet shows: the ends and the middle, and where it breaks."""
 
@@ -61,16 +61,11 @@ class CodecConfig:
     """Rows and columns of each drawing, pixels."""
     thinned_quality: int = 3
     """Quality whose lower layers are measured too."""
-    rates_bps: Ints = (2000, 1000, 500, 250, 125)
-    """Payload bitrates that the stream is told to keep to, separated by commas."""
     sheet: Path | None = None
     """Draw every profile at the moment of its largest error on the first source into this PNG."""
 
     def __post_init__(self) -> None:
         check_ranges(self, seconds=(1, 600), moments=(1, 2000), image_size=(16, 2048))
-        for rate in self.rates_bps:
-            if not 100 <= rate <= 10_000_000:
-                raise OptionError(f"rates-bps has {rate}; 100 to 10000000 is allowed")
 
 
 @dataclass(slots=True, eq=False)
@@ -192,17 +187,14 @@ Coder = Callable[[Sequence[LatentSample]], Coded]
 def _coders(profile: StreamProfile, avatar: Avatar, config: CodecConfig) -> dict[str, Coder]:
     """What is compared, by name."""
 
-    def stream(quality: int, highest_layer: int, rate_bps: int | None = None) -> Coder:
-        config = StreamConfig(fps=FPS, quality=quality, target_bps=rate_bps)
-        return partial(code_stream, profile, config, highest_layer)
+    def stream(quality: int, highest_layer: int) -> Coder:
+        return partial(code_stream, profile, StreamConfig(fps=FPS, quality=quality), highest_layer)
 
     coders = {f"quality-{q}": stream(q, 2) for q in range(profile.num_qualities)}
     if config.thinned_quality < profile.num_qualities:
         for layer in (1, 0):
             name = f"quality-{config.thinned_quality}-layer-{layer}"
             coders[name] = stream(config.thinned_quality, layer)
-    for rate_bps in config.rates_bps:
-        coders[f"rate-{rate_bps}"] = stream(0, 2, rate_bps)
     latent_scale = avatar.manifest.latent_scale
 
     def plain(squeeze: Callable[[bytes], bytes], spread: Callable[[bytes], bytes]) -> Coder:
@@ -229,7 +221,7 @@ def code_stream(
     """Our stream, thinned to some layers."""
     encoder, decoder = LatentEncoder(profile, config), LatentDecoder(profile)
     found: dict[int, LatentSample] = {}
-    coded, sequence = Coded(), 0
+    coded = Coded()
     for index, sample in enumerate(samples):
         now_us = index * 1_000_000 // FPS
         face = sample.latent, sample.rotation, sample.translation_m
@@ -238,14 +230,9 @@ def code_stream(
         if frame is None:
             continue
         if frame.layer <= highest_layer:
-            received = ReceivedFrame(
-                sequence, now_us, frame.layer, frame.is_keyframe, frame.payload
-            )
-            took, (decoded,) = timed(decoder.receive, received)
+            took, found[index] = timed(decoder.decode, frame.payload)
             coded.decode_s.append(took.wall_s)
-            found[index] = decoded.sample
             coded.sizes.append(len(frame.payload))
-        sequence += 1
     coded.shown = [_shown_at(found, index) for index in range(len(samples))]
     return coded
 

@@ -243,8 +243,6 @@ def _network(delivery: Delivery, schedule: Schedule) -> dict[str, Any]:
     return {
         **asdict(delivery.counters),
         "decoded": len(delivery.arrivals),
-        "keyframes": delivery.keyframes,
-        "keyframe_requests": delivery.keyframe_requests,
         "payload_bps": round(delivery.payload_bytes * 8 / schedule.seconds),
         "wire_bps": round(delivery.wire_bytes * 8 / schedule.seconds),
     }

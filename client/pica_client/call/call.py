@@ -31,8 +31,6 @@ from pica_protocol import messages
 from pica_protocol.frames import Frame
 from pica_protocol.session import ClientEvent
 
-KEYFRAME_REQUEST_INTERVAL_S = 0.5
-"""Between two requests for the same stream (chosen: a round trip and the sender's pause fit)."""
 MAX_DEPARTED = 64
 """Peers remembered for the statistics after they left; drops the oldest."""
 MAX_SHOWN = 100_000
@@ -163,20 +161,6 @@ class Call:
                     )
                 )
             return messages.Report(streams=tuple(streams))
-
-    def take_keyframe_requests(self, now: float) -> list[int]:
-        """Streams that can only go on with a keyframe, each at most once in
-        `KEYFRAME_REQUEST_INTERVAL_S`."""
-        with self._lock:
-            streams = []
-            for stream, seat in self._by_stream.items():
-                decoder = None if seat.is_paused else seat.decoder
-                needs = decoder is not None and decoder.needs_keyframe
-                if needs and now - seat.keyframe_asked_s >= KEYFRAME_REQUEST_INTERVAL_S:
-                    seat.keyframe_asked_s = now
-                    seat.window.keyframe_requests += 1
-                    streams.append(stream)
-            return streams
 
     def tell_subscriptions(self, tell: Tell, now: float) -> float | None:
         """Tell the relay which layers are wanted by now; return when to call again, None until

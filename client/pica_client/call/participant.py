@@ -51,9 +51,6 @@ class StreamWindow:
     """Longest time without a frame that has ended."""
     silent_since_s: float | None = None
     """When the gap began that is still open: with the last frame; None: no frame is expected."""
-    keyframe_requests: int = 0
-    unreferenced: int = 0
-    """Frames without a reference that came to former seats of the same person."""
     before: PlayoutReport = field(default_factory=PlayoutReport)
 
 
@@ -69,7 +66,6 @@ class RemoteParticipant:
         self.trouble = ""
         self.is_away = False
         self.is_muted = False
-        self.keyframe_asked_s = -math.inf
         self.is_behind = True
         self.catching_up_until_s = -math.inf
         self.catch_up: DecodedFrame | None = None
@@ -103,7 +99,6 @@ class RemoteParticipant:
         self.window = replace(
             former.window,
             before=PlayoutReport().since(counted),
-            unreferenced=former.num_unreferenced,
         )
 
     def note_gap(self, now: float, *, is_expected: bool) -> None:
@@ -118,11 +113,6 @@ class RemoteParticipant:
         is_expected = not (self.is_paused or self.is_muted or self.says_muted)
         if is_expected != (self.window.silent_since_s is not None):
             self.note_gap(now, is_expected=is_expected and self.last_arrival_s is not None)
-
-    @property
-    def num_unreferenced(self) -> int:
-        """Frames whose reference was not there, over all seats of the person."""
-        return self.window.unreferenced + (self.decoder.num_unreferenced if self.decoder else 0)
 
     @property
     def note(self) -> str:
@@ -196,10 +186,11 @@ class RemoteParticipant:
         is_backlog = self.is_behind or now <= self.catching_up_until_s
         for received in self.playout.sender.receive(frame, now, is_backlog=is_backlog):
             try:
-                for decoded in self.decoder.receive(received):
-                    self._receive_decoded(decoded, now)
+                sample = self.decoder.decode(received.payload)
             except LatentError:
                 num_unreadable += 1
+            else:
+                self._receive_decoded(received.decoded(sample), now)
         if num_unreadable:
             return num_unreadable
         self.last_arrival_s = now
@@ -214,8 +205,8 @@ class RemoteParticipant:
     def _note_backlog(self, frame: Frame, now: float) -> None:
         """Find out whether a frame is one of many that were kept for us on their way.
 
-        They come much faster than they were captured. They are decoded, for others refer to them;
-        the face stands still until the newest is there, and goes on from that.
+        They come much faster than they were captured. The face stands still until the newest is
+        there, and goes on from that.
         """
         late_s = self.playout.sender.lateness_s(frame, now)
         silent_s = 0.0 if self.last_arrival_s is None else now - self.last_arrival_s
@@ -289,8 +280,6 @@ class RemoteParticipant:
             "latents_per_s": round(window.received / seconds, 2) if seconds else None,
             "payload_bps": round(window.payload_bytes * 8 / seconds) if seconds else None,
             "longest_gap_ms": round(gap_s * 1e3, 1),
-            "keyframe_requests": window.keyframe_requests,
-            "unreferenced": self.num_unreferenced,
             **{name: getattr(report, name) for name in counted},
             "concealed_ratio": round(report.concealed_ratio, 4),
             "playout_delay_ms": round(report.delay_s * 1e3, 2),

@@ -40,7 +40,7 @@ class Reflection:
             captured_us=captured_us,
             payload=coded.payload,
             layer=coded.layer,
-            is_keyframe=coded.is_keyframe,
+            is_keyframe=coded.layer == 0,
         )
         self._num_frames += 1
         self.call.receive_event(frame, now)

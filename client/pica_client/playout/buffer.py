@@ -173,6 +173,7 @@ class Playout:
             self._timeline.insert(frame)
         self._timeline.restart()
         self._interval.receive(frame)
+        self._interval.pause()  # what lies between this frame and the next was not sent
         self._correction.end()
         self._shown, self._is_path_new = None, False
 

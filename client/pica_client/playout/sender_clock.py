@@ -176,8 +176,6 @@ class SenderClock:
         return ReceivedFrame(
             number=number,
             captured_us=frame.captured_us,
-            layer=frame.layer,
-            is_keyframe=frame.is_keyframe,
             payload=frame.payload,
             media_s=media_s,
             arrived_s=arrival.arrived_s,

@@ -11,9 +11,7 @@ import math
 import time
 from collections import deque
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
-
-from cyclopts import Parameter
+from typing import Any
 
 from pica_client.call.reflection import Reflection
 from pica_client.errors import OptionError, check_ranges
@@ -52,8 +50,6 @@ class SenderConfig:
     """How long to send, once the relay has let us in; 0 is until Ctrl-C."""
     quality: int = DEFAULT_QUALITY
     """Fineness of the coded stream, 0 to 7; each step up costs a quarter more bits."""
-    bitrate_bps: Annotated[float | None, Parameter(name="bitrate")] = None
-    """Payload bits a second to keep to by changing the quality; None keeps the quality."""
     plain: bool = False
     """Send 8 bits a value, 65 kbit/s, as avatars without a stream profile are sent."""
     mouth_by_voice: bool = True
@@ -68,9 +64,9 @@ class SenderConfig:
     def stream(self) -> StreamConfig:
         """How the stream is encoded."""
         try:
-            return StreamConfig(fps=self.fps, quality=self.quality, target_bps=self.bitrate_bps)
+            return StreamConfig(fps=self.fps, quality=self.quality)
         except ValueError as error:
-            raise OptionError(str(error).replace("target_bps", "bitrate_bps")) from error
+            raise OptionError(str(error)) from error
 
 
 class Publisher:
@@ -107,7 +103,7 @@ class Publisher:
         self._last_sent_s = 0.0
         self.num_sent = self._unheard = self._faceless = self._payload_bytes = 0
         self._own_streams: tuple[int, ...] = ()
-        self._skipped = self._silent = self._keyframes = 0
+        self._skipped = self._silent = 0
         self.mode: FaceMode = "sent"
         self._mode_before: FaceMode = "sent"
         self._frozen: ExpressionFrame | None = None
@@ -126,9 +122,9 @@ class Publisher:
             )
 
     def reflect(self) -> Reflection:
-        """One's own face as the others get it, from the next keyframe on."""
+        """One's own face as the others get it, from the next frame on."""
         self._reflection = Reflection(self._avatar, self.track)
-        self._stream.request_keyframe()
+        self._stream.restart()
         return self._reflection
 
     @property
@@ -152,7 +148,7 @@ class Publisher:
         """Take an event of the link's session."""
         match event:
             case KeyframeRequest():
-                self._stream.request_keyframe()
+                self._stream.restart()
             case Joined(tracks=tracks):  # nobody here has seen anything of us, or of the last of it
                 self._stream.restart()
                 self._own_streams = tuple(t.stream for t in tracks if t.kind == FACE_TRACK)
@@ -192,7 +188,6 @@ class Publisher:
             "not_connected": self._unheard,
             "without_face": self._faceless,
             "silent": self._silent,
-            "keyframes": self._keyframes,
             "payload_bytes": self._payload_bytes,
             "payload_bps": round(self._payload_bytes * 8 / seconds) if seconds else None,
             "encode_ms": self._encode.summary_ms(),
@@ -238,7 +233,7 @@ class Publisher:
             return
         if self.mode != self._mode_before:
             if self._mode_before == "muted":
-                self._stream.request_keyframe()  # they have seen nothing for a while
+                self._stream.restart()  # they have seen nothing for a while
             self._mode_before = self.mode
         began_s = time.perf_counter()
         frame = self._face(time_s)
@@ -256,14 +251,13 @@ class Publisher:
             self._last_sent_s = now
             return
         if link.send_frame(
-            coded.payload, captured_us, layer=coded.layer, is_keyframe=coded.is_keyframe
+            coded.payload, captured_us, layer=coded.layer, is_keyframe=coded.layer == 0
         ):
             if self._reflection is not None:
                 self._reflection.receive(coded, captured_us, now)
             self._first_sent_s = now if self._first_sent_s is None else self._first_sent_s
             self._last_sent_s = now
             self.num_sent += 1
-            self._keyframes += coded.is_keyframe
             self._payload_bytes += len(coded.payload)
             self._encode.add(encode_s)
             self.frame_log.append((captured_us, round(encode_s * 1e6)))

@@ -175,8 +175,6 @@ class Receiver:
         for own in (self.publisher, self.voice):
             if own is not None:
                 own.receive_event(event)
-        for stream in self.call.take_keyframe_requests(now) if self._takes_faces else ():
-            self.link.request_keyframe(stream)
         if isinstance(event, PeerJoined | Joined):
             self._decline([event.peer] if isinstance(event, PeerJoined) else event.peers)
             self._subscribed.set()

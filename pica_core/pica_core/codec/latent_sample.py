@@ -22,13 +22,11 @@ class LatentSample:
 
 @dataclass(frozen=True, slots=True)
 class EncodedFrame:
-    """What goes onto the wire for one moment."""
+    """What goes onto the wire for one moment; it is decoded alone."""
 
     payload: bytes
     layer: int = 0
-    """Temporal layer; no frame refers to one of a higher layer."""
-    is_keyframe: bool = True
-    """Whether it can be decoded alone."""
+    """Frames of layer 2, or of 2 and 1, are left out where half or a quarter of them is enough."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,7 +38,7 @@ class DecodedFrame:
     sample: LatentSample
     media_s: float = 0.0
     arrived_s: float = 0.0
-    """When it could be decoded, on the receiver's clock, seconds."""
+    """When it came, on the receiver's clock, seconds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,12 +46,9 @@ class ReceivedFrame:
     """A frame off the wire with its place in the stream's time, still to be decoded."""
 
     number: int
-    """Counts the frames of the stream and never wraps. Where the sender began anew it leaps, so
-    that nothing refers back across that place."""
+    """Counts the frames of the stream and never wraps; it leaps where the sender began again."""
     captured_us: int
     """Sender's clock as it was told, microseconds."""
-    layer: int
-    is_keyframe: bool
     payload: bytes
     media_s: float = 0.0
     """Capture time on the stream's own time line, seconds: the sender's clock, from an origin of
@@ -61,7 +56,6 @@ class ReceivedFrame:
     arrived_s: float = 0.0
     """When it came, on the receiver's clock, seconds."""
 
-    def decoded(self, sample: LatentSample, arrived_s: float | None = None) -> DecodedFrame:
-        """The frame with its face; with `arrived_s` if it had to wait for what it refers to."""
-        arrived_s = self.arrived_s if arrived_s is None else arrived_s
-        return DecodedFrame(self.number, self.captured_us, sample, self.media_s, arrived_s)
+    def decoded(self, sample: LatentSample) -> DecodedFrame:
+        """The frame with its face."""
+        return DecodedFrame(self.number, self.captured_us, sample, self.media_s, self.arrived_s)

@@ -1,31 +1,342 @@
-"""The latent stream: faces in, a few bytes a frame out, and back.
+"""The latent stream: faces in, a few bytes a frame out, and back. Every frame is decoded alone.
 
     encoder = LatentEncoder(profile, StreamConfig(fps=30))
     frame = encoder.encode(latent, rotation, translation_m, now_us)      # None: nothing to say
-    decoder = LatentDecoder(profile)
-    received = ReceivedFrame(number, captured_us, frame.layer, frame.is_keyframe, frame.payload)
-    decoder.receive(received)
+    sample = LatentDecoder(profile).decode(frame.payload)
 
-Theory of operation. Frames stand in *temporal layers*: with three, every fourth frame is base (0),
-the one between two of those is layer 1, the rest are layer 2. A base frame refers to the base frame
-before it, a frame of layer 1 to the last base frame, one of layer 2 to the last frame of a lower
-layer. So whoever forwards a stream may leave out layer 2, or 2 and 1, at any moment, and let them
-in again at any moment: nothing that is left depends on what is gone. A keyframe refers to nothing;
-it comes first, when somebody asks, and every few seconds.
+A frame is quantised coefficients of the latent and of the head pose:
 
-A face that does not change falls silent: one last base frame says so and is a little finer than the
-rest (it will be looked at for long), then a heartbeat once a second keeps the stream alive, until
-something moves by more than the dead zone.
+    coefficient = round toward zero with a dead zone((value + rounding) / step)
 
-Every frame says how many frames back its reference is, so a decoder knows whether it has that very
-frame. It never guesses: a frame whose reference is not there waits for it (frames may overtake each
-other), and when it does not come the decoder says so and a keyframe heals everything. It cannot
-show a corrupt face: a payload is decoded whole, against the right reference, or not at all.
+A payload holds, in this order: the quality; what the frame holds (header); the coefficients of the
+latent, then those of the pose. A part in which all are 0 is left out. Probabilities come from the
+profile: each coefficient of the latent has a table by its place and by a context, which is how
+large the coefficients just before it in the same frame are. Pose coefficients are written as their
+length in bits, by a table of each, their sign and the rest. See docs/bitstream.md.
 
-Coding of one frame: `frames`; tables: `profile`; bytes: docs/bitstream.md.
+So anybody may drop any frame, a loss costs exactly what was lost, and who joins late decodes the
+next frame. Frames are numbered in a pattern of *layers*, so that whoever forwards a stream can keep
+every second or every fourth frame of it by looking at its header alone.
+
+A face that does not change falls silent: one last frame says so and is a little finer than the rest
+(it will be looked at for long), then a heartbeat once a second keeps the stream alive, until
+something moves by more than a tracker's noise.
+
+All is integers. Nothing here knows of time or networks; `now_us` is an argument.
 """
 
-from pica_core.codec.latent_decoder import LatentDecoder
-from pica_core.codec.latent_encoder import DEFAULT_QUALITY, LatentEncoder, StreamConfig
+from dataclasses import dataclass
 
-__all__ = ["DEFAULT_QUALITY", "LatentDecoder", "LatentEncoder", "StreamConfig"]
+import numpy as np
+import numpy.typing as npt
+
+from pica_core.codec.latent_sample import EncodedFrame, LatentSample
+from pica_core.codec.profile import (
+    ACTIVITY_LEVELS,
+    ACTIVITY_WINDOW,
+    ESCAPE,
+    MAX_COEFFICIENT,
+    NUM_LENGTHS,
+    POSE_UNIT,
+    StreamProfile,
+)
+from pica_core.codec.range_coder import Range, SymbolReader, Table, uniform, write_symbols
+from pica_core.errors import LatentError, ShapeError, check_ranges
+from pica_core.latent import LATENT_SHAPE, NUM_LATENT
+from pica_core.types import Array, Int64Array
+
+HAS_LATENT, HAS_POSE, IS_STILL = 1, 2, 4
+REST_LENGTH_BITS = 4
+"""What lies beyond an escape is written as its length in bits, so many, and then itself."""
+MAX_REST_BITS = 13
+LAYER_PATTERNS: dict[int, tuple[int, ...]] = {1: (0,), 2: (0, 1), 3: (0, 2, 1, 2)}
+"""Layers of successive frames, by the number of layers."""
+LEAST_BASE_FPS = 5.0
+"""A stream has no more layers than leave this many base frames a second: below, a face that lost
+its upper layers is a slide show."""
+LATENT_ROUNDING, POSE_ROUNDING = 22, 32
+"""What is added before coefficients are cut off, in 64ths of a step: 32 is to the nearest, less
+leaves a dead zone about the mean face. On the pose it would let the head stick and slip."""
+MOVED_FACE, MOVED_POSE = 18, (8, 8, 8, 2, 2, 2)
+"""How far a coefficient must move, in its units, for a face not to be still: a quarter of a root of
+rendered MSE, half a milliradian, an eighth of a millimetre (chosen: below is what trackers do by
+themselves)."""
+DEFAULT_QUALITY = 2
+STILL_AFTER_US = 250_000
+"""A face that has not changed for so long falls silent."""
+HEARTBEAT_US = 1_000_000
+"""Time between two frames of a silent face."""
+MAX_POSE = np.repeat((np.pi, 1.0), 3)
+"""Rotation vectors (radians) and offsets (metres) are clamped to this: half a turn, an arm's length
+about the chair."""
+
+_ACTIVITY_LEVEL = bytes(
+    sum(activity >= level for level in ACTIVITY_LEVELS)
+    for activity in range(ACTIVITY_LEVELS[-1] + 1)
+)
+_MAX_ACTIVITY = len(_ACTIVITY_LEVEL) - 1
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class StreamConfig:
+    """How a stream is encoded."""
+
+    fps: float = 30.0
+    """Frames a second that `encode` is called with; decides how many layers make sense."""
+    quality: int = DEFAULT_QUALITY
+    """0 is the coarsest; each step up costs about a quarter more bits."""
+
+    def __post_init__(self) -> None:
+        check_ranges(self, fps=(0.1, 1000), quality=(0, 15))
+
+    @property
+    def layers(self) -> int:
+        """The number of layers."""
+        return max(
+            count
+            for count in LAYER_PATTERNS
+            if count == 1 or self.fps / len(LAYER_PATTERNS[count]) >= LEAST_BASE_FPS
+        )
+
+
+def quantise(values: Int64Array, steps: Array, rounding: int | Int64Array) -> Int64Array:
+    """Values in steps; `rounding` / 64 is added before cutting off, 32 is to the nearest."""
+    magnitudes = ((np.abs(values) << 6) + rounding * steps) // (steps << 6)
+    return np.where(values < 0, -magnitudes, magnitudes)
+
+
+def encode_frame(
+    profile: StreamProfile, quantised: Int64Array, quality: int, *, is_still: bool = False
+) -> bytes:
+    """Write one frame.
+
+    Args:
+        quantised: Coefficients in steps, ``[C]``.
+        quality: Row of the profile's steps.
+        is_still: Whether the sender falls silent after it.
+
+    Raises:
+        LatentError: A coefficient is beyond what a frame can hold.
+    """
+    values: list[int] = quantised.tolist()
+    face, pose = values[: profile.num_components], values[profile.num_components :]
+    header = HAS_LATENT * any(face) + HAS_POSE * any(pose) + IS_STILL * is_still
+    ranges = [profile.quality_ranges.ranges[quality], profile.header_ranges.ranges[header]]
+    if header & HAS_LATENT:
+        _write_face(ranges, face, profile.residual_tables)
+    if header & HAS_POSE:
+        for value, table in zip(pose, profile.pose_ranges, strict=True):
+            length = abs(value).bit_length()
+            if length >= NUM_LENGTHS:
+                raise LatentError(f"a pose of {value} steps is beyond what a frame can hold")
+            ranges.append(table.ranges[length])
+            if length:
+                ranges.append(uniform(value < 0, 1))
+                _write_bits(ranges, abs(value) - (1 << (length - 1)), length - 1)
+    return write_symbols(ranges)
+
+
+def decode_frame(profile: StreamProfile, payload: bytes) -> tuple[Int64Array, bool]:
+    """Read one frame.
+
+    Returns:
+        Its coefficients, ``[C]``, and whether the sender falls silent after it.
+
+    Raises:
+        LatentError: The payload is no frame of this profile.
+    """
+    reader = SymbolReader(payload)
+    quality = reader.read(profile.quality_ranges)
+    header = reader.read(profile.header_ranges)
+    values = [0] * profile.num_coefficients
+    if header & HAS_LATENT:
+        _read_face(reader, values, profile.residual_tables)
+    if header & HAS_POSE:
+        for place, table in enumerate(profile.pose_ranges, profile.num_components):
+            if length := reader.read(table):
+                is_negative = reader.read_uniform(1)
+                magnitude = (1 << (length - 1)) + _read_bits(reader, length - 1)
+                values[place] = -magnitude if is_negative else magnitude
+    reader.finish()
+    coefficients = np.array(values, np.int64) * profile.steps[quality]
+    if np.abs(coefficients).max() > MAX_COEFFICIENT:
+        raise LatentError(f"a coefficient is beyond the limit of {MAX_COEFFICIENT}")
+    return coefficients, bool(header & IS_STILL)
+
+
+def context_of(activity: int) -> int:
+    """The context of a coefficient, by the sum of the magnitudes just before it."""
+    return _ACTIVITY_LEVEL[min(activity, _MAX_ACTIVITY)]
+
+
+def _write_face(
+    ranges: list[Range], values: list[int], tables: tuple[tuple[Table, ...], ...]
+) -> None:
+    activity = 0
+    for place, value in enumerate(values):
+        magnitude = abs(value)
+        shown = min(magnitude, ESCAPE)
+        ranges.append(tables[place][context_of(activity)].ranges[2 * shown - (value > 0)])
+        if magnitude >= ESCAPE:
+            rest = magnitude - ESCAPE + 1
+            length = rest.bit_length() - 1
+            if length > MAX_REST_BITS:
+                raise LatentError(f"a coefficient of {value} steps is beyond what a frame can hold")
+            ranges.append(uniform(length, REST_LENGTH_BITS))
+            ranges.append(uniform(rest - (1 << length), length))
+        activity += magnitude
+        if place >= ACTIVITY_WINDOW:
+            activity -= abs(values[place - ACTIVITY_WINDOW])
+
+
+def _read_face(
+    reader: SymbolReader, values: list[int], tables: tuple[tuple[Table, ...], ...]
+) -> None:
+    activity = 0
+    for place, contexts in enumerate(tables):
+        symbol = reader.read(contexts[context_of(activity)])
+        if symbol:
+            magnitude = (symbol + 1) >> 1
+            if magnitude >= ESCAPE:
+                length = reader.read_uniform(REST_LENGTH_BITS)
+                if length > MAX_REST_BITS:
+                    raise LatentError(f"a rest of {length} bits; the limit is {MAX_REST_BITS}")
+                magnitude += (1 << length) + reader.read_uniform(length) - 1
+            values[place] = magnitude if symbol & 1 else -magnitude
+            activity += magnitude
+        if place >= ACTIVITY_WINDOW:
+            activity -= abs(values[place - ACTIVITY_WINDOW])
+
+
+def _write_bits(ranges: list[Range], value: int, count: int) -> None:
+    """Write a number of up to 24 bits, the upper ones first."""
+    low = min(count, 12)
+    ranges += [uniform(value >> low, count - low), uniform(value & ((1 << low) - 1), low)]
+
+
+def _read_bits(reader: SymbolReader, count: int) -> int:
+    low = min(count, 12)
+    return reader.read_uniform(count - low) << low | reader.read_uniform(low)
+
+
+class LatentEncoder:
+    """The sending end of one stream."""
+
+    def __init__(self, profile: StreamProfile, config: StreamConfig | None = None) -> None:
+        """Begin a stream.
+
+        Raises:
+            LatentError: A quality that the profile does not have.
+        """
+        self.profile = profile
+        self.config = config or StreamConfig()
+        highest = profile.num_qualities - 1
+        if self.config.quality > highest:
+            raise LatentError(f"quality is {self.config.quality}; this avatar has 0 to {highest}")
+        self._pattern = LAYER_PATTERNS[self.config.layers]
+        self._rounding = np.full(profile.num_coefficients, LATENT_ROUNDING)
+        self._rounding[profile.num_components :] = POSE_ROUNDING
+        self._moved = np.full(profile.num_coefficients, MOVED_FACE)
+        self._moved[profile.num_components :] = MOVED_POSE
+        self.restart()
+
+    def restart(self) -> None:
+        """Send the next face, however still it is: nobody has seen what was sent before."""
+        self._sent: Int64Array | None = None
+        self._sent_us = self._phase = 0
+        self._quiet_since_us: int | None = None
+        self._is_silent = False
+
+    def encode(
+        self,
+        latent: npt.ArrayLike,
+        rotation: npt.ArrayLike,
+        translation_m: npt.ArrayLike,
+        now_us: int,
+    ) -> EncodedFrame | None:
+        """Encode the next frame.
+
+        Args:
+            latent: Expression code ``[8, 8, 4]``.
+            rotation: Head pose, rotation vector, radians ``[3]``.
+            translation_m: Offset from the seat, metres ``[3]``.
+            now_us: Sender's clock, microseconds; never runs backwards.
+
+        Returns:
+            The frame to send, or None: the face is still.
+
+        Raises:
+            ShapeError: An argument of another shape.
+            LatentError: A value that is not finite.
+        """
+        wanted = self._coefficients(latent, rotation, translation_m)
+        is_quiet = self._sent is not None and bool(
+            (np.abs(wanted - self._sent) < self._moved).all()
+        )
+        if self._is_silent:
+            if is_quiet and now_us - self._sent_us < HEARTBEAT_US:
+                return None
+            self._phase = 0  # what ends a silence, or says that it goes on, is for everybody
+        if not is_quiet:
+            self._quiet_since_us = None
+        elif self._quiet_since_us is None:
+            self._quiet_since_us = now_us
+        layer = self._pattern[self._phase]
+        if layer == 0:
+            since_us = self._quiet_since_us
+            self._is_silent = since_us is not None and now_us - since_us >= STILL_AFTER_US
+        self._phase = (self._phase + 1) % len(self._pattern)
+        quality = min(self.config.quality + self._is_silent, self.profile.num_qualities - 1)
+        steps = self.profile.steps[quality]
+        quantised = quantise(wanted, steps, self._rounding)
+        payload = encode_frame(self.profile, quantised, quality, is_still=self._is_silent)
+        self._sent, self._sent_us = wanted, now_us
+        return EncodedFrame(payload, layer)
+
+    def _coefficients(
+        self, latent: npt.ArrayLike, rotation: npt.ArrayLike, translation_m: npt.ArrayLike
+    ) -> Int64Array:
+        values = np.asarray(latent, np.float64)
+        pose = np.array((rotation, translation_m), np.float64)
+        if values.shape != LATENT_SHAPE or pose.shape != (2, 3):
+            raise ShapeError(
+                f"latent is {values.shape} and the pose {pose.shape}; "
+                f"{LATENT_SHAPE} and (2, 3) are needed"
+            )
+        if not (np.isfinite(values).all() and np.isfinite(pose).all()):
+            raise LatentError("latent or pose holds a value that is not finite")
+        units = np.rint(np.clip(pose.reshape(-1), -MAX_POSE, MAX_POSE) / POSE_UNIT)
+        face = self.profile.analyse(values.reshape(NUM_LATENT))
+        # Far from the limit of what is decoded: rounding must not step over it.
+        largest = min(MAX_COEFFICIENT // 2, self._largest_face())
+        np.clip(face, -largest, largest, out=face)
+        return np.concatenate((face, units.astype(np.int64)))
+
+    def _largest_face(self) -> int:
+        """What the finest quality that is used can say of a coefficient of the latent."""
+        quality = min(self.config.quality + 1, self.profile.num_qualities - 1)
+        least_step = int(self.profile.steps[quality, : self.profile.num_components].min())
+        return (ESCAPE + (1 << MAX_REST_BITS)) * least_step
+
+
+class LatentDecoder:
+    """The receiving end of one stream; it keeps nothing between frames."""
+
+    def __init__(self, profile: StreamProfile) -> None:
+        self.profile = profile
+
+    def decode(self, payload: bytes) -> LatentSample:
+        """Decode a frame.
+
+        Raises:
+            LatentError: The payload is no frame of this profile.
+        """
+        coefficients, is_still = decode_frame(self.profile, payload)
+        count = self.profile.num_components
+        pose = (coefficients[count:] * POSE_UNIT).astype(np.float32)
+        return LatentSample(
+            latent=self.profile.synthesise(coefficients[:count]).reshape(LATENT_SHAPE),
+            rotation=pose[:3],
+            translation_m=pose[3:],
+            is_still=is_still,
+        )

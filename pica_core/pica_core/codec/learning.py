@@ -4,40 +4,44 @@
    coordinates where that metric is the plain distance, one step for all coefficients is right, and
    the Karhunen-Loève transform tells which directions matter. A face moves by muscles, though, a
    few at a time, and those are sparse where principal components are not: so the kept components
-   are turned among themselves (an orthogonal turn changes no error) until the residuals of the
-   stream cost the fewest bits. That saves 15 % on generated talk and 5 % on a real recording.
-2. *Tables.* The codes are run through the stream's own prediction at several qualities; residuals
-   are counted by frame type, coefficient and context, and the histograms gathered into a few
-   tables.
+   are turned among themselves (an orthogonal turn changes no error) until the coefficients cost the
+   fewest bits.
+2. *Tables.* The codes are quantised at several qualities, coefficients are counted by place and
+   context, and the histograms gathered into a few tables.
 
 Nothing here needs torch or GL; the metric comes from outside (`pica_core.train.stream_metric`).
 """
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from pica_core.codec import frames
-from pica_core.codec.latent_encoder import LAYER_PATTERNS, rounding_by_type
+from pica_core.codec.latent_stream import (
+    DEFAULT_QUALITY,
+    HAS_LATENT,
+    HAS_POSE,
+    IS_STILL,
+    LATENT_ROUNDING,
+    POSE_ROUNDING,
+    quantise,
+)
 from pica_core.codec.profile import (
     ACTIVITY_LEVELS,
     ACTIVITY_WINDOW,
     ANALYSIS_SHIFT,
     ESCAPE,
     LATENT_BITS,
-    MAX_DISTANCE,
     MAX_LATENT,
     MAX_SYNTHESIS_SHIFT,
     NUM_CONTEXTS,
     NUM_HEADERS,
-    NUM_LAYERS,
+    NUM_LENGTHS,
     NUM_POSE,
     NUM_SYMBOLS,
-    NUM_TYPES,
     POSE_BITS,
     UNITS_PER_RMSE,
     StreamProfile,
@@ -47,20 +51,16 @@ from pica_core.errors import ProfileError, ShapeError, check_ranges
 from pica_core.latent import LATENT_SHAPE, NUM_LATENT
 from pica_core.types import Float64Array, Int64Array
 
-LATENT_STEPS = (80, 56, 40, 28, 22, 16, 11, 8)
-"""By quality, in 64ths of a root of rendered MSE: a step of 22 leaves an MSE near 0.5 over 48
-components (chosen: half of an octave apart)."""
+LATENT_STEPS = (80, 64, 48, 36, 28, 20, 14, 10)
+"""By quality, in 64ths of a root of rendered MSE."""
 ROTATION_STEPS = (24, 20, 14, 12, 10, 8, 6, 4)
 """Unit 2⁻¹⁴ rad. A head turns by 2 to 4 mrad a frame; 12 is 0.7 mrad and leaves an error of 0.3 in
 its steps from frame to frame. With 48, half of a head's motion was noise (docs/results/log.md)."""
 TRANSLATION_STEPS = (5, 4, 3, 2, 2, 2, 1, 1)
 """Unit 2⁻¹⁴ m; 2 is 0.12 mm, and a head moves by 0.2 to 0.4 mm a frame."""
-POSE_GAINS = (0, 54, 28, 14, 28)
-"""By frame type: a head goes on as it moved, less an eighth. A base frame looks as far ahead as its
-reference did, the middle one half as far, the top one a quarter or half."""
 TRAINING_QUALITIES = (1, 3, 4, 6)
-MIN_LATENTS = 100
-"""Fewer say nothing about what is likely."""
+MIN_LENGTH, MIN_LATENTS = 4, 100
+"""Shorter sequences, and fewer latents together, say nothing about what is likely."""
 TURN_FRAMES = 8000
 """Frames that the turning for sparseness looks at."""
 LEAST_GAIN = 1e-3
@@ -113,10 +113,34 @@ def learn_profile(
     mean = np.concatenate(codes).mean(axis=0)
     forward, backward = _transform(codes, mean, metric, config, rng)
     empty = _without_tables(mean, forward, backward)
-    residuals, headers = _count(empty, codes, rng)
-    tables, index = _gather(residuals, config.num_tables, rng)
-    header_tables = np.stack([_frequencies(row + 0.5) for row in headers])
-    return replace(empty, tables=tables, table_index=index, header_tables=header_tables)
+    faces = [np.stack([empty.analyse(latent) for latent in code]) for code in codes]
+    return with_tables(empty, faces, config.num_tables, rng)
+
+
+def with_tables(
+    profile: StreamProfile,
+    faces: Sequence[Int64Array],
+    num_tables: int,
+    rng: np.random.Generator,
+) -> StreamProfile:
+    """The same profile with tables for such faces.
+
+    Args:
+        faces: Coefficients of performances, ``[T, K]`` each.
+        num_tables: Probability tables to gather the histograms into.
+    """
+    counts, lengths, headers = _count(profile, faces, rng)
+    tables, index = _gather(counts, num_tables, rng)
+    qualities = np.full(profile.num_qualities, 1.0)
+    qualities[DEFAULT_QUALITY : DEFAULT_QUALITY + 2] = 60, 20  # chosen: most keep the usual one
+    return replace(
+        profile,
+        tables=tables,
+        table_index=index,
+        pose_tables=np.stack([_frequencies(row + 0.5) for row in lengths]),
+        header_table=_frequencies(headers + 0.5),
+        quality_table=_frequencies(qualities),
+    )
 
 
 def _checked(
@@ -124,13 +148,12 @@ def _checked(
 ) -> list[Float64Array]:
     """The sequences as ``[T, 256]``, if they and the metric can be learned from."""
     shapes = [np.shape(sequence) for sequence in sequences]
-    length = len(LAYER_PATTERNS[3])
     if (
-        any(s[1:] not in (LATENT_SHAPE, (NUM_LATENT,)) or s[0] <= length for s in shapes)
+        any(s[1:] not in (LATENT_SHAPE, (NUM_LATENT,)) or s[0] <= MIN_LENGTH for s in shapes)
         or sum(s[0] for s in shapes) < MIN_LATENTS
     ):
         raise ShapeError(
-            f"sequences are {shapes[:3]}...; [T, {NUM_LATENT}] of more than {length} each and "
+            f"sequences are {shapes[:3]}...; [T, {NUM_LATENT}] of more than {MIN_LENGTH} each and "
             f"{MIN_LATENTS} together are needed"
         )
     codes = [np.asarray(s, np.float64).reshape(-1, NUM_LATENT) for s in sequences]
@@ -159,29 +182,22 @@ def _transform(
     seen = [(c - mean) @ metric.directions.T @ root for c in codes]
     spread, axes = np.linalg.eigh(np.cov(np.concatenate(seen).T))
     axes = axes[:, np.argsort(spread)[::-1][: config.num_components]]
-    changes = np.concatenate([_changes(part @ axes) for part in seen])
-    if len(changes) > TURN_FRAMES:
-        changes = changes[rng.choice(len(changes), TURN_FRAMES, replace=False)]
-    turn = _sparse_turn(changes, config.turn_sweeps, LATENT_STEPS[4] / UNITS_PER_RMSE)
+    values = np.concatenate(seen) @ axes
+    if len(values) > TURN_FRAMES:
+        values = values[rng.choice(len(values), TURN_FRAMES, replace=False)]
+    turn = _sparse_turn(values, config.turn_sweeps, LATENT_STEPS[4] / UNITS_PER_RMSE)
     # Busy components first: by then the context knows how lively the frame is.
-    turn = turn[:, np.argsort(-np.abs(changes @ turn).mean(axis=0))]
+    turn = turn[:, np.argsort(-np.abs(values @ turn).mean(axis=0))]
     axes = axes @ turn
     return metric.directions.T @ root @ axes, axes.T @ inverse @ metric.directions
 
 
-def _changes(coefficients: Float64Array) -> Float64Array:
-    """Differences between frames and their references, as the layers of a stream have them."""
-    back = np.array([{0: 4, 1: 2, 2: 1}[layer] for layer in LAYER_PATTERNS[3]])
-    times = np.arange(len(back), len(coefficients))
-    return coefficients[times] - coefficients[times - back[times % len(back)]]
+def _sparse_turn(values: Float64Array, sweeps: int, step: float) -> Float64Array:
+    """The orthogonal turn of components that makes them cheapest: Jacobi over pairs.
 
-
-def _sparse_turn(changes: Float64Array, sweeps: int, step: float) -> Float64Array:
-    """The orthogonal turn of components that makes their changes cheapest: Jacobi over pairs.
-
-    The cost of a change x is taken as log2(1 + (x / step)²) / 2 bits.
+    The cost of a value x is taken as log2(1 + (x / step)²) / 2 bits.
     """
-    parts = np.ascontiguousarray((changes / step).T)
+    parts = np.ascontiguousarray((values / step).T)
     count = len(parts)
     turn = np.eye(count)
     angles = np.linspace(-np.pi / 4, np.pi / 4, 17)
@@ -225,95 +241,51 @@ def _without_tables(
             )
     count = forward.shape[1]
     steps = np.array([LATENT_STEPS, ROTATION_STEPS, TRANSLATION_STEPS], np.int32).T
-    gains = np.zeros((NUM_TYPES, count + NUM_POSE), np.int32)
-    gains[:, count:] = np.array(POSE_GAINS)[:, None]
-    # Quality mostly stays, and where a bitrate is kept goes by one (chosen).
-    changes = np.full(len(steps), 0.5)
-    changes[[0, 1, -1]] = 100, 6, 6
-    # How far back references are: what the layer patterns make, all else possible (chosen).
-    distances = np.ones((NUM_LAYERS, MAX_DISTANCE))
-    distances[0, :4] = 40, 40, 10, 1000
-    distances[1, :2] = 60, 1000
-    distances[2, :2] = 1000, 10
     return StreamProfile(
         mean=np.rint(mean * units).astype(np.int32),
         analysis=analysis.astype(np.int16),
         synthesis=synthesis.astype(np.int16),
         synthesis_shift=np.array([shift], np.int32),
         steps=np.repeat(steps, (count, 3, 3), axis=1),
-        gains=gains,
         tables=_frequencies(np.ones(NUM_SYMBOLS))[None],
-        table_index=np.zeros((NUM_TYPES, count + NUM_POSE, NUM_CONTEXTS), np.uint8),
-        header_tables=np.stack([_frequencies(np.ones(NUM_HEADERS))] * NUM_TYPES),
-        distance_tables=np.stack([_frequencies(row) for row in distances]),
-        quality_table=_frequencies(changes),
+        table_index=np.zeros((count, NUM_CONTEXTS), np.uint8),
+        pose_tables=np.stack([_frequencies(np.ones(NUM_LENGTHS))] * NUM_POSE),
+        header_table=_frequencies(np.ones(NUM_HEADERS)),
+        quality_table=_frequencies(np.ones(len(steps))),
     )
 
 
 def _count(
-    profile: StreamProfile, codes: list[Float64Array], rng: np.random.Generator
-) -> tuple[Float64Array, Float64Array]:
-    """Run performances through the prediction and count what would be written: residuals
-    ``[types, C, contexts, symbols]`` and headers ``[types, headers]``."""
-    count = profile.num_coefficients
-    residuals = np.zeros((NUM_TYPES, count, NUM_CONTEXTS, NUM_SYMBOLS))
-    headers = np.zeros((NUM_TYPES, NUM_HEADERS))
-    places = np.arange(count)
-    for code in codes:
-        pose = _wandering_pose(len(code), rng)
-        faces = np.stack([profile.analyse(latent) for latent in code])
-        wanted = np.concatenate([faces, pose], axis=1)
+    profile: StreamProfile, faces: Sequence[Int64Array], rng: np.random.Generator
+) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """Count what would be written of performances: coefficients ``[K, contexts, symbols]``, lengths
+    of pose coefficients ``[6, lengths]`` and headers ``[headers]``."""
+    count = profile.num_components
+    counts = np.zeros((count, NUM_CONTEXTS, NUM_SYMBOLS))
+    lengths = np.zeros((NUM_POSE, NUM_LENGTHS))
+    headers = np.zeros(NUM_HEADERS)
+    for face in faces:
+        pose = _wandering_pose(len(face), rng)
         for quality in TRAINING_QUALITIES:
-            kinds, levels, quantised = map(
-                np.array, zip(*_frames(profile, wanted, quality), strict=True)
-            )
-            contexts = levels * (len(ACTIVITY_LEVELS) + 1) + _activity(
-                quantised, profile.num_components
-            )
-            symbols = 2 * np.minimum(np.abs(quantised), ESCAPE) - (quantised > 0)
-            np.add.at(residuals, (kinds[:, None], places, contexts, symbols), 1)
-            header = frames.HAS_LATENT * quantised[:, :-NUM_POSE].any(axis=1)
-            header += frames.HAS_POSE * quantised[:, -NUM_POSE:].any(axis=1)
-            np.add.at(headers, (kinds, header), 1)
-            np.add.at(headers, (kinds[header == 0], frames.IS_STILL), 0.2)
-    return residuals, headers
+            steps = profile.steps[quality]
+            values = quantise(face, steps[:count], LATENT_ROUNDING)
+            symbols = 2 * np.minimum(np.abs(values), ESCAPE) - (values > 0)
+            np.add.at(counts, (np.arange(count), _contexts(values), symbols), 1)
+            turned = np.abs(quantise(pose, steps[count:], POSE_ROUNDING))
+            places = np.arange(NUM_POSE)
+            np.add.at(lengths, (places, np.ceil(np.log2(turned + 1)).astype(np.int64)), 1)
+            header = HAS_LATENT * values.any(axis=1) + HAS_POSE * turned.any(axis=1)
+            np.add.at(headers, header, 1)
+            np.add.at(headers, header + IS_STILL, 0.02)
+    return counts, lengths, headers
 
 
-def _frames(
-    profile: StreamProfile, wanted: Int64Array, quality: int
-) -> Iterator[tuple[int, Int64Array, Int64Array]]:
-    """Frame type, motion levels and quantised residuals of a stream, with a keyframe a second."""
-    pattern = LAYER_PATTERNS[3]
-    rounding = rounding_by_type(profile.num_components)
-    base: frames.FrameState | None = None
-    lower: frames.FrameState | None = None
-    for number, values in enumerate(wanted):
-        layer = pattern[number % len(pattern)]
-        reference = lower if layer == 2 else base
-        if number % 32 == 0:
-            reference = None
-        kind = frames.frame_type(layer, reference)
-        expected = frames.predict(profile, kind, reference)
-        quantised = frames.quantise(values - expected, profile.steps[quality], rounding[kind])
-        yield kind, frames.motion_levels(profile, quality, reference), quantised
-        state = frames.next_state(profile, quantised, kind, number, layer, quality, reference)
-        if layer == 0:
-            base = state
-        if layer < 2:
-            lower = state
-
-
-def _activity(quantised: Int64Array, num_latent: int) -> Int64Array:
-    """The part of the contexts that comes from the residuals just before, per frame and
-    coefficient, ``[T, C]`` both."""
-    levels = np.zeros(quantised.shape, np.int64)
-    for part in (slice(num_latent), slice(num_latent, None)):
-        sums = np.pad(np.abs(quantised[:, part]).cumsum(axis=1), ((0, 0), (1, 0)))
-        ends = np.arange(sums.shape[1] - 1)
-        before = sums[:, ends] - sums[:, np.maximum(ends - ACTIVITY_WINDOW, 0)]
-        for level in ACTIVITY_LEVELS:
-            levels[:, part] += before >= level
-    return levels
+def _contexts(values: Int64Array) -> Int64Array:
+    """The context of each coefficient, ``[T, K]`` both."""
+    sums = np.pad(np.abs(values).cumsum(axis=1), ((0, 0), (1, 0)))
+    ends = np.arange(values.shape[1])
+    before = sums[:, ends] - sums[:, np.maximum(ends - ACTIVITY_WINDOW, 0)]
+    return sum((before >= level).astype(np.int64) for level in ACTIVITY_LEVELS)
 
 
 def _wandering_pose(length: int, rng: np.random.Generator) -> Int64Array:
@@ -334,14 +306,14 @@ def _gather(
 ) -> tuple[npt.NDArray[np.uint16], npt.NDArray[np.uint8]]:
     """Gather histograms into a few tables: k-means with cross-entropy as distance.
 
-    Rare contexts lean on all coefficients of the same frame type and context, and the signs of a
-    residual are taken as alike.
+    Rare contexts lean on all coefficients in the same context, and the signs of a coefficient are
+    taken as alike.
     """
     mirrored = counts.copy()
     mirrored[..., 1::2], mirrored[..., 2::2] = counts[..., 2::2], counts[..., 1::2]
     counts = (counts + mirrored) / 2
-    prior = 0.4 ** ((np.arange(NUM_SYMBOLS) + 1) // 2)
-    pooled = counts.sum(axis=1, keepdims=True) + 5 * prior / prior.sum()
+    prior = 0.7 ** ((np.arange(NUM_SYMBOLS) + 1) // 2)
+    pooled = counts.sum(axis=0, keepdims=True) + 5 * prior / prior.sum()
     pooled /= pooled.sum(axis=-1, keepdims=True)
     shares = (counts + 12 * pooled) / (counts.sum(axis=-1, keepdims=True) + 12)
     rows, weights = shares.reshape(-1, NUM_SYMBOLS), counts.sum(axis=-1).reshape(-1) + 0.1

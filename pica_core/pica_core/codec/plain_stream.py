@@ -19,7 +19,7 @@ import struct
 import numpy as np
 import numpy.typing as npt
 
-from pica_core.codec.latent_sample import DecodedFrame, EncodedFrame, LatentSample, ReceivedFrame
+from pica_core.codec.latent_sample import EncodedFrame, LatentSample
 from pica_core.errors import LatentError, ShapeError
 from pica_core.latent import LATENT_SHAPE, NUM_LATENT
 from pica_core.types import Float64Array
@@ -101,7 +101,7 @@ def _checked(name: str, value: npt.ArrayLike, shape: tuple[int, ...]) -> Float64
 
 
 class PlainEncoder:
-    """The plain format as a stream: every frame is a keyframe of layer 0."""
+    """The plain format as a stream: every frame is of layer 0."""
 
     def __init__(self, latent_scale: tuple[float, ...]) -> None:
         self._latent_scale = latent_scale
@@ -116,9 +116,6 @@ class PlainEncoder:
         """Code a face, as `LatentEncoder.encode` does; the result is never None."""
         return EncodedFrame(encode_latent(latent, rotation, translation_m, self._latent_scale))
 
-    def request_keyframe(self) -> None:
-        """Nothing to do."""
-
     def restart(self) -> None:
         """Nothing to do."""
 
@@ -126,12 +123,9 @@ class PlainEncoder:
 class PlainDecoder:
     """The other end of `PlainEncoder`; keeps nothing between frames."""
 
-    needs_keyframe = False
-    num_unreferenced = 0
-
     def __init__(self, latent_scale: tuple[float, ...]) -> None:
         self._latent_scale = latent_scale
 
-    def receive(self, frame: ReceivedFrame) -> list[DecodedFrame]:
-        """Decode a frame, as `LatentDecoder.receive` does."""
-        return [frame.decoded(decode_latent(frame.payload, self._latent_scale))]
+    def decode(self, payload: bytes) -> LatentSample:
+        """Decode a frame, as `LatentDecoder.decode` does."""
+        return decode_latent(payload, self._latent_scale)

@@ -9,18 +9,17 @@ translation, 3 each. One unit of a latent coefficient is 1/64 of a root of rende
 whose coefficients differ by n units in one place look different by MSE (n / 64)² on 0-255 values,
 on average over faces and views. Pose units are 2⁻¹⁴ radians and 2⁻¹⁴ metres.
 
-    name            type    shape       meaning
-    mean            int32   [256]       latent of coefficients 0; unit 2⁻¹²
-    analysis        int16   [256, K]    latent to coefficients, after a shift of 16 bits
-    synthesis       int16   [K, 256]    coefficients to latent, after `synthesis_shift` bits
+    name            type    shape    meaning
+    mean            int32   [256]    latent of coefficients 0; unit 2⁻¹²
+    analysis        int16   [256, K] latent to coefficients, after a shift of 16 bits
+    synthesis       int16   [K, 256] coefficients to latent, after `synthesis_shift` bits
     synthesis_shift int32   [1]
-    steps           int32   [Q, C]      quantiser step by quality, the last quality the finest
-    gains           int32   [5, C]      how much of the reference's motion goes on; unit 1/64
-    tables          uint16  [N, 25]     frequencies of quantised residuals, each row summing to 2¹⁴
-    table_index     uint8   [5, C, 25]  which table, by frame type, coefficient and context
-    header_tables   uint16  [5, 8]      what a frame holds: 1 latent, 2 pose, 4 stillness, added up
-    distance_tables uint16  [3, 16]     how far back the reference is, by layer
-    quality_table   uint16  [Q]         quality less that of the reference, modulo Q
+    steps           int32   [Q, C]   quantiser step by quality, the last quality the finest
+    tables          uint16  [N, 41]  frequencies of quantised coefficients, each row summing to 2¹⁴
+    table_index     uint8   [K, 6]   which table, by coefficient of the latent and context
+    pose_tables     uint16  [6, 25]  length in bits of a quantised pose coefficient
+    header_table    uint16  [8]      what a frame holds: 1 latent, 2 pose, 4 stillness, added up
+    quality_table   uint16  [Q]      quality of a frame
 """
 
 import hashlib
@@ -38,24 +37,20 @@ from pica_core.latent import NUM_LATENT
 from pica_core.types import Array, Float64Array, FloatArray, Int64Array
 
 PREFIX = "stream."
-FORMAT = "pica latent stream 1\n"
+FORMAT = "pica latent stream 2\n"
 """Begins the text that a profile's hash is taken of: arrays of the same numbers under another
 bitstream are another profile."""
 NUM_POSE = 6
-NUM_TYPES = 5
-"""Frame types: 0 keyframe, 1 base, 2 middle layer, 3 top layer after base, 4 top after middle."""
-NUM_LAYERS = 3
-ESCAPE = 12
-"""Residuals of this magnitude and beyond are written as this and a rest."""
+ESCAPE = 20
+"""Coefficients of this magnitude and beyond are written as this and a rest."""
 NUM_SYMBOLS = 2 * ESCAPE + 1
 NUM_HEADERS = 8
-MAX_DISTANCE = 16
-MOTION_LEVELS = (1, 3, 7, 16)
-"""Context thresholds on twice the reference's motion over the step."""
-ACTIVITY_LEVELS = (1, 4, 9, 20)
+NUM_LENGTHS = 25
+"""Lengths of a pose coefficient: 0 to 24 bits."""
+ACTIVITY_LEVELS = (1, 4, 9, 20, 40)
 """Context thresholds on the sum of the last `ACTIVITY_WINDOW` magnitudes in the same frame."""
 ACTIVITY_WINDOW = 16
-NUM_CONTEXTS = (len(MOTION_LEVELS) + 1) * (len(ACTIVITY_LEVELS) + 1)
+NUM_CONTEXTS = len(ACTIVITY_LEVELS) + 1
 
 LATENT_BITS = 12
 """Latents are integers of unit 2⁻¹² before and after the transform."""
@@ -71,7 +66,6 @@ MAX_COMPONENTS = 128
 MAX_QUALITIES = 16
 MAX_TABLES = 256
 MAX_STEP = 1 << 14
-MAX_GAIN = 128
 MAX_SYNTHESIS_SHIFT = 24
 
 
@@ -89,11 +83,10 @@ class StreamProfile:
     synthesis: Annotated[Array, np.int16]
     synthesis_shift: Annotated[Array, np.int32]
     steps: Annotated[Array, np.int32]
-    gains: Annotated[Array, np.int32]
     tables: Annotated[Array, np.uint16]
     table_index: Annotated[Array, np.uint8]
-    header_tables: Annotated[Array, np.uint16]
-    distance_tables: Annotated[Array, np.uint16]
+    pose_tables: Annotated[Array, np.uint16]
+    header_table: Annotated[Array, np.uint16]
     quality_table: Annotated[Array, np.uint16]
 
     def __post_init__(self) -> None:
@@ -110,7 +103,6 @@ class StreamProfile:
             ("mean", -MAX_LATENT, MAX_LATENT),
             ("synthesis_shift", 0, MAX_SYNTHESIS_SHIFT),
             ("steps", 1, MAX_STEP),
-            ("gains", -MAX_GAIN, MAX_GAIN),
             ("table_index", 0, len(self.tables) - 1),
         ):
             array = getattr(self, name)
@@ -119,7 +111,7 @@ class StreamProfile:
                     f"{PREFIX}{name} spans {array.min()} to {array.max()}; "
                     f"{low} to {high} is allowed"
                 )
-        for name in ("tables", "header_tables", "distance_tables", "quality_table"):
+        for name in ("tables", "pose_tables", "header_table", "quality_table"):
             rows = np.atleast_2d(getattr(self, name)).astype(np.int64)
             sums = rows.sum(axis=1)
             if rows.min() < 1 or (sums != TOTAL).any():
@@ -175,27 +167,24 @@ class StreamProfile:
     # Prepared for coding
 
     @cached_property
-    def residual_tables(self) -> tuple[tuple[tuple[Table, ...], ...], ...]:
-        """Tables of residuals by frame type, coefficient and context."""
+    def residual_tables(self) -> tuple[tuple[Table, ...], ...]:
+        """Tables of the latent's coefficients, by coefficient and context."""
         tables = [make_table(row) for row in self.tables]
-        return tuple(
-            tuple(tuple(tables[index] for index in contexts) for contexts in coefficients)
-            for coefficients in self.table_index.tolist()
-        )
+        return tuple(tuple(tables[n] for n in row) for row in self.table_index.tolist())
 
     @cached_property
-    def header_ranges(self) -> tuple[Table, ...]:
-        """Tables of frame headers by frame type."""
-        return tuple(make_table(row) for row in self.header_tables)
+    def pose_ranges(self) -> tuple[Table, ...]:
+        """Tables of the lengths of pose coefficients."""
+        return tuple(make_table(row) for row in self.pose_tables)
 
     @cached_property
-    def distance_ranges(self) -> tuple[Table, ...]:
-        """Tables of reference distances by layer."""
-        return tuple(make_table(row) for row in self.distance_tables)
+    def header_ranges(self) -> Table:
+        """The table of frame headers."""
+        return make_table(self.header_table)
 
     @cached_property
     def quality_ranges(self) -> Table:
-        """Change of quality against the reference."""
+        """The table of qualities."""
         return make_table(self.quality_table)
 
     @cached_property
@@ -265,10 +254,9 @@ def profile_shapes(found: Mapping[str, tuple[int, ...]]) -> dict[str, tuple[int,
         "synthesis": (components, NUM_LATENT),
         "synthesis_shift": (1,),
         "steps": (qualities, coefficients),
-        "gains": (NUM_TYPES, coefficients),
         "tables": (size("tables", 0, MAX_TABLES), NUM_SYMBOLS),
-        "table_index": (NUM_TYPES, coefficients, NUM_CONTEXTS),
-        "header_tables": (NUM_TYPES, NUM_HEADERS),
-        "distance_tables": (NUM_LAYERS, MAX_DISTANCE),
+        "table_index": (components, NUM_CONTEXTS),
+        "pose_tables": (NUM_POSE, NUM_LENGTHS),
+        "header_table": (NUM_HEADERS,),
         "quality_table": (qualities,),
     }

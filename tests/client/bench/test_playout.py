@@ -7,7 +7,6 @@ import json
 import pytest
 
 from helpers.toy import make_toy_avatar
-from pica_client.bench.codec import CodecConfig
 from pica_client.bench.network.stream_trial import Schedule
 from pica_client.bench.playout import BenchPlayoutConfig, run_bench_playout
 from pica_client.errors import OptionError
@@ -42,14 +41,11 @@ def test_rows_are_repeatable_and_compare_every_policy() -> None:
     assert calm["mse_now"] > rows["jitter-0", "unbuffered"]["mse_now"]
     assert calm["mse_shown"] < rows["jitter-0", "unbuffered"]["mse_shown"]
     assert calm["payload_bps"] == pytest.approx(269 * 8 * 30)
-    assert calm["keyframes"] == 270
 
 
 def test_what_no_bench_can_do_is_refused_before_it_begins() -> None:
     with pytest.raises(OptionError, match="seed is -1"):
         BenchPlayoutConfig(seed=-1)
-    with pytest.raises(OptionError, match="rates-bps has 50; 100 to 10000000 is allowed"):
-        CodecConfig(rates_bps=(2000, 50))
 
 
 def test_an_avatar_without_a_profile_is_refused_with_the_fix() -> None:

@@ -6,12 +6,9 @@ import numpy as np
 import pytest
 
 from helpers.senders import LoadedAvatars
-from helpers.stream_toy import stream_avatar
 from helpers.toy import make_toy_avatar
 from pica_client.call.call import Call
 from pica_client.publish.face_track import FACE_KEY, FACE_LOST
-from pica_core.avatar.streams import open_encoder
-from pica_core.codec.latent_stream import StreamConfig
 from pica_core.codec.plain_stream import encode_latent
 from pica_protocol.frames import Frame
 from pica_protocol.messages import (
@@ -170,33 +167,3 @@ def test_a_face_is_away_while_its_tracker_sees_nobody(call: Call) -> None:
         call.receive_event(PeerUpdated(peer_id="p1", metadata=metadata), now=0.0)
         statuses.append(call.faces(0.1)[0].status)
     assert statuses == ["away", "live", "live"]
-
-
-def test_frames_held_back_that_turn_out_to_be_of_no_use_take_nothing_from_a_report() -> None:
-    avatar = stream_avatar()
-    call = Call(LoadedAvatars({TOY_ID: avatar}))
-    stream, profile = open_encoder(avatar, StreamConfig(fps=30))
-    face = np.zeros((8, 8, 4), np.float32), np.zeros(3, np.float32), np.zeros(3, np.float32)
-    coded = [stream.encode(*face, index * 33_333) for index in range(12)]
-    track = Track(kind="face", avatar=TOY_ID, profile=profile, stream=1)
-    joined = Joined(
-        room="r", peer_id="me", peers=(Peer(peer_id="p1", name="Ada", tracks=(track,)),)
-    )
-    call.receive_event(joined, now=0.0)
-    counts = []
-    # Its sender begins anew, and what the first frames build on never came.
-    for index, leap in [
-        *((index, 0) for index in range(6)),
-        *((index, 5000) for index in (7, 8, 9)),
-    ]:
-        sent = Frame(
-            stream=1,
-            sequence=index + leap,
-            captured_us=index * 33_333 + 2000 * leap,
-            payload=coded[index].payload,
-            layer=coded[index].layer,
-            is_keyframe=coded[index].is_keyframe,
-        )
-        call.receive_event(sent, now=index / 30)
-        counts += [report.received for report in call.take_report().streams]
-    assert counts[-3:] == [1, 1, 0]

@@ -16,7 +16,7 @@ from helpers.stream_toy import (
 )
 from pica_core.codec.latent_stream import StreamConfig
 from pica_core.codec.learning import LearningConfig, RenderMetric, learn_profile
-from pica_core.codec.profile import StreamProfile
+from pica_core.codec.profile import NUM_LENGTHS, NUM_POSE, NUM_SYMBOLS, StreamProfile
 from pica_core.errors import ProfileError, ShapeError
 
 pytestmark = pytest.mark.unit
@@ -27,7 +27,7 @@ FACES = toy_faces(1, 150)
 
 def num_bytes(profile: StreamProfile, **options: int) -> int:
     publisher = Publisher(StreamConfig(**options), profile=profile)
-    publisher.show_all(toy_faces(31, 600), toy_pose(31, 600))
+    publisher.show_all(toy_faces(31, 600, 0.3), 0.1 * toy_pose(31, 600))  # a quiet talker
     return sum(len(frame.payload) for frame in publisher.sent)
 
 
@@ -63,12 +63,15 @@ def test_one_unit_of_a_coefficient_is_a_64th_of_a_root_of_rendered_mse() -> None
 
 def test_learned_tables_are_worth_having() -> None:
     tensors = toy_profile().to_tensors()
-    tables = np.full((1, 25), 2**14 // 25, np.uint16)
+    tables = np.full((1, NUM_SYMBOLS), 2**14 // NUM_SYMBOLS, np.uint16)
     tables[0, 0] += 2**14 - tables.sum(dtype=int)
+    lengths = np.full((NUM_POSE, NUM_LENGTHS), 2**14 // NUM_LENGTHS, np.uint16)
+    lengths[:, 0] += np.uint16(2**14 - lengths[0].sum(dtype=int))
     flat = StreamProfile.from_tensors(
         {
             **tensors,
             "stream.tables": tables,
+            "stream.pose_tables": lengths,
             "stream.table_index": np.zeros_like(tensors["stream.table_index"]),
         }
     )

@@ -7,13 +7,8 @@ playout policy then shows. Pure: no socket, no sleep; the same seed gives the sa
 The trouble lasts from the end of the first third of the schedule to the end of the second. The
 frames that come do not depend on the policy, so all policies are given the very same ones.
 
-A keyframe is asked for as soon as the decoder misses a reference, or the relay has cut the stream
-because the way is too slow; again at most every half second, as the relay allows. The decoder's
-request takes the calm way's delay back to the sender, and the next frame captured after that is the
-keyframe.
-
-Unrealistic: code takes no time; the display never misses a refresh; the relay's cached keyframe is
-not used (no peer joins late); the receiver asks for no other layers when the rate falls short.
+Unrealistic: code takes no time; the display never misses a refresh; no peer joins late; the
+receiver asks for no other share of the stream when the rate falls short.
 """
 
 from collections import deque
@@ -34,8 +29,6 @@ from pica_protocol.frames import SEQUENCE_MODULUS, Frame
 Face = Callable[[float], LatentSample]
 """The true face at a moment of the sender's clock, seconds."""
 
-KEYFRAME_INTERVAL_S = 0.5
-"""Between two requests for one stream, the relay's default."""
 VOICE_STREAM = 2
 """The stream of a voice beside the face's, which is 1."""
 CLOCK_OFFSET_US = 5_000_000_000
@@ -80,8 +73,6 @@ class Delivery:
     """What was sent."""
     wire_bytes: int
     """What went on to the receiver, with all headers."""
-    keyframes: int
-    keyframe_requests: int
     base_delay_s: float
     """The fastest way through the network."""
     voices: tuple[tuple[float, Frame], ...] = ()
@@ -133,17 +124,8 @@ def deliver(
     arrivals: list[DecodedFrame] = []
     voices: list[tuple[float, Frame]] = []
     spoken = deque(voice)
-    sent = payload_bytes = keyframes = requests = 0
-    requested_s: list[float] = []  # when requests reach the sender; at most one each half second
-    last_request_s = -KEYFRAME_INTERVAL_S
+    sent = payload_bytes = 0
     changes = [(schedule.begin_s, scenario.trouble), (schedule.end_s, scenario.calm)]
-
-    def request_keyframe(now: float, way_s: float) -> None:
-        nonlocal last_request_s, requests
-        if now - last_request_s >= KEYFRAME_INTERVAL_S:
-            last_request_s = now
-            requests += 1
-            requested_s.append(now + way_s)
 
     def receive(until_s: float) -> None:
         for arrived_s, frame in path.arrivals(until_s):
@@ -151,9 +133,7 @@ def deliver(
                 voices.append((arrived_s, frame))
                 continue
             for received in sender.receive(frame, arrived_s):
-                arrivals.extend(decoder.receive(received))
-            if decoder.needs_keyframe:
-                request_keyframe(arrived_s, scenario.calm.delay_s)
+                arrivals.append(received.decoded(decoder.decode(received.payload)))
 
     for index in range(round(schedule.seconds * schedule.fps)):
         now = index / schedule.fps
@@ -164,9 +144,6 @@ def deliver(
         receive(now)
         if changes and changes[0][0] <= now:
             path.change(changes.pop(0)[1], now)
-        if requested_s and requested_s[0] <= now:
-            del requested_s[0]
-            encoder.request_keyframe()
         true = face(now)
         captured_us = CLOCK_OFFSET_US + round(now * 1e6)
         coded = encoder.encode(true.latent, true.rotation, true.translation_m, captured_us)
@@ -178,21 +155,17 @@ def deliver(
             captured_us=captured_us,
             payload=coded.payload,
             layer=coded.layer,
-            is_keyframe=coded.is_keyframe,
+            is_keyframe=coded.layer == 0,
         )
-        if path.send(frame, now):
-            request_keyframe(now, 0.0)  # the relay stands beside the sender
+        path.send(frame, now)
         sent += 1
         payload_bytes += len(coded.payload)
-        keyframes += coded.is_keyframe
     receive(schedule.seconds)
     return Delivery(
         arrivals=tuple(arrivals),
         counters=path.counters,
         payload_bytes=payload_bytes,
         wire_bytes=path.wire_bytes,
-        keyframes=keyframes,
-        keyframe_requests=requests,
         base_delay_s=scenario.calm.delay_s,
         voices=tuple(voices),
     )

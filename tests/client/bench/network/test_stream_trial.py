@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from pica_client.bench.network.scenarios import BY_NAME, CALM, POLICIES, SCENARIOS, Scenario
 from pica_client.bench.network.stream_trial import Delivery, Schedule, deliver, play
 from pica_client.errors import OptionError
 from pica_client.playout.buffer import Playout
-from pica_core.codec.latent_sample import DecodedFrame, EncodedFrame, LatentSample, ReceivedFrame
+from pica_core.codec.latent_sample import LatentSample
 from pica_core.codec.plain_stream import PlainDecoder, PlainEncoder
 
 pytestmark = pytest.mark.unit
@@ -32,44 +31,6 @@ def face(time_s: float) -> LatentSample:
 def deliver_plain(scenario: str | Scenario, *, seed: int = 0) -> Delivery:
     chosen = BY_NAME[scenario] if isinstance(scenario, str) else scenario
     return deliver(face, (PlainEncoder(PLAIN), PlainDecoder(PLAIN)), chosen, SHORT, seed=seed)
-
-
-class ChainEncoder:
-    """Every frame refers to the one before it, as in a stream of one layer."""
-
-    def __init__(self) -> None:
-        self._wanted = True
-        self.granted = 0
-
-    def request_keyframe(self) -> None:
-        self._wanted = True
-
-    restart = request_keyframe
-
-    def encode(
-        self,
-        latent: npt.ArrayLike,
-        rotation: npt.ArrayLike,
-        translation_m: npt.ArrayLike,
-        now_us: int,
-    ) -> EncodedFrame:
-        is_keyframe, self._wanted = self._wanted, False
-        self.granted += is_keyframe
-        return EncodedFrame(b"x", 0, is_keyframe)
-
-
-class ChainDecoder:
-    def __init__(self) -> None:
-        self._next: int | None = None
-        self.needs_keyframe = False
-        self.num_unreferenced = 0
-
-    def receive(self, frame: ReceivedFrame) -> list[DecodedFrame]:
-        if not frame.is_keyframe and frame.number != self._next:
-            self.needs_keyframe = True
-            return []
-        self._next, self.needs_keyframe = frame.number + 1, False
-        return [frame.decoded(face(0))]
 
 
 def test_the_trouble_begins_and_ends_with_the_middle_third() -> None:
@@ -102,21 +63,6 @@ def test_on_a_calm_network_every_frame_is_shown_in_time() -> None:
         assert not any(tick.played.is_concealed for tick in shown if tick.played)
         ages = [tick.now_s - tick.shown_s for tick in shown]
         assert max(ages) < 0.02 + config.ceiling_s + 1 / 30 + 1e-3
-
-
-def test_a_missing_reference_is_healed_by_a_keyframe_after_one_round_trip() -> None:
-    scenario = replace(
-        BY_NAME["loss-10"], trouble=replace(BY_NAME["loss-10"].trouble, jitter_s=0.0)
-    )
-    encoder = ChainEncoder()
-    delivery = deliver(face, (encoder, ChainDecoder()), scenario, SHORT, seed=1)
-    assert delivery.keyframe_requests > 0
-    assert delivery.keyframes == encoder.granted == delivery.keyframe_requests + 1
-    gaps = np.diff([arrival.arrived_s for arrival in delivery.arrivals])
-    assert delivery.arrivals[-1].arrived_s > 8.9
-    # Lost frame, next frame, 40 ms there and back, up to a frame interval for the next capture; a
-    # request may wait half a second for the one before it, and a keyframe may be lost itself.
-    assert np.median(gaps[gaps > 0.05]) < 0.6
 
 
 def test_nothing_shown_before_the_first_frame_is_no_face() -> None:
