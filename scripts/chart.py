@@ -3,7 +3,7 @@
 python scripts/chart.py                                      every chart and table
 python scripts/chart.py relay voice                          some of them
 python scripts/chart.py --record call bench call             run a command, append its result
-python scripts/chart.py --record faults scripts/faults.py --json
+python scripts/chart.py --record faults tests/faults.py --json
 
 Charts are SVG. Charts and tables show the newest line of their file and end with its source: date,
 commit and command. A recorded line holds these, the machine and the result as JSON, which is the

@@ -162,7 +162,7 @@ ROWS: dict[str, Row] = {
         words="bench voice --scenarios jitter-0,rate-64,retransmit-5 --kbps 24", figures=_voice
     ),
     "faults": Row(
-        words=" ".join(["scripts/faults.py --json", *(f'"{name}"' for name in FAULTS)]),
+        words=" ".join(["tests/faults.py --json", *(f'"{name}"' for name in FAULTS)]),
         figures=_faults,
     ),
 }

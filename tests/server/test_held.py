@@ -1,6 +1,6 @@
 """A relay as a real process with little memory, no home and a log on a full disk.
 
-Faults of a whole call are in ``scripts/faults.py``; those on the virtual clock in tests/call.
+Faults of a whole call are in ``tests/faults.py``; those on the virtual clock in tests/call.
 """
 
 import asyncio

@@ -1,5 +1,5 @@
 """Some hundred calls on a relay that does what it should not; ten thousand by
-``scripts/malicious_relay.py``."""
+``python -m malice``."""
 
 from __future__ import annotations
 

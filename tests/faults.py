@@ -1,7 +1,7 @@
 """What faults do to a call: a relay, three senders and a viewer, all real processes on loopback.
 
-python scripts/faults.py                          every fault, some five minutes
-python scripts/faults.py "relay paused" --json    those whose name begins so
+python tests/faults.py                          every fault, some five minutes
+python tests/faults.py "relay paused" --json    those whose name begins so
 
 Each fault gets a call of its own. A row says how many faces were alive at the end, how long after
 the fault was over the last of them was back (a frame captured after it), the longest gap between

@@ -1,9 +1,9 @@
 """Let people call each other on a relay that forges, replays, reorders, withholds and relabels.
 
-    python scripts/malicious_relay.py --runs 10000      some fifteen minutes
-    python scripts/malicious_relay.py --seed 1234 --runs 1     one run again
+    PYTHONPATH=tests python -m malice --runs 10000             some fifteen minutes
+    PYTHONPATH=tests python -m malice --seed 1234 --runs 1     one run again
 
-Each run is a seed; what must not happen is listed in ``tests/malice/relay.py``. Prints
+Each run is a seed; what must not happen is listed in `malice.relay`. Prints
 what was tried as JSON, or the seeds that broke a promise, and then exits with 1.
 """
 
@@ -14,13 +14,9 @@ import json
 import sys
 import time
 from collections import Counter
-from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT / "tests"))
-
-from malice.people import BrokenPromiseError  # noqa: E402
-from malice.relay import run  # noqa: E402
+from malice.people import BrokenPromiseError
+from malice.relay import run
 
 
 def main() -> None:
