@@ -63,16 +63,16 @@ def test_a_viewer_that_is_told_to_stop_finishes_its_files(
     avatar_file: Path, tmp_path: Path
 ) -> None:
     pytest.importorskip("moderngl")
-    picture = tmp_path / "last.png"
+    pytest.importorskip("av")
+    picture, film = tmp_path / "last.png", tmp_path / "call.mp4"
     with Children() as children:
         _, url = children.start_relay()
         children.start("sender", "send", "--url", url, "--avatar", str(avatar_file))
         command = [sys.executable, "-m", "pica_command", "view", "--url", url, "--json"]
         command += ["--headless", "--size", "96x54", "--expect", "1", "--png", str(picture)]
-        command += ["--avatar", str(avatar_file), "--png-folder", str(tmp_path / "series")]
+        command += ["--avatar", str(avatar_file), "--record", str(film)]
         viewer = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-        first = tmp_path / "series" / "frame-00001.png"
-        while not first.exists() and viewer.poll() is None:
+        while not (film.exists() and film.stat().st_size) and viewer.poll() is None:
             time.sleep(0.02)
         viewer.send_signal(signal.SIGTERM)
         out, err = viewer.communicate(timeout=30)

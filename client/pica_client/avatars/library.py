@@ -46,25 +46,18 @@ class AvatarLibrary:
     def __init__(
         self,
         files: Iterable[Path] = (),
-        folder: Path | None = None,
         *,
         shipped: Iterable[Path] | None = None,
     ) -> None:
         """Hash all files.
 
         Args:
-            folder: A folder whose ``*.pica`` files are known too.
             shipped: Instead of the package's own; for tests.
 
         Raises:
             AvatarFileError: A file cannot be read.
-            AvatarLookupError: The folder is none.
         """
         paths = [*(shipped_avatar_files() if shipped is None else shipped), *files]
-        if folder is not None:
-            if not folder.is_dir():
-                raise AvatarLookupError(f"avatar folder {folder} is not there")
-            paths += sorted(folder.glob(f"*{SUFFIX}"))
         self._paths: dict[str, Path] = {}
         for path in paths:
             self._paths.setdefault(avatar_id(path), path)

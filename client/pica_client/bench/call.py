@@ -35,7 +35,6 @@ from pica_client.local_call import local_call
 from pica_client.local_call.latency import FrameTimes, latency_summary
 from pica_client.local_call.processes import Children
 from pica_client.output import say
-from pica_client.playout.config import PlayoutConfig, playout_with_floor
 from pica_client.stats import describe_machine
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.receiver import Receiver
@@ -89,15 +88,12 @@ class BenchConfig:
     )
     seconds: float = 20.0
     """Measured time, seconds."""
-    playout_floor_ms: float = PlayoutConfig().floor_s * 1e3
-    """Least playout delay, milliseconds."""
     network: Annotated[NetworkOptions, Parameter(name="*")] = field(default_factory=NetworkOptions)
 
     def __post_init__(self) -> None:
         if not 0 < self.seconds <= 600:
             raise OptionError(f"seconds is {self.seconds:g}; above 0 and at most 600 is allowed")
         self.network.impairment()  # checks it
-        playout_with_floor(self.playout_floor_ms)
 
 
 class DecodeQueue:
@@ -172,7 +168,7 @@ async def _measure(
     config: BenchConfig, local: local_call.LocalCall, library: AvatarLibrary
 ) -> dict[str, Any]:
     impairment = config.network.impairment()
-    call = Call(library, playout_with_floor(config.playout_floor_ms))
+    call = Call(library)
     if impairment is None:
         return await _measure_through(local.url, config, local, library, call)
     async with ImpairedProxy(local.url, impairment) as proxy:

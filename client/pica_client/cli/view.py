@@ -10,7 +10,6 @@ from pica_client.avatars.own_avatar import GiveAvatar
 from pica_client.cli.options import check_voice, connect_timeout_s, parse_size
 from pica_client.errors import OptionError
 from pica_client.output import say
-from pica_client.playout.config import PlayoutConfig, playout_with_floor
 from pica_client.publish.own_face import DEFAULT_SOURCE, FaceChoice
 from pica_client.render.seats import Layout
 from pica_client.signals import on_stop_signal
@@ -64,13 +63,9 @@ class ViewOptions:
     """Record into this MP4 file, which must not be there yet."""
     png: Path | None = None
     """Write the last image into this PNG file."""
-    png_folder: Path | None = None
-    """Write an image a second into this folder."""
     avatar: str | None = None
     """Further avatar files, separated by commas, for peers whose avatar neither ships nor is at the
     relay."""
-    avatar_folder: Path | None = None
-    """A folder with further avatar files."""
     seconds: float = 0.0
     """How long to look; 0 is until the window is closed, or Ctrl-C."""
     wait: bool = False
@@ -91,8 +86,6 @@ class ViewOptions:
     that --max-fps leaves."""
     stereo: bool = False
     """Draw for two eyes, side by side."""
-    playout_floor_ms: float = field(default=PlayoutConfig().floor_s * 1e3)
-    """Least playout delay, milliseconds; 33 makes 30 frames a second smooth on a fast display."""
     frame_log: Path | None = None
     """Write the times of every frame into this file at the end. Those of capture are on the clocks
     of the senders: less ours, they are latencies on this machine only."""
@@ -104,8 +97,6 @@ class ViewOptions:
     """File with the room secret of those who encrypt: shows them, and nobody else."""
     fetch: bool = True
     """Get avatars that are not on this machine from the relay, and keep them."""
-    avatar_cache: Path | None = None
-    """Where to keep those, instead of this user's folder for such things."""
 
 
 def view(options: ViewOptions) -> dict[str, Any]:
@@ -159,7 +150,6 @@ def view(options: ViewOptions) -> dict[str, Any]:
     link = base if asks else replace(link_without_form(going, base), ca_file=options.ca_file)
     config = ViewConfig(
         link=link,
-        playout=playout_with_floor(options.playout_floor_ms),
         viewer=ViewerOptions(
             size=preferences.window_size if options.size is None else parse_size(options.size),
             headless=options.headless,
@@ -181,12 +171,10 @@ def view(options: ViewOptions) -> dict[str, Any]:
         hears=options.speaker != "off",
         expect=options.expect,
         png=options.png,
-        png_folder=options.png_folder,
         frame_log=options.frame_log,
         fetch=options.fetch,
-        avatar_cache=options.avatar_cache,
     )
-    with closing(AvatarLibrary(folder=options.avatar_folder)) as library:
+    with closing(AvatarLibrary()) as library:
         for name in (options.avatar or "").split(","):
             if name:
                 library.load(library.find(name))

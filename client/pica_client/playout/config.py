@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 
-from pica_client.errors import OptionError
 from pica_client.playout.motion import Distance
 from pica_core.errors import check_ranges
 
@@ -64,15 +63,3 @@ class PlayoutConfig:
         small = dict.fromkeys(("floor_intervals", "faster", "extrapolate_s", "blend_s"), (0, 10))
         check_ranges(self, **small, window_s=(0.1, 60), slower=(0, 0.9), leap_s=(0, 60))
         check_ranges(self, max_frames=(2, 1000), max_gap_s=(0.001, 10), still_s=(0, 3600))
-
-
-def playout_with_floor(floor_ms: float) -> PlayoutConfig:
-    """The default playout with another least delay, as an option of a command gives it.
-
-    Raises:
-        OptionError: Below 0 or above the longest delay.
-    """
-    longest_ms = PlayoutConfig().ceiling_s * 1e3
-    if not 0 <= floor_ms <= longest_ms:
-        raise OptionError(f"playout-floor-ms is {floor_ms:g}; 0 to {longest_ms:g} is allowed")
-    return PlayoutConfig(floor_s=floor_ms / 1e3)

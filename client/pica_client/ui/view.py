@@ -1,7 +1,6 @@
 """One receiver from end to end: network in a thread, decoding in others, drawing in this one."""
 
 import json
-import math
 import sys
 import time
 from collections import deque
@@ -11,14 +10,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from pica_client.avatars.cache import AvatarCache
 from pica_client.avatars.fetch import AvatarFetcher
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.call.call import Call
 from pica_client.decode.request import DecodeResult
 from pica_client.errors import OptionError, RelayUnreachableError
-from pica_client.output import check_writable, make_folder, say
-from pica_client.playout.config import PlayoutConfig
+from pica_client.output import check_writable, say
 from pica_client.publish.face_desk import FaceDesk
 from pica_client.publish.own_face import FaceChoice, OutgoingFace
 from pica_client.transport.config import LinkConfig
@@ -46,8 +43,6 @@ EXPECT_TIMEOUT_S = 30.0
 """Give up waiting for those who are expected after this time."""
 NOTHING_SHOWN = {"frames_rendered": 0, "render_fps": 0.0}
 """What `View.run` returns when there was nothing to show."""
-PNG_PERIOD_S = 1.0
-"""Between two still images of a series."""
 DRAIN_S = 0.2
 """What is decoded this soon after the picture began is not measured: decoders are being built."""
 
@@ -57,7 +52,6 @@ class ViewConfig:
     """What to show, how, and what to keep of it."""
 
     link: LinkConfig
-    playout: PlayoutConfig = field(default_factory=PlayoutConfig)
     viewer: ViewerOptions = field(default_factory=ViewerOptions)
     seconds: float = 0.0
     """How long to draw; 0 is until stopped."""
@@ -69,14 +63,10 @@ class ViewConfig:
     """Begin to draw once this many peers are seen."""
     png: Path | None = None
     """Write the last image here."""
-    png_folder: Path | None = None
-    """Write an image a second into this folder."""
     frame_log: Path | None = None
     """Write the times of every frame and decode here, for whoever shares this clock."""
     fetch: bool = False
     """Get avatars that are not here from the relay."""
-    avatar_cache: Path | None = None
-    """Where to keep those, instead of this user's folder for such things."""
 
     def __post_init__(self) -> None:
         if not self.seconds >= 0:
@@ -120,12 +110,10 @@ class View:
         check_writable(config.png, ".png")
         check_writable(config.frame_log)
         check_writable(config.viewer.record, ".mp4")
-        if config.png_folder is not None:
-            make_folder(config.png_folder)
         self._config = config
         self._fetcher = self._make_fetcher(library) if config.fetch else None
         avatars = self._fetcher or library
-        self._call = Call(avatars, config.playout, log_shown=config.frame_log is not None)
+        self._call = Call(avatars, log_shown=config.frame_log is not None)
         self._library = library
         self._publisher = None if face is None else face.publisher
         self._entered_as = OwnChoice(
@@ -178,7 +166,7 @@ class View:
             GraphicsError: There is no way to draw.
         """
         config, film = self._config, self._config.viewer.record
-        self._say_recording(film is not None)
+        self._receiver.say_recording(film is not None)
         with ExitStack() as stack:
             if self._fetcher is not None:
                 stack.callback(self._fetcher.close)
@@ -214,7 +202,7 @@ class View:
                 sound=CallSound(self._receiver.voice, self._sound),
                 on_rejoin=self._come_again,
                 on_moderation=self._receiver.moderate,
-                on_recording=self._say_recording,
+                on_recording=self._receiver.say_recording,
                 window=self._window,
             ) as viewer:
                 # In a window a person looks on: they see who is ready, and no frozen frame.
@@ -263,7 +251,6 @@ class View:
         return AvatarFetcher(
             library,
             lambda: self._receiver.link.url,
-            cache=None if config.avatar_cache is None else AvatarCache(config.avatar_cache),
             tls=None if ca_file is None else trusting(ca_file),
         )
 
@@ -287,10 +274,6 @@ class View:
 
     def _draw(self, viewer: Viewer) -> None:
         """Draw until the time is over, the user leaves, or the network gives up."""
-        folder, index = self._config.png_folder, 0
-        longest_s = math.inf if folder is None else PNG_PERIOD_S
-        end_s = time.monotonic() + (self._config.seconds or math.inf)
-        has_ended = False
 
         def should_stop() -> bool:
             self._receiver.check()
@@ -300,17 +283,7 @@ class View:
             self._trouble = note
             return self._is_stopping
 
-        while not has_ended and not self._is_stopping:
-            begin_s = time.monotonic()
-            slice_s = min(longest_s, end_s - begin_s)
-            if slice_s <= 0:
-                return
-            viewer.run(slice_s, should_stop)
-            # The viewer returns early only when its user closed the window, or we stopped it.
-            has_ended = time.monotonic() - begin_s < slice_s
-            index += 1
-            if folder is not None and not viewer.save_image(folder / f"frame-{index:05d}.png"):
-                folder = None
+        viewer.run(self._config.seconds or None, should_stop)
 
     def _come_again(self, wanted: OwnChoice) -> str:
         """Note as whom the user wants to come again; says why that cannot be."""
@@ -320,10 +293,6 @@ class View:
             return str(error)
         self.wanted = replace(wanted, name=wanted.name.strip())
         return ""
-
-    def _say_recording(self, is_recording: bool) -> None:
-        """Tell the others whether what is seen here is kept, as a film or as a series of images."""
-        self._receiver.say_recording(is_recording or self._config.png_folder is not None)
 
     def _note_decode(self, result: DecodeResult) -> None:
         name = self._call.names().get(result.slot)

@@ -268,11 +268,6 @@ def test_a_damaged_file_is_an_error_each_time_without_keeping_the_last(tmp_path:
     library.close()
 
 
-def test_a_folder_of_avatars_must_be_there(tmp_path: Path) -> None:
-    with pytest.raises(AvatarLookupError, match="nowhere is not there"):
-        AvatarLibrary(folder=tmp_path / "nowhere", shipped=[])
-
-
 # Coded streams
 
 
