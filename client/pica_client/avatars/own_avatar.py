@@ -17,7 +17,7 @@ from pica_core.avatar.shipped import shipped_avatar_files
 GiveAvatar = Literal["auto", "yes", "no"]
 """Whether the relay gets the file. auto: unless it ships with this package, so that everybody has
 it, or faces are encrypted: whoever runs the relay can look at the file."""
-SALT = "face 639:"
+SALT = "pica"
 """Goes before a name that is hashed (chosen: so the names of this documentation's examples fall on
 as many shipped avatars)."""
 
