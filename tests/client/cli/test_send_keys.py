@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from helpers.toy import make_toy_avatar
-from pica_client.cli.send_keys import SendKeys, read_keys
+from pica_client.cli.send import SendKeys, read_keys
 from pica_client.publish.face_desk import FaceDesk
 from pica_client.publish.publisher import Publisher, SenderConfig
 from pica_client.sources import open_source
