@@ -145,7 +145,7 @@ def _explain(words: list[str]) -> int:
     """List the commands; words that begin none are bad usage.
 
     Raises:
-        UsageError: Says what was probably meant.
+        UsageError: Says what was probably meant, or what to use instead.
     """
     if words[:1] == ["--version"]:
         from importlib.metadata import version

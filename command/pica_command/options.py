@@ -20,9 +20,10 @@ from pathlib import Path
 from typing import Annotated, Any, Final
 
 from cyclopts import App, Argument, ArgumentCollection, CycloptsError, Group, Parameter, Token
+from cyclopts.exceptions import UnknownOptionError
 from rich.console import Console
 
-from pica_command.table import COMMANDS, SHARED, Command, UsageError
+from pica_command.table import COMMANDS, REMOVED, SHARED, Command, UsageError
 
 COMMON: Final = {
     "config": (Path | None, None, "Read options from this TOML file, not from the user's."),
@@ -84,7 +85,7 @@ class CommandLine:
             with self.naming_places():
                 take, bound, _ = self.app.parse_args(words, exit_on_error=False, print_error=False)
         except CycloptsError as error:
-            raise UsageError(" ".join(str(error).split())) from error
+            raise UsageError(_line(error)) from error
         if take is not self._take:
             take(*bound.args, **bound.kwargs)
             return None
@@ -192,6 +193,14 @@ def _taker(function: Any) -> Callable[..., None]:
     take.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     take.__annotations__ = {each.name: each.annotation for each in parameters}
     return take
+
+
+def _line(error: CycloptsError) -> str:
+    if isinstance(error, UnknownOptionError):
+        flag = (error.token.keyword or error.token.value).partition("=")[0]
+        if flag in REMOVED:
+            return f"{flag} was removed; {REMOVED[flag]}"
+    return " ".join(str(error).split())
 
 
 def _description(function: Any) -> str:

@@ -211,6 +211,7 @@ def test_what_is_wrong_in_a_variable_is_one_line_with_its_name(
         (["--leaf", "mint"], 'Invalid value "mint" for --leaf. Choose from: "green", "black"'),
         (["--cups"], "--cups requires an argument"),
         (["kettle", "noise"], "Unused Tokens: ['noise']"),
+        (["--facekit", "x"], "--facekit was removed; leave it out"),
     ],
 )
 def test_what_is_wrong_with_words_is_one_line(words: list[str], complaint: str) -> None:
