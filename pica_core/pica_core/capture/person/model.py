@@ -21,8 +21,9 @@ from pica_core.types import Array, ByteArray, Float64Array, FloatArray, Int64Arr
 
 NUM_MODES = 100
 RIGHTS = "ICT-FaceKit Light, MIT licence, (c) 2020 USC Institute for Creative Technologies"
-REST_M, MODE_M, MOTION_M, UV_STEP = 2e-6, 1e-5, 5e-6, 2.0**-16
-"""Steps in which places, modes, shapes and texture coordinates are stored."""
+REST_M, MODE_M, MOTION_M, UV_STEP = 1e-8, 2.5e-6, 2e-7, 2.0**-24
+"""Steps in which places, modes, shapes and texture coordinates are stored: so fine that a person is
+the same to the triangle as one made of the public files."""
 EYES = ("eye_left", "eye_right")
 COARSE = "coarse_"
 """Prefix of the triangles of the coarse mesh, over some of the same vertices."""
@@ -56,8 +57,9 @@ class FaceModel:
 
 
 def _sums(planes: ByteArray, axis: int = 0) -> Int64Array:
-    """Integers from planes of bytes of their differences along an axis."""
-    changes = np.ascontiguousarray(np.moveaxis(planes, 0, -1)).view(f"<i{len(planes)}")[..., 0]
+    """Integers from planes of bytes of their differences along an axis, coordinates apart."""
+    folded = sum(plane.astype(np.int32) << (8 * place) for place, plane in enumerate(planes))
+    changes = np.moveaxis((folded >> 1) ^ -(folded & 1), -2, -1)
     return np.cumsum(changes, axis=axis, dtype=np.int32)
 
 
