@@ -241,7 +241,7 @@ async def test_a_slow_spell_thins_the_stream_and_every_face_stays_true(
     witness: Witness, avatar: Avatar
 ) -> None:
     # With their headers 30 frames a second are 8 kbit/s.
-    slow = Wire(delay_s=0.02, rate_bps=5200, window_bytes=300)
+    slow = Wire(delay_s=0.02, rate_bps=5600, window_bytes=300)
     current_network().route("viewer", up=Wire(delay_s=0.02), down=slow)
     async with Relay(RelayConfig(port=0)) as relay:
         sending = asyncio.create_task(make_sender(relay.url, avatar, 32).run())

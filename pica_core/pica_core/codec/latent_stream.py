@@ -61,7 +61,7 @@ MOVED_FACE, MOVED_POSE = 18, (8, 8, 8, 2, 2, 2)
 """How far a coefficient must move, in its units, for a face not to be still: a quarter of a root of
 rendered MSE, half a milliradian, an eighth of a millimetre (chosen: below is what trackers do by
 themselves)."""
-DEFAULT_QUALITY = 2
+DEFAULT_QUALITY = 3
 STILL_AFTER_US = 250_000
 """A face that has not changed for so long falls silent."""
 HEARTBEAT_US = 1_000_000
