@@ -26,7 +26,7 @@ async def main() -> None:
             avatar_id(file),
         )
         stats = await sender.run()
-    print(f"{stats['sent']} frames, {stats['keyframes']} of them keyframes")
+    print(f"{stats['sent']} frames")
     print(f"{stats['payload_bps']} bit/s of payload, {stats['wire_bps']} bit/s on the wire")
 
 
