@@ -6,7 +6,7 @@
 
 A frame is quantised coefficients of the latent and of the head pose:
 
-    coefficient = round toward zero with a dead zone((value + rounding) / step)
+    coefficient = value / step, rounded to the nearest
 
 A payload holds, in this order: the quality; what the frame holds (header); the coefficients of the
 latent, then those of the pose. A part in which all are 0 is left out. Probabilities come from the
@@ -54,9 +54,6 @@ LAYER_PATTERNS: dict[int, tuple[int, ...]] = {1: (0,), 2: (0, 1), 3: (0, 2, 1, 2
 LEAST_BASE_FPS = 5.0
 """A stream has no more layers than leave this many base frames a second: below, a face that lost
 its upper layers is a slide show."""
-LATENT_ROUNDING, POSE_ROUNDING = 22, 32
-"""What is added before coefficients are cut off, in 64ths of a step: 32 is to the nearest, less
-leaves a dead zone about the mean face. On the pose it would let the head stick and slip."""
 MOVED_FACE, MOVED_POSE = 18, (8, 8, 8, 2, 2, 2)
 """How far a coefficient must move, in its units, for a face not to be still: a quarter of a root of
 rendered MSE, half a milliradian, an eighth of a millimetre (chosen: below is what trackers do by
@@ -99,9 +96,10 @@ class StreamConfig:
         )
 
 
-def quantise(values: Int64Array, steps: Array, rounding: int | Int64Array) -> Int64Array:
-    """Values in steps; `rounding` / 64 is added before cutting off, 32 is to the nearest."""
-    magnitudes = ((np.abs(values) << 6) + rounding * steps) // (steps << 6)
+def quantise(values: Int64Array, steps: Array) -> Int64Array:
+    """Values in steps, rounded to the nearest. A dead zone about the mean face would save 5 % of
+    the bits and hold lips back: 0.33 mm off instead of 0.30 (Amara, the real recording)."""
+    magnitudes = (2 * np.abs(values) + steps) // (2 * steps)
     return np.where(values < 0, -magnitudes, magnitudes)
 
 
@@ -234,8 +232,6 @@ class LatentEncoder:
         if self.config.quality > highest:
             raise LatentError(f"quality is {self.config.quality}; this avatar has 0 to {highest}")
         self._pattern = LAYER_PATTERNS[self.config.layers]
-        self._rounding = np.full(profile.num_coefficients, LATENT_ROUNDING)
-        self._rounding[profile.num_components :] = POSE_ROUNDING
         self._moved = np.full(profile.num_coefficients, MOVED_FACE)
         self._moved[profile.num_components :] = MOVED_POSE
         self.restart()
@@ -288,7 +284,7 @@ class LatentEncoder:
         self._phase = (self._phase + 1) % len(self._pattern)
         quality = min(self.config.quality + self._is_silent, self.profile.num_qualities - 1)
         steps = self.profile.steps[quality]
-        quantised = quantise(wanted, steps, self._rounding)
+        quantised = quantise(wanted, steps)
         payload = encode_frame(self.profile, quantised, quality, is_still=self._is_silent)
         self._sent, self._sent_us = wanted, now_us
         return EncodedFrame(payload, layer)

@@ -25,8 +25,6 @@ from pica_core.codec.latent_stream import (
     HAS_LATENT,
     HAS_POSE,
     IS_STILL,
-    LATENT_ROUNDING,
-    POSE_ROUNDING,
     quantise,
 )
 from pica_core.codec.profile import (
@@ -268,10 +266,10 @@ def _count(
         pose = _wandering_pose(len(face), rng)
         for quality in TRAINING_QUALITIES:
             steps = profile.steps[quality]
-            values = quantise(face, steps[:count], LATENT_ROUNDING)
+            values = quantise(face, steps[:count])
             symbols = 2 * np.minimum(np.abs(values), ESCAPE) - (values > 0)
             np.add.at(counts, (np.arange(count), _contexts(values), symbols), 1)
-            turned = np.abs(quantise(pose, steps[count:], POSE_ROUNDING))
+            turned = np.abs(quantise(pose, steps[count:]))
             places = np.arange(NUM_POSE)
             np.add.at(lengths, (places, np.ceil(np.log2(turned + 1)).astype(np.int64)), 1)
             header = HAS_LATENT * values.any(axis=1) + HAS_POSE * turned.any(axis=1)
