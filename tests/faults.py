@@ -247,8 +247,10 @@ async def _path_lost(call: Call) -> None:
 async def _wrong_keys(call: Call) -> None:
     wrong = call.folder / "wrong"
     wrong.write_text(KeyRing.new_line())
-    await call.restart_relay(0.5, "--keys", str(wrong))
+    right, call.relay_arguments = call.relay_arguments, ("--keys", str(wrong))
+    await call.restart_relay(0.5)
     await asyncio.sleep(2.0)
+    call.relay_arguments = right
     await call.restart_relay(0.0)
 
 
