@@ -5,7 +5,6 @@
     ├── CaptureError        a capture that cannot be read
     ├── CheckpointError     a checkpoint that does not fit
     ├── LatentError         a latent payload that cannot be decoded, or a latent that cannot be sent
-    │   └── MissingReferenceError   one that refers to a frame that is not there
     ├── ProfileError        tables of a latent stream that must not be used
     ├── ShapeError          an array of the wrong shape handed to a public function
     ├── GraphicsError       no GL context, or one that is too old
@@ -40,10 +39,6 @@ class CheckpointError(PicaCoreError):
 
 class LatentError(PicaCoreError, ValueError):
     """Bytes that are no latent payload, or a latent that has no payload: names field and limit."""
-
-
-class MissingReferenceError(LatentError):
-    """The payload may be sound, but the frame that it refers to is not there."""
 
 
 class ProfileError(PicaCoreError, ValueError):
