@@ -25,6 +25,8 @@ MAX_FILE_BYTES = 1 << 30
 """Larger files are refused before reading."""
 MAX_IMAGE_PIXELS = 64_000_000
 """Larger images are refused before decoding."""
+IMAGE_FORMATS = ("PNG", "JPEG", "WEBP")
+"""What images may be, whatever their names say: other decoders of Pillow run programs."""
 MAX_LENGTH_M = 100.0
 """Nothing of a capture is farther away."""
 MAX_EXPRESSION = 100.0
@@ -139,7 +141,7 @@ def check_image_header(path: Path, mode: str, size: tuple[int, int] | None) -> t
 def _opened(path: Path, mode: str, size: tuple[int, int] | None) -> Iterator[Image.Image]:
     """An image of the wanted kind and size, whose pixels are not decoded yet."""
     try:
-        with Image.open(path) as image:
+        with Image.open(path, formats=IMAGE_FORMATS) as image:
             if image.width * image.height > MAX_IMAGE_PIXELS:
                 raise CaptureError(f"{path}: {image.width}x{image.height} pixels are too many")
             if size is not None and image.size != size:

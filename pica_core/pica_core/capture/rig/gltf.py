@@ -71,6 +71,8 @@ def _placed_meshes(file: GltfFile) -> list[_Placed]:
         if depth > MAX_NODE_DEPTH or len(found) > 1000:
             raise CaptureError(f"{file.path}: nodes are nested deeper than {MAX_NODE_DEPTH}")
         node = file.item("nodes", index)
+        if index in worlds:
+            raise CaptureError(f"{file.path}: node {index} has several parents; one is allowed")
         worlds[index] = parent @ _matrix(file, node)
         if "mesh" in node:
             found.append(index)

@@ -17,7 +17,7 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from pica_core.capture.dataset.files import read_bytes
+from pica_core.capture.dataset.files import MAX_FILE_BYTES, read_bytes
 from pica_core.errors import CaptureError
 from pica_core.types import Array
 
@@ -68,6 +68,8 @@ class GltfFile:
                     "export without it"
                 )
         self.buffer = cache(self._buffer)
+        self._beside = cache(read_bytes)
+        self._beside_bytes = 0
         self.view = lru_cache(maxsize=8)(self._view)
 
     def _glb_chunks(self, data: bytes) -> bytes:
@@ -136,7 +138,13 @@ class GltfFile:
         place = (folder / name).resolve()
         if not place.is_relative_to(folder):
             raise CaptureError(f"{self.path}: {uri[:200]!r} leaves the folder of the rig")
-        return read_bytes(place)
+        data = self._beside(place)
+        self._beside_bytes += len(data)
+        if self._beside_bytes > MAX_FILE_BYTES:
+            raise CaptureError(
+                f"{self.path}: files beside it have more than {MAX_FILE_BYTES} bytes"
+            )
+        return data
 
     def _buffer(self, index: int) -> bytes:
         entry = self.item("buffers", index)

@@ -5,6 +5,7 @@ import io
 import numpy as np
 from PIL import Image, UnidentifiedImageError
 
+from pica_core.capture.dataset.files import IMAGE_FORMATS
 from pica_core.capture.rig.gltf_file import missing_wheel
 from pica_core.errors import CaptureError
 from pica_core.types import BoolArray, ByteArray, Float64Array
@@ -17,12 +18,12 @@ KTX2 = b"\xabKTX 20\xbb\r\n\x1a\n"
 def open_image(where: str, data: bytes) -> ByteArray:
     """An image as sRGB with alpha, row 0 on top. uint8 ``[H, W, 4]``.
 
-    PNG, JPEG, WebP and whatever else Pillow reads; KTX 2 with a Basis Universal payload.
+    PNG, JPEG, WebP, or KTX 2 with a Basis Universal payload.
     """
     if data.startswith(KTX2):
         return _open_ktx2(where, data)
     try:
-        with Image.open(io.BytesIO(data)) as image:
+        with Image.open(io.BytesIO(data), formats=IMAGE_FORMATS) as image:
             _check_side(where, image.width, image.height)
             if image.mode not in ALBEDO_MODES:
                 raise CaptureError(

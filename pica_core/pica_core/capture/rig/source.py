@@ -16,8 +16,8 @@ from pica_core.types import BoolArray, Float64Array, FloatArray, IntArray
 MAX_VERTICES = 500_000
 MAX_FACES = 1_000_000
 MAX_SHAPES = 1_000
-MAX_SHAPE_VALUES = 300_000_000
-"""Vertices times shapes, at most (1.2 GB as float32 triples is three times that number)."""
+MAX_SHAPE_VALUES = 30_000_000
+"""Vertices times shapes, at most: 360 MB as float32 triples (detailed rigs have 20 million)."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

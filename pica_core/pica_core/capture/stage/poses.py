@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image as Pillow
 
+from pica_core.capture.dataset.files import IMAGE_FORMATS
 from pica_core.capture.stage.expressions import sample_takes
 from pica_core.errors import CaptureError
 from pica_core.files import replacing
@@ -57,7 +58,7 @@ def read_picture(folder: Path, number: int) -> Image:
     """
     path = picture_path(folder, number)
     try:
-        with Pillow.open(path) as picture:
+        with Pillow.open(path, formats=IMAGE_FORMATS) as picture:
             return np.asarray(picture.convert("RGB"))
     except (OSError, SyntaxError, ValueError) as error:
         raise CaptureError(f"{path}: cannot be read ({error}); capture anew") from error

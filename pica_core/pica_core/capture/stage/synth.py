@@ -17,7 +17,7 @@ import numpy as np
 from PIL import Image
 
 from pica_core.capture.dataset import multiface
-from pica_core.capture.dataset.files import Take, Topology, read_tracked
+from pica_core.capture.dataset.files import IMAGE_FORMATS, Take, Topology, read_tracked
 from pica_core.capture.dataset.writer import (
     BackgroundWriter,
     TrackingErrors,
@@ -251,7 +251,7 @@ def _render(
             exact_mm = np.frombuffer(truth.read_bytes(), "<f4").reshape(-1, 3)
             errors.add(tracked_mm, exact_mm[dense_vertex])
             if take.split == "train":
-                with Image.open(texture) as image:
+                with Image.open(texture, formats=IMAGE_FORMATS) as image:
                     sums.add(tracked_mm, np.asarray(image))
             progress(done, options.frames)
     sums.write(out)

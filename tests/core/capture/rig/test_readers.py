@@ -236,7 +236,7 @@ def test_a_truncated_glb_is_refused_wherever_it_ends(glb: Path, tmp_path: Path) 
         (("meshes", 0, "primitives", 0, "attributes"), {}, "POSITION"),
         (("meshes", 0, "primitives", 0, "material"), 77, "materials 77"),
         (("nodes", 0, "rotation"), [0, 0], "transform cannot be read"),
-        (("nodes", 0, "children"), [0], "nested deeper"),
+        (("nodes", 0, "children"), [0], "several parents"),
         (("extensionsRequired",), ["ADOBE_materials_thin"], "export without it"),
         (("accessors",), "none", "does not exist"),
     ],
