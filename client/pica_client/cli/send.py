@@ -50,7 +50,7 @@ class SendOptions:
     avatar: str | None = None
     """Name of a shipped avatar, or a .pica file; by default a shipped one that goes by the name."""
     source: str = DEFAULT_SOURCE
-    """Whose motion: livelink[:PORT], vmc[:PORT], ifacialmocap:PHONE_IP and facemotion3d:PHONE_IP
+    """Whose motion: livelink[:lan], vmc[:lan], ifacialmocap:PHONE_IP and facemotion3d:PHONE_IP
     are trackers, for your own face; csv:FILE[@SECONDS] plays a Live Link Face recording, take:FILE
     one of pica track, performance:NAME[#SEED][@SECONDS] one that ships: talk, listen or
     range_of_motion."""

@@ -41,8 +41,8 @@ class TrackOptions:
     """Options of `pica track`."""
 
     source: str = field(kw_only=False)
-    """livelink[:PORT][/SUBJECT], vmc[:PORT], ifacialmocap:PHONE_IP, facemotion3d:PHONE_IP or
-    webcam[:DEVICE|FILE]."""
+    """livelink[:lan][:PORT][/SUBJECT], vmc[:lan][:PORT], ifacialmocap:PHONE_IP,
+    facemotion3d:PHONE_IP or webcam[:DEVICE|FILE]; lan listens to other machines, too."""
     seconds: float = 10.0
     """How long to listen; 0 is until Ctrl-C."""
     record: Path | None = None
@@ -99,9 +99,11 @@ def track(options: TrackOptions) -> dict[str, Any]:
             pass
         trouble = source.trouble
     result = report.to_json(trouble, source.refused, source.subjects)
+    result["sender"] = getattr(source, "sender", "")
     if options.record is not None:
         recorder.save(options.record)
-    say(f"{result['frames']} samples, {result['fps'] or 0:g} a second")
+    sender = f" from {result['sender']}" if result["sender"] else ""
+    say(f"{result['frames']} samples{sender}, {result['fps'] or 0:g} a second")
     for hint in result["hints"]:
         say(f"- {hint}")
     return result

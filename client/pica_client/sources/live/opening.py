@@ -2,12 +2,14 @@
 
 livelink[:[HOST:]PORT][/SUBJECT]   Live Link Face, ARKit mode; one of several phones by its name
 vmc[:[HOST:]PORT]                  VTuber programs that speak VMC
+livelink:lan, vmc:lan[:PORT]       the same from other machines, such as a phone
 ifacialmocap:PHONE                 the app of that name, at the phone's address
 facemotion3d:PHONE                 the app of that name
 webcam[:DEVICE|FILE]               a camera of this machine, or a video that stands in for one
 """
 
 import ipaddress
+from collections.abc import Callable
 from typing import Final
 
 from pica_client.errors import SourceError
@@ -15,11 +17,11 @@ from pica_client.sources.live import ifacialmocap, livelink, vmc
 from pica_client.sources.live.calibration import Calibration
 from pica_client.sources.live.ifacialmocap import REQUESTS
 from pica_client.sources.live.tracker import SampleTap, Tracker
-from pica_client.sources.live.udp import Decode, UdpOptions, UdpTracker
+from pica_client.sources.live.udp import ANY_HOST, LOOPBACK, Decode, UdpOptions, UdpTracker
 
 LIVE_HELP: Final = (
-    "livelink[:PORT][/SUBJECT], vmc[:PORT], ifacialmocap:PHONE_IP, facemotion3d:PHONE_IP or "
-    "webcam[:DEVICE|FILE] for a face as it moves"
+    "livelink[:lan][:PORT][/SUBJECT], vmc[:lan][:PORT], ifacialmocap:PHONE_IP, "
+    "facemotion3d:PHONE_IP or webcam[:DEVICE|FILE] for a face as it moves"
 )
 LIVE_KINDS: Final = ("livelink", "vmc", *REQUESTS)
 """Trackers that send datagrams."""
@@ -27,12 +29,12 @@ TRACKER_KINDS: Final = (*LIVE_KINDS, "webcam")
 """All live sources."""
 
 
-def decoder_of(kind: str) -> Decode:
-    """A new decoder for the datagrams of a kind of tracker."""
+def decoder_of(kind: str) -> Callable[[], Decode]:
+    """What makes a decoder for the datagrams of one sender, by the kind of tracker."""
     if kind == "vmc":
-        return vmc.VmcDecoder().decode
+        return lambda: vmc.VmcDecoder().decode
     read = livelink.decode if kind == "livelink" else ifacialmocap.decode
-    return lambda packet: (read(packet),)
+    return lambda: lambda packet: (read(packet),)
 
 
 def open_live(
@@ -73,17 +75,19 @@ def parse_live(kind: str, rest: str) -> UdpOptions:
             ) from None
         port, request = REQUESTS[kind]
         # A program that plays the phone on this machine has the same port, at another address.
-        host = "127.0.0.1" if phone.is_loopback else "0.0.0.0"
+        host = LOOPBACK if phone.is_loopback else ANY_HOST
         return UdpOptions(kind, port, phone=str(phone), request=request, host=host)
     place, _, subject = rest.partition("/")
-    host, colon, number = place.rpartition(":")
+    host, colon, number = ("lan", ":", "") if place == "lan" else place.rpartition(":")
     port = livelink.DEFAULT_PORT if kind == "livelink" else vmc.DEFAULT_PORT
     if number and not (number.isdecimal() and int(number) < 65_536):
         raise SourceError(f"{kind}:{rest}: {number!r} is no port; write {kind}:{port}")
-    if colon:
+    if host == "lan":
+        host = ANY_HOST
+    elif colon:
         try:
             host = str(ipaddress.IPv4Address(host))
         except ValueError:
             raise SourceError(f"{kind}:{rest}: {host!r} is no address of this machine") from None
     port = int(number) if number else port
-    return UdpOptions(kind, port, subject=subject, host=host if colon else "0.0.0.0")
+    return UdpOptions(kind, port, subject=subject, host=host or LOOPBACK)

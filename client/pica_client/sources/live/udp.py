@@ -11,7 +11,8 @@ from pica_client.sources.live.calibration import Calibration
 from pica_client.sources.live.sample import PacketError, TrackerSample
 from pica_client.sources.live.tracker import SampleTap, Tracker
 
-READ_BYTES: Final = 65_535
+READ_BYTES: Final = 16_384
+"""Longest datagram that is read whole; a longer one is damaged."""
 POLL_S: Final = 0.2
 """How often the thread looks whether it should end, while nothing comes."""
 SILENT_S: Final = 3.0
@@ -19,6 +20,8 @@ SILENT_S: Final = 3.0
 that was asked is asked again."""
 MAX_SUBJECTS: Final = 8
 """Faces told apart on one port."""
+
+LOOPBACK, ANY_HOST = "127.0.0.1", "0.0.0.0"
 
 Decode = Callable[[bytes], Sequence[TrackerSample]]
 """Reads one datagram; raises `PacketError`."""
@@ -31,10 +34,11 @@ class UdpOptions:
     Attributes:
         kind: The source's name, as the user writes it.
         port: Ours, and the phone's that is asked; 0 takes a free one.
-        subject: Whose face to take; empty takes the first that comes, and the next one once that
+        subject: The face to take; empty takes the first that comes, and the next one once that
             is silent.
         phone: Address of a phone that sends only when asked; empty for who sends by itself.
         request: How it is asked; empty: it is not.
+        host: Our address that receives; programs of other machines reach `ANY_HOST` alone.
     """
 
     kind: str
@@ -42,16 +46,22 @@ class UdpOptions:
     subject: str = ""
     phone: str = ""
     request: bytes = b""
-    host: str = "0.0.0.0"
+    host: str = LOOPBACK
 
 
 class UdpTracker(Tracker):
-    """A live source on a UDP port; it listens from its making to `close`."""
+    """A live source on a UDP port; it listens from its making to `close`.
+
+    The first address that sends a face is the tracker; others are refused until it is silent.
+
+    Attributes:
+        sender: Address that sends the face; empty before the first one.
+    """
 
     def __init__(
         self,
         options: UdpOptions,
-        decode: Decode,
+        make_decoder: Callable[[], Decode],
         calibration: Calibration | None = None,
         tap: SampleTap | None = None,
     ) -> None:
@@ -62,7 +72,9 @@ class UdpTracker(Tracker):
         """
         super().__init__(calibration, tap)
         self._options = options
-        self._decode = decode
+        self._make_decoder, self._decode = make_decoder, make_decoder()
+        self.sender = ""
+        self._last_address = ""
         self._heard_s = time.monotonic()
         self._has_heard, self._subject = False, options.subject
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -98,6 +110,11 @@ class UdpTracker(Tracker):
         if options.subject and others:
             return f"{options.kind}: no face of {options.subject!r} comes, but of {others}"
         silent = "no more datagrams" if self._has_heard else "no datagram yet"
+        if options.host == LOOPBACK:
+            return (
+                f"{options.kind}: {silent} of this machine at port {self.port}; for a phone or "
+                f"another machine use {options.kind}:lan"
+            )
         return (
             f"{options.kind}: {silent}; the tracker must send to {own_address()}, port {self.port}"
         )
@@ -119,7 +136,7 @@ class UdpTracker(Tracker):
             except OSError:  # the wait is over; or somebody's port is closed, as Windows tells
                 continue
             if not self._options.phone or address == self._options.phone:
-                self._take(packet, time.monotonic())
+                self._take(packet, address, time.monotonic())
 
     def _ask(self) -> None:
         options = self._options
@@ -128,7 +145,13 @@ class UdpTracker(Tracker):
         except OSError as error:
             self.refused[f"the phone cannot be reached: {error.strerror}"] += 1
 
-    def _take(self, packet: bytes, arrived_s: float) -> None:
+    def _take(self, packet: bytes, address: str, arrived_s: float) -> None:
+        is_silent = not self._has_heard or arrived_s - self._heard_s > SILENT_S
+        if not is_silent and address != self.sender:
+            self.refused["another machine sends, too"] += 1
+            return
+        if address != self._last_address:
+            self._last_address, self._decode = address, self._make_decoder()
         try:
             samples = self._decode(packet)
         except PacketError as error:
@@ -137,12 +160,12 @@ class UdpTracker(Tracker):
         for sample in samples:
             if len(self.subjects) < MAX_SUBJECTS or sample.subject in self.subjects:
                 self.subjects[sample.subject] += 1
-            is_silent = not self._has_heard or arrived_s - self._heard_s > SILENT_S
             if is_silent and not self._options.subject:
                 self._subject = sample.subject
             if sample.subject != self._subject:
                 continue
             self._heard_s, self._has_heard = arrived_s, True
+            self.sender, is_silent = address, False
             self._push(sample, arrived_s, arrived_s)
 
 

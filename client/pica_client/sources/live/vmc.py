@@ -56,11 +56,10 @@ VRM_SHAPES: Final[dict[str, dict[str, float]]] = {
 }
 """What a plain VRM expression at 1 is in ARKit's shapes, by its name in lower case; chosen by
 eye."""
+KNOWN_NAMES: Final = sample.INDEX_BY_FOLDED_NAME.keys() | VRM_SHAPES.keys()
 EYES: Final = {"LeftEye": ("Left", 1.0), "RightEye": ("Right", -1.0)}
 """Bones of the eyes: their shapes' side, and the sign of a turn outwards."""
 BONES: Final = ("Head", "Neck", *EYES)
-MAX_NAMES: Final = 512
-"""Names kept of one sender; who sends more is no face."""
 
 
 class VmcDecoder:
@@ -99,12 +98,11 @@ class VmcDecoder:
     def _take_value(self, name: str, value: float) -> None:
         if not abs(value) <= sample.VALUE_LIMIT:
             raise sample.PacketError(f"a value lies outside of ±{sample.VALUE_LIMIT:g}")
-        if len(self._values) >= MAX_NAMES and name not in self._values:
-            raise sample.PacketError(f"more than {MAX_NAMES} blendshapes")
-        self._values[name] = value
+        if (folded := name.lower()) in KNOWN_NAMES:  # so that no sender fills the memory
+            self._values[folded] = value
 
     def _sample(self) -> sample.TrackerSample:
-        values = {name.lower(): value for name, value in self._values.items()}
+        values = dict(self._values)
         if sample.INDEX_BY_FOLDED_NAME.keys().isdisjoint(values):
             values = _from_vrm(values)
         if not any(name.startswith("eyelook") for name in values):

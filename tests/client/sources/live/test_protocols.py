@@ -170,7 +170,7 @@ def test_facemotion3d_has_whole_names() -> None:
 
 
 def test_damaged_datagrams_fill_no_log(caplog: pytest.LogCaptureFixture) -> None:
-    decode = decoder_of("vmc")
+    decode = decoder_of("vmc")()
     for packet in (b"", b"no osc", b"#bundle\0" + bytes(9)):
         with pytest.raises(PacketError):
             decode(packet)
@@ -192,7 +192,7 @@ def good_packets() -> list[bytes]:
 @pytest.mark.parametrize("seed", range(4))
 def test_damaged_datagrams_are_refused_and_nothing_else(kind: str, seed: int) -> None:
     rng = random.Random(f"{kind} {seed}")
-    decode, packets = decoder_of(kind), good_packets()
+    decode, packets = decoder_of(kind)(), good_packets()
     for _ in range(1_000):  # 100,000 of each kind by hand: no other exception
         packet = bytearray(rng.choice(packets))
         for _ in range(rng.randint(0, 6)):

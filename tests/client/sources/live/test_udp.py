@@ -123,9 +123,25 @@ def test_a_port_that_is_taken_is_said_with_the_way_out() -> None:
 
 def test_a_silent_tracker_says_where_it_must_send_to(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pica_client.sources.live.udp.SILENT_S", 0.0)
-    with closing(open_live("vmc", "127.0.0.1:0")) as tracker:
-        assert f"port {tracker.port}" in tracker.trouble
-        assert "must send to" in tracker.trouble
+    for place, words in (("127.0.0.1:0", "use vmc:lan"), ("lan:0", "must send to")):
+        with closing(open_live("vmc", place)) as tracker:
+            assert f"port {tracker.port}" in tracker.trouble
+            assert words in tracker.trouble
+
+
+def test_the_first_address_is_the_tracker_until_it_is_silent(phone: socket.socket) -> None:
+    with (
+        closing(open_live("livelink", "127.0.0.1:0")) as tracker,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other,
+    ):
+        other.bind(("127.0.0.2", 0))
+        stream(phone, tracker, 0.5)
+        other.sendto(
+            tracker_packets.live_link({"JawOpen": 1.0}, frame=9_999), ("127.0.0.1", tracker.port)
+        )
+        until(lambda: bool(tracker.refused))
+        assert tracker.sender == "127.0.0.1"
+        assert tracker.face.counters["taken"] == tracker.subjects["me"]
 
 
 def test_a_tracker_in_the_wrong_mode_is_told_so(
