@@ -80,10 +80,16 @@ def _demo(result: dict[str, Any]) -> Figures:
 
 
 def _decode(result: dict[str, Any]) -> Figures:
-    pica = result["summary"]["by_threads"]["1"]["pica"]
-    rows = {row["level"]: row for row in result["rows"] if row["model"] == "pica"}
-    found = {f"baseline_ratio_{level}": value for level, value in pica["baseline_ratio"].items()}
-    return found | {"ms_256": rows[256]["ms"], "ms_64": rows[64]["ms"], "mse_64": rows[64]["mse"]}
+    ratios = result["summary"]["by_threads"]["1"]["baseline_ratio"]
+    found = {f"baseline_ratio_{level}": value for level, value in ratios.items()}
+    for row in result["rows"]:
+        if row["work"] == "draw" and row["level"] == 256:
+            found[f"draw_ratio_{row['distance_cm']:g}cm"] = row["over_baseline"]
+        if row["work"] == "decode" and row["parts"] == "expression":
+            found[f"ms_{row['level']}"] = row["ms"]
+        if row["work"] == "decode" and (row["level"], row["parts"]) == (64, "both"):
+            found["mse_64"] = row["mse"]
+    return found
 
 
 def _scene(result: dict[str, Any]) -> Figures:

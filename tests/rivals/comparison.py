@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
-from pica_client.bench.option_types import check_names
+from pica_client.bench.harness import check_names
 from pica_client.bench.relay.bench import RelayBenchConfig, Target, measure, relay_target
 from pica_client.bench.relay.processes import START_TIMEOUT_S, Workers, share_cores
 from pica_client.local_call.processes import Children

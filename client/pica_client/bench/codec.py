@@ -5,20 +5,16 @@ playout`), and people: the avatars are synthetic, and only the recording is of a
 bits and of the pixels that change owner at edges is in every `mse`: about 0.2.
 """
 
-import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from pathlib import Path
 from statistics import median
 from typing import Any
 
 import numpy as np
 
-from pica_client.bench.difference_sheet import Cell, write_sheet
-from pica_client.bench.harness import timed
+from pica_client.bench.harness import Words, timed
 from pica_client.bench.head import FaceRenderer
-from pica_client.bench.option_types import Words
 from pica_client.errors import check_ranges
 from pica_client.output import say
 from pica_client.playout.motion import blend
@@ -27,24 +23,17 @@ from pica_client.sources import open_source
 from pica_client.stats import describe_machine, wire_bytes
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
-from pica_core.capture.stage.stream_training_faces import stream_training_performances
 from pica_core.codec.latent_sample import LatentSample
 from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
-from pica_core.codec.plain_stream import decode_latent, encode_latent
 from pica_core.codec.profile import StreamProfile
 from pica_core.errors import ProfileError
-from pica_core.types import FloatArray, Image
+from pica_core.types import FloatArray
 from pica_protocol.frames import HEADER_BYTES
 
 FPS = 30
-DICTIONARY_BYTES = 110 * 1024
-"""zstd's own default."""
 VIEWS = ("front", "left")
-SHEET_PROFILES = (
-    *("quality-7", "quality-3", "quality-0", "quality-3-layer-1", "quality-3-layer-0"),
-    "plain-8-bit",
-)
-"""What the sheet shows: the ends and the middle, and where it breaks."""
+THINNED = (2, 4)
+"""Every how many frames a thinned stream has one."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -60,9 +49,7 @@ class CodecConfig:
     image_size: int = 256
     """Rows and columns of each drawing, pixels."""
     thinned_quality: int = 3
-    """Quality whose lower layers are measured too."""
-    sheet: Path | None = None
-    """Draw every profile at the moment of its largest error on the first source into this PNG."""
+    """Quality of which every second and every fourth frame are measured too."""
 
     def __post_init__(self) -> None:
         check_ranges(self, seconds=(1, 600), moments=(1, 2000), image_size=(16, 2048))
@@ -98,8 +85,7 @@ def run_codec_bench(config: CodecConfig, avatar: Avatar) -> dict[str, Any]:
         raise ProfileError("the avatar has no stream profile; `pica export` learns one")
     takes = {source: _read(source, config.seconds, avatar) for source in config.sources}
     rows: list[dict[str, Any]] = []
-    cells: list[Cell] = []
-    coders = _coders(profile, avatar, config)
+    coders = _coders(profile, config)
     for source, samples in takes.items():
         places = np.linspace(FPS / 2, len(samples) - 2, config.moments).astype(int)
         moments = np.unique(places).tolist()
@@ -109,11 +95,6 @@ def run_codec_bench(config: CodecConfig, avatar: Avatar) -> dict[str, Any]:
                 say(f"{source}: {name}")
                 row = {"profile": name, "source": source, "fps": FPS, **compare(code(samples))}
                 rows.append(row)
-                if source == config.sources[0] and name in SHEET_PROFILES:
-                    caption = f"{name}  {row['payload_bps'] / 1e3:.2f} kbit/s"
-                    cells.append(Cell(caption, *compare.worst))
-    if config.sheet is not None:
-        write_sheet(config.sheet, cells)
     return {
         "avatar": avatar.manifest.identity,
         "stream_profile": profile.hash,
@@ -147,8 +128,6 @@ class _Comparison:
         moments: Sequence[int],
     ) -> None:
         self._renderer, self._sent, self._moments = renderer, sent, moments
-        self.worst: tuple[Image, Image] = (np.zeros((1, 1, 3), np.uint8),) * 2
-        """Front view of the largest error of the last measurement: as it should be, as shown."""
         self._uncoded = [self._draw_pair(sent, moment) for moment in moments]
 
     def _draw_pair(self, samples: Sequence[LatentSample], at: int) -> list[Drawing]:
@@ -160,8 +139,6 @@ class _Comparison:
             plain, plain_next = self._uncoded[index]
             shown, shown_next = self._draw_pair(coded.shown, moment)
             errors.append(drawn_mse(plain, shown))
-            if errors[-1] == max(errors):
-                self.worst = (plain.image[0], shown.image[0])
             changes.append(change_mse((shown, shown_next), (plain, plain_next)))
         seconds = len(self._sent) / FPS
         pairs = zip(coded.shown, self._sent, strict=True)
@@ -184,44 +161,30 @@ class _Comparison:
 Coder = Callable[[Sequence[LatentSample]], Coded]
 
 
-def _coders(profile: StreamProfile, avatar: Avatar, config: CodecConfig) -> dict[str, Coder]:
+def _coders(profile: StreamProfile, config: CodecConfig) -> dict[str, Coder]:
     """What is compared, by name."""
 
-    def stream(quality: int, highest_layer: int) -> Coder:
-        return partial(code_stream, profile, StreamConfig(fps=FPS, quality=quality), highest_layer)
+    def stream(quality: int, every: int = 1) -> Coder:
+        return partial(code_stream, profile, StreamConfig(fps=FPS, quality=quality), every=every)
 
-    coders = {f"quality-{q}": stream(q, 2) for q in range(profile.num_qualities)}
-    if config.thinned_quality < profile.num_qualities:
-        for layer in (1, 0):
-            name = f"quality-{config.thinned_quality}-layer-{layer}"
-            coders[name] = stream(config.thinned_quality, layer)
-    latent_scale = avatar.manifest.latent_scale
-
-    def plain(squeeze: Callable[[bytes], bytes], spread: Callable[[bytes], bytes]) -> Coder:
-        return partial(
-            _code_frames,
-            lambda s: squeeze(encode_latent(s.latent, s.rotation, s.translation_m, latent_scale)),
-            lambda payload: decode_latent(spread(payload), latent_scale),
-        )
-
-    coders["plain-8-bit"] = plain(bytes, bytes)
-    coders["float-16"] = partial(_code_frames, _to_halves, _from_halves)
-    coders["zlib"] = plain(lambda data: zlib.compress(data, 9), zlib.decompress)
-    compress, decompress = _zstd(avatar, latent_scale)
-    coders["zstd-dictionary"] = plain(compress, decompress)
-    return coders
+    coders = {f"quality-{quality}": stream(quality) for quality in range(profile.num_qualities)}
+    thinned = min(config.thinned_quality, profile.num_qualities - 1)
+    coders |= {f"quality-{thinned}-every-{every}": stream(thinned, every) for every in THINNED}
+    return coders | {"float-16": _code_halves}
 
 
 def code_stream(
     profile: StreamProfile,
     config: StreamConfig,
-    highest_layer: int,
     samples: Sequence[LatentSample],
+    *,
+    every: int = 1,
 ) -> Coded:
-    """Our stream, thinned to some layers."""
+    """Our stream, or every so many of its frames."""
     encoder, decoder = LatentEncoder(profile, config), LatentDecoder(profile)
     found: dict[int, LatentSample] = {}
     coded = Coded()
+    sequence = 0
     for index, sample in enumerate(samples):
         now_us = index * 1_000_000 // FPS
         face = sample.latent, sample.rotation, sample.translation_m
@@ -229,10 +192,11 @@ def code_stream(
         coded.encode_s.append(took.wall_s)
         if frame is None:
             continue
-        if frame.layer <= highest_layer:
+        if sequence % every == 0:
             took, found[index] = timed(decoder.decode, frame.payload)
             coded.decode_s.append(took.wall_s)
             coded.sizes.append(len(frame.payload))
+        sequence += 1
     coded.shown = [_shown_at(found, index) for index in range(len(samples))]
     return coded
 
@@ -246,16 +210,12 @@ def _shown_at(found: dict[int, LatentSample], index: int) -> LatentSample:
     return blend(found[before], found[after], (index - before) / (after - before))
 
 
-def _code_frames(
-    encode: Callable[[LatentSample], bytes],
-    decode: Callable[[bytes], LatentSample],
-    samples: Sequence[LatentSample],
-) -> Coded:
-    """A format that codes every frame on its own."""
+def _code_halves(samples: Sequence[LatentSample]) -> Coded:
+    """Latent and pose as 16-bit floats."""
     coded = Coded()
     for sample in samples:
-        encoded, payload = timed(encode, sample)
-        decoded, shown = timed(decode, payload)
+        encoded, payload = timed(_to_halves, sample)
+        decoded, shown = timed(_from_halves, payload)
         coded.encode_s.append(encoded.wall_s)
         coded.decode_s.append(decoded.wall_s)
         coded.sizes.append(len(payload))
@@ -272,23 +232,3 @@ def _from_halves(payload: bytes) -> LatentSample:
     return LatentSample(
         latent=values[:256].reshape(8, 8, 4), rotation=values[256:259], translation_m=values[259:]
     )
-
-
-def _zstd(
-    avatar: Avatar, latent_scale: tuple[float, ...]
-) -> tuple[Callable[[bytes], bytes], Callable[[bytes], bytes]]:
-    """zstd at its best setting, with a dictionary trained on performances that are not measured."""
-    import zstandard  # only this comparison needs it
-
-    encoder = ExpressionEncoder(avatar)
-    samples: list[bytes | bytearray | memoryview] = [
-        encode_latent(latent, np.zeros(3), np.zeros(3), latent_scale)
-        for arkit in stream_training_performances(rounds=6)
-        for latent in encoder.encode(arkit)
-    ]
-    dictionary = zstandard.train_dictionary(DICTIONARY_BYTES, samples)
-    writer = zstandard.ZstdCompressor(
-        level=19, dict_data=dictionary, write_content_size=False, write_dict_id=False
-    )
-    reader = zstandard.ZstdDecompressor(dict_data=dictionary)
-    return writer.compress, lambda data: reader.decompress(data, max_output_size=1 << 12)

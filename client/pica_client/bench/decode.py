@@ -1,63 +1,54 @@
-"""What decoding one face costs: every level, the straightforward export, the baseline, the blocks.
+"""What one head costs: decoding it at every level and drawing it near and far, beside the paper's
+baseline.
 
-The fields of its rows stand in ``docs/benches.md``. What it does not show: drawing (`pica bench
-render`), several avatars at once, other providers than the one chosen.
+The fields of its rows stand in ``docs/benches.md``. What it does not show: several heads (`pica
+bench scene`), other execution providers than the one chosen.
 """
 
-from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+import os
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
-from statistics import median
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
+import moderngl
 import numpy as np
-import numpy.typing as npt
 from cyclopts import Parameter
 
-from pica_client.bench.harness import Took, gl_context, median_ms, spread, take_turns, timed
-from pica_client.bench.head import FRAME_S, front_camera
-from pica_client.bench.option_types import Ints, Words, check_names
-from pica_client.decode.decoder import BaselineDecoder, OnnxDecoder, OnnxOptions, open_session
+from pica_client.bench.harness import (
+    Floats,
+    Ints,
+    Took,
+    ratio,
+    take_turns,
+    timed,
+    times_ms,
+)
+from pica_client.bench.head import check_distances, front_camera, gl_context
+from pica_client.decode.decoder import BaselineDecoder, OnnxDecoder, OnnxOptions
 from pica_client.decode.onnx_runtime import onnxruntime
-from pica_client.decode.request import DecodedMaps, Parts
+from pica_client.decode.request import Parts
 from pica_client.errors import OptionError, check_ranges
-from pica_client.output import say
+from pica_client.render.drawing import HEAD
 from pica_client.render.renderer import Renderer
-from pica_client.schedule.frame_planner import FramePlanner
+from pica_client.render.scene import Placement
 from pica_client.schedule.head import Head
 from pica_client.schedule.scheduler import Scheduler
 from pica_client.schedule.visibility import Sight
 from pica_client.sources import open_source
-from pica_client.stats import describe_machine, percentile
-from pica_core.avatar.decoder_layers import decoder_layers
+from pica_client.stats import describe_machine
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
-from pica_core.avatar.level_tensors import exit_shapes, is_index, local_name, local_shape
-from pica_core.avatar.spec import BLOCKS
-from pica_core.graphs.onnx_graph import decoder_graph
+from pica_core.gl import wait_for_gpu
 from pica_core.reference.baseline import baseline_like
 from pica_core.types import FloatArray
 
-EQUAL = 1e-4
-"""Share of the largest value by which two exports may differ (float32 through some dozen layers,
-summed in another order)."""
 NUM_LATENTS = 16
-"""Faces decoded in turn, spread over the source (chosen: what a decode costs does not depend on
-them)."""
-SOURCE = "performance:talk"
-SOURCE_S = 30.0
-NUM_TALK_FRAMES = 300
-DISTANCE_CM = 65.0
-IMAGE_SIZE = (720, 720)
-FRAME_BUDGET_S = 10.0
-"""More than a frame takes, for the level must not change with the machine's mood."""
+"""Faces decoded in turn, spread over the source (chosen: the cost does not depend on them)."""
+SOURCE, SOURCE_S = "performance:talk", 30.0
 WARM_UP_ROUNDS = 3
-BASELINE_FRAME = "baseline frame"
-TALKING = ("talk", "frame", BASELINE_FRAME)
 AHEAD = np.array([0, 0, 1], np.float32)
 
-Decode = Callable[[FloatArray], object]
 Provider = Annotated[
     OnnxOptions,
     Parameter(
@@ -76,323 +67,178 @@ class DecodeBenchConfig:
     """What is measured."""
 
     rounds: int = 60
-    """Decodes of each case."""
+    """Turns of each case."""
     threads: Ints = (1, 2)
     """Threads of ONNX Runtime, separated by commas."""
-    blocks: Words = BLOCKS
-    """Candidate blocks to measure with random weights, separated by commas; empty for none."""
+    distances_cm: Floats = (18.0, 65.0, 120.0)
+    """Distances of the camera from the front of the head, separated by commas."""
+    image_size: int = 1024
+    """Rows and columns of the image, pixels."""
     head_px: float = 640.0
-    """Height of the head on screen, pixels, that errors and the scheduler's level are told for
+    """Height of the head on screen, pixels, for which errors and the scheduler's level are reported
     (chosen: 65 cm before the viewer's camera of 32 degrees, in a window 720 rows high)."""
     seed: int = 0
-    """Seed of random weights and of the order of turns."""
+    """Seed of the baseline's random weights."""
     onnx: Provider = field(default_factory=OnnxOptions)
     """ONNX Runtime execution provider, as NAME or NAME:key=value,key=value."""
 
     def __post_init__(self) -> None:
         check_ranges(self, rounds=(1, 10_000), head_px=(1, 1e5), seed=(0, 2**32))
+        check_ranges(self, image_size=(64, 4096))
+        check_distances(self.distances_cm)
         if not self.threads or not all(1 <= threads <= 64 for threads in self.threads):
             raise OptionError(f"threads is {self.threads}; one or more of 1 to 64 are needed")
-        check_names("block", self.blocks, BLOCKS)
 
 
-@dataclass(frozen=True, slots=True)
-class Case:
-    """One way to decode that is measured."""
+class Case(NamedTuple):
+    """Something that is measured; fields that do not apply are None."""
 
+    work: str
+    """decode, frame (decode and upload) or draw."""
     model: str
     level: int | None
-    parts: str
-    threads: int
-    is_plain: bool = False
+    parts: str | None = None
+    threads: int | None = None
+    distance_cm: float | None = None
+
+
+Work = Callable[[FloatArray], object]
 
 
 def run_decode_bench(config: DecodeBenchConfig, avatar: Avatar) -> dict[str, Any]:
-    """Measure an avatar's decoders; see the module for rows and summary.
+    """Measure an avatar's decoders and the drawing of its head.
 
     Raises:
-        OptionError: The provider cannot be had.
+        OptionError: The provider is not available.
         GraphicsError: No GL context.
     """
     with gl_context() as context:
-        latents = bench_latents(avatar)
-        talk = bench_latents(avatar, NUM_TALK_FRAMES, NUM_TALK_FRAMES * FRAME_S)
-        models = {"pica": avatar} | {
-            f"block {block}": random_decoders(avatar, block, config.seed) for block in config.blocks
-        }
-        differences = {}
-        for name, model in models.items():
-            say(f"comparing the exports of {name}")
-            for level in model.levels:
-                differences[name, level] = export_difference(model, level, latents[:4], config.onnx)
-        decodes = dict(_cases(config, models, Renderer(context, IMAGE_SIZE)))
+        bench = _Bench(context, config, avatar)
+        works = dict(bench.cases())
+        source, encoder = open_source(SOURCE), ExpressionEncoder(avatar)
+        times_s = np.linspace(0, SOURCE_S, NUM_LATENTS, endpoint=False).tolist()
+        latents = [encoder.encode(source.frame_at(time_s).arkit) for time_s in times_s]
 
-        def decode(case: Case, number: int) -> Took:
-            faces = talk if case.model in TALKING else latents
-            return timed(decodes[case], faces[number % len(faces)])[0]
+        def turn(case: Case, number: int) -> Took:
+            return timed(works[case], latents[number % len(latents)])[0]
 
-        cases = list(decodes)
-        samples = take_turns(
-            cases, decode, rounds=config.rounds, warm_up=WARM_UP_ROUNDS, seed=config.seed
-        )
-        took = dict(zip(cases, samples, strict=True))
-        rows = [
-            _row(case, took, models.get(case.model), differences, latents, config)
-            | {"upload_bytes": _upload_bytes(decodes[case])}
-            for case in cases
-            if not case.is_plain
-        ]
+        samples = take_turns(list(works), turn, rounds=config.rounds, warm_up=WARM_UP_ROUNDS)
+        took = dict(zip(works, samples, strict=True))
         return {
             "avatar": avatar.manifest.name,
             "block": avatar.spec.block,
             "provider": config.onnx.provider,
+            "gl_renderer": bench.renderer.gl_renderer,
+            "gl_threads": os.environ.get("LP_NUM_THREADS"),
             "rounds": config.rounds,
+            "image_size": config.image_size,
             "head_px": config.head_px,
             "machine": describe_machine() | {"onnxruntime": onnxruntime.__version__},
-            "rows": rows,
-            "summary": _summarise(took, avatar, config),
+            "rows": [bench.row(case, took) for case in took],
+            "summary": {
+                "by_threads": _decode_ratios(took),
+                "level_at_head_px": level_for(avatar, config.head_px),
+            },
         }
 
 
-def bench_latents(
-    avatar: Avatar, count: int = NUM_LATENTS, seconds: float = SOURCE_S
-) -> list[FloatArray]:
-    """Faces of a performance, evenly spaced, float32 ``[8, 8, 4]`` each."""
-    source, encoder = open_source(SOURCE), ExpressionEncoder(avatar)
-    times_s = np.linspace(0, seconds, count, endpoint=False).tolist()
-    return [encoder.encode(source.frame_at(time_s).arkit) for time_s in times_s]
+class _Bench:
+    """The head and its baseline in one renderer."""
+
+    def __init__(
+        self, context: moderngl.Context, config: DecodeBenchConfig, avatar: Avatar
+    ) -> None:
+        self._context, self._config, self._avatar = context, config, avatar
+        self._baseline = baseline_like(avatar, config.seed)
+        self.renderer = Renderer(context, (config.image_size, config.image_size))
+        self.renderer.add_textured("baseline", self._baseline)
+
+    def cases(self) -> Iterator[tuple[Case, Work]]:
+        """Every level and the baseline, decoded with so many threads, and drawn so far away."""
+        for threads in self._config.threads:
+            onnx = replace(self._config.onnx, threads=threads)
+            decoder = OnnxDecoder(self._avatar, onnx)
+            baseline = BaselineDecoder(self._baseline, onnx)
+            all_parts: tuple[Parts, ...] = ("both", "expression")
+            for level in self._avatar.levels:
+                for parts in all_parts:
+                    decoder.prepare(level, parts)
+                    decode = partial(_decode, decoder, level, parts)
+                    yield Case("decode", "pica", level, parts, threads), decode
+                frame = partial(self._frame, decoder, level)
+                self.renderer.add_avatar(f"pica-{level}", self._avatar)
+                yield Case("frame", "pica", level, "both", threads), frame
+            work = partial(_decode_baseline, baseline)
+            yield Case("decode", "baseline", None, None, threads), work
+            frame = partial(self._baseline_frame, baseline)
+            yield Case("frame", "baseline", None, None, threads), frame
+        for distance in self._config.distances_cm:
+            for level in self._avatar.levels:
+                draw = partial(self._draw, f"pica-{level}", distance)
+                yield Case("draw", "pica", level, distance_cm=distance), draw
+            draw = partial(self._draw, "baseline", distance)
+            yield Case("draw", "baseline", None, distance_cm=distance), draw
+
+    def row(self, case: Case, took: dict[Case, list[Took]]) -> dict[str, Any]:
+        """What a case took, and what it drew or lost."""
+        found: dict[str, Any] = case._asdict() | times_ms(took[case])
+        found |= dict.fromkeys(("mse", "pixels", "triangles", "over_baseline"))
+        errors = self._avatar.level_errors
+        if case.work == "decode" and case.level is not None and errors is not None:
+            found["mse"] = round(errors.at(case.level, self._config.head_px), 3)
+        if case.distance_cm is not None:
+            slot = "baseline" if case.level is None else f"pica-{case.level}"
+            camera = self._camera(case.distance_cm)
+            stats = self.renderer.draw([_placed(slot)], camera, count_pixels=True)
+            found["pixels"] = sum(head.shaded_pixels or 0 for head in stats.heads)
+            found["triangles"] = stats.num_triangles
+            baseline = case._replace(model="baseline", level=None)
+            found["over_baseline"] = ratio(took[case], took[baseline])
+        return found
+
+    def _frame(self, decoder: OnnxDecoder, level: int, latent: FloatArray) -> None:
+        maps = decoder.decode(latent, AHEAD, level)
+        self.renderer.update_maps(f"pica-{level}", maps.position_map, maps.expression_map)
+
+    def _baseline_frame(self, decoder: BaselineDecoder, latent: FloatArray) -> None:
+        decoded = decoder.decode(latent, AHEAD)
+        self.renderer.update_textured("baseline", decoded.vertices_m, decoded.texture)
+
+    def _draw(self, slot: str, distance_cm: float, _latent: FloatArray) -> None:
+        self.renderer.draw([_placed(slot)], self._camera(distance_cm))
+        wait_for_gpu(self._context)
+
+    def _camera(self, distance_cm: float) -> Any:
+        size = self._config.image_size, self._config.image_size
+        return front_camera(self._avatar.manifest, distance_cm, size)
 
 
-def random_decoders(avatar: Avatar, block: str, seed: int) -> Avatar:
-    """An avatar of another block with random weights: decoders and exits alone, to be timed."""
-    spec = replace(avatar.spec, block=block)
-    shapes: dict[str, tuple[int, ...]] = {}
-    for decoder in spec.decoder_channels:
-        for layer in decoder_layers(spec, decoder):
-            shapes |= layer.tensor_shapes()
-    for level in avatar.levels[:-1]:
-        texel = avatar.tensors.get(f"level.{level}.geometry.texel", np.zeros(1))
-        shapes |= exit_shapes(spec, level, avatar.position_rows(level), texel.shape[-1])
-        if local_name(level) in avatar.tensors:
-            shapes[local_name(level)] = local_shape(spec, level)
-    rng = np.random.default_rng(seed)
-    tensors: dict[str, npt.NDArray[Any]] = {
-        name: array
-        for name, array in avatar.tensors.items()
-        if name == "geometry.mean"
-        or name.startswith(("linear.", "mesh."))
-        or name.endswith(".faces")
-    }
-    for name, shape in shapes.items():
-        if is_index(name):
-            tensors[name] = avatar.tensors[name]
+def _placed(slot: str) -> Placement:
+    return Placement(slot=slot, world_from_head=HEAD)
+
+
+def _decode(decoder: OnnxDecoder, level: int, parts: Parts, latent: FloatArray) -> object:
+    return decoder.decode(latent, AHEAD, level, parts)
+
+
+def _decode_baseline(decoder: BaselineDecoder, latent: FloatArray) -> object:
+    return decoder.decode(latent, AHEAD)
+
+
+def _decode_ratios(took: dict[Case, list[Took]]) -> dict[str, dict[str, dict[str, float]]]:
+    """The baseline over each level, with its upload (`frame_ratio`) and without."""
+    found: dict[str, dict[str, dict[str, float]]] = {}
+    for case in took:
+        if case.threads is None or case.level is None or case.parts != "both":
             continue
-        spread = np.sqrt(2 / np.prod(shape[1:])) if len(shape) == 4 else 0.05
-        tensors[name] = rng.standard_normal(shape, np.float32) * np.float32(spread)
-    return Avatar(replace(avatar.manifest, spec=spec), tensors)
-
-
-def export_difference(
-    avatar: Avatar, level: int, latents: Sequence[FloatArray], onnx: OnnxOptions
-) -> float:
-    """How far the fast and the straightforward export of a level differ.
-
-    Returns:
-        The largest difference of any value of either map, over the largest value of that map.
-    """
-    fast = OnnxDecoder(avatar, onnx)
-    plain = open_session(decoder_graph(avatar, level=level, plain=True), onnx)
-    worst = 0.0
-    for latent in latents:
-        maps = fast.decode(latent, AHEAD, level)
-        wanted = _run_plain(plain, latent)
-        for made, reference in zip((maps.position_map, maps.expression_map), wanted, strict=True):
-            assert made is not None
-            worst = max(worst, float(np.abs(made - reference).max() / np.abs(reference).max()))
-    return worst
-
-
-def _summarise(
-    took: dict[Case, list[Took]], avatar: Avatar, config: DecodeBenchConfig
-) -> dict[str, Any]:
-    """The ratios that the product is measured by, and the level that the scheduler would choose."""
-
-    def ratio(over: Case, under: Case) -> float:
-        pairs = zip(took[over], took[under], strict=True)
-        return round(median(one.wall_s / other.wall_s for one, other in pairs), 2)
-
-    by_threads: dict[str, dict[str, dict[str, dict[str, float]]]] = {}
-    for each in took:
-        if each.level is None or each.is_plain or each.parts != "both" or each.model in TALKING:
-            continue
-        models = by_threads.setdefault(str(each.threads), {})
-        ratios = models.setdefault(each.model, defaultdict(dict))
-        level = str(each.level)
-        full = replace(each, level=avatar.spec.map_size)
-        ratios["baseline_ratio"][level] = ratio(Case("baseline", None, "all", each.threads), each)
-        ratios["plain_ratio"][level] = ratio(replace(each, is_plain=True), each)
-        ratios["level_ratio"][level] = ratio(full, each)
-    talking: dict[str, dict[str, float]] = defaultdict(dict)
-    for name, baseline in (("talk", "baseline"), ("frame", BASELINE_FRAME)):
-        for threads in config.threads:
-            over = Case(baseline, None, "all", threads)
-            under = Case(name, avatar.spec.map_size, "both", threads)
-            cpu_s, other_cpu_s = (
-                median(each.cpu_s for each in took[case]) for case in (over, under)
-            )
-            talking[f"{name}_ratio"][str(threads)] = ratio(over, under)
-            talking[f"{name}_cpu_ratio"][str(threads)] = round(cpu_s / other_cpu_s, 2)
-    return {
-        "by_threads": by_threads,
-        "level_at_head_px": level_for(avatar, config.head_px),
-        **talking,
-    }
+        name = "baseline_ratio" if case.work == "decode" else "frame_ratio"
+        baseline = case._replace(model="baseline", level=None, parts=None)
+        ratios = found.setdefault(str(case.threads), {}).setdefault(name, {})
+        ratios[str(case.level)] = ratio(took[baseline], took[case])
+    return found
 
 
 def level_for(avatar: Avatar, head_px: float) -> int:
-    """The level that a scheduler with time enough gives a talking head of this height."""
+    """The level that a scheduler with enough time gives a talking head of this height."""
     head = Head(slot="head", avatar=avatar, sight=Sight(True, head_px=head_px))
     return Scheduler().level(head)
-
-
-class _Talk:
-    """The full level of an avatar, frame after frame."""
-
-    def __init__(self, avatar: Avatar, onnx: OnnxOptions) -> None:
-        self.decoder = OnnxDecoder(avatar, onnx)
-        self.num_frames = 0
-
-    def __call__(self, latent: FloatArray) -> DecodedMaps:
-        self.num_frames += 1
-        return self.decoder.decode(latent, AHEAD)
-
-
-class _Frame(_Talk):
-    """What a frame of a talking head costs but for drawing it: plan, decode, upload."""
-
-    def __init__(self, avatar: Avatar, onnx: OnnxOptions, renderer: Renderer, slot: str) -> None:
-        super().__init__(avatar, onnx)
-        self._renderer, self._slot = renderer, slot
-        renderer.add_avatar(slot, avatar)
-        self._head = Head(slot=slot, avatar=avatar)
-        self._camera = front_camera(avatar.manifest, DISTANCE_CM, IMAGE_SIZE)
-        self._planner = FramePlanner(Scheduler())
-
-    def __call__(self, latent: FloatArray) -> DecodedMaps:
-        now = self.num_frames * FRAME_S
-        self._head.latent = latent
-        self._planner.plan([self._head], [self._camera], IMAGE_SIZE, FRAME_BUDGET_S, now)
-        self._planner.requests([self._head], now)  # always decoded here, however little has changed
-        maps = super().__call__(latent)
-        self._renderer.update_maps(self._slot, maps.position_map, maps.expression_map)
-        return maps
-
-    @property
-    def bytes_uploaded(self) -> int:
-        return self._renderer.bytes_uploaded(self._slot)
-
-
-def _upload_bytes(decode: Decode) -> int | None:
-    """Bytes uploaded, of a frame."""
-    if not isinstance(decode, _Frame):
-        return None
-    return round(decode.bytes_uploaded / max(decode.num_frames, 1))
-
-
-def _baseline_frame(
-    decoder: BaselineDecoder, renderer: Renderer, slot: str, latent: FloatArray
-) -> None:
-    decoded = decoder.decode(latent, AHEAD)
-    renderer.update_textured(slot, decoded.vertices_m, decoded.texture)
-
-
-def _cases(
-    config: DecodeBenchConfig, models: dict[str, Avatar], renderer: Renderer
-) -> Iterator[tuple[Case, Decode]]:
-    baseline, pica = baseline_like(models["pica"], config.seed), models["pica"]
-    for threads in config.threads:
-        onnx = replace(config.onnx, threads=threads)
-        full, slot = pica.spec.map_size, f"baseline {threads}"
-        yield Case("talk", full, "both", threads), _Talk(pica, onnx)
-        yield (
-            Case("frame", full, "both", threads),
-            _Frame(pica, onnx, renderer, f"pica {threads}"),
-        )
-        renderer.add_textured(slot, baseline)
-        yield (
-            Case(BASELINE_FRAME, None, "all", threads),
-            partial(_baseline_frame, BaselineDecoder(baseline, onnx), renderer, slot),
-        )
-        for name, avatar in models.items():
-            decoder = OnnxDecoder(avatar, onnx)
-            parts_of: tuple[Parts, ...] = ("both", "expression") if name == "pica" else ("both",)
-            for level in avatar.levels:
-                for parts in parts_of:
-                    decoder.prepare(level, parts)
-                    decode = partial(_decode, decoder, level=level, parts=parts)
-                    yield Case(name, level, parts, threads), decode
-                plain = open_session(decoder_graph(avatar, level=level, plain=True), onnx)
-                yield Case(name, level, "both", threads, is_plain=True), partial(_run_plain, plain)
-        yield (
-            Case("baseline", None, "all", threads),
-            partial(_decode, BaselineDecoder(baseline, onnx)),
-        )
-
-
-def _decode(decoder: Any, latent: FloatArray, **which: Any) -> object:
-    return decoder.decode(latent, AHEAD, **which)
-
-
-def _run_plain(session: Any, latent: FloatArray) -> Any:
-    feeds = {"latent": latent[None], "view_direction": AHEAD[None]}
-    return session.run(["position_map", "expression_map"], feeds)
-
-
-def _row(
-    case: Case,
-    took: dict[Case, list[Took]],
-    avatar: Avatar | None,
-    differences: dict[tuple[str, int], float],
-    latents: Sequence[FloatArray],
-    config: DecodeBenchConfig,
-) -> dict[str, Any]:
-    own = [each.wall_s for each in took[case]]
-    plain = took.get(replace(case, is_plain=True))
-    level = case.level
-    row = {
-        "model": case.model,
-        "level": level,
-        "parts": case.parts,
-        "threads": case.threads,
-        "ms": median_ms(own),
-        "p95": round(percentile(sorted(own), 95) * 1e3, 3),
-        "spread": spread(own),
-        **dict.fromkeys(("mse", "vertex_mm", "plain_ms", "is_equal", "difference")),
-    }
-    if plain is not None and level is not None:
-        difference = differences[case.model, level]
-        row["plain_ms"] = median_ms([each.wall_s for each in plain])
-        row["is_equal"] = difference <= EQUAL
-        row["difference"] = float(f"{difference:.2g}")
-    if avatar is not None and level is not None and case.model == "pica":
-        if (errors := avatar.level_errors) is not None:
-            row["mse"] = round(errors.at(level, config.head_px), 3)
-        row["vertex_mm"] = round(vertex_error_mm(avatar, level, latents), 4)
-    return row
-
-
-def vertex_error_mm(avatar: Avatar, level: int, latents: Sequence[FloatArray]) -> float:
-    """Mean distance of a level's vertices from those of the full level, millimetres."""
-    if level == avatar.spec.map_size:
-        return 0.0
-    decoder = OnnxDecoder(avatar)
-    used = np.unique(avatar.level_faces(level))
-    distances_m = []
-    for latent in latents:
-        sheet, full = (decoder.decode(latent, AHEAD, size).position_map for size in (level, None))
-        assert sheet is not None
-        assert full is not None
-        whole = avatar.vertices_of(full, avatar.spec.map_size)
-        moved = avatar.vertices_of(sheet, level) - whole[used]
-        distances_m.append(float(np.linalg.norm(moved, axis=1).mean()))
-    return 1e3 * float(np.mean(distances_m))

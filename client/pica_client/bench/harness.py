@@ -1,26 +1,25 @@
-"""What all benches share: fair turns, times with their spread, tables, GL contexts.
+"""What all benches share: turns, times with their spread, tables, options, GL contexts.
 
-Cases of a bench take turns, round after round, so that a busy machine treats all alike; the
-first rounds warm up and are not counted. Results are medians with quartiles.
+Cases of a bench take turns, round after round, so that a busy machine treats all alike; the first
+rounds warm up and are not counted. Results are medians.
 """
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from statistics import median, quantiles
-from typing import Any, NamedTuple, TypeVar
+from typing import Annotated, Any, NamedTuple, TypeVar
 
-import moderngl
-import numpy as np
+from cyclopts import Parameter, Token
 
+from pica_client.errors import OptionError
 from pica_client.output import say
-from pica_core.gl import create_context
+from pica_client.stats import percentile
 
 T = TypeVar("T")
 Case = TypeVar("Case")
 
 NUM_REPORTS = 5
-"""Words of progress that a bench says on stderr."""
+"""Reports of progress on stderr of one bench."""
 
 
 class Took(NamedTuple):
@@ -29,7 +28,7 @@ class Took(NamedTuple):
     Attributes:
         wall_s: Seconds by the clock.
         cpu_s: Seconds of processor time of all threads of this process: with software GL what the
-            work costs whoever else runs; meaningless with a GPU.
+            work costs others; meaningless with a GPU.
     """
 
     wall_s: float
@@ -37,7 +36,7 @@ class Took(NamedTuple):
 
 
 def timed(work: Callable[..., T], *arguments: Any) -> tuple[Took, T]:
-    """Do some work; what it took, and what came of it."""
+    """Do some work; what it took, and its result."""
     wall_s, cpu_s = time.perf_counter(), time.process_time()
     result = work(*arguments)
     return Took(time.perf_counter() - wall_s, time.process_time() - cpu_s), result
@@ -49,46 +48,47 @@ def take_turns(
     *,
     rounds: int,
     warm_up: int,
-    seed: int | None = None,
 ) -> list[list[T]]:
-    """Let every case work once a round, and report progress on stderr.
+    """Let every case work once a round, every second round backwards, and report progress.
 
     Args:
         work: Does a case's work of a round, given its number: negative while warming up.
         warm_up: Rounds before them.
-        seed: Of an order drawn anew for every round; without one it stays that of the cases.
 
     Returns:
-        What came of the rounds that count, by case.
+        The results of the rounds that count, by case.
     """
-    rng = None if seed is None else np.random.default_rng(seed)
     found: list[list[T]] = [[] for _ in cases]
     for number in range(-warm_up, rounds):
         if number >= 0 and number % max(rounds // NUM_REPORTS, 1) == 0:
             say(f"round {number} of {rounds}")
-        count = len(cases)
-        for index in range(count) if rng is None else rng.permutation(count).tolist():
+        for index in range(len(cases))[:: -1 if number > 0 and number % 2 else 1]:
             result = work(cases[index], number)
             if number >= 0:
                 found[index].append(result)
     return found
 
 
-def median_ms(samples_s: Sequence[float]) -> float:
-    """Median of seconds, in milliseconds."""
-    return round(median(samples_s) * 1e3, 3)
+def times_ms(samples: Sequence[Took]) -> dict[str, float]:
+    """Median, 95th percentile and processor time in milliseconds, and (upper quartile - lower
+    quartile) / median."""
+    walls = sorted(took.wall_s for took in samples)
+    low, middle, high = quantiles(walls, n=4) if len(walls) > 1 else walls * 3
+    return {
+        "ms": round(median(walls) * 1e3, 3),
+        "p95": round(percentile(walls, 95) * 1e3, 3),
+        "cpu_ms": round(median(took.cpu_s for took in samples) * 1e3, 3),
+        "spread": round((high - low) / middle, 3),
+    }
 
 
-def spread(samples: Sequence[float]) -> float:
-    """(upper quartile - lower quartile) / median."""
-    if len(samples) < 2:
-        return 0.0
-    low, middle, high = quantiles(samples, n=4)
-    return round((high - low) / middle, 3)
+def ratio(over: Sequence[Took], under: Sequence[Took]) -> float:
+    """The median over rounds of two times of the same round."""
+    return round(median(a.wall_s / b.wall_s for a, b in zip(over, under, strict=True)), 3)
 
 
 def say_rows(rows: Sequence[Mapping[str, Any]], columns: str) -> None:
-    """Tell the user some fields of the rows of a result, as a table.
+    """Print some fields of the rows of a result as a table.
 
     Args:
         columns: Names of fields, with spaces between.
@@ -106,15 +106,34 @@ def _shown(value: Any) -> str:
     return f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
-@contextmanager
-def gl_context() -> Iterator[moderngl.Context]:
-    """A GL context for a block.
+def _listed(kind: Callable[[str], Any], metavar: str, between: str = ",") -> Parameter:
+    """A list as one word of the command line."""
+
+    def read(_type: object, tokens: Sequence[Token]) -> tuple[Any, ...]:
+        text = tokens[0].value
+        try:
+            return tuple(kind(part.strip()) for part in text.split(between) if part.strip())
+        except ValueError as error:
+            raise ValueError(f"{text!r} is given; write numbers with commas") from error
+
+    def show(values: tuple[Any, ...]) -> str:
+        return between.join(f"{value}".removesuffix(".0") for value in values)
+
+    return Parameter(converter=read, n_tokens=1, metavar=metavar, show_default=show)
+
+
+Floats = Annotated[tuple[float, ...], _listed(float, "NUMBERS")]
+Ints = Annotated[tuple[int, ...], _listed(int, "NUMBERS")]
+Words = Annotated[tuple[str, ...], _listed(str, "NAMES")]
+Arguments = Annotated[tuple[str, ...], _listed(str, "ARGUMENTS", between=" ")]
+
+
+def check_names(option: str, names: Iterable[str], known: Collection[str]) -> None:
+    """Refuse names that an option does not have.
 
     Raises:
-        GraphicsError: There is none; names the fix.
+        OptionError: Names it, and those that are known.
     """
-    context = create_context()
-    try:
-        yield context
-    finally:
-        context.release()
+    for name in names:
+        if name not in known:
+            raise OptionError(f"{option} {name!r} is unknown; known are {', '.join(known)}")

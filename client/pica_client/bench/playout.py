@@ -17,10 +17,10 @@ from typing import Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 
+from pica_client.bench.harness import Words, check_names
 from pica_client.bench.head import FaceRenderer
 from pica_client.bench.network.scenarios import BY_NAME, POLICIES, SCENARIOS
 from pica_client.bench.network.stream_trial import Delivery, Face, Schedule, Tick, deliver, play
-from pica_client.bench.option_types import Words, check_names
 from pica_client.errors import OptionError, check_ranges
 from pica_client.output import say
 from pica_client.playout.buffer import Playout

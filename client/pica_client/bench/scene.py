@@ -10,18 +10,14 @@ import time
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import moderngl
 import numpy as np
 import numpy.typing as npt
 
-from pica_client.bench.difference_sheet import Cell, write_sheet
-from pica_client.bench.harness import gl_context, timed
-from pica_client.bench.head import FIELD_OF_VIEW, check_distances, front_camera
-from pica_client.bench.option_types import Floats, Ints
-from pica_client.bench.scene_summary import AWAY, FULL_SCREEN_CM, summarise
+from pica_client.bench.harness import Floats, Ints, timed
+from pica_client.bench.head import FIELD_OF_VIEW, check_distances, front_camera, gl_context
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.request import DecodeRequest, DecodeResult
 from pica_client.errors import OptionError, check_ranges
@@ -35,19 +31,18 @@ from pica_client.sources.performances import make_performance
 from pica_client.stats import describe_machine
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
-from pica_core.avatar.streams import FaceEncoder, open_encoder
 from pica_core.camera import Camera
-from pica_core.codec.latent_stream import StreamConfig
 from pica_core.gl import wait_for_gpu
-from pica_core.types import Image
 
 SPACING_M = 0.25
 """Between two heads side by side (the paper's section 4.3)."""
 FPS = 30.0
 WARM_UP_FRAMES = 12
-"""Frames of each case that do not count: costs are learned, layers that are asked for settle."""
+"""Frames of each case that do not count: costs are learned."""
 TURN_FRAMES = 5
 """Frames of a case before the next one has its turn."""
+FULL_SCREEN_CM = 18.0
+"""Where one head fills the screen; the paper's nearest distance."""
 ERROR_EVERY = 5
 """Frames between two whose error is measured."""
 
@@ -70,13 +65,6 @@ class SceneBenchConfig:
     """What everybody does: talk, listen or range-of-motion."""
     budget_shares: Floats = (0.75, 0.5)
     """Budgets of the largest scenes, as shares of what they cost unconstrained, with commas."""
-    expected_costs: bool = False
-    """Plan and count by expected costs (`schedule.cost_model`) instead of this machine's:
-    milliseconds are then the same everywhere, whatever else a machine does, and budgets are shares
-    of what everybody whole costs."""
-    sheet: Path | None = None
-    """Also write a picture of the nearest of the largest scenes in every treatment here, PNG, with
-    the differences, amplified."""
 
     def __post_init__(self) -> None:
         if not self.avatars or not all(1 <= count <= 16 for count in self.avatars):
@@ -101,7 +89,6 @@ class _Frame:
     upload_s: float = 0.0
     draw_s: float = 0.0
     cpu_s: float = 0.0
-    payload_bits: int = 0
     decodes: float = 0.0
     floor_s: float = 0.0
     error: float | None = None
@@ -119,12 +106,8 @@ class _Case:
     distance_cm: float
     is_scheduled: bool
     budget_s: float = math.inf
-    is_away: bool = False
-    """The camera looks the other way."""
     heads: list[Head] = field(default_factory=list)
     planner: FramePlanner = field(default_factory=lambda: FramePlanner(Scheduler()))
-    encoders: list[FaceEncoder] = field(default_factory=list)
-    layers: dict[str, int | None] = field(default_factory=dict)
     frame: int = 0
     frames: list[_Frame] = field(default_factory=list)
     levels: Counter[str] = field(default_factory=Counter)
@@ -132,8 +115,6 @@ class _Case:
     num_limited: int = 0
     pixels: int = 0
     triangles: int = 0
-    compared: tuple[Image, Image] | None = None
-    """The last picture whose error was measured, as it should be and as it was."""
 
 
 def run_scene_bench(config: SceneBenchConfig, avatars: Sequence[Avatar]) -> dict[str, Any]:
@@ -152,8 +133,6 @@ def run_scene_bench(config: SceneBenchConfig, avatars: Sequence[Avatar]) -> dict
         limited = bench.limited_cases(cases)
         bench.measure(limited)
         rows = [bench.row(case) for case in [*cases, *limited]]
-        if config.sheet is not None:
-            _write_sheet(config.sheet, [*cases, *limited], config)
         return {
             "avatars": [avatar.manifest.identity for avatar in avatars],
             "gl_renderer": bench.gl_renderer,
@@ -193,14 +172,12 @@ class _Bench:
         self.gl_renderer = self._renderer.gl_renderer
 
     def free_cases(self) -> list[_Case]:
-        """Every scene with and without the scheduler, one head that fills the screen, and none
-        on it."""
-        most = max(self._config.avatars)
+        """Every scene and one head that fills the screen, with and without the scheduler."""
         cases = [_Case(1, FULL_SCREEN_CM, scheduled) for scheduled in (False, True)]
         for distance in self._config.distances_cm:
             for count in self._config.avatars:
                 cases += [_Case(count, distance, scheduled) for scheduled in (False, True)]
-        return [*cases, _Case(most, self._config.distances_cm[0], True, is_away=True)]
+        return cases
 
     def limited_cases(self, measured: Sequence[_Case]) -> list[_Case]:
         """The largest scenes with less than they cost, however much that is here."""
@@ -213,10 +190,7 @@ class _Bench:
                 budget_s=share * _mean_ms(case.frames, "total") / 1e3,
             )
             for case in measured
-            if case.is_scheduled is not self._config.expected_costs
-            and not case.is_away
-            and case.num_avatars == most
-            and case.distance_cm != FULL_SCREEN_CM
+            if case.is_scheduled and case.num_avatars == most and case.distance_cm != FULL_SCREEN_CM
             for share in self._config.budget_shares
         ]
 
@@ -224,9 +198,7 @@ class _Bench:
         """Run all cases in turns."""
         for turn in range(self._config.rounds + 1):
             for case in cases:
-                # Two seconds pass before the streams of heads off the screen are given up.
-                warm_up = round(3 * FPS) if case.is_away else WARM_UP_FRAMES
-                for _ in range(TURN_FRAMES if turn else warm_up):
+                for _ in range(TURN_FRAMES if turn else WARM_UP_FRAMES):
                     frame = self._frame(case, is_measured=turn > 0)
                     if turn:
                         case.frames.append(frame)
@@ -238,11 +210,9 @@ class _Bench:
         totals = _turn_means_ms(frames, "total")
         low, middle, high = np.percentile(totals, (25, 50, 75))
         num_seen = sum(case.levels.values())
-        seconds = len(frames) / FPS
         return {
             "avatars": case.num_avatars,
             "distance_cm": case.distance_cm,
-            "view": AWAY if case.is_away else "front",
             "scheduler": case.is_scheduled,
             "budget_ms": None if math.isinf(case.budget_s) else round(case.budget_s * 1e3, 2),
             **{
@@ -251,7 +221,6 @@ class _Bench:
             },
             "spread": round(float((high - low) / middle), 3),
             "error": round(float(np.mean(errors)), 3) if errors else None,
-            "payload_bps": round(sum(frame.payload_bits for frame in frames) / seconds),
             "decodes": round(sum(frame.decodes for frame in frames) / len(frames), 2),
             "limited": round(case.num_limited / num_seen, 3) if num_seen else 0.0,
             "levels": dict(sorted(case.levels.items())),
@@ -263,9 +232,7 @@ class _Bench:
 
     def _frame(self, case: _Case, *, is_measured: bool) -> _Frame:
         now = case.frame / FPS
-        camera = front_camera(
-            self._avatars[0].manifest, case.distance_cm, self._config.size, away=case.is_away
-        )
+        camera = front_camera(self._avatars[0].manifest, case.distance_cm, self._config.size)
         self._place_heads(case, now)
         frame = _Frame()
         begin_cpu_s = time.process_time()
@@ -281,11 +248,8 @@ class _Bench:
         frame.cpu_s = time.process_time() - begin_cpu_s
         costs = case.planner.scheduler.costs
         shaded_px = sum(head.sight.visible_px for head in case.heads)
-        if self._config.expected_costs:
-            frame.draw_s = costs.draw.seconds(stats.num_triangles, shaded_px)
-        elif case.is_scheduled:
+        if case.is_scheduled:
             costs.observe_draw(stats.num_triangles, shaded_px, frame.draw_s)
-        self._send(case, now, frame)
         case.triangles = stats.num_triangles
         if is_measured:
             for choice in choices.values():
@@ -296,7 +260,6 @@ class _Bench:
             shown = read_drawing(self._renderer)
             truth = self._draw_truth(case.heads, camera)
             frame.error, case.pixels = drawn_mse(shown, truth), int(truth.covered.sum())
-            case.compared = (truth.image, shown.image)
         case.frame += 1
         return frame
 
@@ -306,7 +269,6 @@ class _Bench:
             case.heads = [
                 Head(slot=f"head-{index}", avatar=avatar) for index, avatar in enumerate(avatars)
             ]
-            case.encoders = [open_encoder(avatar, StreamConfig())[0] for avatar in avatars]
         for index, head in enumerate(case.heads):
             face = self._faces[index].frame_at(now)
             seat = np.eye(4)
@@ -326,15 +288,11 @@ class _Bench:
             begin_s = time.perf_counter()
             plan = case.planner.plan(case.heads, [camera], self._config.size, case.budget_s, now)
             requests = case.planner.requests(case.heads, now)
-            if not self._config.expected_costs:
-                frame.plan_s = time.perf_counter() - begin_s
+            frame.plan_s = time.perf_counter() - begin_s
             frame.floor_s = plan.floor_s
-            case.layers = {slot: choice.wanted_layer for slot, choice in plan.choices.items()}
             choices = {slot: choice for slot, choice in plan.choices.items() if choice.cost_s > 0}
         else:
             requests = [(head, _whole(head, camera)) for head in case.heads]
-            if self._config.expected_costs:  # which need to know what is seen of them
-                case.planner.plan(case.heads, [camera], self._config.size, math.inf, now)
         for head, request in requests:
             slot = head.slot
             decoder = self._decoders[int(slot.partition("-")[2])]
@@ -344,11 +302,6 @@ class _Bench:
             shown = maps.position_map, maps.expression_map
             uploaded, _ = timed(self._renderer.update_maps, slot, *shown)
             frame.decodes += 1.0 if request.parts == "both" else 0.5
-            if self._config.expected_costs:
-                costs = case.planner.scheduler.costs
-                frame.decode_s += costs.decode_s(head.model, maps.level, request.parts)
-                head.show(maps.level, now)
-                continue
             frame.decode_s += decoded.wall_s
             frame.upload_s += uploaded.wall_s
             if case.is_scheduled:
@@ -356,14 +309,6 @@ class _Bench:
                 result = DecodeResult(slot, maps, None, finished_s=took_s, level=level, parts=parts)
                 case.planner.note_decoded(head, result, uploaded.wall_s, now)
         return choices
-
-    def _send(self, case: _Case, now: float, frame: _Frame) -> None:
-        """Code what the senders would send; count what the receiver would get."""
-        for head, encoder in zip(case.heads, case.encoders, strict=True):
-            coded = encoder.encode(head.latent, np.zeros(3), np.zeros(3), round(now * 1e6))
-            wanted = case.layers.get(head.slot, 7) if case.is_scheduled else 7
-            if coded is not None and wanted is not None and coded.layer <= wanted:
-                frame.payload_bits += 8 * len(coded.payload)
 
     def _draw_truth(self, heads: Sequence[Head], camera: Camera) -> Drawing:
         """What should be shown: everybody's newest latent at the full level."""
@@ -379,22 +324,33 @@ class _Bench:
         return read_drawing(self._renderer)
 
 
-def _write_sheet(path: Path, cases: Sequence[_Case], config: SceneBenchConfig) -> None:
-    """The nearest of the largest scenes, one way of treating it under the other."""
-    scene = max(config.avatars), min(config.distances_cm)
-    cells = []
-    for case in cases:
-        is_shown = (case.num_avatars, case.distance_cm) == scene and not case.is_away
-        if not is_shown or case.compared is None:
-            continue
-        is_free = math.isinf(case.budget_s)
-        budget = "" if is_free else f", budget {case.budget_s * 1e3:.0f} ms"
-        how = f"scheduled{budget}" if case.is_scheduled else "everybody decoded whole"
-        levels = ", ".join(f"{level}: {count}" for level, count in sorted(case.levels.items()))
-        chosen = f"  levels chosen {levels}" if levels else "  "
-        caption = f"{how}: {_mean_ms(case.frames, 'total'):.0f} ms a frame{chosen}"
-        cells.append(Cell(caption, *case.compared))
-    write_sheet(path, cells, columns=1)
+def summarise(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """The ratios that the rows are measured for; ``docs/benches.md`` says which."""
+    most = max(row["avatars"] for row in rows)
+    full_ms = next(row["total_ms"] for row in rows if row["distance_cm"] == FULL_SCREEN_CM)
+    scenes, budgets = [], []
+    for distance in sorted({row["distance_cm"] for row in rows} - {FULL_SCREEN_CM}):
+        here = [row for row in rows if (row["avatars"], row["distance_cm"]) == (most, distance)]
+        plain, free, *limited = here
+        scenes.append(
+            {
+                "distance_cm": distance,
+                "scheduled_over_full_screen": round(free["total_ms"] / full_ms, 3),
+                "unscheduled_over_full_screen": round(plain["total_ms"] / full_ms, 3),
+                "error": free["error"],
+            }
+        )
+        budgets += [
+            {
+                "distance_cm": distance,
+                "budget_over_free": round(row["budget_ms"] / free["total_ms"], 3),
+                "floor_over_free": round(row["floor_ms"] / free["total_ms"], 3),
+                "spent_over_free": round(row["total_ms"] / free["total_ms"], 3),
+                "error": row["error"],
+            }
+            for row in limited
+        ]
+    return {"full_screen_ms": full_ms, "scenes": scenes, "budgets": budgets}
 
 
 def _whole(head: Head, camera: Camera) -> DecodeRequest:

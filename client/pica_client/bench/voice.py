@@ -14,6 +14,7 @@ from typing import Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 
+from pica_client.bench.harness import Words, check_names
 from pica_client.bench.network.scenarios import BY_NAME, SCENARIOS
 from pica_client.bench.network.stream_trial import (
     CLOCK_OFFSET_US,
@@ -24,7 +25,6 @@ from pica_client.bench.network.stream_trial import (
     deliver,
     receive_arrival,
 )
-from pica_client.bench.option_types import Words, check_names
 from pica_client.bench.playout import open_ends, true_face
 from pica_client.errors import OptionError, check_ranges
 from pica_client.output import say

@@ -8,15 +8,13 @@ from pica_client.avatars.library import AvatarLibrary
 from pica_client.bench.call import BenchConfig, run_bench
 from pica_client.bench.codec import CodecConfig, run_codec_bench
 from pica_client.bench.decode import DecodeBenchConfig, run_decode_bench
-from pica_client.bench.drive.bench import DriveBenchConfig, run_drive_bench
+from pica_client.bench.drive import DriveBenchConfig, run_drive_bench
 from pica_client.bench.harness import say_rows
-from pica_client.bench.pareto import ParetoBenchConfig, run_pareto_bench
 from pica_client.bench.playout import BenchPlayoutConfig, run_bench_playout
-from pica_client.bench.render import RenderBenchConfig, run_render_bench
 from pica_client.bench.scene import SceneBenchConfig, run_scene_bench
 from pica_client.bench.voice import BenchVoiceConfig, run_bench_voice
 from pica_client.local_call.local_call import choose_avatars
-from pica_client.output import check_writable, say
+from pica_client.output import say
 from pica_client.signals import terminate_as_interrupt
 from pica_core.avatar.file import Avatar
 
@@ -57,32 +55,24 @@ def bench_call(options: BenchConfig) -> Result:
 def bench_codec(avatars: AvatarChoice, options: CodecConfig) -> Result:
     """Measure what the latent stream's bits buy: bitrate against rendered error.
 
-    Compares our qualities, thinned and whole, with plain 8 bit, 16-bit float, zlib and zstd with a
-    trained dictionary.
+    Compares our qualities, whole and thinned, with 16-bit floats.
     """
-    check_writable(options.sheet, ".png")
     result = run_codec_bench(options, avatars.load()[0])
     say_rows(result["rows"], "source profile payload_bps mse change_mse")
     return result
 
 
 def bench_decode(avatars: AvatarChoice, options: DecodeBenchConfig) -> Result:
-    """Measure what decoding one face costs: levels, plain export, baseline, candidate blocks."""
+    """Measure what decoding and drawing one head costs, beside the paper's baseline.
+
+    Set LP_NUM_THREADS to choose how many threads software GL takes.
+    """
     result = run_decode_bench(options, avatars.load()[0])
     say_rows(
         result["rows"],
-        "model level parts threads ms p95 spread plain_ms is_equal difference vertex_mm mse",
+        "work model level parts threads distance_cm ms p95 cpu_ms spread mse pixels triangles "
+        "over_baseline",
     )
-    for threads, models in result["summary"]["by_threads"].items():
-        for model, ratios in models.items():
-            for level, ratio in ratios["baseline_ratio"].items():
-                say(
-                    f"{threads} threads, {model} {level}: baseline over it {ratio:.1f}, "
-                    f"plain over fast {ratios['plain_ratio'][level]:.2f}, "
-                    f"full over it {ratios['level_ratio'][level]:.2f}"
-                )
-    level = result["summary"]["level_at_head_px"]
-    say(f"the scheduler decodes a head of {result['head_px']:g} px at level {level}")
     return result
 
 
@@ -96,17 +86,6 @@ def bench_drive(avatars: AvatarChoice, options: DriveBenchConfig) -> Result:
     return result
 
 
-def bench_pareto(avatars: AvatarChoice, options: ParetoBenchConfig) -> Result:
-    """Measure error against milliseconds for every level, mesh, precision and block.
-
-    Set LP_NUM_THREADS to say how many threads software GL takes.
-    """
-    result = run_pareto_bench(options, avatars.load()[0])
-    drawn = [row for row in result["rows"] if row["mse"] is not None]
-    say_rows(drawn, "distance_cm level mesh precision total_ms mse change_mse is_best")
-    return result
-
-
 def bench_playout(avatars: AvatarChoice, options: BenchPlayoutConfig) -> Result:
     """Measure what the playout makes of troubled networks: rendered error, delay, recovery.
 
@@ -116,33 +95,17 @@ def bench_playout(avatars: AvatarChoice, options: BenchPlayoutConfig) -> Result:
     return run_bench_playout(options, avatars.load()[0])
 
 
-def bench_render(avatars: AvatarChoice, options: RenderBenchConfig) -> Result:
-    """Measure what drawing a head costs: near and far, each level, and a textured baseline.
-
-    Set LP_NUM_THREADS to say how many threads software GL takes.
-    """
-    result = run_render_bench(options, avatars.load()[0])
-    say_rows(
-        result["rows"],
-        "distance_cm model level mesh weights pixels triangles draw_ms vertex_ms draw_cpu_ms "
-        "vertex_cpu_ms",
-    )
-    say_rows(result["lines"], "model level time intercept_ms ns_per_pixel r2")
-    return result
-
-
 def bench_scene(avatars: AvatarChoice, options: SceneBenchConfig) -> Result:
     """Measure a scene of talking heads: its cost, and the error that the scheduler leaves.
 
     Avatars are dealt to the heads in turn. Set LP_NUM_THREADS to say how many threads software GL
     takes.
     """
-    check_writable(options.sheet, ".png")
     result = run_scene_bench(options, avatars.load())
     say_rows(
         result["rows"],
-        "avatars distance_cm view scheduler total_ms budget_ms decode_ms upload_ms draw_ms plan_ms "
-        "error payload_bps",
+        "avatars distance_cm scheduler total_ms budget_ms decode_ms upload_ms draw_ms plan_ms "
+        "error",
     )
     say_rows(
         result["summary"]["scenes"],

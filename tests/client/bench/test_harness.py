@@ -6,37 +6,33 @@ from dataclasses import dataclass
 
 import pytest
 
-from pica_client.bench.harness import median_ms, spread, take_turns
+from pica_client.bench.harness import Took, ratio, take_turns, times_ms
 from pica_client.errors import OptionError, check_ranges
 
 pytestmark = pytest.mark.unit
 
 
-def test_everybody_works_once_a_round_in_an_order_that_changes() -> None:
+def test_cases_work_once_a_round_and_every_second_round_backwards() -> None:
     order: list[str] = []
 
     def work(case: str, number: int) -> tuple[str, int]:
         order.append(case)
         return case, number
 
-    found = take_turns("abc", work, rounds=20, warm_up=3, seed=0)
-    rounds = ["".join(order[i : i + 3]) for i in range(0, len(order), 3)]
-    assert len(rounds) == 23
-    assert all(sorted(each) == ["a", "b", "c"] for each in rounds)
-    assert len(set(rounds)) > 3
-    assert found == [[(case, number) for number in range(20)] for case in "abc"]
-
-
-def test_without_a_seed_the_order_stays() -> None:
-    order: list[str] = []
-    take_turns("abc", lambda case, _: order.append(case), rounds=2, warm_up=1)
-    assert order == list("abcabcabc")
+    found = take_turns("abc", work, rounds=3, warm_up=1)
+    assert "".join(order) == "abc" + "abc" + "cba" + "abc"
+    assert found == [[(case, number) for number in range(3)] for case in "abc"]
 
 
 def test_times_are_told_in_milliseconds_and_their_spread_as_a_share() -> None:
-    assert median_ms([0.003, 0.001, 0.002]) == 2
-    assert spread([1.0, 2.0, 3.0]) == 1
-    assert spread([1.0]) == 0
+    times = times_ms([Took(0.003, 0.2), Took(0.001, 0.1), Took(0.002, 0.3)])
+    assert times == {"ms": 2, "p95": 3, "cpu_ms": 200, "spread": 1}
+    assert times_ms([Took(1.0, 1.0)])["spread"] == 0
+
+
+def test_a_ratio_compares_times_of_the_same_round() -> None:
+    over, under = [Took(4.0, 0), Took(20.0, 0), Took(3.0, 0)], [Took(2.0, 0)] * 3
+    assert ratio(over, under) == 2
 
 
 def test_a_setting_out_of_range_is_named_with_the_range() -> None:

@@ -18,7 +18,7 @@ from typing import Annotated, Any, Final
 
 from cyclopts import Parameter
 
-from pica_client.bench.option_types import Arguments
+from pica_client.bench.harness import Arguments
 from pica_client.bench.relay.figures import (
     close_codes,
     describe,

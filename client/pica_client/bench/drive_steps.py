@@ -132,7 +132,7 @@ def shown_latents(avatar: Avatar, arkit: FloatArray, *, coded: bool) -> FloatArr
         raise ProfileError("the avatar has no stream profile; `pica export` learns one")
     still = np.zeros(3, np.float32)
     samples = [LatentSample(latent=each, rotation=still, translation_m=still) for each in latents]
-    coded_stream = code_stream(profile, StreamConfig(fps=FPS), 2, samples)
+    coded_stream = code_stream(profile, StreamConfig(fps=FPS), samples)
     return np.stack([sample.latent for sample in coded_stream.shown])
 
 

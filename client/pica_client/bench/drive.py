@@ -1,12 +1,11 @@
 """Avatars under live drive, against the head itself at the same values.
 
 The truth is a rig, or a person of the face model, posed by what a source does. The
-avatar is driven by the same values through each step of a live call (`drive.steps`) and shown at
+avatar is driven by the same values through each step of a live call (`drive_steps`) and shown at
 each level of detail.
 
 The fields of its rows stand in ``docs/benches.md``. What it does not show: people. The truth is
-synthetic, a tracker's own mistakes are none of it but in the stage ``webcam``, and delay is no
-error here.
+synthetic, a tracker's own mistakes are not part of it, and delay is no error here.
 """
 
 from collections.abc import Sequence
@@ -15,16 +14,19 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from PIL import Image as Pillow
-from PIL import ImageDraw
 
 from pica_client.bench.codec import FPS
-from pica_client.bench.difference_sheet import AMPLIFIED
-from pica_client.bench.drive import steps
+from pica_client.bench.drive_steps import (
+    STAGES,
+    open_driven_source,
+    shown_latents,
+    stage_values,
+    values_of,
+)
+from pica_client.bench.harness import Words, check_names
 from pica_client.bench.head import FaceRenderer, evaluation_cameras
-from pica_client.bench.option_types import Words, check_names
 from pica_client.errors import OptionError, check_ranges
-from pica_client.output import make_folder, say, writing
+from pica_client.output import say
 from pica_client.render.drawing import masked_mse
 from pica_client.stats import describe_machine
 from pica_core.avatar.file import Avatar
@@ -40,9 +42,6 @@ PART_MAP_SIZE = 1024
 SAMPLES_PER_TEXEL = 3
 GROWN_TEXELS = 16
 """How far charts of the map of parts bleed: a coarse mesh reaches a little beyond them."""
-WEBCAM = "webcam"
-"""The stage in which a webcam's networks look at the drawn head."""
-POKE_COLOUR = (255, 0, 255)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -52,9 +51,8 @@ class DriveBenchConfig:
     sources: Words = ("performance:talk", "performance:listen", "performance:range_of_motion")
     """What the person does, separated by commas; csv:FILE or take:FILE for recordings, still:rest
     and still:eyes-closed for calibration."""
-    stages: Words = steps.STAGES
-    """Which of driver, codec, live, offset, calibrated, and webcam, which needs pica webcam
-    setup."""
+    stages: Words = STAGES
+    """Which of driver, codec, live, offset and calibrated."""
     rig: Path | None = None
     """The rig that the avatar was made of."""
     person: Path | None = None
@@ -65,16 +63,11 @@ class DriveBenchConfig:
     """Moments of each source that are drawn."""
     image_size: int = 320
     """Rows and columns of each picture, pixels."""
-    worst: Path | None = None
-    """Folder for the worst pictures: truth, avatar, and their difference, in magenta where
-    something pokes out."""
-    num_worst: int = 4
-    """How many of most error, and how many in which most pokes out, of each source and level."""
 
     def __post_init__(self) -> None:
         check_ranges(self, seconds=(1, 600), moments=(1, 2000))
-        check_ranges(self, image_size=(64, 1024), num_worst=(1, 32))
-        check_names("stage", self.stages, (*steps.STAGES, WEBCAM))
+        check_ranges(self, image_size=(64, 1024))
+        check_names("stage", self.stages, STAGES)
 
 
 class _Truth(NamedTuple):
@@ -92,13 +85,11 @@ class _Truth(NamedTuple):
 
 
 class _Shown(NamedTuple):
-    """One moment as an avatar shows it: errors by view, and truth, avatar and difference of each
-    view, ``[H, 3 W, 3]``."""
+    """Errors of one moment as an avatar shows it, by view and by region."""
 
     mse: list[float]
     poke_ratio: list[float]
     region_mm: dict[str, float]
-    pictures: list[Image]
 
 
 def run_drive_bench(config: DriveBenchConfig, avatars: Sequence[Avatar]) -> dict[str, Any]:
@@ -109,8 +100,6 @@ def run_drive_bench(config: DriveBenchConfig, avatars: Sequence[Avatar]) -> dict
         SourceError: A source that cannot be opened.
         GraphicsError: No GL context.
     """
-    if config.worst is not None:
-        make_folder(config.worst)
     rows: list[dict[str, Any]] = []
     for avatar in avatars:
         rows += _measure(config, avatar)
@@ -130,15 +119,12 @@ def _measure(config: DriveBenchConfig, avatar: Avatar) -> list[dict[str, Any]]:
     num_frames = round(config.seconds * FPS)
     moments = np.unique(np.linspace(FPS / 2, num_frames - 1, config.moments).astype(int)).tolist()
     name = avatar.manifest.name
-    truth, seen = {}, {}
+    truth = {}
     try:
         for source in config.sources:
             say(f"{name}: {source}: the head itself")
-            arkit = steps.values_of(steps.open_driven_source(source), num_frames)
+            arkit = values_of(open_driven_source(source), num_frames)
             truth[source] = [_draw_truth(subject, arkit[each], config) for each in moments]
-            if WEBCAM in config.stages:
-                say(f"{name}: {source}: as a webcam sees it")
-                seen[source] = _webcam_values(subject, source, num_frames)
     finally:
         subject.release()  # one GL context at a time on this thread
     rows = []
@@ -147,12 +133,8 @@ def _measure(config: DriveBenchConfig, avatar: Avatar) -> list[dict[str, Any]]:
         for source in config.sources:
             for stage in config.stages:
                 say(f"{name}: {source}: {stage}")
-                values = (
-                    seen[source]
-                    if stage == WEBCAM
-                    else steps.stage_values(stage, steps.open_driven_source(source), num_frames)
-                )
-                latents = steps.shown_latents(avatar, values, coded=stage != "driver")
+                values = stage_values(stage, open_driven_source(source), num_frames)
+                latents = shown_latents(avatar, values, coded=stage != "driver")
                 for level in avatar.levels:
                     shown = [
                         compare(latents[moment], level, true)
@@ -160,18 +142,7 @@ def _measure(config: DriveBenchConfig, avatar: Avatar) -> list[dict[str, Any]]:
                     ]
                     about = {"avatar": name, "source": source, "stage": stage, "level": level}
                     rows.append(about | _row(shown))
-                    if config.worst is not None:
-                        _write_worst(config.worst, about, shown, moments, config.num_worst)
     return rows
-
-
-def _webcam_values(subject: Subject, source: str, num_frames: int) -> FloatArray:
-    """What a webcam makes of a source, `steps.live_values`."""
-    from pica_client.bench.drive.webcam import WEBCAM_FPS, SeenByWebcam  # its networks are extra
-
-    webcam = SeenByWebcam(subject)
-    tracker = webcam.tracker(steps.open_driven_source(source))
-    return steps.live_values(tracker, num_frames, webcam.calibration, WEBCAM_FPS)
 
 
 def _subject(config: DriveBenchConfig, avatar: Avatar) -> Subject:
@@ -252,18 +223,14 @@ class _Comparison:
     def __call__(self, latent: FloatArray, level: int, truth: _Truth) -> _Shown:
         """One moment at a level."""
         surfaces = list(self._renderer.surfaces(latent, level))
-        errors, pokes, pictures = [], [], []
+        errors, pokes = [], []
         for surface, image, parts in zip(surfaces, truth.images, truth.parts, strict=True):
             shown = np.where(surface.covered, read_parts(self._parts, surface.uv), 0)
             where = poking(shown.astype(np.uint8), parts)
             pokes.append(float(where.sum() / max(np.count_nonzero(parts), 1)))
             errors.append(masked_mse(image, surface.image, surface.covered))
-            laid = np.where(surface.covered[..., None], surface.image, image)
-            apart = np.minimum(AMPLIFIED * np.abs(laid.astype(np.int16) - image), 255)
-            marked = np.where(where[..., None], POKE_COLOUR, apart).astype(np.uint8)
-            pictures.append(np.hstack([image, laid, marked]))
         region_mm = self._region_errors(surfaces[0].position_map, level, truth.vertices_m)
-        return _Shown(errors, pokes, region_mm, pictures)
+        return _Shown(errors, pokes, region_mm)
 
     def _region_errors(
         self, position_map: FloatArray, level: int, truth_m: FloatArray
@@ -313,28 +280,3 @@ def _row(shown: Sequence[_Shown]) -> dict[str, Any]:
         "p95_poke_ratio": round(float(np.percentile(pokes, 95)), 6),
         "most_poke_ratio": round(float(pokes.max()), 6),
     }
-
-
-def _write_worst(
-    folder: Path,
-    about: dict[str, Any],
-    shown: Sequence[_Shown],
-    moments: Sequence[int],
-    count: int,
-) -> None:
-    """A sheet of the pictures of the largest errors, then of those in which most pokes out, the
-    worst first."""
-    mse, poke = (
-        np.array([getattr(each, name) for each in shown]) for name in ("mse", "poke_ratio")
-    )
-    worst = np.concatenate([np.argsort(-of.ravel())[:count] for of in (mse, poke)])
-    seen = [divmod(int(place), len(VIEWS)) for place in dict.fromkeys(worst.tolist())]
-    sheet = Pillow.fromarray(np.vstack([shown[index].pictures[view] for index, view in seen]))
-    pen = ImageDraw.Draw(sheet)
-    for row, (index, view) in enumerate(seen):
-        words = f"{moments[index] / FPS:.2f} s  MSE {mse[index, view]:.1f}"
-        words += f"  poke {poke[index, view]:.3%}"
-        pen.text((4, row * sheet.height // len(seen) + 2), words, fill=(255, 255, 255))
-    name = "-".join(Path(f"{value}").stem.replace(":", "-") for value in about.values())
-    with writing(folder / f"{name}.png"):
-        sheet.save(folder / f"{name}.png")
