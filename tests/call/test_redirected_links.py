@@ -23,7 +23,9 @@ pytestmark = pytest.mark.call
 URL = "ws://relay:8765"
 
 
-def make_link(connect_timeout_s: float | None = 3.0) -> tuple[Link, asyncio.Event]:
+def make_link(
+    connect_timeout_s: float | None = 3.0, redirect_hosts: tuple[str, ...] = ()
+) -> tuple[Link, asyncio.Event]:
     """A link, and what is set when it has joined."""
     joined = asyncio.Event()
 
@@ -31,7 +33,12 @@ def make_link(connect_timeout_s: float | None = 3.0) -> tuple[Link, asyncio.Even
         if isinstance(event, Joined):
             joined.set()
 
-    config = LinkConfig(url=URL, room="r", connect_timeout_s=connect_timeout_s)
+    config = LinkConfig(
+        url=URL,
+        room="r",
+        connect_timeout_s=connect_timeout_s,
+        redirect_hosts=redirect_hosts,
+    )
     return Link(config, on_event=take, rng=random.Random(0)), joined
 
 
@@ -110,19 +117,19 @@ PICA = [Subprotocol(SUBPROTOCOL)]
 @in_virtual_time
 async def test_a_link_that_joins_goes_at_once_to_the_relay_that_has_its_room() -> None:
     async def answer(websocket: ServerConnection) -> None:
-        await send_away(websocket, "ws://relay:8766", joins=False)
+        await send_away(websocket, "ws://other:8766", joins=False)
 
     loop = asyncio.get_running_loop()
     async with (
         Relay(RelayConfig(port=8766)),
         serve(answer, "relay", 8765, subprotocols=PICA, compression=None),
     ):
-        link, joined = make_link()
+        link, joined = make_link(redirect_hosts=("other",))
         start = loop.time()
         running = asyncio.create_task(link.run())
         await joined.wait()
         assert loop.time() - start < 0.1
-        assert link.url == "ws://relay:8766"
+        assert link.url == "ws://other:8766"
         assert link.reconnects == 0
         link.leave()
         await running

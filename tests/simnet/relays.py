@@ -115,9 +115,9 @@ class Person:
 
 
 @asynccontextmanager
-async def person(name: str, *relays: RelayProcess, room: str = "lobby") -> AsyncIterator[Person]:
-    """Be in a room, by way of the first of these relays that answers; then leave."""
-    somebody = Person(name, ",".join(relay.url for relay in relays), room=room)
+async def person(name: str, relay: RelayProcess, room: str = "lobby") -> AsyncIterator[Person]:
+    """Be in a room, by asking one relay for it; then leave."""
+    somebody = Person(name, relay.url, room=room)
     running = asyncio.create_task(somebody.link.run())
     try:
         await until(lambda: somebody.has_joined or running.done())

@@ -15,9 +15,8 @@ from websockets.asyncio.client import ClientConnection
 from websockets.exceptions import ConnectionClosed
 
 from pica_client.errors import ClientError, RelayError
-from pica_client.transport.backoff import Backoff
 from pica_client.transport.config import LinkConfig, read_token
-from pica_client.transport.connect import CONNECT_ERRORS, open_websocket, refusal
+from pica_client.transport.connect import CONNECT_ERRORS, RelayConnect, refusal
 from pica_core.avatar.file import MAX_FILE_BYTES, read_bytes
 from pica_core.errors import AvatarFileError
 from pica_protocol import store
@@ -106,7 +105,6 @@ class AvatarGiver:
         self._url = ""
         self._link, self._path, self._identity = link, path, identity
         self._say = say
-        self._backoff = Backoff(random.random)
         self._task: asyncio.Task[None] | None = None
 
     def begin(self, url: str) -> None:
@@ -128,7 +126,7 @@ class AvatarGiver:
                 stored = await push_avatar(self._url, self._link, self._path, self._identity)
             except (AvatarFileError, ClientError) as error:
                 if getattr(error, "is_worth_retrying", False) and attempt < MAX_ATTEMPTS:
-                    await asyncio.sleep(self._backoff.next_wait_s(0.0))
+                    await asyncio.sleep(random.uniform(0.125, 0.25) * 2**attempt)
                     continue
                 self._note(str(error))
             else:
@@ -146,7 +144,7 @@ class AvatarGiver:
 @asynccontextmanager
 async def _store_socket(url: str, ca_file: Path | None) -> AsyncIterator[ClientConnection]:
     try:
-        websocket = await open_websocket(url, ca_file, subprotocol=store.STORE_SUBPROTOCOL)
+        websocket = await RelayConnect(url, ca_file, subprotocol=store.STORE_SUBPROTOCOL)
     except CONNECT_ERRORS as error:
         why = refusal(error)
         message = f"{url}: {why or 'nobody answers'}"

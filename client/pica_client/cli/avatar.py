@@ -44,7 +44,7 @@ def avatar_push(options: AvatarPushOptions) -> dict[str, Any]:
             shown = int(ratio * 100)
             print(f"\r{shown} %", end="\n" if ratio == 1 else "", file=sys.stderr, flush=True)
 
-    stored = asyncio.run(push_avatar(link.urls[0], link, file, identity, show))
+    stored = asyncio.run(push_avatar(link.url, link, file, identity, show))
     say(f"{file}: the relay {'has it now' if stored.is_new else 'had it already'}")
     return {"sha256": identity, "was_there": not stored.is_new}
 

@@ -42,7 +42,10 @@ class SendOptions:
     """Options of `pica send`."""
 
     url: str = "ws://127.0.0.1:8765"
-    """Address of the relay, ws:// or wss://; several with commas between, tried in order."""
+    """Address of the relay, ws:// or wss://."""
+    redirect_hosts: tuple[str, ...] = ()
+    """Other hosts that the relay may redirect to, with the token; over wss://, names of its domain
+    need not be listed."""
     room: str = "lobby"
     """Room to join: letters, digits and _ . -"""
     name: str | None = None
@@ -96,6 +99,7 @@ def send(options: SendOptions) -> dict[str, Any]:
         secret_file=options.secret_file,
         token_file=options.token_file,
         ca_file=options.ca_file,
+        redirect_hosts=options.redirect_hosts,
     )
     source = open_source(options.source, person=link.name)
     voice = open_voice(options.voice, cleans=options.clean)

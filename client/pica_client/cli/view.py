@@ -29,8 +29,11 @@ class ViewOptions:
     """An invite link, pica://HOST/ROOM, as `pica token --link` prints it: it fills in the form, or
     says where to go where there is none."""
     url: str | None = None
-    """Address of the relay, ws:// or wss://; several with commas between, tried in order. Without
-    one, and with a display, a form asks; off the screen it is ws://127.0.0.1:8765."""
+    """Address of the relay, ws:// or wss://. Without one, and with a display, a form asks; off
+    the screen it is ws://127.0.0.1:8765."""
+    redirect_hosts: tuple[str, ...] = ()
+    """Other hosts that the relay may redirect to, with the token; over wss://, names of its domain
+    need not be listed."""
     room: str | None = None
     """Room to look into; lobby by default."""
     name: str | None = None
@@ -145,6 +148,7 @@ def view(options: ViewOptions) -> dict[str, Any]:
         connect_timeout_s=connect_timeout_s(wait=options.wait, seconds=options.seconds),
         secret_file=options.secret_file,
         token_file=options.token_file,
+        redirect_hosts=options.redirect_hosts,
     )
     # Until the form is filled the address is not known to be wss://.
     link = base if asks else replace(link_without_form(going, base), ca_file=options.ca_file)

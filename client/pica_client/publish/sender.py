@@ -11,7 +11,6 @@ from pica_client.avatars.upload import AvatarGiver
 from pica_client.publish.publisher import Publisher, SenderConfig
 from pica_client.sources import Source
 from pica_client.transport.config import LinkConfig
-from pica_client.transport.dialer import Connector
 from pica_client.transport.link import Link
 from pica_client.transport.link_news import LinkNews
 from pica_client.voice.publisher import VoicePublisher
@@ -33,13 +32,12 @@ class Sender:
         avatar: Avatar,
         avatar_identity: str,
         *,
-        connector: Connector | None = None,
         rng: random.Random | None = None,
         giver: AvatarGiver | None = None,
         news: LinkNews | None = None,
         voice: VoicePublisher | None = None,
     ) -> None:
-        """Prepare; see `Link` for connector and rng. A giver gives the avatar's file to each relay
+        """Prepare; see `Link` for rng. A giver gives the avatar's file to each relay
         that we join; `news` hears of the link; a voice goes over the same link."""
         self._giver = giver
         self._news = news
@@ -50,7 +48,6 @@ class Sender:
             link_config,
             (self.publisher.track, *(() if voice is None else (voice.track,))),
             on_event=self._on_event,
-            connector=connector,
             rng=rng,
         )
         self._stopping = asyncio.Event()

@@ -1,7 +1,10 @@
-"""Where a link leads, as whom, and with which pass."""
+"""Where a link leads, under which name, and with which token."""
 
+import binascii
+import json
 import secrets
 import unicodedata
+from base64 import urlsafe_b64decode
 from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -17,7 +20,10 @@ class LinkConfig:
     """Where to connect, and as whom."""
 
     url: str = "ws://127.0.0.1:8765"
-    """Address of the relay, ws:// or wss://; several with commas between, tried in order."""
+    """Address of the relay, ws:// or wss://."""
+    redirect_hosts: tuple[str, ...] = ()
+    """Other hosts that a relay may redirect us to, with our token. The host of the address needs
+    none, nor do, over wss://, other names of its domain."""
     room: str = "lobby"
     """Room to join: 1 to 64 of A-Z a-z 0-9 _ . -"""
     name: str = "guest"
@@ -38,10 +44,9 @@ class LinkConfig:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "name", _without_odd_spaces(self.name))
-        for url in self.urls or ("",):
-            check_address(url)
-        if self.ca_file is not None and not any(url.startswith("wss://") for url in self.urls):
-            raise OptionError(f"ca-file says whom to trust with wss://; url is {self.url}")
+        check_address(self.url)
+        if self.ca_file is not None and not self.url.startswith("wss://"):
+            raise OptionError(f"ca-file requires a wss:// URL; url is {self.url}")
         if self.token and self.token_file is not None:
             raise OptionError("token and token-file say the same thing; give one of them")
         try:
@@ -50,11 +55,6 @@ class LinkConfig:
             check_pass("token", self.token)
         except ValueError as error:
             raise OptionError(str(error)) from error
-
-    @property
-    def urls(self) -> tuple[str, ...]:
-        """The addresses, in the order in which they are tried."""
-        return tuple(dict.fromkeys(filter(None, map(str.strip, self.url.split(",")))))
 
 
 def _without_odd_spaces(name: str) -> str:
@@ -99,3 +99,14 @@ def read_token(path: Path | None) -> str:
     except ValueError as error:  # no text, or none that can be a token
         raise OptionError(f"token-file {path}: it holds no token") from error
     return token
+
+
+def shown_name(name: str, token: str) -> str:
+    """Return the name that others are shown: that of the join token, if it has one, or the given
+    one. The signature does not matter here: it is our own token."""
+    try:
+        claims = json.loads(urlsafe_b64decode(token.split(".")[1] + "=="))
+        said = claims.get("name", "")
+    except (IndexError, binascii.Error, ValueError, AttributeError, RecursionError):
+        said = ""
+    return said if isinstance(said, str) and said else name

@@ -1,9 +1,12 @@
-"""Opening one websocket to a relay: small buffers, no compression, and what an error means."""
+"""Websockets to a relay: small buffers, no compression, and what an error means."""
 
 import asyncio
 import ipaddress
+import math
 import socket
 import ssl
+from collections.abc import Callable, Generator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import urlsplit
@@ -19,6 +22,7 @@ from websockets.exceptions import (
     WebSocketException,
 )
 from websockets.protocol import State
+from websockets.typing import Subprotocol
 
 from pica_client.errors import OptionError
 from pica_protocol import SUBPROTOCOL
@@ -27,23 +31,54 @@ from pica_protocol.tls_buffer import bound_tls_buffer
 
 SOFTWARE: Final = "pica-telepresence"
 CLOSE_TIMEOUT_S: Final = 1.0
-"""Longest wait for a websocket's goodbye; a relay that is gone does not answer."""
+"""Longest wait for the closing handshake; a relay that is gone does not answer."""
+OPEN_TIMEOUT_S: Final = 3.0
+"""Longest wait for the opening handshake (chosen: the kernel repeats a lost SYN after 1 s)."""
 MAX_UNSENT_BYTES: Final = 2048
-"""In the kernel, before frames begin to wait where they can be thinned: about thirty of a layered
-stream (chosen: thinning does not work behind a deep buffer)."""
+"""In the kernel, before frames begin to wait where newer ones replace them (chosen: thinning does
+not work behind a deep buffer)."""
 PING_S: Final = 10.0
-"""Between two pings of an upload, and for their answers; in a call `silence.Silence` says when."""
+"""Between two pings of an upload, and for their answers; a call has a liveness timer of its own."""
 MAX_QUEUED_MESSAGES: Final = 16
-"""Websocket messages read ahead of us; then the network is told to wait."""
+"""Websocket messages read ahead; then the network is told to wait."""
+CHECK_S: Final = 0.55
+"""Time between two checks that the relay was heard; if it was not, it is pinged."""
+MAX_UNANSWERED: Final = 3
+"""Checks without an answer before the connection is left (chosen: a dead path is left after 2.2 to
+2.75 s, and an answer may take 1.65 s)."""
+FIRST_WAIT_S: Final = 0.25
+"""Before the first new attempt (chosen: a relay that restarts is back within a second)."""
+LONGEST_AWAY_S: Final = 1.0
+"""Longest wait between two attempts at a relay that does not answer: it is found within this time
+of its return."""
+LONGEST_REFUSED_S: Final = 8.0
+"""Longest wait after a relay answered and did not keep us: it may have too much to do."""
 CONNECT_ERRORS: Final = (OSError, EOFError, WebSocketException, UnicodeError, ImportError)
-"""All that `open_websocket` may raise of the network, of an address and of a proxy; what each means
-say `refusal` and `trouble`."""
+"""Errors of the network, of an address and of a proxy; see `refusal` and `trouble`."""
 _NOT_TLS: Final = ("WRONG_VERSION_NUMBER", "RECORD_LAYER_FAILURE", "PACKET_LENGTH_TOO_LONG")
 """What OpenSSL calls an answer that is none of its own."""
 
 
+@dataclass(kw_only=True, slots=True)
+class LinkCounters:
+    """What went over the link since it was made."""
+
+    connects: int = 0
+    resumes: int = 0
+    """How many of them led back to the old place in the room."""
+    errors: int = 0
+    """Connections that ended because somebody broke the protocol."""
+    sent_messages: int = 0
+    sent_wire_bytes: int = 0
+    """Bytes with all that lies around a message, see `stats.wire_bytes`."""
+    received_messages: int = 0
+    received_wire_bytes: int = 0
+    frames_replaced: int = 0
+    """Frames that newer ones overtook, or that were thinned, before the socket took them."""
+
+
 class RelayWebsocket(ClientConnection):
-    """The library's websocket, which also knows when the relay was heard last.
+    """The library's websocket with small buffers, which knows when the relay was last heard.
 
     Attributes:
         heard_s: When the latest bytes came, pongs among them, by the time of the event loop.
@@ -52,73 +87,99 @@ class RelayWebsocket(ClientConnection):
     heard_s = 0.0
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Begin to listen."""
+        """Bound what waits below the library."""
         self.heard_s = self.loop.time()
         super().connection_made(transport)
+        bound_tls_buffer(transport)
+        raw = transport.get_extra_info("socket")
+        option = getattr(socket, "TCP_NOTSENT_LOWAT", None)
+        if option and raw is not None and raw.family in (socket.AF_INET, socket.AF_INET6):
+            raw.setsockopt(socket.IPPROTO_TCP, option, MAX_UNSENT_BYTES)
 
     def data_received(self, data: bytes) -> None:
         """Take what has come."""
         self.heard_s = self.loop.time()
         super().data_received(data)
 
-    def ask(self) -> None:
-        """Send a ping and wait for nothing: `heard_s` tells whether it was answered."""
+    def send_ping(self) -> None:
+        """Send a ping without waiting: `heard_s` tells whether it was answered."""
         if self.state is State.OPEN:
             self.protocol.send_ping(b"")
             self.send_data()
 
 
-class _Dial(connect):
-    """Opens a websocket at the address that was asked for, and at no other.
+class RelayConnect(connect):
+    """`connect` with our settings, which stays at the address that it was given.
 
-    A relay sends us elsewhere by its goodbye, which `transport.redirects` judges; HTTP would send
-    us anywhere.
+    A relay redirects by its goodbye, which `transport.refusals` judges; HTTP would send us
+    anywhere.
     """
 
+    def __init__(
+        self,
+        url: str,
+        ca_file: Path | None = None,
+        *,
+        subprotocol: str = SUBPROTOCOL,
+        **options: Any,
+    ) -> None:
+        """Prepare; `options` are further ones of the library.
+
+        Args:
+            ca_file: With wss://, certificates to trust instead of the system's.
+
+        Raises:
+            OptionError: There are no certificates in the file.
+        """
+        if ca_file is not None and url.startswith("wss://"):
+            options["ssl"] = trusting(ca_file)
+        super().__init__(
+            url,
+            create_connection=RelayWebsocket,
+            subprotocols=[Subprotocol(subprotocol)],
+            compression=None,
+            max_size=MAX_CONTROL_BYTES,
+            max_queue=MAX_QUEUED_MESSAGES,
+            # One message in the library; more only once the kernel has taken it. With 0, TLS of
+            # the standard library would wait for ever.
+            write_limit=1,
+            ping_interval=None if subprotocol == SUBPROTOCOL else PING_S,
+            ping_timeout=PING_S,
+            close_timeout=CLOSE_TIMEOUT_S,
+            open_timeout=OPEN_TIMEOUT_S,
+            proxy=None if is_loopback(urlsplit(url).hostname or "") else True,
+            user_agent_header=SOFTWARE,
+            **options,
+        )
+
     def process_redirect(self, exc: Exception) -> Exception | str:
+        """Follow no redirect of HTTP."""
         return exc
 
 
-async def open_websocket(
-    url: str, ca_file: Path | None = None, *, subprotocol: str = SUBPROTOCOL
-) -> RelayWebsocket:
-    """Open a websocket to a relay with our settings, small buffers among them.
+def waits(random: Callable[[], float], longest_s: float) -> Generator[float]:
+    """Yield waits that double up to a bound, each shortened by chance to no less than half: it
+    spreads the return of a full room over time."""
+    nominal_s = FIRST_WAIT_S
+    while True:
+        yield nominal_s * (0.5 + 0.5 * random())
+        nominal_s = min(2 * nominal_s, longest_s)
 
-    Args:
-        ca_file: With wss://, certificates to trust instead of the system's.
 
-    Raises:
-        OptionError: There are no certificates in the file.
+async def watch(websocket: RelayWebsocket) -> None:
+    """Ping a relay that is not heard; return once the connection was left for a dead one.
+
+    Checks are counted, not time: a program that slept reads and pings before it judges.
     """
-    host = urlsplit(url).hostname or ""
-    tls: dict[str, Any] = {}
-    if ca_file is not None and url.startswith("wss://"):
-        tls["ssl"] = trusting(ca_file)
-    websocket = await _Dial(
-        url,
-        create_connection=RelayWebsocket,
-        subprotocols=[subprotocol],  # type: ignore[list-item]
-        compression=None,
-        max_size=MAX_CONTROL_BYTES,
-        max_queue=MAX_QUEUED_MESSAGES,
-        # One message in the library; more only once the kernel has taken it. Of 0, TLS of the
-        # standard library would make no end of waiting.
-        write_limit=1,
-        ping_interval=None if subprotocol == SUBPROTOCOL else PING_S,
-        ping_timeout=PING_S,
-        close_timeout=CLOSE_TIMEOUT_S,
-        open_timeout=5.0,
-        proxy=None if is_loopback(host) else True,
-        user_agent_header=SOFTWARE,
-        **tls,
-    )
-    assert isinstance(websocket, RelayWebsocket)
-    bound_tls_buffer(websocket.transport)
-    raw = websocket.transport.get_extra_info("socket")
-    option = getattr(socket, "TCP_NOTSENT_LOWAT", None)
-    if raw is not None and option is not None and raw.family != getattr(socket, "AF_UNIX", None):
-        raw.setsockopt(socket.IPPROTO_TCP, option, MAX_UNSENT_BYTES)
-    return websocket
+    heard_s, num_unanswered = -math.inf, 0
+    while num_unanswered < MAX_UNANSWERED:
+        await asyncio.sleep(CHECK_S)
+        is_silent = websocket.heard_s == heard_s
+        num_unanswered = num_unanswered + 1 if is_silent else 0
+        heard_s = websocket.heard_s
+        if num_unanswered:
+            websocket.send_ping()
+    websocket.transport.abort()
 
 
 def trusting(ca_file: Path) -> ssl.SSLContext:

@@ -4,12 +4,11 @@ The shell around `pica_protocol.session.ClientSession`. It connects, joins, hand
 owner, sends what waits, and comes back by itself when the relay goes away. It keeps nothing for
 later: a frame offered without a connection is refused, because a late face is worse than none.
 
-Who lost the connection comes back to the place it had, if the relay still keeps it; else it joins
-anew, with another id. Either way its owner gets a ``Joined`` and begins its streams anew. When the
-relay falls silent, another websocket is opened beside the one that is there, and takes its place if
-that is still silent by then (`lookout`). Several addresses are tried in order (`addresses`).
-
-A refusal ends the link, unless it may pass and we were in the room (`refusals`).
+A link that lost the connection comes back to the place it had, if the relay still keeps it; else it
+joins again, with another id. Either way its owner gets a ``Joined`` and begins its streams again.
+The library connects again and again (`connect` as an iterator); a connection on which nothing comes
+is pinged, and left if that is not answered. A relay may send us to another one, and a refusal ends
+the link unless it may pass and we were in the room (`refusals`).
 
 Time is that of the event loop, which for asyncio's own loops is `time.monotonic`. On one machine
 all processes share that clock (Linux CLOCK_MONOTONIC, macOS and Windows likewise), so benches there
@@ -18,32 +17,41 @@ may subtract a sender's capture times from a receiver's clock. Across machines n
 
 import asyncio
 import logging
+import math
 import random
-from collections.abc import Callable, Sequence
-from contextlib import suppress
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from collections.abc import AsyncGenerator, Callable, Sequence
+from contextlib import aclosing
+from typing import TYPE_CHECKING, Final, cast
 
 from websockets.exceptions import ConnectionClosed
 
 from pica_client.errors import OptionError, RelayRefusedError, RelayUnreachableError
 from pica_client.stats import wire_bytes
-from pica_client.transport.backoff import SETTLED_S, Backoff
-from pica_client.transport.config import LinkConfig, read_token
-from pica_client.transport.connect import SOFTWARE, RelayWebsocket, open_websocket
-from pica_client.transport.dialer import Connector, Dialer
-from pica_client.transport.lookout import Lookout
-from pica_client.transport.redirects import refused_redirect
-from pica_client.transport.refusals import Refusals, breaks_protocol, refusal_of
-from pica_client.transport.self_description import SelfDescription, shown_name
-from pica_client.transport.silence import Silence
+from pica_client.transport.config import LinkConfig, read_token, shown_name
+from pica_client.transport.connect import (
+    CONNECT_ERRORS,
+    LONGEST_AWAY_S,
+    LONGEST_REFUSED_S,
+    SOFTWARE,
+    LinkCounters,
+    RelayConnect,
+    RelayWebsocket,
+    refusal,
+    trouble,
+    waits,
+    watch,
+)
+from pica_client.transport.refusals import Refusals, breaks_protocol, redirect_of, refusal_of
 from pica_client.transport.timers import time_after, wait_until
+from pica_protocol import SUBPROTOCOL
 from pica_protocol.client_session import ClientSession, Ticket
 from pica_protocol.errors import CloseCode
+from pica_protocol.limits import check_metadata
 from pica_protocol.messages import (
     FromMember,
     Joined,
     KeyframeRequest,
+    Metadata,
     Moderation,
     Report,
     Track,
@@ -60,23 +68,12 @@ _log = logging.getLogger(__name__)
 
 EventHandler = Callable[[ClientEvent, float], None]
 
-
-@dataclass(kw_only=True, slots=True)
-class LinkCounters:
-    """What went over the link since it was made."""
-
-    connects: int = 0
-    resumes: int = 0
-    """How many of them led back to the old place in the room."""
-    errors: int = 0
-    """Connections that ended because somebody broke the protocol."""
-    sent_messages: int = 0
-    sent_wire_bytes: int = 0
-    """Bytes with all that lies around a message, see `stats.wire_bytes`."""
-    received_messages: int = 0
-    received_wire_bytes: int = 0
-    frames_replaced: int = 0
-    """Frames that newer ones overtook, or that were thinned, before the socket took them."""
+SETTLED_S: Final = 5.0
+"""A stay that lasted this long was a good one: the next waits begin with `FIRST_WAIT_S`."""
+MAX_REDIRECTS: Final = 3
+"""Redirects followed at once with no good stay between them; then as slowly as after refusals."""
+TELL_INTERVAL_S: Final = 1.0
+"""Between two changes of our metadata: the relay takes no more for long."""
 
 
 class Link:
@@ -84,8 +81,7 @@ class Link:
 
     Attributes:
         guard: What seals and opens frames, or None.
-        last_closed: How the latest connection ended, or None.
-        lookout: Tries another way when the relay has fallen silent.
+        url: The relay that we are at, or try: the configured one, or one that it sent us to.
     """
 
     def __init__(
@@ -94,7 +90,6 @@ class Link:
         tracks: tuple[Track, ...] = (),
         *,
         on_event: EventHandler | None = None,
-        connector: Connector | None = None,
         rng: random.Random | None = None,
         guard: "Guard | None" = None,
     ) -> None:
@@ -102,7 +97,6 @@ class Link:
 
         Args:
             on_event: Called on the event loop for every event of every session, if given.
-            connector: Opens one websocket to an address; plain TCP or TLS by default.
             rng: Spreads reconnects; seeded by tests.
             guard: Seals what we send and opens what comes; by default one for the secret of the
                 configuration, and without a secret everything is plain.
@@ -117,29 +111,27 @@ class Link:
 
             guard = Guard(load_secret(config.secret_file))
         self.config = config
+        self.url = config.url
         self.counters = LinkCounters()
-        self.last_closed: Closed | None = None
+        self.guard = guard
         self._tracks = tracks
         self._on_event = on_event
-        self.guard = guard
-        connector = connector or (lambda url: open_websocket(url, config.ca_file))
-        self._dialer = Dialer(config.urls, connector)
-        self._addresses = self._dialer.addresses
-        chance = (rng or random.Random()).random
-        self._backoff = Backoff(chance)
-        self.lookout = Lookout(self._dialer, Silence(chance))
+        self._random = (rng or random.Random()).random
+        self._refused_waits = waits(self._random, LONGEST_REFUSED_S)
+        self._num_redirects = 0
         self._refusals = Refusals()
+        self._trouble: Exception | None = None
+        self._staying: asyncio.Task[None] | None = None
+        self._first_join: asyncio.Timeout | None = None
         self._session: ClientSession | None = None
+        self._closed: Closed | None = None
         self._wake = asyncio.Event()
         self._is_leaving = False
-        self._description = SelfDescription()
+        self._metadata: Metadata = ()
+        self._told: Metadata = ()
+        self._told_s = -math.inf
         self._ticket: Ticket | None = None
         self._ticket_url = ""
-
-    @property
-    def url(self) -> str:
-        """The relay that we are at, or try: one of the configured, or where that has sent us."""
-        return self._addresses.current
 
     @property
     def is_joined(self) -> bool:
@@ -209,13 +201,16 @@ class Link:
         return self._tell(Whisper(peer_id=peer_id, data=data))
 
     def describe(self, key: str, value: str) -> None:
-        """Say something of ourselves to the others under a key, now and after each join; "" says
-        nothing under it any more. Of quick changes they hear the last.
+        """Set an entry of our metadata, which all others see, now and after each join; "" takes it
+        away. Of quick changes they hear the last.
 
         Raises:
-            ValueError: It is out of its limits.
+            ValueError: It is out of the limits of the protocol.
         """
-        self._description.say(key, value)
+        entries = {**dict(self._metadata), key: value}
+        metadata = tuple((each, text) for each, text in sorted(entries.items()) if text)
+        check_metadata("metadata", metadata)
+        self._metadata = metadata
         self._wake.set()
 
     def report(self, report: Report) -> None:
@@ -248,9 +243,11 @@ class Link:
         return True
 
     def leave(self) -> None:
-        """Make `run` go in good order and return."""
+        """Make `run` leave the room and return."""
         self._is_leaving = True
         self._wake.set()
+        if self._staying is not None and self._session is None:
+            self._staying.cancel()  # it connects, or waits
 
     async def run(self) -> None:
         """Connect and stay connected until `leave`.
@@ -260,96 +257,89 @@ class Link:
             RelayRefusedError: The relay, or what answers there, will not have us.
             OptionError: The token file, or that of certificates to trust, cannot be read.
         """
+        self._staying = asyncio.ensure_future(self._stay())
         try:
-            await self._stay()
-        finally:
-            if (unused := self.lookout.take_successor()) is not None:
-                unused.transport.abort()
+            await self._staying
+        except asyncio.CancelledError:
+            task = asyncio.current_task()
+            if not self._is_leaving or (task is not None and task.cancelling()):
+                raise
 
     async def _stay(self) -> None:
         """Stay connected; `run` says what may be raised."""
-        loop = asyncio.get_running_loop()
-        limit_s = self.config.connect_timeout_s
-        give_up_s = None if limit_s is None else loop.time() + limit_s
-        troubles: dict[str, Exception] = {}  # by address, and the latest alone
-        num_redirects = 0  # since the room was joined
-        while not self._is_leaving:
-            joined_s, is_last, websocket = None, False, self.lookout.take_successor()
-            elsewhere = ""
-            try:
-                token = self.config.token or read_token(self.config.token_file)
-                websocket = websocket or await self._connect_or_leave(give_up_s)
-                if websocket is None:
-                    return
-                joined_s = await self._talk(websocket, token)
-                elsewhere = self._elsewhere()
-            except (RelayUnreachableError, RelayRefusedError, OptionError) as error:
-                if websocket is not None:
-                    websocket.transport.abort()
-                # A file of our own is in the way of all addresses alike.
-                is_last = not self._addresses.num_left or isinstance(error, OptionError)
-                self._refusals.receive(error, loop.time(), is_last=is_last)
-                troubles[self.url] = error
-            if self._is_leaving:
-                return
-            if self.lookout.has_successor:
-                continue
-            if elsewhere or joined_s is not None:
-                self._addresses.begin_with(elsewhere or self.url)
-            elif not is_last and self._addresses.num_left:
-                continue
-            lasted_s = 0.0 if joined_s is None else loop.time() - joined_s
-            num_redirects = num_redirects + 1 if elsewhere and joined_s is None else 0
-            if num_redirects == 1:
-                continue
-            wait_s = self._backoff.next_wait_s(lasted_s)
-            if elsewhere and lasted_s >= SETTLED_S:
-                # The relay that sends us away spreads its clients over time. Two that send us to
-                # and fro are another matter.
-                wait_s = 0.0
-            was_never_there = self.counters.connects == 0
-            if was_never_there and give_up_s is not None and loop.time() + wait_s >= give_up_s:
-                raise RelayUnreachableError(
-                    f"no relay answers at {self.config.url} (tried for {limit_s:g} s: "
-                    f"{'; '.join(map(str, troubles.values())) or 'it does not let us in'}); "
-                    "start one with `pica relay`, or wait for it with --wait"
-                ) from next(iter(troubles.values()), None)
-            await self._sleep(wait_s)
-
-    def _elsewhere(self) -> str:
-        """The other relay that the latest connection ended with, if we may go there."""
-        closed = self.last_closed
-        if closed is None or closed.code != CloseCode.GOING_AWAY or not closed.url:
-            return ""
-        refused = refused_redirect(closed.url, self.url, self.config.urls)
-        if refused:
-            _log.warning("the relay sends us elsewhere; not going: %s", refused)
-        return "" if refused else closed.url
-
-    async def _connect_or_leave(self, give_up_s: float | None) -> RelayWebsocket | None:
-        """Open a websocket to the next address, unless `leave` is called first."""
-        deadline = give_up_s if self.counters.connects == 0 else None
-        opening = asyncio.ensure_future(self._dialer.open_next(deadline))
-        leaving = asyncio.ensure_future(self._until_leaving())
+        self._read_token()  # a file that cannot be read is told at once
+        limit_s, target = self.config.connect_timeout_s, ""
         try:
-            await asyncio.wait({opening, leaving}, return_when=asyncio.FIRST_COMPLETED)
-            return await opening if opening.done() else None
-        finally:
-            for task in (opening, leaving):
-                task.cancel()
-            await asyncio.gather(opening, leaving, return_exceptions=True)
+            async with asyncio.timeout(limit_s) as self._first_join:
+                while not self._is_leaving:
+                    self.url = target or self.config.url
+                    try:
+                        target = await self._stay_at(self.url)
+                    except RelayUnreachableError:  # the relay that we were sent to
+                        target = ""
+        except TimeoutError as error:
+            raise RelayUnreachableError(
+                f"no relay answers at {self.config.url} (tried for {limit_s:g} s: "
+                f"{self._trouble or 'nobody answered'}); "
+                "start one with `pica relay`, or wait for it with --wait"
+            ) from (self._trouble or error)
 
-    async def _until_leaving(self) -> None:
-        while not self._is_leaving:
-            self._wake.clear()
-            await self._wake.wait()
+    async def _stay_at(self, url: str) -> str:
+        """Connect to one relay again and again.
 
-    async def _sleep(self, wait_s: float) -> None:
-        with suppress(TimeoutError):
-            async with asyncio.timeout(wait_s):
-                await self._until_leaving()
+        Returns:
+            The relay that it sent us to; "": return to the configured one.
+        """
+        loop = asyncio.get_running_loop()
+        try:
+            connecting = RelayConnect(
+                url,
+                self.config.ca_file,
+                process_exception=self._process_exception,
+                reconnect_delays=lambda: waits(self._random, LONGEST_AWAY_S),
+            )
+        except CONNECT_ERRORS as error:
+            raise RelayRefusedError(f"{url}: {refusal(error)}") from error
+        websockets = cast(AsyncGenerator[RelayWebsocket], aiter(connecting))
+        async with aclosing(websockets):
+            async for websocket in websockets:
+                joined_s, self._closed = None, None
+                try:
+                    joined_s = await self._talk(websocket)
+                except (RelayRefusedError, OptionError) as error:
+                    self._trouble = error
+                    self._refusals.receive(error, loop.time())
+                if self._is_leaving:
+                    return ""
+                is_settled = joined_s is not None and loop.time() - joined_s >= SETTLED_S
+                if is_settled:
+                    self._num_redirects = 0
+                    self._refused_waits = waits(self._random, LONGEST_REFUSED_S)
+                target = redirect_of(self._closed, url, self.config)
+                if target and self._num_redirects < MAX_REDIRECTS:
+                    self._num_redirects += 1
+                    return target
+                await asyncio.sleep(next(self._refused_waits))
+                if target or (joined_s is None and url != self.config.url):
+                    return target
+        return ""
 
-    async def _talk(self, websocket: RelayWebsocket, token: str) -> float | None:
+    def _process_exception(self, error: Exception) -> Exception | None:
+        """Return what ends the attempts to connect, or None: try again."""
+        if not isinstance(error, CONNECT_ERRORS):
+            return error
+        _log.debug("relay not reached", extra={"error": type(error).__name__})
+        self._trouble = RelayUnreachableError(trouble(error, self.url))
+        self._trouble.__cause__ = error
+        if self.url != self.config.url:
+            return self._trouble
+        reason = refusal(error)
+        return RelayRefusedError(f"{self.url}: {reason}") if reason else None
+
+    def _read_token(self) -> str:
+        return self.config.token or read_token(self.config.token_file)
+
+    async def _talk(self, websocket: RelayWebsocket) -> float | None:
         """One connection from its first byte to its last.
 
         Returns:
@@ -357,9 +347,13 @@ class Link:
 
         Raises:
             RelayRefusedError: The relay will not have us.
+            OptionError: The token file cannot be read.
         """
         loop = asyncio.get_running_loop()
         url = self.url
+        if websocket.subprotocol != SUBPROTOCOL:
+            raise RelayRefusedError(f"{url}: a websocket server that does not speak {SUBPROTOCOL}")
+        token = self._read_token()
         if self.guard is not None:
             self.guard.begin(self.config.room, shown_name(self.config.name, token))
         session = ClientSession(
@@ -370,13 +364,13 @@ class Link:
             now=loop.time(),
             seal=None if self.guard is None else self.guard.seal,
             token=token,
-            metadata=self._description.metadata,
+            metadata=self._metadata,
             resumable=True,
             # It is a secret between us and the relay that gave it.
             ticket=self._ticket if self._ticket_url == self.url else None,
         )
         self._session = session
-        self._description.note_told(loop.time())
+        self._told, self._told_s = self._metadata, loop.time()
         joined_s: float | None = None
 
         def handle(events: Sequence[ClientEvent], now: float) -> None:
@@ -384,6 +378,8 @@ class Link:
             for event in events:
                 if isinstance(event, Joined):
                     joined_s = now
+                    if self._first_join is not None:
+                        self._first_join.reschedule(None)
                     self._refusals.note_joined()
                     self.counters.connects += 1
                     self.counters.resumes += event.resumed
@@ -397,7 +393,7 @@ class Link:
         try:
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self._write(session, websocket))
-                watching = tasks.create_task(self.lookout.watch(websocket))
+                watching = tasks.create_task(watch(websocket))
                 await self._read(session, websocket, handle)
                 watching.cancel()
                 self._wake.set()  # let the writer see that it is over
@@ -409,7 +405,7 @@ class Link:
             self.counters.frames_replaced += session.drops.total()
             # In case we are cancelled: no socket outlives its link.
             websocket.transport.abort()
-        self.last_closed = closed = session.closed
+        self._closed = closed = session.closed
         if closed is not None and not self._is_leaving:
             _log.info("connection to the relay ended", extra={"code": closed.code})
             self.counters.errors += breaks_protocol(closed)
@@ -477,16 +473,20 @@ class Link:
                     session.tell(Whisper(peer_id=peer_id, data=data))
 
     def _describe(self, session: ClientSession, now: float) -> None:
-        """Queue what the others do not know of us yet, once it may be said."""
-        due_s = self._description.next_timer()
+        """Queue what the others do not know of us yet, once it may be told."""
+        due_s = self._tell_timer()
         if due_s is not None and due_s <= now and session.can_queue:
-            session.tell(UpdateMetadata(metadata=self._description.metadata))
-            self._description.note_told(now)
+            session.tell(UpdateMetadata(metadata=self._metadata))
+            self._told, self._told_s = self._metadata, now
+
+    def _tell_timer(self) -> float | None:
+        """Return when the relay may be told our metadata; None: it knows it."""
+        return None if self._metadata == self._told else self._told_s + TELL_INTERVAL_S
 
     async def _until_woken(self) -> float:
         """Wait until there may be something to write, by a timer too; return the time."""
         timers = [None if self.guard is None else self.guard.next_timer()]
         if self._session is not None and self.is_joined:
-            timers += [self._description.next_timer(), self._session.frames_due_s]
+            timers += [self._tell_timer(), self._session.frames_due_s]
         timer = min((each for each in timers if each is not None), default=None)
         return await wait_until(self._wake, timer)

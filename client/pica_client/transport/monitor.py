@@ -109,8 +109,7 @@ class CallMonitor:
 
 def invitation(url: str, room: str) -> str:
     """A link that leads to a room; whom a relay wants a token of needs one of their own."""
-    first = next(filter(None, map(str.strip, url.split(","))))
-    return make_link(Invite(url=first, room=room))
+    return make_link(Invite(url=url, room=room))
 
 
 def _bits_per_s(before: StreamHealth | None, after: StreamHealth, elapsed_s: float) -> float | None:

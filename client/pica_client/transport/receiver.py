@@ -16,7 +16,6 @@ from pica_client.call.call import Call
 from pica_client.publish.face_track import FACE_TRACK, RECORDS_KEY, RECORDS_YES
 from pica_client.publish.publisher import Publisher
 from pica_client.transport.config import LinkConfig
-from pica_client.transport.dialer import Connector
 from pica_client.transport.link import Link
 from pica_client.transport.link_news import LinkNews
 from pica_client.transport.timers import wait_until
@@ -47,7 +46,6 @@ class Receiver:
         call: Call,
         *,
         publisher: Publisher | None = None,
-        connector: Connector | None = None,
         rng: random.Random | None = None,
         giver: AvatarGiver | None = None,
         news: LinkNews | None = None,
@@ -55,7 +53,7 @@ class Receiver:
         on_voice: OnVoice | None = None,
         takes_faces: bool = True,
     ) -> None:
-        """Prepare; see `Link` for connector and rng. With a publisher, a face is sent as well, over
+        """Prepare; see `Link` for rng. With a publisher, a face is sent as well, over
         the same link: the relay does not send it back; with a voice, that too. A giver gives its
         avatar's file to each relay that we join; `news` hears of the link. ``on_voice`` is handed
         the voices of the others, see `OnVoice`; without it none are sent to us, and without
@@ -72,7 +70,7 @@ class Receiver:
         self.voices = VoiceReceiver(on_voice)
         self._takes_faces = takes_faces
         tracks = tuple(each.track for each in (publisher, voice) if each is not None)
-        self.link = Link(link_config, tracks, on_event=self._on_event, connector=connector, rng=rng)
+        self.link = Link(link_config, tracks, on_event=self._on_event, rng=rng)
         guard = self.link.guard
         call.seal_status = lambda: None if guard is None else guard.status
         self.arrived = asyncio.Event()

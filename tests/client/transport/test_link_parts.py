@@ -1,4 +1,4 @@
-"""The pure parts of the shells: backoff, pacing, percentiles, wire cost, options."""
+"""The pure parts of the shells: pacing, percentiles, wire cost, options."""
 
 from __future__ import annotations
 
@@ -13,28 +13,9 @@ from pica_client.local_call.local_call import peer_sources
 from pica_client.publish.pacer import Pacer
 from pica_client.publish.sender import SenderConfig
 from pica_client.stats import Samples, summarise_ms, wire_bytes
-from pica_client.transport.backoff import Backoff
-from pica_client.transport.config import LinkConfig
-from pica_client.transport.self_description import shown_name
+from pica_client.transport.config import LinkConfig, shown_name
 
 pytestmark = pytest.mark.unit
-
-
-def test_waits_double_up_to_the_longest() -> None:
-    backoff = Backoff(lambda: 1.0)
-    assert [backoff.next_wait_s(0) for _ in range(7)] == [0.25, 0.5, 1, 2, 4, 8, 8]
-
-
-def test_chance_shortens_a_wait_by_at_most_half() -> None:
-    assert Backoff(lambda: 0.0).next_wait_s(0) == pytest.approx(0.125)
-
-
-def test_after_a_connection_that_held_the_first_wait_is_short_again() -> None:
-    backoff = Backoff(lambda: 1.0)
-    for _ in range(6):
-        backoff.next_wait_s(0.1)  # accepted and thrown out each time: keeps growing
-    assert backoff.next_wait_s(0.1) == 8
-    assert backoff.next_wait_s(60.0) == 0.25
 
 
 def test_a_schedule_does_not_drift_when_every_frame_is_a_little_late() -> None:

@@ -9,18 +9,23 @@ import pytest
 
 from helpers.certificates import write_certificate
 from pica_client.errors import RelayRefusedError
-from pica_client.transport.connect import open_websocket, trouble
-from pica_client.transport.dialer import Dialer
+from pica_client.transport.config import LinkConfig
+from pica_client.transport.connect import RelayConnect, trouble
+from pica_client.transport.link import Link
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
 
 pytestmark = pytest.mark.call
 
 
+async def _run(url: str) -> None:
+    await Link(LinkConfig(url=url)).run()
+
+
 async def said_of(url: str) -> str:
-    """What the dialer tells its user of a failed attempt."""
+    """What a link tells its user of a failed attempt."""
     try:
-        await open_websocket(url)
+        await RelayConnect(url)
     except Exception as error:
         return trouble(error, url)
     raise AssertionError("that was a relay")
@@ -83,7 +88,7 @@ def test_a_redirect_of_http_is_not_followed(target: str) -> None:
             port = server.sockets[0].getsockname()[1]
             url = f"ws://127.0.0.1:{port}"
             with pytest.raises(RelayRefusedError, match="answers HTTP 302, not as a relay"):
-                await Dialer((url,), open_websocket).open(url, None)
+                await _run(url)
 
     asyncio.run(main())
     assert len(lines) == 1
@@ -102,4 +107,4 @@ def test_an_address_or_a_proxy_that_cannot_be_is_named(
 ) -> None:
     monkeypatch.setenv("https_proxy", proxy)
     with pytest.raises(RelayRefusedError, match=told):
-        asyncio.run(Dialer((url,), open_websocket).open(url, None))
+        asyncio.run(_run(url))

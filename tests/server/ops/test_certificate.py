@@ -17,7 +17,7 @@ import pytest
 from helpers.certificates import write_certificate
 from pica_client.errors import OptionError, RelayRefusedError
 from pica_client.transport.config import LinkConfig
-from pica_client.transport.connect import open_websocket
+from pica_client.transport.connect import RelayConnect
 from pica_client.transport.link import Link
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Joined, Track
@@ -125,7 +125,7 @@ def test_new_connections_get_the_new_certificate_and_a_call_goes_on(
             relay.certificate.reload()
             served = await asyncio.to_thread(served_certificate, "127.0.0.1", port)
             assert served == ssl.PEM_cert_to_DER_cert(renewed.read_text())
-            websocket = await open_websocket(relay.url, renewed)
+            websocket = await RelayConnect(relay.url, renewed)
             assert bound_tls_buffer(websocket.transport)
             await websocket.close()
             assert link.is_joined
@@ -185,7 +185,7 @@ def test_whom_a_client_does_not_trust_it_does_not_join(cert: Path, tmp_path: Pat
 
 
 def test_certificates_to_trust_are_for_wss() -> None:
-    with pytest.raises(OptionError, match="ca-file says whom to trust with wss://"):
+    with pytest.raises(OptionError, match="ca-file requires a wss:// URL"):
         LinkConfig(url="ws://a", ca_file=Path("ca.pem"))
 
 
@@ -304,7 +304,7 @@ def test_sockets_in_a_tls_handshake_are_counted_and_free_their_places(cert: Path
             silent[1][1].write(b"no TLS at all")
             with suppress(ConnectionResetError):
                 await silent[1][0].read()
-            websocket = await open_websocket(relay.url, cert)
+            websocket = await RelayConnect(relay.url, cert)
             await websocket.close()
             for each in (writer, silent[1][1]):
                 each.transport.abort()
