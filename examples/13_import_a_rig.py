@@ -14,7 +14,7 @@ import numpy as np
 from PIL import Image
 
 from pica_core.capture.dataset.sheet import write_sheet
-from pica_core.capture.stage.rig import RigSubject
+from pica_core.capture.stage.subject import RigSubject
 from pica_core.capture.stage.synth import RenderOptions, render_subject
 
 OUT = Path(sys.argv[1] if len(sys.argv) > 1 else "out")

@@ -12,8 +12,8 @@ import struct
 import time
 
 from pica_client.publish.sender import Sender, SenderConfig
-from pica_client.sources.live.opening import open_live
-from pica_client.sources.live.udp import UdpTracker
+from pica_client.sources.live.tracker import UdpTracker
+from pica_client.sources.registry import open_live
 from pica_client.transport.config import LinkConfig
 from pica_core.avatar.arkit import ARKIT_INDEX
 from pica_core.avatar.file import avatar_id, load_avatar

@@ -15,8 +15,8 @@ from pythonosc.osc_message_builder import build_msg
 
 from pica_client.local_call.processes import Children
 from pica_client.sources import open_source
-from pica_client.sources.live.opening import open_live
 from pica_client.sources.live.take import TakeRecorder
+from pica_client.sources.registry import open_live
 from pica_core.avatar.arkit import ARKIT_NAMES, ExpressionFrame
 from pica_core.avatar.shipped import shipped_avatar_files
 

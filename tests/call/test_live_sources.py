@@ -20,8 +20,8 @@ from helpers.toy import make_toy_avatar
 from pica_client.call.call import Call
 from pica_client.cli.track import CalibrateOptions, TrackOptions, calibrate, track
 from pica_client.publish.sender import Sender, SenderConfig
-from pica_client.sources.live.opening import decoder_of, open_live
-from pica_client.sources.live.udp import UdpOptions, UdpTracker
+from pica_client.sources.live.tracker import UdpOptions, UdpTracker
+from pica_client.sources.registry import decoder_of, open_live
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.receiver import Receiver
 from pica_server.config.relay import RelayConfig

@@ -155,7 +155,7 @@ def _subject(config: DriveBenchConfig, avatar: Avatar) -> Subject:
     subject: Subject
     if config.rig is not None:
         # Only here: rigs need an extra that a viewer lacks.
-        from pica_core.capture.stage.rig import RigSubject
+        from pica_core.capture.stage.subject import RigSubject
 
         subject = RigSubject(config.rig)
     elif config.person is not None:

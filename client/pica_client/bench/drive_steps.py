@@ -22,10 +22,8 @@ import numpy as np
 
 from pica_client.bench.codec import FPS, code_stream
 from pica_client.sources import Source, open_source
-from pica_client.sources.live.calibration import Calibration, calibrate
-from pica_client.sources.live.live_face import LiveFace
-from pica_client.sources.live.sample import TrackerSample
-from pica_client.sources.live.smoothing import BLINKS
+from pica_client.sources.live.calibration import BLINKS, Calibration, calibrate
+from pica_client.sources.live.live_face import LiveFace, TrackerSample
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT, ExpressionFrame
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar

@@ -13,15 +13,19 @@ from rich.table import Table
 
 from pica_client.errors import OptionError, SourceError, check_ranges
 from pica_client.output import check_writable, say
-from pica_client.sources.live.calibration import MAX_GAIN, Calibration
+from pica_client.sources.live.calibration import MAX_GAIN, Calibration, sound_offset
 from pica_client.sources.live.calibration import calibrate as calibration_of_samples
-from pica_client.sources.live.opening import LIVE_HELP, TRACKER_KINDS, open_live
-from pica_client.sources.live.report import TrackReport
-from pica_client.sources.live.sample import TrackerSample
-from pica_client.sources.live.sound_offset import sound_offset
-from pica_client.sources.live.take import TakeRecorder
+from pica_client.sources.live.live_face import TrackerSample
+from pica_client.sources.live.take import TakeRecorder, TrackReport
 from pica_client.sources.live.tracker import SampleTap, Tracker
-from pica_client.sources.registry import calibration_of, calibrations, split_source
+from pica_client.sources.registry import (
+    LIVE_HELP,
+    TRACKER_KINDS,
+    calibration_of,
+    calibrations,
+    open_live,
+    split_source,
+)
 from pica_client.voice.packet import FRAME_S, SAMPLE_RATE_HZ
 from pica_client.voice.sound.devices import Microphone
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES

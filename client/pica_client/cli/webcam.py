@@ -6,7 +6,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from pica_client.output import say
-from pica_client.sources.webcam.model import SHA256, URL, install
+from pica_client.sources.webcam.networks import SHA256, URL, install
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

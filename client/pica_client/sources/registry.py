@@ -7,19 +7,111 @@ voice                                 none: the face is moved by the voice alone
 livelink, vmc, webcam, ...            trackers; see `live.opening`
 """
 
+import ipaddress
 import math
 from collections.abc import Callable
 from pathlib import Path
+from typing import Final
 
 from pica_client.errors import SourceError
 from pica_client.output import say
 from pica_client.sources.live.calibration import Calibration, CalibrationStore
-from pica_client.sources.live.opening import LIVE_HELP, LIVE_KINDS, TRACKER_KINDS, open_live
+from pica_client.sources.live.datagrams import (
+    LIVELINK_PORT,
+    REQUESTS,
+    VMC_PORT,
+    VmcDecoder,
+    decode_ifacialmocap,
+    decode_livelink,
+)
 from pica_client.sources.live.take import load_take
+from pica_client.sources.live.tracker import (
+    ANY_HOST,
+    LOOPBACK,
+    Decode,
+    SampleTap,
+    Tracker,
+    UdpOptions,
+    UdpTracker,
+)
 from pica_client.sources.livelink_csv import load_livelink_csv
 from pica_client.sources.performances import PERFORMANCES, make_performance
 from pica_client.sources.source import Recording, Source, Unseen
 from pica_client.user_folders import preferences_folder
+
+LIVE_HELP: Final = (
+    "livelink[:lan][:PORT][/SUBJECT], vmc[:lan][:PORT], ifacialmocap:PHONE_IP, "
+    "facemotion3d:PHONE_IP or webcam[:DEVICE|FILE] for a face as it moves"
+)
+LIVE_KINDS: Final = ("livelink", "vmc", *REQUESTS)
+"""Trackers that send datagrams."""
+TRACKER_KINDS: Final = (*LIVE_KINDS, "webcam")
+"""All live sources."""
+
+
+def decoder_of(kind: str) -> Callable[[], Decode]:
+    """What makes a decoder for the datagrams of one sender, by the kind of tracker."""
+    if kind == "vmc":
+        return lambda: VmcDecoder().decode
+    read = decode_livelink if kind == "livelink" else decode_ifacialmocap
+    return lambda: lambda packet: (read(packet),)
+
+
+def open_live(
+    kind: str, rest: str, calibration: Calibration | None = None, tap: SampleTap | None = None
+) -> Tracker:
+    """Begin to read a tracker.
+
+    Args:
+        kind: One of `TRACKER_KINDS`.
+        rest: What the user wrote behind the kind, without the colon.
+        tap: Sees what arrives.
+
+    Raises:
+        SourceError: The text is of another form, or the port, the camera or what it needs is not to
+            be had; says what to do.
+    """
+    if kind == "webcam":
+        # Only here: its networks need packages of their own.
+        from pica_client.sources.webcam.networks import load_networks
+        from pica_client.sources.webcam.webcam import Webcam
+
+        return Webcam(rest, load_networks(), calibration, tap)
+    return UdpTracker(parse_live(kind, rest), decoder_of(kind), calibration, tap)
+
+
+def parse_live(kind: str, rest: str) -> UdpOptions:
+    """Read what stands behind the kind.
+
+    Raises:
+        SourceError: It is of another form.
+    """
+    if kind in REQUESTS:
+        try:
+            phone = ipaddress.IPv4Address(rest)
+        except ValueError:
+            raise SourceError(
+                f"{kind}:{rest} needs the phone's address, which the app shows: {kind}:192.168.0.7"
+            ) from None
+        port, request = REQUESTS[kind]
+        # A program that plays the phone on this machine has the same port, at another address.
+        host = LOOPBACK if phone.is_loopback else ANY_HOST
+        return UdpOptions(kind, port, phone=str(phone), request=request, host=host)
+    place, _, subject = rest.partition("/")
+    host, colon, number = ("lan", ":", "") if place == "lan" else place.rpartition(":")
+    port = LIVELINK_PORT if kind == "livelink" else VMC_PORT
+    if number and not (number.isdecimal() and int(number) < 65_536):
+        raise SourceError(f"{kind}:{rest}: {number!r} is no port; write {kind}:{port}")
+    if host == "lan":
+        host = ANY_HOST
+    elif colon:
+        try:
+            host = str(ipaddress.IPv4Address(host))
+        except ValueError:
+            raise SourceError(f"{kind}:{rest}: {host!r} is no address of this machine") from None
+    port = int(number) if number else port
+    return UdpOptions(kind, port, subject=subject, host=host or LOOPBACK)
+
 
 SOURCE_HELP = (
     "csv:FILE[@SECONDS] for a Live Link Face recording, take:FILE[@SECONDS] for a recorded take, "

@@ -27,6 +27,8 @@ ARKIT_NAMES: tuple[str, ...] = (
 )
 NUM_ARKIT = 52
 ARKIT_INDEX: dict[str, int] = {name: index for index, name in enumerate(ARKIT_NAMES)}
+EYE_YAW, EYE_PITCH_UP, EYE_PITCH_DOWN = np.radians([35.0, 25.0, 28.0])
+"""Gaze at a look shape of 1, radians."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -2,18 +2,51 @@
 
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as ProgressBar
 
 from pica_core.capture.dataset.check import PIXEL_FRAMES, check_capture
+from pica_core.capture.dataset.multiface import write_aside
 from pica_core.capture.dataset.sheet import write_sheet
-from pica_core.capture.stage.progress import rendering_bar
-from pica_core.capture.stage.synth import Progress, RenderOptions
+from pica_core.capture.person.choices import (
+    CLIP,
+    NAMED,
+    Person,
+    draw_person,
+    read_coefficients,
+    read_person,
+)
+from pica_core.capture.person.subject import PersonSubject
+from pica_core.capture.stage.subject import RigSubject
+from pica_core.capture.stage.synth import Progress, RenderOptions, render_subject
 from pica_core.errors import CaptureError
+
+
+@contextmanager
+def rendering_bar(console: Console, frames: int) -> Iterator[Callable[[int, int], None]]:
+    """Show how many frames are done and how long the others will take; nothing without a terminal.
+
+    Yields what to call with frames done and frames in all.
+    """
+    columns = (
+        TextColumn("rendering"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("frames"),
+        TimeRemainingColumn(),
+    )
+    with ProgressBar(*columns, console=console, disable=not console.is_terminal) as bar:
+        task = bar.add_task("render", total=frames)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
 
 SHOWN_PROBLEMS = 20
 """Problems that are shown; all are in the result."""
@@ -115,3 +148,126 @@ def sheet(options: SheetOptions) -> dict[str, Any]:
     result = write_sheet(options.capture, options.out)
     Console(stderr=True).print(f"contact sheet in {options.out}")
     return result
+
+
+FILE = "person.json"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PersonOptions(RenderArguments):
+    """Options of `pica capture person`. What is not named is drawn from the seed."""
+
+    lenses: str = "mixed"
+    """mixed: some cameras look at mouth and eyes from near; one: all have one lens and look at the
+    head, as in the paper's dome."""
+    person: Path | None = None
+    """A person.json: makes that person again."""
+    coefficients: Path | None = None
+    """JSON list of up to 100 coefficients of the identity modes, instead of drawn ones."""
+    sex: str | None = None
+    """female or male."""
+    age: int | None = None
+    """Years, 18 to 90."""
+    skin: float | None = None
+    """Tone of the skin, 1 (lightest) to 6 (darkest)."""
+    hair: str | None = None
+    """bald, buzz, short, swept, parted, receding, curly, afro, bob, long or tied."""
+    hair_colour: str | None = None
+    """black, brown, light_brown, blond, red, grey or white."""
+    beard: str | None = None
+    """none, stubble, moustache, goatee, short or full."""
+    eyes: str | None = None
+    """brown, dark, hazel, green, blue or grey."""
+    clothes: str | None = None
+    """tee, vneck, shirt, turtleneck or hoodie."""
+    clothes_colour: str | None = None
+    """white, charcoal, navy, burgundy, olive, teal, ochre, sand or lilac."""
+
+    def choose(self) -> tuple[Person, int]:
+        """The person that is meant, and how many coefficients were clipped."""
+        names = (*NAMED, "age", "skin")
+        chosen = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        if self.person is not None:
+            if chosen or self.coefficients is not None:
+                named = [*chosen, "coefficients"][0]
+                raise CaptureError(f"--person says all; leave out --{named.replace('_', '-')}")
+            return read_person(self.person)
+        clipped = 0
+        if self.coefficients is not None:
+            chosen["coefficients"], clipped = read_coefficients(self.coefficients)
+        return draw_person(self.seed, **chosen), clipped
+
+
+def person(options: PersonOptions) -> dict[str, Any]:
+    """Render a person of the face model into a capture directory."""
+    stage = RenderOptions(lenses=options.lenses, **options.values())
+    console = Console(stderr=True, highlight=False)
+    who, clipped = options.choose()
+    if clipped:
+        console.print(f"{clipped} coefficients were beyond {CLIP:g} and were clipped")
+    console.print(
+        f"{who.sex}, {who.age} years, skin {who.skin:g}, hair {who.hair} {who.hair_colour}, "
+        f"beard {who.beard}, eyes {who.eyes}, {who.clothes} {who.clothes_colour}"
+    )
+    notes: list[str] = []
+
+    def make() -> PersonSubject:
+        subject = PersonSubject(who, bake_size=baked_side(stage))
+        for note in subject.notes:
+            console.print(note)
+        notes.extend(subject.notes)
+        return subject
+
+    made = options.render(console, lambda show: render_subject(make, stage, options.out, show))
+    write_aside(options.out / FILE, who.as_json().encode())
+    return made | {
+        "notes": notes,
+        "clipped": clipped,
+        "largest_coefficient": float(np.abs(who.coefficients).max()),
+        "person": str(options.out / FILE),
+    }
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RigOptions(RenderArguments):
+    """Options of `pica capture rig`."""
+
+    rig: Path
+    """A .glb, .vrm or .gltf file with morph targets, or a folder of OBJ files of one topology."""
+    map: Path | None = None
+    """JSON file of source names to ARKit names (or null), which goes before the rules."""
+    albedo: tuple[str, ...] = ()
+    """Base colour images: FILE for the material with most triangles, or MATERIAL=FILE. What has no
+    image is painted."""
+
+
+def rig(options: RigOptions) -> dict[str, Any]:
+    """Render a head of your own, one with blendshapes, into a capture directory."""
+    stage = RenderOptions(**options.values())
+    console = Console(stderr=True)
+    about: dict[str, Any] = {}
+
+    def make() -> RigSubject:
+        subject = RigSubject(options.rig, options.map, options.albedo, bake_size=baked_side(stage))
+        about.update(subject.describe()["rig"])
+        _tell(console, about)
+        return subject
+
+    made = options.render(console, lambda show: render_subject(make, stage, options.out, show))
+    return made | about
+
+
+def _tell(console: Console, about: dict[str, Any]) -> None:
+    """Say what was understood, for somebody who wonders why their head looks odd."""
+    console.print(
+        f"{len(about['mapped'])} shapes mapped, {len(about['missing'])} ARKit shapes missing, "
+        f"{len(about['ignored'])} shapes ignored; unit {about['unit']}, axes {about['axes']}"
+    )
+    for name, text in (
+        ("missing", "missing"),
+        ("ignored", "ignored"),
+        ("left_out_materials", "materials left out"),
+        ("guessed", "assumed"),
+    ):
+        if about[name]:
+            console.print(f"{text}: {', '.join(about[name])}", highlight=False)

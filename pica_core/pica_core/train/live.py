@@ -1,6 +1,6 @@
 """The live encoder in closed form: a ridge regression from expressions, and what of them bends.
 
-Geometry learns more from many posed meshes than from a capture's frames (`capture.stage.poses`).
+Geometry learns more from many posed meshes than from a capture's frames (`capture.stage.synth`).
 """
 
 import numpy as np
@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from pica_core.avatar.arkit import NUM_ARKIT
-from pica_core.capture.stage.poses import Poses
+from pica_core.capture.stage.synth import Poses
 from pica_core.latent import LATENT_CHANNELS
 from pica_core.model.bases import Bases
 from pica_core.model.interface import ExpressionEncoder

@@ -15,7 +15,7 @@ from torch import Tensor
 from torch.profiler import record_function
 
 from pica_core.camera import Camera
-from pica_core.capture.stage.poses import read_picture, read_poses
+from pica_core.capture.stage.synth import read_picture, read_poses
 from pica_core.capture.stage.tracked_topology import COVER
 from pica_core.model.encoder import hold_log_variance, reparameterise
 from pica_core.model.interface import AvatarModel, DecodedMesh, flat_latent

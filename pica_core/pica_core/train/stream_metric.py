@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from pica_core.capture.stage.dome import dome_cameras
-from pica_core.capture.stage.stream_training_faces import stream_training_performances
+from pica_core.capture.stage.expressions import stream_training_performances
 from pica_core.codec.learning import RenderMetric, learn_profile
 from pica_core.codec.profile import StreamProfile
 from pica_core.latent import LATENT_SHAPE, NUM_LATENT

@@ -15,8 +15,8 @@ from pica_client.publish.face_desk import REST_S, FaceDesk
 from pica_client.publish.publisher import Publisher, SenderConfig
 from pica_client.sources import Tracker, open_source
 from pica_client.sources.live.calibration import Calibration, CalibrationStore
-from pica_client.sources.live.sample import TrackerSample
-from pica_client.sources.live.udp import UdpTracker
+from pica_client.sources.live.live_face import TrackerSample
+from pica_client.sources.live.tracker import UdpTracker
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 
 pytestmark = pytest.mark.unit

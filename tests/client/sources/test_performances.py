@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pytest
 
 from pica_client.errors import SourceError
-from pica_client.sources import tracks
+from pica_client.sources import performances as tracks
 from pica_client.sources.performances import PERFORMANCES, make_performance
 from pica_client.sources.source import Recording
 from pica_core.avatar.arkit import ARKIT_INDEX

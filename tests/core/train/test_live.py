@@ -15,15 +15,15 @@ from pica_core.avatar.linear import components_of
 from pica_core.avatar.shipped import avatar_file
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.stage.expressions import sample_takes
-from pica_core.capture.stage.poses import (
+from pica_core.capture.stage.synth import (
     Poses,
+    RenderOptions,
     picture_path,
     pose_expressions,
     read_picture,
     read_poses,
     write_poses,
 )
-from pica_core.capture.stage.synth import RenderOptions
 from pica_core.errors import CaptureError
 from pica_core.latent import NUM_LATENT
 from pica_core.model.bases import Bases

@@ -9,17 +9,128 @@ without a snap.
 
 from bisect import bisect_right
 from collections import Counter, deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 
 from pica_client.playout.rotation import blend_rotations
-from pica_client.sources.live.calibration import Calibration
-from pica_client.sources.live.sample import TrackerSample
-from pica_client.sources.live.smoothing import Smoother
-from pica_core.avatar.arkit import NUM_ARKIT, ExpressionFrame
+from pica_client.sources.live.calibration import BLINKS, GAZE, Calibration
+from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES, NUM_ARKIT, ExpressionFrame
 from pica_core.types import Float64Array, FloatArray
+
+DERIVATIVE_CUTOFF_HZ: Final = 1.0
+REGIONS: Final[dict[tuple[str, ...], tuple[float, float]]] = {
+    ("eyeBlink", "eyeLook"): (12.0, 20.0),
+    ("jaw", "mouth", "tongue"): (5.0, 6.0),
+    ("eye", "brow", "cheek", "nose"): (2.5, 3.0),
+}
+"""Least cutoff in hertz, and what a unit a second adds to it, by how the names begin."""
+HEAD: Final = (2.0, 4.0)
+"""The same for the rotation vector of the head, radians."""
+OFFSET: Final = (2.0, 20.0)
+"""The same for the head's offset from its seat, metres."""
+CLOSED: Final = 0.5
+"""Lids that are both this far down hide where the eyes look, and trackers guess it."""
+
+
+def _of_shape(name: str) -> tuple[float, float]:
+    return next(each for starts, each in REGIONS.items() if name.startswith(starts))
+
+
+_CUTOFF_HZ, _SPEED_FACTOR = np.array([*map(_of_shape, ARKIT_NAMES), *[HEAD] * 3, *[OFFSET] * 3]).T
+
+
+class Smoother:
+    """The filter's state, for the 52 shapes and the head's rotation vector and offset."""
+
+    def __init__(self) -> None:
+        self._value: Float64Array | None = None
+        self._speed = np.zeros(len(_CUTOFF_HZ))
+        self._gaze = np.zeros(int(GAZE.sum()))
+
+    def reset(self) -> None:
+        """Forget the past: the next sample comes through as it is."""
+        self._value = None
+
+    def smooth(
+        self, arkit: FloatArray, rotation: FloatArray, offset_m: FloatArray, step_s: float
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Filter the next sample, `step_s` > 0 after the one before; the gaze rests while both eyes
+        are closed. Finite, float32 ``[52]``, ``[3]`` and ``[3]``."""
+        raw = np.concatenate((arkit, rotation, offset_m)).astype(np.float64)
+        count = len(arkit)
+        if self._value is None:
+            self._value, self._speed = raw, np.zeros_like(raw)
+            self._gaze = raw[:count][GAZE]
+        else:
+            speed = (raw - self._value) / step_s
+            self._speed += _share(DERIVATIVE_CUTOFF_HZ, step_s) * (speed - self._speed)
+            cutoff_hz = _CUTOFF_HZ + _SPEED_FACTOR * np.abs(self._speed)
+            self._value = self._value + _share(cutoff_hz, step_s) * (raw - self._value)
+        smoothed = self._value.astype(np.float32)
+        if min(smoothed[BLINKS[0]], smoothed[BLINKS[1]]) > CLOSED:
+            smoothed[:count][GAZE] = self._gaze
+        else:
+            self._gaze = self._value[:count][GAZE]
+        return smoothed[:count], smoothed[count : count + 3], smoothed[count + 3 :]
+
+
+def _share(cutoff_hz: Float64Array | float, step_s: float) -> Float64Array | float:
+    """How much of a new sample a low-pass takes."""
+    turn = 2 * np.pi * cutoff_hz * step_s
+    share: Float64Array | float = turn / (1 + turn)
+    return share
+
+
+VALUE_LIMIT = 4.0
+"""Blendshape values beyond this are no face (chosen: real recordings reach 1.05)."""
+
+
+class PacketError(Exception):
+    """A datagram that is not what the tracker should send; says how to mend it, if that is
+    known."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TrackerSample:
+    """One sample of a live tracker.
+
+    Attributes:
+        tracker_s: When the face looked like this on the tracker's clock, seconds; None if the
+            tracker does not say.
+        arkit: Blendshape values in `ARKIT_NAMES` order; NaN where the tracker sends none. float32
+            ``[52]``.
+        rotation: Head rotation vector, radians, head frame. float32 ``[3]``.
+        place_m: Where the head is before the tracker, metres, axes of a head that looks at it (+x
+            the subject's left, +y up, +z towards the tracker); None if the tracker does not say.
+            float32 ``[3]``.
+        has_face: False while the tracker sees nobody.
+        subject: Whose face it is, as the tracker calls it.
+    """
+
+    tracker_s: float | None = None
+    arkit: FloatArray = field(default_factory=lambda: np.full(NUM_ARKIT, np.nan, np.float32))
+    rotation: FloatArray = field(default_factory=lambda: np.zeros(3, np.float32))
+    place_m: FloatArray | None = None
+    has_face: bool = True
+    subject: str = ""
+
+
+def arkit_from_names(values: dict[str, float]) -> FloatArray:
+    """Put values by ARKit name, in any case, into their order: float32 ``[52]``, NaN where no value
+    was given. Names that ARKit does not have are left out."""
+    arkit = np.full(NUM_ARKIT, np.nan, np.float32)
+    for name, value in values.items():
+        index = INDEX_BY_FOLDED_NAME.get(name.lower())
+        if index is not None:
+            arkit[index] = value
+    return arkit
+
+
+INDEX_BY_FOLDED_NAME = {name.lower(): index for name, index in ARKIT_INDEX.items()}
+"""Place of each shape by its name in lower case."""
+
 
 FOLLOWS_S: Final = 8.0
 """How long the seat takes to come two thirds of the way."""

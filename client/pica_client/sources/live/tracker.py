@@ -1,16 +1,18 @@
 """What all live sources share: samples go in when they come, a face comes out when it is asked
 for."""
 
+import socket
 import threading
 import time
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
 
+from pica_client.errors import SourceError
 from pica_client.sources.live.calibration import Calibration
-from pica_client.sources.live.live_face import LiveFace
-from pica_client.sources.live.sample import TrackerSample
+from pica_client.sources.live.live_face import LiveFace, PacketError, TrackerSample
 from pica_core.avatar.arkit import ExpressionFrame
 from pica_core.types import Image
 
@@ -73,3 +75,172 @@ class Tracker(ABC):
             self.face.push(sample, arrived_s)
         if self._tap is not None:
             self._tap(sample, arrived_s, time.monotonic() - began_s)
+
+
+READ_BYTES: Final = 16_384
+"""Longest datagram that is read whole; a longer one is damaged."""
+POLL_S: Final = 0.2
+"""How often the thread looks whether it should end, while nothing comes."""
+SILENT_S: Final = 3.0
+"""After this long without a datagram the user is told where the tracker must send to, and a phone
+that was asked is asked again."""
+MAX_SUBJECTS: Final = 8
+"""Faces told apart on one port."""
+
+LOOPBACK, ANY_HOST = "127.0.0.1", "0.0.0.0"
+
+Decode = Callable[[bytes], Sequence[TrackerSample]]
+"""Reads one datagram; raises `PacketError`."""
+
+
+@dataclass(frozen=True, slots=True)
+class UdpOptions:
+    """Where a tracker sends to.
+
+    Attributes:
+        kind: The source's name, as the user writes it.
+        port: Ours, and the phone's that is asked; 0 takes a free one.
+        subject: The face to take; empty takes the first that comes, and the next one once that
+            is silent.
+        phone: Address of a phone that sends only when asked; empty for who sends by itself.
+        request: How it is asked; empty: it is not.
+        host: Our address that receives; programs of other machines reach `ANY_HOST` alone.
+    """
+
+    kind: str
+    port: int
+    subject: str = ""
+    phone: str = ""
+    request: bytes = b""
+    host: str = LOOPBACK
+
+
+class UdpTracker(Tracker):
+    """A live source on a UDP port; it listens from its making to `close`.
+
+    The first address that sends a face is the tracker; others are refused until it is silent.
+
+    Attributes:
+        sender: Address that sends the face; empty before the first one.
+    """
+
+    def __init__(
+        self,
+        options: UdpOptions,
+        make_decoder: Callable[[], Decode],
+        calibration: Calibration | None = None,
+        tap: SampleTap | None = None,
+    ) -> None:
+        """Listen.
+
+        Raises:
+            SourceError: The port is in use, or is not ours to take.
+        """
+        super().__init__(calibration, tap)
+        self._options = options
+        self._make_decoder, self._decode = make_decoder, make_decoder()
+        self.sender = ""
+        self._last_address = ""
+        self._heard_s = time.monotonic()
+        self._has_heard, self._subject = False, options.subject
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._socket.bind((options.host, options.port))
+        except OSError as error:
+            self._socket.close()
+            raise SourceError(
+                f"{options.kind}: UDP port {options.port}: {error.strerror}; end the program that "
+                f"has it, or name another one: {options.kind}:PORT"
+            ) from error
+        self._socket.settimeout(POLL_S)
+        self._thread.start()
+
+    @property
+    def port(self) -> int:
+        """The port that the tracker must send to."""
+        port: int = self._socket.getsockname()[1]
+        return port
+
+    @property
+    def trouble(self) -> str:
+        """Say what is wrong, see `Tracker.trouble`."""
+        options = self._options
+        if time.monotonic() - self._heard_s < SILENT_S:
+            return ""
+        if options.phone:
+            return f"{options.kind}: {options.phone} does not answer; is the app open there?"
+        if self.refused and not self._has_heard:
+            reason, _ = self.refused.most_common(1)[0]
+            return f"{options.kind}: datagrams come, but: {reason}"
+        others = ", ".join(repr(each) for each in tuple(self.subjects) if each != options.subject)
+        if options.subject and others:
+            return f"{options.kind}: no face of {options.subject!r} comes, but of {others}"
+        silent = "no more datagrams" if self._has_heard else "no datagram yet"
+        if options.host == LOOPBACK:
+            return (
+                f"{options.kind}: {silent} of this machine at port {self.port}; for a phone or "
+                f"another machine use {options.kind}:lan"
+            )
+        return (
+            f"{options.kind}: {silent}; the tracker must send to {own_address()}, port {self.port}"
+        )
+
+    def close(self) -> None:
+        """Stop listening, and free the port."""
+        super().close()
+        self._socket.close()
+
+    def _read(self) -> None:
+        asked_s = -SILENT_S
+        while not self._closing.is_set():
+            now = time.monotonic()
+            if self._options.request and now - max(asked_s, self._heard_s) > SILENT_S:
+                self._ask()
+                asked_s = now
+            try:
+                packet, (address, _) = self._socket.recvfrom(READ_BYTES)
+            except OSError:  # the wait is over; or somebody's port is closed, as Windows tells
+                continue
+            if not self._options.phone or address == self._options.phone:
+                self._take(packet, address, time.monotonic())
+
+    def _ask(self) -> None:
+        options = self._options
+        try:
+            self._socket.sendto(options.request, (options.phone, options.port))
+        except OSError as error:
+            self.refused[f"the phone cannot be reached: {error.strerror}"] += 1
+
+    def _take(self, packet: bytes, address: str, arrived_s: float) -> None:
+        is_silent = not self._has_heard or arrived_s - self._heard_s > SILENT_S
+        if not is_silent and address != self.sender:
+            self.refused["another machine sends, too"] += 1
+            return
+        if address != self._last_address:
+            self._last_address, self._decode = address, self._make_decoder()
+        try:
+            samples = self._decode(packet)
+        except PacketError as error:
+            self.refused[str(error)] += 1
+            return
+        for sample in samples:
+            if len(self.subjects) < MAX_SUBJECTS or sample.subject in self.subjects:
+                self.subjects[sample.subject] += 1
+            if is_silent and not self._options.subject:
+                self._subject = sample.subject
+            if sample.subject != self._subject:
+                continue
+            self._heard_s, self._has_heard = arrived_s, True
+            self.sender, is_silent = address, False
+            self._push(sample, arrived_s, arrived_s)
+
+
+def own_address() -> str:
+    """The address of this machine that others in its network most likely reach. Sends nothing."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("192.0.2.1", 9))  # only picks a route; no datagram leaves
+            address: str = probe.getsockname()[0]
+        except OSError:
+            return "127.0.0.1"
+    return address

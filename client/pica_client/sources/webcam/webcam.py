@@ -1,18 +1,235 @@
 """A webcam as a tracker. Its pictures stay in this process: what leaves it is the latent."""
 
+import contextlib
+import sys
 import time
+from collections.abc import Callable, Iterator
 from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 from PIL import Image, ImageDraw
 
 from pica_client.errors import SourceError
 from pica_client.sources.live.calibration import Calibration
+from pica_client.sources.live.live_face import TrackerSample
 from pica_client.sources.live.tracker import SampleTap, Tracker
-from pica_client.sources.webcam.camera import device_of, open_camera, pictures
-from pica_client.sources.webcam.face_finder import FaceFinder
-from pica_client.sources.webcam.networks import FaceNetworks
+from pica_client.sources.webcam.networks import FaceNetworks, Region, region_of
+from pica_core.types import Float64Array, FloatArray
 from pica_core.types import Image as Picture
+
+# Landmarks in the middle: height and depth; and pairs, right and left: half width, height, depth.
+_MIDDLE: Final = {
+    10: (0.678, 0.314),
+    151: (0.431, 0.366),
+    9: (0.190, 0.400),
+    8: (0.042, 0.382),
+    168: (-0.111, 0.379),
+    6: (-0.252, 0.443),
+    197: (-0.369, 0.517),
+    195: (-0.474, 0.594),
+    5: (-0.586, 0.674),
+    4: (-0.720, 0.711),
+}
+_PAIRS: Final = {
+    (109, 338): (0.319, 0.670, 0.288),
+    (67, 297): (0.592, 0.627, 0.194),
+    (54, 284): (1.002, 0.389, -0.152),
+    (21, 251): (1.104, 0.203, -0.329),
+    (103, 332): (0.839, 0.533, 0.032),
+    (33, 263): (0.752, -0.177, 0.060),
+    (133, 362): (0.288, -0.215, 0.144),
+    (127, 356): (1.173, -0.246, -0.658),
+    (234, 454): (1.168, -0.479, -0.724),
+    (93, 323): (1.157, -0.719, -0.734),
+    (162, 389): (1.154, 0.000, -0.512),
+}
+_INDICES = np.array([*_MIDDLE, *(right for right, _ in _PAIRS), *(left for _, left in _PAIRS)])
+_HEAD = np.array(
+    [
+        *((0.0, *place) for place in _MIDDLE.values()),
+        *((-x, y, z) for x, y, z in _PAIRS.values()),
+        *((x, y, z) for x, y, z in _PAIRS.values()),
+    ]
+)
+_HEAD -= _HEAD.mean(0)
+DEPTH_FACTOR: Final = 0.8
+UNIT_M: Final = 0.06
+"""Length of 1 in the table above: the outer corners of adults' eyes are 90 mm apart."""
+FOCAL_LENGTH: Final = 0.9
+"""How long a usual webcam's is, in widths of its picture (chosen: it sees 58 degrees)."""
+
+
+def head_pose(landmarks: FloatArray, width: int, height: int) -> tuple[FloatArray, FloatArray]:
+    """Find the pose of a head.
+
+    Args:
+        landmarks: Columns, rows and depths in pixels, the picture not mirrored. float32 ``[478,
+            3]``.
+        width: Of the picture, pixels.
+        height: Of the picture, pixels.
+
+    Returns:
+        Its rotation vector in radians, and its place before the camera in metres, both in the axes
+        of a head that looks at the camera: +x the subject's left, +y up, +z towards the camera.
+        float32 ``[3]`` each. The place supposes an adult's head and a usual camera.
+    """
+    points = landmarks[_INDICES] * [1.0, -1.0, -DEPTH_FACTOR]
+    middle = points.mean(0)
+    points = points - middle
+    u, _, v = np.linalg.svd(_HEAD.T @ points)
+    mirror = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ v))])
+    rotation = v.T @ mirror @ u.T
+    unit_px = float(np.sqrt((points**2).sum() / (_HEAD**2).sum()))
+    focal_px = FOCAL_LENGTH * width
+    distance_m = focal_px * UNIT_M / max(unit_px, 1e-6)
+    x, y = (middle[:2] - [width / 2, -height / 2]) * distance_m / focal_px
+    return _rotation_vector(rotation), np.array([x, y, -distance_m], np.float32)
+
+
+def _rotation_vector(matrix: Float64Array) -> FloatArray:
+    """Axis times angle of a rotation by less than half a turn."""
+    turned = np.array(
+        [matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]
+    )
+    sine, cosine = np.linalg.norm(turned) / 2, (np.trace(matrix) - 1) / 2
+    scale = np.arctan2(sine, cosine) / max(2 * sine, 1e-9) if sine > 1e-9 else 0.5
+    return np.asarray(turned * scale, np.float32)
+
+
+FORMATS: Final = {"linux": "v4l2", "darwin": "avfoundation", "win32": "dshow"}
+DEVICE_OPTIONS: Final = {"video_size": "640x480", "framerate": "30"}
+"""What nearly every camera can do; who cannot is asked without."""
+MAX_PIXELS: Final = 4096 * 2304
+
+
+def device_of(text: str) -> tuple[str, str | None]:
+    """What PyAV is to open: a file, or a device and the kind of device. The user wrote nothing, a
+    camera's number or name, or a file."""
+    path = Path(text).expanduser()
+    if text and path.is_file():
+        return str(path), None
+    kind = FORMATS.get(sys.platform, "v4l2")
+    if kind == "v4l2":
+        return (f"/dev/video{text or 0}" if not text or text.isdecimal() else text), kind
+    if kind == "dshow":
+        return f"video={text or 'Integrated Camera'}", kind
+    return text or "0", kind
+
+
+def open_camera(text: str) -> Any:
+    """Open a camera or a video.
+
+    Raises:
+        SourceError: It is not there, is busy, or is none.
+    """
+    try:
+        import av
+    except ImportError as error:
+        raise SourceError("webcam: install the extra webcam; PyAV is missing") from error
+    name, kind = device_of(text)
+    if kind == "v4l2" and not Path(name).exists():
+        raise SourceError(f"webcam: there is neither a camera nor a file {name}")
+    tries: list[dict[str, str]] = [{}] if kind is None else [DEVICE_OPTIONS, {}]
+    for options in tries:
+        try:
+            container = av.open(name, format=kind, options=options)
+        except (OSError, ValueError, LookupError) as error:
+            reason = error
+            continue
+        if container.streams.video:
+            return container
+        container.close()
+        raise SourceError(f"webcam: {name} has no pictures")
+    busy = "; does another program use it?" if kind else ""
+    raise SourceError(f"webcam: {name}: {getattr(reason, 'strerror', None) or reason}{busy}")
+
+
+def pictures(
+    container: Any, is_video: bool, wait: Callable[[float], bool]
+) -> Iterator[tuple[Image.Image, float | None]]:
+    """Give its pictures as they come, until the camera is gone. A video is shown at its own speed,
+    again and again.
+
+    Args:
+        container: From `open_camera`.
+        is_video: Whether it is a video.
+        wait: Waits some seconds; returns whether to stop.
+
+    Yields:
+        A picture, and when it was taken, seconds by the camera's clock, if that is known.
+    """
+    import av
+
+    began_s, offset_s, last_s = time.monotonic(), 0.0, 0.0
+    while True:
+        with contextlib.suppress(av.FFmpegError):  # damaged from here on, or the camera was pulled
+            for frame in container.decode(video=0):
+                if frame.width * frame.height > MAX_PIXELS:
+                    return
+                taken_s = frame.time
+                if is_video:
+                    last_s = offset_s + (taken_s if taken_s is not None else last_s + 1 / 30)
+                    if wait(max(began_s + last_s - time.monotonic(), 0.0)):
+                        return
+                    taken_s = last_s
+                elif wait(0.0):
+                    return
+                yield frame.to_image(), taken_s
+        if not is_video or last_s <= offset_s:
+            return
+        offset_s = last_s + 1 / 30
+        with contextlib.suppress(av.FFmpegError):  # who has no beginning gives nothing more
+            container.seek(0)
+
+
+PRESENT = 0.5
+"""Below this the landmarks' network does not believe that there is a face."""
+MAX_SIDE = 4.0
+"""A region larger than so many pictures is none."""
+
+
+class FaceFinder:
+    """Follows one face: the largest that it finds, until it is lost.
+
+    Attributes:
+        num_detections: How often it had to look for a face.
+        landmarks: Of the last picture, pixels, float32 ``[478, 3]``; None if there is no face.
+    """
+
+    def __init__(self, networks: FaceNetworks) -> None:
+        self.num_detections = 0
+        self.landmarks: FloatArray | None = None
+        self._networks = networks
+
+    def find(self, picture: Image.Image, time_s: float | None) -> TrackerSample:
+        """Take the next picture, RGB and not mirrored, and when it was taken by its camera."""
+        # Where the face was a moment ago, or, if it is not there any more, anywhere.
+        former = None if self.landmarks is None else region_of(self.landmarks)
+        if former is None or not self._follow(picture, former):
+            self.num_detections += 1
+            if not any(self._follow(picture, each) for each in self._networks.detect(picture)):
+                return TrackerSample(tracker_s=time_s, has_face=False)
+        assert self.landmarks is not None
+        rotation, place_m = head_pose(self.landmarks, *picture.size)
+        return TrackerSample(
+            tracker_s=time_s,
+            arkit=self._networks.shapes(self.landmarks),
+            rotation=rotation,
+            place_m=place_m,
+        )
+
+    def _follow(self, picture: Image.Image, region: Region) -> bool:
+        """Look for the landmarks in a region of the picture."""
+        self.landmarks = None
+        if not 1 < region.side < MAX_SIDE * max(picture.size):
+            return False
+        landmarks, presence = self._networks.landmarks(picture, region)
+        if presence >= PRESENT:
+            self.landmarks = landmarks
+        return self.landmarks is not None
+
 
 REOPEN_S = 2.0
 """How often a camera that was pulled is looked for."""

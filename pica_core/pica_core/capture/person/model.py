@@ -15,8 +15,7 @@ from importlib.resources import files
 import numpy as np
 import numpy.typing as npt
 
-from pica_core.capture.rig.frame import EYES_AT_M, RigFrame
-from pica_core.capture.rig.mesh import Eyeball, RigMesh, fit_sphere
+from pica_core.capture.rig.mesh import EYES_AT_M, Eyeball, RigFrame, RigMesh, fit_sphere
 from pica_core.types import Array, ByteArray, Float64Array, FloatArray, Int64Array, IntArray
 
 NUM_MODES = 100

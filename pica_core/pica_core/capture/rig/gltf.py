@@ -12,8 +12,14 @@ from typing import Any
 import numpy as np
 
 from pica_core.capture.rig.gltf_file import DRACO, MAX_ELEMENTS, GltfFile, child, missing_wheel
-from pica_core.capture.rig.images import open_image, see_through
-from pica_core.capture.rig.source import RigImage, RigSource, check_counts, check_source
+from pica_core.capture.rig.source import (
+    RigImage,
+    RigSource,
+    check_counts,
+    check_source,
+    open_image,
+    see_through,
+)
 from pica_core.errors import CaptureError
 from pica_core.types import Array, BoolArray, Float64Array, FloatArray, IntArray
 

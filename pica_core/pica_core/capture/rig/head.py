@@ -8,23 +8,38 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from pica_core.avatar.arkit import ARKIT_INDEX
+from pica_core.avatar.arkit import ARKIT_INDEX, EYE_PITCH_DOWN, EYE_PITCH_UP, EYE_YAW
 from pica_core.capture.dataset.files import Topology
 from pica_core.capture.dataset.multiface import MATERIALS
-from pica_core.capture.rig.chart import make_islands, mend_islands, pack
-from pica_core.capture.rig.drawn import PackedChart
+from pica_core.capture.rig.chart import PackedChart, make_islands, mend_islands, pack
 from pica_core.capture.rig.features import Features, Limits, find_features
-from pica_core.capture.rig.gaze import gaze, turn
 from pica_core.capture.rig.gltf import read_glb
 from pica_core.capture.rig.guards import PoseGuard
 from pica_core.capture.rig.mesh import RigMesh, build_mesh
 from pica_core.capture.rig.names import NameMap, map_names
-from pica_core.capture.rig.obj import read_obj_folder
-from pica_core.capture.rig.source import RigSource
-from pica_core.capture.rig.visibility import visibility
-from pica_core.capture.triangles import areas, vertex_normals
+from pica_core.capture.rig.source import RigSource, read_obj_folder
+from pica_core.capture.triangles import areas, vertex_normals, visibility
 from pica_core.errors import CaptureError
-from pica_core.types import Float64Array, FloatArray
+from pica_core.types import Array, Float64Array, FloatArray
+
+
+def gaze(side: float, values: Array) -> tuple[Array, Array]:
+    """Yaw and pitch of one eye at ARKit values ``[..., 52]``, radians ``[...]``; `side` is 1 for
+    the left eye, -1 for the right."""
+    name = "Left" if side > 0 else "Right"
+    out, inwards, up, down = (
+        values[..., ARKIT_INDEX[f"eyeLook{way}{name}"]] for way in ("Out", "In", "Up", "Down")
+    )
+    return side * EYE_YAW * (out - inwards), EYE_PITCH_UP * up - EYE_PITCH_DOWN * down
+
+
+def turn(offsets: FloatArray, yaw: Array | float, pitch: Array | float) -> Array:
+    """Offsets from an eyeball's centre, turned up by the pitch and then sideways. ``[..., 3]``."""
+    sp, cp, sy, cy = np.sin(pitch), np.cos(pitch), np.sin(yaw), np.cos(yaw)
+    x, y, z = offsets.T
+    y, z = cp * y + sp * z, cp * z - sp * y
+    return np.stack([cy * x + sy * z, y, cy * z - sy * x], -1)
+
 
 SEEN_FULLY = 0.27
 """Visibility of skin that faces the dome (measured on one head)."""

@@ -1,17 +1,22 @@
 """A rig as its file has it: one mesh, its UVs and materials, and what each shape adds.
 
-Readers (`gltf`, `obj`) fill it; everything after them is independent of the file's format.
+Readers of glTF (`gltf`) and of OBJ folders fill it; nothing later depends on the file's format.
 Checks of what the numbers say stand here, so that both readers refuse the same things in the same
 words: every problem is a `CaptureError` that names the file.
 """
 
+import io
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from PIL import Image, UnidentifiedImageError
 
+from pica_core.capture.dataset.files import IMAGE_FORMATS
+from pica_core.capture.dataset.obj import read_obj
+from pica_core.capture.rig.gltf_file import missing_wheel
 from pica_core.errors import CaptureError
-from pica_core.types import BoolArray, Float64Array, FloatArray, IntArray
+from pica_core.types import BoolArray, ByteArray, Float64Array, FloatArray, IntArray
 
 MAX_VERTICES = 500_000
 MAX_FACES = 1_000_000
@@ -103,4 +108,147 @@ def check_source(source: RigSource) -> RigSource:
         uv_faces=uv_faces,
         face_material=source.face_material[keep],
         see_through=source.see_through[keep] if source.see_through is not None else None,
+    )
+
+
+MAX_ALBEDO_SIDE = 8192
+ALBEDO_MODES = ("RGB", "RGBA", "L", "LA", "P", "PA")
+KTX2 = b"\xabKTX 20\xbb\r\n\x1a\n"
+
+
+def open_image(where: str, data: bytes) -> ByteArray:
+    """An image as sRGB with alpha, row 0 on top. uint8 ``[H, W, 4]``.
+
+    PNG, JPEG, WebP, or KTX 2 with a Basis Universal payload.
+    """
+    if data.startswith(KTX2):
+        return _open_ktx2(where, data)
+    try:
+        with Image.open(io.BytesIO(data), formats=IMAGE_FORMATS) as image:
+            _check_side(where, image.width, image.height)
+            if image.mode not in ALBEDO_MODES:
+                raise CaptureError(
+                    f"{where}: pixels are {image.mode}; an 8-bit colour image is needed"
+                )
+            return np.asarray(image.convert("RGBA"))
+    except (UnidentifiedImageError, OSError, SyntaxError, ValueError) as error:
+        raise CaptureError(f"{where}: not a complete image ({error})") from error
+
+
+def _check_side(where: str, width: int, height: int) -> None:
+    if max(width, height) > MAX_ALBEDO_SIDE:
+        raise CaptureError(
+            f"{where}: {width}x{height} pixels; sides up to {MAX_ALBEDO_SIDE} are allowed"
+        )
+
+
+def _open_ktx2(where: str, data: bytes) -> ByteArray:
+    try:
+        import opengl_basisu
+    except ImportError:
+        raise missing_wheel(where, "KHR_texture_basisu") from None
+    try:
+        texture = opengl_basisu.open(data)
+        _check_side(where, texture.width, texture.height)
+        return np.asarray(texture.transcode("rgba8").data, np.uint8)
+    except ValueError as error:
+        raise CaptureError(f"{where}: not a complete KTX 2 image ({error})") from error
+
+
+def wrapped(uv: Float64Array, wrap: tuple[str, str]) -> Float64Array:
+    """Texture coordinates brought into [0, 1] as a sampler does. ``[..., 2]``."""
+    rules = {
+        "repeat": lambda t: t - np.floor(t),
+        "mirror": lambda t: 1 - np.abs(np.mod(t, 2) - 1),
+        "clamp": lambda t: np.clip(t, 0, 1),
+    }
+    return np.stack([rules[how](uv[..., axis]) for axis, how in enumerate(wrap)], -1)
+
+
+def see_through(
+    alpha: Float64Array, cutoff: float, corners: Float64Array, wrap: tuple[str, str]
+) -> BoolArray:
+    """Triangles of which less than half is as opaque as `cutoff`.
+
+    Args:
+        alpha: Opacity 0 to 1, row 0 on top. ``[H, W]``.
+        cutoff: Opacity from which on a point is taken for solid.
+        corners: Texture coordinates of each triangle, v downwards. ``[F, 3, 2]``.
+        wrap: How the image goes on beyond its edges, across and down.
+    """
+    steps = (np.arange(6) + 0.5) / 6
+    a, b = np.meshgrid(steps, steps)
+    weights = np.stack([a, b, 1 - a - b], -1)[a + b < 1]
+    uv = wrapped(np.einsum("sk,fkc->fsc", weights, corners), wrap)
+    height, width = alpha.shape
+    column = np.minimum(uv[..., 0] * width, width - 1).astype(np.int64)
+    row = np.minimum(uv[..., 1] * height, height - 1).astype(np.int64)
+    clear: BoolArray = (alpha[row, column] >= cutoff).mean(1) < 0.5
+    return clear
+
+
+NEUTRAL_WORDS = ("neutral", "basis", "rest", "base")
+"""What the name of the neutral face's file contains, the first that is found."""
+
+
+def read_obj_folder(folder: Path) -> RigSource:
+    """Read a rig: one neutral OBJ (neutral, basis, rest or base in its name), and one per shape."""
+    paths = sorted(p for p in folder.iterdir() if p.suffix.lower() == ".obj")
+    if not paths:
+        raise CaptureError(f"{folder}: no OBJ files")
+    neutral_path = next(
+        (p for word in NEUTRAL_WORDS for p in paths if word in p.stem.lower()), None
+    )
+    if neutral_path is None:
+        raise CaptureError(
+            f"{folder}: which of {len(paths)} OBJ files is the neutral face? "
+            f"Its name must contain one of {', '.join(NEUTRAL_WORDS)}"
+        )
+    neutral = read_obj(neutral_path)
+    check_counts(
+        str(neutral_path),
+        vertices=len(neutral.vertices),
+        faces=len(neutral.faces),
+        shapes=len(paths) - 1,
+    )
+    positions = neutral.positions()
+    faces, uv_faces, material, names = neutral.triangles()
+    uv = None
+    if neutral.texture and (uv_faces >= 0).all():
+        uv = neutral.uv()
+        uv[:, 1] = 1 - uv[:, 1]
+    face_text = [rest.split() for _, rest in neutral.faces]
+    shapes: dict[str, FloatArray] = {}
+    for path in paths:
+        if path == neutral_path:
+            continue
+        shape = read_obj(path)
+        if len(shape.vertices) != len(positions):
+            raise CaptureError(
+                f"{path}: {len(shape.vertices)} vertices; {neutral_path.name} has "
+                f"{len(positions)}, and all OBJ files must share one topology"
+            )
+        if [rest.split() for _, rest in shape.faces] != face_text:
+            other = shape.triangles()[0]
+            if other.shape != faces.shape or (other != faces).any():
+                raise CaptureError(
+                    f"{path}: its faces differ from those of {neutral_path.name}; all OBJ files "
+                    "must share one topology"
+                )
+        posed = shape.positions()
+        if not np.isfinite(posed).all():
+            row = int(np.flatnonzero(~np.isfinite(posed).all(1))[0])
+            raise CaptureError(f"{path}: vertex {row + 1} is not finite")
+        shapes[path.stem] = (posed - positions).astype(np.float32)
+    return check_source(
+        RigSource(
+            path=folder,
+            positions=positions,
+            faces=faces,
+            uv=uv,
+            uv_faces=uv_faces if uv is not None else None,
+            materials=names,
+            face_material=material,
+            shapes=shapes,
+        )
     )

@@ -1,15 +1,175 @@
 """Paint the appearance of a head over its chart: colour and relief of skin, hair, eyes, teeth."""
 
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import moderngl
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from pica_core.capture.rig.drawn import DrawnRig
-from pica_core.capture.rig.skin import IRIS_RADIUS_M, Albedo, Growth, split_parts, surface
-from pica_core.capture.stage.programs import make_program, set_uniforms, vertex_array
-from pica_core.types import FloatArray
+from pica_core.capture.dataset.files import read_bytes
+from pica_core.capture.dataset.multiface import MATERIALS
+from pica_core.capture.rig.features import hair_coverage
+from pica_core.capture.rig.head import RigHead
+from pica_core.capture.rig.source import RigSource, open_image
+from pica_core.errors import CaptureError
+from pica_core.gl import link_program
+from pica_core.types import ByteArray, FloatArray, IntArray
+
+
+def make_program(
+    context: moderngl.Context, vertex: str, fragment: str, material: int | None = None
+) -> Any:
+    """Link two shaders of this package, the fragment shader with ``MATERIAL`` defined."""
+    return link_program(
+        context,
+        vertex=_shader_text(f"{vertex}.vert"),
+        fragment=_shader_text(f"{fragment}.frag", material),
+    )
+
+
+def _shader_text(name: str, material: int | None = None) -> str:
+    """A shader with its includes resolved (one level)."""
+    folder = files("pica_core.capture.stage") / "shaders"
+    text = (folder / name).read_text(encoding="utf-8")
+    if material is not None:
+        text = text.replace("\n", f"\n#define MATERIAL {material}\n#line 2\n", 1)
+    return re.sub(
+        r'^#include "([\w.]+)"$',
+        lambda found: (folder / found.group(1)).read_text(encoding="utf-8"),
+        text,
+        flags=re.MULTILINE,
+    )
+
+
+def set_uniforms(program: Any, values: Mapping[str, Any]) -> None:
+    """Set what the program has of these; the compiler drops what a shader does not need."""
+    for name, value in values.items():
+        if name in program:
+            program[name].value = value
+
+
+def vertex_array(
+    context: moderngl.Context, program: Any, faces: Any, *buffers: tuple[Any, Mapping[str, int]]
+) -> Any:
+    """Triangles over float32 buffers, each with its layout; a program takes what it has of them."""
+    content = []
+    for buffer, layout in buffers:
+        used = [name for name in layout if name in program]
+        parts = [f"{n}f" if name in used else f"{n}x4" for name, n in layout.items()]
+        if used:
+            content.append((buffer, " ".join(parts), *used))
+    return context.vertex_array(program, content, faces)
+
+
+IRIS_RADIUS_M = 0.0060
+"""11.7 mm across (Rüfer et al. 2005), a little more for eyeballs that are larger than life."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Growth:
+    """Hair of a head by welded vertex.
+
+    Attributes:
+        hairs: Coverage of the scalp (0 at the hairline, 1 is 14 mm above), direction of strands,
+            density of the beard. float32 ``[P, 5]``.
+        strand: On hair: along 0 to 1, across -1 to 1, number, length in metres. On teeth: 0, or 1
+            where an arch ends in the dark. float32 ``[P, 4]``.
+    """
+
+    hairs: FloatArray
+    strand: FloatArray
+
+
+def split_parts(head: RigHead) -> IntArray:
+    """Part of each split vertex: that of its triangles. ``[V]``."""
+    part = np.zeros(len(head.chart.source), np.int32)
+    of_face = head.features.part[head.chart.face_source]
+    # Where parts share an island, the later part of the table wins.
+    np.maximum.at(part, head.chart.faces, of_face[:, None])
+    return part
+
+
+def surface(head: RigHead, growth: Growth | None) -> FloatArray:
+    """Four numbers for every split vertex; their meaning depends on the part. ``[V, 4]``."""
+    f, mesh, source = head.features, head.mesh, head.chart.source
+    rest = mesh.rest_m
+    part = split_parts(head)
+    local = np.zeros((len(source), 4), np.float32)
+    skin = part == MATERIALS.index("skin")
+    coverage = hair_coverage(rest)
+    if f.regions["hair"].any():
+        coverage = np.full(len(rest), -1.0)
+    if growth is not None:
+        coverage = growth.hairs[:, 0].astype(np.float64)
+        locks = np.isin(part, [MATERIALS.index("hair"), MATERIALS.index("teeth")])
+        local[locks] = growth.strand[source[locks]]
+    columns = np.stack([f.lips, 1000 * f.eye_gap_m, coverage, f.above_eye], 1)
+    local[skin] = columns[source[skin]]
+    for eye in mesh.eyes:
+        mine = np.isin(source, eye.vertices)
+        local[mine, :3] = (rest[source[mine]] - eye.centre_m) / eye.radius_m
+        local[mine, 3] = eye.side
+    tongue = part == MATERIALS.index("tongue")
+    if tongue.any():
+        z = rest[source[tongue], 2]
+        local[tongue, 0] = (z - z.min()) / max(float(np.ptp(z)), 1e-9)
+    lining = part == MATERIALS.index("mouth_bag")
+    if lining.any():
+        z = rest[source[lining], 2]
+        front = f.mouth.z.max() if f.mouth is not None else z.max()
+        local[lining, 0] = 1000 * (front - z)
+    return local
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Albedo:
+    """A base colour image: sRGB uint8 ``[H, W, 3]``, row 0 on top, and how it goes on beyond."""
+
+    pixels: ByteArray
+    wrap: tuple[str, str] = ("repeat", "repeat")
+
+
+def open_albedo(where: str, data: bytes) -> ByteArray:
+    """An image as sRGB, row 0 on top. uint8 ``[H, W, 3]``."""
+    return np.ascontiguousarray(open_image(where, data)[..., :3])
+
+
+def read_albedos(source: RigSource, choices: tuple[str, ...]) -> dict[int, Albedo]:
+    """Base colour images by material: those inside the rig's file, then the user's.
+
+    A choice of the user is ``FILE`` for the material with most triangles, or ``MATERIAL=FILE``.
+    """
+    found = {
+        index: Albedo(
+            pixels=open_albedo(
+                f"{source.path}: image of material {source.materials[index]!r}", image.data
+            ),
+            wrap=image.wrap,
+        )
+        for index, image in source.images.items()
+        if source.uv is not None
+    }
+    for choice in choices:
+        name, separator, path = choice.partition("=")
+        path = path if separator else choice
+        if source.uv is None:
+            raise CaptureError(
+                f"albedo {path}: {source.path} has no texture coordinates to put it on"
+            )
+        if separator and name not in source.materials:
+            raise CaptureError(
+                f"albedo: no material {name!r}; there are {', '.join(source.materials)}"
+            )
+        largest = int(np.argmax(np.bincount(source.face_material)))
+        index = source.materials.index(name) if separator else largest
+        found[index] = Albedo(pixels=open_albedo(path, read_bytes(Path(path))))
+    return found
+
 
 PAINT: dict[str, Any] = {
     "seed": 3.0,
@@ -39,7 +199,7 @@ CORNER = {
 
 def paint(
     context: moderngl.Context,
-    head: DrawnRig,
+    head: RigHead,
     albedo: dict[int, Albedo],
     look: dict[str, Any],
     growth: Growth | None,
@@ -84,14 +244,14 @@ def paint(
     return targets
 
 
-def split_hairs(head: DrawnRig, growth: Growth | None) -> FloatArray:
+def split_hairs(head: RigHead, growth: Growth | None) -> FloatArray:
     """What `Growth.hairs` says of each split vertex; 0 without growth. float32 ``[V, 5]``."""
     if growth is None:
         return np.zeros((len(head.chart.source), 5), np.float32)
     return growth.hairs[head.chart.source]
 
 
-def _places(head: DrawnRig) -> dict[str, Any]:
+def _places(head: RigHead) -> dict[str, Any]:
     """Where features are, as `appearance.frag` names them; usual ones where there are none."""
     f, eyes = head.features, head.mesh.eyes
     eye = eyes[0].centre_m * [eyes[0].side, 1, 1] if eyes else np.array([0.031, 0.022, 0.074])
@@ -106,7 +266,7 @@ def _places(head: DrawnRig) -> dict[str, Any]:
     }
 
 
-def _source_uv(head: DrawnRig) -> FloatArray:
+def _source_uv(head: RigHead) -> FloatArray:
     """The file's own texture coordinates of each triangle's corners. float32 ``[3F, 2]``."""
     mesh, chart = head.mesh, head.chart
     if mesh.uv is None or mesh.uv_faces is None:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.sparse import coo_array
 
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
-from pica_core.capture.rig.drawn import DrawnRig
+from pica_core.capture.rig.head import RigHead
 from pica_core.capture.triangles import edges
 from pica_core.types import BoolArray, Float64Array, FloatArray
 
@@ -51,7 +51,7 @@ class Occlusion:
         centre_y_m: Height that the depth maps are aimed at, head frame.
     """
 
-    def __init__(self, head: DrawnRig, draw_depth: DrawDepth, centre_y_m: float) -> None:
+    def __init__(self, head: RigHead, draw_depth: DrawDepth, centre_y_m: float) -> None:
         self._head, self._draw_depth = head, draw_depth
         self._span_m = max(SPAN_M, float(np.ptp(head.mesh.rest_m, axis=0).max()) + 0.05)
         self._centre_m = np.array([0.0, centre_y_m, 0.0])

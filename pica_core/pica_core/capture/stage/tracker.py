@@ -10,11 +10,36 @@ states what came of them, and `docs/capture.md` shows it.
 """
 
 import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from pica_core.capture.dataset.files import Topology
-from pica_core.capture.stage.waves import FIELD_WAVES, smooth_field, smooth_signals
 from pica_core.capture.triangles import nearest, vertex_normals
 from pica_core.types import Float64Array, FloatArray, Int64Array
+
+WAVES = 3
+"""Waves in a signal: one is a sine, many are near a Gaussian process."""
+FIELD_WAVES = 48
+
+
+def smooth_signals(
+    random: np.random.Generator, count: int, scale_s: float, time_s: float
+) -> Float64Array:
+    """Signals of about unit variance, which change over `scale_s`, at a moment. ``[count]``."""
+    frequency = random.normal(0.0, 1.0 / scale_s, (WAVES, count))
+    phase = random.uniform(0.0, 2 * np.pi, (WAVES, count))
+    return np.cos(frequency * time_s + phase).sum(axis=0) * np.sqrt(2.0 / WAVES)
+
+
+def smooth_field(
+    random: np.random.Generator, points_m: npt.NDArray[np.floating], scale_m: float
+) -> Float64Array:
+    """Weights at points ``[V, 3]`` of `FIELD_WAVES` strengths of unit variance, whose sum changes
+    over `scale_m`. float64 ``[V, 48]``."""
+    direction = random.normal(0.0, 1.0 / scale_m, (3, FIELD_WAVES))
+    phase = random.uniform(0.0, 2 * np.pi, FIELD_WAVES)
+    return np.sqrt(2.0 / FIELD_WAVES) * np.cos(points_m.astype(np.float64) @ direction + phase)
+
 
 SPREAD_MM: dict[str, float] = {
     "hair": 0.32,
@@ -103,3 +128,29 @@ def _lag_weight(topology: Topology, rest_m: FloatArray) -> Float64Array:
         return np.zeros(len(rest_m))
     distance = nearest(rest_m, rest_m[lips])[1]
     return np.where(distance > 3 * LAG_REACH_M, 0.0, np.exp(-((distance / LAG_REACH_M) ** 2)))
+
+
+TURN_DEG = (2.5, 3.5, 1.5)
+"""Standard deviations of nodding, turning and tilting, degrees (chosen: a seated speaker)."""
+SHIFT_M = (0.006, 0.003, 0.006)
+"""Standard deviations along x, y and z, metres (chosen)."""
+SCALE_S = 0.9
+"""Time over which the head moves."""
+PIVOT_M = (0.0, -0.09, -0.015)
+"""What the head turns about: the top of the neck, head frame."""
+LIMIT = 2.0
+"""Signals are held within so many standard deviations."""
+
+
+def head_to_world(seed: int, take: int, time_s: float) -> Float64Array:
+    """A head's pose in a take of a capture, by the capture's seed and the take's number.
+
+    Returns:
+        Rotation and translation (metres) from head frame to world. float64 ``[3, 4]``.
+    """
+    random = np.random.default_rng([seed, 0x4EAD, take])
+    values = LIMIT * np.tanh(smooth_signals(random, 6, SCALE_S, time_s) / LIMIT)
+    rotation = Rotation.from_rotvec(np.radians(TURN_DEG) * values[:3]).as_matrix()
+    pivot = np.array(PIVOT_M)
+    shift = pivot - rotation @ pivot + SHIFT_M * values[3:]
+    return np.concatenate([rotation, shift[:, None]], axis=1)

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.rig.head import read_rig
-from pica_core.cli.rig import RigOptions, rig
+from pica_core.cli.capture import RigOptions, rig
 from pica_core.errors import CaptureError, CheckpointError, TrainingOptionError, check_ranges
 from pica_core.train.checkpoint import read_checkpoint
 from pica_core.train.cli.train import TrainOptions, VariantName, train

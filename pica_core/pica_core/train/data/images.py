@@ -9,8 +9,7 @@ from torch import Tensor
 
 from pica_core.camera import Camera
 from pica_core.capture.dataset import multiface
-from pica_core.capture.dataset.dataset import Capture
-from pica_core.capture.dataset.reader import CaptureReader, Request
+from pica_core.capture.dataset.dataset import Capture, CaptureReader, Request
 from pica_core.errors import CaptureError
 from pica_core.model.encoder import resize_texture
 from pica_core.types import FloatArray, Image

@@ -27,7 +27,7 @@ from pica_core.avatar.level_tensors import (
 )
 from pica_core.avatar.levels import EXIT_DIVISORS, level_sizes
 from pica_core.avatar.linear import components_of, weights_of_latent
-from pica_core.capture.stage.stream_training_faces import stream_training_performances
+from pica_core.capture.stage.expressions import stream_training_performances
 from pica_core.capture.triangles import areas, signed_areas
 from pica_core.errors import TrainingOptionError, check_ranges
 from pica_core.model.decoders import sample_map

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from helpers import tracker_packets
-from pica_client.sources.live import ifacialmocap, livelink
-from pica_client.sources.live.opening import LIVE_KINDS, decoder_of
-from pica_client.sources.live.sample import PacketError
-from pica_client.sources.live.vmc import VmcDecoder
+from pica_client.sources.live.datagrams import VmcDecoder, decode_ifacialmocap, decode_livelink
+from pica_client.sources.live.live_face import PacketError
+from pica_client.sources.registry import LIVE_KINDS, decoder_of
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES
 from pica_core.types import FloatArray
 
@@ -22,7 +21,7 @@ MANY = {name: 0.01 * (index + 1) for index, name in enumerate(tracker_packets.LI
 
 
 def test_live_link_gives_every_shape_its_own_value() -> None:
-    sample = livelink.decode(tracker_packets.live_link(MANY, frame=90, sub_frame=0.5))
+    sample = decode_livelink(tracker_packets.live_link(MANY, frame=90, sub_frame=0.5))
 
     for name, value in MANY.items():
         assert sample.arkit[ARKIT_INDEX[name[0].lower() + name[1:]]] == pytest.approx(value)
@@ -33,27 +32,27 @@ def test_live_link_gives_every_shape_its_own_value() -> None:
 
 @pytest.mark.parametrize(("angle", "axis"), [("HeadPitch", 0), ("HeadYaw", 1), ("HeadRoll", 2)])
 def test_a_head_of_live_link_turns_about_one_axis(angle: str, axis: int) -> None:
-    rotation = livelink.decode(tracker_packets.live_link({angle: -0.3})).rotation
+    rotation = decode_livelink(tracker_packets.live_link({angle: -0.3})).rotation
     wanted = np.zeros(3)
     wanted[axis] = -0.3
     np.testing.assert_allclose(rotation, wanted, atol=1e-6)
 
 
 def test_live_link_without_values_is_no_face() -> None:
-    sample = livelink.decode(tracker_packets.live_link(None, frame=3))
+    sample = decode_livelink(tracker_packets.live_link(None, frame=3))
     assert not sample.has_face
     assert sample.tracker_s == pytest.approx(3 / 60)
 
 
 def test_the_apps_other_mode_is_refused_with_what_to_do() -> None:
     with pytest.raises(PacketError, match=r"switch it to Live Link \(ARKit\)"):
-        livelink.decode(bytes(584))
+        decode_livelink(bytes(584))
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, 4.5])
 def test_a_value_that_is_no_face_is_refused(value: float) -> None:
     with pytest.raises(PacketError, match="outside of"):
-        livelink.decode(tracker_packets.live_link({"JawOpen": value}))
+        decode_livelink(tracker_packets.live_link({"JawOpen": value}))
 
 
 def test_vmc_takes_perfect_sync_in_any_case_and_holds_it_until_it_is_applied() -> None:
@@ -130,7 +129,7 @@ def test_eye_bones_are_the_gaze_of_a_model_without_look_shapes() -> None:
 def test_ifacialmocap_says_where_the_head_is_and_nonsense_is_left_out() -> None:
     def place(*numbers: float) -> FloatArray | None:
         line = tracker_packets.ifacialmocap({"jawOpen": 1}, head=(0, 0, 0, *numbers))
-        return ifacialmocap.decode(line).place_m
+        return decode_ifacialmocap(line).place_m
 
     assert place(-0.03, -0.1, -0.66) == pytest.approx([-0.03, -0.1, -0.66])
     assert place(0, 0, 0) is None
@@ -145,7 +144,7 @@ def test_ifacialmocap_gives_hundredths_and_degrees(separator: str) -> None:
         head=(10, -20, 0, 0, 0, 0),
         separator=separator,
     )
-    sample = ifacialmocap.decode(line)
+    sample = decode_ifacialmocap(line)
     assert sample.arkit[ARKIT_INDEX["mouthSmileRight"]] == pytest.approx(0.25)
     assert sample.arkit[ARKIT_INDEX["eyeBlinkLeft"]] == 1
     assert sample.arkit[ARKIT_INDEX["jawOpen"]] == pytest.approx(0.07)
@@ -157,13 +156,13 @@ def test_reasons_of_a_refusal_hold_no_names_of_strangers() -> None:
     reasons = set()
     for index in range(3):
         with pytest.raises(PacketError) as refusal:
-            ifacialmocap.decode(tracker_packets.ifacialmocap({f"shape{index}": 99_999}))
+            decode_ifacialmocap(tracker_packets.ifacialmocap({f"shape{index}": 99_999}))
         reasons.add(str(refusal.value))
     assert reasons == {"a value lies outside of ±400"}
 
 
 def test_facemotion3d_has_whole_names() -> None:
-    sample = ifacialmocap.decode(
+    sample = decode_ifacialmocap(
         tracker_packets.ifacialmocap({"mouthSmileRight": 25}, separator="&")
     )
     assert sample.arkit[ARKIT_INDEX["mouthSmileRight"]] == pytest.approx(0.25)

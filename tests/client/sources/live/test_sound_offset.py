@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pica_client.errors import SourceError
-from pica_client.sources.live.sound_offset import sound_offset
+from pica_client.sources.live.calibration import sound_offset
 from pica_core.types import FloatArray
 
 pytestmark = pytest.mark.unit

@@ -17,11 +17,10 @@ from helpers import tracker_packets
 from pica_client.errors import SourceError
 from pica_client.sources import Tracker, open_source
 from pica_client.sources.live.calibration import Calibration, CalibrationStore, calibrate
-from pica_client.sources.live.opening import decoder_of, open_live, parse_live
-from pica_client.sources.live.report import TrackReport
-from pica_client.sources.live.sample import TrackerSample
-from pica_client.sources.live.take import TakeRecorder, load_take
-from pica_client.sources.live.udp import UdpOptions, UdpTracker
+from pica_client.sources.live.live_face import TrackerSample
+from pica_client.sources.live.take import TakeRecorder, TrackReport, load_take
+from pica_client.sources.live.tracker import UdpOptions, UdpTracker
+from pica_client.sources.registry import decoder_of, open_live, parse_live
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 
 pytestmark = pytest.mark.unit
@@ -87,7 +86,7 @@ def test_the_next_subject_is_taken_once_the_first_is_silent(
 ) -> None:
     with closing(open_live("livelink", "127.0.0.1:0")) as tracker:
         stream(phone, tracker, 0.2, subject="stray")
-        monkeypatch.setattr("pica_client.sources.live.udp.SILENT_S", 0.0)
+        monkeypatch.setattr("pica_client.sources.live.tracker.SILENT_S", 0.0)
         stream(phone, tracker, 0.8, subject="me")
 
 
@@ -98,7 +97,7 @@ def test_who_waits_for_a_subject_is_told_of_those_that_come(
         packet = tracker_packets.live_link({"JawOpen": 1.0}, subject="iPhone")
         phone.sendto(packet, ("127.0.0.1", tracker.port))
         until(lambda: bool(tracker.subjects))
-        monkeypatch.setattr("pica_client.sources.live.udp.SILENT_S", 0.0)
+        monkeypatch.setattr("pica_client.sources.live.tracker.SILENT_S", 0.0)
         assert tracker.trouble == "livelink: no face of 'Ada' comes, but of 'iPhone'"
         assert not tracker.face.counters["taken"]
 
@@ -122,7 +121,7 @@ def test_a_port_that_is_taken_is_said_with_the_way_out() -> None:
 
 
 def test_a_silent_tracker_says_where_it_must_send_to(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pica_client.sources.live.udp.SILENT_S", 0.0)
+    monkeypatch.setattr("pica_client.sources.live.tracker.SILENT_S", 0.0)
     for place, words in (("127.0.0.1:0", "use vmc:lan"), ("lan:0", "must send to")):
         with closing(open_live("vmc", place)) as tracker:
             assert f"port {tracker.port}" in tracker.trouble
@@ -150,7 +149,7 @@ def test_a_tracker_in_the_wrong_mode_is_told_so(
     with closing(open_live("livelink", "127.0.0.1:0")) as tracker:
         phone.sendto(bytes(584), ("127.0.0.1", tracker.port))
         until(lambda: bool(tracker.refused))
-        monkeypatch.setattr("pica_client.sources.live.udp.SILENT_S", 0.0)
+        monkeypatch.setattr("pica_client.sources.live.tracker.SILENT_S", 0.0)
         assert "switch it to Live Link (ARKit)" in tracker.trouble
 
 

@@ -16,16 +16,21 @@ from PIL import Image
 
 from pica_client.errors import SourceError
 from pica_client.playout.rotation import rotation_vector_from_yaw_pitch_roll
-from pica_client.sources.live.sample import TrackerSample
+from pica_client.sources.live.live_face import TrackerSample
 from pica_client.sources.registry import open_source
-from pica_client.sources.webcam import model, webcam
-from pica_client.sources.webcam.camera import open_camera, pictures
-from pica_client.sources.webcam.face_finder import FaceFinder
-from pica_client.sources.webcam.head_pose import _HEAD as HEAD
-from pica_client.sources.webcam.head_pose import _INDICES as INDICES
-from pica_client.sources.webcam.head_pose import UNIT_M, head_pose
+from pica_client.sources.webcam import networks as model
+from pica_client.sources.webcam import webcam
 from pica_client.sources.webcam.networks import BLIND, FaceNetworks, Region
-from pica_client.sources.webcam.webcam import Webcam
+from pica_client.sources.webcam.webcam import _HEAD as HEAD
+from pica_client.sources.webcam.webcam import _INDICES as INDICES
+from pica_client.sources.webcam.webcam import (
+    UNIT_M,
+    FaceFinder,
+    Webcam,
+    head_pose,
+    open_camera,
+    pictures,
+)
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES
 from pica_core.types import FloatArray
 

@@ -14,8 +14,7 @@ from PIL import Image
 
 from helpers.small_capture import render_capture
 from pica_core.camera import look_at
-from pica_core.capture.dataset.check import check_capture
-from pica_core.capture.dataset.check_geometry import silhouette_problem
+from pica_core.capture.dataset.check import check_capture, silhouette_problem
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.stage.synth import RenderOptions
 from pica_core.cli.capture import CheckOptions, check

@@ -12,9 +12,8 @@ from PIL import Image
 
 from helpers.published_capture import HEIGHT, PLACES_MM, SEGMENTS, TEXTURE, WIDTH, write_published
 from pica_core.capture.dataset.check import check_capture
-from pica_core.capture.dataset.dataset import Capture
+from pica_core.capture.dataset.dataset import Capture, CaptureReader, Request
 from pica_core.capture.dataset.published import displayable
-from pica_core.capture.dataset.reader import CaptureReader, Request
 from pica_core.capture.dataset.sheet import write_sheet
 from pica_core.errors import CaptureError
 

@@ -12,16 +12,13 @@ from pica_core.avatar.arkit import ARKIT_INDEX
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.person.choices import CLIP, Person, draw_person, read_person
-from pica_core.capture.person.clothes import CUTS, dress_surface
-from pica_core.capture.person.dress import dress
+from pica_core.capture.person.dress import CUTS, close_lips, dress, dress_surface
 from pica_core.capture.person.hair import STYLES, cover, grow, raise_cap
-from pica_core.capture.person.lids import close_lips
 from pica_core.capture.person.model import NUM_MODES, read_model
 from pica_core.capture.rig.features import LID_M, Limits, find_features
 from pica_core.capture.rig.mesh import RigMesh
-from pica_core.capture.rig.visibility import front_view
 from pica_core.capture.stage.expressions import blend
-from pica_core.capture.triangles import unfolded
+from pica_core.capture.triangles import front_view, unfolded
 from pica_core.errors import CaptureError
 from pica_core.types import Float64Array
 

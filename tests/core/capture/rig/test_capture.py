@@ -13,10 +13,10 @@ from helpers.rig_toy import toy_rig, write_glb, write_obj_folder
 from pica_command.main import main
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.dataset.multiface import MATERIALS
-from pica_core.capture.rig.skin import open_albedo
 from pica_core.capture.stage.dome import dome_cameras
 from pica_core.capture.stage.expressions import blend
-from pica_core.capture.stage.rig import RigSubject
+from pica_core.capture.stage.paint import open_albedo
+from pica_core.capture.stage.subject import RigSubject
 from pica_core.capture.stage.synth import RenderOptions, render_subject
 from pica_core.errors import CaptureError
 

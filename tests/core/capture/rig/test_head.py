@@ -8,13 +8,11 @@ import pytest
 
 from helpers.paths import SHARED_DATA
 from helpers.rig_toy import toy_rig, write_glb, write_obj_folder
-from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
-from pica_core.capture.rig.chart import equalise, map_error_m, pack
-from pica_core.capture.rig.gaze import EYE_YAW
+from pica_core.avatar.arkit import ARKIT_INDEX, EYE_YAW, NUM_ARKIT
+from pica_core.capture.rig.chart import add_gutters, equalise, map_error_m, pack
 from pica_core.capture.rig.head import RigHead, make_rig, read_rig
-from pica_core.capture.rig.uv_gutter import add_gutters
 from pica_core.capture.stage.expressions import blend
-from pica_core.capture.stage.rig import chart_error_mm
+from pica_core.capture.stage.subject import chart_error_mm
 from pica_core.errors import CaptureError, ShapeError
 
 pytestmark = [pytest.mark.unit, pytest.mark.slow]

@@ -12,7 +12,7 @@ from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES
 from pica_core.capture.rig.gltf import read_glb
 from pica_core.capture.rig.mesh import build_mesh
 from pica_core.capture.rig.names import map_names, match_name, read_names
-from pica_core.capture.rig.obj import read_obj_folder
+from pica_core.capture.rig.source import read_obj_folder
 from pica_core.errors import CaptureError
 
 pytestmark = pytest.mark.unit

@@ -8,10 +8,10 @@ import pytest
 
 from helpers.rig_wild import FORMS, wild_rig, write_beside
 from pica_core.capture.rig.gltf import read_glb
-from pica_core.capture.rig.images import wrapped
+from pica_core.capture.rig.source import wrapped
 from pica_core.capture.stage.dome import dome_cameras
 from pica_core.capture.stage.expressions import blend
-from pica_core.capture.stage.rig import RigSubject
+from pica_core.capture.stage.subject import RigSubject
 from pica_core.errors import CaptureError
 from pica_core.types import ByteArray
 

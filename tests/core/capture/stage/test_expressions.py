@@ -8,8 +8,7 @@ import pytest
 from helpers.paths import SHARED_DATA
 from pica_command.main import main
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES
-from pica_core.capture.stage.expressions import sample_takes
-from pica_core.capture.stage.own_take import own_take, read_own_take
+from pica_core.capture.stage.expressions import own_take, read_own_take, sample_takes
 from pica_core.errors import CaptureError
 from pica_core.types import FloatArray
 

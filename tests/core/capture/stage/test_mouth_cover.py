@@ -11,8 +11,7 @@ from helpers.small_capture import small_head
 from pica_core.capture.dataset.dataset import Topology
 from pica_core.capture.dataset.files import MAP_SIZE
 from pica_core.capture.stage.expressions import blend
-from pica_core.capture.stage.mouth_cover import cover_mouth
-from pica_core.capture.stage.tracked_topology import COVER, track_topology
+from pica_core.capture.stage.tracked_topology import COVER, cover_mouth, track_topology
 from pica_core.capture.stage.tracker import SimulatedTracker
 
 pytestmark = [pytest.mark.unit, pytest.mark.slow]

@@ -10,10 +10,9 @@ from pica_core.camera import look_at
 from pica_core.capture.dataset.dataset import Topology
 from pica_core.capture.rig.head import RigHead
 from pica_core.capture.stage.expressions import blend, sample_takes
-from pica_core.capture.stage.head_motion import head_to_world
 from pica_core.capture.stage.mvs_depth import OUTLIER_RATIO, find_depth
 from pica_core.capture.stage.tracked_topology import track_topology
-from pica_core.capture.stage.tracker import LIMIT_MM, SimulatedTracker, lagged_arkit
+from pica_core.capture.stage.tracker import LIMIT_MM, SimulatedTracker, head_to_world, lagged_arkit
 
 pytestmark = [pytest.mark.unit, pytest.mark.slow]
 
