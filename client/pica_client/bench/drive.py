@@ -162,7 +162,7 @@ def _subject(config: DriveBenchConfig, avatar: Avatar) -> Subject:
         from pica_core.capture.person.choices import read_person
         from pica_core.capture.person.subject import PersonSubject
 
-        subject = PersonSubject(read_person(config.person)[0])
+        subject = PersonSubject(read_person(config.person))
     else:
         raise OptionError(f"avatar {identity!r}: name the --rig or the --person it was made of")
     if _order(avatar, subject) is None:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as ProgressBar
@@ -17,11 +16,9 @@ from pica_core.capture.dataset.check import PIXEL_FRAMES, check_capture
 from pica_core.capture.dataset.multiface import write_aside
 from pica_core.capture.dataset.sheet import write_sheet
 from pica_core.capture.person.choices import (
-    CLIP,
     NAMED,
     Person,
     draw_person,
-    read_coefficients,
     read_person,
 )
 from pica_core.capture.person.subject import PersonSubject
@@ -162,8 +159,6 @@ class PersonOptions(RenderArguments):
     head, as in the paper's dome."""
     person: Path | None = None
     """A person.json: makes that person again."""
-    coefficients: Path | None = None
-    """JSON list of up to 100 coefficients of the identity modes, instead of drawn ones."""
     sex: str | None = None
     """female or male."""
     age: int | None = None
@@ -183,28 +178,23 @@ class PersonOptions(RenderArguments):
     clothes_colour: str | None = None
     """white, charcoal, navy, burgundy, olive, teal, ochre, sand or lilac."""
 
-    def choose(self) -> tuple[Person, int]:
-        """The person that is meant, and how many coefficients were clipped."""
+    def choose(self) -> Person:
+        """The person that is meant."""
         names = (*NAMED, "age", "skin")
         chosen = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
-        if self.person is not None:
-            if chosen or self.coefficients is not None:
-                named = [*chosen, "coefficients"][0]
-                raise CaptureError(f"--person says all; leave out --{named.replace('_', '-')}")
-            return read_person(self.person)
-        clipped = 0
-        if self.coefficients is not None:
-            chosen["coefficients"], clipped = read_coefficients(self.coefficients)
-        return draw_person(self.seed, **chosen), clipped
+        if self.person is None:
+            return draw_person(self.seed, **chosen)
+        if chosen:
+            option = next(iter(chosen)).replace("_", "-")
+            raise CaptureError(f"--person says all; leave out --{option}")
+        return read_person(self.person)
 
 
 def person(options: PersonOptions) -> dict[str, Any]:
     """Render a person of the face model into a capture directory."""
     stage = RenderOptions(lenses=options.lenses, **options.values())
     console = Console(stderr=True, highlight=False)
-    who, clipped = options.choose()
-    if clipped:
-        console.print(f"{clipped} coefficients were beyond {CLIP:g} and were clipped")
+    who = options.choose()
     console.print(
         f"{who.sex}, {who.age} years, skin {who.skin:g}, hair {who.hair} {who.hair_colour}, "
         f"beard {who.beard}, eyes {who.eyes}, {who.clothes} {who.clothes_colour}"
@@ -222,8 +212,6 @@ def person(options: PersonOptions) -> dict[str, Any]:
     write_aside(options.out / FILE, who.as_json().encode())
     return made | {
         "notes": notes,
-        "clipped": clipped,
-        "largest_coefficient": float(np.abs(who.coefficients).max()),
         "person": str(options.out / FILE),
     }
 

@@ -154,27 +154,11 @@ def person_of(table: dict[str, Any]) -> Person:
     return Person(**(table | {"coefficients": tuple(table["coefficients"])}))
 
 
-def read_person(path: Path) -> tuple[Person, int]:
-    """A person as `Person.as_json` wrote it, and how many coefficients were clipped."""
+def read_person(path: Path) -> Person:
+    """A person as `Person.as_json` wrote it; coefficients beyond `CLIP` are clipped."""
     try:
         table = json.loads(read_bytes(path))
         coefficients = np.array(table["coefficients"], np.float64).reshape(-1)
-        person = person_of(table | {"coefficients": np.clip(coefficients, -CLIP, CLIP).tolist()})
+        return person_of(table | {"coefficients": np.clip(coefficients, -CLIP, CLIP).tolist()})
     except (ValueError, TypeError, KeyError, RecursionError) as error:
         raise CaptureError(f"{path}: not a person ({error})") from error
-    return person, int(np.count_nonzero(np.abs(coefficients) > CLIP))
-
-
-def read_coefficients(path: Path) -> tuple[tuple[float, ...], int]:
-    """Coefficients of a JSON list, and how many of them were clipped."""
-    try:
-        values = np.array(json.loads(read_bytes(path)), np.float64).reshape(-1)
-    except (ValueError, TypeError, RecursionError) as error:
-        raise CaptureError(f"{path}: not a list of numbers ({error})") from error
-    if len(values) > NUM_MODES or not np.isfinite(values).all():
-        raise CaptureError(
-            f"{path}: {len(values)} numbers; up to {NUM_MODES} finite ones are allowed"
-        )
-    full = np.zeros(NUM_MODES)
-    full[: len(values)] = np.clip(values, -CLIP, CLIP)
-    return tuple(full.tolist()), int(np.count_nonzero(np.abs(values) > CLIP))

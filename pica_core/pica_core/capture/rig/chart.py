@@ -16,8 +16,6 @@ from dataclasses import dataclass
 import numpy as np
 import xatlas
 from scipy.ndimage import gaussian_filter, map_coordinates
-from scipy.sparse import csc_array, eye_array
-from scipy.sparse.linalg import factorized
 
 from pica_core.capture.dataset.files import MAP_SIZE
 from pica_core.capture.triangles import areas, components, signed_areas, spread_samples
@@ -387,35 +385,3 @@ def _try(points: Float64Array, faces: IntArray) -> Float64Array | None:
     if len(index) != len(faces) or np.isnan(placed).any():
         return None
     return placed
-
-
-def map_error_m(vertex_uv: FloatArray, poses_m: FloatArray, size: int = MAP_SIZE) -> Float64Array:
-    """Distance of every vertex from where the best map of `size` rows and columns puts it, metres.
-
-    What a position map cannot hold, whoever fills it: for each pose the best map in the
-    least-squares sense is found, as a vertex shader reads it, bilinearly. What is left depends on
-    the chart alone.
-
-    Args:
-        vertex_uv: In [0, 1]. float32 ``[V, 2]``.
-        poses_m: Meshes, metres. float32 ``[N, V, 3]``.
-
-    Returns:
-        float64 ``[N, V]``.
-    """
-    count = len(vertex_uv)
-    q = np.clip(vertex_uv.astype(np.float64) * size - 0.5, 0, size - 1)
-    low = np.minimum(q.astype(np.int64), size - 2)
-    t = q - low
-    flat = (low @ [1, size])[:, None] + [0, 1, size, size + 1]
-    tx, ty = t.T
-    weight = np.stack([(1 - tx) * (1 - ty), tx * (1 - ty), (1 - tx) * ty, tx * ty], 1)
-    vertex = np.repeat(np.arange(count), 4)
-    read = csc_array((weight.ravel(), (vertex, flat.ravel())), (count, size * size))
-    # Texels that nothing reads are free; a vertex on a texel centre reads one only.
-    solve = factorized((read.T @ read + 1e-9 * eye_array(size * size)).tocsc())
-    wanted = poses_m.astype(np.float64).transpose(1, 0, 2).reshape(count, -1)
-    spread = read.T @ wanted
-    solution = np.stack([solve(column) for column in spread.T], 1)
-    residual = wanted - read @ solution
-    return np.linalg.norm(residual.reshape(count, -1, 3), axis=2).T

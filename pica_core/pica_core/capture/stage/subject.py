@@ -16,12 +16,10 @@ import numpy.typing as npt
 from pica_core.camera import Camera
 from pica_core.capture.dataset.files import MAP_SIZE
 from pica_core.capture.dataset.multiface import describe_masks
-from pica_core.capture.rig.chart import map_error_m
 from pica_core.capture.rig.features import LID_M
 from pica_core.capture.rig.head import RigHead, make_rig, read_rig
 from pica_core.capture.rig.names import read_names
 from pica_core.capture.rig.source import RigSource
-from pica_core.capture.stage.expressions import sample_takes
 from pica_core.capture.stage.paint import (
     Albedo,
     Growth,
@@ -325,31 +323,6 @@ def _ramp(value: FloatArray, low: float, high: float) -> FloatArray:
     return t * t * (3 - 2 * t)
 
 
-ERROR_POSES = 8
-"""Expressions over which the error that the position map leaves is measured."""
-ERROR_REGIONS = ("face", "lips", "lids", "eyeballs", "teeth", "tongue", "mouth_interior")
-
-
-def chart_error_mm(head: RigHead, poses: int = ERROR_POSES) -> dict[str, dict[str, float]]:
-    """What the best position map leaves, by region: mean and 99th percentile, millimetres.
-
-    Measured over `poses` expressions, evenly from a performance made with seed 0.
-    """
-    arkit = np.concatenate([take.arkit for take in sample_takes(8 * poses, 0)])[::8]
-    meshes = np.stack([head.vertices(values) for values in arkit])
-    error = 1000 * map_error_m(head.chart.vertex_uv, meshes)
-    regions = head.topology.regions
-    masks = {"all": np.ones(error.shape[1], np.bool_)}
-    masks |= {name: regions[name] for name in ERROR_REGIONS if regions[name].any()}
-    return {
-        name: {
-            "mean": round(float(error[:, mask].mean()), 4),
-            "p99": round(float(np.quantile(error[:, mask], 0.99)), 4),
-        }
-        for name, mask in masks.items()
-    }
-
-
 class RigSubject(Subject):
     """A rig on the stage, from a .glb file or a folder of OBJ files.
 
@@ -384,7 +357,7 @@ class RigSubject(Subject):
 def describe_rig(
     path: Path, source: RigSource, head: RigHead, images: dict[int, Albedo]
 ) -> dict[str, Any]:
-    """Source, rights, names, units, parts, and the error that the position map leaves."""
+    """Source, rights, names, units and parts."""
     mesh = head.mesh
     digest = hashlib.sha256(source.positions.tobytes())
     digest.update(source.faces.tobytes())
@@ -416,6 +389,5 @@ def describe_rig(
             "mouth_close_is_corrective": head.corrective_close,
             "islands": head.chart.islands,
             "triangles_with_new_coordinates": head.mended,
-            "position_map_error_mm": chart_error_mm(head),
         },
     }
