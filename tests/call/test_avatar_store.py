@@ -14,8 +14,7 @@ import pytest
 
 from helpers.store_peers import store_relay
 from helpers.toy import make_toy_avatar
-from pica_client.avatars.cache import AvatarCache
-from pica_client.avatars.fetch import AvatarFetcher
+from pica_client.avatars.fetch import AvatarCache, AvatarFetcher
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.avatars.upload import AvatarGiver
 from pica_client.call.call import Call

@@ -10,7 +10,7 @@ from platformdirs import PlatformDirs, windows
 from platformdirs.macos import MacOS
 from platformdirs.unix import Unix
 
-from pica_client.avatars.cache import AvatarCache
+from pica_client.avatars.fetch import AvatarCache
 from pica_client.cli.doctor import Finding, examine
 from pica_client.ui.preferences import Preferences, PreferencesFile
 from pica_client.user_folders import cache_folder, open_to_others, preferences_folder

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Final
 from cyclopts import Parameter
 
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.avatars.own_avatar import GiveAvatar, choose_own_avatar
+from pica_client.avatars.upload import GiveAvatar, choose_own_avatar
 from pica_client.cli.options import check_voice, connect_timeout_s
 from pica_client.output import Outputs, check_writable, say
 from pica_client.publish.face_desk import FaceDesk

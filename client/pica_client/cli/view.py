@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.avatars.own_avatar import GiveAvatar
+from pica_client.avatars.upload import GiveAvatar
 from pica_client.cli.options import check_voice, connect_timeout_s, parse_size
 from pica_client.errors import OptionError
 from pica_client.output import say

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.avatars.own_avatar import GiveAvatar, choose_own_avatar
-from pica_client.avatars.upload import AvatarGiver
+from pica_client.avatars.upload import AvatarGiver, GiveAvatar, choose_own_avatar
 from pica_client.publish.publisher import Publisher, SenderConfig
 from pica_client.sources import open_source
 from pica_client.transport.config import LinkConfig

@@ -11,8 +11,7 @@ import pytest
 
 from helpers.toy import make_toy_avatar
 from pica_client.avatars import library as module
-from pica_client.avatars.cache import AvatarCache
-from pica_client.avatars.fetch import AvatarFetcher
+from pica_client.avatars.fetch import AvatarCache, AvatarFetcher
 from pica_client.avatars.library import AvatarLibrary
 from pica_core.avatar.file import Avatar, load_avatar, save_avatar
 from pica_core.errors import AvatarFileError

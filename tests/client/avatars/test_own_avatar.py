@@ -9,7 +9,7 @@ import pytest
 
 from helpers.toy import make_toy_avatar
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.avatars.own_avatar import avatar_by_name, choose_own_avatar
+from pica_client.avatars.upload import avatar_by_name, choose_own_avatar
 from pica_client.errors import AvatarLookupError
 from pica_client.local_call.local_call import NAMES
 from pica_client.transport.config import LinkConfig

@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image as PillowImage
 
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.avatars.own_avatar import avatar_by_name
+from pica_client.avatars.upload import avatar_by_name
 from pica_client.closing import Closing
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.room import STILL
