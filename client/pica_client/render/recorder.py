@@ -1,11 +1,13 @@
 """Drawn frames into files: an MP4 of a call, and single PNG images.
 
 Frames keep the times they were drawn at, so a call that was drawn unevenly plays at its true speed;
-sound keeps the times it was heard at.
+sound keeps the times it was heard at. A thread encodes, up to `MAX_WAITING` frames behind.
 Needs PyAV (the `video` extra) and Pillow; importing this module does not.
 """
 
+from collections import deque
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
@@ -31,6 +33,9 @@ CONTAINER = {"movflags": "hybrid_fragmented+delay_moov", "flush_packets": "1"}
 is closed (FFmpeg 7.1)."""
 KEY_FRAMES = 60
 """A key frame after so many frames, two seconds of a call: the most that a kill costs (chosen)."""
+MAX_WAITING = 2
+"""Frames that wait for the encoder at most; the next one is taken when the oldest is done (chosen:
+one that takes long delays no image, and a slow machine keeps no more than that in memory)."""
 
 
 class Recorder(Closing):
@@ -80,6 +85,8 @@ class Recorder(Closing):
         else:
             stream.bit_rate = 8_000_000
         self._stream = stream
+        self._encoder = ThreadPoolExecutor(1, "recorder")
+        self._waiting: deque[Future[None]] = deque()
         self._sound = begin_sound()
         if self._sound is not None:
             self._sound_stream = self._container.add_stream("aac", rate=SAMPLE_RATE_HZ)
@@ -90,14 +97,17 @@ class Recorder(Closing):
         """Append a frame.
 
         Args:
-            image: uint8 ``[H, W, 3]``, top row first. One of another size is scaled to fit, with
-                black bars where its shape differs.
+            image: uint8 ``[H, W, 3]``, top row first; must not change afterwards. One of another
+                size is scaled to fit, with black bars where its shape differs.
             time_s: When it was drawn, on the clock of the sound; the first is the beginning. Frames
                 that come within a tick of the last one are dropped, and those after `close`.
 
         Raises:
-            OptionError: The disk is full; the recording is over.
+            OptionError: The disk is full, as one of the last frames was written; the recording is
+                over.
         """
+        while self._waiting and (len(self._waiting) >= MAX_WAITING or self._waiting[0].done()):
+            self._waiting.popleft().result()
         if self._begin_s is None:
             self._begin_s = time_s
             if self._sound is not None:
@@ -106,15 +116,7 @@ class Recorder(Closing):
         if tick <= self._last_tick or self._container is None:
             return
         self._last_tick = tick
-        if image.shape[1::-1] != self._window_size:
-            image = _fitted(image, self._size)
-        width, height = self._size
-        canvas = np.ascontiguousarray(image[:height, :width])
-        frame = self._av.VideoFrame.from_ndarray(canvas, format="rgb24")
-        frame.pts = tick
-        frame.time_base = Fraction(1, TICKS_PER_S)
-        self._mux(self._stream, frame)
-        self._write_sound(tick / TICKS_PER_S - LATE_S)
+        self._waiting.append(self._encoder.submit(self._encode, image, tick))
 
     def close(self) -> None:
         """Finish the file. Once is enough, twice is harmless.
@@ -122,6 +124,9 @@ class Recorder(Closing):
         Raises:
             OptionError: The disk is full, or there is not one frame and therefore no file.
         """
+        self._encoder.shutdown()
+        while self._waiting:
+            self._waiting.popleft().result()
         if self._container is None:
             return
         self._mux(self._stream, None)
@@ -133,6 +138,18 @@ class Recorder(Closing):
         if self._last_tick < 0:
             self._path.unlink(missing_ok=True)
             raise OptionError(f"{self._path}: no picture was drawn, so there is no recording")
+
+    def _encode(self, image: Image, tick: int) -> None:
+        """Append a frame, and the sound up to it; on the encoder's thread."""
+        if image.shape[1::-1] != self._window_size:
+            image = _fitted(image, self._size)
+        width, height = self._size
+        canvas = np.ascontiguousarray(image[:height, :width])
+        frame = self._av.VideoFrame.from_ndarray(canvas, format="rgb24")
+        frame.pts = tick
+        frame.time_base = Fraction(1, TICKS_PER_S)
+        self._mux(self._stream, frame)
+        self._write_sound(tick / TICKS_PER_S - LATE_S)
 
     def _write_sound(self, until_s: float, *, is_last: bool = False) -> None:
         if self._sound is None or self._container is None:

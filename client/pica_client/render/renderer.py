@@ -284,6 +284,9 @@ class Renderer(Closing):
     def read_image(self) -> Image:
         """The last frame, uint8 ``[H, W, 3]``, top row first. Waits for the GPU.
 
+        What is returned is a view of the rows as GL stores them and cannot be written: copying it
+        (4 ms at 1280 x 720) is left to what needs it, away from the drawing thread.
+
         Raises:
             GraphicsError: The driver has lost the context or ran out of memory.
         """
@@ -292,8 +295,8 @@ class Renderer(Closing):
         self.check()
         # Four components are read as they lie in memory; three would be repacked pixel by pixel.
         data = self._targets.final.read(components=4)
-        image = np.frombuffer(data, np.uint8).reshape(height, width, 4)
-        return np.ascontiguousarray(image[::-1, :, :3])
+        image: Image = np.frombuffer(data, np.uint8).reshape(height, width, 4)
+        return image[::-1, :, :3]
 
     def read_surface(self) -> tuple[FloatArray, FloatArray, npt.NDArray[np.int32]]:
         """What the last frame's surface pass saw, top row first; for tests and picking.

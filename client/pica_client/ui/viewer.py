@@ -8,6 +8,7 @@ Each frame: take what the user did, let `avatar_presenter` arrange and decode th
 put the surface of `call_surface` over them, show or record.
 """
 
+import os
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -22,7 +23,7 @@ from pica_client.call.faces import FaceSource
 from pica_client.call.status import CallStatus
 from pica_client.closing import Closing
 from pica_client.decode.decoder import OnnxDecoder
-from pica_client.decode.pool import DecodePool
+from pica_client.decode.pool import DecodePool, num_workers
 from pica_client.decode.request import DecodeResult
 from pica_client.errors import ClientError
 from pica_client.output import Outputs, say
@@ -152,7 +153,8 @@ class Viewer(Closing):
             stack.callback(self._end_film)
             self._captures = CapturesOnDisk(options.keep_in, begin_sound)
             stack.callback(lambda: self.outputs.attempt(self._captures.close))
-            self._pool = stack.enter_context(DecodePool(OnnxDecoder, clock))
+            workers = num_workers(os.cpu_count())
+            self._pool = stack.enter_context(DecodePool(OnnxDecoder, clock, workers=workers))
             self._draw_clock: DrawClock[_DrawnFrame] = DrawClock(context)
             self._scheduler = Scheduler(options.scheduler)
             self._presenter = AvatarPresenter(

@@ -16,7 +16,7 @@ from pica_client.decode.decoder import (
     OnnxOptions,
 )
 from pica_client.decode.onnx_runtime import onnxruntime
-from pica_client.decode.pool import DecodePool
+from pica_client.decode.pool import DecodePool, num_workers
 from pica_client.decode.request import DecodedMaps, DecodeRequest, Parts
 from pica_client.errors import OptionError
 from pica_core.avatar.file import Avatar
@@ -392,3 +392,10 @@ def test_the_baseline_decodes_vertices_and_a_texture() -> None:
     decoded = BaselineDecoder(baseline).decode(latent, AHEAD)
     assert decoded.vertices_m.shape == (baseline.spec.num_vertices, 3)
     assert decoded.texture.shape == (1024, 1024, 3)
+
+
+@pytest.mark.parametrize(
+    ("num_cores", "wanted"), [(None, 1), (1, 1), (2, 1), (8, 2), (16, 4), (96, 4)]
+)
+def test_few_of_the_cores_decode(num_cores: int | None, wanted: int) -> None:
+    assert num_workers(num_cores) == wanted
