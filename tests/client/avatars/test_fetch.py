@@ -330,14 +330,6 @@ async def test_a_relay_that_is_away_is_asked_again(tmp_path: Path, toy: AvatarFi
             await until(lambda: fetching.get(toy.identity) is not None)
 
 
-def test_what_is_no_id_is_never_asked_for(tmp_path: Path) -> None:
-    with fetcher("ws://127.0.0.1:9", tmp_path) as fetching:
-        for identity in ("", "../../etc/passwd", "ab" * 31, "AB" * 32):
-            assert not fetching.has(identity)
-            assert fetching.get(identity) is None
-            assert fetching.note(identity) == ""
-
-
 def test_more_wanted_avatars_than_can_be_forget_the_one_asked_for_longest_ago(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -439,15 +431,3 @@ async def test_a_giver_gives_to_each_relay_and_tells_once_what_went_wrong(toy: A
         await until(lambda: giver.outcome == "known")
     await giver.close()
     assert len(said) == 2
-
-
-@pytest.mark.asyncio
-async def test_a_giver_that_is_told_to_come_later_does(toy: AvatarFile) -> None:
-    async with store_relay(uploads=1, bytes_per_s=4e6) as relay:
-        givers = [giver_of(toy, print) for _ in range(3)]
-        for giver in givers:
-            giver.begin(relay.url)
-        await until(lambda: all(giver.outcome for giver in givers))
-        assert {giver.outcome for giver in givers} <= {"given", "known"}
-        for giver in givers:
-            await giver.close()

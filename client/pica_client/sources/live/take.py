@@ -45,8 +45,7 @@ class Take:
         arkit: Values, NaN where the tracker sent none. float32 ``[T, 52]``.
         rotation: Head rotation vectors, radians. float32 ``[T, 3]``.
         has_face: Whether the tracker saw somebody. bool ``[T]``.
-        place_m: Where the head was, NaN where the tracker did not say, as in takes that were made
-            before it was kept. float32 ``[T, 3]``.
+        place_m: Where the head was, NaN where the tracker did not say. float32 ``[T, 3]``.
         start_s: Where in the take the source begins, seconds.
     """
 
@@ -146,7 +145,6 @@ def load_take(path: Path, start_s: float = 0.0) -> Take:
             if str(archive["format"]) != FORMAT:
                 raise SourceError(f"{path}: is a take of another version")
             arrays: dict[str, Any] = dict(archive)
-            arrays.setdefault("place_m", np.tile(_NOWHERE, (len(arrays["rotation"]), 1)))
             take = Take(**{name: arrays[name] for name in _SHAPES}, start_s=start_s)
     except OSError as error:
         raise SourceError(f"{path}: cannot be read ({error.strerror or error})") from error

@@ -38,17 +38,6 @@ def test_a_head_of_live_link_turns_about_one_axis(angle: str, axis: int) -> None
     np.testing.assert_allclose(rotation, wanted, atol=1e-6)
 
 
-def test_live_link_without_values_is_no_face() -> None:
-    sample = decode_livelink(tracker_packets.live_link(None, frame=3))
-    assert not sample.has_face
-    assert sample.tracker_s == pytest.approx(3 / 60)
-
-
-def test_the_apps_other_mode_is_refused_with_what_to_do() -> None:
-    with pytest.raises(PacketError, match=r"switch it to Live Link \(ARKit\)"):
-        decode_livelink(bytes(584))
-
-
 @pytest.mark.parametrize("value", [math.nan, math.inf, 4.5])
 def test_a_value_that_is_no_face_is_refused(value: float) -> None:
     with pytest.raises(PacketError, match="outside of"):
@@ -96,16 +85,6 @@ def test_unitys_head_turned_to_the_subjects_left_turns_left_here() -> None:
     np.testing.assert_allclose(sample.rotation, [0, -math.radians(30), 0], atol=1e-6)
 
 
-def test_neck_and_head_turn_together() -> None:
-    half = math.radians(5)
-    nod = (math.sin(half), 0.0, 0.0, math.cos(half))
-    (sample,) = VmcDecoder().decode(
-        tracker_packets.vmc({"jawOpen": 0.0}, bones={"Neck": nod, "Head": nod})
-    )
-    # About x the hand of the axes does not matter.
-    np.testing.assert_allclose(sample.rotation, [math.radians(20), 0, 0], atol=1e-6)
-
-
 def test_eye_bones_are_the_gaze_of_a_model_without_look_shapes() -> None:
     # Unity's +10 degrees about y is to the subject's right; about x it is down.
     half = math.radians(5)
@@ -150,22 +129,6 @@ def test_ifacialmocap_gives_hundredths_and_degrees(separator: str) -> None:
     assert sample.arkit[ARKIT_INDEX["jawOpen"]] == pytest.approx(0.07)
     assert np.linalg.norm(sample.rotation) == pytest.approx(math.radians(22.3), rel=0.01)
     assert sample.rotation[1] < 0 < sample.rotation[0]
-
-
-def test_reasons_of_a_refusal_hold_no_names_of_strangers() -> None:
-    reasons = set()
-    for index in range(3):
-        with pytest.raises(PacketError) as refusal:
-            decode_ifacialmocap(tracker_packets.ifacialmocap({f"shape{index}": 99_999}))
-        reasons.add(str(refusal.value))
-    assert reasons == {"a value lies outside of ±400"}
-
-
-def test_facemotion3d_has_whole_names() -> None:
-    sample = decode_ifacialmocap(
-        tracker_packets.ifacialmocap({"mouthSmileRight": 25}, separator="&")
-    )
-    assert sample.arkit[ARKIT_INDEX["mouthSmileRight"]] == pytest.approx(0.25)
 
 
 def test_damaged_datagrams_fill_no_log(caplog: pytest.LogCaptureFixture) -> None:

@@ -81,27 +81,6 @@ def test_the_first_subject_is_taken_unless_one_is_named(phone: socket.socket) ->
         assert tracker.face.counters["taken"] == tracker.subjects["Ben"]
 
 
-def test_the_next_subject_is_taken_once_the_first_is_silent(
-    phone: socket.socket, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with closing(open_live("livelink", "127.0.0.1:0")) as tracker:
-        stream(phone, tracker, 0.2, subject="stray")
-        monkeypatch.setattr("pica_client.sources.live.tracker.SILENT_S", 0.0)
-        stream(phone, tracker, 0.8, subject="me")
-
-
-def test_who_waits_for_a_subject_is_told_of_those_that_come(
-    phone: socket.socket, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with closing(open_live("livelink", "127.0.0.1:0/Ada")) as tracker:
-        packet = tracker_packets.live_link({"JawOpen": 1.0}, subject="iPhone")
-        phone.sendto(packet, ("127.0.0.1", tracker.port))
-        until(lambda: bool(tracker.subjects))
-        monkeypatch.setattr("pica_client.sources.live.tracker.SILENT_S", 0.0)
-        assert tracker.trouble == "livelink: no face of 'Ada' comes, but of 'iPhone'"
-        assert not tracker.face.counters["taken"]
-
-
 def test_a_phone_is_asked_and_others_are_not_heard(phone: socket.socket) -> None:
     options = parse_live("ifacialmocap", "127.0.0.2")
     here = UdpOptions("ifacialmocap", 0, phone="127.0.0.1", host="127.0.0.1")
@@ -191,18 +170,6 @@ def test_a_take_plays_what_came_and_the_same_each_time(tmp_path: Path) -> None:
     assert max(jaws) > 0.9
     np.testing.assert_allclose(again, jaws, atol=1e-6)
 
-    with np.load(path) as archive:  # as takes were before they kept the head's place
-        np.savez(path.with_suffix(".npz"), **{k: v for k, v in archive.items() if k != "place_m"})
-    assert load_take(path.with_suffix(".npz")).sample(0).place_m is None
-
-
-@pytest.mark.parametrize("content", [b"", b"no archive", b"PK\x03\x04 cut"])
-def test_what_is_no_take_is_refused(tmp_path: Path, content: bytes) -> None:
-    path = tmp_path / "bad"
-    path.write_bytes(content)
-    with pytest.raises(SourceError, match="bad"):
-        load_take(path)
-
 
 def test_an_array_and_a_take_that_is_damaged_anywhere_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "bad.npy"
@@ -251,21 +218,6 @@ def test_a_calibration_is_made_kept_and_found_again(tmp_path: Path) -> None:
     path.write_text('{"gain": 1.0, "neutral": [0.5]}')
     with pytest.raises(SourceError, match="pica calibrate livelink"):
         store.load("Ada B.", "livelink")
-
-
-def test_eyes_that_did_not_close_are_said() -> None:
-    rest = np.zeros(NUM_ARKIT, np.float32)
-    with pytest.raises(SourceError, match="did not close"):
-        calibrate([rest], [rest])
-    with pytest.raises(SourceError, match="no face"):
-        calibrate([], [])
-
-
-def test_a_calibration_out_of_range_is_refused() -> None:
-    with pytest.raises(SourceError, match="gain"):
-        Calibration(gain=5.0)
-    with pytest.raises(SourceError, match="too near"):
-        Calibration(lid_closed=(0.1, 0.1))
 
 
 def test_shapes_that_a_tracker_does_not_send_have_no_neutral() -> None:

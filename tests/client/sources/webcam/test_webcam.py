@@ -20,7 +20,7 @@ from pica_client.sources.live.live_face import TrackerSample
 from pica_client.sources.registry import open_source
 from pica_client.sources.webcam import networks as model
 from pica_client.sources.webcam import webcam
-from pica_client.sources.webcam.networks import BLIND, FaceNetworks, Region
+from pica_client.sources.webcam.networks import FaceNetworks
 from pica_client.sources.webcam.webcam import _HEAD as HEAD
 from pica_client.sources.webcam.webcam import _INDICES as INDICES
 from pica_client.sources.webcam.webcam import (
@@ -29,9 +29,8 @@ from pica_client.sources.webcam.webcam import (
     Webcam,
     head_pose,
     open_camera,
-    pictures,
 )
-from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES
+from pica_core.avatar.arkit import ARKIT_INDEX
 from pica_core.types import FloatArray
 
 pytestmark = pytest.mark.unit
@@ -82,15 +81,6 @@ def test_a_real_smile_is_seen_as_by_mediapipe(
     assert -3 < sample.place_m[2] < -0.3
 
 
-def test_what_the_networks_cannot_see_stays_at_rest(
-    networks: FaceNetworks, astronaut: Image.Image
-) -> None:
-    sample = FaceFinder(networks).find(astronaut, None)
-    for name in ARKIT_NAMES:
-        if name.startswith(BLIND):
-            assert value(sample, name) == 0
-
-
 def test_a_face_leaves_and_comes_back(networks: FaceNetworks, astronaut: Image.Image) -> None:
     finder, nobody = FaceFinder(networks), Image.new("RGB", astronaut.size, (90, 90, 90))
     shown = [astronaut, nobody, nobody, astronaut]
@@ -134,20 +124,6 @@ def test_a_head_is_turned_and_placed_as_one_that_looks_at_the_camera(
     assert place_m[2] == pytest.approx(-5.76 * UNIT_M, rel=0.01)
     assert place_m[0] > 0  # the picture's right is the subject's left
     assert place_m[1] > 0
-
-
-def test_a_region_is_cut_out_turned_and_black_outside() -> None:
-    picture = np.zeros((80, 100, 3), np.uint8)
-    picture[30:50, 60:80] = 255
-    image = Image.fromarray(picture)
-    upright = Region(70, 40, 20).crop(image, 8)
-    assert upright.min() > 0.45  # its border is half a pixel away
-    assert upright[0, 2:6, 2:6].min() == 1
-    outside = Region(200, 200, 20).crop(image, 8)
-    assert not outside.any()
-    turned = Region(70, 40, 40, np.pi / 2)
-    corner = turned.to_picture(np.array([[0.0, 0.0, 0.5]], np.float32))[0]
-    np.testing.assert_allclose(corner, [90, 20, 20], atol=1e-3)
 
 
 @pytest.fixture
@@ -218,11 +194,6 @@ class Film:
 
     def close(self) -> None:
         pass
-
-
-def test_a_video_that_cannot_be_rewound_is_over() -> None:
-    pytest.importorskip("av")
-    assert len(list(pictures(Film(), True, lambda wait_s: False))) == 1
 
 
 def test_a_reader_that_fails_says_so_and_reads_on(monkeypatch: pytest.MonkeyPatch) -> None:

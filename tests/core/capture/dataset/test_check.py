@@ -15,7 +15,6 @@ from PIL import Image
 from helpers.small_capture import render_capture
 from pica_core.camera import look_at
 from pica_core.capture.dataset.check import check_capture, silhouette_problem
-from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.stage.synth import RenderOptions
 from pica_core.cli.capture import CheckOptions, check
 from pica_core.errors import CaptureError
@@ -231,12 +230,6 @@ def test_any_damage_at_all_ends_in_a_result(damaged: Path, rendered: Path) -> No
         assert all(set(problem) == {"where", "what"} for problem in result["problems"])
         (damaged / name).write_bytes(good)
     assert check_capture(damaged, pixel_frames=1)["ok"]
-
-
-def test_a_frame_that_is_left_out_leaves_the_others_usable(damaged: Path) -> None:
-    first_of(damaged, "tracked_mesh/{segment}/{name}.bin").unlink()
-    assert len(Capture.open(damaged).frames) == 4
-    assert check_capture(damaged)["frames"] == 4
 
 
 def test_the_command_tells_people_and_programs(

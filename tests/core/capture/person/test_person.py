@@ -18,7 +18,7 @@ from pica_core.capture.person.model import NUM_MODES, read_model
 from pica_core.capture.rig.features import LID_M, Limits, find_features
 from pica_core.capture.rig.mesh import RigMesh
 from pica_core.capture.stage.expressions import blend
-from pica_core.capture.triangles import front_view, unfolded
+from pica_core.capture.triangles import front_view
 from pica_core.errors import CaptureError
 from pica_core.types import Float64Array
 
@@ -107,13 +107,6 @@ def test_hair_lies_outside_of_head_and_clothes(name: str) -> None:
         assert np.linalg.norm(head, axis=1).min() > 0.97
 
 
-def test_sexes_lie_apart_and_no_coefficient_is_large() -> None:
-    model = read_model()
-    assert np.linalg.norm(model.male) == pytest.approx(2.2)
-    man, woman = model.mesh(model.male).rest_m, model.mesh(-model.male).rest_m
-    assert np.ptp(man[:, 0]) > np.ptp(woman[:, 0])
-
-
 def test_hair_and_clothes_hide_no_face() -> None:
     person = draw_person(3, hair="long", clothes="shirt")
     bare = read_model().mesh(person.coefficients)
@@ -168,18 +161,6 @@ def test_a_blink_closes_only_what_a_glance_down_has_left_open() -> None:
     assert limits.apply(blend(eyeBlink=0.3, eyeLookDown=0.3))[blink] == pytest.approx(0.3)
 
 
-def test_places_that_would_turn_a_triangle_over_go_less_far() -> None:
-    square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
-    faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
-    moved = square.copy()
-    moved[2] = [-3.0, -3.0, 0.0]
-    points = unfolded(square, moved, faces)
-    a, b, c = (points[faces[:, k]] for k in range(3))
-    assert (np.cross(b - a, c - a)[:, 2] > 0).all()
-    assert points[2, 0] < 1.0
-    assert np.array_equal(unfolded(square, square + 2.0, faces), square + 2.0)
-
-
 def test_lips_that_an_identity_parts_meet_at_rest() -> None:
     # The lips of this one are the farthest apart of the people that ship.
     person = draw_person(17, sex="male")
@@ -204,12 +185,3 @@ def test_a_person_becomes_a_capture_with_all_that_was_chosen(tmp_path: Path) -> 
     assert capture.info["person"]["hair"] == "buzz"
     assert "MIT" in capture.info["licence"]
     assert capture.mask(capture.frames[0], "front").max() > 0
-
-
-def test_wrong_choices_leave_nothing_behind(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = ["capture", "person", "--out", str(tmp_path / "out")]
-    assert main([*words, "--hair", "mohawk"]) != 0
-    assert "hair is 'mohawk'; there are bald" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()

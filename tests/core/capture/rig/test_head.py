@@ -8,11 +8,10 @@ import pytest
 
 from helpers.paths import SHARED_DATA
 from helpers.rig_toy import toy_rig, write_glb, write_obj_folder
-from pica_core.avatar.arkit import ARKIT_INDEX, EYE_YAW, NUM_ARKIT
-from pica_core.capture.rig.chart import add_gutters, equalise, pack
+from pica_core.avatar.arkit import EYE_YAW, NUM_ARKIT
+from pica_core.capture.rig.chart import add_gutters
 from pica_core.capture.rig.head import RigHead, make_rig, read_rig
 from pica_core.capture.stage.expressions import blend
-from pica_core.errors import CaptureError, ShapeError
 
 pytestmark = [pytest.mark.unit, pytest.mark.slow]
 
@@ -113,26 +112,6 @@ def test_skirts_leave_no_gap_at_the_vertices_of_a_seam() -> None:
     np.testing.assert_array_equal(source[gutters], faces[copied])
 
 
-def test_a_flow_gives_triangles_the_area_they_need_and_folds_none() -> None:
-    x, y = np.meshgrid(np.linspace(0, 1, 21), np.linspace(0, 1, 21))
-    uv = np.stack([x.ravel(), y.ravel()], 1)
-    index = np.arange(441).reshape(21, 21)
-    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
-    faces = np.stack([a, b, d, a, d, c], -1).reshape(-1, 3).astype(np.int32)
-    centre = uv[faces].mean(1)
-    important = np.linalg.norm(centre - 0.5, axis=1) < 0.2
-    need = np.where(important, 8.0, 1.0)
-
-    moved = equalise(uv, faces, need)
-
-    before = signed_areas(uv.astype(np.float32), faces)
-    after = signed_areas(moved.astype(np.float32), faces)
-    assert (after > 0).all()
-    assert before[important].sum() / before.sum() == pytest.approx(0.125, abs=0.02)
-    wanted = need[important].sum() / need.sum()
-    assert after[important].sum() / after.sum() == pytest.approx(wanted, abs=0.06)
-
-
 def test_eyeballs_that_the_shapes_leave_alone_are_turned_about_their_centres(toy: RigHead) -> None:
     eye = toy.mesh.eyes[0]
     mine = np.flatnonzero(np.isin(toy.chart.source, eye.vertices))
@@ -150,28 +129,6 @@ def test_eyeballs_that_the_shapes_leave_alone_are_turned_about_their_centres(toy
         np.arange(len(toy.chart.source)), np.flatnonzero(toy.topology.regions["eyeballs"])
     )
     np.testing.assert_allclose(looking[other], rest[other], atol=1e-6)
-
-
-def test_split_shapes_add_up_and_values_are_checked(toy: RigHead) -> None:
-    k = ARKIT_INDEX["browInnerUp"]
-    sides = toy.mesh.motion_m[k][np.abs(toy.mesh.rest_m[:, 0]) > 0.012]
-    x = toy.mesh.rest_m[np.abs(toy.mesh.rest_m[:, 0]) > 0.012, 0]
-    assert sides[x > 0, 1].max() == pytest.approx(sides[x < 0, 1].max(), rel=1e-5)
-    with pytest.raises(ShapeError, match="52"):
-        toy.vertices(np.zeros(51))
-
-
-def test_normals_point_outwards_and_agree_across_seams(toy: RigHead) -> None:
-    rest = toy.vertices(np.zeros(NUM_ARKIT))
-    normals = toy.normals(rest)
-
-    skin = ~toy.topology.regions["eyeballs"] & ~toy.topology.regions["teeth"]
-    outwards = (normals * (rest - rest[skin].mean(0))).sum(1)
-    assert (outwards[skin] > 0).mean() > 0.99
-    assert np.unique(toy.chart.source).size < len(toy.chart.source)  # there is a seam
-    by_source = np.zeros((len(toy.mesh.rest_m), 3), np.float32)
-    by_source[toy.chart.source] = normals
-    np.testing.assert_array_equal(by_source[toy.chart.source], normals)
 
 
 def test_regions_lie_where_their_names_say(toy: RigHead) -> None:
@@ -209,22 +166,6 @@ def test_islands_that_hold_no_place_get_new_coordinates(tmp_path: Path) -> None:
 
     assert head.mended == 2 * (len(rig.quads["eye_left"]) + len(rig.quads["skin"]))
     assert_no_overlap(head)
-
-
-def test_islands_that_are_folded_are_packed_without_a_flow() -> None:
-    uv = np.array([[0, 0], [1, 0], [1, 1], [0.2, 0.9], [0.9, 0.2]], np.float64)
-    faces = np.array([[0, 1, 2], [0, 2, 3], [0, 2, 4]], np.int32)
-    rest = np.pad(uv, ((0, 0), (0, 1)))
-    chart = pack(uv, faces, faces, np.full(3, 1 / 3), rest=rest, seen=np.zeros(3, np.bool_))
-    assert np.isfinite(chart.vertex_uv).all()
-
-
-def test_what_is_no_rig_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(CaptureError, match="the file is missing"):
-        read_rig(tmp_path / "nothing.glb")
-    (tmp_path / "face.fbx").write_bytes(b"x")
-    with pytest.raises(CaptureError, match=r"a .glb, .vrm or .gltf file or a folder"):
-        read_rig(tmp_path / "face.fbx")
 
 
 @needs_ict

@@ -11,8 +11,7 @@ from helpers.small_capture import small_head
 from pica_core.capture.dataset.dataset import Topology
 from pica_core.capture.dataset.files import MAP_SIZE
 from pica_core.capture.stage.expressions import blend
-from pica_core.capture.stage.tracked_topology import COVER, cover_mouth, track_topology
-from pica_core.capture.stage.tracker import SimulatedTracker
+from pica_core.capture.stage.tracked_topology import COVER, track_topology
 
 pytestmark = [pytest.mark.unit, pytest.mark.slow]
 
@@ -67,21 +66,3 @@ def test_the_cover_has_texels_of_its_own(tracked: tuple[Topology, np.ndarray]) -
     sides = corners[:, 1:] - corners[:, :1]
     area = sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]
     assert (area < 0).all() or (area > 0).all()  # no triangle folds over another
-
-
-def test_a_tracker_keeps_cover_and_lips_together(
-    tracked: tuple[Topology, np.ndarray],
-) -> None:
-    topology, index = tracked
-    rest = small_head(coarse=False).vertices(blend())[index]
-    found = SimulatedTracker(topology, rest, 3, index).follow(rest, rest, 0, 1.5)
-    for dense in np.unique(index[topology.regions[COVER]]):
-        assert len(np.unique(found[index == dense], axis=0)) == 1
-
-
-def test_a_mesh_without_lips_stays_open() -> None:
-    corner = np.array([[0, 0], [1, 0], [0, 1]], np.float32)
-    faces = np.array([[0, 1, 2]])
-    lips = np.zeros(3, np.bool_)
-    points = np.pad(corner, ((0, 0), (0, 1)))
-    assert cover_mouth(faces, corner, np.arange(3), points, lips) is None

@@ -10,13 +10,12 @@ from helpers.small_capture import render_capture, small_head, small_subject
 from pica_command.main import main
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.dataset.files import load_image
-from pica_core.capture.dataset.multiface import MATERIALS, krt_text, read_krt
+from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.dataset.sheet import write_sheet
 from pica_core.capture.dataset.writer import BackgroundWriter
 from pica_core.capture.person.subject import PersonSubject
 from pica_core.capture.stage.dome import EVALUATION_VIEWS, dome_cameras
 from pica_core.capture.stage.expressions import blend
-from pica_core.capture.stage.subject import DEPTH_TOLERANCE_M
 from pica_core.capture.stage.synth import RenderOptions
 from pica_core.errors import CaptureError
 
@@ -44,20 +43,6 @@ def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("capture") / "S1"
     render_capture(OPTIONS, out)
     return out
-
-
-@pytest.fixture
-def damaged(rendered: Path, tmp_path: Path) -> Path:
-    """A copy of the capture to damage."""
-    copy = tmp_path / "copy"
-    for source in rendered.rglob("*"):
-        target = copy / source.relative_to(rendered)
-        if source.is_dir():
-            target.mkdir(parents=True, exist_ok=True)
-        else:
-            target.parent.mkdir(parents=True, exist_ok=True)
-            target.write_bytes(source.read_bytes())
-    return copy
 
 
 def files_of(root: Path) -> dict[str, bytes]:
@@ -102,30 +87,6 @@ def test_closed_lids_hide_the_eyes(subject: PersonSubject) -> None:
     assert (closed_mask == eye).sum() < 0.1 * (open_mask == eye).sum()
 
 
-def test_teeth_show_when_the_mouth_opens_and_not_at_rest(subject: PersonSubject) -> None:
-    camera = dome_cameras(1, 384, 384)[0]
-    teeth = MATERIALS.index("teeth") + 1
-    subject.pose(blend())
-    closed = subject.draw(camera).mask
-    subject.pose(blend(jawOpen=0.5, mouthSmile=0.9, mouthUpperUp=1.0))
-    opened = subject.draw(camera).mask
-    assert (closed == teeth).sum() < 20 < (opened == teeth).sum()
-
-
-def test_an_unwrapped_texture_covers_the_face_and_matches_the_image(
-    subject: PersonSubject,
-) -> None:
-    cameras = dome_cameras(5, 192, 192)
-    subject.pose(blend())
-    texture, seen = subject.unwrap([(camera, subject.draw(camera)) for camera in cameras], 128)
-    face = subject.topology.vertex_uv[subject.topology.regions["face"]]
-    column, row = (128 * face).astype(int).T
-    assert seen[row, column].mean() > 0.7  # hair and clothes hide the rest
-    assert texture[~seen].max() == 0
-    assert texture[seen].mean() > 40
-    assert DEPTH_TOLERANCE_M < 0.002
-
-
 def test_the_dome_starts_with_the_five_evaluation_views_in_front_of_the_face() -> None:
     cameras = dome_cameras(12, 128, 96)
     assert {camera.name for camera in cameras[:5]} == set(EVALUATION_VIEWS)
@@ -150,15 +111,6 @@ def test_a_dome_of_one_lens_looks_at_the_head_from_all_its_cameras() -> None:
         assert min(np.linalg.norm(camera.centre_m - c.centre_m) for c in others) > 0.03
     with pytest.raises(CaptureError, match="lenses is 'two'; there are mixed, one"):
         dome_cameras(5, 64, 64, "two")
-
-
-def test_krt_text_reads_back(tmp_path: Path) -> None:
-    cameras = dome_cameras(3, 128, 96)
-    (tmp_path / "KRT").write_text(krt_text(cameras))
-    for written, read in zip(cameras, read_krt(tmp_path / "KRT", 128, 96), strict=True):
-        assert read.name == written.name
-        np.testing.assert_allclose(read.centre_m, written.centre_m, atol=1e-9)
-        np.testing.assert_allclose(read.intrinsics, written.intrinsics)
 
 
 def test_a_capture_reads_back_what_the_stage_rendered(rendered: Path) -> None:
@@ -225,63 +177,6 @@ def test_the_sheet_is_a_picture(rendered: Path, tmp_path: Path) -> None:
     with Image.open(tmp_path / "sheet.png") as image:
         assert image.width > 1000
     assert result["frames"] == 4
-
-
-def test_a_missing_directory_is_named(tmp_path: Path) -> None:
-    with pytest.raises(CaptureError, match="nowhere: no such directory"):
-        Capture.open(tmp_path / "nowhere")
-
-
-def test_a_krt_that_ends_early_names_camera_and_line(damaged: Path) -> None:
-    lines = (damaged / "KRT").read_text().splitlines()
-    (damaged / "KRT").write_text("\n".join(lines[:14]))
-    with pytest.raises(CaptureError, match=r"KRT:\d+: camera left: \d numbers"):
-        Capture.open(damaged)
-
-
-def test_a_truncated_mesh_names_file_and_sizes(damaged: Path) -> None:
-    capture = Capture.open(damaged)
-    frame = capture.frames[0]
-    path = damaged / "tracked_mesh" / frame.segment / f"{frame.name}.bin"
-    path.write_bytes(path.read_bytes()[:-4])
-    with pytest.raises(CaptureError, match=rf"{frame.name}.bin: \d+ bytes; \d+ vertices need"):
-        capture.vertices_m(frame)
-
-
-def test_an_image_of_the_wrong_size_is_refused(damaged: Path) -> None:
-    capture = Capture.open(damaged)
-    frame = capture.frames[0]
-    path = damaged / "images" / frame.segment / "front" / f"{frame.name}.png"
-    Image.new("RGB", (32, 64)).save(path)
-    with pytest.raises(CaptureError, match="32x64, 64x64 is needed"):
-        capture.image(frame, "front")
-
-
-def test_a_truncated_image_is_refused(damaged: Path) -> None:
-    capture = Capture.open(damaged)
-    frame = capture.frames[0]
-    path = damaged / "images" / frame.segment / "front" / f"{frame.name}.png"
-    path.write_bytes(path.read_bytes()[:200])
-    with pytest.raises(CaptureError, match="not a complete image"):
-        capture.image(frame, "front")
-
-
-def test_a_missing_column_is_named(damaged: Path) -> None:
-    path = damaged / "expressions.csv"
-    path.write_text(path.read_text().replace("jawOpen", "jawAjar"))
-    with pytest.raises(CaptureError, match=r"expressions.csv: column 'jawOpen' is missing"):
-        Capture.open(damaged)
-
-
-def test_an_unknown_camera_lists_the_known_ones(rendered: Path) -> None:
-    capture = Capture.open(rendered)
-    with pytest.raises(CaptureError, match="no camera 'ceiling'; there are front, left"):
-        capture.image(capture.frames[0], "ceiling")
-
-
-def test_a_size_out_of_range_is_refused() -> None:
-    with pytest.raises(CaptureError, match="frames is 1; 4 to 100000 is"):
-        RenderOptions(frames=1)
 
 
 def test_an_image_that_cannot_be_written_ends_the_render(tmp_path: Path) -> None:
