@@ -183,12 +183,14 @@ class Receiver:
         self.arrived.set()
 
     def _decline(self, peers: Sequence[Peer]) -> None:
-        """Tell the relay which streams of newcomers it need not send us."""
-        unwanted = set(self.voices.unwanted())
-        for track in (track for peer in peers for track in peer.tracks):
-            is_face = track.kind == FACE_TRACK
-            if track.stream in unwanted or (is_face and not self._takes_faces):
-                self.link.want(track.stream, None)
+        """Tell the relay to send nothing of newcomers that is not used here: tracks of unknown
+        kinds, further ones of a known kind, voices that are not heard."""
+        for peer in peers:
+            faces = [track.stream for track in peer.tracks if track.kind == FACE_TRACK]
+            used = faces[:1] if self._takes_faces else []
+            for stream in (track.stream for track in peer.tracks):
+                if stream not in used and not self.voices.is_wanted(stream):
+                    self.link.want(stream, None)
 
     def _call_soon(self, action: Callable[[], None]) -> None:
         """Call something on the loop; at once as long as there is none."""

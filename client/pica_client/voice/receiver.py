@@ -5,7 +5,7 @@ of a codec that nobody here knows is named once, in words, and not subscribed to
 """
 
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 from pica_client.errors import VoiceError
@@ -57,13 +57,10 @@ class VoiceReceiver:
                 pass
         return False
 
-    def unwanted(self) -> Iterator[int]:
-        """Return the streams that the relay need not send: of voices that nobody here hears."""
-        return (
-            stream
-            for stream, peer_id in self._peers.items()
-            if self._on_voice is None or peer_id in self.refused
-        )
+    def is_wanted(self, stream: int) -> bool:
+        """Return True if a stream is a voice that is heard here."""
+        peer_id = self._peers.get(stream)
+        return peer_id is not None and self._on_voice is not None and peer_id not in self.refused
 
     def stats(self) -> dict[str, Any]:
         """What came so far."""

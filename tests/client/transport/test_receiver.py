@@ -14,8 +14,11 @@ from pica_client.sources.source import Unseen
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.receiver import Receiver
 from pica_core.avatar.arkit import ExpressionFrame
+from pica_protocol.messages import Track
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
+from simnet.clock import in_virtual_time
+from simnet.peers import FACE, peer_in_room
 
 pytestmark = pytest.mark.call
 
@@ -69,3 +72,21 @@ def test_a_receiver_says_that_it_is_good_for_one_call() -> None:
         pass
     with pytest.raises(RuntimeError, match="one call"):
         asyncio.run(receiver.run())
+
+
+@in_virtual_time
+async def test_tracks_of_unknown_kinds_and_second_faces_are_declined() -> None:
+    tracks = (FACE, FACE, Track(kind="pointer"))
+    async with Relay(RelayConfig()), peer_in_room("ws://relay:8765", "Bob", tracks=tracks) as bob:
+        receiver = make_receiver("ws://relay:8765")
+        running = asyncio.create_task(receiver.run())
+        await asyncio.sleep(1.0)
+        for track in (1, 2):
+            await bob.send_frame(b"payload", track=track)
+        await asyncio.sleep(1.0)
+        assert receiver.call.stats(2.0)["strays"] == 0
+        await bob.send_frame(b"payload", track=0)
+        await asyncio.sleep(1.0)
+        assert receiver.call.stats(3.0)["without_avatar"] == 1
+        receiver.stop()
+        await running
