@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Final
 
 from pica_client.errors import SourceError
-from pica_client.output import say
 from pica_client.sources.live.calibration import Calibration, CalibrationStore
 from pica_client.sources.live.datagrams import (
     LIVELINK_PORT,
@@ -36,7 +35,7 @@ from pica_client.sources.live.tracker import (
 )
 from pica_client.sources.livelink_csv import load_livelink_csv
 from pica_client.sources.performances import PERFORMANCES, make_performance
-from pica_client.sources.source import Recording, Source, Unseen
+from pica_client.sources.source import Source, Unseen
 from pica_client.user_folders import preferences_folder
 
 LIVE_HELP: Final = (
@@ -179,25 +178,14 @@ def _split_start(rest: str, text: str) -> tuple[str, float]:
 
 
 def _open_csv(name: str, start_s: float) -> Source:
-    return _within(load_livelink_csv(Path(name).expanduser(), start_s=start_s), f"csv:{name}")
+    return load_livelink_csv(Path(name).expanduser(), start_s=start_s)
 
 
 def _open_performance(name: str, start_s: float) -> Source:
     name, mark, seed = name.partition("#")
     if mark and not seed.isdecimal():
         raise SourceError(f"performance seed {seed!r} is not a number; write performance:NAME#7")
-    recording = make_performance(name, seed=int(seed) if mark else 0, start_s=start_s)
-    return _within(recording, f"performance:{name}")
-
-
-def _within(recording: Recording, name: str) -> Recording:
-    """Tell the user of a start behind the end: a recording loops, so it begins somewhere else."""
-    if recording.start_s >= recording.duration_s:
-        say(
-            f"{name} lasts {recording.duration_s:.1f} s and loops: "
-            f"@{recording.start_s:g} begins at {recording.start_s % recording.duration_s:.1f} s"
-        )
-    return recording
+    return make_performance(name, seed=int(seed) if mark else 0, start_s=start_s)
 
 
 OPENERS: dict[str, Callable[[str, float], Source]] = {

@@ -176,18 +176,10 @@ def test_a_frame_without_numbers_shows_nobody_and_is_told_of(
         load_livelink_csv(take)
 
 
-def test_a_start_before_the_beginning_is_refused_and_one_behind_the_end_is_told_of(
-    take: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_start_before_the_beginning_is_refused(take: Path) -> None:
     for start in ("-5", "nan", "inf"):
         with pytest.raises(SourceError, match=f"the start is {start} s; 0 or more is allowed"):
             open_source(f"csv:{take}@{start}")
-    open_source(f"csv:{take}@0.05")
-    assert capsys.readouterr().err == ""
-    open_source(f"csv:{take}@1.01")
-    assert capsys.readouterr().err == (f"csv:{take} lasts 0.1 s and loops: @1.01 begins at 0.0 s\n")
-    open_source("performance:talk@99999")
-    assert "performance:talk lasts 60.0 s and loops: @99999" in capsys.readouterr().err
 
 
 # The text that names a source.

@@ -1,9 +1,8 @@
 """Find what is wrong with a capture: every file by name, size and header, some by their pixels.
 
-What describes the capture comes first; if that cannot be read, each describing file is named and
-the rest is left. Then every frame: meshes, poses, and headers of all images. Pixels are decoded for
-some frames spread over the capture: there the projected mesh has to lie on the mask and depth on
-the mesh.
+The files that describe the capture come first; where one cannot be read it is named and the rest is
+left. Then every frame: meshes, poses, and headers of all images. Pixels are decoded for some frames
+spread over the capture: there the projected mesh has to lie on the mask and depth on the mesh.
 """
 
 import os
@@ -137,8 +136,6 @@ Result = TypeVar("Result")
 
 PIXEL_FRAMES = 16
 """Frames whose pixels are decoded, unless said otherwise (chosen)."""
-MAX_PROBLEMS = 1000
-"""Problems that are kept; more are only counted."""
 HEAD_SIZE_M = (0.1, 2.0)
 """Diagonals of a head's bounding box that are believed: else units are wrong."""
 EXPRESSION_RANGE = (-0.5, 1.6)
@@ -151,15 +148,10 @@ SAME_EXPRESSION = 1e-4
 class _Findings:
     root: Path
     problems: dict[tuple[str, str], None] = field(default_factory=dict)
-    """Where and what; each is told of once."""
-    uncounted: int = 0
+    """Place and description of each problem, reported once."""
 
     def add(self, where: Path | str, what: str) -> None:
-        problem = (str(where).removeprefix(f"{self.root}{os.sep}"), what)
-        if problem in self.problems or len(self.problems) < MAX_PROBLEMS:
-            self.problems[problem] = None
-        else:
-            self.uncounted += 1
+        self.problems[str(where).removeprefix(f"{self.root}{os.sep}"), what] = None
 
     def attempt(self, work: Callable[..., Result], *arguments: Any) -> Result | None:
         """What `work` returns; None where it fails, which is a problem then."""
@@ -197,7 +189,7 @@ def check_capture(directory: Path, pixel_frames: int = PIXEL_FRAMES) -> dict[str
     try:
         capture = Capture.open(directory)
     except CaptureError as error:
-        _check_descriptions(findings, str(error))
+        findings.add_error(str(error))
     else:
         for problem in capture.left_out:
             findings.add_error(problem)
@@ -212,8 +204,6 @@ def check_capture(directory: Path, pixel_frames: int = PIXEL_FRAMES) -> dict[str
         for frame in files.spread_evenly(capture.frames, pixel_frames or len(capture.frames)):
             result["decoded"] += _check_pixels(findings, capture, frame)
     problems = [{"where": where, "what": what} for where, what in findings.problems]
-    if findings.uncounted:
-        problems.append({"where": str(directory), "what": f"{findings.uncounted} more problems"})
     return {"ok": not problems, "problems": problems, **result}
 
 
@@ -223,23 +213,6 @@ def _check_leftovers(findings: _Findings) -> None:
         findings.add(root / multiface.MARKER, "the render is not finished; run it again to go on")
     for path in root.rglob("*.part"):
         findings.add(path, "a half-written file; an interrupted render leaves one")
-
-
-def _check_descriptions(findings: _Findings, message: str) -> None:
-    """Which describing files cannot be read, beside the first, whose message is given."""
-    root = findings.root
-    findings.add_error(message)
-    attempts: list[tuple[str, Callable[[Path], object]]] = [
-        (multiface.CAPTURE, multiface.read_json),
-        (multiface.KRT, lambda path: multiface.read_krt(path, 1, 1)),  # no matter of what size
-        (multiface.TOPOLOGY, files.read_topology),
-        (multiface.TRACKED_TOPOLOGY, files.read_topology),
-        (multiface.EXPRESSIONS, files.read_expressions),
-        (multiface.FRAME_LIST, files.read_frame_list),
-    ]
-    for name, read in attempts:
-        if (root / name).exists() or name in (multiface.KRT, multiface.FRAME_LIST):
-            findings.attempt(read, root / name)
 
 
 def _check_cameras(findings: _Findings, capture: Capture) -> None:

@@ -36,8 +36,6 @@ HOLE_RATIO: dict[str, float] = {
     "teeth": 0.85,
     "tongue": 0.85,
     "mouth_bag": 1.0,
-    "gums": 0.85,
-    "lashes": 1.0,
 }
 """Share of a material that is not found, by its name in the mask."""
 ELSEWHERE_RATIO = 0.02

@@ -212,8 +212,6 @@ def render_subject(
     subject = make_subject()
     try:
         whole = {"options": asdict(options), "subject": subject.describe()}
-        if not options.take:
-            del whole["options"]["take"]
         fingerprint = json.dumps(whole, sort_keys=True)
         if used and multiface.read_text(marker) != fingerprint:
             raise CaptureError(f"{out}: {_USED}")
