@@ -4,9 +4,11 @@
     python scripts/fence.py --only demo call           some rows
     python scripts/fence.py --against ../before        each row in turns with that checkout
     python scripts/fence.py --against ../before --record
+    python scripts/fence.py --against HEAD~20 --only demo
 
-The other checkout needs a ``.venv`` and a ``scripts/fence.py`` of its own, so that each measures
-itself with its own options. Both train on the same capture. Figures are medians over the repeats,
+Each checkout measures itself with its own ``scripts/fence.py`` and options. A folder needs a
+``.venv`` of its own; a commit is checked out under out/fence and measured with this environment.
+Both train on the same capture. Figures are medians over the repeats,
 with the lowest and the highest; compare ratios of one run on one machine, which nothing else uses.
 ``--record`` appends a line for each row to docs/results/fence.jsonl.
 """
@@ -204,11 +206,28 @@ def measure(name: str, work: Path, capture: Path) -> Figures:
     return ROWS[name].figures(run(ROWS[name].words, work, capture))
 
 
+def checkout_of(folder_or_commit: str, work: Path) -> Path:
+    """A folder as it is, or a worktree of a commit under `work`."""
+    if Path(folder_or_commit).is_dir():
+        return Path(folder_or_commit).resolve()
+    folder = work / "against"
+    git = ["git", "-C", str(ROOT), "worktree"]
+    if folder.exists():
+        subprocess.run([*git, "remove", "--force", str(folder)], check=True)
+    subprocess.run([*git, "add", "-q", "--detach", str(folder), folder_or_commit], check=True)
+    return folder
+
+
 def measure_there(checkout: Path, name: str, capture: Path) -> Figures:
-    """Let another checkout measure a row of itself."""
-    words = [f"{checkout}/.venv/bin/python", f"{checkout}/scripts/fence.py", "--once"]
+    """Let another checkout measure a row of itself, with its environment or else with this one."""
+    own = checkout / ".venv" / "bin" / "python"
+    words = [str(own) if own.exists() else sys.executable, f"{checkout}/scripts/fence.py", "--once"]
     words += ["--only", name, "--capture", str(capture)]
-    done = subprocess.run(words, check=True, stdout=subprocess.PIPE, text=True, cwd=checkout)
+    packages = ("protocol", "server", "pica_core", "client", "command")
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(str(checkout / p) for p in packages)}
+    done = subprocess.run(
+        words, check=True, stdout=subprocess.PIPE, text=True, cwd=checkout, env=environment
+    )
     return dict(json.loads(done.stdout.splitlines()[-1])[name])
 
 
@@ -232,7 +251,7 @@ def main() -> None:
     """Read the command line, measure, print a table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", nargs="+", choices=[*ROWS, "clone"], default=[*ROWS, "clone"])
-    parser.add_argument("--against", type=Path, help="another checkout with a .venv")
+    parser.add_argument("--against", help="another checkout with a .venv, or a commit")
     parser.add_argument("--capture", type=Path, help="instead of one that is rendered first")
     parser.add_argument("--record", action="store_true", help="append to docs/results/fence.jsonl")
     parser.add_argument("--once", action="store_true", help="no repeats; print figures as JSON")
@@ -247,11 +266,12 @@ def main() -> None:
         print(json.dumps({name: measure(name, work, capture) for name in names}))
         return
     lines = []
+    other = checkout_of(options.against, work) if options.against else None
     for name in names:
         here, there = list[Figures](), list[Figures]()
         for _ in range(ROWS[name].repeats if name in ROWS else 1):
-            if options.against:
-                there.append(measure_there(options.against.resolve(), name, capture))
+            if other:
+                there.append(measure_there(other, name, capture))
             here.append(measure(name, work, capture))
         now, before = summary(here), summary(there) if there else {}
         print(name)
@@ -261,8 +281,8 @@ def main() -> None:
             told = "" if old is None else f"{old[0]:>10g} [{old[1]:g}, {old[2]:g}]"
             print(f"  {figure:<58}{told:>32}{middle:>10g} [{low:g}, {high:g}] {ratio:>7}")
         sys.stdout.flush()
-        for checkout, figures in ((options.against, before), (ROOT, now)):
-            if figures:
+        for checkout, figures in ((other, before), (ROOT, now)):
+            if checkout and figures:
                 lines.append({"row": name, "commit": commit(checkout), "figures": figures})
     if options.record:
         about = {

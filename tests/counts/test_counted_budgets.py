@@ -1,0 +1,165 @@
+"""What fixed scenes and a fixed call cost, in counts, against ``counted_budgets.json``.
+
+Times cannot be asserted on shared machines; counts can. Each count must stay within its budget, and
+a budget within a tenth of its count. A change that raises a count raises its number in that file.
+The counts are those of software GL; on a GPU the rasteriser may differ by some pixels.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+import random
+from collections.abc import Iterator
+from pathlib import Path
+
+import moderngl
+import numpy as np
+import pytest
+
+from helpers.counted import CountedPool, CountedRenderer
+from helpers.senders import LoadedAvatars, make_senders, run_senders
+from pica_client.avatars.library import AvatarLibrary
+from pica_client.bench.head import front_camera
+from pica_client.bench.scene import FPS, SPACING_M
+from pica_client.call.call import Call
+from pica_client.publish.sender import SenderConfig
+from pica_client.render.scene import Placement, head_matrix
+from pica_client.schedule.frame_planner import FramePlanner
+from pica_client.schedule.head import Head
+from pica_client.schedule.scheduler import Scheduler
+from pica_client.sources.performances import make_performance
+from pica_client.transport.config import LinkConfig
+from pica_client.transport.receiver import Receiver
+from pica_client.ui.avatar_presenter import AvatarPresenter
+from pica_core.avatar.expression_encoder import ExpressionEncoder
+from pica_core.avatar.file import Avatar
+from pica_core.gl import create_context
+from pica_server.config.relay import RelayConfig
+from pica_server.relay import Relay
+from simnet.clock import run_virtual
+
+pytestmark = [pytest.mark.render, pytest.mark.slow]
+
+BUDGETS = json.loads(Path(__file__).with_name("counted_budgets.json").read_text())
+SLACK = 0.9
+"""Least share of its budget that a count uses."""
+SIZE = (1280, 720)
+PEOPLE = 5
+SCENE_IMAGES, CALL_IMAGES, CALL_IMAGES_PER_S = 15, 100, 30.0
+WARM_UP_S = 2.0
+
+
+@pytest.fixture(scope="module")
+def avatars() -> Iterator[dict[str, Avatar]]:
+    library = AvatarLibrary()
+    identities = [library.find(name) for name in library.names[:PEOPLE]]
+    yield {identity: library.load(identity) for identity in identities}
+    library.close()
+
+
+@pytest.fixture
+def context() -> Iterator[moderngl.Context]:
+    made = create_context()
+    if "llvmpipe" not in made.info["GL_RENDERER"]:
+        made.release()
+        pytest.skip("the budgets are counted with llvmpipe")
+    yield made
+    made.release()
+
+
+def assert_within_budget(counts: dict[str, float], name: str) -> None:
+    budgets = BUDGETS[name]
+    said = f"{name} costs {json.dumps(counts)}"
+    assert set(counts) == set(budgets), said
+    for count, budget in budgets.items():
+        assert SLACK * budget <= counts[count] <= budget, f"{count}: {said}"
+
+
+@pytest.mark.parametrize("distance_cm", [65, 90, 120])
+def test_five_talking_heads_stay_within_their_budget(
+    distance_cm: int, context: moderngl.Context, avatars: dict[str, Avatar]
+) -> None:
+    people = list(avatars.values())
+    pool, planner = CountedPool(), FramePlanner(Scheduler())
+    heads = [Head(slot=f"head-{index}", avatar=each) for index, each in enumerate(people)]
+    encoders = [ExpressionEncoder(avatar) for avatar in people]
+    faces = [make_performance("talk", seed=i, start_s=2.3 * i) for i in range(len(people))]
+    camera = front_camera(people[0].manifest, distance_cm, SIZE)
+    with CountedRenderer(context, SIZE) as renderer:
+        for head in heads:
+            renderer.add_avatar(head.slot, head.avatar)
+            pool.add(head.slot, head.avatar)
+        for image in range(SCENE_IMAGES):
+            now = image / FPS
+            for index, head in enumerate(heads):
+                face, seat = faces[index].frame_at(now), np.eye(4)
+                seat[0, 3] = SPACING_M * ((index + 1) // 2) * (1 if index % 2 else -1)
+                head.world_from_head = head_matrix(seat, face.rotation, face.translation_m)
+                head.latent = encoders[index].encode(face.arkit)
+                head.captured_us = round(now * 1e6)
+            planner.plan(heads, [camera], SIZE, math.inf, now)
+            for head, request in planner.requests(heads, now):
+                pool.submit(head.slot, request)
+            by_slot = {head.slot: head for head in heads}
+            for result in pool.take_results():
+                assert result.maps is not None
+                maps = result.maps.position_map, result.maps.expression_map
+                renderer.update_maps(result.slot, *maps)
+                planner.note_decoded(by_slot[result.slot], result, 0.0, now)
+            placements = [
+                head.dressed(Placement(slot=head.slot, world_from_head=head.world_from_head), now)
+                for head in heads
+            ]
+            renderer.count(placements, camera)
+        assert_within_budget(renderer.counts(pool), f"five heads at {distance_cm} cm")
+
+
+async def hold_call(
+    context: moderngl.Context, avatars: dict[str, Avatar]
+) -> tuple[dict[str, float], dict[str, float]]:
+    """The first images of a call of five senders, and what its network carried, a second."""
+    loop, names = asyncio.get_running_loop(), [f"p{number}" for number in range(PEOPLE)]
+    seconds = WARM_UP_S + CALL_IMAGES / CALL_IMAGES_PER_S
+    async with Relay(RelayConfig(port=0)) as relay:
+        link = {
+            name: LinkConfig(url=relay.url, room="kitchen", name=name)
+            for name in [*names, "viewer"]
+        }
+        config = SenderConfig(seconds=seconds + 1)
+        senders = make_senders([link[n] for n in names], list(avatars.items()), config=config)
+        call = Call(LoadedAvatars(avatars))
+        receiver = Receiver(link["viewer"], call, rng=random.Random(1))
+        pool = CountedPool()
+        with CountedRenderer(context, SIZE) as renderer:
+            planner = FramePlanner(Scheduler())
+            presenter = AvatarPresenter(call, renderer, pool, planner, clock=lambda: 0.0)  # type: ignore[arg-type]
+            async with asyncio.TaskGroup() as tasks:
+                tasks.create_task(run_senders(senders))
+                receiving = tasks.create_task(receiver.run())
+                await asyncio.sleep(WARM_UP_S)
+                for image in range(CALL_IMAGES):
+                    now = WARM_UP_S + image / CALL_IMAGES_PER_S
+                    await asyncio.sleep(now - loop.time())
+                    scene = presenter.arrange(now, SIZE)
+                    presenter.decide(scene, (scene.camera,), math.inf)
+                    presenter.collect(now)
+                    scene = presenter.dressed(scene)
+                    renderer.count(scene.placements, scene.camera, scene.room)
+                counters, elapsed_s = receiver.link.counters, loop.time()
+                carried = {
+                    "messages_received": counters.received_messages / elapsed_s,
+                    "bytes_received": counters.received_wire_bytes / elapsed_s,
+                }
+                receiver.stop()
+                await receiving
+            counts = renderer.counts(pool)
+    return counts, {name: round(value, 2) for name, value in carried.items()}
+
+
+def test_the_first_images_of_a_call_of_five_stay_within_their_budget(
+    context: moderngl.Context, avatars: dict[str, Avatar]
+) -> None:
+    drawn, carried = run_virtual(hold_call(context, avatars))
+    assert_within_budget(drawn | carried, "call of five")
