@@ -11,9 +11,14 @@ from pica_client.render.gpu_avatar import Body
 from pica_client.render.gpu_maps import MapSeries
 from pica_client.render.gpu_program import UNIT_POSITION
 from pica_client.render.gpu_textured import TexturedHead
-from pica_client.render.passes import DecodedHead, PaintedHead, Place
+from pica_client.render.passes import (
+    DecodedHead,
+    PaintedHead,
+    PixelRect,
+    Place,
+    rect_in_view,
+)
 from pica_client.render.scene import Placement, clip_from_head, screen_rect
-from pica_client.render.targets import PixelRect, rect_in_view
 from pica_core.avatar.file import Avatar
 from pica_core.camera import Camera
 

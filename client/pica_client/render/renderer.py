@@ -41,10 +41,9 @@ from pica_client.render.gpu_avatar import WeightsPlace, upload_avatar
 from pica_client.render.gpu_maps import MapSeries
 from pica_client.render.gpu_program import UNIT_VISIBLE_UV, UNIT_VISIBLE_XYZ
 from pica_client.render.gpu_textured import TexturedHead
-from pica_client.render.passes import DrawPasses
+from pica_client.render.passes import DrawPasses, RenderTargets
 from pica_client.render.room import EMPTY_ROOM, STILL, Room, lens_of
 from pica_client.render.scene import Placement
-from pica_client.render.targets import RenderTargets
 from pica_core.avatar.baseline import BaselineAvatar
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import POSITION_CHANNELS
