@@ -4,7 +4,7 @@ Wraps the library of a receiver. A peer whose avatar is not there makes it be fe
 waits with a note on how far it is, and appears when the file has come, has its hash and is found
 good by `load_avatar`. One file comes at a time: what is slow is the link. A relay that does not
 have a file may get it yet, from a sender that has just joined; so it is asked again, less and less
-often, while somebody still wants the avatar.
+often, while the avatar is still wanted.
 """
 
 import hashlib
@@ -174,7 +174,7 @@ def download(
         for _ in range(MAX_RESUMES):
             before = transfer.received
             try:
-                # Redirects are not followed: a relay redirects nobody; what does is something else.
+                # Redirects are not followed: a relay never redirects.
                 with client.stream("GET", url, headers=transfer.conditions) as response:
                     transfer.begin(response)
                     for data in response.iter_raw():
@@ -261,9 +261,9 @@ class _Transfer:
 FIRST_RETRY_S = 0.5
 LAST_RETRY_S = 15.0
 """Between two attempts at one avatar, at first and in the end (chosen: a sender's file takes some
-time to get to the relay; who is not helped by then is in no hurry)."""
+time to get to the relay; after that there is no hurry)."""
 FORGOTTEN_AFTER_S = 10.0
-"""An avatar that nobody has asked for during this time is not fetched further."""
+"""An avatar that was not asked for during this time is not fetched further."""
 MAX_WANTED = 256
 """Avatars on their way at once; four for each peer that a room can have."""
 JOIN_TIMEOUT_S = 1.0
@@ -367,7 +367,7 @@ class AvatarFetcher:
             while (identity := self._next()) is not None:
                 path = cache.find(identity) or self._download(cache, identity)
                 if path is not None:
-                    # Into the library first: whoever finds it done there must find the file.
+                    # Into the library first: a reader that finds it done must find the file.
                     self._library.add(identity, path)
                     with self._changed:
                         self._wanted.pop(identity, None)

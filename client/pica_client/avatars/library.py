@@ -1,8 +1,8 @@
 """The avatars a client knows: those that ship with the package, and files the user names.
 
-An avatar travels as the SHA-256 of its file; who has the file, has the avatar. Files are hashed
-when a library is made and loaded when they are first asked for, in a thread: loading takes a tenth
-of a second, in which neither network nor display may stand still.
+An avatar travels as the SHA-256 of its file; a client that has the file has the avatar. Files are
+hashed when a library is made and loaded when they are first asked for, in a thread: loading takes a
+tenth of a second, in which neither network nor display may stand still.
 """
 
 import threading

@@ -1,4 +1,4 @@
-"""Giving a relay the file of an avatar, so that whoever does not have it can see its wearer.
+"""Giving a relay the file of an avatar, so that those without it can see its wearer.
 
 It goes over a websocket of its own, beside the call: in small messages, and with a small buffer in
 the kernel, because the faces share the way up with it.
@@ -189,7 +189,7 @@ def _not_understood() -> PushError:
 
 GiveAvatar = Literal["auto", "yes", "no"]
 """Whether the relay gets the file. auto: unless it ships with this package, so that everybody has
-it, or faces are encrypted: whoever runs the relay can look at the file."""
+it, or faces are encrypted: the relay's operator can look at the file."""
 SALT = "pica"
 """Goes before a name that is hashed (chosen: so the names of this documentation's examples fall on
 as many shipped avatars)."""
@@ -230,7 +230,7 @@ def choose_own_avatar(given: str | None, name: str, library: AvatarLibrary) -> O
 
 
 def avatar_by_name(name: str, avatars: Sequence[str]) -> str:
-    """The avatar of who has chosen none: always the same for one name, and for two names seldom
+    """The default avatar of a name: always the same for one name, and for two names seldom
     the same.
 
     Raises:

@@ -1,7 +1,7 @@
 """Performances that ship with the package: generated faces with the statistics of real ones.
 
-    talk             somebody tells a story: phrases, pauses, stress with brows and head
-    listen           somebody follows it: nods, smiles, a short answer now and then
+    talk             a person tells a story: phrases, pauses, stress with brows and head
+    listen           a person follows it: nods, smiles, a short answer now and then
     range_of_motion  every muscle once, as actors do before a capture
 
 No person was recorded for these; results on them are not results on people. What they share with
@@ -37,7 +37,7 @@ SPEECH_WIDTHS_S = {
     "closure": 0.04,  # lips pressed on each other, as in "m", "b", "p"
     "stress": 0.12,  # syllables that carry the weight of a phrase; brows and head go with it
 }
-"""What moves while somebody talks, and over how much each of these tracks is rounded off."""
+"""What moves during speech, and over how much each of these tracks is rounded off."""
 
 
 def smooth(track: Float64Array, width_s: float) -> Float64Array:

@@ -32,7 +32,7 @@ class Source(Protocol):
 
 
 class Unseen:
-    """A source for who has no tracker: there is never a face, and the voice alone makes one."""
+    """A source without a tracker: there is never a face, and the voice alone makes one."""
 
     def frame_at(self, time_s: float) -> ExpressionFrame:
         """No face; see `Source.frame_at`."""
@@ -54,7 +54,7 @@ class Recording:
         arkit: Values in `ARKIT_NAMES` order. float32 ``[T, 52]``.
         rotation: Head rotation vectors, radians, head to seat. float32 ``[T, 3]``.
         translation_m: Head offsets from the seat in metres. float32 ``[T, 3]``.
-        has_face: Whether the tracker saw somebody. bool ``[T]``.
+        has_face: True where the tracker saw a face. bool ``[T]``.
         loop_gap_s: From the last sample to the repeated first one.
         start_s: Where in the recording the source's time 0 lies.
     """

@@ -246,7 +246,7 @@ def rig(options: RigOptions) -> dict[str, Any]:
 
 
 def _tell(console: Console, about: dict[str, Any]) -> None:
-    """Say what was understood, for somebody who wonders why their head looks odd."""
+    """Report what was understood, which explains a head that looks odd."""
     console.print(
         f"{len(about['mapped'])} shapes mapped, {len(about['missing'])} ARKit shapes missing, "
         f"{len(about['ignored'])} shapes ignored; unit {about['unit']}, axes {about['axes']}"

@@ -123,7 +123,7 @@ class CalibrationStore:
         """What was stored, or None.
 
         Raises:
-            SourceError: The file is no calibration; says how to make it anew.
+            SourceError: The file is no calibration; says how to make another.
         """
         path = self._path(person, kind)
         try:
@@ -135,7 +135,7 @@ class CalibrationStore:
             return None
         except (OSError, LookupError, ValueError, TypeError, AttributeError, SourceError) as error:
             raise SourceError(
-                f"{path}: is no calibration ({error}); `pica calibrate {kind}` makes it anew"
+                f"{path}: is no calibration ({error}); `pica calibrate {kind}` makes another"
             ) from error
 
     def save(self, person: str, kind: str, calibration: Calibration) -> Path:

@@ -156,7 +156,7 @@ def _head(bones: str) -> tuple[FloatArray, FloatArray | None]:
 
 
 # The library writes a line to the root logger for each damaged datagram, with what stood in it:
-# whoever can reach the port could fill a log.
+# any host that reaches the port could fill a log.
 _LIBRARY: Final = str(Path(pythonosc.__file__).parent)
 logging.getLogger().addFilter(lambda record: not record.pathname.startswith(_LIBRARY))
 

@@ -3,8 +3,7 @@
 A sample is placed on our clock by the tracker's own time, plus the least way it has taken of late;
 what the network adds to that is jitter. The face is shown so much later than it was seen that the
 next sample is usually there, and interpolated between two. When the samples end, or the tracker
-says that it sees nobody, the face holds, eases to rest, and then there is none; it comes back
-without a snap.
+sees no face, it holds, eases to rest, and then there is none; it comes back without a snap.
 """
 
 from bisect import bisect_right
@@ -105,7 +104,7 @@ class TrackerSample:
         place_m: Where the head is before the tracker, metres, axes of a head that looks at it (+x
             the subject's left, +y up, +z towards the tracker); None if the tracker does not say.
             float32 ``[3]``.
-        has_face: False while the tracker sees nobody.
+        has_face: False while the tracker sees no face.
         subject: Whose face it is, as the tracker calls it.
     """
 
@@ -149,7 +148,7 @@ class Seat:
         self._place_m: Float64Array | None = None
 
     def reset(self) -> None:
-        """Somebody was away: the next place is the seat."""
+        """After an absence the next place is the seat."""
         self._place_m = None
 
     def offset_m(self, place_m: FloatArray | None, step_s: float) -> FloatArray:
@@ -179,7 +178,7 @@ MAX_WAY_S: Final = 0.15
 """A sample is not taken for older than this when it arrives: clocks that count frames fall behind,
 if fewer frames are made than the tracker says, and a face that comes is not lost."""
 CLOCK_JUMP_S: Final = 1.0
-"""A tracker's clock that is this far off has been set anew."""
+"""A tracker's clock that is this far off has been reset."""
 KEPT_SAMPLES: Final = 64
 RECENT_SAMPLES: Final = 256
 USUAL_SHARE: Final = 0.9

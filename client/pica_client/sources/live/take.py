@@ -44,7 +44,7 @@ class Take:
         tracker_s: Times of the tracker, NaN where it gave none. float64 ``[T]``.
         arkit: Values, NaN where the tracker sent none. float32 ``[T, 52]``.
         rotation: Head rotation vectors, radians. float32 ``[T, 3]``.
-        has_face: Whether the tracker saw somebody. bool ``[T]``.
+        has_face: True where the tracker saw a face. bool ``[T]``.
         place_m: Where the head was, NaN where the tracker did not say. float32 ``[T, 3]``.
         start_s: Where in the take the source begins, seconds.
     """
@@ -80,7 +80,7 @@ class Take:
         return float(self.arrived_s[-1] + max(gap_s, MIN_LOOP_GAP_S))
 
     def frame_at(self, time_s: float) -> ExpressionFrame:
-        """The face at a time; see `Source.frame_at`. A step back begins the take anew."""
+        """The face at a time; see `Source.frame_at`. A step back begins the take again."""
         turn, looped_s = divmod(time_s + self.start_s, self.duration_s)
         if turn != self._turn or looped_s < self._asked_s:
             self._turn, self._next = int(turn), 0

@@ -102,7 +102,7 @@ class UdpOptions:
         port: Ours, and the phone's that is asked; 0 takes a free one.
         subject: The face to take; empty takes the first that comes, and the next one once that
             is silent.
-        phone: Address of a phone that sends only when asked; empty for who sends by itself.
+        phone: Address of a phone that sends only when asked; empty for other programs.
         request: How it is asked; empty: it is not.
         host: Our address that receives; programs of other machines reach `ANY_HOST` alone.
     """
@@ -199,7 +199,7 @@ class UdpTracker(Tracker):
                 asked_s = now
             try:
                 packet, (address, _) = self._socket.recvfrom(READ_BYTES)
-            except OSError:  # the wait is over; or somebody's port is closed, as Windows tells
+            except OSError:  # the wait is over; or a port is closed, as Windows reports
                 continue
             if not self._options.phone or address == self._options.phone:
                 self._take(packet, address, time.monotonic())

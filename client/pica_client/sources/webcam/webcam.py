@@ -180,7 +180,9 @@ def pictures(
         if not is_video or last_s <= offset_s:
             return
         offset_s = last_s + 1 / 30
-        with contextlib.suppress(av.FFmpegError):  # who has no beginning gives nothing more
+        with contextlib.suppress(
+            av.FFmpegError
+        ):  # a stream that cannot be rewound gives nothing more
             container.seek(0)
 
 

@@ -191,7 +191,7 @@ class Capture:
         return self._load("mask", "L", frame, camera)
 
     def has_depth_of(self, frame: CaptureFrame) -> bool:
-        """Whether a frame has depth: a method may have been run on some of them only."""
+        """Return True if a frame has depth: a method may have been run on some of them only."""
         return any(self._is_listed("depth", frame, name) for name in self._cameras)
 
     def depth_m(self, frame: CaptureFrame, camera: str) -> FloatArray:

@@ -64,7 +64,7 @@ def depth_units(depth_m: FloatArray) -> npt.NDArray[np.uint16]:
 class BackgroundWriter(AbstractContextManager["BackgroundWriter"]):
     """Makes images and writes them while the next ones are drawn.
 
-    `finish` waits for everything handed over so far and raises what went wrong; whoever writes the
+    `finish` waits for everything handed over so far and raises what went wrong; the writer of the
     file that marks a frame as done calls it first.
     """
 

@@ -174,7 +174,7 @@ def close_lids(mesh: RigMesh, features: Features) -> RigMesh:
         near = skin[(far < 1.9 * eye.radius_m) & (offset[:, 2] > 0)]
         offset = rest[near] - eye.centre_m
         clear = EyeSurface(rest[eye.vertices] - eye.centre_m).clearance(offset)
-        # What lies deep inside is the lid's own lining, which nobody sees.
+        # What lies deep inside is the lid's own lining, which no camera sees.
         lack = np.where(clear > -LINING_M, np.maximum(ROOM_M - clear, 0.0), 0.0)
         rest[near] += outwards(offset, lack)
         blink = motion[ARKIT_INDEX["eyeBlinkLeft" if eye.side > 0 else "eyeBlinkRight"]]

@@ -1,1 +1,1 @@
-"""The dome: cameras, takes, depth and tracker around whoever stands in the middle."""
+"""The dome: cameras, takes, depth and tracker around the head in the middle."""

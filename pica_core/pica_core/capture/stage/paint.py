@@ -214,7 +214,7 @@ def paint(
     framebuffer.use()
     context.enable_only(moderngl.NOTHING)
     framebuffer.clear(0, 0, 0, 0)
-    # Each triangle brings its own corners: where islands were made anew, a vertex may lie at
+    # Each triangle brings its own corners: where islands were made here, a vertex may lie at
     # several places of the image.
     corner = head.chart.faces.ravel()
     rest = head.mesh.rest_m[head.chart.source]

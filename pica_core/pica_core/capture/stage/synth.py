@@ -87,7 +87,7 @@ def read_picture(folder: Path, number: int) -> ByteArray:
         with Image.open(path, formats=IMAGE_FORMATS) as picture:
             return np.asarray(picture.convert("RGB"))
     except (OSError, SyntaxError, ValueError) as error:
-        raise CaptureError(f"{path}: cannot be read ({error}); capture anew") from error
+        raise CaptureError(f"{path}: cannot be read ({error}); render the capture again") from error
 
 
 def write_poses(folder: Path, poses: Poses) -> None:
@@ -122,11 +122,15 @@ def read_poses(folder: Path, num_vertices: int) -> Poses | None:
             cameras = tuple(found["cameras"].tolist()) if "cameras" in found else ()
             vertices_m = rest_m + found["offsets_mm"].astype(np.float32) / np.float32(1000)
     except (OSError, ValueError, KeyError, EOFError) as error:
-        raise CaptureError(f"{path}: is damaged ({error}); remove it, or capture anew") from error
+        raise CaptureError(
+            f"{path}: is damaged ({error}); remove it, or render the capture again"
+        ) from error
     if vertices_m.shape != (len(arkit), num_vertices, 3):
         raise CaptureError(f"{path}: meshes are {vertices_m.shape[1:]}; {num_vertices} are needed")
     if cameras and len(cameras) != len(arkit):
-        raise CaptureError(f"{path}: {len(cameras)} pictures of {len(arkit)} poses; capture anew")
+        raise CaptureError(
+            f"{path}: {len(cameras)} pictures of {len(arkit)} poses; render the capture again"
+        )
     return Poses(arkit, vertices_m, cameras)
 
 
@@ -192,7 +196,7 @@ def render_subject(
     """Render a capture; returns counts: frames, cameras, images, train, test, resumed.
 
     Args:
-        make_subject: Makes who is to be rendered; what that raises is raised before a file is
+        make_subject: Makes the subject to be rendered; what that raises is raised before a file is
             written. It is released at the end.
         out: Directory to fill: new, empty, or an interrupted render of the same subject and
             options.
