@@ -74,7 +74,7 @@ class Call:
             have changed it.
         heard_us: Says which moment of somebody's voice leaves the loudspeaker, by peer id and our
             clock; their face is then led by it.
-        skews_s: By how much each face that was shown was off its voice, either way.
+        skews_s: By how much each face is off its voice when it is seen, either way.
         delays_s: How old the sound was that was heard when a face was shown; only where sender and
             receiver share a clock does it say anything.
     """
@@ -115,7 +115,6 @@ class Call:
                         if not seat.stays(present.get(peer_id)):
                             self._remove(peer_id, "lost", now)
                             continue
-                        seat.is_behind = True
                         seat.is_away = seat.is_muted = False  # we are told again if it is so
                         seat.resume(now)
                         seat.note_silence(now)
@@ -179,10 +178,10 @@ class Call:
         if has_changed:
             self.on_subscription()
 
-    def faces(self, now: float) -> list[FaceState]:
+    def faces(self, now: float, ahead_s: float = 0.0) -> list[FaceState]:
         """Return everybody's face at display time; see `FaceSource.faces`."""
         with self._lock:
-            faces = [self._face(seat, now) for seat in self._seats.values()]
+            faces = [self._face(seat, now, ahead_s) for seat in self._seats.values()]
             return sorted(faces, key=lambda face: face.place)
 
     def avatar(self, avatar_id: str) -> Avatar | None:
@@ -199,8 +198,6 @@ class Call:
     def due_frames(self, now: float) -> list[DueFrame]:
         """Take every frame that is due; not to be mixed with `faces`."""
         with self._lock:
-            for seat in self._seats.values():
-                seat.settle()
             return [
                 DueFrame(seat.peer.peer_id, seat.peer.name, seat.track.avatar, frame)
                 for seat in self._seats.values()
@@ -210,8 +207,6 @@ class Call:
     def next_timer(self) -> float | None:
         """When the next frame becomes due, or None."""
         with self._lock:
-            for seat in self._seats.values():
-                seat.settle()
             timers = [seat.playout.next_timer() for seat in self._seats.values()]
         return min((timer for timer in timers if timer is not None), default=None)
 
@@ -387,8 +382,9 @@ class Call:
             return self._avatars.note(seat.track.avatar) or "no face yet"
         return "no signal" if self._is_silent(seat, now) else ""
 
-    def _face(self, seat: RemoteParticipant, now: float) -> FaceState:
-        heard_us = self.heard_us(seat.peer.peer_id, now)
+    def _face(self, seat: RemoteParticipant, now: float, ahead_s: float) -> FaceState:
+        voice_us = self.heard_us(seat.peer.peer_id, now)
+        heard_us = None if voice_us is None else voice_us + round(ahead_s * 1e6)
         played, is_held = seat.play(now, heard_us)
         peer, avatar_id, note = seat.peer, seat.track.avatar, self._note(seat, now)
         member = self._roster.member(peer.peer_id)
@@ -413,7 +409,7 @@ class Call:
             self._shown.append(Shown(peer.name, played.captured_us, newest.captured_us, arrived_us))
             if heard_us is not None:
                 self.skews_s.add(abs(played.captured_us - heard_us) / 1e6)
-                self.delays_s.add(now - heard_us / 1e6)
+                self.delays_s.add(now + ahead_s - heard_us / 1e6)
         return replace(
             face,
             latent=played.sample.latent,

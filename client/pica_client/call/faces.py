@@ -56,8 +56,12 @@ class FaceState:
 class FaceSource(Protocol):
     """Where a viewer gets its faces. Called on the drawing thread only; must not block."""
 
-    def faces(self, now: float) -> list[FaceState]:
-        """Everybody who should have a seat at local time `now`, seconds; by rising place."""
+    def faces(self, now: float, ahead_s: float = 0.0) -> list[FaceState]:
+        """Everybody who should have a seat at local time `now`, seconds; by rising place.
+
+        ``ahead_s`` is in how many seconds these faces will be seen: lips go with the sound that is
+        heard then.
+        """
         ...
 
     def avatar(self, avatar_id: str) -> Avatar | None:

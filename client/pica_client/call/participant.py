@@ -3,7 +3,6 @@
 `call.Call` owns the seats and holds its lock around them.
 """
 
-import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
@@ -14,19 +13,10 @@ from pica_client.playout.buffer import PlayedFace, Playout, PlayoutReport
 from pica_client.playout.config import PlayoutConfig
 from pica_client.publish.face_track import FACE_KEY, FACE_LOST
 from pica_core.avatar.streams import FaceDecoder
-from pica_core.codec.latent_sample import DecodedFrame
 from pica_core.errors import LatentError
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Peer, Track
 
-CATCH_UP_S = 0.02
-"""Whoever comes late gets the frames since the last keyframe at once, to decode from. They are old;
-only the newest is shown, or the playout would take them for a network that delays."""
-BACKLOG_S = 1.0
-"""A frame this late, after a silence this long, was kept for us on its way: this machine slept, or
-the network stood (chosen: shorter stalls the playout buffer goes over without a leap)."""
-FRESH_S = 0.1
-"""A frame less late than this ends a backlog, and so does a pause this long in it."""
 RETRY_S = 0.1
 """Until a subscription is told again that could not be, as while the network takes nothing."""
 FACE_NOTES = {
@@ -66,11 +56,7 @@ class RemoteParticipant:
         self.trouble = ""
         self.is_away = False
         self.is_muted = False
-        self.is_behind = True
-        self.catching_up_until_s = -math.inf
-        self.catch_up: DecodedFrame | None = None
-        self.is_paused = self.is_resuming = self.is_in_backlog = False
-        self.last_captured_us = 0
+        self.is_paused = self.is_resuming = False
         self.played: PlayedFace | None = None
         self.last_arrival_s: float | None = None
         self.payload_bytes = 0
@@ -139,15 +125,6 @@ class RemoteParticipant:
     def _face_mode(self) -> str:
         return dict(self.peer.metadata).get(FACE_KEY, "")
 
-    def settle(self) -> None:
-        """Show the newest of the frames that brought a latecomer up to date."""
-        if self.catch_up is not None:
-            frame, self.catch_up = self.catch_up, None
-            if self.is_resuming:
-                self.playout.restart(frame)
-            else:
-                self.playout.receive_frame(frame)
-
     def tell_subscription(self, tell: Tell, now: float) -> float | None:
         """Tell the relay which layers are wanted, if that is due; return when to call again."""
         subscription = self.subscription
@@ -165,14 +142,14 @@ class RemoteParticipant:
 
     def pause(self) -> None:
         """Note that the relay was told to send nothing: the face stands still on purpose."""
-        self.settle()
+        self.playout.pause()
         self.is_paused, self.is_resuming = True, False
 
     def resume(self, now: float) -> None:
-        """Note that the relay was told to send again: what it kept comes first, all at once."""
+        """Note that the relay was told to send again: the face stands still until the first frame
+        comes."""
         if self.is_paused:
-            self.is_paused, self.is_resuming, self.is_behind = False, True, True
-            self.catching_up_until_s = -math.inf
+            self.is_paused, self.is_resuming = False, True
             if self.last_arrival_s is not None:
                 self.last_arrival_s = now
             self.note_silence(now)
@@ -182,15 +159,18 @@ class RemoteParticipant:
         read."""
         assert self.decoder is not None
         num_unreadable = 0
-        self._note_backlog(frame, now)
-        is_backlog = self.is_behind or now <= self.catching_up_until_s
-        for received in self.playout.sender.receive(frame, now, is_backlog=is_backlog):
+        for received in self.playout.sender.receive(frame, now):
             try:
                 sample = self.decoder.decode(received.payload)
             except LatentError:
                 num_unreadable += 1
             else:
-                self._receive_decoded(received.decoded(sample), now)
+                if self.is_paused:
+                    continue  # it was on its way when we wanted nothing more
+                self.playout.receive_frame(received.decoded(sample))
+                if self.is_resuming:  # what the relay had kept; the next need not follow from it
+                    self.playout.pause()
+                self.is_resuming = False
         if num_unreadable:
             return num_unreadable
         self.last_arrival_s = now
@@ -202,48 +182,11 @@ class RemoteParticipant:
         self.payload_bytes += len(frame.payload)
         return 0
 
-    def _note_backlog(self, frame: Frame, now: float) -> None:
-        """Find out whether a frame is one of many that were kept for us on their way.
-
-        They come much faster than they were captured. The face stands still until the newest is
-        there, and goes on from that.
-        """
-        late_s = self.playout.sender.lateness_s(frame, now)
-        silent_s = 0.0 if self.last_arrival_s is None else now - self.last_arrival_s
-        if late_s >= BACKLOG_S and silent_s >= BACKLOG_S:
-            self.settle()
-            self.is_in_backlog = self.is_resuming = True
-        elif self.is_in_backlog:
-            is_burst = 2e6 * silent_s < frame.captured_us - self.last_captured_us
-            self.is_in_backlog = is_burst and late_s >= FRESH_S
-            self.catching_up_until_s = now
-        if self.is_in_backlog:
-            self.catching_up_until_s = now + FRESH_S
-        self.last_captured_us = frame.captured_us
-
-    def _receive_decoded(self, frame: DecodedFrame, now: float) -> None:
-        """Hand a face to the playout, unless it is one of those that bring us up to date."""
-        if self.is_behind:
-            self.is_behind = False
-            self.catching_up_until_s = now + CATCH_UP_S
-        if now > self.catching_up_until_s:
-            self.settle()
-            self.is_resuming = False
-        if self.is_paused:
-            return  # it was on its way when we said that we want nothing
-        if now <= self.catching_up_until_s:
-            self.catch_up = frame
-        else:
-            self.playout.receive_frame(frame)
-
     def play(self, now: float, heard_us: int | None = None) -> tuple[PlayedFace | None, bool]:
         """The face to show now, None before the first one; and whether the stream is stopped on
         purpose: then the face stands still, and nothing is concealed. ``heard_us`` as in
         `Playout.sample_at`."""
-        is_catching_up = self.is_in_backlog and now <= self.catching_up_until_s
-        if not is_catching_up:
-            self.settle()
-        is_stopped = self.is_paused or is_catching_up or (self.is_resuming and self.is_behind)
+        is_stopped = self.is_paused or self.is_resuming
         if not is_stopped:
             self.played = self.playout.sample_at(now, heard_us)
         return self.played, is_stopped
@@ -285,6 +228,5 @@ class RemoteParticipant:
             "playout_delay_ms": round(report.delay_s * 1e3, 2),
             "jitter_ms": round(report.jitter_s * 1e3, 2),
             "age_ms": round(report.age_s * 1e3, 2),
-            "clock_drift_ppm": round(report.drift_ppm, 1),
             "clock_offset_ms": round(report.offset_s * 1e3, 1),
         }

@@ -1,26 +1,46 @@
-"""Moving faces: from one to another, onwards into the unknown, and back without a snap. Pure.
+"""The frames of a stream in order, the path of a face through them, and what takes it back to its
+path without a snap. Pure.
 
-Turns and moves are kept apart: the head turns along the shortest arc of SO(3) at constant angular
-speed, and its origin, between the ears, moves on a straight line; together a geodesic of
-SO(3) x R3. The other geodesic of a rigid motion, the screw, couples the two: where the origin
-passes on the way then depends on where the seat's axes happen to stand, and a turn far from them
-swings the head about. Trackers measure both apart, so between two measurements both go on apart; a
-neck's turn of 10 degrees within a frame bows its path by half a millimetre.
+Between two frames the face moves evenly from one to the other. Where the next frame is too far
+away, or not there, it coasts: it goes on as it last moved, ever slower, and rests after a while. It
+leaves for the next frame, if that is there, just so early that it does not hurry. A still frame
+says that nothing moves until one interval before the next frame.
+
+Latent, rotation vector and position each move on a straight line: two frames are so close together
+that the head's turn between them differs from the shortest arc by less than is seen.
 """
 
-from __future__ import annotations
-
-import math
-from typing import NamedTuple
+from bisect import bisect_left, bisect_right
+from operator import attrgetter
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from pica_client.playout.rotation import blend_rotations, turn_between, turned
-from pica_core.codec.latent_sample import LatentSample
+from pica_core.codec.latent_sample import DecodedFrame, LatentSample
 from pica_core.types import FloatArray
 
+NUM_SHOWN = 9
+"""Frames kept after they were shown: 33 ms at 240 fps, for the speed of the face."""
+MAX_FRAMES = 64
+"""Frames that wait; beyond it the oldest is dropped."""
+MAX_GAP_S = 0.25
+"""Longest time on the way between two frames; a longer gap is waited out first (chosen: 4 fps are
+still moved evenly)."""
+MIN_BASE_S = 0.025
+"""Shortest time that a speed is measured over: two frames 4 ms apart mostly tell the noise of the
+tracker (chosen: one frame of the usual stream and less)."""
+CORRECTION_LIMITS = (10.0, 3.0, 0.5)
+"""Fastest correction a second of latent (root mean square), head's turn (radians) and head's place
+(metres): slower than faces move by themselves. The latents of the shipped avatars move by up to 12
+a second (99th percentile of performances; measured), a head that is shaken turns by 5 (chosen)."""
 UNSEEN = 1e-5
 """A difference below this, in any unit, is none."""
+
+Insertion = Literal["new", "late", "duplicate", "misplaced"]
+"""misplaced: captured before a frame of a lower number, or after one of a higher."""
+
+_number = attrgetter("number")
+_media_s = attrgetter("media_s")
 
 
 def blend(before: LatentSample, after: LatentSample, weight: float) -> LatentSample:
@@ -32,7 +52,7 @@ def blend(before: LatentSample, after: LatentSample, weight: float) -> LatentSam
     share = np.float32(weight)
     return LatentSample(
         latent=before.latent + share * (after.latent - before.latent),
-        rotation=blend_rotations(before.rotation, after.rotation, weight),
+        rotation=before.rotation + share * (after.rotation - before.rotation),
         translation_m=before.translation_m + share * (after.translation_m - before.translation_m),
     )
 
@@ -45,66 +65,32 @@ def coasted_s(past_s: float, limit_s: float) -> float:
     return past_s - past_s * past_s / (2 * limit_s)
 
 
-class Distance(NamedTuple):
-    """How far two faces are apart."""
-
-    latent: float = 0.0
-    """Root mean square over the 256 numbers of the latent."""
-    turn_rad: float = 0.0
-    """Angle between the two head rotations."""
-    move_m: float = 0.0
-    """Distance of the two head positions, metres."""
-
-
-def distance(one: LatentSample, other: LatentSample) -> Distance:
-    """How far two faces are apart."""
-    return _Offset.between(one, other).size()
-
-
 class _Offset(NamedTuple):
-    """What turns one face into another, in three parts that shrink independently."""
+    """What turns one face into another."""
 
     latent: FloatArray
     turn: FloatArray
     move_m: FloatArray
 
-    @classmethod
-    def between(cls, begin: LatentSample, end: LatentSample) -> _Offset:
-        turn = turn_between(begin.rotation, end.rotation)
-        return cls(end.latent - begin.latent, turn, end.translation_m - begin.translation_m)
-
-    def size(self) -> Distance:
-        flat = self.latent.ravel()
-        return Distance(
-            latent=math.sqrt(float(flat @ flat) / flat.size),
-            turn_rad=math.hypot(*self.turn.tolist()),
-            move_m=math.hypot(*self.move_m.tolist()),
-        )
-
-    def applied_to(self, face: LatentSample) -> LatentSample:
-        return LatentSample(
-            latent=face.latent + self.latent,
-            rotation=turned(face.rotation, self.turn),
-            translation_m=face.translation_m + self.move_m,
-            is_still=face.is_still,
+    def sizes(self) -> tuple[float, float, float]:
+        """How large it is, as `CORRECTION_LIMITS` counts."""
+        return (
+            float(np.sqrt(np.mean(np.square(self.latent)))),
+            float(np.linalg.norm(self.turn)),
+            float(np.linalg.norm(self.move_m)),
         )
 
 
 class Correction:
-    """Takes what is shown back to where it should be, over `seconds` and never faster than `limit`.
+    """Takes what is shown back to where it should be, within `seconds` or at `CORRECTION_LIMITS`.
 
-    What is shown is the true face plus an offset. The offset shrinks evenly to nothing within
-    `seconds`, or more slowly where that would be faster than `limit`; the true face moves on
-    undamped below it. So from one display time to the next the shown face moves as the true one
-    does, plus at most `limit` times the time between.
+    What is shown is the true face plus an offset, which shrinks evenly to nothing; the true face
+    moves on undamped below it.
     """
 
-    def __init__(self, *, seconds: float, limit: Distance) -> None:
-        """A difference is gone in so many seconds, 0 shows it at once; the limit is per second."""
-        self.largest_step = 0.0
-        """Largest correction of the latent at one display time so far, as in `Distance`."""
+    def __init__(self, seconds: float) -> None:
+        """A difference is gone in so many seconds; 0 shows it at once."""
         self._seconds = seconds
-        self._limit = limit
         self._left_s = 0.0
         self._offset: _Offset | None = None
 
@@ -112,36 +98,164 @@ class Correction:
         """Begin to go from what is shown to what should have been at the same moment."""
         if self._seconds <= 0 or (shown is true and self._offset is None):
             return
-        offset = _Offset.between(true, shown)
+        offset = _Offset(
+            shown.latent - true.latent,
+            shown.rotation - true.rotation,
+            shown.translation_m - true.translation_m,
+        )
         if self._offset is not None:
             change = _Offset(*(new - old for new, old in zip(offset, self._offset, strict=True)))
-            if max(change.size()) < UNSEEN:
+            if max(change.sizes()) < UNSEEN:
                 return  # nothing new: what is under way goes on
-        if max(offset.size()) < UNSEEN:
-            self._offset = None
-            return
-        self._offset, self._left_s = offset, self._seconds
-
-    def end(self) -> None:
-        """Show the true face at once."""
-        self._offset = None
+        is_seen = max(offset.sizes()) >= UNSEEN
+        self._offset, self._left_s = (offset if is_seen else None), self._seconds
 
     def corrected(self, true: LatentSample, elapsed_s: float) -> LatentSample:
         """The face to show instead of the true one, some time after the last."""
         offset = self._offset
         if offset is None:
             return true
-        size = offset.size()
         even = elapsed_s / self._left_s if self._left_s > elapsed_s else 1.0
         self._left_s -= elapsed_s
         shares = [
-            min(even, most * elapsed_s / length) if length > 0 else 1.0
-            for length, most in zip(size, self._limit, strict=True)
+            min(even, most * elapsed_s / size) if size > 0 else 1.0
+            for size, most in zip(offset.sizes(), CORRECTION_LIMITS, strict=True)
         ]
-        self.largest_step = max(self.largest_step, shares[0] * size.latent)
         if min(shares) >= 1:
             self._offset = None
             return true
         left = [np.float32(1 - share) for share in shares]
         self._offset = _Offset(*(rest * part for rest, part in zip(left, offset, strict=True)))
-        return self._offset.applied_to(true)
+        return LatentSample(
+            latent=true.latent + self._offset.latent,
+            rotation=true.rotation + self._offset.turn,
+            translation_m=true.translation_m + self._offset.move_m,
+            is_still=true.is_still,
+        )
+
+
+class Timeline:
+    """Frames shown and to be shown.
+
+    Args:
+        coast_s: Time after which a face without a next frame rests.
+
+    Attributes:
+        num_dropped: Frames that were dropped, because too many waited or a new beginning said
+            otherwise.
+    """
+
+    def __init__(self, coast_s: float) -> None:
+        self.num_dropped = 0
+        self._coast_s = coast_s
+        self._frames: list[DecodedFrame] = []  # shown ones first; both bounded
+        self._num_shown = 0
+
+    @property
+    def num_waiting(self) -> int:
+        """Frames that are not shown yet."""
+        return len(self._frames) - self._num_shown
+
+    @property
+    def held(self) -> DecodedFrame | None:
+        """The newest frame that counts as shown."""
+        return self._frames[self._num_shown - 1] if self._num_shown else None
+
+    @property
+    def following(self) -> DecodedFrame | None:
+        """The oldest frame that does not."""
+        return self._frames[self._num_shown] if self.num_waiting else None
+
+    @property
+    def newest_s(self) -> float:
+        """When the newest frame was captured; there must be one."""
+        return self._frames[-1].media_s
+
+    def insert(self, frame: DecodedFrame) -> Insertion:
+        """Take a frame that has just come."""
+        frames = self._frames
+        place = bisect_left(frames, frame.number, key=_number)
+        if place < len(frames) and frames[place].number == frame.number:
+            return "duplicate"
+        if place < self._num_shown:
+            return "late"
+        if place and frames[place - 1].media_s > frame.media_s:
+            return "misplaced"
+        if place < len(frames) and frames[place].media_s < frame.media_s:
+            return "misplaced"
+        frames.insert(place, frame)
+        if self.num_waiting > MAX_FRAMES:
+            del frames[self._num_shown]
+            self.num_dropped += 1
+        return "new"
+
+    def cut(self, media_s: float) -> None:
+        """Drop waiting frames captured then or later, for a new beginning says otherwise."""
+        place = max(bisect_left(self._frames, media_s, key=_media_s), self._num_shown)
+        self.num_dropped += len(self._frames) - place
+        del self._frames[place:]
+
+    def release(self, media_s: float) -> None:
+        """Count all frames captured up to then as shown."""
+        self._num_shown = max(bisect_right(self._frames, media_s, key=_media_s), self._num_shown)
+        self._forget()
+
+    def release_first(self) -> DecodedFrame:
+        """Count the oldest waiting frame as shown."""
+        frame = self._frames[self._num_shown]
+        self._num_shown += 1
+        self._forget()
+        return frame
+
+    def face_at(self, media_s: float, interval_s: float) -> LatentSample:
+        """The face at a moment of the stream; a frame must have been shown."""
+        place = max(bisect_right(self._frames, media_s, key=_media_s) - 1, 0)
+        before = self._frames[place]
+        departure_s = self._departure_s(place, interval_s)
+        if media_s < departure_s:
+            return self._coasted(place, media_s - before.media_s, interval_s)
+        after = self._frames[place + 1]
+        from_s = departure_s - before.media_s
+        return blend(
+            self._coasted(place, from_s, interval_s) if from_s > 0 else before.sample,
+            after.sample,
+            (media_s - departure_s) / (after.media_s - departure_s),
+        )
+
+    def is_under_way(self, media_s: float, interval_s: float) -> bool:
+        """Whether the face is on its way to a frame that is there, rather than coasting."""
+        place = max(bisect_right(self._frames, media_s, key=_media_s) - 1, 0)
+        return self._departure_s(place, interval_s) <= media_s
+
+    def _forget(self) -> None:
+        num_old = max(self._num_shown - NUM_SHOWN, 0)
+        del self._frames[:num_old]
+        self._num_shown -= num_old
+
+    def _departure_s(self, place: int, interval_s: float) -> float:
+        """When the face leaves a frame for the next; infinite while there is none."""
+        if place + 1 >= len(self._frames):
+            return float("inf")
+        return self._frames[place + 1].media_s - self._way_s(place, place + 1, interval_s)
+
+    def _way_s(self, one: int, other: int, interval_s: float) -> float:
+        """How long the face takes from one frame to a later one."""
+        before = self._frames[one]
+        longest_s = interval_s if before.sample.is_still and interval_s > 0 else MAX_GAP_S
+        return min(self._frames[other].media_s - before.media_s, longest_s)
+
+    def _coasted(self, place: int, past_s: float, interval_s: float) -> LatentSample:
+        """The face some time after a frame, as if there were no next one."""
+        frame = self._frames[place]
+        if frame.sample.is_still or past_s <= 0 or self._coast_s <= 0 or place == 0:
+            return frame.sample
+        base = place - 1
+        while base and frame.media_s - self._frames[base].media_s < MIN_BASE_S:
+            base -= 1
+        gap_s = frame.media_s - self._frames[base].media_s
+        way_s = self._way_s(base, place, interval_s)
+        is_known = 0 < gap_s <= MAX_GAP_S or self._frames[base].sample.is_still
+        if not is_known or way_s <= 0:
+            return frame.sample
+        weight = 1 + coasted_s(past_s, self._coast_s) / max(way_s, MIN_BASE_S)
+        return blend(self._frames[base].sample, frame.sample, weight)

@@ -8,16 +8,20 @@ Only where that would take too long it leaps forwards.
 import math
 from typing import NamedTuple
 
-from pica_client.playout.config import PlayoutConfig
-
 UNSEEN_S = 0.001
 """A display that is less far behind is not seen as such."""
+FASTER, SLOWER = 0.1, 0.25
+"""Shares by which display time runs faster to catch up (chosen: speech 10 % faster looks natural)
+and slower to fall back: more, for frames are late meanwhile."""
 LED_RATE = 1.0
-"""By which share time may run faster or slower where a voice leads: the voice has been stretched
-already, and says how fast time goes."""
+"""The same where a voice leads: it has been stretched already, and says how fast time goes."""
 LED_LEAP_S = 0.04
 """A display this far behind the voice that leads it leaps: lips may be 45 ms late (ITU-R
 BT.1359)."""
+SMOOTHING = 0.1
+"""Weight of a new display interval in the mean."""
+MAX_STEP_S = 0.25
+"""A longer step is a pause of the display."""
 
 
 class Step(NamedTuple):
@@ -36,12 +40,15 @@ class Playhead:
     Attributes:
         position_s: The moment shown, on the stream's time line; minus infinity before the first.
         num_leaps: How often the display leapt forwards.
+        step_s: Mean time between two display times.
     """
 
-    def __init__(self, config: PlayoutConfig) -> None:
+    def __init__(self, leap_s: float) -> None:
+        """A display this far behind leaps."""
         self.position_s = -math.inf
         self.num_leaps = 0
-        self._config = config
+        self.step_s = 0.0
+        self._leap_s = leap_s
         self._now = -math.inf
 
     def advance(self, now: float, target_s: float, end_s: float, *, is_led: bool = False) -> Step:
@@ -59,13 +66,12 @@ class Playhead:
             return Step(0.0, 0.0)
         elapsed_s = max(now - self._now, 0.0)
         self._now = max(now, self._now)
+        if elapsed_s <= MAX_STEP_S:
+            self.step_s += SMOOTHING * (elapsed_s - self.step_s)
         before_s = self.position_s
         behind_s = target_s - before_s - elapsed_s
-        config = self._config
-        faster, slower, leap_s = config.faster, config.slower, config.leap_s
-        if is_led:
-            faster, slower, leap_s = LED_RATE, LED_RATE, LED_LEAP_S
-        if behind_s > max(leap_s, UNSEEN_S):
+        faster, slower = (LED_RATE, LED_RATE) if is_led else (FASTER, SLOWER)
+        if behind_s > max(LED_LEAP_S if is_led else self._leap_s, UNSEEN_S):
             self.num_leaps += 1
             self.position_s = target_s
             return Step(elapsed_s, elapsed_s, is_leap=True)

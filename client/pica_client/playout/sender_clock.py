@@ -1,8 +1,8 @@
 """From what a frame says of itself to its place on one even time line. Pure.
 
 A frame names a sequence, which wraps and may begin anew, and a capture time on the sender's clock,
-which may jump. Decoding and playing want neither: here, in front of both, a frame gets a `number`
-that never wraps and a `media_s` that goes on as our own clock does, whatever the sender's does.
+which may jump. Here it gets a `number` that never wraps and a `media_s` that goes on as our own
+clock does, whatever the sender's does.
 
 A frame that follows from those before it passes at once. One that cannot is held back, for it may
 be one bad frame or the first of a new beginning, and only its followers can tell:
@@ -20,17 +20,14 @@ them, or fewer over `AGREEING_S` for a slow stream. Then the time line goes on f
 frames held back are placed as if the fastest of them had come the fastest way, and pass together.
 If instead a frame comes that follows from the old ones, what is held back is refused and counted.
 
-Where the sender began anew the numbers leap by more than `RESTART_FRAMES`: no frame refers back
-across that place, and what is missing there was not lost.
-
-The backlog that a latecomer gets at once is old, so its arrival tells nothing: in it nothing is
-doubted, and where the time line begins, it begins with the newest frame of it.
+Where the sender began anew the numbers leap by more than `RESTART_FRAMES`: what is missing there
+was not lost.
 """
 
 from bisect import bisect_left
 from typing import NamedTuple
 
-from pica_client.playout.clock_map import ClockMap
+from pica_client.playout.transit import RESTART_FRAMES, Transit
 from pica_core.codec.latent_sample import ReceivedFrame
 from pica_protocol.frames import SEQUENCE_MODULUS, Frame, sequence_distance, unwrap_sequence
 
@@ -41,9 +38,6 @@ itself). After a stall at the very beginning frames are faster than the fastest 
 LATE_S = 10.0
 """A late frame later than this belongs to another beginning (chosen: a link that was dead for so
 long has been closed)."""
-RESTART_FRAMES = 1000
-"""A sequence this far behind is not late, and one this far ahead is no gap (chosen: four seconds at
-240 fps)."""
 NUM_AGREEING = 3
 """Frames that must agree before they are believed (chosen: 67 ms at 30 fps, which the display
 bridges unseen)."""
@@ -60,15 +54,17 @@ class SenderClock:
     """The time line of one stream.
 
     Attributes:
-        map: Transit of the fastest frames; None before the first frame.
+        transit: How long frames take; None before the first frame.
         num_jumps: How often the sender or its clock began anew.
         num_refused: Frames that fitted neither what came before nor what came after.
         num_future: Of these, frames from the future.
         num_duplicates: Frames that came again while they were held back.
     """
 
-    def __init__(self) -> None:
-        self.map: ClockMap | None = None
+    def __init__(self, *, quantile: float = 0.95) -> None:
+        """`quantile` is the share of delays that are waited for."""
+        self.transit: Transit | None = None
+        self._quantile = quantile
         self.num_jumps = self.num_refused = self.num_future = self.num_duplicates = 0
         self._held_back: list[_Arrival] = []  # fewer than NUM_AGREEING
         self._held_future = 0
@@ -77,7 +73,6 @@ class SenderClock:
         self._newest_number = self._newest_us = 0
         self._newest_transit_s = 0.0
         self._origin_us, self._origin_s = 0, 0.0
-        self._begins_in_backlog = False
 
     @property
     def num_held_back(self) -> int:
@@ -87,65 +82,41 @@ class SenderClock:
     @property
     def offset_s(self) -> float:
         """Our clock minus the sender's for the newest frame, had it come the fastest way."""
-        if self.map is None:
+        if self.transit is None:
             return 0.0
-        newest_s = self.media_s(self._newest_us)
-        return newest_s + self.map.fastest_transit_s(newest_s) - self._newest_us / 1e6
+        return self.media_s(self._newest_us) + self.transit.fastest_s - self._newest_us / 1e6
 
-    def lateness_s(self, frame: Frame, now: float) -> float:
-        """How much later than the fastest a frame comes that arrives now; 0 for the first."""
-        if self.map is None:
-            return 0.0
-        return now - self.media_s(frame.captured_us) - self._fastest_transit_s(frame.captured_us)
-
-    def receive(self, frame: Frame, now: float, *, is_backlog: bool = False) -> list[ReceivedFrame]:
+    def receive(self, frame: Frame, now: float) -> list[ReceivedFrame]:
         """Take a frame that arrived just now.
-
-        Args:
-            now: Our clock, seconds.
-            is_backlog: Whether it was kept for us on its way.
 
         Returns:
             The frames that pass: this one, none, or after a new beginning those held back, too. The
             first of a new beginning may lie before frames that passed earlier and were wrong.
         """
         arrival = _Arrival(frame, now)
-        if self.map is None:
+        if self.transit is None:
+            self.transit = Transit(now, quantile=self._quantile)
             self._newest_number = frame.sequence
-            self._begin(arrival, media_s=0.0, transit_s=now)
-            self._begins_in_backlog = is_backlog
-        elif is_backlog:
-            if self._breaks_count(frame):
-                self._begin_anew([arrival])
-                self._begins_in_backlog = True
-            elif self._begins_in_backlog:
-                transit_s = self._fastest_transit_s(self._newest_us)
-                self._begin(arrival, now - transit_s, transit_s)
+            self._begin(arrival, media_s=0.0)
         else:
-            self._begins_in_backlog = False
-            lateness_s = self.lateness_s(frame, now)
-            ahead_s = self._newest_transit_s - (now - self.media_s(frame.captured_us))
-            is_future = min(-lateness_s, ahead_s) > FUTURE_S
+            transit_s = now - self.media_s(frame.captured_us)
+            lateness_s = transit_s - self.transit.fastest_s
+            is_future = min(-lateness_s, self._newest_transit_s - transit_s) > FUTURE_S
             is_old = sequence_distance(frame.sequence, self._newest_number) < 0
             if is_future or self._breaks_count(frame) or (is_old and lateness_s > LATE_S):
                 return self._hold_back(arrival, is_future=is_future)
         self._refuse_held_back()
         return [self._pass(arrival)]
 
-    def _begin(self, arrival: _Arrival, media_s: float, transit_s: float) -> None:
+    def _begin(self, arrival: _Arrival, media_s: float) -> None:
         """Place a frame on the time line, and what follows after it."""
         self._origin_us, self._origin_s = arrival.frame.captured_us, media_s
         self._newest_us = arrival.frame.captured_us
-        self.map = ClockMap(media_s, transit_s)
 
     def media_s(self, captured_us: int) -> float:
         """The place of a capture time on the time line, as the newest frames have it."""
         # Subtracted as integers: a float of microseconds since 1970 has no room for fractions.
         return self._origin_s + (captured_us - self._origin_us) / 1e6
-
-    def _fastest_transit_s(self, captured_us: int) -> float:
-        assert self.map is not None
-        return self.map.fastest_transit_s(self.media_s(captured_us))
 
     def _breaks_count(self, frame: Frame) -> bool:
         """Whether sequence and capture time cannot be those of a frame between the known ones."""
@@ -212,12 +183,12 @@ class SenderClock:
             number = unwrap_sequence(first.sequence, above)
         self._newest_number = number
         self._recent.clear()
-        transit_s = self._fastest_transit_s(self._newest_us)
-        media_s = -transit_s + min(
+        assert self.transit is not None
+        media_s = -self.transit.fastest_s + min(
             arrived_s - (frame.captured_us - first.captured_us) / 1e6
             for frame, arrived_s in arrivals
         )
-        self._begin(arrivals[0], media_s, transit_s)
+        self._begin(arrivals[0], media_s)
 
     def _refuse_held_back(self) -> None:
         self.num_refused += len(self._held_back)

@@ -19,8 +19,8 @@ import numpy as np
 
 from pica_client.errors import SourceError
 from pica_client.output import say
-from pica_client.playout.rotation import rotation_vector_from_yaw_pitch_roll
 from pica_client.sources.live.live_face import VALUE_LIMIT
+from pica_client.sources.rotation import rotation_vector_from_yaw_pitch_roll
 from pica_client.sources.source import Recording
 from pica_core.avatar.arkit import ARKIT_NAMES
 from pica_core.types import Float64Array

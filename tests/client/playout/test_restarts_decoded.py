@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from helpers.stream_toy import Sent, perform, toy_profile
-from pica_client.playout.sender_clock import RESTART_FRAMES, SenderClock
+from pica_client.playout.sender_clock import SenderClock
+from pica_client.playout.transit import RESTART_FRAMES
 from pica_core.codec.latent_sample import DecodedFrame
 from pica_core.codec.latent_stream import LatentDecoder
 from pica_protocol.frames import Frame
@@ -110,24 +111,3 @@ def test_numbers_go_on_across_the_wrap_and_leap_where_the_sender_begins_anew() -
     assert [received.number % 65536 for received in passed] == [0, 1, 2]
     assert passed[0].number > 65_539 + RESTART_FRAMES
     assert clock.num_jumps == 1
-
-
-def test_in_a_backlog_nothing_is_doubted_and_its_newest_frame_begins_the_time_line() -> None:
-    clock = SenderClock()
-    # A still face: heartbeats of the last three seconds come at once.
-    for index in range(4):
-        assert len(clock.receive(frame(index, float(index)), 50.0, is_backlog=True)) == 1
-    assert clock.map is not None
-    (received,) = clock.receive(frame(4, 4.0), 51.0)
-    assert received.media_s + clock.map.fastest_transit_s(received.media_s) == 51.0
-    assert (clock.num_jumps, clock.num_future) == (0, 0)
-
-
-def test_a_sender_who_began_anew_while_we_were_away_is_believed_at_once() -> None:
-    clock = SenderClock()
-    for index in range(30):
-        clock.receive(frame(index, index / 30), index / 30)
-    (received,) = clock.receive(frame(5, -3.0), 60.0, is_backlog=True)
-    assert received.number > 29 + RESTART_FRAMES
-    assert len(clock.receive(frame(6, -3.0 + 1 / 30), 60.0 + 1 / 30)) == 1
-    assert (clock.num_jumps, clock.num_refused) == (1, 0)

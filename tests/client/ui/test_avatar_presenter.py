@@ -32,7 +32,7 @@ class OneFace:
     def __init__(self, count: int = 1) -> None:
         self.peer_ids = [f"p{number}" for number in range(1, count + 1)]
 
-    def faces(self, now: float) -> list[FaceState]:
+    def faces(self, now: float, ahead_s: float = 0.0) -> list[FaceState]:
         latent = np.zeros((8, 8, 4), np.float32)
         return [
             FaceState(peer_id=peer_id, name="Ada", avatar_id="5" * 64, latent=latent)

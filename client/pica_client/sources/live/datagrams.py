@@ -20,17 +20,17 @@ import numpy as np
 import pythonosc
 from pythonosc.osc_packet import OscPacket
 
-from pica_client.playout.rotation import (
-    rotation_vector_from_quaternion,
-    rotation_vector_from_yaw_pitch_roll,
-    turned,
-)
 from pica_client.sources.live.live_face import (
     INDEX_BY_FOLDED_NAME,
     VALUE_LIMIT,
     PacketError,
     TrackerSample,
     arkit_from_names,
+)
+from pica_client.sources.rotation import (
+    rotation_vector_from_quaternion,
+    rotation_vector_from_yaw_pitch_roll,
+    turned,
 )
 from pica_core.avatar.arkit import EYE_PITCH_DOWN, EYE_PITCH_UP, EYE_YAW, NUM_ARKIT
 from pica_core.types import FloatArray

@@ -13,8 +13,8 @@ from typing import Final
 
 import numpy as np
 
-from pica_client.playout.rotation import blend_rotations
 from pica_client.sources.live.calibration import BLINKS, GAZE, Calibration
+from pica_client.sources.rotation import blend_rotations
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES, NUM_ARKIT, ExpressionFrame
 from pica_core.types import Float64Array, FloatArray
 

@@ -15,9 +15,9 @@ import pytest
 from PIL import Image
 
 from pica_client.errors import SourceError
-from pica_client.playout.rotation import rotation_vector_from_yaw_pitch_roll
 from pica_client.sources.live.live_face import TrackerSample
 from pica_client.sources.registry import open_source
+from pica_client.sources.rotation import rotation_vector_from_yaw_pitch_roll
 from pica_client.sources.webcam import networks as model
 from pica_client.sources.webcam import webcam
 from pica_client.sources.webcam.networks import FaceNetworks

@@ -52,12 +52,6 @@ def blend_rotations(before: FloatArray, after: FloatArray, weight: float) -> Flo
     return rotation_vector_from_quaternion((real, *imaginary))
 
 
-def turn_between(begin: FloatArray, end: FloatArray) -> FloatArray:
-    """The turn after `begin` that makes `end` of it; all are rotation vectors, float32 ``[3]``."""
-    real, x, y, z = _quaternion(begin)
-    return rotation_vector_from_quaternion(_product(_quaternion(end), (real, -x, -y, -z)))
-
-
 def turned(rotation: FloatArray, turn: FloatArray) -> FloatArray:
     """A rotation, and after it another turn; all are rotation vectors, float32 ``[3]``."""
     return rotation_vector_from_quaternion(_product(_quaternion(turn), _quaternion(rotation)))

@@ -1,0 +1,157 @@
+"""What the arrivals of one stream tell: how long frames take, how late some are, how often they
+come, and which were lost. Pure.
+
+The transit of a frame is its arrival on our clock minus its capture on the sender's: network delay
+plus an unknown offset between two clocks. The network only ever adds, so the lowest transit of the
+last seconds is that of the fastest way. The window forgets, so a clock that drifts, a longer route
+and a standing queue are followed without being measured: 200 parts in a million are 1 ms in it.
+
+How far a transit lies above the fastest is the frame's lateness. What counts are delays, not
+frames: those that a stall held back come in one burst, and only the first of them tells how long it
+was. Two windows rate, and the longer wait counts: the slow one forgets trouble after some seconds,
+the fast one needs only three delays in a second.
+"""
+
+import math
+from bisect import bisect_left, insort
+from collections import deque
+from collections.abc import Iterable
+from itertools import pairwise
+from typing import NamedTuple
+
+from pica_core.codec.latent_sample import DecodedFrame
+
+WINDOW_S = 6.0
+"""Time that is remembered: so long the delay stays up after trouble (chosen: short enough that a
+call is fresh again soon, long enough to hold a share of 95 %)."""
+ATTACK_S, ATTACK_QUANTILE, ATTACK_MIN_DELAYS = 1.0, 0.9, 10
+"""The fast window, the share of it that is waited for, and how many delays say something of it."""
+CAPACITY = 2048
+"""Frames that the window holds; it drops its oldest beyond (chosen: 6 s at 240 fps and some)."""
+MAX_DELAY_S = 1.0
+"""A longer delay is not waited for at all: this machine slept, or the network stood."""
+FALL_S = 0.02
+"""Most by which one frame may lower the fastest transit (chosen: less than anybody sees)."""
+NUM_AGREEING = 3
+"""Frames in a row that may lower it by more."""
+NUM_FREE_FRAMES = 8
+"""Frames at the beginning that may lower it by any amount: there is nothing to spoil yet."""
+RESTART_FRAMES = 1000
+"""A sequence this far behind is not late, and one this far ahead is no gap but a new beginning
+(chosen: four seconds at 240 fps)."""
+NUM_GAPS = 16
+"""Gaps the interval is the median of (chosen: with a third of the frames lost it still stands, and
+it follows a thinned stream after eight frames)."""
+
+
+class _Arrival(NamedTuple):
+    arrived_s: float
+    transit_s: float
+    is_alone: bool
+
+
+class Transit:
+    """How long the frames of one stream take.
+
+    Attributes:
+        fastest_s: Our clock minus the sender's for a frame that nothing delays.
+        jitter_s: Lateness that should be waited for.
+    """
+
+    def __init__(self, transit_s: float, *, quantile: float = 0.95) -> None:
+        self.fastest_s, self.jitter_s = transit_s, 0.0
+        self._quantile = quantile
+        self._arrivals: deque[_Arrival] = deque(maxlen=CAPACITY)
+        self._latest: deque[float] = deque(maxlen=NUM_AGREEING)  # transits as they came
+        self._num_frames = 0
+        self._last = (-math.inf, -math.inf)  # arrived_s, media_s
+
+    def receive(self, media_s: float, arrived_s: float) -> None:
+        """Take a frame into account."""
+        transit_s = arrived_s - media_s
+        self._num_frames += 1
+        self._latest.append(transit_s)
+        if self._num_frames > NUM_FREE_FRAMES:
+            transit_s = max(transit_s, min(self.fastest_s - FALL_S, max(self._latest)))
+        last_arrived_s, last_media_s = self._last
+        is_burst = arrived_s - last_arrived_s < 0.5 * (media_s - last_media_s)
+        self._last = (arrived_s, media_s)
+        arrivals = self._arrivals
+        while arrivals and arrivals[0].arrived_s < arrived_s - WINDOW_S:
+            arrivals.popleft()
+        arrivals.append(_Arrival(arrived_s, transit_s, not is_burst or not arrivals))
+        self.fastest_s = min(each.transit_s for each in arrivals)
+        longest_s = self.fastest_s + MAX_DELAY_S
+        delays = [each for each in arrivals if each.is_alone and each.transit_s <= longest_s]
+        slow = [each.transit_s for each in delays]
+        fast = [each.transit_s for each in delays if each.arrived_s >= arrived_s - ATTACK_S]
+        wait_s = _quantile(slow, self._quantile) if slow else self.fastest_s
+        if len(fast) >= ATTACK_MIN_DELAYS:
+            wait_s = max(wait_s, _quantile(fast, ATTACK_QUANTILE))
+        self.jitter_s = max(wait_s - self.fastest_s, 0.0)
+
+
+def _quantile(values: Iterable[float], share: float) -> float:
+    """The least value that this share of the values does not exceed."""
+    ordered = sorted(values)
+    return ordered[math.ceil(share * len(ordered)) - 1]
+
+
+class _Seen(NamedTuple):
+    number: int
+    media_s: float
+    is_still: bool
+    interval_s: float
+
+
+class FrameInterval:
+    """Interval and losses of one stream.
+
+    A stream is thinned on its way when less of it is wanted, so a hole in the sequence is no loss
+    by itself. After thinning the frames that are left come at an even, longer interval; a lost
+    frame leaves a gap among frames that come closer. So a hole is counted when it leaves the window
+    with the longer of two intervals, that of its end and that of now.
+
+    Attributes:
+        interval_s: Between two frames that arrive; 0 until two have come.
+        num_lost: Frames known to be lost.
+    """
+
+    def __init__(self) -> None:
+        self.interval_s, self.num_lost = 0.0, 0
+        self._recent: list[_Seen] = []  # in order of their numbers; drops the oldest
+
+    def receive(self, frame: DecodedFrame) -> None:
+        """Take a frame into account that did not come before."""
+        recent = self._recent
+        place = bisect_left(recent, (frame.number,))
+        if not place and len(recent) >= NUM_GAPS:
+            return  # its hole has been counted already
+        is_still = frame.sample.is_still
+        insort(recent, _Seen(frame.number, frame.media_s, is_still, self.interval_s))
+        # What follows a still frame is a silence on purpose, and no gap.
+        gaps = sorted(
+            after.media_s - before.media_s
+            for before, after in pairwise(recent)
+            if not before.is_still and after.media_s > before.media_s
+        )
+        if gaps:
+            self.interval_s = gaps[(len(gaps) - 1) // 2]
+        if len(recent) > NUM_GAPS:
+            before, after = recent.pop(0), recent[0]
+            if not before.is_still:
+                num_skipped = after.number - before.number - 1
+                gap_s = after.media_s - before.media_s
+                self.num_lost += self.num_missing(num_skipped, gap_s, after.interval_s)
+
+    def pause(self) -> None:
+        """Note that the stream is stopped on purpose: what follows the last frame is no gap."""
+        if self._recent:
+            self._recent[-1] = self._recent[-1]._replace(is_still=True)
+
+    def num_missing(self, num_skipped: int, gap_s: float, least_interval_s: float = 0.0) -> int:
+        """Return how many of the skipped frames the interval would have put into a gap."""
+        interval_s = max(self.interval_s, least_interval_s)
+        if interval_s <= 0 or not 0 < num_skipped < RESTART_FRAMES:
+            return 0
+        return min(num_skipped, max(round(gap_s / interval_s) - 1, 0))
