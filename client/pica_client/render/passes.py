@@ -206,29 +206,7 @@ class DrawPasses:
             targets.surface.clear(depth=1.0)
         self._draw_meshes(targets, heads)
 
-    def vertices(
-        self,
-        targets: RenderTargets,
-        decoded: Sequence[DecodedHead],
-        painted: Sequence[PaintedHead],
-        times: int,
-    ) -> None:
-        """All meshes of a frame into one pixel, so many times: vertices, clipping and the setup of
-        triangles are worked through, and nearly nothing is drawn. For measuring; it spoils the
-        images."""
-        for target in (targets.surface, targets.textured):
-            target.use()
-            target.scissor = (0, 0, 1, 1)
-        self._draw_meshes(targets, decoded, times)
-        self.texture(targets, painted, times=times)
-        nowhere: Any = None  # moderngl's way to end a scissor; its types do not know it
-        for target in (targets.surface, targets.textured):
-            target.use()
-            target.scissor = nowhere
-
-    def _draw_meshes(
-        self, targets: RenderTargets, heads: Sequence[DecodedHead], times: int = 1
-    ) -> None:
+    def _draw_meshes(self, targets: RenderTargets, heads: Sequence[DecodedHead]) -> None:
         targets.surface.use()
         self._context.enable(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
         # Near ones first: what they hide is tested away before it is written.
@@ -247,7 +225,7 @@ class DrawPasses:
             )
             if is_shared:
                 set_values(program, share=head.share)
-            head.mesh.vertices[is_shared].render(instances=times)
+            head.mesh.vertices[is_shared].render()
 
     def shade(
         self, targets: RenderTargets, heads: Sequence[DecodedHead], *, count: bool
@@ -277,7 +255,6 @@ class DrawPasses:
         heads: Sequence[PaintedHead],
         *,
         count: bool = False,
-        times: int = 1,
     ) -> list[int | None]:
         """Draw textured heads over the shaded image, behind what is nearer; counts as `shade`, a
         pixel that is drawn over again."""
@@ -299,7 +276,7 @@ class DrawPasses:
                 low_m=mesh.low_m,
                 high_m=mesh.high_m,
             )
-            mesh.vertices.render(instances=times)
+            mesh.vertices.render()
 
         return self._draw_each(heads, paint, count)
 

@@ -271,15 +271,6 @@ class Renderer(Closing):
             passes.smooth(targets, [head.place for head in heads.heads])
         return count_draws(heads, counts, painted_counts, is_smooth=is_smooth)
 
-    def draw_vertices(
-        self, placements: Sequence[Placement], camera: Camera, times: int = 1
-    ) -> None:
-        """Work through the vertices of a frame and nothing else; see `DrawPasses.vertices`. The
-        next frame is drawn as if this had not been."""
-        views = [(camera, (0, 0, *self.size))]
-        heads = list_heads(self._slots, placements, views, self._passes.placeholder)
-        self._passes.vertices(self._targets, heads.decoded, heads.painted, times)
-
     def read_image(self) -> Image:
         """The last frame, uint8 ``[H, W, 3]``, top row first. Waits for the GPU.
 
