@@ -14,9 +14,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from typing import Annotated, Any, Final
-
-from cyclopts import Parameter
+from typing import Any, Final
 
 from pica_client.bench.harness import Arguments
 from pica_client.bench.relay.figures import (
@@ -49,10 +47,6 @@ SETTLE_S: Final = 1.5
 OWN_JOINS_PER_S: Final = 400.0
 PATIENCE_S: Final = 30.0
 """Seconds that a swarm's answer may take beyond the time of its order."""
-PROBE_S: Final = 3.0
-"""Measured time of each try when capacity is looked for."""
-GROWTH: Final = 1.25
-"""Factor between the numbers of rooms of two tries, when capacity is looked for."""
 NO_LIMITS: Final = (
     *("--limits.joins-per-s", "100000", "--limits.joins-burst", "100000"),
     *("--limits.handshakes", "4096"),
@@ -82,12 +76,6 @@ class RelayBenchConfig:
     relay that is started."""
     voices: bool = False
     """Let the peers of each room speak in turn as well, 25 packets a second."""
-    capacity: bool = False
-    """Look for the most rooms that stay within the bar."""
-    bar_ms: Annotated[float, Parameter(name="bar")] = 10.0
-    """The bar: longest 99th percentile of the forwarding latency, milliseconds."""
-    max_rooms: int = 400
-    """Where looking for capacity ends."""
     relay_arguments: Arguments = ()
     """Further arguments of the relay that is started: --relay-arguments="--port 8765"."""
     seed: int = 0
@@ -95,15 +83,9 @@ class RelayBenchConfig:
 
     def __post_init__(self) -> None:
         check_ranges(self, rooms=(1, 10_000), peers=(2, 64), fps=(1, 240), seconds=(0.5, 7200))
-        check_ranges(self, processes=(1, min(64, self.rooms)), max_rooms=(1, 10_000))
-        check_ranges(self, bar_ms=(0.1, 10_000), joins_per_s=(0.1, 10_000))
+        check_ranges(self, processes=(1, min(64, self.rooms)), joins_per_s=(0.1, 10_000))
         if self.url is not None:
             check_address(self.url)
-
-    @property
-    def most_rooms(self) -> int:
-        """Rooms that may be needed."""
-        return max(self.max_rooms, self.rooms) if self.capacity else self.rooms
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -127,7 +109,7 @@ class Load:
         self._connected = 0
         _, cores = share_cores()
         self._rate = config.joins_per_s or (40.0 if target.pid is None else OWN_JOINS_PER_S)
-        names = [self.room(index) for index in range(config.most_rooms)]
+        names = [self.room(index) for index in range(config.rooms)]
         swarms = [
             SwarmConfig(
                 url=target.url,
@@ -219,8 +201,6 @@ class Load:
         expected = (total["sent"] + total["voices_sent"]) * (config.peers - 1)
         missing = expected - received
         delivered_per_s = received / seconds
-        forward_ms = percentiles(merged(answers, "latency"))
-        p99 = forward_ms["p99"]
         held = None if self.target.pid is None else memory_bytes(self.target.pid)
         per_connection = None
         if self._idle_bytes is not None and held is not None:
@@ -234,7 +214,7 @@ class Load:
             "connections": self.num_connections,
             "delivered_per_s": round(delivered_per_s, 1),
             "sent_per_s": round(total["sent"] / seconds, 1),
-            "forward_ms": forward_ms,
+            "forward_ms": percentiles(merged(answers, "latency")),
             "voice_ms": percentiles(merged(answers, "voice_latency")) if config.voices else None,
             "relay_forward_ms": relay_percentiles(metrics),
             "dropped": round(summed(metrics, "pica_frames_dropped_total")) if metrics else missing,
@@ -255,8 +235,6 @@ class Load:
             else round(summed(metrics, "pica_frames_out_total") / messages, 2),
             "errors": sum(closed.values()),
             "close_codes": closed,
-            # Late frames are few, and so are those that never came.
-            "within_bar": p99 is not None and p99 <= config.bar_ms and missing <= expected * 0.001,
             "generator": {
                 "processes": config.processes,
                 "cpu_ratio": [round(answer["cpu_ratio"], 3) for answer in answers],
@@ -301,7 +279,7 @@ def start_relay(
     config: RelayBenchConfig, children: Children, limits: Sequence[str] = NO_LIMITS
 ) -> tuple[Child, Target]:
     """Start a relay with room for the load, on a core of its own."""
-    connections = config.most_rooms * config.peers + 64
+    connections = config.rooms * config.peers + 64
     relay, url = children.start_relay(
         *("--max-connections", str(connections)),
         *("--room-capacity", str(max(config.peers + 2, 16))),
@@ -323,43 +301,9 @@ def measure(
         say(f"{name}: {load.num_connections} peers in {config.rooms} rooms")
         result = load.measure(config.rooms, config.seconds)
         say(f"{name}: {describe(result)}")
-        if config.capacity:
-            result["capacity"] = _find_capacity(config, load, result, name)
     finally:
         load.leave()
     return result
-
-
-def _find_capacity(
-    config: RelayBenchConfig, load: Load, first: dict[str, Any], name: str
-) -> dict[str, Any]:
-    """The most rooms within the bar: up or down by a quarter, then halve what is between."""
-    tries: list[dict[str, Any]] = []
-
-    def is_good(rooms: int) -> bool:
-        row = load.measure(rooms, PROBE_S)
-        say(f"{name}: {describe(row)}{'' if row['within_bar'] else ' - too much'}")
-        tries.append(row)
-        return bool(row["within_bar"])
-
-    good, bad = (config.rooms, None) if first["within_bar"] else (0, config.rooms)
-    rooms = config.rooms
-    while bad is None and rooms < config.most_rooms:
-        rooms = min(max(round(rooms * GROWTH), rooms + 1), config.most_rooms)
-        good, bad = (rooms, None) if is_good(rooms) else (good, rooms)
-    while good == 0 and bad is not None and bad > 1:
-        rooms = max(round(bad / GROWTH / GROWTH), 1)
-        good, bad = (rooms, bad) if is_good(rooms) else (0, rooms)
-    while bad is not None and good and bad - good > max(good // 20, 1):
-        rooms = (good + bad) // 2
-        good, bad = (rooms, bad) if is_good(rooms) else (good, rooms)
-    kept = ("rooms", "delivered_per_s", "forward_ms", "relay_cpu_ratio", "within_bar", "missing")
-    return {
-        "rooms": good,
-        "is_limit": bad is not None,
-        "bar_ms": config.bar_ms,
-        "tries": [{key: row[key] for key in kept} for row in tries],
-    }
 
 
 def _sleep_until(when_s: float) -> None:
