@@ -10,7 +10,6 @@
     ├── GraphicsError       no GL context, or one that is too old
     ├── TrainingOptionError     an option of a training run that cannot be
     ├── TrainingDivergedError   losses that are not finite or explode
-    └── TrainingMemoryError     a batch that does not fit into memory
 
 ``exit_code`` is what the ``pica`` command ends with when the error reaches it: 2 says that the
 input or the machine is at fault and the message says how to mend it, 1 that the work failed.
@@ -57,10 +56,6 @@ class TrainingDivergedError(PicaCoreError):
     """Losses are not finite or explode: names the step and why. The last checkpoint is good."""
 
     exit_code = 1
-
-
-class TrainingMemoryError(PicaCoreError):
-    """A batch does not fit into memory: names the step and what to lower."""
 
 
 class TrainingOptionError(PicaCoreError, ValueError):

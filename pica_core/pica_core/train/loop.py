@@ -19,21 +19,14 @@ from typing import Any, TextIO
 
 import numpy as np
 import torch
-from PIL import Image
 from torch import Tensor
 from torch.profiler import record_function
 
 from pica_core.avatar.variants import VARIANTS
-from pica_core.errors import (
-    CheckpointError,
-    PicaCoreError,
-    TrainingDivergedError,
-    TrainingMemoryError,
-)
+from pica_core.errors import CheckpointError, TrainingDivergedError
 from pica_core.train.checkpoint import NAME, read_checkpoint, write_checkpoint
 from pica_core.train.config import PHASES, TrainConfig
 from pica_core.train.data.training import TrainingData
-from pica_core.train.held_out import draw_held_out
 from pica_core.train.objectives import Objectives
 from pica_core.train.optimiser import clip_groups, make_optimiser, rate_ratio
 from pica_core.train.prior import face_prior
@@ -48,7 +41,6 @@ LIVE_TURN = 4
 """One of so many steps on pictures of poses is on frames instead, which keep what they taught."""
 METRICS, METRICS_EVERY = "metrics.jsonl", 50
 """File of metrics in a run's folder, and the steps between its lines."""
-_NO_MEMORY = ("can't allocate memory", "not enough memory", "out of memory")
 
 Losses = dict[str, float]
 logger = logging.getLogger(__name__)
@@ -62,7 +54,7 @@ class Trainer:
         rasteriser: Made for the mesh that the model draws; it stays its owner's.
 
     Attributes:
-        seconds: Time spent in steps since the run's beginning; looks and checkpoints not counted.
+        seconds: Time spent in steps since the run's beginning; checkpoints are not counted.
     """
 
     def __init__(
@@ -126,7 +118,6 @@ class Trainer:
 
         Raises:
             TrainingDivergedError: Losses or weights are not finite. The last checkpoint stays.
-            TrainingMemoryError: A batch does not fit.
             CheckpointError: A checkpoint cannot be written. The one before stays.
         """
         with (self.run_dir / METRICS).open("a") as metrics:
@@ -152,8 +143,6 @@ class Trainer:
                 row |= {"steps_per_s": round(rate, 3)}
                 row |= {"left_s": round((self.total_steps - self.step) / rate), **losses}
                 self._note(metrics, "train", row)
-            if self.config.watch_every and self.step % self.config.watch_every == 0:
-                self._watch(metrics)
             if self.step == self.total_steps or self.step % self.config.checkpoint_every == 0:
                 self.save()
                 saved_at = self.step
@@ -162,11 +151,7 @@ class Trainer:
             self.save()
 
     def train_step(self) -> Losses:
-        """Do one step and return its losses.
-
-        Raises:
-            TrainingMemoryError: The batch does not fit into memory.
-        """
+        """Do one step and return its losses."""
         phase, index, length = self.phase_of(self.step)
         if phase == "driver" and index == 0 and self.model.spec.geometry == "bases":
             self.objectives.start_driver()
@@ -184,24 +169,13 @@ class Trainer:
         after = self.step + 1
         if after < self.total_steps and self._kind_of(after) == "joint":
             self.objectives.expect(np.random.default_rng([self.config.seed, after]))
-        try:
-            losses = self._losses(kind, rng, noise)
-            with record_function("backward"):
-                total = sum(losses.values(), torch.zeros((), device=self.device))
-                total.backward()  # type: ignore[no-untyped-call]
-            with record_function("optimiser"):
-                clip_groups(optimiser, schedule.clip_norm)
-                optimiser.step()
-        except (MemoryError, RuntimeError) as error:
-            told = isinstance(error, MemoryError) or any(text in str(error) for text in _NO_MEMORY)
-            if isinstance(error, PicaCoreError) or not told:
-                raise
-            batch = getattr(schedule, f"{kind}_batch")
-            pixels = schedule.pixels_per_image or "all"
-            raise TrainingMemoryError(
-                f"step {self.step} ({phase}): a batch of {batch} with {pixels} pixels an image "
-                f"does not fit into memory; lower {kind}_batch or pixels_per_image"
-            ) from error
+        losses = self._losses(kind, rng, noise)
+        with record_function("backward"):
+            total = sum(losses.values(), torch.zeros((), device=self.device))
+            total.backward()  # type: ignore[no-untyped-call]
+        with record_function("optimiser"):
+            clip_groups(optimiser, schedule.clip_norm)
+            optimiser.step()
         self.step += 1
         values = torch.stack([value.detach() for value in losses.values()]).to("cpu")
         return dict(zip(losses, values.tolist(), strict=True))
@@ -277,25 +251,6 @@ class Trainer:
         self.step = state["step"]
         self.seconds = state["seconds"]
 
-    def start_from(self, run_dir: Path) -> None:
-        """Take the weights of another run, as a start instead of random ones.
-
-        Mean map and position scale stay those of this capture.
-
-        Raises:
-            CheckpointError: None there, damaged, of another version, or of another model.
-        """
-        state = read_checkpoint(run_dir / NAME)
-        own = {name for name, _ in self.model.named_buffers()}
-        weights = {k: v for k, v in state["model"].items() if k not in own}
-        try:
-            missing, unexpected = self.model.load_state_dict(weights, strict=False)
-        except RuntimeError as error:
-            raise CheckpointError(f"{run_dir}: of another model: {error}") from error
-        missing = [name for name in missing if name not in own]
-        if missing or unexpected:
-            raise CheckpointError(f"{run_dir}: of another model: {missing + unexpected}")
-
     def _diverged(self, what: str) -> TrainingDivergedError:
         phase, _, _ = self.phase_of(max(self.step - 1, 0))
         return TrainingDivergedError(
@@ -306,14 +261,6 @@ class Trainer:
     def _note(self, metrics: TextIO, kind: str, values: dict[str, Any]) -> None:
         metrics.write(json.dumps({"step": self.step, "kind": kind, **values}) + "\n")
         metrics.flush()
-
-    def _watch(self, metrics: TextIO) -> None:
-        """Note the error on held-out frames, and keep their picture."""
-        mse, picture = draw_held_out(self.objectives)
-        self._note(metrics, "held_out", {"seconds": round(self.seconds, 2), "mse": mse})
-        folder = self.run_dir / "pictures"
-        folder.mkdir(exist_ok=True)
-        Image.fromarray(picture).save(folder / f"{self.step:07d}.png")
 
 
 @contextmanager

@@ -47,6 +47,8 @@ from pica_core.types import Array, Image
 
 DRIVER_MESHES = 8
 """A step of the driver phase decodes the mesh of every eighth frame of its batch."""
+GRADIENT_WEIGHT, LAPLACIAN_WEIGHT = 1.0, 0.1
+"""Parts of smoothness (paper A.2, lambda_g and lambda_l)."""
 MASKED_REGION = "mouth"
 """Where a tracked mesh teaches nothing (paper 5, W_M)."""
 MAX_PICTURES = 1024
@@ -97,7 +99,7 @@ class Objectives:
         neutral_m = data.meshes.neutral_m(model.topology, data.arkit)
         self.mean_m = torch.tensor(neutral_m, device=device)
         self._laplacian: MeshLaplacian | None = None
-        if losses.smooth and losses.laplacian:
+        if losses.smooth:
             self._laplacian = MeshLaplacian(neutral_m, topology.faces, device=device)
             self._rough = torch.from_numpy(smoothness_weights(topology)).to(device)
         self._codes: tuple[dict[int, Tensor], Tensor] | None = None
@@ -161,7 +163,6 @@ class Objectives:
             cameras,
             rngs,
             normals=wants_normals,
-            detach_xyz=self.config.detach_pixel_xyz,
         )
         with record_function("data"):
             pictures = [self.data.images.image(frame, name) for frame, name in images]
@@ -251,7 +252,6 @@ class Objectives:
         rngs: list[np.random.Generator],
         *,
         normals: bool = False,
-        detach_xyz: bool = True,
         share: int = 1,
     ) -> tuple[DrawnPixels, Tensor]:
         """Pixels of meshes through cameras, a generator's choice in each image: 1 / `share` of the
@@ -268,7 +268,7 @@ class Objectives:
                 normals=normals,
             )
         with record_function("pixel"):
-            return drawn, self.model.shade(appearance, drawn.surface, detach_xyz=detach_xyz)
+            return drawn, self.model.shade(appearance, drawn.surface, detach_xyz=True)
 
     def _image(self, colours: Tensor, pictures: list[Image], drawn: DrawnPixels) -> Tensor:
         """The image loss against one picture for each image of a batch."""
@@ -318,17 +318,15 @@ class Objectives:
         """KL, and smoothness; V_mu takes its step."""
         weights = self.config.losses
         losses = {"kl": weights.kl * kl}
-        if not weights.smooth:
+        if self._laplacian is None:
             return losses
         smooth = torch.zeros((), device=self.device)
-        if weights.gradient and mesh.position_map_m is not None:
-            smooth = smooth + weights.gradient * gradient_smoothness(mesh.position_map_m)
-        if self._laplacian is not None:
-            smooth = smooth + weights.laplacian * laplacian_smoothness(
-                self._laplacian, mesh.vertices_m, self.mean_m, self._rough
-            )
-            batch_mean = mesh.vertices_m.detach().mean(0, keepdim=True)
-            follow_mean(self.mean_m, batch_mean)
+        if mesh.position_map_m is not None:
+            smooth = smooth + GRADIENT_WEIGHT * gradient_smoothness(mesh.position_map_m)
+        smooth = smooth + LAPLACIAN_WEIGHT * laplacian_smoothness(
+            self._laplacian, mesh.vertices_m, self.mean_m, self._rough
+        )
+        follow_mean(self.mean_m, mesh.vertices_m.detach().mean(0, keepdim=True))
         losses["smooth"] = weights.smooth * smooth
         return losses
 

@@ -186,29 +186,6 @@ def test_options_of_another_version_are_refused() -> None:
         TrainConfig.from_json(values)
 
 
-def test_a_run_starts_from_the_weights_of_another(data: TrainingData, tmp_path: Path) -> None:
-    with open_trainer(data, short(2, 0, 0), tmp_path / "first") as first:
-        first.run()
-    with open_trainer(data, replace(short(2, 0, 0), seed=7), tmp_path / "second") as second:
-        second.start_from(tmp_path / "first")
-
-        wanted = first.model.geometry.state_dict()
-        assert all(torch.equal(v, wanted[k]) for k, v in second.model.geometry.state_dict().items())
-        assert second.step == 0
-
-
-def test_a_run_does_not_start_from_another_model(data: TrainingData, tmp_path: Path) -> None:
-    other = replace(short(1, 0, 0), model=replace(PRESETS["tiny"].model, block="H2"))
-    with open_trainer(data, other, tmp_path / "first") as first:
-        first.save()
-
-    with (
-        open_trainer(data, short(1, 0, 0), tmp_path / "second") as second,
-        pytest.raises(CheckpointError, match="another model"),
-    ):
-        second.start_from(tmp_path / "first")
-
-
 def test_frames_far_from_the_mean_are_drawn_more_often(data: TrainingData) -> None:
     rng = np.random.default_rng(0)
     rarest = data.train_frames[int(np.argmax(data.rarity))]

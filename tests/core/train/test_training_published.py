@@ -27,7 +27,6 @@ TINY = PRESETS["tiny"]
 CONFIG = replace(
     TINY,
     schedule=replace(TINY.schedule, geometry_steps=2, joint_steps=6, driver_steps=4, joint_batch=4),
-    watch_every=4,
 )
 
 

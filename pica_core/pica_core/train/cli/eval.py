@@ -29,9 +29,6 @@ class EvalOptions(EvalLimits):
     """The capture of all runs, if it is not where it was when they were trained."""
     out: Path | None = None
     """Folder for table.md, eval.json and near-field pictures."""
-    samples: Literal[1, 3, 5] = 1
-    """Samples of a model along each side of a pixel. The paper draws with one; captures are
-    means over pixels, and at small images the difference is most of the error."""
     threads: int = 2
     """CPU threads of torch."""
 
@@ -88,14 +85,12 @@ def _measure(runs: Sequence[Run], options: EvalOptions) -> dict[str, Any]:
     rows: list[dict[str, Any]] = []
     found: list[dict[str, Any]] = []
     tracked: dict[str, dict[str, float | None]] = {}
-    floor: dict[str, float | None] = {}
     for capture in dict.fromkeys(run.capture for run in runs):
         _say(f"{capture}: drawing the truth")
         truth = prepare(capture, options)
         tracked[truth.identity] = truth.tracked_mm
-        floor[truth.identity] = truth.one_sample_mse
         for run in [run for run in runs if run.capture == capture]:
-            own_rows, result, pictures = measure(run, truth, _say, samples=options.samples)
+            own_rows, result, pictures = measure(run, truth, _say)
             rows += own_rows
             found.append(result)
             if options.out is not None:
@@ -106,7 +101,6 @@ def _measure(runs: Sequence[Run], options: EvalOptions) -> dict[str, Any]:
         "rows": rows,
         "runs": found,
         "tracked_mesh": tracked,
-        "one_sample_mse": floor,
     }
 
 

@@ -54,9 +54,6 @@ class TrainOptions:
     preset: Literal["tiny", "small", "long", "paper"] = "small"
     """How much to train: tiny (seconds), small (minutes on two cores), long (two or three times
     that), paper (its settings to the letter; days on a GPU)."""
-    start_from: Path | None = None
-    """Folder of another run whose weights to start from: to go on with another preset, or on
-    another capture."""
     block: Literal["H2", "G"] | None = None
     """Block of the decoders, if not the preset's."""
     encoder: Literal["light", "paper"] | None = None
@@ -120,14 +117,12 @@ def train(options: TrainOptions) -> dict[str, Any]:
     data = TrainingData(Capture.open(options.capture))
     if not options.resume and (options.out / "checkpoint.pt").exists():
         raise CheckpointError(f"{options.out}: a run is there already; --resume goes on with it")
-    if (before := options.out if options.resume else options.start_from) is not None:
-        _check_variant(before, config.model.variant)
+    if options.resume:
+        _check_variant(options.out, config.model.variant)
     with open_trainer(data, config, options.out, device=_device(options.device)) as trainer:
         _note_run(options, config, data.capture.identity)
         if options.resume:
             trainer.restore()
-        elif options.start_from is not None:
-            trainer.start_from(options.start_from)
         _run_with_progress(trainer)
         rows = evaluate(trainer, max_frames=options.eval_frames)
         steps = trainer.step

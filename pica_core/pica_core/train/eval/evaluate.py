@@ -65,14 +65,13 @@ def successor(data: TrainingData, frame: int) -> int | None:
 
 
 def measure_views(
-    evaluator: ModelEvaluator, frames: list[int], source: Source = "encoder", *, samples: int = 1
+    evaluator: ModelEvaluator, frames: list[int], source: Source = "encoder"
 ) -> dict[str, ViewErrors]:
     """Draw frames from all evaluation views, and measure.
 
     Args:
         source: Whose latents: the model's own encoder's, as in the paper, or what a live sender
             makes of ARKit values.
-        samples: Along each side of a pixel, odd; the paper draws with one.
 
     Returns:
         Errors by view, of those views that have a readable image of any of the frames.
@@ -92,7 +91,7 @@ def measure_views(
             if image is None:
                 errors.unreadable.append(frame)
                 continue
-            picture = evaluator.draw(latent, camera, samples=samples)
+            picture = evaluator.draw(latent, camera)
             seen = picture.within(image)
             errors.mse[frame] = mse(picture.colours, seen)
             laid = picture.on(image)
@@ -101,7 +100,7 @@ def measure_views(
                 continue
             if (next_image := data.images.readable(after, view)) is not None:
                 second_camera = data.images.camera(after, view)
-                second = evaluator.draw(later, second_camera, samples=samples)
+                second = evaluator.draw(later, second_camera)
                 change = _change(picture, second, seen, second.within(next_image))
                 errors.change_mse.append(change)
     measured = {view: errors for view, errors in found.items() if errors.mse}

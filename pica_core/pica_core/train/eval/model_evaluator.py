@@ -1,7 +1,5 @@
 """A trained model beside its capture: its pictures of frames, and what the cameras saw."""
 
-from collections.abc import Iterator
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -86,7 +84,6 @@ class ModelEvaluator:
         latent: Tensor,
         camera: Camera,
         *,
-        samples: int = 1,
         vertices_m: FloatArray | None = None,
     ) -> Picture:
         """The picture of one latent through a camera in head axes.
@@ -94,28 +91,12 @@ class ModelEvaluator:
         Args:
             latent: ``[1, 4, 8, 8]``.
             camera: In head axes.
-            samples: Samples along each side of a pixel, odd; the paper draws with one. A pixel
-                belongs to the picture if its centre does, however many there are; its colour is the
-                mean of those samples that see the head, its depth the centre's.
             vertices_m: What `vertices_m` gives of this latent, if it is known already.
         """
         found_m = torch.from_numpy(self.vertices_m(latent) if vertices_m is None else vertices_m)
         direction = torch.from_numpy(view_direction(camera))[None].to(self._device)
         appearance = self.model.appearance(latent, direction)
-        centre = self._sample(found_m, appearance, camera)
-        if samples == 1:
-            return centre
-        sums = np.zeros((camera.height * camera.width, 4))
-        for moved in _within_pixels(camera, samples):
-            sample = self._sample(found_m, appearance, moved)
-            sums[sample.pixels, :3] += sample.colours
-            sums[sample.pixels, 3] += 1
-        mean = sums[centre.pixels, :3] / sums[centre.pixels, 3:]
-        return centre._replace(colours=mean.astype(np.float32))
-
-    def _sample(self, vertices_m: Tensor, appearance: Tensor, camera: Camera) -> Picture:
-        """One sample at the centre of each pixel."""
-        drawn = self._drawer.draw(vertices_m[None], [camera])
+        drawn = self._drawer.draw(found_m[None], [camera])
         pixels = drawn.pixels.pixel
         if not len(pixels):
             return Picture(pixels, np.zeros((0, 3), np.float32), np.zeros(0, np.float32))
@@ -123,13 +104,3 @@ class ModelEvaluator:
         colours = self.model.shade(appearance, surface)
         shown = 255 * colours.clamp(0, 1).cpu().numpy()
         return Picture(pixels, shown.astype(np.float32), drawn.depth_m.numpy())
-
-
-def _within_pixels(camera: Camera, side: int) -> Iterator[Camera]:
-    """The camera moved by parts of a pixel: a grid with the centre in its middle."""
-    steps = (np.arange(side) - side // 2) / side
-    for down in steps:
-        for right in steps:
-            shift = np.zeros((3, 3))
-            shift[:2, 2] = right, down
-            yield replace(camera, intrinsics=camera.intrinsics + shift)

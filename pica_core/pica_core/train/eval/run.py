@@ -25,7 +25,6 @@ from pica_core.train.eval.truth import (
     NearField,
     TrueView,
     near_field,
-    one_sample_mse,
     tracked_errors,
     true_views,
 )
@@ -73,14 +72,11 @@ class EvalLimits:
     """How many of these to compare the geometry of; 0 leaves it out."""
     near_frames: int = 4
     """How many of these to draw from close to the mouth; 0 leaves it out."""
-    floor_frames: int = 0
-    """For how many of these to draw the head itself with one sample a pixel: about what a model
-    drawn so can hope for. 0 leaves it out."""
 
     def __post_init__(self) -> None:
         many = (0, 1_000_000)
-        check_ranges(self, TrainingOptionError, frames=(1, 1_000_000), geometry_frames=many)
-        check_ranges(self, TrainingOptionError, near_frames=many, floor_frames=many)
+        limits = {"frames": (1, 1_000_000), "geometry_frames": many, "near_frames": many}
+        check_ranges(self, TrainingOptionError, **limits)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -95,8 +91,6 @@ class CaptureTruth:
     """Pictures from close to the mouth, or why there are none."""
     tracked_mm: dict[str, float | None]
     """Depth error of the tracked mesh itself, by region; empty as `views`."""
-    one_sample_mse: float | None
-    """`truth.one_sample_mse`; None if not asked for, too."""
 
     @property
     def identity(self) -> str:
@@ -147,12 +141,7 @@ def prepare(capture: Path, limits: EvalLimits) -> CaptureTruth:
     near: NearField | str = NOT_ASKED
     if limits.near_frames:
         near = near_field(data, spaced(frames, limits.near_frames))
-    floor = None
-    if limits.floor_frames:
-        floor = one_sample_mse(data, spaced(frames, limits.floor_frames))
-    return CaptureTruth(
-        data=data, frames=frames, views=views, near=near, tracked_mm=tracked, one_sample_mse=floor
-    )
+    return CaptureTruth(data=data, frames=frames, views=views, near=near, tracked_mm=tracked)
 
 
 def build(run: Run, truth: CaptureTruth) -> AvatarModel:
@@ -174,16 +163,9 @@ def build(run: Run, truth: CaptureTruth) -> AvatarModel:
 
 
 def measure(
-    run: Run,
-    truth: CaptureTruth,
-    progress: Callable[[str], None],
-    *,
-    samples: int = 1,
+    run: Run, truth: CaptureTruth, progress: Callable[[str], None]
 ) -> tuple[list[dict[str, Any]], dict[str, Any], list[ByteArray]]:
     """Measure a run by the paper's protocol, on its own encoder's latents.
-
-    Args:
-        samples: Along each side of a pixel, odd; the paper draws with one.
 
     Returns:
         Rows of the tables, one for each view; what is known of the run: "distribution" {frame, mse}
@@ -197,14 +179,14 @@ def measure(
     with Rasteriser.of(data.meshes.topology(model.topology)) as rasteriser:
         evaluator = ModelEvaluator(data, model, rasteriser)
         progress(f"{run.folder}: views")
-        found = measure_views(evaluator, truth.frames, samples=samples)
+        found = measure_views(evaluator, truth.frames)
         progress(f"{run.folder}: geometry")
         depth = DepthErrors()
         for (frame, view), true in truth.views.items():
             picture = evaluator.draw(evaluator.encode(frame), data.images.camera(frame, view))
             depth.add(true, picture.pixels, picture.depth_m)
         progress(f"{run.folder}: near field")
-        near, pictures = _near(evaluator, truth.near, samples)
+        near, pictures = _near(evaluator, truth.near)
     shared = {"identity": truth.identity, "variant": run.variant, "block": run.block}
     costs = {
         "parameters": cost.parameters,
@@ -212,7 +194,6 @@ def measure(
         "macs_per_pixel": cost.per_pixel_multiply_adds,
         "steps": run.steps,
         "seed": run.config.seed,
-        "samples": samples,
     }
     rows = [{**shared, "view": view, **errors.row(), **costs} for view, errors in found.items()]
     distribution = []
@@ -234,14 +215,14 @@ def measure(
 
 
 def _near(
-    evaluator: ModelEvaluator, near: NearField | str, samples: int
+    evaluator: ModelEvaluator, near: NearField | str
 ) -> tuple[dict[str, Any], list[ByteArray]]:
     if isinstance(near, str):
         return {"skipped": near}, []
     errors: list[float] = []
     pictures: list[ByteArray] = []
     for frame, (camera, image) in near.items():
-        picture = evaluator.draw(evaluator.encode(frame), camera, samples=samples)
+        picture = evaluator.draw(evaluator.encode(frame), camera)
         errors.append(mse(picture.colours, picture.within(image)))
         shown = picture.on(np.full_like(image, 128)).round().astype(np.uint8)
         pictures.append(np.concatenate([image, shown], axis=1))

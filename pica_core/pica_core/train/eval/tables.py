@@ -88,32 +88,6 @@ def distribution_table(distributions: Mapping[Key, Rows], variants: Sequence[str
     return _table(_models(distributions, variants), head, cells)
 
 
-def paired_table(distributions: Mapping[Key, Rows], variants: Sequence[str]) -> str:
-    """How much worse than the full model of the same seed each other one is, frame by frame: the
-    interval of the mean difference is narrower than those of the means, which share what makes a
-    frame hard."""
-    models = _models(distributions, variants)
-
-    def cells(model: Model) -> list[str]:
-        full = next((m for m in models if m[0] == model[0] and m[1] == "full"), None)
-        if full is None or model[1] == "full":
-            return []
-        known, own = _of_seeds(distributions, full), _of_seeds(distributions, model)
-        differences = [
-            [error - known[seed][frame] for frame, error in frames.items() if frame in known[seed]]
-            for seed, frames in own.items()
-            if seed in known
-        ]
-        if not any(differences):
-            return []
-        low, high = bootstrap_interval(differences)
-        each = np.mean(differences, axis=0)
-        mean = f"{each.mean():+.2f} ({low:+.2f} to {high:+.2f})"
-        return [mean, f"{(each > 0).sum()} of {len(each)}"]
-
-    return _table(models, ["MSE above full's", "worse frames"], cells)
-
-
 def geometry_table(
     geometry: Mapping[Key, Mapping[str, float | None]],
     tracked: Mapping[str, Mapping[str, float | None]],
@@ -161,7 +135,6 @@ def report(number: int, result: Mapping[str, Any]) -> str:
         "mean over seeds with the lowest and the highest of them, or of one seed with its 95 % "
         "bootstrap interval over frames. The captures' own note on what they are: "
         + "; ".join(sorted({str(run["source"]) for run in runs.values()})),
-        *_sampling_part(rows[0].get("samples", 1), result.get("one_sample_mse", {})),
         error_table(rows, variants),
         "## Beside it",
         "Means over views. The change is the one from a frame to the next of its take.",
@@ -170,10 +143,6 @@ def report(number: int, result: Mapping[str, Any]) -> str:
         "MSE over all views: the mean with its 95 % bootstrap interval over seeds and frames, and "
         "single frames, sorted.",
         distribution_table(distributions, variants),
-        "## Against the full model",
-        "Seed by seed and frame by frame, mean over views; 95 % bootstrap interval of the mean "
-        "difference over seeds and frames.",
-        paired_table(distributions, variants),
     ]
     if any(geometry.values()):
         parts += [
@@ -189,16 +158,6 @@ def report(number: int, result: Mapping[str, Any]) -> str:
             near_table(near, variants),
         ]
     return "\n\n".join(parts) + "\n"
-
-
-def _sampling_part(samples: int, floors: Mapping[str, float | None]) -> list[str]:
-    """How many samples a pixel is, unless it is the paper's one, and what one costs the heads
-    themselves."""
-    parts = [f"Drawn with {samples**2} samples a pixel."] if samples > 1 else []
-    known = [f"{who} {error:.1f}" for who, error in floors.items() if error is not None]
-    if known:
-        parts.append(f"The heads themselves, drawn with one sample a pixel: {', '.join(known)}.")
-    return parts
 
 
 def _key(row: Mapping[str, Any]) -> Key:

@@ -22,7 +22,6 @@ from pica_core.capture.dataset.dataset import Capture, CaptureFrame, Topology
 from pica_core.capture.person.choices import person_of
 from pica_core.capture.person.subject import PersonSubject
 from pica_core.train.data.training import TrainingData
-from pica_core.train.eval.metrics import mse
 from pica_core.train.rasterise import Rasteriser
 from pica_core.types import ByteArray, Float64Array, FloatArray, Int64Array, IntArray
 
@@ -151,32 +150,6 @@ def near_field(data: TrainingData, frames: list[int]) -> NearField | str:
             camera = near_camera(capture, vertices_m)
             images[frame] = camera, subject.draw(camera).image
     return images
-
-
-def one_sample_mse(data: TrainingData, frames: list[int]) -> float | None:
-    """What the head itself leaves if each pixel is one sample of it (the middle ninth of the
-    pixel), against the capture's images, whose pixels are means: what a model that is drawn so can
-    hope for, or a little less, for it may learn colours that are means already.
-
-    On 0-255 values over the head's pixels, mean over evaluation views and frames; None where nobody
-    can draw the head. Makes and releases a GL context.
-    """
-    capture = data.capture
-    errors = []
-    with _on_stage(data, frames[0]) as subject:
-        if isinstance(subject, str):
-            return None
-        for frame in frames:
-            subject.pose(capture.arkit(capture.frames[frame]))
-            for view in data.images.evaluation_views_of(frame):
-                if (image := data.images.readable(frame, view)) is None:
-                    continue
-                camera = data.images.camera(frame, view)
-                fine = subject.draw(camera.scaled(3 * camera.width, 3 * camera.height)).image
-                is_head = capture.mask(capture.frames[frame], view) > 0
-                once = fine[1::3, 1::3][is_head].astype(np.float32)
-                errors.append(mse(once, image[is_head].astype(np.float32)))
-    return float(np.mean(errors))
 
 
 @contextmanager

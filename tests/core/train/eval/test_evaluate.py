@@ -33,7 +33,6 @@ from pica_core.train.eval.metrics import (
     psnr_db,
     ssim,
 )
-from pica_core.train.eval.model_evaluator import ModelEvaluator
 from pica_core.train.eval.run import RUN_FILE, open_run
 from pica_core.train.eval.tables import error_table, report
 from pica_core.train.eval.truth import (
@@ -43,11 +42,9 @@ from pica_core.train.eval.truth import (
     TrueView,
     near_camera,
     near_field,
-    one_sample_mse,
 )
 from pica_core.train.loop import open_trainer
 from pica_core.train.prior import face_prior
-from pica_core.train.rasterise import Rasteriser
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
 
@@ -239,57 +236,6 @@ def test_what_needs_the_head_itself_is_skipped_for_a_real_capture(
     monkeypatch.delitem(data.capture.info, "person")
 
     assert "nobody can draw" in str(near_field(data, data.test_frames[:1]))
-    assert one_sample_mse(data, data.test_frames[:1]) is None
-
-
-def test_one_sample_a_pixel_errs_by_less_than_a_picture_half_a_pixel_off(
-    data: TrainingData, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    subject = KeptSubject(PERSON, bake_size=256, self_shadow=False, coarse=True)
-    monkeypatch.setattr("pica_core.train.eval.truth.PersonSubject", lambda person: subject)
-    frame = data.test_frames[0]
-    errors = []
-    try:
-        error = one_sample_mse(data, [frame])
-        for view in data.images.evaluation_views:
-            camera, shift = data.images.camera(frame, view), np.zeros((3, 3))
-            shift[0, 2] = 0.5
-            moved = subject.draw(replace(camera, intrinsics=camera.intrinsics + shift)).image
-            is_head = data.capture.mask(data.capture.frames[frame], view) > 0
-            seen = data.images.image(frame, view)[is_head].astype(float)
-            errors.append(mse(moved[is_head].astype(float), seen))
-    finally:
-        PersonSubject.release(subject)
-
-    assert error is not None
-    assert 1 < error < np.mean(errors)
-
-
-def test_several_samples_a_pixel_are_the_mean_of_a_finer_picture(data: TrainingData) -> None:
-    torch.manual_seed(0)
-    model = config_of("full").model.build(face_prior(data)).eval()
-    frame, view = data.test_frames[0], data.images.evaluation_views[0]
-    camera = data.images.camera(frame, view)
-    with Rasteriser.of(data.meshes.topology(model.topology)) as rasteriser:
-        evaluator = ModelEvaluator(data, model, rasteriser)
-        latent = evaluator.encode(frame)
-        once = evaluator.draw(latent, camera)
-        several = evaluator.draw(latent, camera, samples=3)
-        fine_camera = camera.scaled(3 * camera.width, 3 * camera.height)
-        fine = evaluator.draw(latent, fine_camera)
-
-    height, width = camera.height, camera.width
-    parts = fine.on(np.zeros((3 * height, 3 * width, 3), np.uint8))
-    means = parts.reshape(height, 3, width, 3, 3).mean((1, 3)).reshape(-1, 3)
-    samples = fine.covered(fine_camera).reshape(height, 3, width, 3).sum((1, 3)).reshape(-1)
-    inside = samples[once.pixels] == 9
-    assert inside.mean() > 0.8
-    assert np.array_equal(several.pixels, once.pixels)
-    assert np.array_equal(several.depth_m, once.depth_m)
-    apart = np.abs(several.colours - means[once.pixels])[inside]
-    # Rounding may give a sample to the other side of an edge.
-    assert np.quantile(apart, 0.995) < 0.1
-    assert np.abs(several.colours - once.colours).mean() > 0.3
 
 
 @pytest.fixture(scope="module")
@@ -309,7 +255,7 @@ def test_rows_of_a_table_have_what_the_charts_need(
     wanted = (
         "identity variant block view mse mse_low mse_high psnr_db ssim temporal_mse parameters "
     )
-    wanted += "macs steps seed samples"
+    wanted += "macs steps seed"
     assert len(rows) == len(VARIANTS_HERE) * len(data.images.evaluation_views)
     for row in rows:
         assert set(wanted.split()) <= set(row)
@@ -332,21 +278,6 @@ def test_the_report_names_every_model_and_is_written(table: dict[str, Any]) -> N
         assert f"| {NAME} | {variant} |" in text
     assert "tracked mesh" in text
     assert json.loads((table["out"] / "eval.json").read_text())["table"] == 1
-
-
-def test_the_report_says_so_where_it_was_not_drawn_as_the_paper_draws(
-    table: dict[str, Any],
-) -> None:
-    result = table["result"]
-    finer = {
-        **result,
-        "rows": [{**row, "samples": 3} for row in result["rows"]],
-        "one_sample_mse": {"S1": 20.04},
-    }
-
-    assert "a pixel." not in report(1, result)
-    assert "Drawn with 9 samples a pixel." in report(1, finer)
-    assert "one sample a pixel: S1 20.0." in report(1, finer)
 
 
 def test_frames_that_were_trained_on_can_be_measured_and_are_called_so(

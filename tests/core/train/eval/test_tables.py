@@ -5,30 +5,9 @@ from __future__ import annotations
 import pytest
 
 from pica_core.train.eval.metrics import bootstrap_interval
-from pica_core.train.eval.tables import distribution_table, error_table, paired_table
+from pica_core.train.eval.tables import distribution_table, error_table
 
 pytestmark = pytest.mark.unit
-
-
-def test_models_are_compared_with_the_full_one_frame_by_frame() -> None:
-    errors = {
-        "full": (10.0, 50.0, 30.0),
-        "baseline": (12.0, 52.5, 31.5),
-        "coarse": (9.0, 49.0, 29.0),
-    }
-    distributions = {
-        ("S1", variant, "", 0): [
-            {"frame": str(number), "mse": value} for number, value in enumerate(values)
-        ]
-        for variant, values in errors.items()
-    }
-    distributions["S2", "baseline", "", 0] = [{"frame": "0", "mse": 1.0}]  # nobody to compare with
-
-    table = paired_table(distributions, ("baseline", "full", "coarse")).splitlines()
-
-    assert len(table) == 4
-    assert table[2].startswith("| S1 | baseline | +2.00 (+1.50 to +2.50) | 3 of 3 |")
-    assert table[3].startswith("| S1 | coarse | -1.00 (-1.00 to -1.00) | 0 of 3 |")
 
 
 def test_seeds_are_shown_as_their_mean_with_the_lowest_and_the_highest() -> None:
@@ -42,23 +21,6 @@ def test_seeds_are_shown_as_their_mean_with_the_lowest_and_the_highest() -> None
         "| S1 | full | 3.00 (2.00 to 4.00) |",
         "| S1 | baseline | **2.50** (0.00 to 9.00) |",
     ]
-
-
-def test_models_are_compared_with_the_full_one_of_the_same_seed() -> None:
-    def frames(*values: float) -> list[dict[str, object]]:
-        return [{"frame": str(number), "mse": value} for number, value in enumerate(values)]
-
-    distributions = {
-        ("S1", "full", "", 0): frames(10.0, 20.0),
-        ("S1", "full", "", 1): frames(30.0, 40.0),
-        ("S1", "coarse", "", 0): frames(11.0, 21.0),
-        ("S1", "coarse", "", 1): frames(33.0, 43.0),
-        ("S1", "coarse", "", 2): frames(99.0, 99.0),  # no full model of this seed
-    }
-
-    (line,) = paired_table(distributions, ("full", "coarse")).splitlines()[2:]
-
-    assert line == "| S1 | coarse | +2.00 (+1.00 to +3.00) | 2 of 2 |"
 
 
 def test_an_interval_over_seeds_is_wider_than_that_of_their_mean() -> None:
