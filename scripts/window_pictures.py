@@ -29,8 +29,9 @@ from pica_client.local_call.processes import Children
 from pica_protocol.invite import Invite, make_link
 
 if TYPE_CHECKING:
+    from pica_client.ui.actions import Request
     from pica_client.ui.call_view import CallView
-    from pica_client.ui.controls import UserOrder
+    from pica_client.ui.state import ViewState
     from pica_client.ui.surface.theme import Metrics
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -222,15 +223,15 @@ def show_window(notes: Path, arguments: list[str]) -> None:
 
     state: dict[str, Any] = {"frame": 0}
 
-    def note_call(view: CallView, metrics: Metrics) -> list[UserOrder]:
-        faces = [bool(each.figures and each.figures.num_decoded) for each in view.people]
+    def note_call(view: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
+        faces = [bool(each.figures and each.figures.num_decoded) for each in call.people]
         state.update(
             faces=sum(faces),
-            here=len(view.status.participants),
-            side=view.state.side,
+            here=len(call.status.participants),
+            side=view.side,
             is_recording=view.is_recording,
-            is_connected=view.status.is_connected,
-            away_s=view.status.away_s,
+            is_connected=call.status.is_connected,
+            away_s=call.status.away_s,
         )
         return []
 

@@ -9,6 +9,7 @@ import contextlib
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -17,11 +18,10 @@ import pytest
 from helpers.hand import Rect, note_places
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.call.call import Call
+from pica_client.errors import OptionError
 from pica_client.local_call.processes import Children
-from pica_client.publish.own_face import FaceChoice
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.receiver import Receiver
-from pica_client.ui.controls import ControlState
 from pica_client.ui.events import (
     CloseWanted,
     InputEvent,
@@ -32,11 +32,10 @@ from pica_client.ui.events import (
     MouseReleased,
     TextTyped,
 )
-from pica_client.ui.joining.form import Fields, JoinForm
-from pica_client.ui.preferences import Preferences, PreferencesFile
-from pica_client.ui.view import ViewConfig
-from pica_client.ui.view_session import ask_and_look, first_fields, link_without_form, look
-from pica_client.ui.viewer_options import ViewerOptions
+from pica_client.ui.join_form import JoinForm
+from pica_client.ui.options import ViewerOptions, ViewOptions
+from pica_client.ui.state import PreferencesFile, ViewState
+from pica_client.ui.view_session import ask_and_look, first_state, link_of, look
 from pica_core.gl import create_context
 
 pytestmark = pytest.mark.call
@@ -44,7 +43,6 @@ pytestmark = pytest.mark.call
 NOBODY = "ws://127.0.0.1:9"
 SIZE = (640, 360)
 PASTE = "paste"
-WATCHING = FaceChoice(source="")
 
 
 class ScreenlessWindow:
@@ -138,16 +136,13 @@ def relay_url() -> Iterator[str]:
         yield url
 
 
-def config(url: str, *, headless: bool = False) -> ViewConfig:
-    return ViewConfig(
-        link=LinkConfig(url=url, connect_timeout_s=1.0),
-        viewer=ViewerOptions(
-            size=SIZE,
-            headless=headless,
-            at_first=ControlState(layout="grid"),
-            keep_in=Path("kept"),
-        ),
-        seconds=0.4,
+OPTIONS = ViewOptions(viewer=ViewerOptions(size="640x360"), seconds=0.4, wait=True, layout="grid")
+HEADLESS = replace(OPTIONS, viewer=replace(OPTIONS.viewer, headless=True))
+
+
+def state_at(url: str, name: str = "guest") -> ViewState:
+    return ViewState(
+        url=url, room="lobby", name=name, source="", voice="none", layout="grid", keep_in="kept"
     )
 
 
@@ -158,13 +153,14 @@ def test_one_comes_again_under_another_name(
     monkeypatch.setattr("pica_client.ui.window.Window", ClickingWindow)
     monkeypatch.setattr(ScreenlessWindow, "happened", [], raising=False)
     ClickingWindow.places = note_places(monkeypatch)
-    steps = ["Join", "Settings", "##name", written, "Come again"]
+    steps = ["Join", "Settings", "##name", written, "Join again"]
     ClickingWindow.todo = list(steps)
     kept = PreferencesFile(tmp_path)
-    form = JoinForm(Fields(url=relay_url, room="standup", name="Ada"))
-    stay = replace(config(NOBODY), seconds=20, viewer=ViewerOptions(size=(960, 720)))
+    state = state_at(relay_url, "Ada")
+    state.window_size = (960, 720)
+    stay = replace(OPTIONS, seconds=20, viewer=ViewerOptions())
     with contextlib.closing(AvatarLibrary()) as library:
-        ask_and_look(stay, library, WATCHING, without_signals, form=form, kept=kept)
+        ask_and_look(stay, state, library, without_signals, kept=kept)
     assert ClickingWindow.todo == []
     assert kept.load().name == "Ada Lovelace"
 
@@ -173,9 +169,7 @@ def test_one_can_leave_at_the_form(
     window_of: Callable[[list[InputEvent]], None], library: AvatarLibrary
 ) -> None:
     window_of([KeyPressed("Escape")])
-    result = ask_and_look(
-        config(NOBODY), library, WATCHING, without_signals, form=JoinForm(Fields(url=NOBODY))
-    )
+    result = ask_and_look(OPTIONS, state_at(NOBODY), library, without_signals)
     assert result["frames_rendered"] == 0
 
 
@@ -183,8 +177,8 @@ def test_a_relay_that_is_not_there_is_said_in_the_form(
     window_of: Callable[[list[InputEvent]], None], library: AvatarLibrary
 ) -> None:
     window_of([KeyPressed("Enter")])
-    base = LinkConfig(connect_timeout_s=0.3)
-    form = JoinForm(Fields(url=NOBODY, room="lobby", name="Ada"), base=base)
+    state = state_at(NOBODY, "Ada")
+    form = JoinForm(state, partial(link_of, OPTIONS))
     refusals: list[str] = []
 
     def refuse(error: BaseException) -> None:
@@ -192,7 +186,7 @@ def test_a_relay_that_is_not_there_is_said_in_the_form(
         form.outcome = "leave"
 
     form.refuse = refuse  # type: ignore[method-assign]
-    ask_and_look(config(NOBODY), library, WATCHING, without_signals, form=form)
+    ask_and_look(OPTIONS, state, library, without_signals, form=form)
     assert len(refusals) == 1
     assert f"no relay answers at {NOBODY}" in refusals[0]
 
@@ -205,27 +199,25 @@ def test_who_joins_by_the_form_is_in_the_call_and_found_again_next_time(
 ) -> None:
     window_of([KeyPressed("Enter")])
     kept = PreferencesFile(tmp_path)
-    form = JoinForm(Fields(url=relay_url, room="standup", name="Ada", token="a-secret"))
-    result = ask_and_look(config(NOBODY), library, WATCHING, without_signals, form=form, kept=kept)
+    state = state_at(relay_url, "Ada")
+    state.token = "a-secret"
+    result = ask_and_look(OPTIONS, state, library, without_signals, kept=kept)
     assert result["frames_rendered"] > 0
     found = kept.load()
     assert (found.url, found.room, found.name, found.layout) == (
         relay_url,
-        "standup",
+        "lobby",
         "Ada",
         "grid",
     )
     assert "a-secret" not in kept.path.read_text()
-    assert first_fields(Fields(voice=""), found) == Fields(
-        url=relay_url, room="standup", name="Ada"
-    )
 
 
 def test_an_address_on_the_command_line_needs_no_form(
     library: AvatarLibrary, relay_url: str, tmp_path: Path
 ) -> None:
     kept = PreferencesFile(tmp_path)
-    result = look(config(relay_url, headless=True), library, WATCHING, without_signals, kept=kept)
+    result = look(HEADLESS, state_at(relay_url), library, without_signals, kept=kept)
     assert result["frames_rendered"] > 0
     assert kept.load().url == relay_url
 
@@ -234,9 +226,9 @@ def test_what_cannot_be_kept_is_said_and_the_call_ends_well(
     library: AvatarLibrary, relay_url: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     kept = PreferencesFile(tmp_path)
-    here = config(relay_url, headless=True)
-    here = replace(here, viewer=replace(here.viewer, keep_in=Path("k" * 2000)))
-    assert look(here, library, WATCHING, without_signals, kept=kept)["frames_rendered"] > 0
+    state = state_at(relay_url)
+    state.keep_in = "k" * 2000
+    assert look(HEADLESS, state, library, without_signals, kept=kept)["frames_rendered"] > 0
     assert "preferences cannot be kept: keep_in is no text" in capsys.readouterr().err
 
 
@@ -244,14 +236,12 @@ def test_who_records_from_the_command_line_is_seen_to_by_those_in_the_room(
     library: AvatarLibrary, relay_url: str, tmp_path: Path
 ) -> None:
     pytest.importorskip("av")
-    recording = config(relay_url, headless=True)
-    options = replace(recording.viewer, record=tmp_path / "call.mp4")
-    recording = replace(recording, viewer=options)
+    recording = replace(HEADLESS, viewer=replace(HEADLESS.viewer, record=tmp_path / "call.mp4"))
     call = Call(library)
     with Receiver(LinkConfig(url=relay_url, name="Ada"), call) as receiver:
         while not receiver.is_connected:
             time.sleep(0.01)
-        look(recording, library, WATCHING, without_signals)
+        look(recording, state_at(relay_url), library, without_signals)
         news: list[tuple[str, str]] = []
         while ("left", "guest") not in news:
             news += [(each.kind, each.name) for each in call.room(time.monotonic()).news]
@@ -264,11 +254,10 @@ def test_who_comes_in_again_records_into_a_file_of_its_own_and_is_told_where(
 ) -> None:
     pytest.importorskip("av")
     film, picture = tmp_path / "call.mp4", tmp_path / "last.png"
-    recording = config(relay_url, headless=True)
-    recording = replace(recording, viewer=replace(recording.viewer, record=film), png=picture)
-    look(recording, library, WATCHING, without_signals)
+    recording = replace(HEADLESS, viewer=replace(HEADLESS.viewer, record=film), png=picture)
+    look(recording, state_at(relay_url), library, without_signals)
     first = film.read_bytes()
-    look(recording, library, WATCHING, without_signals)
+    look(recording, state_at(relay_url), library, without_signals)
     assert film.read_bytes() == first
     said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("wrote")]
     again = tmp_path / "call-0001.mp4"
@@ -276,14 +265,27 @@ def test_who_comes_in_again_records_into_a_file_of_its_own_and_is_told_where(
     assert again.stat().st_size > 0
 
 
-def test_what_the_command_line_says_comes_before_what_was_kept() -> None:
-    kept = Preferences(url="ws://old", room="old", name="Old", voice="none")
-    assert first_fields(Fields(room="new", voice=""), kept) == Fields(
-        url="ws://old", room="new", name="Old"
-    )
-    assert first_fields(Fields(voice="speech"), kept).voice == "speech"
-    assert link_without_form(Fields(room="new"), LinkConfig()).room == "new"
-    sent = Preferences(source="performance:talk")
-    assert first_fields(Fields(source="webcam"), sent).source == "performance:talk"
-    for said in ("webcam", ""):
-        assert first_fields(Fields(source=said), sent, source_is_given=True).source == said
+def test_what_the_command_line_says_comes_before_what_was_kept(tmp_path: Path) -> None:
+    kept = PreferencesFile(tmp_path)
+    sent = ViewState(url="ws://old", room="old", name="Old", voice="none", source="webcam")
+    kept.save(sent)
+    state = first_state(ViewOptions(room="new", voice="speech"), kept, asks=True)
+    assert (state.url, state.room, state.name) == ("ws://old", "new", "Old")
+    assert (state.source, state.voice) == ("webcam", "speech")
+    for said, source in (("vmc", "vmc"), ("none", "")):
+        assert first_state(ViewOptions(send=said), kept, asks=True).source == source
+
+
+def test_without_the_form_nothing_of_it_is_taken_from_the_last_call(tmp_path: Path) -> None:
+    kept = PreferencesFile(tmp_path)
+    kept.save(ViewState(url="ws://old", room="old", name="Old", source="webcam", layout="grid"))
+    state = first_state(ViewOptions(url="ws://new"), kept, asks=False)
+    assert (state.url, state.room, state.name) == ("ws://new", "lobby", "viewer")
+    assert (state.source, state.voice, state.layout) == ("", "none", "grid")
+
+
+def test_an_invite_link_leads_where_it_says() -> None:
+    state = first_state(ViewOptions(link="pica://host/there#token=abc"), None, asks=False)
+    assert (state.url, state.room, state.token) == ("wss://host", "there", "abc")
+    with pytest.raises(OptionError, match="link: "):
+        first_state(ViewOptions(link="pica://host"), None, asks=False)

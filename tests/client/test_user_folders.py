@@ -12,7 +12,7 @@ from platformdirs.unix import Unix
 
 from pica_client.avatars.fetch import AvatarCache
 from pica_client.cli.doctor import Finding, examine
-from pica_client.ui.preferences import Preferences, PreferencesFile
+from pica_client.ui.state import PreferencesFile, ViewState
 from pica_client.user_folders import cache_folder, open_to_others, preferences_folder
 
 pytestmark = pytest.mark.unit
@@ -82,7 +82,7 @@ def test_what_is_kept_of_a_user_is_for_their_eyes_alone(
     assert list(open_to_others([token])) == [cache_folder(), preferences_folder(), token]
     assert examined()["privacy"].fix == f"chmod go= {cache_folder()} {preferences_folder()}"
     AvatarCache()
-    PreferencesFile().save(Preferences(name="Ada"))
+    PreferencesFile().save(ViewState(name="Ada"))
     assert list(open_to_others()) == []
     assert stat.S_IMODE((preferences_folder() / "preferences.json").stat().st_mode) == 0o600
     monkeypatch.setenv("PICA_SEND_TOKEN_FILE", str(token))

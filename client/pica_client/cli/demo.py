@@ -16,7 +16,6 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.cli.options import parse_size
 from pica_client.errors import CallProcessError, check_ranges
 from pica_client.local_call import local_call
 from pica_client.local_call.latency import frame_times, latency_summary
@@ -25,6 +24,7 @@ from pica_client.output import make_folder, say, writing, writing_whole
 from pica_client.signals import terminate_as_interrupt
 from pica_client.stats import describe_machine
 from pica_client.ui.display import has_display
+from pica_client.ui.options import parse_size
 
 END_TIMEOUT_S = 90.0
 """Time that the viewer has to start, see everybody and write its files, besides the call."""

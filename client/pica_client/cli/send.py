@@ -13,7 +13,6 @@ from cyclopts import Parameter
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.avatars.upload import GiveAvatar, choose_own_avatar
-from pica_client.cli.options import check_voice, connect_timeout_s
 from pica_client.output import Outputs, check_writable, say
 from pica_client.publish.face_desk import FaceDesk
 from pica_client.publish.face_track import FaceMode
@@ -23,6 +22,7 @@ from pica_client.signals import on_stop_signal
 from pica_client.sources import open_source
 from pica_client.transport.config import LinkConfig, guest_name
 from pica_client.transport.link_news import LinkNews
+from pica_client.ui.options import check_voice, connect_timeout_s
 from pica_client.voice.publisher import VoicePublisher
 from pica_client.voice.source import open_voice
 

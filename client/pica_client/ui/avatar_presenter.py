@@ -35,7 +35,7 @@ from pica_client.schedule.frame_planner import FramePlanner
 from pica_client.schedule.head import Head
 from pica_client.schedule.scheduler import Plan
 from pica_client.stats import Samples, Summary
-from pica_client.ui.controls import ControlState
+from pica_client.ui.state import ViewState
 from pica_core.avatar.bust import bust_of
 from pica_core.avatar.manifest import ViewSpan
 from pica_core.camera import Camera
@@ -194,12 +194,12 @@ class AvatarPresenter:
         self,
         now: float,
         size: tuple[int, int],
-        wanted: ControlState | None = None,
+        wanted: ViewState | None = None,
         free: FreeShares | None = None,
     ) -> CallScene:
         """Who is here, where each sits, and from where they are seen, on a picture of this size;
         avatars are made ready."""
-        wanted = wanted or ControlState()
+        wanted = wanted or ViewState()
         since_s = math.inf if self._arranged_s is None else max(now - self._arranged_s, 0.0)
         self._image_s = min(since_s, MAX_IMAGE_S)
         faces = self._source.faces(now, self._ahead_s)
@@ -236,11 +236,11 @@ class AvatarPresenter:
                     fade=entry.fade,
                 )
             )
-        camera = views.plan_camera(plan, wanted.view, width, height, limits)
+        camera = views.plan_camera(plan, wanted.orbit, width, height, limits)
         room = Room(
             seats_m=plan.places_m,
             speaking=tuple(entry.glow(now, step) for entry in entries),
-            is_light=wanted.settings.mode == "light",
+            is_light=wanted.mode == "light",
         )
         return CallScene(
             now=now,

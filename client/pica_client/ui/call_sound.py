@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 
 from pica_client.call.participants import Participant
-from pica_client.ui.controls import ControlState, OwnVoice
+from pica_client.ui.state import OwnVoice, ViewState
 from pica_client.voice.publisher import VoicePublisher
 from pica_client.voice.sound.process import SoundProcess
 from pica_client.voice.sound.settings import SoundSettings, SoundState
@@ -45,7 +45,7 @@ class CallSound:
         """How loud each is who sends a voice, by peer id; see `VoiceMixer.levels`."""
         return {} if self._sound is None else self._sound.state.levels
 
-    def follow(self, wanted: ControlState, people: Iterable[Participant], now: float) -> str:
+    def follow(self, wanted: ViewState, people: Iterable[Participant], now: float) -> str:
         """Do what the user wants; gives what has just gone wrong with a device, else nothing."""
         if self._own is not None:
             if wanted.is_heard:

@@ -14,9 +14,9 @@ from pica_client.call.status import CallStatus, PeerStatus
 from pica_client.render.labels import place_labels
 from pica_client.render.scene import common_px, head_rect_px
 from pica_client.render.seats import MAX_FREE, FreeShares
+from pica_client.ui.actions import Request
 from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter
 from pica_client.ui.call_view import NOTHING, CallView, OwnFaceView, Panel, PersonView
-from pica_client.ui.controls import ControlState, UserOrder
 from pica_client.ui.events import InputEvent, MouseMoved, MousePressed
 from pica_client.ui.notice_board import Notice, NoticeBoard
 from pica_client.ui.panels.control_bar import bar_share, control_bar, leave_question
@@ -29,7 +29,7 @@ from pica_client.ui.panels.signs import signs
 from pica_client.ui.panels.statistics import statistics
 from pica_client.ui.panels.upper_edge import signs_share, statistics_share
 from pica_client.ui.panels.waiting import first_hint, hint_share, waiting_page
-from pica_client.ui.settings import Settings
+from pica_client.ui.state import ViewState
 from pica_client.ui.surface.painter import Painter
 from pica_client.ui.surface.surface import Surface
 from pica_client.voice.sound.settings import SoundState
@@ -110,14 +110,14 @@ class CallSurface:
         size: tuple[int, int],
         content_scale: float,
         events: list[InputEvent],
-        settings: Settings,
+        state: ViewState,
     ) -> list[InputEvent]:
         """Begin a frame of this size; gives the events that are not for the surface.
 
         Args:
             content_scale: Pixels a point of the display.
         """
-        self._surface.resize(size, content_scale * settings.scale, settings.mode)
+        self._surface.resize(size, content_scale * state.scale, state.mode)
         for event in events:
             self._surface.receive(event)
             if isinstance(event, MouseMoved | MousePressed):
@@ -141,12 +141,11 @@ class CallSurface:
         now: float,
         scene: CallScene,
         presenter: AvatarPresenter,
-        state: ControlState,
+        state: ViewState,
         *,
-        is_recording: bool,
         own: OwnFaceView = NOTHING,
         sound: SoundState | None = None,
-    ) -> list[UserOrder]:
+    ) -> list[Request]:
         """Set the panels, and end the frame; gives what the user ordered."""
         self._times.append(now)
         if self._asked_s is None or now - self._asked_s >= STATUS_PERIOD_S:
@@ -159,11 +158,9 @@ class CallSurface:
         metrics = self._surface.metrics
         view = CallView(
             now=now,
-            state=state,
             people=self._people(now, scene, presenter, state),
             status=self.status,
             notices=self._board.shown(now),
-            is_recording=is_recording,
             shows_bar=self._shows_bar(now, state),
             has_pointer=self._has_pointer,
             own=own,
@@ -172,22 +169,25 @@ class CallSurface:
         )
         bar = bar_share(metrics) if self._has_pointer else 0.0
         self.free = FreeShares(
-            top=min(max(statistics_share(view, metrics), signs_share(view, metrics)), MAX_FREE),
-            right=min(side_share(view, metrics), MAX_FREE),
-            bottom=min(bar + hint_share(view, metrics), MAX_FREE),
+            top=min(
+                max(statistics_share(state, view, metrics), signs_share(state, view, metrics)),
+                MAX_FREE,
+            ),
+            right=min(side_share(state, metrics), MAX_FREE),
+            bottom=min(bar + hint_share(state, metrics), MAX_FREE),
         )
-        orders = [order for panel in PANELS for order in panel(view, metrics)]
+        requests = [each for panel in PANELS for each in panel(state, view, metrics)]
         self._surface.end()
-        return orders
+        return requests
 
-    def _shows_bar(self, now: float, state: ControlState) -> bool:
+    def _shows_bar(self, now: float, state: ViewState) -> bool:
         if not self._has_pointer:
             return False
         is_recent = self._pointer_s is not None and now - self._pointer_s < BAR_S
         return is_recent or state.side != "none" or self._surface.wants_mouse
 
     def _people(
-        self, now: float, scene: CallScene, presenter: AvatarPresenter, state: ControlState
+        self, now: float, scene: CallScene, presenter: AvatarPresenter, state: ViewState
     ) -> tuple[PersonView, ...]:
         shares = self._draw_shares_ms(scene) if state.show_statistics else {}
         figures, problems = presenter.figures(now), presenter.problems

@@ -1,9 +1,9 @@
 """All that the panels of a call may show, as one read-only value a frame. Pure.
 
-A panel is a function of a `CallView` and the picture's metrics; it draws with the widgets of
-`surface` and returns what the user asked for:
+A panel is a function of the user's state, a `CallView` and the picture's metrics. It draws with the
+widgets of `surface`, writes settings into the state, and returns what else the user asked for:
 
-    def leave_question(view: CallView, metrics: Metrics) -> list[UserOrder]:
+    def leave_question(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
         ...
 """
 
@@ -14,8 +14,9 @@ from pica_client.call.faces import FaceStatus
 from pica_client.call.status import AvatarFigures, CallStatus, PeerStatus
 from pica_client.publish.face_desk import Seen
 from pica_client.render.scene import Rect
-from pica_client.ui.controls import ControlState, UserOrder
+from pica_client.ui.actions import Request
 from pica_client.ui.notice_board import Notice
+from pica_client.ui.state import ViewState
 from pica_client.ui.surface.theme import Metrics
 from pica_client.voice.sound.settings import SoundState
 
@@ -68,13 +69,11 @@ class CallView:
     """One frame of a call."""
 
     now: float
-    state: ControlState
     people: tuple[PersonView, ...] = ()
     """Everybody who is there, in the order of their seats."""
     status: CallStatus = field(default_factory=CallStatus)
     notices: tuple[Notice, ...] = ()
     """What was just done, and what just happened, the oldest first."""
-    is_recording: bool = False
     shows_bar: bool = True
     """Whether the control bar is to be seen: the pointer moved a moment ago."""
     has_pointer: bool = True
@@ -87,4 +86,4 @@ class CallView:
     """Figures of the whole call, name and value."""
 
 
-Panel = Callable[[CallView, Metrics], list[UserOrder]]
+Panel = Callable[[ViewState, CallView, Metrics], list[Request]]

@@ -12,7 +12,7 @@ from pica_client.schedule.frame_planner import FramePlanner
 from pica_client.schedule.scheduler import Scheduler
 from pica_client.ui.avatar_presenter import AvatarPresenter
 from pica_client.ui.call_view import NOTHING, OwnFaceView
-from pica_client.ui.controls import ControlState
+from pica_client.ui.state import ViewState
 from pica_client.ui.surface.painter import Painter
 
 ASPECT = 4 / 3
@@ -49,7 +49,7 @@ class SelfView:
         """One's own face on a picture so many pixels high; None before there is one."""
         size = (round(ASPECT * height_px), height_px)
         self._renderer.resize(size)
-        scene = self._presenter.arrange(now, size, ControlState(layout="line"))
+        scene = self._presenter.arrange(now, size, ViewState(layout="line"))
         self._presenter.decide(scene, (scene.camera,), BUDGET_S)
         self._presenter.collect(now)
         scene = self._presenter.dressed(scene)

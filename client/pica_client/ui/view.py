@@ -6,8 +6,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
 
 from pica_client.avatars.fetch import AvatarFetcher
@@ -17,7 +16,8 @@ from pica_client.decode.request import DecodeResult
 from pica_client.errors import OptionError, RelayUnreachableError
 from pica_client.output import check_writable, say
 from pica_client.publish.face_desk import FaceDesk
-from pica_client.publish.own_face import FaceChoice, OutgoingFace
+from pica_client.publish.own_face import OutgoingFace
+from pica_client.render.views import ViewState as Orbit
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.connect import trusting
 from pica_client.transport.link_news import LinkNews
@@ -25,16 +25,15 @@ from pica_client.transport.monitor import CallMonitor
 from pica_client.transport.receiver import Receiver
 from pica_client.ui.call_sound import CallSound
 from pica_client.ui.captures_on_disk import new_path
-from pica_client.ui.settings import OwnChoice
+from pica_client.ui.options import ViewOptions
+from pica_client.ui.state import ViewState, fit_side
 from pica_client.ui.viewer import Viewer
-from pica_client.ui.viewer_options import ViewerOptions
 from pica_client.ui.window import Window
 from pica_client.voice.opus import available
 from pica_client.voice.publisher import VoicePublisher
 from pica_client.voice.sound.hearing import Hearing
 from pica_client.voice.sound.process import SoundProcess
 from pica_client.voice.source import open_voice
-from pica_protocol.limits import MAX_PEERS
 
 MAX_LOGGED_DECODES = 100_000
 """Decodes kept for a latency analysis: eleven minutes of five avatars at 30 a second."""
@@ -47,52 +46,22 @@ DRAIN_S = 0.2
 """What is decoded this soon after the picture began is not measured: decoders are being built."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class ViewConfig:
-    """What to show, how, and what to keep of it."""
-
-    link: LinkConfig
-    viewer: ViewerOptions = field(default_factory=ViewerOptions)
-    seconds: float = 0.0
-    """How long to draw; 0 is until stopped."""
-    voice: str = "none"
-    """Whose voice is sent; see `pica_client.voice.source.open_voice`."""
-    hears: bool = True
-    """Whether voices are played."""
-    expect: int = 0
-    """Begin to draw once this many peers are seen."""
-    png: Path | None = None
-    """Write the last image here."""
-    frame_log: Path | None = None
-    """Write the times of every frame and decode here, for whoever shares this clock."""
-    fetch: bool = False
-    """Get avatars that are not here from the relay."""
-
-    def __post_init__(self) -> None:
-        if not self.seconds >= 0:
-            raise OptionError(f"seconds is {self.seconds:g}; 0 (for ever) or more is allowed")
-        if not 0 <= self.expect < MAX_PEERS:
-            raise OptionError(f"expect is {self.expect}; 0 to {MAX_PEERS - 1} is allowed")
-
-
 class View:
     """Runs a receiver and its viewer; `stop` may come from a signal handler.
 
     Attributes:
-        last_controls: How the user left the view.
-        last_source: What plays the user's face now, if they chose it during the call; else None.
-        last_window_size: And the window, in the screen's units; None without one.
+        state: What the user wants; as they left it once `run` has returned.
         was_cancelled: Whether the user did not want to wait for the room.
-        wanted: As whom the user wants to come again; None: not at all.
     """
 
     def __init__(
         self,
-        config: ViewConfig,
+        options: ViewOptions,
+        state: ViewState,
+        link: LinkConfig,
         library: AvatarLibrary,
         *,
         face: OutgoingFace | None = None,
-        choice: FaceChoice,
         window: Window | None = None,
         waiting: Callable[[], bool] | None = None,
         sound: SoundProcess | None = None,
@@ -107,46 +76,39 @@ class View:
         Raises:
             OptionError: A file or folder that is to be written cannot be.
         """
-        check_writable(config.png, ".png")
-        check_writable(config.frame_log)
-        check_writable(config.viewer.record, ".mp4")
-        self._config = config
-        self._fetcher = self._make_fetcher(library) if config.fetch else None
+        check_writable(options.png, ".png")
+        check_writable(options.frame_log)
+        check_writable(options.viewer.record, ".mp4")
+        self._options, self._link, self.state = options, link, state
+        self._fetcher = self._make_fetcher(library) if options.fetch else None
         avatars = self._fetcher or library
-        self._call = Call(avatars, log_shown=config.frame_log is not None)
-        self._library = library
+        self._call = Call(avatars, log_shown=options.frame_log is not None)
         self._publisher = None if face is None else face.publisher
-        self._entered_as = OwnChoice(
-            name=config.link.name,
-            avatar=choice.avatar or "",
-            source=choice.source,
-            voice=config.voice,
-        )
-        self.wanted: OwnChoice | None = None
+        state.name = link.name
+        state.entered, state.avatars = state.identity, tuple(library.names)
+        state.orbit, state.pinned = Orbit(), None
+        state.wants_rejoin = state.wants_close = state.asks_to_leave = state.is_recording = False
         self._window = window
         self._waiting = waiting
         self.was_cancelled = False
-        doing = "looking into" if face is None else f"in, as {config.link.name},"
-        self._own_sound = SoundProcess(config.viewer.at_first.sound) if sound is None else None
+        doing = "looking into" if face is None else f"in, as {link.name},"
+        self._own_sound = SoundProcess(state.sound) if sound is None else None
         sound = sound or self._own_sound
         assert sound is not None
-        voice = sound if config.voice == "mic" else open_voice(config.voice)
+        voice = sound if state.entered.voice == "mic" else open_voice(state.entered.voice)
         self._hearing, self._trouble = self._make_hearing(sound), ""
         has_sound = self._hearing is not None or voice is sound
         self._sound = sound if has_sound else None
-        is_sealed = config.link.secret_file is not None
+        is_sealed = link.secret_file is not None
         self._receiver = Receiver(
-            config.link,
+            link,
             self._call,
             voice=None if voice is None else VoicePublisher(voice, is_sealed=is_sealed),
             on_voice=None if self._hearing is None else self._hearing.receive,
             publisher=self._publisher,
             giver=None if face is None else face.giver,
-            news=LinkNews(f"{doing} room {config.link.room} at {config.link.url}", say),
+            news=LinkNews(f"{doing} room {link.room} at {link.url}", say),
         )
-        self.last_controls = config.viewer.at_first
-        self.last_window_size: tuple[int, int] | None = None
-        self.last_source: str | None = None
         self._is_stopping = False
         # Drops its oldest when full.
         self._decodes: deque[tuple[str, DecodeResult]] = deque(maxlen=MAX_LOGGED_DECODES)
@@ -165,7 +127,7 @@ class View:
             RelayError: The relay is not there, or will not have us.
             GraphicsError: There is no way to draw.
         """
-        config, film = self._config, self._config.viewer.record
+        options, state, film = self._options, self.state, self._options.viewer.record
         self._receiver.say_recording(film is not None)
         with ExitStack() as stack:
             if self._fetcher is not None:
@@ -182,31 +144,23 @@ class View:
                 film = new_path(film.parent, film.stem, ".mp4")
             desk = None
             if self._publisher is not None:
-                desk = FaceDesk(self._publisher, config.link.name, self._entered_as.source)
+                desk = FaceDesk(self._publisher, self._link.name, state.entered.source)
                 stack.callback(desk.close)
             with Viewer(
                 self._call,
-                replace(
-                    config.viewer,
-                    record=film,
-                    at_first=replace(
-                        config.viewer.at_first,
-                        entered_as=self._entered_as,
-                        choice=self._entered_as,
-                        avatars=tuple(self._library.names),
-                    ),
-                ),
+                replace(options.viewer, record=film),
+                state=state,
                 status=CallMonitor(self._receiver).status,
-                on_decoded=self._note_decode if config.frame_log is not None else None,
+                on_decoded=self._note_decode if options.frame_log is not None else None,
                 desk=desk,
                 sound=CallSound(self._receiver.voice, self._sound),
-                on_rejoin=self._come_again,
+                on_rejoin=self._rejoin,
                 on_moderation=self._receiver.moderate,
                 on_recording=self._receiver.say_recording,
                 window=self._window,
             ) as viewer:
                 # In a window a person looks on: they see who is ready, and no frozen frame.
-                if self._window is None or config.frame_log is not None:
+                if self._window is None or options.frame_log is not None:
                     viewer.prepare()
                 begin_s = time.monotonic()
                 self._call.begin_window(begin_s)
@@ -215,17 +169,18 @@ class View:
                 drawn, received = viewer.report(), self._receiver.stats(end_s)
                 problems = list(viewer.problems.values())
                 outputs = viewer.outputs
-                png = config.png if drawn["frames_rendered"] else None
+                png = options.png if drawn["frames_rendered"] else None
                 if png is not None and viewer.save_image(png):
                     say(f"wrote {png}")
-                self.last_controls = viewer.controls.state
-                self.last_window_size = viewer.windowed_size
-                if desk is not None and desk.source != self._entered_as.source:
-                    self.last_source = desk.source
+                if size := viewer.windowed_size:
+                    state.window_size = fit_side(size[0]), fit_side(size[1])
+                if not state.wants_rejoin:  # what was chosen for rejoining alone is forgotten
+                    source = desk.source if desk is not None else state.entered.source
+                    state.identity = state.entered._replace(source=source)
         for problem in problems:
             print(problem, file=sys.stderr)
-        if config.frame_log is not None:
-            outputs.write_text(config.frame_log, self._log(begin_s))
+        if options.frame_log is not None:
+            outputs.write_text(options.frame_log, self._log(begin_s))
         return {
             **drawn,
             "ok": not outputs.failures,
@@ -238,7 +193,7 @@ class View:
         }
 
     def _make_hearing(self, sound: SoundProcess) -> Hearing | None:
-        if not self._config.hears:
+        if self._options.speaker == "off":
             return None
         if (trouble := available()) is not None:
             say(f"a call without sound: {trouble}")
@@ -246,8 +201,7 @@ class View:
         return Hearing(self._call, sound)
 
     def _make_fetcher(self, library: AvatarLibrary) -> AvatarFetcher:
-        config = self._config
-        ca_file = config.link.ca_file
+        ca_file = self._link.ca_file
         return AvatarFetcher(
             library,
             lambda: self._receiver.link.url,
@@ -255,18 +209,18 @@ class View:
         )
 
     def _wait_for_peers(self) -> None:
-        config = self._config
+        expect = self._options.expect
         deadline = time.monotonic() + EXPECT_TIMEOUT_S
         while not self._is_stopping:
             self._receiver.check()
-            if self._receiver.is_connected and self._call.num_live >= config.expect:
+            if self._receiver.is_connected and self._call.num_live >= expect:
                 return
             if self._waiting is not None and not self._waiting():
                 self.was_cancelled = True
                 return
-            if config.expect and time.monotonic() > deadline:
+            if expect and time.monotonic() > deadline:
                 raise RelayUnreachableError(
-                    f"{self._call.num_live} of {config.expect} expected peers were seen within "
+                    f"{self._call.num_live} of {expect} expected peers were seen within "
                     f"{EXPECT_TIMEOUT_S:g} s"
                 )
             if self._waiting is None:
@@ -283,15 +237,16 @@ class View:
             self._trouble = note
             return self._is_stopping
 
-        viewer.run(self._config.seconds or None, should_stop)
+        viewer.run(self._options.seconds or None, should_stop)
 
-    def _come_again(self, wanted: OwnChoice) -> str:
-        """Note as whom the user wants to come again; says why that cannot be."""
+    def _rejoin(self) -> str:
+        """Note that the user wants to rejoin; return why that cannot be."""
+        self.state.name = self.state.name.strip()
         try:
-            replace(self._config.link, name=wanted.name.strip())
+            replace(self._link, name=self.state.name)
         except OptionError as error:
             return str(error)
-        self.wanted = replace(wanted, name=wanted.name.strip())
+        self.state.wants_rejoin = True
         return ""
 
     def _note_decode(self, result: DecodeResult) -> None:

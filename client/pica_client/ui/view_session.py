@@ -6,7 +6,8 @@
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, ExitStack, closing
-from dataclasses import asdict, replace
+from dataclasses import replace
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -14,11 +15,12 @@ from typing import Any
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.errors import AvatarLookupError, OptionError, RelayError, SourceError
 from pica_client.output import say
-from pica_client.publish.own_face import FaceChoice, OutgoingFace, open_own_face
+from pica_client.publish.own_face import DEFAULT_SOURCE, FaceChoice, OutgoingFace, open_own_face
 from pica_client.transport.config import LinkConfig
-from pica_client.ui.joining.form import Fields, JoinForm
-from pica_client.ui.preferences import Preferences, PreferencesFile, fit_side
-from pica_client.ui.view import NOTHING_SHOWN, View, ViewConfig
+from pica_client.ui.join_form import JoinForm, follow_invite
+from pica_client.ui.options import ViewOptions, check_voice, connect_timeout_s, parse_size
+from pica_client.ui.state import PreferencesFile, ViewState
+from pica_client.ui.view import NOTHING_SHOWN, View
 from pica_client.voice.opus import available
 from pica_client.voice.sound.process import SoundProcess
 from pica_core.errors import AvatarFileError
@@ -26,87 +28,118 @@ from pica_core.errors import AvatarFileError
 DEFAULT_URL = "ws://127.0.0.1:8765"
 DEFAULT_ROOM = "lobby"
 DEFAULT_NAME = "viewer"
-MICROPHONE = "mic"
-"""The voice of who joins by the form, until they choose another; see `voice.source.open_voice`."""
-
+WATCH = "none"
+"""What ``--send`` is given by a user who only watches."""
 JOINING_ERRORS = (RelayError, SourceError, AvatarLookupError, AvatarFileError, OptionError)
 """What can be mended at the form."""
-KEPT_FIELDS = ("ca_file", "secret_file", "avatar", "source", "voice")
+OF_THE_FORM = ("ca_file", "secret_file", "avatar", "source", "voice")
+"""Without the form these come from the command line alone, and are not kept."""
 
 Stopping = Callable[[Callable[[], None]], AbstractContextManager[None]]
 """Makes a signal call what it is given, for the length of a block."""
 
 
-def invited(link: str) -> Fields:
-    """Where an invite link leads.
-
-    Raises:
-        OptionError: It is none.
-    """
-    try:
-        return Fields(url=link, voice="").invited()
-    except ValueError as error:
-        raise OptionError(f"link: {error}") from error
-
-
-def first_fields(
-    given: Fields, preferences: Preferences, *, source_is_given: bool = False
-) -> Fields:
-    """What stands in the form at first: what the command line gives, else what was kept.
+def first_state(options: ViewOptions, kept: PreferencesFile | None, *, asks: bool) -> ViewState:
+    """What the command line gives, else what was kept, else defaults.
 
     Args:
-        source_is_given: The command line says what plays the user's face, or that nothing does.
-    """
-    kept_source = None if source_is_given else preferences.source
-    kept = {
-        name: getattr(given, name) or getattr(preferences, name)
-        for name in ("url", "room", "name", "ca_file", "secret_file", "avatar")
-    }
-    return replace(
-        given,
-        **kept | {"url": kept["url"] or DEFAULT_URL, "room": kept["room"] or DEFAULT_ROOM},
-        source=given.source if kept_source is None else kept_source,
-        voice=given.voice or _usual_voice(preferences.voice),
-    )
-
-
-def link_without_form(given: Fields, base: LinkConfig) -> LinkConfig:
-    """The connection, where no form asks.
+        kept: The preferences; None takes none, and keeps none.
+        asks: Whether the form asks, with all this in its fields.
 
     Raises:
-        OptionError: A part of it cannot be right.
+        OptionError: An option cannot be right.
     """
-    return replace(
-        base,
-        url=given.url or DEFAULT_URL,
-        room=given.room or DEFAULT_ROOM,
-        name=given.name or DEFAULT_NAME,
-        token=given.token,
-        token_file=None if given.token else base.token_file,
+    state = ViewState(has_seen_hint=True) if kept is None else kept.load()
+    if not asks:
+        state.url = state.room = state.name = state.avatar = state.ca_file = state.secret_file = ""
+        state.source = state.voice = None
+    given = {"url": options.url, "room": options.room, "name": options.name}
+    given |= {"avatar": options.own_avatar, "layout": options.layout}
+    given |= {name: str(getattr(options, name) or "") for name in ("ca_file", "secret_file")}
+    for name, value in given.items():
+        if value:
+            setattr(state, name, value)
+    if options.link:
+        try:
+            follow_invite(state, options.link)
+        except ValueError as error:
+            raise OptionError(f"link: {error}") from error
+    state.url, state.room = state.url or DEFAULT_URL, state.room or DEFAULT_ROOM
+    state.name = state.name or ("" if asks else DEFAULT_NAME)
+    _choose_face(options, state, asks=asks)
+    _choose_sound(options, state, asks=asks)
+    state.show_statistics |= options.statistics
+    if options.viewer.keep_in is not None:
+        state.keep_in = str(options.viewer.keep_in.absolute())
+    if options.viewer.size is not None:
+        state.window_size = parse_size(options.viewer.size)
+    return state
+
+
+def _choose_face(options: ViewOptions, state: ViewState, *, asks: bool) -> None:
+    """A person at a form is to be seen, unless they choose otherwise."""
+    if options.send is not None:
+        state.source = "" if options.send == WATCH else options.send
+    elif state.source is None:
+        state.source = DEFAULT_SOURCE if asks else ""
+    if options.own_avatar is not None and not state.source:
+        raise OptionError(
+            f"own-avatar is the look of one's own face; to send one, add --send {DEFAULT_SOURCE}"
+        )
+
+
+def _choose_sound(options: ViewOptions, state: ViewState, *, asks: bool) -> None:
+    voice, sound = options.voice, state.sound
+    if options.speaker not in ("", "off"):
+        sound = replace(sound, speaker=options.speaker)
+    if voice is not None and voice.startswith("mic:"):
+        voice, sound = "mic", replace(sound, microphone=voice.removeprefix("mic:"))
+    if options.clean is not None:
+        sound = replace(sound, cleans=options.clean)
+    state.sound = sound
+    if voice is None and asks and available() is None:
+        voice = state.voice or ("mic" if find_spec("soundcard") else None)
+    state.voice = voice or "none"
+    if not asks:  # at the form a voice can be chosen
+        check_voice(state.source or "", state.voice)
+
+
+def link_of(options: ViewOptions, state: ViewState) -> LinkConfig:
+    """The connection that is asked for.
+
+    Raises:
+        OptionError: A part of it cannot be right; names it.
+    """
+    url, token = state.url.strip(), state.token.strip()
+    needs_ca = options.ca_file is not None or "wss://" in url
+    return LinkConfig(
+        url=url,
+        room=state.room.strip(),
+        name=state.name.strip(),
+        connect_timeout_s=connect_timeout_s(wait=options.wait, seconds=options.seconds),
+        secret_file=_path(state.secret_file),
+        token=token,
+        token_file=None if token else options.token_file,
+        ca_file=_path(state.ca_file) if needs_ca else None,
+        redirect_hosts=options.redirect_hosts,
     )
 
 
-def _usual_voice(kept: str | None) -> str:
-    """The voice of the last call, or the microphone, where there can be one."""
-    if available() is not None:
-        return "none"
-    return kept or (MICROPHONE if find_spec("soundcard") else "none")
-
-
-def keep_folder(given: Path | None, preferences: Preferences) -> Path | None:
-    """Where pictures and recordings go; None is the system's folders for them."""
-    return given or (Path(preferences.keep_in) if preferences.keep_in else None)
+def face_of(options: ViewOptions, state: ViewState) -> FaceChoice:
+    """The face that is asked for."""
+    avatar = state.avatar.strip() or None
+    return FaceChoice(source=state.source or "", avatar=avatar, give=options.give_avatar)
 
 
 def look(
-    config: ViewConfig,
+    options: ViewOptions,
+    state: ViewState,
     library: AvatarLibrary,
-    face: FaceChoice,
     stopping: Stopping,
     *,
     kept: PreferencesFile | None = None,
 ) -> dict[str, Any]:
-    """Stay in the room of the configuration.
+    """Stay in the room that the state names.
 
     Args:
         stopping: How signals end it.
@@ -116,57 +149,54 @@ def look(
         See `View.run` and `open_own_face`.
     """
     while True:
-        own = open_own_face(face, config.link, library, say)
-        looking = View(config, library, face=own, choice=face)
+        link = link_of(options, state)
+        own = open_own_face(face_of(options, state), link, library, say)
+        looking = View(options, state, link, library, face=own)
         with stopping(looking.stop):
             result = looking.run()
-        wanted = looking.wanted
         if kept is not None:
-            _keep(kept, config, looking)
-        if wanted is None:
+            kept.save(state, leaving=OF_THE_FORM)
+        if not state.wants_rejoin:
             return result
-        config = replace(config, link=replace(config.link, name=wanted.name), voice=wanted.voice)
-        face = replace(face, source=wanted.source, avatar=wanted.avatar or None)
 
 
 def ask_and_look(
-    config: ViewConfig,
+    options: ViewOptions,
+    state: ViewState,
     library: AvatarLibrary,
-    face: FaceChoice,
     stopping: Stopping,
     *,
-    form: JoinForm,
+    form: JoinForm | None = None,
     kept: PreferencesFile | None = None,
 ) -> dict[str, Any]:
-    """Ask where to go, stay there, and ask again, saying why, when the relay will not have us.
+    """Ask where to go, stay there, and ask again, with the reason, when the relay refuses.
 
     Returns:
         As `look`; ``{"frames_rendered": 0, "render_fps": 0.0}`` when the user left at the form.
     """
-    # Only here: who knows where to go needs no window before the call.
-    from pica_client.ui.joining.lobby import Lobby
+    # Only here: a call without the form needs no window before it.
+    from pica_client.ui.lobby import Lobby
     from pica_client.ui.window import Window
 
+    form = form or JoinForm(state, partial(link_of, options))
     with ExitStack() as stack:
-        window = stack.enter_context(Window(config.viewer.size))
+        window = stack.enter_context(Window(state.window_size))
         sound = None if available() else stack.enter_context(closing(SoundProcess()))
         lobby = stack.enter_context(Lobby(window, library, sound))
         pool = stack.enter_context(ThreadPoolExecutor(1, thread_name_prefix="own-face"))
         while lobby.ask(form):
-            typed, chosen = form.fields, form.face(face)
-            at_first = replace(config.viewer.at_first, sound=typed.sound)
-            viewer = replace(config.viewer, at_first=at_first)
-            stay = replace(config, link=form.link(), viewer=viewer, voice=typed.voice)
+            link = link_of(options, state)
             try:
-                opening = pool.submit(open_own_face, chosen, stay.link, library, say)
+                opening = pool.submit(open_own_face, face_of(options, state), link, library, say)
                 if not lobby.wait("Getting your avatar …", opening.done):
                     form.ask_again()
                     continue
                 looking = View(
-                    stay,
+                    options,
+                    state,
+                    link,
                     library,
                     face=opening.result(),
-                    choice=chosen,
                     window=window,
                     sound=sound,
                     waiting=lambda: lobby.show_waiting("Connecting …"),
@@ -181,12 +211,9 @@ def ask_and_look(
             if looking.was_cancelled:
                 form.ask_again()
                 continue
-            wanted = looking.wanted
-            if wanted is not None:
-                form.fields = replace(form.fields, **asdict(wanted))
             if kept is not None:
-                _keep(kept, stay, looking, form.fields)
-            if wanted is None:
+                kept.save(state)
+            if not state.wants_rejoin:
                 return result
     return dict(NOTHING_SHOWN)
 
@@ -197,35 +224,5 @@ def _let_go(opening: Future[OutgoingFace | None]) -> None:
         face.publisher.close()
 
 
-def _keep(
-    kept: PreferencesFile, config: ViewConfig, looking: View, fields: Fields | None = None
-) -> None:
-    """Remember how the user left it, and what stood in the form but for secrets."""
-    state = looking.last_controls
-    before = kept.load()
-    folder = config.viewer.keep_in
-    size = looking.last_window_size or before.window_size
-    typed = {} if fields is None else {name: getattr(fields, name) for name in KEPT_FIELDS}
-    typed["name"] = config.link.name
-    if looking.wanted is not None:
-        typed |= asdict(looking.wanted)
-    elif looking.last_source is not None:
-        typed["source"] = looking.last_source
-    try:
-        now = replace(
-            before,
-            **typed,
-            layout=state.layout,
-            show_statistics=state.show_statistics,
-            settings=state.settings,
-            sound=state.sound,
-            has_seen_hint=before.has_seen_hint or not state.shows_hint,
-            window_size=(fit_side(size[0]), fit_side(size[1])),
-            url=config.link.url,
-            room=config.link.room,
-            keep_in="" if folder is None else str(folder.absolute()),
-        )
-    except ValueError as error:  # a folder of an endless name, say
-        say(f"{kept.path}: preferences cannot be kept: {error}")
-        return
-    kept.save(now)
+def _path(text: str) -> Path | None:
+    return Path(text.strip()).expanduser() if text.strip() else None

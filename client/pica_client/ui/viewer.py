@@ -32,19 +32,19 @@ from pica_client.render.draw_clock import DrawClock
 from pica_client.render.recorder import Recorder, save_png
 from pica_client.render.renderer import DrawStats, Renderer, RenderOptions
 from pica_client.render.scene import pick_head
-from pica_client.render.views import stereo_cameras
+from pica_client.render.views import EYE_DISTANCE_M, stereo_cameras
 from pica_client.schedule.frame_planner import FramePlanner
-from pica_client.schedule.scheduler import Plan, Scheduler
-from pica_client.ui import controls
+from pica_client.schedule.scheduler import Plan, Scheduler, SchedulerOptions
+from pica_client.ui.actions import Action, Controls, Request
 from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter
 from pica_client.ui.call_sound import CallSound
 from pica_client.ui.call_surface import CallSurface
 from pica_client.ui.call_view import NOTHING, OwnFaceView
 from pica_client.ui.captures_on_disk import CapturesOnDisk
 from pica_client.ui.events import InputEvent, MouseMoved, MousePressed, MouseReleased
+from pica_client.ui.options import ViewerOptions, parse_size
 from pica_client.ui.own_face import SelfView
-from pica_client.ui.settings import OwnChoice
-from pica_client.ui.viewer_options import BUDGET_SHARE, ViewerOptions
+from pica_client.ui.state import ViewState
 from pica_client.ui.window import Window
 from pica_core.camera import Camera
 from pica_core.gl import create_context
@@ -73,7 +73,8 @@ class Viewer(Closing):
             the peer id.
         desk: What steers the user's own face; None while none is sent.
         sound: The voices of the call; None: there are none.
-        on_rejoin: Told as whom the user wants to come again; why that cannot be, or nothing.
+        state: What the user wants at first; keys and panels write into it.
+        on_rejoin: Told that the user wants to rejoin; returns why that cannot be, or nothing.
         on_moderation: Told what the user asks the relay to do as an admin.
         on_recording: Told when what is shown begins to be kept, and when that is over.
         window: To show it in, which stays open afterwards; by default a new one.
@@ -95,13 +96,15 @@ class Viewer(Closing):
         source: FaceSource,
         options: ViewerOptions | None = None,
         *,
+        state: ViewState | None = None,
+        scheduler: SchedulerOptions | None = None,
         status: Callable[[float], CallStatus] = lambda now: CallStatus(),
         on_decoded: Callable[[DecodeResult], None] | None = None,
         on_moderation: Callable[[messages.Moderation], None] = lambda asked: None,
         on_recording: Callable[[bool], None] = lambda is_recording: None,
         desk: FaceDesk | None = None,
         sound: CallSound | None = None,
-        on_rejoin: Callable[[OwnChoice], str] = lambda choice: "You cannot come again from here",
+        on_rejoin: Callable[[], str] = lambda: "Rejoining is not available here",
         window: Window | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -112,14 +115,11 @@ class Viewer(Closing):
         self._sound = sound or CallSound()
         self._on_moderation = on_moderation
         self._on_recording = on_recording
-        self._was_recording = False
-        self.controls = controls.Controls(
-            replace(
-                options.at_first,
-                own_face="none" if desk is None else "sent",
-                own_voice=self._sound.own_voice,
-            )
-        )
+        self.state = state = state or ViewState(has_seen_hint=True)
+        state.own_face = "none" if desk is None else "sent"
+        state.own_voice = self._sound.own_voice
+        self._source = state.source
+        self._controls = Controls(state)
         self._meter = Meter()
         self._events: list[InputEvent] = []
         self._num_frames = 0
@@ -128,14 +128,15 @@ class Viewer(Closing):
         self.last_draw: DrawStats | None = None
         with ExitStack() as stack:
             self._window = window
+            wanted_size = parse_size(options.size) if options.size else state.window_size
             if options.headless:
                 context = create_context()
                 stack.callback(context.release)
             else:
                 if self._window is None:
-                    self._window = stack.enter_context(Window(options.size))
+                    self._window = stack.enter_context(Window(wanted_size))
                 context = self._window.context
-            size = self._window.size_px if self._window else options.size
+            size = self._window.size_px if self._window else wanted_size
             self._renderer = Renderer(context, size, RENDER)
             self._surface = CallSurface(
                 context,
@@ -151,12 +152,13 @@ class Viewer(Closing):
             if options.record is not None:
                 self._film = Recorder(options.record, size, begin_sound)
             stack.callback(self._end_film)
-            self._captures = CapturesOnDisk(options.keep_in, begin_sound)
+            keep_in = Path(state.keep_in) if state.keep_in else options.keep_in
+            self._captures = CapturesOnDisk(keep_in, begin_sound)
             stack.callback(lambda: self.outputs.attempt(self._captures.close))
             workers = num_workers(os.cpu_count())
             self._pool = stack.enter_context(DecodePool(OnnxDecoder, clock, workers=workers))
             self._draw_clock: DrawClock[_DrawnFrame] = DrawClock(context)
-            self._scheduler = Scheduler(options.scheduler)
+            self._scheduler = Scheduler(scheduler or SchedulerOptions())
             self._presenter = AvatarPresenter(
                 source,
                 self._renderer,
@@ -226,27 +228,26 @@ class Viewer(Closing):
             self._renderer.resize(self._window.size_px)
             content_scale = self._window.content_scale
         self._take_events(now, content_scale)
-        if self.controls.state.wants_close:
+        if self.state.wants_close:
             self._surface.abandon()
             return False
         scene = self._scene = self._arrange(now)
         plan = self._decide(scene)
         self._presenter.collect(now)
         scene = self._presenter.dressed(scene)
-        orders = self._surface.build(
+        self._note_recording()
+        requests = self._surface.build(
             now,
             scene,
             self._presenter,
-            self.controls.state,
-            is_recording=self._is_recording,
+            self.state,
             own=self._draw_own(now),
             sound=self._sound.state(),
         )
-        for order in orders:
-            self.controls.obey(order)
-        if self._desk is not None and self.controls.state.own_face != "none":
-            self._desk.publisher.mode = self.controls.state.own_face
-        trouble = self._sound.follow(self.controls.state, self._surface.status.participants, now)
+        for request in requests:
+            self._controls.obey(request)
+        self._follow_face()
+        trouble = self._sound.follow(self.state, self._surface.status.participants, now)
         if trouble:
             self._surface.notice(trouble, now)
         begin_s = self._clock()
@@ -264,10 +265,8 @@ class Viewer(Closing):
         if self._window is None:
             image = self._renderer.read_image()  # waits for the GPU: the draw time is a true one
         self._meter.add("draw", self._clock() - begin_s)
-        if self._is_recording != self._was_recording:
-            self._was_recording = self._is_recording
-            self._on_recording(self._was_recording)
-        if self._is_recording:
+        self._note_recording()
+        if self.state.is_recording:
             shown = self._renderer.read_image() if image is None else image
             film = self._film
             if film is not None and not self.outputs.attempt(lambda: film.write(shown, now)):
@@ -275,14 +274,26 @@ class Viewer(Closing):
             self._keep(lambda: self._captures.write(shown, now))
         if self._window is not None:
             self._window.show(self._show)
-        for order in self.controls.take_orders():
-            self._obey(order, now)
+        for request in self._controls.take_requests():
+            self._obey(request, now)
         self._num_frames += 1
         return True
 
-    @property
-    def _is_recording(self) -> bool:
-        return self._film is not None or self._captures.is_recording
+    def _note_recording(self) -> None:
+        is_recording = self._film is not None or self._captures.is_recording
+        if is_recording != self.state.is_recording:
+            self.state.is_recording = is_recording
+            self._on_recording(is_recording)
+
+    def _follow_face(self) -> None:
+        """Do to the user's own face what the state says."""
+        state, desk = self.state, self._desk
+        if desk is None or state.own_face == "none":
+            return
+        desk.publisher.mode = state.own_face
+        if state.source and state.source != self._source:
+            desk.choose(state.source)
+        self._source = state.source
 
     def _end_film(self) -> None:
         if self._film is not None and self.outputs.attempt(self._film.close):
@@ -330,28 +341,26 @@ class Viewer(Closing):
         }
 
     def _arrange(self, now: float) -> CallScene:
-        state = self.controls.state
-        scene = self._presenter.arrange(now, self._eye_size, state, self._surface.free)
-        self.controls.state = replace(state, limits=scene.limits, layouts=scene.layouts)
+        scene = self._presenter.arrange(now, self._eye_size, self.state, self._surface.free)
+        self.state.limits, self.state.layouts = scene.limits, scene.layouts
         return scene
 
     @property
     def _eye_size(self) -> tuple[int, int]:
         """Columns and rows of the picture, or of each eye's."""
         width, height = self._renderer.size
-        return (max(width // 2, 1), height) if self.options.eye_distance_m > 0 else (width, height)
+        return (max(width // 2, 1), height) if self.options.stereo else (width, height)
 
     def _decide(self, scene: CallScene) -> Plan:
-        budget_s = self.options.frame_budget_ms * 1e-3 or BUDGET_SHARE / self.options.max_fps
-        detail = self.controls.state.settings.detail
-        return self._presenter.decide(scene, self._eyes(scene), detail * budget_s)
+        budget_s = self.state.detail * self.options.budget_s
+        return self._presenter.decide(scene, self._eyes(scene), budget_s)
 
     def _eyes(self, scene: CallScene) -> tuple[Camera, ...]:
         """The cameras that a scene is drawn from: one, or the left and the right eye's."""
-        if not self.options.eye_distance_m > 0:
+        if not self.options.stereo:
             return (scene.camera,)
         away_m = float(np.linalg.norm(scene.plan.target_m - scene.camera.centre_m))
-        return stereo_cameras(scene.camera, self.options.eye_distance_m, away_m)
+        return stereo_cameras(scene.camera, EYE_DISTANCE_M, away_m)
 
     def _show(self, screen: moderngl.Framebuffer) -> None:
         """Put a frame on the window. What steers the call is there, not in what is kept of it."""
@@ -379,10 +388,9 @@ class Viewer(Closing):
         ]
         self._events = []
         places = [] if self._scene is None else [face.place for face in self._scene.faces]
-        settings = self.controls.state.settings
-        rest = self._surface.begin(now, self._eye_size, content_scale, events, settings)
+        rest = self._surface.begin(now, self._eye_size, content_scale, events, self.state)
         for event in rest:
-            self.controls.receive(event, places=places, pick=self.pick)
+            self._controls.receive(event, places=places, pick=self.pick)
 
     def _draw_own(self, now: float) -> OwnFaceView:
         """One's own face; its picture if it is to be seen and there is room for it."""
@@ -391,39 +399,36 @@ class Viewer(Closing):
         surface = self._surface
         for notice in self._desk.take_notices(now):
             surface.notice(notice, now)
-        is_shown = self.controls.state.settings.shows_self and self.options.eye_distance_m == 0
+        is_shown = self.state.shows_self and not self.options.stereo
         height_px = surface.self_view_px if is_shown else 0
         return self._self_view.look(now, height_px, self._desk, surface.painter)
 
-    def _obey(self, order: controls.UserOrder, now: float) -> None:
+    def _obey(self, request: Request, now: float) -> None:
         """Do once what the user asked for."""
-        match order:
-            case controls.Order.SCREENSHOT:
+        match request:
+            case str():
+                self._surface.notice(request, now)
+            case Action.SCREENSHOT:
                 self._keep(lambda: self._captures.save_picture(self._renderer.read_image()))
-            case controls.Order.TOGGLE_RECORDING:
+            case Action.RECORD:
                 self._keep(lambda: self._captures.toggle_recording(self._renderer.size))
-            case controls.Order.TOGGLE_FULL_SCREEN:
-                if self._window is not None:
-                    self._window.toggle_full_screen()
-            case controls.Say(text=text):
-                self._surface.notice(text, now)
-            case controls.Order.TEST_SOUND:
+            case Action.FULL_SCREEN if self._window is not None:
+                self._window.toggle_full_screen()
+            case Action.TEST_SOUND:
                 self._sound.play_test()
-            case controls.Order.REJOIN:
-                if trouble := self._on_rejoin(self.controls.state.choice):
+            case Action.REJOIN:
+                if trouble := self._on_rejoin():
                     self._surface.notice(trouble, now)
                 else:
-                    self.controls.obey(controls.Order.LEAVE)
-            case controls.Order.CALIBRATE if self._desk is not None:
+                    self.state.wants_close = True
+            case Action.CALIBRATE if self._desk is not None:
                 self._desk.calibrate(now)
-            case OwnChoice(source=source) if source and self._desk is not None:
-                self._desk.choose(source)
-            case messages.RemovePeer() | messages.MutePeer() | messages.BarIdentity():
-                self._on_moderation(order)
-            case controls.CopyText(text=text, notice=notice):
+            case Action.COPY_INVITATION:
                 if self._window is not None:
-                    self._window.copy(text)
-                self._surface.notice(notice, now)
+                    self._window.copy(self._surface.status.invitation)
+                self._surface.notice("Invitation copied", now)
+            case messages.RemovePeer() | messages.MutePeer() | messages.BarIdentity():
+                self._on_moderation(request)
 
     def _keep(self, action: Callable[[], str]) -> None:
         """Say what came of something that the user wants to keep; a full disk ends no call."""

@@ -43,11 +43,11 @@ def avatar(tmp_path: Path) -> str:
         ),
         (
             ["view", "--headless", "--own-avatar", "nora"],
-            "own-avatar says how one's own face looks; to send one, add --send performance:talk",
+            "own-avatar is the look of one's own face; to send one, add --send performance:talk",
         ),
         (
             ["view", "--url", "ws://x", "--send", "none", "--own-avatar", "nora"],
-            "own-avatar says how one's own face looks",
+            "own-avatar is the look of one's own face",
         ),
         (["view", "--size", "big"], "size is 'big'; write COLUMNSxROWS"),
         (["view", "--size", "9x9"], "size is 9x9; 16 to 8192"),

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pica_client.errors import OptionError
 from pica_client.ui.notice_board import LOUD_NOTICE_S, NOTICE_S, Notice, NoticeBoard
-from pica_client.ui.settings import Settings
 
 pytestmark = pytest.mark.unit
 
@@ -28,12 +26,3 @@ def test_the_oldest_of_many_goes_and_the_same_again_only_stays_longer() -> None:
     for text in ("one", "two", "three", "one", "four"):
         board.add(Notice(text), now=10.0)
     assert [each.text for each in board.shown(11.0)] == ["three", "one", "four"]
-
-
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [("mode", "grey"), ("scale", 3.0), ("shows_self", 1), ("detail", 0.0), ("detail", "all")],
-)
-def test_settings_out_of_range_are_refused_by_name(field: str, value: object) -> None:
-    with pytest.raises(OptionError, match=field):
-        Settings(**{field: value})  # type: ignore[arg-type]

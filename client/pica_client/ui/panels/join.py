@@ -2,16 +2,16 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 from imgui_bundle import imgui, imgui_ctx
 
-from pica_client.ui.joining.form import MAX_CHARACTERS, SECRETS, SOURCES, Fields, JoinOrder
-from pica_client.ui.joining.trouble import Trouble
+from pica_client.ui.join_form import MAX_CHARACTERS, SECRETS, SOURCES, JoinRequest
 from pica_client.ui.panels.control_bar import EDGE_PT
 from pica_client.ui.panels.sound import MICROPHONE, microphone_picker, sound_part
+from pica_client.ui.state import ViewState
 from pica_client.ui.surface import icons, widgets
 from pica_client.ui.surface.theme import BUTTON_PT, GAP_PT, PADDING_PT, SMALL_PT, Metrics
+from pica_client.ui.trouble import Trouble
 from pica_client.voice.sound.settings import SoundState
 
 WIDTH_PT = 420.0
@@ -33,7 +33,7 @@ FOLDED = imgui.TreeNodeFlags_.no_tree_push_on_open | imgui.TreeNodeFlags_.span_a
 class JoinView:
     """What the form shows."""
 
-    fields: Fields
+    state: ViewState
     trouble: Trouble | None = None
     portraits: Mapping[str, int | None] = field(default_factory=dict)
     """Pictures of the avatars to choose from by name, as numbers of textures; None while a picture
@@ -44,12 +44,12 @@ class JoinView:
     """How sound stands; None: there is none."""
 
 
-def join_panel(view: JoinView, metrics: Metrics) -> list[Fields | JoinOrder]:
+def join_panel(view: JoinView, metrics: Metrics) -> list[JoinRequest]:
     """Draw the form; gives what was typed and pressed."""
     columns, rows = metrics.size
     edge = metrics.px(EDGE_PT)
     width = min(metrics.px(WIDTH_PT), columns - 2 * edge)
-    orders: list[Fields | JoinOrder] = []
+    requests: list[JoinRequest] = []
     imgui.set_next_window_size_constraints((width, 0), (width, rows - 2 * edge))
     place = (columns / 2, rows / 2)
     with widgets.card("join", place, metrics, pivot=(0.5, 0.5), flags=widgets.FIXED & ~KEYS):
@@ -60,21 +60,22 @@ def join_panel(view: JoinView, metrics: Metrics) -> list[Fields | JoinOrder]:
         imgui.begin_child("fields", (0, 0), imgui.ChildFlags_.auto_resize_y)
         if view.trouble is not None:
             _trouble(view.trouble, metrics)
-        fields = _typed(view, metrics, orders)
-        if fields != view.fields:
-            orders.append(fields)
+        before = replace(view.state)
+        _fields(view, metrics, requests)
+        if view.state != before:
+            requests.append("typed")
         imgui.end_child()
         wide = imgui.get_content_region_avail().x
         if widgets.action_button("Join", metrics, tone="accent", width_px=wide):
-            orders.append(JoinOrder.JOIN)
+            requests.append("join")
     is_open = imgui.is_popup_open("", imgui.PopupFlags_.any_popup_id)
     enters = (imgui.Key.enter, imgui.Key.keypad_enter)
     is_entered = any(imgui.is_key_pressed(key, repeat=False) for key in enters)
-    if is_entered and not is_open and JoinOrder.JOIN not in orders:
-        orders.append(JoinOrder.JOIN)
+    if is_entered and not is_open and "join" not in requests:
+        requests.append("join")
     if imgui.is_key_pressed(imgui.Key.escape, repeat=False) and not is_open:
-        orders.append(JoinOrder.LEAVE)
-    return orders
+        requests.append("leave")
+    return requests
 
 
 def connecting_panel(what: str, metrics: Metrics, now: float) -> bool:
@@ -115,51 +116,49 @@ def _trouble(trouble: Trouble, metrics: Metrics) -> None:
     imgui.pop_style_color()
 
 
-def _typed(view: JoinView, metrics: Metrics, orders: list[Fields | JoinOrder]) -> Fields:
-    """The fields as they stand after this frame."""
-    fields = view.fields
+def _fields(view: JoinView, metrics: Metrics, requests: list[JoinRequest]) -> None:
+    """All fields, which write what is typed into the state."""
+    state, empty = view.state, ""
     if imgui.is_window_appearing():
-        empty = next((name for name in ("url", "room", "name") if not getattr(fields, name)), "")
+        empty = next((name for name in ("url", "room", "name") if not getattr(state, name)), "")
         imgui.set_next_window_focus()
-    else:
-        empty = ""
-    fields = _field(fields, "url", focus=empty == "url")
+    _field(state, "url", focus=empty == "url")
     half = (imgui.get_content_region_avail().x - metrics.px(GAP_PT)) / 2
     left, top = imgui.get_cursor_pos()
     with imgui_ctx.begin_group():
-        fields = _field(fields, "room", width_px=half, focus=empty == "room")
+        _field(state, "room", width_px=half, focus=empty == "room")
     imgui.set_cursor_pos((left + half + metrics.px(GAP_PT), top))
     with imgui_ctx.begin_group():
-        fields = _field(fields, "name", width_px=half, focus=empty == "name")
+        _field(state, "name", width_px=half, focus=empty == "name")
     if view.portraits:
-        fields = _avatars(fields, view, metrics)
+        _avatars(view, metrics)
     widgets.note("Your face", metrics)
-    fields = replace(fields, source=widgets.choice_of("##source", SOURCES, fields.source))
+    state.source = widgets.choice_of("##source", SOURCES, state.source or "")
     if view.sound is not None:
-        fields = _sound(fields, view.sound, metrics, orders)
+        _sound(state, view.sound, metrics, requests)
     if imgui.tree_node_ex("More", FOLDED):
         for name in ("token", "secret_file", "ca_file", "avatar"):
-            fields = _field(fields, name)
-    return fields
+            _field(state, name)
 
 
 def _sound(
-    fields: Fields, state: SoundState, metrics: Metrics, orders: list[Fields | JoinOrder]
-) -> Fields:
+    state: ViewState, sound: SoundState, metrics: Metrics, requests: list[JoinRequest]
+) -> None:
     """The microphone; and, once they are wanted, meters and loudspeaker to try."""
     widgets.note("Your microphone", metrics)
-    voice, microphone = microphone_picker(fields.voice, fields.sound, state)
-    sound = replace(fields.sound, microphone=microphone)
+    state.voice, microphone = microphone_picker(state.voice or "none", state.sound, sound)
+    state.sound = replace(state.sound, microphone=microphone)
     if imgui.tree_node_ex("Try the sound", FOLDED):
-        orders.append(JoinOrder.TRY_SOUND)
-        has_microphone = voice == MICROPHONE
-        sound, wants_test = sound_part(sound, state, metrics, has_microphone=has_microphone)
+        requests.append("show meters")
+        has_microphone = state.voice == MICROPHONE
+        state.sound, wants_test = sound_part(
+            state.sound, sound, metrics, has_microphone=has_microphone
+        )
         if wants_test:
-            orders.append(JoinOrder.TEST_SOUND)
-    return replace(fields, voice=voice, sound=sound)
+            requests.append("test sound")
 
 
-def _field(fields: Fields, name: str, *, width_px: float = -1.0, focus: bool = False) -> Fields:
+def _field(state: ViewState, name: str, *, width_px: float = -1.0, focus: bool = False) -> None:
     """A line of text with its label above it."""
     label, example = LABELS[name]
     with widgets.type_size(SMALL_PT):
@@ -168,28 +167,26 @@ def _field(fields: Fields, name: str, *, width_px: float = -1.0, focus: bool = F
     if focus:
         imgui.set_keyboard_focus_here()
     flags = imgui.InputTextFlags_.password if name in SECRETS else 0
-    value = getattr(fields, name)
     with widgets.ringed():
-        _, typed = imgui.input_text_with_hint(f"##{name}", example, value, flags)
-    texts: dict[str, Any] = {name: typed[:MAX_CHARACTERS]}
-    return replace(fields, **texts)
+        _, typed = imgui.input_text_with_hint(f"##{name}", example, getattr(state, name), flags)
+    setattr(state, name, typed[:MAX_CHARACTERS])
 
 
-def _avatars(fields: Fields, view: JoinView, metrics: Metrics) -> Fields:
+def _avatars(view: JoinView, metrics: Metrics) -> None:
     """A row of pictures; the one that is worn has a frame."""
     widgets.note("Your avatar", metrics)
-    gap = metrics.px(GAP_PT)
+    state, gap = view.state, metrics.px(GAP_PT)
     count = len(view.portraits)
     room = (imgui.get_content_region_avail().x - (count - 1) * gap) / count
     side = min(metrics.px(PORTRAIT_PT), room)
-    worn = fields.avatar or view.default_avatar
+    worn = state.avatar or view.default_avatar
+    shapes, palette, round_px = imgui.get_window_draw_list(), metrics.palette, metrics.px(8)
     for number, (name, texture) in enumerate(view.portraits.items()):
         if number:
             imgui.same_line(0, gap)
         if imgui.invisible_button(f"avatar {name}", (side, side)):
-            fields = replace(fields, avatar="" if fields.avatar == name else name)
+            state.avatar = "" if state.avatar == name else name
         low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
-        shapes, palette, round_px = imgui.get_window_draw_list(), metrics.palette, metrics.px(8)
         if texture is None:
             shapes.add_rect_filled(low, high, widgets.ink(palette.field), round_px)
         else:
@@ -200,9 +197,8 @@ def _avatars(fields: Fields, view: JoinView, metrics: Metrics) -> Fields:
             colour = palette.accent if name == worn else palette.faint
             shapes.add_rect(low, high, widgets.ink(colour), round_px, metrics.px(2.5))
         widgets.hint(
-            name.title() if fields.avatar else f"{name.title()}: by default it goes by your name"
+            name.title() if state.avatar else f"{name.title()}: by default it goes by your name"
         )
-    return fields
 
 
 def _spinner(metrics: Metrics, now: float) -> None:

@@ -5,8 +5,9 @@ import textwrap
 from imgui_bundle import imgui
 
 from pica_client.render.scene import Rect
+from pica_client.ui.actions import Request
 from pica_client.ui.call_view import CallView, PersonView
-from pica_client.ui.controls import UserOrder
+from pica_client.ui.state import ViewState
 from pica_client.ui.surface import icons
 from pica_client.ui.surface.fonts import TEXT_PT
 from pica_client.ui.surface.theme import SMALL_PT, Metrics, Tone
@@ -20,9 +21,9 @@ MIN_ROOM_PT = 48.0
 """A name that would be narrower than this is left out."""
 
 
-def names(view: CallView, metrics: Metrics) -> list[UserOrder]:
+def names(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
     """Write everybody's name on the picture."""
-    for person in view.people:
+    for person in call.people:
         if person.label_px is not None:
             _name(person, person.label_px, metrics)
     return []

@@ -6,10 +6,11 @@ from typing import Final
 from imgui_bundle import imgui
 
 from pica_client.call.participants import Participant, duration_text
+from pica_client.ui.actions import Action, Request
 from pica_client.ui.call_view import CallView
-from pica_client.ui.controls import Order, Pin, SetVolume, UserOrder
 from pica_client.ui.panels.side import invitation, side_panel
 from pica_client.ui.panels.sound import volume_slider
+from pica_client.ui.state import ViewState
 from pica_client.ui.surface import icons, widgets
 from pica_client.ui.surface.fonts import TEXT_PT
 from pica_client.ui.surface.theme import Metrics, Tone
@@ -22,23 +23,24 @@ Sign = tuple[str, Tone, str]
 """An icon, its tone, and what it means."""
 
 
-def participants_panel(view: CallView, metrics: Metrics) -> list[UserOrder]:
+def participants_panel(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
     """Who is here, oneself first, then in order of coming."""
-    orders: list[UserOrder] = []
-    if view.state.side != "participants":
-        return orders
-    status = view.status
-    speaking = {person.peer_id for person in view.people if person.is_speaking}
-    with side_panel("Participants", metrics, orders):
+    requests: list[Request] = []
+    if state.side != "participants":
+        return requests
+    status = call.status
+    speaking = {person.peer_id for person in call.people if person.is_speaking}
+    with side_panel("Participants", metrics, requests):
         many = f"{len(status.participants)} in {status.room}, {duration_text(status.duration_s)}"
         widgets.note(many, metrics)
         for person in status.participants:
-            orders += _row(person, view, metrics, speaking)
+            requests += _row(person, state, call, metrics, speaking)
+        requests += _barred(state, metrics)
         imgui.separator()
-        _encryption(view, metrics)
+        _encryption(call, metrics)
         imgui.separator()
-        orders += invitation(status.invitation, metrics)
-    return orders
+        requests += invitation(status.invitation, metrics)
+    return requests
 
 
 def signs_of(person: Participant, *, is_encrypted: bool, volume: float = 1.0) -> list[Sign]:
@@ -70,14 +72,18 @@ def signs_of(person: Participant, *, is_encrypted: bool, volume: float = 1.0) ->
 
 
 def _row(
-    person: Participant, view: CallView, metrics: Metrics, speaking: Collection[str]
-) -> list[UserOrder]:
+    person: Participant,
+    state: ViewState,
+    call: CallView,
+    metrics: Metrics,
+    speaking: Collection[str],
+) -> list[Request]:
     """One person: a dot while they speak, the name with its signs, a menu, and what is to say."""
-    px, palette, orders = metrics.px, metrics.palette, list[UserOrder]()
+    px, palette, requests = metrics.px, metrics.palette, list[Request]()
     left, top = imgui.get_cursor_pos()
     width, indent = imgui.get_content_region_avail().x, px(20)
-    volume = view.state.volumes.get(person.place, 1.0)
-    signs = signs_of(person, is_encrypted=view.status.is_encrypted, volume=volume)
+    volume = state.volumes.get(person.place, 1.0)
+    signs = signs_of(person, is_encrypted=call.status.is_encrypted, volume=volume)
     signs_px = sum(widgets.text_size(icon, TEXT_PT)[0] + px(6) for icon, _, _ in signs)
     name = f"{person.name} (you)" if person.is_self else person.name
     if person.peer_id in speaking:
@@ -106,25 +112,25 @@ def _row(
         imgui.set_cursor_pos((left + width - px(MENU_PT), top - px(3)))
         if widgets.icon_button(icons.MORE, f"More on {person.name}", metrics, size_pt=MENU_PT):
             imgui.open_popup(f"menu {person.peer_id}")
-        orders += _menu(person, view, metrics)
+        requests += _menu(person, state, call, metrics)
     imgui.set_cursor_pos((left, max(after.y, top + px(MENU_PT))))
     imgui.dummy((0, 0))
-    return orders
+    return requests
 
 
-def _menu(person: Participant, view: CallView, metrics: Metrics) -> list[UserOrder]:
-    orders: list[UserOrder] = []
+def _menu(person: Participant, state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
+    requests: list[Request] = []
     if imgui.begin_popup(f"menu {person.peer_id}"):
-        pin = "Unpin" if view.state.pinned == person.place else "Pin"
+        pin = "Unpin" if state.pinned == person.place else "Pin"
         if not person.is_watching and imgui.menu_item_simple(f"{icons.PIN}  {pin}"):
-            orders.append(Pin(person.place))
+            state.pin(person.place)
         if imgui.menu_item_simple(f"{icons.CHART}  Statistics"):
-            orders.append(Order.STATISTICS)
+            requests.append(Action.STATISTICS)
         if imgui.menu_item_simple(f"{icons.RESET}  Reset the view"):
-            orders.append(Order.RESET_VIEW)
+            requests.append(Action.RESET_VIEW)
         if person.has_voice:
             imgui.separator()
-            volume = view.state.volumes.get(person.place, 1.0)
+            volume = state.volumes.get(person.place, 1.0)
             is_muted = volume == 0
             icon, what = (
                 (icons.SPEAKER, "Hear again") if is_muted else (icons.SPEAKER_OFF, "Mute for me")
@@ -134,17 +140,17 @@ def _menu(person: Participant, view: CallView, metrics: Metrics) -> list[UserOrd
             if imgui.menu_item_simple(f"{icon}  {what}"):
                 found = 1.0 if is_muted else 0.0
             if found != volume:
-                orders.append(SetVolume(person.place, found))
-        if view.status.is_admin:
+                state.volumes[person.place] = found
+        if call.status.is_admin:
             imgui.separator()
-            orders += _moderation(person)
+            requests += _moderation(person, state)
         imgui.end_popup()
-    return orders
+    return requests
 
 
-def _moderation(person: Participant) -> list[UserOrder]:
+def _moderation(person: Participant, state: ViewState) -> list[Request]:
     """What an admin may do to a participant."""
-    orders: list[UserOrder] = []
+    requests: list[Request] = []
     kinds = (
         ("voice", person.has_voice, icons.VOICE, icons.VOICE_OFF),
         ("face", not person.is_watching, icons.FACE, icons.FACE_OFF),
@@ -153,17 +159,29 @@ def _moderation(person: Participant) -> list[UserOrder]:
         is_muted = kind in person.muted_kinds
         text = f"{on}  Unmute {kind}" if is_muted else f"{off}  Mute {kind}"
         if is_sent and imgui.menu_item_simple(text):
-            orders.append(MutePeer(peer_id=person.peer_id, kind=kind, is_muted=not is_muted))
+            requests.append(MutePeer(peer_id=person.peer_id, kind=kind, is_muted=not is_muted))
     if imgui.menu_item_simple(f"{icons.REMOVE}  Remove"):
-        orders.append(RemovePeer(peer_id=person.peer_id))
+        requests.append(RemovePeer(peer_id=person.peer_id))
     if person.identity and imgui.menu_item_simple(f"{icons.BAR}  Bar until the room is empty"):
-        orders.append(BarIdentity(identity=person.identity, is_barred=True))
-    return orders
+        state.barred[person.identity] = person.name
+        requests.append(BarIdentity(identity=person.identity, is_barred=True))
+    return requests
 
 
-def _encryption(view: CallView, metrics: Metrics) -> None:
+def _barred(state: ViewState, metrics: Metrics) -> list[Request]:
+    """Those whom this admin has barred, each with a button that lifts the bar."""
+    requests: list[Request] = []
+    for identity, name in tuple(state.barred.items()):
+        widgets.note(f"{name} may not rejoin until the room is empty.", metrics)
+        if widgets.action_button(f"{icons.RESET}  Let {name} rejoin", metrics):
+            del state.barred[identity]
+            requests.append(BarIdentity(identity=identity, is_barred=False))
+    return requests
+
+
+def _encryption(call: CallView, metrics: Metrics) -> None:
     """How the encryption stands, with the code in a form that one can read aloud."""
-    status = view.status
+    status = call.status
     if not status.is_encrypted:
         widgets.note("Not encrypted end to end: who runs the relay can read the faces.", metrics)
         return

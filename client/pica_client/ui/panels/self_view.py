@@ -3,10 +3,11 @@
 from imgui_bundle import imgui
 
 from pica_client.publish.face_desk import Seen
+from pica_client.ui.actions import Request
 from pica_client.ui.call_view import CallView
-from pica_client.ui.controls import UserOrder
 from pica_client.ui.own_face import ASPECT
 from pica_client.ui.panels.control_bar import EDGE_PT
+from pica_client.ui.state import ViewState
 from pica_client.ui.surface.fonts import TEXT_PT
 from pica_client.ui.surface.theme import SMALL_PT, Metrics
 from pica_client.ui.surface.widgets import FIXED, Place, ink, text_size, type_size
@@ -24,13 +25,13 @@ def self_view_px(metrics: Metrics) -> int:
     return 0 if metrics.is_compact else round(metrics.px(HEIGHT_PT))
 
 
-def self_view(view: CallView, metrics: Metrics) -> list[UserOrder]:
+def self_view(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
     """The pictures, at the lower left above the sign of one's own state; seen as in a mirror."""
-    own, px = view.own, metrics.px
+    own, px = call.own, metrics.px
     height, edge, gap = self_view_px(metrics), px(EDGE_PT), px(8)
     if not height or (own.texture is None and own.seen is None):
         return []
-    is_small = view.state.side != "none" and view.state.pinned is not None
+    is_small = state.side != "none" and state.pinned is not None
     height = round(px(SMALL_HEIGHT_PT)) if is_small else height
     width = round(ASPECT * height)
     camera_px = 0
@@ -50,8 +51,8 @@ def self_view(view: CallView, metrics: Metrics) -> list[UserOrder]:
         # Rows of a GL texture go up; columns go the other way, as in a mirror.
         shapes.add_image_rounded(texture, low, high, (1, 1), (0, 0), WHITE, px(8))
     shapes.add_rect(low, high, ink(palette.line), px(8), thickness=px(2))
-    if view.state.own_face in ("muted", "frozen"):
-        text = "off" if view.state.own_face == "muted" else "frozen"
+    if state.own_face in ("muted", "frozen"):
+        text = "off" if state.own_face == "muted" else "frozen"
         with type_size(SMALL_PT):
             size = imgui.calc_text_size(text)
             at = ((low[0] + high[0] - size.x) / 2, low[1] + (height - size.y) / 2)

@@ -2,16 +2,17 @@
 
 from imgui_bundle import imgui
 
+from pica_client.ui.actions import TALK_KEY, Request
 from pica_client.ui.call_view import CallView
-from pica_client.ui.controls import TALK_KEY, OwnFace, UserOrder
 from pica_client.ui.panels.upper_edge import SIGN_PT, Line, call_signs, statistics_share
 from pica_client.ui.panels.waiting import shows_hint
+from pica_client.ui.state import OwnFace, ViewState
 from pica_client.ui.surface.fonts import TEXT_PT
 from pica_client.ui.surface.theme import Metrics
 from pica_client.ui.surface.widgets import Place, draw_disc, ink, shortened, text_size
 
 BANNER_AFTER_S = 1.0
-"""A connection that comes back sooner is not worth a word."""
+"""Suppress the banner for shorter outages."""
 OWN_SIGNS: dict[OwnFace, Line] = {
     "sent": ("Your face is sent", "good"),
     "frozen": ("Your face is frozen", "warning"),
@@ -21,9 +22,9 @@ RECORDING: Line = ("Recording", "alert")
 NO_FACE: Line = ("Your tracker sees no face", "warning")
 
 
-def banner(view: CallView) -> Line | None:
+def banner(call: CallView) -> Line | None:
     """What the user should see: what is wrong with the connection or the own face. At most one."""
-    status = view.status
+    status = call.status
     if not status.is_connected and status.away_s >= BANNER_AFTER_S:
         return f"Connection lost – coming back … {status.away_s:.0f} s", "alert"
     if status.muted_by_admin:
@@ -35,17 +36,16 @@ def banner(view: CallView) -> Line | None:
     return None
 
 
-def own_sign(view: CallView) -> Line | None:
+def own_sign(state: ViewState, call: CallView) -> Line | None:
     """What becomes of the user's own face; None while there is none to send."""
-    state = view.state.own_face if view.status.is_connected else "muted"
-    if state == "sent" and view.own.seen is not None and not view.own.seen.has_face:
+    face: OwnFace = state.own_face if call.status.is_connected else "muted"
+    if face == "sent" and call.own.seen is not None and not call.own.seen.has_face:
         return NO_FACE
-    return None if view.state.own_face == "none" else OWN_SIGNS[state]
+    return None if state.own_face == "none" else OWN_SIGNS[face]
 
 
-def voice_sign(view: CallView) -> Line | None:
+def voice_sign(state: ViewState) -> Line | None:
     """Whether the user's own voice is heard; None where there is nothing to be said."""
-    state = view.state
     if state.own_voice == "muted":
         return "Your voice is muted", "alert"
     if state.own_voice == "none" or not state.sound.push_to_talk:
@@ -55,31 +55,31 @@ def voice_sign(view: CallView) -> Line | None:
     return f"Hold {TALK_KEY} to talk", "warning"
 
 
-def compact_sign(view: CallView) -> Line | None:
+def compact_sign(state: ViewState, call: CallView) -> Line | None:
     """The line that a small picture has room for: what is wrong, news, who records, the room."""
-    if shows_hint(view) or view.state.side != "none":
+    if shows_hint(state) or state.side != "none":
         return None
-    own = [RECORDING] if view.is_recording else []
-    room = call_signs(view)
-    return banner(view) or next(reversed([*room[:1], *own, *room[1:], *view.notices]), None)
+    own = [RECORDING] if state.is_recording else []
+    room = call_signs(call)
+    return banner(call) or next(reversed([*room[:1], *own, *room[1:], *call.notices]), None)
 
 
-def signs(view: CallView, metrics: Metrics) -> list[UserOrder]:
+def signs(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
     """Write the signs on the picture."""
     columns, rows = metrics.size
     edge = metrics.px(12)
     if metrics.is_compact:
-        line = compact_sign(view)
+        line = compact_sign(state, call)
         if line is not None:
             _sign(line, (columns / 2, metrics.px(4)), (0.5, 0.0), metrics)
-        if view.shows_bar:
+        if call.shows_bar:
             return []  # the bar stands there, and its buttons say the same
     else:
-        found = banner(view)
-        middle = [*([found] if found else []), *view.notices]
+        found = banner(call)
+        middle = [*([found] if found else []), *call.notices]
         # The table would cover what is beside it.
-        below = max(edge, statistics_share(view, metrics) * rows)
-        left = call_signs(view)
+        below = max(edge, statistics_share(state, call, metrics) * rows)
+        left = call_signs(call)
         if any(
             _width(one, metrics) + _width(two, metrics) / 2 > columns / 2 - edge
             for one in left
@@ -93,11 +93,11 @@ def signs(view: CallView, metrics: Metrics) -> list[UserOrder]:
             for line in lines:
                 top += _sign(line, (across, top), (pivot, 0.0), metrics) + metrics.px(6)
     bottom = rows - edge
-    for own in (own_sign(view), voice_sign(view)):
+    for own in (own_sign(state, call), voice_sign(state)):
         if own is not None:
             _sign(own, (edge, bottom), (0.0, 1.0), metrics)
             bottom -= metrics.px(SIGN_PT)
-    if view.is_recording and not metrics.is_compact:
+    if state.is_recording and not metrics.is_compact:
         _sign(RECORDING, (columns - edge, rows - edge), (1.0, 1.0), metrics)
     return []
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from imgui_bundle import imgui
 
-from pica_client.ui.controls import TALK_KEY
+from pica_client.ui.actions import TALK_KEY
 from pica_client.ui.surface import icons
 from pica_client.ui.surface.theme import GAP_PT, Metrics, Tone
 from pica_client.ui.surface.widgets import action_button, choice_of, ink, note

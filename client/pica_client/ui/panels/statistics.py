@@ -8,10 +8,11 @@ import math
 
 from imgui_bundle import imgui
 
+from pica_client.ui.actions import Request
 from pica_client.ui.call_view import CallView, PersonView
-from pica_client.ui.controls import UserOrder
 from pica_client.ui.panels.control_bar import EDGE_PT
 from pica_client.ui.panels.upper_edge import MAX_ROWS, MAX_TABLE_SHARE, signs_share
+from pica_client.ui.state import ViewState
 from pica_client.ui.surface.theme import SMALL_PT, Metrics
 from pica_client.ui.surface.widgets import card, note, shortened, text_size, type_size
 
@@ -22,19 +23,19 @@ MAX_LATENCY_MS = 10_000.0
 """Beyond it sender and receiver have different clocks, and the figure means nothing."""
 
 
-def statistics(view: CallView, metrics: Metrics) -> list[UserOrder]:
+def statistics(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
     """The table, at the upper left; what does not fit is scrolled to."""
-    if not view.state.show_statistics:
+    if not state.show_statistics:
         return []
     edge = metrics.px(EDGE_PT)
     limit = imgui.ImVec2(metrics.size[0] - 2 * edge, MAX_TABLE_SHARE * metrics.size[1])
     imgui.set_next_window_size_constraints((0, 0), limit)
     imgui.push_style_var(imgui.StyleVar_.window_padding, (metrics.px(12), metrics.px(8)))
-    top = edge + signs_share(view, metrics) * metrics.size[1]
+    top = edge + signs_share(state, call, metrics) * metrics.size[1]
     with card("statistics", (edge, top), metrics, scrolls=True), type_size(SMALL_PT):
         flags = imgui.TableFlags_.sizing_fixed_fit | imgui.TableFlags_.row_bg
         if imgui.begin_table("figures", len(HEAD), flags):
-            for row in (HEAD, *(row_of(person, metrics) for person in view.people[:MAX_ROWS])):
+            for row in (HEAD, *(row_of(person, metrics) for person in call.people[:MAX_ROWS])):
                 imgui.table_next_row()
                 for number, cell in enumerate(row):
                     imgui.table_next_column()
@@ -45,7 +46,7 @@ def statistics(view: CallView, metrics: Metrics) -> list[UserOrder]:
                     else:
                         imgui.text_unformatted(cell)
             imgui.end_table()
-        note("   ".join(f"{name} {value}".strip() for name, value in view.figures), metrics)
+        note("   ".join(f"{name} {value}".strip() for name, value in call.figures), metrics)
     imgui.pop_style_var()
     return []
 

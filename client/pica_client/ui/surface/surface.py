@@ -16,9 +16,8 @@ from contextlib import contextmanager
 from imgui_bundle import imgui
 
 from pica_client.ui import events
-from pica_client.ui.settings import Mode
 from pica_client.ui.surface.fonts import add_fonts
-from pica_client.ui.surface.theme import Metrics, apply_theme, metrics_for
+from pica_client.ui.surface.theme import Metrics, Mode, apply_theme, metrics_for
 
 BACKGROUND = "##Background"
 """ImGui's name of the list that is drawn below all windows."""

@@ -10,9 +10,9 @@ from typing import Any, Literal
 
 from imgui_bundle import imgui
 
-from pica_client.ui.settings import Mode
 from pica_client.ui.surface.fonts import TEXT_PT
 
+Mode = Literal["dark", "light"]
 Tone = Literal["plain", "good", "warning", "alert", "accent"]
 Colour = tuple[float, float, float, float]
 

@@ -4,40 +4,44 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 
 import pytest
 
 from helpers.hand import Hand, open_hand
 from pica_client.errors import RelayRefusedError
-from pica_client.ui.joining.form import Fields, JoinForm, JoinOrder
+from pica_client.ui.join_form import JoinForm, JoinRequest
+from pica_client.ui.options import ViewOptions
 from pica_client.ui.panels.join import JoinView, connecting_panel, join_panel
+from pica_client.ui.state import ViewState
 from pica_client.ui.surface.theme import Metrics
+from pica_client.ui.view_session import link_of
 from pica_client.voice.sound.settings import SoundSettings, SoundState
 
 pytestmark = pytest.mark.unit
 
-FILLED = Fields(url="ws://127.0.0.1:8765", room="lobby", name="Ada", source="performance:talk")
+FILLED = ViewState(url="ws://127.0.0.1:8765", room="lobby", name="Ada", source="performance:talk")
 SIZES = [((320, 240), 1.0), ((1280, 720), 1.0), ((2560, 1440), 1.0), ((2560, 1440), 2.0)]
 
 
 class Shown:
     """A form on a surface, which obeys what is ordered of it."""
 
-    def __init__(self, fields: Fields, sound: SoundState | None = None) -> None:
-        self.form, self.sound = JoinForm(fields), sound
+    def __init__(self, state: ViewState, sound: SoundState | None = None) -> None:
+        self.form, self.sound = JoinForm(replace(state), partial(link_of, ViewOptions())), sound
 
-    def __call__(self, metrics: Metrics) -> list[Fields | JoinOrder]:
+    def __call__(self, metrics: Metrics) -> list[JoinRequest]:
         view = JoinView(
-            fields=self.form.fields,
+            state=self.form.state,
             trouble=self.form.trouble,
             portraits=dict.fromkeys(["amara", "nora"]),
             default_avatar="amara",
             sound=self.sound,
         )
-        orders = join_panel(view, metrics)
-        for order in orders:
-            self.form.obey(order)
-        return orders
+        requests = join_panel(view, metrics)
+        for request in requests:
+            self.form.obey(request)
+        return requests
 
 
 @pytest.fixture
@@ -51,8 +55,8 @@ def test_the_form_is_filled_and_joined_by_mouse_and_keys(hand: Hand) -> None:
     hand.click("##name", shown)
     hand.type("Grace", shown)
     hand.click("avatar nora", shown)
-    assert shown.form.fields == replace(FILLED, name="Grace", avatar="nora")
-    assert hand.click("Join", shown) == [JoinOrder.JOIN]
+    assert shown.form.state == replace(FILLED, name="Grace", avatar="nora")
+    assert hand.click("Join", shown) == ["join"]
     assert shown.form.outcome == "join"
 
 
@@ -66,19 +70,19 @@ def _choose_and_try(hand: Hand) -> None:
     shown = Shown(replace(FILLED, voice="mic"), state)
     hand.click("##microphone", shown)
     hand.click("Desk", shown)
-    assert (shown.form.fields.voice, shown.form.fields.sound.microphone) == ("mic", "Desk")
-    assert JoinOrder.TRY_SOUND not in hand.frame(shown)
-    assert JoinOrder.TRY_SOUND in hand.click("Try the sound", shown)
+    assert (shown.form.state.voice, shown.form.state.sound.microphone) == ("mic", "Desk")
+    assert "show meters" not in hand.frame(shown)
+    assert "show meters" in hand.click("Try the sound", shown)
     hand.click("##speaker", shown)
     hand.click("Horn", shown)
     hand.click("Hold Space to talk", shown)
-    assert shown.form.fields.sound == SoundSettings(
+    assert shown.form.state.sound == SoundSettings(
         microphone="Desk", speaker="Horn", push_to_talk=True
     )
-    assert JoinOrder.TEST_SOUND in hand.click("Play a test sound", shown)
+    assert "test sound" in hand.click("Play a test sound", shown)
     hand.click("##microphone", shown)
     hand.click("Off: only listen", shown)
-    assert shown.form.fields.voice == "none"
+    assert shown.form.state.voice == "none"
     hand.frame(shown)
     assert not [label for label in hand.places if "to talk" in label]
     assert shown.form.outcome == "asking"
@@ -87,14 +91,14 @@ def _choose_and_try(hand: Hand) -> None:
 def test_the_avatar_that_goes_by_the_name_is_had_by_a_second_click(hand: Hand) -> None:
     shown = Shown(replace(FILLED, avatar="nora"))
     hand.click("avatar nora", shown)
-    assert shown.form.fields.avatar == ""
+    assert shown.form.state.avatar == ""
 
 
 def test_one_who_only_watches_says_so_in_the_list_of_faces(hand: Hand) -> None:
     shown = Shown(FILLED)
     hand.click("##source", shown)
     hand.click("Watch only", shown)
-    assert shown.form.fields.source == ""
+    assert shown.form.state.source == ""
 
 
 @pytest.mark.parametrize(("key", "outcome"), [("Enter", "join"), ("Escape", "leave")])

@@ -12,8 +12,8 @@ from imgui_bundle import imgui
 from helpers.hand import Hand, open_hand
 from pica_client.call.connection_quality import StreamHealth
 from pica_client.call.status import AvatarFigures, CallStatus, PeerStatus
+from pica_client.ui.actions import Action
 from pica_client.ui.call_view import CallView, PersonView
-from pica_client.ui.controls import ControlState, Order
 from pica_client.ui.events import MouseMoved, MousePressed
 from pica_client.ui.notice_board import Notice
 from pica_client.ui.panels.control_bar import control_bar, leave_question
@@ -21,24 +21,26 @@ from pica_client.ui.panels.names import names
 from pica_client.ui.panels.side import help_panel
 from pica_client.ui.panels.signs import banner, own_sign, signs
 from pica_client.ui.panels.statistics import row_of, statistics
+from pica_client.ui.state import ViewState
 from pica_client.ui.surface.text_order import as_drawn
 from pica_client.ui.surface.theme import metrics_for
 from pica_client.ui.surface.widgets import shortened, text_size
 
 pytestmark = pytest.mark.unit
 
-VIEW = CallView(now=1.0, state=ControlState(own_face="sent"))
+STATE = ViewState(own_face="sent")
+CALL = CallView(now=1.0)
 SIZES = [((320, 240), 1.0), ((1280, 720), 1.0), ((2560, 1440), 1.0), ((2560, 1440), 2.0)]
 BUTTONS = {
-    "Hide your face": Order.MUTE_FACE,
-    "Freeze your face": Order.FREEZE_FACE,
-    "Next layout": Order.NEXT_LAYOUT,
-    "Take a picture": Order.SCREENSHOT,
-    "Record": Order.TOGGLE_RECORDING,
-    "Participants": Order.PARTICIPANTS,
-    "Settings": Order.SETTINGS,
-    "Help": Order.HELP,
-    "Leave the call": Order.CLOSE,
+    "Hide your face": Action.MUTE_FACE,
+    "Freeze your face": Action.FREEZE_FACE,
+    "Next layout": Action.NEXT_LAYOUT,
+    "Take a picture": Action.SCREENSHOT,
+    "Record": Action.RECORD,
+    "Participants": Action.PARTICIPANTS,
+    "Settings": Action.SETTINGS,
+    "Help": Action.HELP,
+    "Leave the call": Action.CLOSE,
 }
 
 
@@ -49,8 +51,8 @@ def hand() -> Iterator[Hand]:
 
 
 @pytest.mark.parametrize(("label", "order"), BUTTONS.items())
-def test_each_button_of_the_bar_gives_its_order_once(hand: Hand, label: str, order: Order) -> None:
-    assert hand.click(label, lambda metrics: control_bar(VIEW, metrics)) == [order]
+def test_each_button_of_the_bar_gives_its_order_once(hand: Hand, label: str, order: Action) -> None:
+    assert hand.click(label, lambda metrics: control_bar(STATE, CALL, metrics)) == [order]
 
 
 @pytest.mark.parametrize(("size", "scale"), SIZES)
@@ -59,7 +61,7 @@ def test_the_bar_keeps_to_the_picture_and_its_buttons_apart(
 ) -> None:
     with open_hand(size, scale) as hand:
         for _ in range(3):
-            hand.frame(lambda metrics: control_bar(VIEW, metrics))
+            hand.frame(lambda metrics: control_bar(STATE, CALL, metrics))
         rects = sorted(hand.places.values())
     assert len(rects) == len(BUTTONS)
     assert min(rect[0] for rect in rects) >= 0
@@ -69,42 +71,45 @@ def test_the_bar_keeps_to_the_picture_and_its_buttons_apart(
 
 
 def test_who_sends_no_face_has_no_buttons_for_it(hand: Hand) -> None:
-    watching = replace(VIEW, state=ControlState())
-    hand.frame(lambda metrics: control_bar(watching, metrics))
+    hand.frame(lambda metrics: control_bar(ViewState(), CALL, metrics))
     assert not any("your face" in label for label in hand.places)
 
 
 def test_leaving_is_asked_and_both_answers_are_buttons(hand: Hand) -> None:
-    asking = replace(VIEW, state=ControlState(asks_to_leave=True))
-    assert hand.click("Leave", lambda metrics: leave_question(asking, metrics)) == [Order.LEAVE]
-    assert hand.click("Stay", lambda metrics: leave_question(asking, metrics)) == [Order.STAY]
-    assert hand.frame(lambda metrics: leave_question(VIEW, metrics)) == []
+    asking = ViewState(asks_to_leave=True)
+    assert hand.click("Leave", lambda metrics: leave_question(asking, CALL, metrics)) == [
+        Action.LEAVE
+    ]
+    assert hand.click("Stay", lambda metrics: leave_question(asking, CALL, metrics)) == [
+        Action.CLOSE
+    ]
+    assert hand.frame(lambda metrics: leave_question(STATE, CALL, metrics)) == []
 
 
 def test_the_help_is_closed_by_its_button(hand: Hand) -> None:
-    helped = replace(VIEW, state=ControlState(side="help"))
-    assert hand.click("Close", lambda metrics: help_panel(helped, metrics)) == [Order.CLOSE]
+    helped = ViewState(side="help")
+    assert hand.click("Close", lambda metrics: help_panel(helped, CALL, metrics)) == [Action.CLOSE]
 
 
 def test_the_pointer_on_a_panel_is_the_surfaces_and_beside_it_the_scenes(hand: Hand) -> None:
     for _ in range(3):
-        hand.frame(lambda metrics: control_bar(VIEW, metrics))
+        hand.frame(lambda metrics: control_bar(STATE, CALL, metrics))
     left, top, *_ = hand.where("Settings")
-    hand.frame(lambda metrics: control_bar(VIEW, metrics), MouseMoved(left + 5, top + 5))
+    hand.frame(lambda metrics: control_bar(STATE, CALL, metrics), MouseMoved(left + 5, top + 5))
     assert hand.surface.claims(MousePressed(left + 5, top + 5))
-    hand.frame(lambda metrics: control_bar(VIEW, metrics), MouseMoved(640, 100))
+    hand.frame(lambda metrics: control_bar(STATE, CALL, metrics), MouseMoved(640, 100))
     assert not hand.surface.claims(MousePressed(640, 100))
 
 
 @pytest.mark.parametrize(
     ("view", "said"),
     [
-        (VIEW, None),
-        (replace(VIEW, status=CallStatus(own_quality="poor")), "Your connection is poor"),
-        (replace(VIEW, status=CallStatus(is_connected=False, away_s=0.5)), None),
-        (replace(VIEW, status=CallStatus(is_connected=False, away_s=7.2)), "Connection lost"),
-        (replace(VIEW, status=CallStatus(muted_by_admin="voice")), "An admin has muted your voice"),
-        (replace(VIEW, status=CallStatus(own_trouble="vmc: no datagram yet")), "no datagram yet"),
+        (CALL, None),
+        (replace(CALL, status=CallStatus(own_quality="poor")), "Your connection is poor"),
+        (replace(CALL, status=CallStatus(is_connected=False, away_s=0.5)), None),
+        (replace(CALL, status=CallStatus(is_connected=False, away_s=7.2)), "Connection lost"),
+        (replace(CALL, status=CallStatus(muted_by_admin="voice")), "An admin has muted your voice"),
+        (replace(CALL, status=CallStatus(own_trouble="vmc: no datagram yet")), "no datagram yet"),
     ],
 )
 def test_one_line_at_the_top_says_what_matters_most(view: CallView, said: str | None) -> None:
@@ -113,10 +118,10 @@ def test_one_line_at_the_top_says_what_matters_most(view: CallView, said: str | 
 
 
 def test_ones_own_face_is_not_sent_while_the_connection_is_gone() -> None:
-    lost = replace(VIEW, status=CallStatus(is_connected=False))
-    assert own_sign(VIEW) == ("Your face is sent", "good")
-    assert own_sign(lost) == ("Your face is not sent", "alert")
-    assert own_sign(replace(VIEW, state=ControlState())) is None
+    lost = replace(CALL, status=CallStatus(is_connected=False))
+    assert own_sign(STATE, CALL) == ("Your face is sent", "good")
+    assert own_sign(STATE, lost) == ("Your face is not sent", "alert")
+    assert own_sign(ViewState(), CALL) is None
 
 
 SCRIPTS = ["Ada", "Ольга", "Ελένη", "李小龍 さくら 김", "שרה", "مريم", "กานดา", "आशा", "Ani 😀🎉"]
@@ -182,14 +187,13 @@ def test_a_participants_line_holds_its_figures_and_a_dash_for_what_is_unknown(ha
     assert rows[1] == ("", *["–"] * 7)
 
 
-def test_names_signs_and_statistics_are_drawn_and_order_nothing(hand: Hand) -> None:
+def test_names_signs_and_statistics_are_drawn_and_ask_for_nothing(hand: Hand) -> None:
     person = PersonView(peer_id="a", name="Ada", label_px=(540, 400, 740, 700), note="why " * 40)
     full = replace(
-        VIEW,
+        CALL,
         people=(person,),
-        is_recording=True,
         notices=(Notice("x" * 500),),
-        state=ControlState(show_statistics=True),
     )
+    state = ViewState(show_statistics=True, is_recording=True)
     for panel in (names, signs, statistics):
-        assert hand.frame(lambda metrics, panel=panel: panel(full, metrics)) == []
+        assert hand.frame(lambda metrics, panel=panel: panel(state, full, metrics)) == []

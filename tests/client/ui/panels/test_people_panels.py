@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
 
 import pytest
 
@@ -20,19 +19,13 @@ from pica_client.render.seats import (
     plan_seats,
 )
 from pica_client.render.views import (
-    ViewState,
+    ViewState as Orbit,
+)
+from pica_client.render.views import (
     plan_camera,
 )
+from pica_client.ui.actions import Action, Request
 from pica_client.ui.call_view import CallView, OwnFaceView, Panel, PersonView
-from pica_client.ui.controls import (
-    ChooseLayout,
-    ControlState,
-    CopyText,
-    Order,
-    Pin,
-    SetVolume,
-    UserOrder,
-)
 from pica_client.ui.notice_board import Notice
 from pica_client.ui.panels.control_bar import bar_share
 from pica_client.ui.panels.names import names
@@ -48,10 +41,10 @@ from pica_client.ui.panels.signs import (
 from pica_client.ui.panels.statistics import statistics
 from pica_client.ui.panels.upper_edge import call_signs, signs_share
 from pica_client.ui.panels.waiting import first_hint, waiting_page
-from pica_client.ui.settings import OwnChoice, Settings
+from pica_client.ui.state import Identity, ViewState
 from pica_client.ui.surface import icons
 from pica_client.ui.surface.surface import BACKGROUND
-from pica_client.ui.surface.theme import Metrics, metrics_for
+from pica_client.ui.surface.theme import metrics_for
 from pica_client.voice.sound.settings import DeviceState, SoundSettings, SoundState
 from pica_protocol.messages import BarIdentity, MutePeer, RemovePeer
 
@@ -64,14 +57,14 @@ BEN = Participant(peer_id="p2", name="Ben", is_watching=True, is_recording=True)
 STATUS = CallStatus(
     participants=(ME, ADA, BEN), room="standup", invitation=INVITATION, duration_s=247.0
 )
+STATE = ViewState(own_face="sent", side="participants")
+SETTINGS = ViewState(own_face="sent", side="settings")
 VIEW = CallView(
     now=1.0,
-    state=ControlState(own_face="sent", side="participants"),
     people=(PersonView(peer_id="p1", name="Ada", is_speaking=True),),
     status=STATUS,
 )
-SETTINGS = replace(VIEW, state=ControlState(own_face="sent", side="settings"))
-ALONE = CallView(now=1.0, state=ControlState(), status=replace(STATUS, participants=(ME,)))
+ALONE = CallView(now=1.0, status=replace(STATUS, participants=(ME,)))
 
 
 @pytest.fixture
@@ -80,7 +73,7 @@ def hand() -> Iterator[Hand]:
         yield found
 
 
-def texts(hand: Hand, panel: Panel, view: CallView) -> str:
+def texts(hand: Hand, panel: Panel, call: CallView, state: ViewState = STATE) -> str:
     """All that a panel writes."""
     written: list[str] = []
     with pytest.MonkeyPatch.context() as patch:
@@ -88,27 +81,31 @@ def texts(hand: Hand, panel: Panel, view: CallView) -> str:
             place = "surface" if module == "widgets" else "panels"
             name = f"pica_client.ui.{place}.{module}.imgui.text_unformatted"
             patch.setattr(name, written.append)
-        hand.frame(lambda metrics: panel(view, metrics))
+        hand.frame(lambda metrics: panel(replace(state), call, metrics))
     return "\n".join(written)
 
 
-@pytest.mark.parametrize(
-    ("item", "order"),
-    [
-        ("Pin", Pin(1)),
-        ("Statistics", Order.STATISTICS),
-        ("Reset the view", Order.RESET_VIEW),
-    ],
-)
-def test_the_menu_of_a_person_pins_shows_statistics_and_resets_the_view(
-    hand: Hand, item: str, order: object
-) -> None:
-    assert hand.click("More on Ada", lambda metrics: participants_panel(VIEW, metrics)) == []
-    assert hand.click(item, lambda metrics: participants_panel(VIEW, metrics)) == [order]
+def clicking(
+    hand: Hand, panel: Panel, state: ViewState, call: CallView, label: str
+) -> list[Request]:
+    """Click on a widget of a panel, which may write into the state."""
+    return hand.click(label, lambda metrics: panel(state, call, metrics))
+
+
+def test_the_menu_of_a_person_pins_shows_statistics_and_resets_the_view(hand: Hand) -> None:
+    state = replace(STATE)
+    for item, asked in (
+        ("Pin", []),
+        ("Statistics", [Action.STATISTICS]),
+        ("Reset the view", [Action.RESET_VIEW]),
+    ):
+        clicking(hand, participants_panel, state, VIEW, "More on Ada")
+        assert clicking(hand, participants_panel, state, VIEW, item) == asked
+    assert state.pinned == 1
 
 
 def test_who_watches_cannot_be_pinned_and_oneself_has_no_menu(hand: Hand) -> None:
-    hand.click("More on Ben", lambda metrics: participants_panel(VIEW, metrics))
+    clicking(hand, participants_panel, STATE, VIEW, "More on Ben")
     assert not any("Pin" in label for label in hand.places)
     assert any("Statistics" in label for label in hand.places)
     assert not any("More on Me" in label for label in hand.places)
@@ -152,13 +149,10 @@ def test_signs_beside_a_name_have_a_meaning() -> None:
 
 
 @pytest.mark.parametrize(
-    ("panel", "view"), [(participants_panel, VIEW), (waiting_page, ALONE)], ids=["list", "page"]
+    ("panel", "call"), [(participants_panel, VIEW), (waiting_page, ALONE)], ids=["list", "page"]
 )
-def test_the_invitation_can_be_copied(hand: Hand, panel: Panel, view: CallView) -> None:
-    for _ in range(3):
-        hand.frame(lambda metrics: panel(view, metrics))
-    (order,) = hand.click("Copy the invitation", lambda metrics: panel(view, metrics))
-    assert order == CopyText(INVITATION, "Invitation copied")
+def test_the_invitation_can_be_copied(hand: Hand, panel: Panel, call: CallView) -> None:
+    assert clicking(hand, panel, STATE, call, "Copy the invitation") == [Action.COPY_INVITATION]
 
 
 def test_who_is_alone_reads_where_and_who_only_watches(hand: Hand) -> None:
@@ -176,9 +170,8 @@ def test_who_is_alone_reads_where_and_who_only_watches(hand: Hand) -> None:
         replace(ALONE, people=VIEW.people),
         replace(ALONE, status=CallStatus()),
         replace(ALONE, status=replace(STATUS, is_connected=False)),
-        replace(ALONE, state=ControlState(asks_to_leave=True)),
     ],
-    ids=["not alone", "no call", "connection lost", "leaving"],
+    ids=["not alone", "no call", "connection lost"],
 )
 def test_the_page_of_who_waits_is_away_when_it_has_nothing_to_say(
     hand: Hand, view: CallView
@@ -187,98 +180,85 @@ def test_the_page_of_who_waits_is_away_when_it_has_nothing_to_say(
 
 
 def test_each_setting_is_one_click(hand: Hand) -> None:
-    def show(metrics: object) -> list[object]:
-        return settings_panel(SETTINGS, metrics)  # type: ignore[arg-type, return-value]
-
-    given = Settings()
-    hand.click("View", show)
-    assert hand.click("Grid", show) == [ChooseLayout("grid")]
-    assert hand.click("Statistics", show) == [Order.STATISTICS]
-    assert hand.click("My own face", show) == [replace(given, shows_self=False)]
-    assert hand.click("Light", show) == [replace(given, mode="light")]
-    assert hand.click("125%", show) == [replace(given, scale=1.25)]
-    (order, *_) = hand.click("##detail", show)
-    assert isinstance(order, Settings)
-    assert order.detail == pytest.approx(0.55, abs=0.1)  # the middle of 10 to 100 %
+    state = replace(SETTINGS)
+    for label in ("View", "Grid", "Statistics", "My own face", "Light", "125%", "##detail"):
+        clicking(hand, settings_panel, state, VIEW, label)
+    assert (state.layout, state.show_statistics, state.shows_self) == ("grid", True, False)
+    assert (state.mode, state.scale) == ("light", 1.25)
+    assert state.detail == pytest.approx(0.55, abs=0.1)  # the middle of 10 to 100 %
 
 
 def test_source_avatar_and_name_are_chosen_during_the_call(hand: Hand) -> None:
-    me = OwnChoice(name="Me", source="livelink")
-    state = replace(SETTINGS.state, choice=me, entered_as=me, avatars=("amara", "nora"))
-    own = OwnFaceView(source="livelink", seen=Seen(True, (), None))
-    view = replace(SETTINGS, state=state, own=own)
-
-    def show(metrics: object) -> list[object]:
-        return settings_panel(view, metrics)  # type: ignore[arg-type, return-value]
-
-    hand.click("##source", show)
-    assert hand.click("VTuber", show) == [replace(me, source="vmc")]
-    assert hand.click("Calibrate", show) == [Order.CALIBRATE]
-    hand.click("##avatar", show)
-    assert hand.click("Nora", show) == [replace(me, avatar="nora")]
-    assert not any("Come again" in label for label in hand.places)
-    view = replace(view, state=replace(state, choice=replace(me, avatar="nora")))
-    assert hand.click("Come again", show) == [Order.REJOIN]
+    me = Identity("Me", "", "livelink", "none")
+    state = replace(SETTINGS, entered=me, avatars=("amara", "nora"))
+    state.identity = me
+    call = replace(VIEW, own=OwnFaceView(source="livelink", seen=Seen(True, (), None)))
+    for label in ("##source", "VTuber"):
+        clicking(hand, settings_panel, state, call, label)
+    assert state.source == "vmc"
+    assert clicking(hand, settings_panel, state, call, "Calibrate") == [Action.CALIBRATE]
+    assert not any("Join again" in label for label in hand.places)
+    for label in ("##avatar", "Nora"):
+        clicking(hand, settings_panel, state, call, label)
+    assert state.avatar == "nora"
+    assert clicking(hand, settings_panel, state, call, "Join again") == [Action.REJOIN]
 
 
 def test_a_tracker_without_a_face_is_a_sign() -> None:
-    assert own_sign(replace(VIEW, own=OwnFaceView(seen=Seen(False, (), None)))) == NO_FACE
+    assert own_sign(STATE, replace(VIEW, own=OwnFaceView(seen=Seen(False, (), None)))) == NO_FACE
 
 
 def test_who_sends_no_face_is_not_asked_whether_to_show_it(hand: Hand) -> None:
-    watching = replace(SETTINGS, state=ControlState(side="settings"))
-    hand.frame(lambda metrics: settings_panel(watching, metrics))
+    hand.frame(lambda metrics: settings_panel(ViewState(side="settings"), VIEW, metrics))
     assert "My own face" not in hand.places
 
 
 def test_the_first_hint_is_dismissed_by_a_button(hand: Hand) -> None:
-    view = replace(ALONE, state=ControlState(shows_hint=True))
-    assert hand.click("Got it", lambda metrics: first_hint(view, metrics)) == [Order.DISMISS_HINT]
-    assert "join with a face source" in texts(hand, first_hint, view)
-    sending = replace(view, state=ControlState(shows_hint=True, own_face="sent"))
-    assert "join with a face source" not in texts(hand, first_hint, sending)
-    assert texts(hand, first_hint, ALONE) == ""
+    state = ViewState()
+    assert "join with a face source" in texts(hand, first_hint, ALONE, state)
+    assert "join with a face source" not in texts(
+        hand, first_hint, ALONE, ViewState(own_face="sent")
+    )
+    clicking(hand, first_hint, state, ALONE, "Got it")
+    assert state.has_seen_hint
+    assert texts(hand, first_hint, ALONE, state) == ""
 
 
 def test_a_small_picture_has_one_line_for_what_matters_most() -> None:
-    call = replace(VIEW, state=ControlState())
-    assert compact_sign(VIEW) is None  # a panel stands there
-    told = replace(call, notices=(Notice("Saved", "accent"), Notice("Ada left", "plain")))
-    assert compact_sign(call) == ("Ben records", "alert")
-    assert compact_sign(told) == ("Ada left", "plain")
-    assert compact_sign(replace(call, is_recording=True)) == ("Ben records", "alert")
-    alone = replace(ALONE, is_recording=True)
-    assert compact_sign(alone) == ("Recording", "alert")
-    assert compact_sign(replace(alone, status=CallStatus())) == ("Recording", "alert")
+    state, recording = ViewState(has_seen_hint=True), ViewState(has_seen_hint=True)
+    recording.is_recording = True
+    assert compact_sign(STATE, VIEW) is None  # a panel stands there
+    told = replace(VIEW, notices=(Notice("Saved", "accent"), Notice("Ada left", "plain")))
+    assert compact_sign(state, VIEW) == ("Ben records", "alert")
+    assert compact_sign(state, told) == ("Ada left", "plain")
+    assert compact_sign(recording, VIEW) == ("Ben records", "alert")
+    assert compact_sign(recording, ALONE) == ("Recording", "alert")
     lost = replace(told, status=replace(STATUS, is_connected=False, away_s=3.0))
-    assert compact_sign(lost) == ("Connection lost – coming back … 3 s", "alert")
-    assert compact_sign(replace(call, status=CallStatus())) is None
-    hinted = replace(VIEW, state=ControlState(shows_hint=True))
-    assert compact_sign(hinted) is None
+    assert compact_sign(state, lost) == ("Connection lost – coming back … 3 s", "alert")
+    assert compact_sign(ViewState(), VIEW) is None  # the hint stands there
     with open_hand((320, 240)) as small:
-        show = partial(first_hint, hinted)
-        assert small.click("Got it", show) == [Order.DISMISS_HINT]
-        assert small.where("Got it")[3] <= signs_share(VIEW, metrics_for((320, 240))) * 240
+        clicking(small, first_hint, hinted := ViewState(), VIEW, "Got it")
+        assert hinted.has_seen_hint
 
 
 def test_on_a_small_picture_that_is_recorded_no_sign_stands_on_names() -> None:
-    view = replace(ALONE, is_recording=True, shows_bar=False)
+    call, state = replace(ALONE, shows_bar=False), ViewState(has_seen_hint=True, is_recording=True)
     with open_hand((320, 240)) as small:
-        small.frame(lambda metrics: signs(view, metrics))
+        small.frame(lambda metrics: signs(state, call, metrics))
         (shapes,) = small.surface.draw_data().cmd_lists
         lowest = max(vertex.pos.y for vertex in shapes.vtx_buffer)
-        assert lowest <= signs_share(view, small.surface.metrics) * 240
+        assert lowest <= signs_share(state, call, small.surface.metrics) * 240
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("count", [1, 2, 5, 7])
 def test_on_a_small_picture_no_head_reaches_into_that_line(layout: Layout, count: int) -> None:
     metrics = metrics_for((320, 240))
-    share = signs_share(VIEW, metrics)
+    share = signs_share(STATE, VIEW, metrics)
     free = FreeShares(top=share, bottom=bar_share(metrics))
     for pinned in (None, 0):
         plan = plan_seats(layout, count, 320 / 240, pinned=pinned, free=free)
-        camera = plan_camera(plan, ViewState(), 320, 240)
+        camera = plan_camera(plan, Orbit(), 320, 240)
         for seat in plan.seats:
             rect = head_rect_px(camera, seat)
             assert rect is not None
@@ -307,7 +287,7 @@ def test_panels_about_people_keep_to_the_picture(size: tuple[int, int]) -> None:
     with open_hand(size) as hand:
         for panel in (participants_panel, signs, settings_panel, waiting_page, self_view):
             for _ in range(2):
-                hand.frame(lambda metrics, panel=panel: panel(view, metrics))  # type: ignore[misc]
+                hand.frame(lambda metrics, panel=panel: panel(STATE, view, metrics))  # type: ignore[misc]
                 assert all(right <= size[0] for _, _, right, _ in hand.places.values())
 
 
@@ -315,21 +295,21 @@ def test_ones_own_face_is_shown_where_there_is_room(hand: Hand) -> None:
     assert self_view_px(metrics_for((320, 240))) == 0
     assert self_view_px(metrics_for((1280, 720))) > 80
     for own_face in ("sent", "frozen", "muted"):
-        state = ControlState(own_face=own_face)  # type: ignore[arg-type]
+        state = ViewState(own_face=own_face)  # type: ignore[arg-type]
         has_face = own_face != "frozen"
         own = OwnFaceView(texture=1, seen=Seen(has_face, (("Jaw", 2.0),), None))
-        shown = replace(VIEW, state=state, own=own)
-        assert hand.frame(lambda metrics, shown=shown: self_view(shown, metrics)) == []  # type: ignore[misc]
+        shown = replace(VIEW, own=own)
+        assert hand.frame(lambda metrics, s=state, c=shown: self_view(s, c, metrics)) == []  # type: ignore[misc]
 
 
 def test_the_statistics_begin_below_the_signs_of_the_call(hand: Hand) -> None:
     from imgui_bundle import imgui
 
-    state = ControlState(show_statistics=True)
+    state = ViewState(show_statistics=True)
     tops = []
     for participants in ((ME, ADA), (ME, ADA, BEN)):
-        view = replace(VIEW, state=state, status=replace(STATUS, participants=participants))
-        hand.frame(lambda metrics, view=view: statistics(view, metrics))  # type: ignore[misc]
+        view = replace(VIEW, status=replace(STATUS, participants=participants))
+        hand.frame(lambda metrics, view=view: statistics(state, view, metrics))  # type: ignore[misc]
         window = imgui.internal.find_window_by_name("statistics")
         tops.append(window.pos.y)
     assert tops[1] > tops[0] > 36
@@ -342,7 +322,7 @@ def test_the_dot_of_who_speaks_is_a_glyph_and_so_round_at_every_size(hand: Hand)
             peer_id="p1", name="Ada", is_speaking=is_speaking, label_px=(9, 9, 200, 60)
         )
         view = replace(VIEW, people=(person,))
-        hand.frame(lambda metrics, view=view: names(view, metrics))  # type: ignore[misc]
+        hand.frame(lambda metrics, view=view: names(STATE, view, metrics))  # type: ignore[misc]
         corners.append(sum(each.vtx_buffer.size() for each in hand.surface.draw_data().cmd_lists))
     assert corners[1] - corners[0] == 4
 
@@ -356,7 +336,7 @@ def test_a_long_notice_stands_below_the_signs_at_the_left() -> None:
     for notice in (short, long):
         with open_hand((640, 480)) as hand:
             view = replace(VIEW, notices=(notice,))
-            hand.frame(lambda metrics, view=view: signs(view, metrics))  # type: ignore[misc]
+            hand.frame(lambda metrics, view=view: signs(STATE, view, metrics))  # type: ignore[misc]
             (shapes,) = hand.surface.draw_data().cmd_lists
             tops.append(min(vertex.pos.y for vertex in shapes.vtx_buffer if vertex.pos.x > 300))
             signs_end = hand.surface.metrics.px(12 + 36 * len(call_signs(view)))
@@ -370,14 +350,16 @@ def test_notices_stand_below_the_statistics(count: int) -> None:
 
     view = replace(
         ALONE,
-        state=ControlState(show_statistics=True),
         people=VIEW.people * count,
         notices=(Notice("Saved recording-0001.mp4 in /home/ada/Videos", "accent"),),
         figures=tuple((f"figure {number}", "1000 kbit/s") for number in range(8)),
     )
+    state = ViewState(show_statistics=True)
     with open_hand((960, 540)) as hand:
         for _ in range(3):
-            hand.frame(lambda metrics: [*signs(view, metrics), *statistics(view, metrics)])
+            hand.frame(
+                lambda metrics: [*signs(state, view, metrics), *statistics(state, view, metrics)]
+            )
         window = imgui.internal.find_window_by_name("statistics")
         (background,) = (
             each for each in hand.surface.draw_data().cmd_lists if each._owner_name == BACKGROUND
@@ -388,55 +370,50 @@ def test_notices_stand_below_the_statistics(count: int) -> None:
 
 def test_the_menu_of_a_person_makes_them_softer_or_silent_and_the_list_shows_it(hand: Hand) -> None:
     eve = replace(ADA, place=3, has_voice=True, is_voice_muted=True)
-    view = replace(VIEW, status=replace(STATUS, participants=(ME, eve)))
-
-    def show(metrics: Metrics) -> list[UserOrder]:
-        return participants_panel(view, metrics)
-
+    call, state = replace(VIEW, status=replace(STATUS, participants=(ME, eve))), replace(STATE)
+    state.volumes = {}
     assert [sign[0] for sign in signs_of(eve, is_encrypted=False)] == [icons.VOICE_OFF]
-    hand.click("More on Ada", show)
-    assert hand.click("Mute for me", show) == [SetVolume(3, 0.0)]
-    view = replace(view, state=replace(view.state, volumes={3: 0.0}))
+    for label, volume in (("Mute for me", 0.0), ("##volume", 1.0), ("Mute for me", 0.0)):
+        clicking(hand, participants_panel, state, call, "More on Ada")
+        clicking(hand, participants_panel, state, call, label)
+        hand.press("Escape", lambda metrics: participants_panel(state, call, metrics))
+        assert state.volumes == {3: pytest.approx(volume, abs=0.05)}
     assert signs_of(eve, is_encrypted=False, volume=0.0)[1][0] == icons.SPEAKER_OFF
-    hand.click("More on Ada", show)
-    (changed,) = {order for order in hand.click("##volume", show) if order != SetVolume(3, 0.0)}
-    assert changed == SetVolume(3, pytest.approx(1.0, abs=0.05))
-    hand.click("More on Ada", show)
-    assert hand.click("Hear again", show) == [SetVolume(3, 1.0)]
+    clicking(hand, participants_panel, state, call, "More on Ada")
+    clicking(hand, participants_panel, state, call, "Hear again")
+    assert state.volumes == {3: 1.0}
 
 
-def test_devices_are_changed_during_a_call_and_another_voice_needs_coming_again(
-    hand: Hand,
-) -> None:
-    state = SoundState(
+def test_devices_are_changed_during_a_call_and_another_voice_needs_rejoining(hand: Hand) -> None:
+    sound = SoundState(
         microphones=("Desk",),
         speakers=("Horn",),
         speaker=DeviceState("Horn", "no loudspeaker 'Old'; 'Horn' is used"),
         cleaning="echo cancellation is missing: pip install 'pica-telepresence[echo]'",
     )
-    mine = OwnChoice(name="Me", source="performance:talk", voice="mic")
-    control = ControlState(side="settings", own_face="sent", own_voice="sent", choice=mine)
-    control = replace(control, entered_as=mine, avatars=("nora",))
-    view = CallView(now=1.0, state=control, sound=state)
-
-    def show(metrics: Metrics) -> list[UserOrder]:
-        return settings_panel(view, metrics)
-
-    hand.click("Sound", show)
-    assert "no loudspeaker 'Old'" in texts(hand, settings_panel, view)
-    hand.click("##microphone", show)
-    assert hand.click("Desk", show) == [SoundSettings(microphone="Desk")]
-    assert hand.click("Voices come from their seats", show) == [SoundSettings(is_stereo=False)]
-    assert Order.TEST_SOUND in hand.click("Play a test sound", show)
-    hand.click("##microphone", show)
-    assert hand.click("Off: only listen", show) == [replace(mine, voice="none")]
-    view = replace(view, state=replace(control, choice=replace(mine, voice="none")))
-    assert hand.click("Come again as this", show) == [Order.REJOIN]
+    mine = Identity("Me", "", "performance:talk", "mic")
+    state = ViewState(side="settings", own_face="sent", own_voice="sent", avatars=("nora",))
+    state.identity = state.entered = mine
+    call = CallView(now=1.0, sound=sound)
+    clicking(hand, settings_panel, state, call, "Sound")
+    assert "no loudspeaker 'Old'" in texts(hand, settings_panel, call, state)
+    for label in ("##microphone", "Desk", "Voices come from their seats"):
+        clicking(hand, settings_panel, state, call, label)
+    assert state.sound == SoundSettings(microphone="Desk", is_stereo=False)
+    assert clicking(hand, settings_panel, state, call, "Play a test") == [Action.TEST_SOUND]
+    for label in ("##microphone", "Off: only listen"):
+        clicking(hand, settings_panel, state, call, label)
+    assert state.voice == "none"
+    assert clicking(hand, settings_panel, state, call, "Join again as this") == [Action.REJOIN]
 
 
-ADA_OF_TOKENS = replace(ADA, has_voice=True, identity="ada-1")
 AS_ADMIN = replace(
-    VIEW, status=replace(STATUS, participants=(ME, ADA_OF_TOKENS, BEN), is_admin=True)
+    VIEW,
+    status=replace(
+        STATUS,
+        participants=(ME, replace(ADA, has_voice=True, identity="ada-1"), BEN),
+        is_admin=True,
+    ),
 )
 
 
@@ -446,26 +423,36 @@ AS_ADMIN = replace(
         ("Mute voice", MutePeer(peer_id="p1", kind="voice", is_muted=True)),
         ("Mute face", MutePeer(peer_id="p1", kind="face", is_muted=True)),
         ("Remove", RemovePeer(peer_id="p1")),
-        ("Bar until the room is empty", BarIdentity(identity="ada-1", is_barred=True)),
     ],
 )
-def test_an_admins_menu_of_a_person_moderates(hand: Hand, item: str, asked: object) -> None:
-    hand.click("More on Ada", lambda metrics: participants_panel(AS_ADMIN, metrics))
-    assert hand.click(item, lambda metrics: participants_panel(AS_ADMIN, metrics)) == [asked]
+def test_an_admins_menu_of_a_person_moderates(hand: Hand, item: str, asked: Request) -> None:
+    clicking(hand, participants_panel, STATE, AS_ADMIN, "More on Ada")
+    assert clicking(hand, participants_panel, STATE, AS_ADMIN, item) == [asked]
+
+
+def test_an_admin_bars_a_person_and_lifts_the_bar_once_they_are_gone(hand: Hand) -> None:
+    state = replace(STATE, barred={})
+    clicking(hand, participants_panel, state, AS_ADMIN, "More on Ada")
+    asked = clicking(hand, participants_panel, state, AS_ADMIN, "Bar until the room is empty")
+    assert asked == [BarIdentity(identity="ada-1", is_barred=True)]
+    gone = replace(AS_ADMIN, status=replace(AS_ADMIN.status, participants=(ME, BEN)))
+    asked = clicking(hand, participants_panel, state, gone, "Let Ada rejoin")
+    assert asked == [BarIdentity(identity="ada-1", is_barred=False)]
+    assert state.barred == {}
 
 
 def test_an_admin_lets_go_on_what_is_muted_and_bars_nobody_without_an_identity(hand: Hand) -> None:
     eve = replace(ADA, has_voice=True, muted_kinds=frozenset({"voice"}))
-    view = replace(VIEW, status=replace(STATUS, participants=(ME, eve), is_admin=True))
-    hand.click("More on Ada", lambda metrics: participants_panel(view, metrics))
+    call = replace(VIEW, status=replace(STATUS, participants=(ME, eve), is_admin=True))
+    clicking(hand, participants_panel, STATE, call, "More on Ada")
     assert not any("Bar until" in label for label in hand.places)
-    assert hand.click("Unmute voice", lambda metrics: participants_panel(view, metrics)) == [
+    assert clicking(hand, participants_panel, STATE, call, "Unmute voice") == [
         MutePeer(peer_id="p1", kind="voice", is_muted=False)
     ]
 
 
 def test_who_is_no_admin_finds_nothing_to_moderate_with(hand: Hand) -> None:
-    view = replace(AS_ADMIN, status=replace(AS_ADMIN.status, is_admin=False))
-    hand.click("More on Ada", lambda metrics: participants_panel(view, metrics))
+    call = replace(AS_ADMIN, status=replace(AS_ADMIN.status, is_admin=False))
+    clicking(hand, participants_panel, STATE, call, "More on Ada")
     words = ("Mute voice", "Mute face", "Remove", "Bar until")
     assert not any(word in label for label in hand.places for word in words)

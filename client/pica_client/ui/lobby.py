@@ -15,7 +15,7 @@ from pica_client.closing import Closing
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.room import STILL
 from pica_client.ui.events import CloseWanted
-from pica_client.ui.joining.form import JoinForm, JoinOrder
+from pica_client.ui.join_form import JoinForm, JoinRequest
 from pica_client.ui.panels.join import JoinView, connecting_panel, join_panel
 from pica_client.ui.panels.sound import MICROPHONE
 from pica_client.ui.surface.painter import Painter
@@ -67,24 +67,24 @@ class Lobby(Closing):
     def ask(self, form: JoinForm) -> bool:
         """Show the form until the user wants to join, True, or to leave."""
         while form.outcome == "asking":
-            orders = self._frame(lambda metrics: join_panel(self._view(form), metrics))
-            for order in orders:
-                form.obey(order)
+            requests = self._frame(lambda metrics: join_panel(self._view(form), metrics))
+            for request in requests:
+                form.obey(request)
             if self._wants_close:
-                form.obey(JoinOrder.LEAVE)
+                form.obey("leave")
             if self._sound is not None:
-                self._try_sound(self._sound, form, orders)
+                self._try_sound(self._sound, form, requests)
         return form.outcome == "join"
 
-    def _try_sound(self, sound: SoundProcess, form: JoinForm, orders: list[Any]) -> None:
+    def _try_sound(self, sound: SoundProcess, form: JoinForm, requests: list[JoinRequest]) -> None:
         """Let the microphone be heard by its owner alone, as long as the meters are shown."""
-        sound.follow(form.fields.sound)
-        is_shown = JoinOrder.TRY_SOUND in orders and form.outcome == "asking"
-        listens = is_shown and form.fields.voice == MICROPHONE
+        sound.follow(form.state.sound)
+        is_shown = "show meters" in requests and form.outcome == "asking"
+        listens = is_shown and form.state.voice == MICROPHONE
         if listens != self._listens:
             self._listens = listens
             sound.use_microphone(listens)
-        if JoinOrder.TEST_SOUND in orders:
+        if "test sound" in requests:
             sound.play_test()
 
     def wait(self, what: str, is_over: Callable[[], bool]) -> bool:
@@ -105,11 +105,11 @@ class Lobby(Closing):
     def _view(self, form: JoinForm) -> JoinView:
         names = self._library.names
         return JoinView(
-            fields=form.fields,
+            state=form.state,
             trouble=form.trouble,
             portraits={name: self._portraits.get(name) for name in names},
             sound=None if self._sound is None else self._sound.state,
-            default_avatar=avatar_by_name(form.fields.name, names) if names else "",
+            default_avatar=avatar_by_name(form.state.name, names) if names else "",
         )
 
     def _frame(self, show: Callable[[Metrics], Any]) -> Any:

@@ -7,22 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pica_client.render.seats import LAYOUTS
-from pica_client.render.views import ViewState
-from pica_client.ui.controls import (
-    BINDINGS,
-    CHANGES,
-    LAYOUT_TITLES,
-    NO_FACE,
-    NO_VOICE,
-    ChooseLayout,
-    Controls,
-    ControlState,
-    CopyText,
-    Order,
-    Pin,
-    Say,
-    help_lines,
-)
+from pica_client.render.views import ViewState as Orbit
+from pica_client.ui.actions import ACTIONS, NO_FACE, NO_VOICE, Action, Controls, help_lines
 from pica_client.ui.events import (
     CloseWanted,
     InputEvent,
@@ -34,7 +20,7 @@ from pica_client.ui.events import (
     Scrolled,
     TextTyped,
 )
-from pica_client.ui.settings import Settings
+from pica_client.ui.state import LAYOUT_TITLES, ViewState
 from pica_client.ui.window import KEY_NAMES
 from pica_client.voice.sound.settings import SoundSettings
 
@@ -56,22 +42,22 @@ def click(controls: Controls, place: int | None, *, by_px: float = 0.0) -> None:
 
 
 def test_every_key_has_one_meaning() -> None:
-    keys = [key for binding in BINDINGS for key in binding.keys]
+    keys = [key for binding in ACTIONS.values() for key in binding.keys]
     assert len(keys) == len(set(keys))
     assert not {str(number) for number in range(1, 10)} & set(keys)  # these pin
 
 
 def test_the_window_knows_every_key_that_means_something() -> None:
     known = set(KEY_NAMES.values())
-    for binding in BINDINGS:
+    for binding in ACTIONS.values():
         # A key may have two names; one of them is on every keyboard.
-        assert set(binding.keys) & known, binding.keys
+        assert not binding.keys or set(binding.keys) & known, binding.keys
     assert {"Enter", "Tab", "Backspace", "Escape", "Up", "Down", "U", "V"} <= known
     assert {str(number) for number in range(10)} <= known
 
 
 def test_the_key_to_talk_is_held() -> None:
-    controls = Controls(ControlState(own_voice="sent", sound=SoundSettings(push_to_talk=True)))
+    controls = Controls(ViewState(own_voice="sent", sound=SoundSettings(push_to_talk=True)))
     heard = []
     for event in (KeyPressed("Space"), KeyPressed("Space", is_repeat=True), KeyReleased("Space")):
         heard.append(controls.state.is_heard)
@@ -80,32 +66,19 @@ def test_the_key_to_talk_is_held() -> None:
     controls.receive(KeyPressed("T"))
     controls.receive(KeyPressed("Space"))
     assert not controls.state.is_heard  # who has muted oneself is not heard by a key
-    controls.obey(SoundSettings())
+    controls.state.sound = SoundSettings()
     controls.receive(KeyReleased("Space"))
     controls.receive(KeyPressed("T"))
     assert controls.state.is_heard
 
 
-def test_every_order_is_given_by_a_key_or_by_a_button() -> None:
-    by_key = {binding.order for binding in BINDINGS}
-    by_button = {Order.STAY, Order.LEAVE, Order.DISMISS_HINT, Order.REJOIN, Order.TEST_SOUND}
-    assert set(Order) - by_key == by_button
-
-
-def test_a_button_gives_the_orders_of_keys_and_some_that_name_somebody() -> None:
-    controls = Controls()
-    controls.obey(ChooseLayout("grid"))
-    controls.obey(Pin(4))
-    controls.obey(CopyText("pica://relay", "Copied"))
-    assert (controls.state.pinned, controls.state.layout) == (4, "grid")
-    said = Say("People sit: Grid")
-    assert controls.take_orders() == [said, CopyText("pica://relay", "Copied")]
-    assert all(order not in CHANGES for order in (Order.SCREENSHOT, Order.TOGGLE_RECORDING))
+def test_every_button_of_the_bar_has_a_key_that_does_the_same() -> None:
+    assert all(row.keys for row in ACTIONS.values() if row.button is not None)
 
 
 def test_the_help_shows_every_titled_key_with_its_title() -> None:
-    shown = dict(help_lines("sent"))
-    for binding in BINDINGS:
+    shown = dict(help_lines(ViewState(own_face="sent")))
+    for binding in ACTIONS.values():
         if binding.title:
             assert shown[", ".join(binding.keys)] == binding.title
 
@@ -124,7 +97,7 @@ def test_a_key_of_the_help_does_what_the_help_says() -> None:
 
 
 def test_layouts_follow_each_other_and_come_round() -> None:
-    controls = Controls(ControlState(layout=LAYOUTS[0], pinned=2))
+    controls = Controls(ViewState(layout=LAYOUTS[0], pinned=2))
     seen = []
     for _ in LAYOUTS:
         seen.append(controls.state.layout)
@@ -132,27 +105,27 @@ def test_layouts_follow_each_other_and_come_round() -> None:
     assert seen == list(LAYOUTS)
     assert controls.state.layout == LAYOUTS[0]
     assert controls.state.pinned is None  # else nothing would be seen of them
-    said = [Say(f"People sit: {LAYOUT_TITLES[each]}") for each in (*LAYOUTS[1:], LAYOUTS[0])]
-    assert controls.take_orders() == said
+    said = [f"People sit: {LAYOUT_TITLES[each]}" for each in (*LAYOUTS[1:], LAYOUTS[0])]
+    assert controls.take_requests() == said
 
 
 def test_a_layout_that_looks_like_the_grid_is_skipped_and_not_announced() -> None:
-    controls = Controls(ControlState(layout="table", layouts=("arc", "grid")))
+    controls = Controls(ViewState(layout="table", layouts=("arc", "grid")))
     press(controls, "L", "L")
-    assert controls.take_orders() == [Say("People sit: Arc"), Say("People sit: Grid")]
-    controls.obey(ChooseLayout("line"))
+    assert controls.take_requests() == ["People sit: Arc", "People sit: Grid"]
+    said = controls.state.seat("line")
     assert controls.state.layout == "line"  # as soon as there is room
-    assert controls.take_orders() == [Say("People sit: Grid – no room here for: Line")]
+    assert said == "People sit: Grid – no room here for: Line"
 
 
 def test_where_only_the_grid_has_room_the_user_is_told() -> None:
-    controls = Controls(ControlState(layout="arc", layouts=("grid",)))
+    controls = Controls(ViewState(layout="arc", layouts=("grid",)))
     press(controls, "L")
     assert controls.state.layout == "arc"
-    assert controls.take_orders() == [Say("People sit: Grid – no room here for: Arc")]
-    controls.obey(ChooseLayout("grid"))
+    assert controls.take_requests() == ["People sit: Grid – no room here for: Arc"]
+    assert controls.state.seat("grid") == "People sit: Grid – no room here for another"
     press(controls, "L")
-    assert controls.take_orders() == [Say("People sit: Grid – no room here for another")] * 2
+    assert controls.take_requests() == ["People sit: Grid – no room here for another"]
 
 
 @pytest.mark.parametrize("key", ["Q", "Escape"])
@@ -209,35 +182,35 @@ def test_a_hand_that_trembles_clicks_all_the_same() -> None:
     controls = Controls()
     click(controls, 4, by_px=3)
     assert controls.state.pinned == 4
-    assert controls.state.view == ViewState()
+    assert controls.state.orbit == Orbit()
 
 
 def test_dragging_turns_the_view_and_moving_alone_does_not() -> None:
     controls = Controls()
     controls.receive(MouseMoved(500, 500))
-    assert controls.state.view == ViewState()
+    assert controls.state.orbit == Orbit()
     click(controls, None, by_px=100)
-    assert controls.state.view.yaw < 0
+    assert controls.state.orbit.yaw < 0
 
 
 def test_the_wheel_comes_closer_and_reset_undoes_all() -> None:
     controls = Controls()
     controls.receive(Scrolled(3))
-    assert controls.state.view.zoom > 1.3
+    assert controls.state.orbit.zoom > 1.3
     press(controls, "1", "R")
-    assert controls.state.view == ViewState()
+    assert controls.state.orbit == Orbit()
     assert controls.state.pinned is None
 
 
-def test_orders_are_given_once() -> None:
+def test_requests_are_given_once() -> None:
     controls = Controls()
     press(controls, "P", "V", "F11")
-    assert controls.take_orders() == [
-        Order.SCREENSHOT,
-        Order.TOGGLE_RECORDING,
-        Order.TOGGLE_FULL_SCREEN,
+    assert controls.take_requests() == [
+        Action.SCREENSHOT,
+        Action.RECORD,
+        Action.FULL_SCREEN,
     ]
-    assert controls.take_orders() == []
+    assert controls.take_requests() == []
 
 
 def test_a_held_key_repeats_only_where_that_makes_sense() -> None:
@@ -245,14 +218,14 @@ def test_a_held_key_repeats_only_where_that_makes_sense() -> None:
     controls.receive(KeyPressed("S", is_repeat=True))
     assert not controls.state.show_statistics
     controls.receive(KeyPressed("Left", is_repeat=True))
-    assert controls.state.view.yaw != 0
+    assert controls.state.orbit.yaw != 0
 
 
 def test_ones_own_face_is_muted_and_frozen_by_those_who_send_one() -> None:
     watcher = Controls()
     press(watcher, "M")
     assert watcher.state.own_face == "none"
-    controls = Controls(ControlState(own_face="sent"))
+    controls = Controls(ViewState(own_face="sent"))
     steps = []
     for key in ("M", "F", "F", "M", "M"):
         press(controls, key)
@@ -264,8 +237,8 @@ def test_ones_own_voice_is_muted_by_those_who_send_one_and_explained_to_others()
     watcher = Controls()
     press(watcher, "T")
     assert watcher.state.own_voice == "none"
-    assert watcher.take_orders() == [NO_VOICE]
-    controls = Controls(ControlState(own_voice="sent"))
+    assert watcher.take_requests() == [NO_VOICE]
+    controls = Controls(ViewState(own_voice="sent"))
     steps = []
     for _ in range(3):
         press(controls, "T")
@@ -283,7 +256,7 @@ numbers = st.floats(allow_nan=True, allow_infinity=True)
 coordinates = st.floats(-1e5, 1e5)
 events: st.SearchStrategy[InputEvent] = st.one_of(
     st.builds(KeyPressed, st.text(max_size=3), is_repeat=st.booleans()),
-    st.builds(KeyPressed, st.sampled_from([key for each in BINDINGS for key in each.keys])),
+    st.builds(KeyPressed, st.sampled_from([key for each in ACTIONS.values() for key in each.keys])),
     st.builds(TextTyped, st.text(max_size=5)),
     st.builds(Scrolled, numbers),
     st.builds(MousePressed, coordinates, coordinates),
@@ -297,7 +270,7 @@ def test_whatever_is_typed_and_clicked_the_view_stays_a_view(happened: list[Inpu
     controls = Controls()
     for event in happened:
         controls.receive(event, places=PLACES, pick=lambda x, y: 4)
-    view = controls.state.view
+    view = controls.state.orbit
     assert abs(view.pitch) <= 1.4
     assert 0.25 <= view.zoom <= 12
     assert controls.state.pinned in (None, *PLACES)
@@ -305,15 +278,7 @@ def test_whatever_is_typed_and_clicked_the_view_stays_a_view(happened: list[Inpu
 
 @pytest.mark.parametrize("key", ["M", "F"])
 def test_who_shows_no_face_is_told_what_to_do_for_one(key: str) -> None:
-    controls = Controls(ControlState())
+    controls = Controls(ViewState())
     controls.receive(KeyPressed(key))
     assert controls.state.own_face == "none"
-    assert controls.take_orders() == [NO_FACE]
-
-
-def test_settings_are_an_order_that_replaces_them() -> None:
-    controls = Controls(ControlState())
-    controls.obey(Settings(mode="light"))
-    controls.obey(Order.DISMISS_HINT)
-    assert controls.state.settings.mode == "light"
-    assert not controls.state.shows_hint
+    assert controls.take_requests() == [NO_FACE]

@@ -11,18 +11,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from pica_client.ui.preferences import (
-    MAX_FILE_BYTES,
-    Preferences,
-    PreferencesFile,
-    without_secrets,
-)
-from pica_client.ui.settings import Settings
+from pica_client.ui.state import MAX_FILE_BYTES, PreferencesFile, ViewState
 from pica_client.voice.sound.settings import SoundSettings
 
 pytestmark = pytest.mark.unit
 
-KEPT = Preferences(
+KEPT = ViewState(
     sound=SoundSettings(speaker="Horn", volume=0.5, push_to_talk=True),
     voice="mic",
     layout="table",
@@ -32,7 +26,10 @@ KEPT = Preferences(
     room="standup",
     name="Ada",
     keep_in="/home/ada/calls",
-    settings=Settings(mode="light", scale=1.25, shows_self=False, detail=0.5),
+    mode="light",
+    scale=1.25,
+    shows_self=False,
+    detail=0.5,
     has_seen_hint=True,
 )
 
@@ -62,7 +59,7 @@ def test_a_folder_may_have_any_name(kept: Kept) -> None:
 
 
 def test_before_the_first_call_there_are_defaults_and_no_warning(kept: Kept) -> None:
-    assert kept.file.load() == Preferences()
+    assert kept.file.load() == ViewState()
     assert kept.warnings == []
 
 
@@ -79,9 +76,9 @@ def test_before_the_first_call_there_are_defaults_and_no_warning(kept: Kept) -> 
         '{"window_size": null}',
         '{"window_size": [1280.5, 720]}',
         '{"show_statistics": 1}',
-        '{"settings": 5}',
-        '{"settings": {"mode": "grey"}}',
-        '{"settings": {"detail": true}}',
+        '{"sound": 5}',
+        '{"mode": "grey"}',
+        '{"detail": true}',
         '{"has_seen_hint": "yes"}',
         '{"url": 7}',
         '{"name": "a\\u0000b"}',
@@ -92,7 +89,7 @@ def test_before_the_first_call_there_are_defaults_and_no_warning(kept: Kept) -> 
 def test_a_damaged_file_is_one_warning_and_defaults(kept: Kept, content: str) -> None:
     kept.file.path.parent.mkdir(parents=True)
     kept.file.path.write_text(content)
-    assert kept.file.load() == Preferences()
+    assert kept.file.load() == ViewState()
     assert len(kept.warnings) == 1
     assert str(kept.file.path) in kept.warnings[0]
 
@@ -102,7 +99,7 @@ def test_a_damaged_file_is_one_warning_and_defaults(kept: Kept, content: str) ->
 def test_any_bytes_are_preferences_or_a_warning(kept: Kept, content: bytes) -> None:
     kept.file.path.parent.mkdir(parents=True, exist_ok=True)
     kept.file.path.write_bytes(content)
-    assert isinstance(kept.file.load(), Preferences)
+    assert isinstance(kept.file.load(), ViewState)
 
 
 def test_what_a_later_version_has_added_is_left_out(kept: Kept) -> None:
@@ -113,16 +110,23 @@ def test_what_a_later_version_has_added_is_left_out(kept: Kept) -> None:
 
 
 def test_no_secret_of_an_address_is_kept(kept: Kept) -> None:
-    kept.file.save(Preferences(url="wss://ada:word@relay.example:99/way?token=abc#part"))
+    kept.file.save(ViewState(url="wss://ada:word@relay.example:99/way?token=abc#part"))
     text = kept.file.path.read_text()
     assert json.loads(text)["url"] == "wss://relay.example:99/way"
     assert "word" not in text
     assert "abc" not in text
 
 
-@given(st.text(max_size=60))
-def test_any_address_can_be_stripped(url: str) -> None:
-    assert "@" not in without_secrets(f"ws://u:p@host/{url}").removeprefix("ws://").split("/")[0]
+def test_what_belongs_to_one_call_and_its_token_are_not_kept(kept: Kept) -> None:
+    kept.file.save(replace(KEPT, token="abc", pinned=2, side="help", volumes={1: 0.5}))
+    assert kept.file.load() == KEPT
+    assert "abc" not in kept.file.path.read_text()
+
+
+def test_fields_may_stay_as_they_are_in_the_file(kept: Kept) -> None:
+    kept.file.save(KEPT)
+    kept.file.save(replace(KEPT, voice="none", room="other"), leaving=("voice",))
+    assert (kept.file.load().voice, kept.file.load().room) == ("mic", "other")
 
 
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(
@@ -134,7 +138,7 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "replace", refuse)
-    kept.file.save(Preferences())
+    kept.file.save(ViewState())
     assert "No space left" in kept.warnings[0]
     assert kept.file.load() == KEPT
     assert [path.name for path in kept.file.path.parent.iterdir()] == [kept.file.path.name]

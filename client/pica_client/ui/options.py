@@ -1,0 +1,151 @@
+"""The options of `pica view`, as they go from the command line to the window.
+
+It imports little, so that the help comes at once.
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from pica_client.avatars.upload import GiveAvatar
+from pica_client.errors import OptionError, check_ranges
+from pica_client.render.seats import Layout
+from pica_protocol.limits import MAX_PEERS
+
+BUDGET_SHARE = 0.8
+"""Part of the time between two frames: the rest is for texts, the window system and recording."""
+CONNECT_TIMEOUT_S = 3.0
+"""How long a command tries to reach a relay before it gives up, unless told to wait."""
+
+
+def connect_timeout_s(*, wait: bool, seconds: float) -> float | None:
+    """How long to try to reach a relay: until the time that the command was given is over, if it is
+    to wait; None is for ever."""
+    return (seconds or None) if wait else CONNECT_TIMEOUT_S
+
+
+def check_voice(source: str, voice: str | None) -> None:
+    """Refuse a face that only a voice moves, where there is none.
+
+    Raises:
+        OptionError: Says what to add.
+    """
+    if source == "voice" and voice in (None, "none"):
+        raise OptionError("source voice needs --voice mic or a WAV file")
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """`960x540` as columns and rows."""
+    columns, _, rows = text.partition("x")
+    if not (columns.isdecimal() and rows.isdecimal()):
+        raise OptionError(f"size is {text!r}; write COLUMNSxROWS, such as 960x540")
+    size = int(columns), int(rows)
+    if not all(16 <= length <= 8192 for length in size):
+        raise OptionError(f"size is {text}; 16 to 8192 columns and rows are allowed")
+    return size
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ViewerOptions:
+    """How a call is drawn, and what is kept of it."""
+
+    size: str | None = None
+    """Columns x rows of the window or picture; by default as the window was left, or 960x540."""
+    headless: bool = False
+    """Draw without a window."""
+    record: Path | None = None
+    """Record into this MP4 file, which must not be there yet."""
+    keep_in: Path | None = None
+    """Folder for the pictures and recordings made by key, instead of the one used last."""
+    max_fps: float = 30.0
+    """Draw at most so many images a second."""
+    frame_budget_ms: float = 0.0
+    """What decoding and drawing an image may take before detail is given up; 0 is most of the time
+    that --max-fps leaves."""
+    stereo: bool = False
+    """Draw for two eyes, side by side."""
+
+    def __post_init__(self) -> None:
+        if self.size is not None:
+            parse_size(self.size)
+        check_ranges(self, max_fps=(1, 1000), frame_budget_ms=(0, 10_000))
+
+    @property
+    def budget_s(self) -> float:
+        """What decoding and drawing a frame may take, seconds."""
+        return self.frame_budget_ms * 1e-3 or BUDGET_SHARE / self.max_fps
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ViewOptions:
+    """Options of `pica view`."""
+
+    link: str = field(default="", kw_only=False)
+    """An invite link, pica://HOST/ROOM, as `pica token --link` prints it: it fills in the form, or
+    says where to go where there is none."""
+    url: str | None = None
+    """Address of the relay, ws:// or wss://. Without one, and with a display, a form asks; off
+    the screen it is ws://127.0.0.1:8765."""
+    redirect_hosts: tuple[str, ...] = ()
+    """Other hosts that the relay may redirect to, with the token; over wss://, names of its domain
+    need not be listed."""
+    room: str | None = None
+    """Room to look into; lobby by default."""
+    name: str | None = None
+    """Our own name."""
+    send: str | None = None
+    """Send one's own face as well: a source as in pica send; none only watches, the default with
+    --url. Who joins by the form is seen, by performance:talk if nothing else is named here. M mutes
+    the face, F freezes it."""
+    own_avatar: str | None = None
+    """Avatar of one's own face: a shipped one by its name, or a .pica file; by default a shipped
+    one that goes by the name."""
+    give_avatar: GiveAvatar = "auto"
+    """Give that avatar's file to the relay, for those who do not have it; as in pica send."""
+    layout: Layout | None = None
+    """How people sit: line, arc, table or grid; L goes through them. By default as it was left."""
+    voice: str | None = None
+    """Whose voice is sent: mic, the system's microphone; mic:NAME; or what pica send takes;
+    none by default, but mic where a form asks, which can be changed there."""
+    speaker: str = ""
+    """Loudspeaker by its name; none plays without a sound, off hears nobody; by default the
+    system's."""
+    clean: bool | None = None
+    """Take echo and noise out of the microphone, and even out how loud it is, where the extra echo
+    is installed; by default as it was left, which is yes at first."""
+    viewer: Annotated[ViewerOptions, Parameter(name="*")] = field(default_factory=ViewerOptions)
+    png: Path | None = None
+    """Write the last image into this PNG file."""
+    avatar: str | None = None
+    """Further avatar files, separated by commas, for peers whose avatar neither ships nor is at the
+    relay."""
+    seconds: float = 0.0
+    """How long to look; 0 is until the window is closed, or Ctrl-C."""
+    wait: bool = False
+    """Wait for a relay that is not there yet, for --seconds if given, instead of giving up after 3
+    seconds."""
+    expect: int = 0
+    """Begin to draw once so many peers are seen."""
+    statistics: bool = False
+    """Show the statistics from the start; S toggles them, H shows all keys."""
+    preferences: bool = True
+    """Begin as the last call in a window ended, and remember how this one ends."""
+    frame_log: Path | None = None
+    """Write the times of every frame into this file at the end. Those of capture are on the clocks
+    of the senders: less ours, they are latencies on this machine only."""
+    token_file: Path | None = None
+    """File with the join token that the relay wants, see pica token."""
+    ca_file: Path | None = None
+    """Trust the certificates of this PEM file instead of the system's, at a wss:// address."""
+    secret_file: Path | None = None
+    """File with the room secret of those who encrypt: shows them, and nobody else."""
+    fetch: bool = True
+    """Get avatars that are not on this machine from the relay, and keep them."""
+
+    def __post_init__(self) -> None:
+        if not self.seconds >= 0:
+            raise OptionError(f"seconds is {self.seconds:g}; 0 (for ever) or more is allowed")
+        if not 0 <= self.expect < MAX_PEERS:
+            raise OptionError(f"expect is {self.expect}; 0 to {MAX_PEERS - 1} is allowed")

@@ -1,0 +1,264 @@
+"""What the user wants: the preferences, which one small file keeps, and the state of this call.
+
+Panels and keys write into one `ViewState`; the rest of the viewer follows it. A damaged file is no
+reason not to start: it is reported once, and defaults are taken. No secret is ever in the file: the
+last address is kept without user, password or query, tokens are not kept at all.
+"""
+
+import json
+from collections.abc import Callable, Collection
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any, Final, Literal, NamedTuple, get_args
+from urllib.parse import urlsplit, urlunsplit
+
+from pica_client.errors import OptionError
+from pica_client.output import say
+from pica_client.render.seats import LAYOUTS, Layout
+from pica_client.render.views import OrbitLimits
+from pica_client.render.views import ViewState as Orbit
+from pica_client.ui.surface.theme import Mode
+from pica_client.user_folders import make_private, preferences_folder
+from pica_client.voice.sound.settings import SoundSettings
+from pica_core.files import replacing
+
+OwnFace = Literal["none", "sent", "frozen", "muted"]
+"""What becomes of the user's own face. none: there is none to send; frozen: the last expression
+goes on being sent; muted: nothing is."""
+OwnVoice = Literal["none", "sent", "muted"]
+"""What becomes of the user's own voice; none: there is none to send."""
+Side = Literal["none", "help", "participants", "settings"]
+"""What stands in the panel at the right."""
+SCALES: Final = (0.8, 1.0, 1.25, 1.5)
+"""Sizes of type and buttons to choose from."""
+MIN_DETAIL: Final = 0.1
+FILE_NAME: Final = "preferences.json"
+MAX_FILE_BYTES: Final = 65_536
+MAX_TEXT: Final = 1024
+"""Characters of an address, a name or a folder."""
+MIN_SIDE, MAX_SIDE = 160, 8192
+LAYOUT_TITLES: Final[dict[Layout, str]] = {
+    "line": "Line",
+    "arc": "Arc",
+    "table": "Round table",
+    "grid": "Grid",
+}
+
+
+class Identity(NamedTuple):
+    """As whom the user is in the call; see the fields of `Preferences`."""
+
+    name: str = ""
+    avatar: str = ""
+    source: str = ""
+    voice: str = ""
+
+
+@dataclass(kw_only=True, slots=True)
+class Preferences:
+    """What is kept from call to call."""
+
+    url: str = ""
+    """The relay of the last call; empty before the first."""
+    room: str = ""
+    name: str = ""
+    """The user's name in the call."""
+    avatar: str = ""
+    """The user's own, by name or file; empty takes one by the name."""
+    source: str | None = None
+    """What plays the user's face; empty only watches, None has not been chosen yet."""
+    voice: str | None = None
+    """Whose voice is sent, for `voice.source.open_voice`; None has not been chosen yet."""
+    ca_file: str = ""
+    """File of certificates to trust."""
+    secret_file: str = ""
+    """File with the room secret; the secret itself is not kept."""
+    keep_in: str = ""
+    """Folder for pictures and recordings; empty is the system's for each of them."""
+    layout: Layout = "arc"
+    show_statistics: bool = False
+    mode: Mode = "dark"
+    scale: float = 1.0
+    """Size of type and buttons, one of `SCALES`."""
+    shows_self: bool = True
+    """Whether one's own face is shown in a corner, while one is sent."""
+    detail: float = 1.0
+    """Part of the time for a frame that decoding and drawing may take, `MIN_DETAIL` to 1."""
+    sound: SoundSettings = field(default_factory=SoundSettings)
+    has_seen_hint: bool = False
+    """Whether what one needs to know in the first call was dismissed."""
+    window_size: tuple[int, int] = (960, 540)
+    """Columns and rows, in the screen's units."""
+
+
+@dataclass(kw_only=True, slots=True)
+class ViewState(Preferences):
+    """The preferences, and what holds for this call alone."""
+
+    token: str = field(default="", repr=False)
+    entered: Identity = field(default_factory=Identity)
+    """As whom the user came in; a name, an avatar or a voice changes only by rejoining."""
+    avatars: tuple[str, ...] = ()
+    """Those to choose from, by name; none where rejoining is not possible."""
+    wants_rejoin: bool = False
+    wants_close: bool = False
+    orbit: Orbit = field(default_factory=Orbit)
+    """From where the people are seen."""
+    limits: OrbitLimits = field(default_factory=OrbitLimits)
+    """How far the view may turn: where people sit, and from where their avatars may be seen."""
+    layouts: tuple[Layout, ...] = LAYOUTS
+    """Those that there is room for; instead of another one the grid is shown."""
+    pinned: int | None = None
+    """The place of the person who fills the picture, also while that one is away."""
+    volumes: dict[int, float] = field(default_factory=dict)
+    """How loud people are here, by place; others are as loud as sent."""
+    barred: dict[str, str] = field(default_factory=dict)
+    """Names of those whom this admin has barred, by identity."""
+    side: Side = "none"
+    asks_to_leave: bool = False
+    own_face: OwnFace = "none"
+    own_voice: OwnVoice = "none"
+    is_talking: bool = False
+    """Whether the key to talk is held."""
+    is_recording: bool = False
+
+    @property
+    def identity(self) -> Identity:
+        """As whom the user wants to be in the call."""
+        return Identity(self.name, self.avatar, self.source or "", self.voice or "none")
+
+    @identity.setter
+    def identity(self, wanted: Identity) -> None:
+        self.name, self.avatar, self.source, self.voice = wanted
+
+    @property
+    def is_heard(self) -> bool:
+        """Whether one's own voice is to be sent now."""
+        return self.own_voice == "sent" and (self.is_talking or not self.sound.push_to_talk)
+
+    def pin(self, place: int | None) -> None:
+        """Pin a participant, or let go of the one who is pinned."""
+        if place is not None:
+            self.pinned = None if self.pinned == place else place
+            self.orbit = Orbit()
+
+    def seat(self, layout: Layout) -> str:
+        """Choose a layout; return how people sit now, for the user."""
+        self.layout, self.pinned, self.orbit = layout, None, Orbit()
+        title = LAYOUT_TITLES[layout]
+        if layout not in self.layouts:
+            title = f"{LAYOUT_TITLES['grid']} – no room here for: {title}"
+        elif len(self.layouts) == 1:
+            title += " – no room here for another"
+        return f"People sit: {title}"
+
+
+class PreferencesFile:
+    """The file of one user.
+
+    Args:
+        folder: Where it is; by default `preferences_folder`.
+        warn: Called, at most once, with what is wrong with it.
+    """
+
+    def __init__(self, folder: Path | None = None, *, warn: Callable[[str], None] = say) -> None:
+        self.path = (preferences_folder() if folder is None else folder) / FILE_NAME
+        self._warn = warn
+
+    def load(self) -> ViewState:
+        """What is in the file; defaults if there is none, or none that can be used."""
+        try:
+            with self.path.open("rb") as file:
+                content = file.read(MAX_FILE_BYTES + 1)
+            if len(content) > MAX_FILE_BYTES:
+                raise ValueError(f"it is larger than {MAX_FILE_BYTES} bytes")
+            values = _known(Preferences, json.loads(content))
+            values["sound"] = SoundSettings(**_known(SoundSettings, values.get("sound", {})))
+            if isinstance(values.get("window_size"), list):
+                values["window_size"] = tuple(values["window_size"])
+            state = ViewState(**values)
+            _check(state)
+        except FileNotFoundError:
+            return ViewState()
+        except (OSError, ValueError, RecursionError, OptionError) as error:
+            reason = error.strerror if isinstance(error, OSError) else str(error)
+            self._warn(f"{self.path}: preferences cannot be used, taking defaults: {reason}")
+            return ViewState()
+        return state
+
+    def save(self, state: ViewState, *, leaving: Collection[str] = ()) -> None:
+        """Replace the file, whole or not at all. When it cannot be written, the user is told and
+        the call goes on.
+
+        Args:
+            leaving: Names of what stays as it is in the file.
+        """
+        before = self.load() if leaving else state
+        kept = {
+            each.name: getattr(before if each.name in leaving else state, each.name)
+            for each in fields(Preferences)
+        }
+        kept |= {"url": _without_secrets(state.url), "sound": asdict(state.sound)}
+        try:
+            _check(state)
+            make_private(self.path.parent)
+            with replacing(self.path) as unfinished:
+                unfinished.touch(0o600)
+                unfinished.write_text(json.dumps(kept, indent=2) + "\n")
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or error
+            self._warn(f"{self.path}: preferences cannot be kept: {reason}")
+
+
+def _check(state: Preferences) -> None:
+    """Check what a file, or a user, has put into preferences.
+
+    Raises:
+        ValueError: Names the first that is out of its range.
+    """
+    choices: dict[str, tuple[Any, ...]] = {"layout": LAYOUTS, "mode": get_args(Mode)}
+    choices |= {"scale": SCALES}
+    for name, allowed in choices.items():
+        if getattr(state, name) not in allowed:
+            raise ValueError(f"{name} is {getattr(state, name)!r}; one of {allowed}")
+    for name in ("show_statistics", "shows_self", "has_seen_hint"):
+        if not isinstance(getattr(state, name), bool):
+            raise ValueError(f"{name} is {getattr(state, name)!r}; true or false")
+    if type(state.detail) not in (int, float) or not MIN_DETAIL <= state.detail <= 1:
+        raise ValueError(f"detail is {state.detail!r}; {MIN_DETAIL:g} to 1")
+    sides = state.window_size
+    if not (isinstance(sides, tuple) and len(sides) == 2) or not all(
+        type(side) is int and MIN_SIDE <= side <= MAX_SIDE for side in sides
+    ):
+        raise ValueError(f"window_size is {sides!r}; two of {MIN_SIDE} to {MAX_SIDE}")
+    for each in fields(Preferences):
+        value = getattr(state, each.name)
+        if "str" not in str(each.type) or (value is None and "None" in str(each.type)):
+            continue
+        if not isinstance(value, str) or len(value) > MAX_TEXT:
+            raise ValueError(f"{each.name} is no text of up to {MAX_TEXT} characters")
+        if each.name in ("url", "room", "name") and not value.isprintable():
+            raise ValueError(f"{each.name} holds signs that cannot be shown")
+
+
+def fit_side(side: int) -> int:
+    """The nearest side of a window that is kept."""
+    return min(max(side, MIN_SIDE), MAX_SIDE)
+
+
+def _without_secrets(url: str) -> str:
+    """An address without user, password, query and fragment: there might be a token in them."""
+    try:
+        parts = urlsplit(url)
+        host = parts.netloc.rpartition("@")[2]
+        return urlunsplit((parts.scheme, host, parts.path, "", ""))
+    except ValueError:
+        return ""
+
+
+def _known(kind: type, content: Any) -> dict[str, Any]:
+    """The values of a dataclass; what else is beside them is left out."""
+    if not isinstance(content, dict):
+        raise ValueError(f"{content!r:.50} is no object of {kind.__name__}")
+    names = {field.name for field in fields(kind)}
+    return {name: value for name, value in content.items() if name in names}

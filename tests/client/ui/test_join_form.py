@@ -1,0 +1,109 @@
+"""The form that asks where to: what was typed, what cannot be right, no token in sight."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from pica_client.errors import OptionError, RelayUnreachableError
+from pica_client.sources import open_source
+from pica_client.transport.config import LinkConfig
+from pica_client.ui.join_form import SOURCES, JoinForm
+from pica_client.ui.options import ViewOptions
+from pica_client.ui.state import ViewState
+from pica_client.ui.view_session import face_of, link_of
+
+pytestmark = pytest.mark.unit
+
+FILLED = ViewState(url="ws://127.0.0.1:8765", room="lobby", name="Ada")
+
+
+def form_of(state: ViewState = FILLED) -> JoinForm:
+    return JoinForm(replace(state), partial(link_of, ViewOptions()))
+
+
+def test_filled_fields_are_joined() -> None:
+    form = form_of()
+    form.obey("join")
+    assert form.outcome == "join"
+    link = link_of(ViewOptions(), form.state)
+    assert (link.url, link.room, link.name) == (FILLED.url, "lobby", "Ada")
+
+
+@pytest.mark.parametrize(
+    ("state", "error"),
+    [
+        (replace(FILLED, url="http://x"), "no address of a relay"),
+        (replace(FILLED, room="a b"), "No room can be called so"),
+        (replace(FILLED, name=" "), "enter your name"),
+    ],
+)
+def test_what_cannot_be_right_is_said(state: ViewState, error: str) -> None:
+    form = form_of(state)
+    form.obey("join")
+    assert form.outcome == "asking"
+    assert form.trouble is not None
+    assert error in form.trouble.what
+
+
+def test_a_refused_join_can_be_tried_again_and_typing_takes_the_error_away() -> None:
+    form = form_of()
+    form.obey("join")
+    form.refuse(RelayUnreachableError("no relay answers"))
+    assert (form.outcome, form.trouble is None) == ("asking", False)
+    form.obey("typed")
+    assert form.trouble is None
+    form.obey("join")
+    assert form.outcome == "join"
+
+
+def test_a_token_is_not_printed_but_joined_with() -> None:
+    state = replace(FILLED, token="abcdef")
+    link = link_of(ViewOptions(), state)
+    assert link.token == "abcdef"
+    assert "abcdef" not in repr(state) + repr(link)
+
+
+def test_a_typed_token_takes_the_place_of_a_token_file(tmp_path: Path) -> None:
+    options = ViewOptions(token_file=tmp_path / "token")
+    assert link_of(options, FILLED).token_file == tmp_path / "token"
+    assert link_of(options, replace(FILLED, token="t")).token_file is None
+    with pytest.raises(OptionError, match="give one of them"):
+        LinkConfig(token="t", token_file=tmp_path / "token")
+
+
+def test_a_certificate_file_is_for_addresses_that_use_one(tmp_path: Path) -> None:
+    given = replace(FILLED, ca_file=str(tmp_path / "ca.pem"))
+    assert link_of(ViewOptions(), given).ca_file is None
+    secure = replace(given, url="wss://relay")
+    assert link_of(ViewOptions(), secure).ca_file == tmp_path / "ca.pem"
+
+
+def test_the_face_is_the_one_that_was_chosen() -> None:
+    state = replace(FILLED, source="performance:talk", avatar=" nora ")
+    chosen = face_of(ViewOptions(give_avatar="no"), state)
+    assert (chosen.source, chosen.avatar, chosen.give) == ("performance:talk", "nora", "no")
+    # A webcam needs a camera and networks that a test machine may lack.
+    assert all(open_source(source) for source, _ in SOURCES if source not in ("", "webcam"))
+
+
+def test_an_invite_link_in_the_first_field_fills_the_form() -> None:
+    form = form_of()
+    form.state.url = "pica://relay.example/standup#token=abc"
+    form.obey("typed")
+    assert form.state == replace(
+        FILLED, url="wss://relay.example", room="standup", token="abc", name="Ada"
+    )
+    form.state.url = "pica://relay.example"
+    form.obey("typed")
+    assert form.trouble is not None
+    assert "names no room" in form.trouble.what
+
+
+def test_one_can_leave() -> None:
+    form = form_of()
+    form.obey("leave")
+    assert form.outcome == "leave"
