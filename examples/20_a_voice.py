@@ -7,10 +7,9 @@ Run it with: python examples/20_a_voice.py
 
 import random
 
-from pica_client.voice.level import level_of
 from pica_client.voice.mixer import VoiceMixer
 from pica_client.voice.opus import OpusDecoder, OpusEncoder, available
-from pica_client.voice.packet import FRAME_S, FRAME_SAMPLES, VoicePacket
+from pica_client.voice.packet import FRAME_S, FRAME_SAMPLES, VoicePacket, level_of
 from pica_client.voice.wav import shipped_speech
 
 SECONDS = 7

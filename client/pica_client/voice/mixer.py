@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from pica_client.voice.jitter_buffer import Decoder, JitterBuffer
-from pica_client.voice.level import level_of
-from pica_client.voice.packet import FRAME_SAMPLES, MAX_LEVEL, VoicePacket
+from pica_client.voice.packet import FRAME_SAMPLES, MAX_LEVEL, VoicePacket, level_of
 from pica_client.voice.sound.settings import MAX_VOLUME, Moment
 from pica_client.voice.spatial import Placed
 from pica_core.types import Array, FloatArray

@@ -13,10 +13,14 @@ A silence is a gap: nothing is sent and ``sequence`` does not count on, ``captur
 hole in ``sequence`` is a loss, and a leap of ``captured_us`` without one is a silence.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
+
 from pica_client.errors import VoiceError
+from pica_core.types import FloatArray
 
 SAMPLE_RATE_HZ: Final = 48_000
 FRAME_SAMPLES: Final = 960
@@ -74,3 +78,9 @@ def decode_payload(sequence: int, captured_us: int, payload: bytes) -> VoicePack
         level=None if level == _UNSAID else level,
         is_first=bool(payload[0] & _FIRST),
     )
+
+
+def level_of(pcm: FloatArray) -> int:
+    """Return decibels of the root mean square below full scale: 0 loud to 126 silent."""
+    power = float(np.mean(np.square(pcm, dtype=np.float64)))
+    return MAX_LEVEL if power <= 0 else min(max(round(-10 * math.log10(power)), 0), MAX_LEVEL)

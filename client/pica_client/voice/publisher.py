@@ -15,7 +15,6 @@ from typing import Any, Final, Protocol
 import numpy as np
 
 from pica_client.transport.link import Link
-from pica_client.voice.level import level_of
 from pica_client.voice.opus import OpusEncoder
 from pica_client.voice.packet import (
     FRAME_SAMPLES,
@@ -23,6 +22,7 @@ from pica_client.voice.packet import (
     PACKET_FRAMES,
     VoicePacket,
     encode_payload,
+    level_of,
 )
 from pica_client.voice.track import VOICE_KEY, VOICE_MUTED, voice_track
 from pica_core.types import FloatArray

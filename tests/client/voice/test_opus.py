@@ -6,9 +6,8 @@ import pytest
 from fuzzing.campaign import run
 from pica_client.errors import VoiceError
 from pica_client.voice import opus
-from pica_client.voice.level import level_of
 from pica_client.voice.opus import OpusDecoder, OpusEncoder
-from pica_client.voice.packet import FRAME_SAMPLES, MAX_LEVEL, MAX_OPUS_BYTES
+from pica_client.voice.packet import FRAME_SAMPLES, MAX_LEVEL, MAX_OPUS_BYTES, level_of
 
 pytestmark = [
     pytest.mark.unit,

@@ -24,9 +24,8 @@ from typing import Any
 import numpy as np
 
 from pica_client.errors import VoiceError
-from pica_client.voice.level import level_of
 from pica_client.voice.mixer import VoiceMixer
-from pica_client.voice.packet import FRAME_S, FRAME_SAMPLES, MAX_LEVEL, SAMPLE_RATE_HZ
+from pica_client.voice.packet import FRAME_S, FRAME_SAMPLES, MAX_LEVEL, SAMPLE_RATE_HZ, level_of
 from pica_client.voice.sound.settings import DeviceState
 from pica_core.types import FloatArray
 
