@@ -5,12 +5,15 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 import torch
+from scipy.ndimage import distance_transform_edt
+from scipy.spatial import KDTree
 from torch import Tensor
 
 from pica_core.avatar.baseline import BaselineAvatar
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.linear import RANK
 from pica_core.avatar.manifest import Manifest, ViewSpan
+from pica_core.capture.triangles import components
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.baseline import DeepAppearanceModel
 from pica_core.model.interface import AvatarModel
@@ -18,13 +21,18 @@ from pica_core.model.linear import LinearGeometry
 from pica_core.model.pixel_decoder import XYZ_UNIT_M
 from pica_core.train.data.images import view_direction
 from pica_core.train.data.training import TrainingData
-from pica_core.train.unseen import fill_unseen
-from pica_core.types import FloatArray, IntArray
+from pica_core.train.data.uv_raster import rasterise_uv
+from pica_core.types import BoolArray, FloatArray, IntArray
 
 MARGIN_M = 0.02
 """How far decoded positions may leave the box of the training meshes."""
 LATENT_HEADROOM = 1.25
 """The 8-bit range of a latent channel, against the largest value over the training frames."""
+UNSEEN_MARGIN_RATIO = 1 / 128
+"""Seen texels nearer to an unseen one, of the map's width, lend nothing: few pixels, seen edge-on,
+made them what they are (chosen by looking at six people)."""
+NEIGHBOURS = 12
+"""Texels whose mean an unseen one takes."""
 
 
 def avatar_tensors(
@@ -163,3 +171,40 @@ def _view_span(data: TrainingData) -> ViewSpan:
     low, high = np.percentile(angles, [1, 99], axis=1).round(1)
     low, high = np.minimum(low, -1.0), np.maximum(high, 1.0)
     return ViewSpan(float(low[0]), float(high[0]), float(low[1]), float(high[1]))
+
+
+def fill_unseen(values: FloatArray, is_seen: BoolArray, data: TrainingData) -> FloatArray:
+    """Give the texels that no picture showed to training the mean of seen ones near them.
+
+    They keep their random start, and would be drawn torn and grey from sides where no camera was.
+    Near is meant on the mean mesh, within the same regions and the same island of the UV layout.
+
+    Args:
+        values: Row 0 is v = 0, ``[T, T, C]``.
+        is_seen: Which texels training saw, ``[T, T]``.
+
+    Returns:
+        A new map, ``[T, T, C]``. Seen texels, texels outside of the UV layout and parts of it of
+        which training saw too little are as they were.
+    """
+    topology = data.capture.topology
+    raster = rasterise_uv(topology.vertex_uv, topology.faces, len(values))
+    points_m = (data.meshes.dense_mean_m[raster.corners] * raster.weights[:, :, None]).sum(1)
+    island = components(topology.faces, len(topology.vertex_uv))
+    marks = np.stack([island, *topology.regions.values()], 1)
+    part = np.unique(marks, axis=0, return_inverse=True)[1].reshape(-1)[raster.corners[:, 0]]
+    is_hole = raster.covered & ~is_seen
+    margin = UNSEEN_MARGIN_RATIO * len(values)
+    lends = (distance_transform_edt(~is_hole) > margin)[raster.covered]
+    needs = is_hole[raster.covered]
+    inside = values[raster.covered]
+    filled = inside.copy()
+    for each in np.unique(part[needs]):
+        lenders = np.flatnonzero((part == each) & lends)
+        holes = np.flatnonzero((part == each) & needs)
+        if len(lenders) >= NEIGHBOURS:
+            _, near = KDTree(points_m[lenders]).query(points_m[holes], NEIGHBOURS)
+            filled[holes] = inside[lenders[near]].mean(1)
+    result: FloatArray = values.copy()
+    result[raster.covered] = filled
+    return result

@@ -27,11 +27,10 @@ from pica_core.train.data.images import view_direction
 from pica_core.train.data.training import TrainingData
 from pica_core.train.data.uv_raster import rasterise_uv
 from pica_core.train.eval.evaluate import evaluate, mean_mse
-from pica_core.train.export import joint_map, make_avatar
+from pica_core.train.export import fill_unseen, joint_map, make_avatar
 from pica_core.train.loop import Trainer, open_trainer
 from pica_core.train.losses import DEPTH_LIMIT_M, depth_loss, depth_mask
 from pica_core.train.optimiser import rate_ratio
-from pica_core.train.unseen import fill_unseen
 from pica_core.types import FloatArray
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
