@@ -212,7 +212,8 @@ class Playout:
             face = self._correction.corrected(face, step.elapsed_s)
         self._shown, self._is_path_new = face, False
         self._delay_s = now - transit.fastest_s - position_s
-        return self._played(face, position_s, own_s if self._slack_s > 0 else position_s, now)
+        slack_s = self._slack_s  # what is not waited for on a slow display is not overdue, either
+        return self._played(face, position_s, own_s - slack_s if slack_s else position_s, now)
 
     def due_frames(self, now: float) -> list[DecodedFrame]:
         """Take every frame that has become due, in capture order, each exactly once."""

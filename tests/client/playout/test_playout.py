@@ -12,10 +12,12 @@ from helpers.playout_trial import (
     FRAME_S,
     TICK_S,
     WAY_S,
+    Trouble,
     arrivals,
     arrive,
     between,
     captured,
+    concealed_ratio,
     face,
     play,
     receive,
@@ -181,6 +183,12 @@ def test_a_display_slower_than_the_stream_waits_for_no_next_frame(
     assert len(shown_s) == 4 * images_per_s
     assert max(shown_s) <= FRAME_S + 0.005
     assert playout.report().target_s == pytest.approx(delay_s, abs=0.002)
+
+
+def test_jitter_that_a_slow_display_hides_conceals_nothing() -> None:
+    trouble = Trouble(jitter_s=0.05, begin_s=0, end_s=20)
+    ticks = play(Playout(), arrivals(trouble, seconds=20), seconds=20, display_hz=8)
+    assert concealed_ratio(between(ticks, 5, 20)) == 0
 
 
 # Still faces
