@@ -92,6 +92,7 @@ class CountedRenderer(Renderer):
         self._num_images += 1
         self._sums["triangles"] += stats.num_triangles
         self._sums["decoded_pixels"] += stats.shaded_pixels or 0
+        self._sums["textured_texels"] += stats.textured_pixels or 0
 
     def counts(self, pool: CountedPool) -> dict[str, float]:
         """Everything so far, an image."""

@@ -38,8 +38,10 @@ class HeadStats:
     """Level of the mesh that was drawn; 0 for a placeholder or a textured head."""
     num_triangles: int
     shaded_pixels: int | None
-    """Pixels that were coloured; None unless asked for. Textured heads colour a pixel again where
-    they overlap themselves."""
+    """Pixels that were decoded, or those of a textured head, which colours a pixel again where it
+    overlaps itself; None unless asked for."""
+    textured_pixels: int | None
+    """Pixels of what does not change with the face; None unless asked for."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -53,6 +55,8 @@ class DrawStats:
     num_draw_calls: int
     shaded_pixels: int | None
     """Pixels that pixel decoders coloured; None unless asked for."""
+    textured_pixels: int | None
+    """Pixels of what does not change with the faces; None unless asked for."""
     heads: tuple[HeadStats, ...]
     """Of the heads that are on the screen; an avatar that both eyes see is there twice, as is one
     while two of its levels are mixed."""
@@ -115,30 +119,39 @@ def list_heads(
 def count_draws(
     listed: DrawList,
     counts: Sequence[int | None],
+    static_counts: Sequence[int | None],
     painted_counts: Sequence[int | None],
     *,
     is_smooth: bool,
 ) -> DrawStats:
-    """What a frame drew, with the coloured pixels of each decoded head and of each textured one."""
+    """What a frame drew, with the coloured pixels of each decoded head, of its static part, and of
+    each textured head."""
+    of_static = [*static_counts, *(count and 0 for count in painted_counts)]
     heads = [
         HeadStats(
             slot=head.slot,
             level=head.mesh.level,
             num_triangles=head.mesh.num_triangles,
             shaded_pixels=count,
+            textured_pixels=textured,
         )
-        for head, count in zip(listed.heads, [*counts, *painted_counts], strict=True)
+        for head, count, textured in zip(
+            listed.heads, [*counts, *painted_counts], of_static, strict=True
+        )
     ]
     num_placeholders = sum(head.expression is None for head in listed.decoded)
     num_second = sum(head.number != head.mark for head in listed.decoded)
     counted = [count for count in counts if count is not None]
+    statics = [count for count in static_counts if count is not None]
     return DrawStats(
         num_avatars=len(heads) - num_placeholders - num_second,
         num_placeholders=num_placeholders,
         num_triangles=sum(head.num_triangles for head in heads),
         num_draw_calls=(2 + 2 * is_smooth) * len(listed.decoded)
+        + sum(head.mesh.static is not None for head in listed.decoded)
         + (1 + 2 * is_smooth) * len(listed.painted),
         shaded_pixels=sum(counted) if len(counted) == len(counts) else None,
+        textured_pixels=sum(statics) if len(statics) == len(static_counts) else None,
         heads=tuple(heads),
     )
 

@@ -1,7 +1,7 @@
 """What the GPU holds of an avatar: its meshes, encodings and program; and of the head that stands
 in for one."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import moderngl
@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_client.render.gpu_program import (
+    UNIT_EXPRESSION,
     UNIT_POSITION,
     UNIT_STILL,
     UNIT_U_ENCODING,
@@ -17,17 +18,32 @@ from pica_client.render.gpu_program import (
     build_program,
     clamp,
 )
+from pica_client.render.gpu_static import bake_texture, static_vertices
 from pica_client.render.shader_source import AXIS_ROW, axis_levels, compose
 from pica_client.render.shader_weights import pack_weights, siren_source
 from pica_core.avatar.bust import WHOLE_M, bust_of, fade_heights_m, seen_faces
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.level_tensors import sheet_uv
+from pica_core.avatar.static import SEAM, parts_of
 from pica_core.reference.decoders import still_map
 from pica_core.reference.mesh import order_faces
 from pica_core.types import FloatArray
 
-MeshPrograms = tuple[moderngl.Program, moderngl.Program]
-"""The surface pass's programs: for a head that is drawn whole, and for one that shares pixels."""
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeshPrograms:
+    """The programs that draw meshes, the same for all avatars."""
+
+    whole: moderngl.Program
+    """The surface pass of a head that is drawn whole."""
+    sharing: moderngl.Program
+    """That of a head that shares pixels with another level of itself."""
+    static: moderngl.Program
+    """Draws what does not change with the face."""
+    unwrap: moderngl.Program
+    """Lays a mesh out flat by its UVs."""
+
+
 WeightsPlace = Literal["block", "constants", "turns"]
 
 BOUNDS_MARGIN_M = 0.01
@@ -63,8 +79,11 @@ class Mesh:
 
     level: int
     vertices: tuple[moderngl.VertexArray, moderngl.VertexArray]
-    """Arrays for the two `MeshPrograms`."""
+    """Arrays for the surface pass of a head that is drawn whole, and of one that shares pixels."""
+    static: moderngl.VertexArray | None
+    """What of it does not change with the face, if something does not."""
     num_triangles: int
+    """Those of the static part included."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,6 +98,8 @@ class Body:
     """Textures keyed by texture unit."""
     weights: moderngl.Buffer | None
     """Bound to uniform block 0; None if the program holds them as constants."""
+    skin: moderngl.Texture | None
+    """What its static parts look like; None where it has none."""
     low_m: tuple[float, ...]
     high_m: tuple[float, ...]
     still_size: int = 0
@@ -148,16 +169,26 @@ def upload_avatar(
     if weights_place == "block":
         weights = context.buffer(pack_weights(avatar.spec, tensors))
     fade_m = fade_heights_m(bust_of(avatar).lower_m) if fades else WHOLE_M
-    return Body(
+    body = Body(
         meshes=_level_meshes(context, mesh_programs, avatar, fade_m[0]),
         shade=context.vertex_array(program, []),
         textures=textures,
         weights=weights,
+        skin=None,
         low_m=tuple(value - BOUNDS_MARGIN_M for value in manifest.bounds_min_m),
         high_m=tuple(value + BOUNDS_MARGIN_M for value in manifest.bounds_max_m),
         still_size=0 if still is None else len(still),
         fade_m=fade_m,
     )
+    if still is None or not len(avatar.textured_faces(avatar.levels[-1])):
+        return body
+
+    def bind_still() -> None:
+        body.bind()
+        textures[UNIT_STILL].use(UNIT_EXPRESSION)
+
+    skin = bake_texture(context, mesh_programs.unwrap, body.shade, avatar, bind_still)
+    return replace(body, skin=skin)
 
 
 def upload_placeholder(context: moderngl.Context, mesh_programs: MeshPrograms) -> Body:
@@ -177,6 +208,7 @@ def upload_placeholder(context: moderngl.Context, mesh_programs: MeshPrograms) -
         shade=context.vertex_array(program, []),
         textures={UNIT_POSITION: clamp(texture)},
         weights=None,
+        skin=None,
         low_m=tuple(low_m.tolist()),
         high_m=tuple(high_m.tolist()),
         fade_m=fade_heights_m(float(low_m[1])),
@@ -189,21 +221,34 @@ def _level_meshes(
     """The triangles of each level that do not end below `gone_m`, with the vertices that the level
     uses and no others: for the full positions, and for the level's own."""
     vertex_uv, rest_m = avatar.tensors["mesh.vertex_uv"], avatar.mean_vertices_m
-    full = avatar.levels[-1]
+    full, parts = avatar.levels[-1], parts_of(avatar.tensors)
+    corners = np.zeros((0, 6), np.float32)
+    if parts is not None:
+        corners = np.concatenate([rest_m, vertex_uv, (parts > SEAM)[:, None]], axis=1)
     meshes = {}
     for level in avatar.levels:
         # Neighbours together: in the order of a shuffled file five heads take half as long again to
         # draw.
-        ordered = order_faces(avatar.level_faces(level), vertex_uv)
+        ordered = order_faces(avatar.decoded_faces(level), vertex_uv)
+        static, own = None, order_faces(avatar.textured_faces(level), vertex_uv)
+        if len(own):
+            own = seen_faces(own, rest_m, gone_m)
+            static = static_vertices(context, programs.static, own, corners, "3f 2f 1f")
         used, renumbered = np.unique(ordered, return_inverse=True)
         uv = vertex_uv[used]
         faces = seen_faces(renumbered.reshape(-1, 3), rest_m[used], gone_m)
         sheet = avatar.sheet_vertices(full)
         at_full = uv if sheet is None else sheet_uv(len(sheet), full)[used]
-        meshes[full, level] = upload_mesh(context, programs, level, faces, uv, at_full)
+        meshes[full, level] = upload_mesh(
+            context, programs, level, faces, uv, at_full, static, len(own)
+        )
         if level != full:
-            places = sheet_uv(len(used), level)
-            meshes[level, level] = upload_mesh(context, programs, level, faces, uv, places)
+            listed = avatar.sheet_vertices(level)
+            assert listed is not None  # below the full one
+            places = sheet_uv(len(listed), level)[np.searchsorted(listed, used)]
+            meshes[level, level] = upload_mesh(
+                context, programs, level, faces, uv, places, static, len(own)
+            )
     return meshes
 
 
@@ -214,17 +259,20 @@ def upload_mesh(
     faces: npt.NDArray[Any],
     vertex_uv: npt.NDArray[Any],
     places: npt.NDArray[Any],
+    static: moderngl.VertexArray | None = None,
+    num_static: int = 0,
 ) -> Mesh:
     """Put triangles ``[F, 3]`` on the GPU, with the places ``[V, 2]`` at which positions of their
-    vertices are looked up."""
+    vertices are looked up; static ones belong to the mesh, too."""
     indices = context.buffer(np.ascontiguousarray(faces, np.int32).tobytes())
     both = np.concatenate([places, vertex_uv], axis=1)
     corners = context.buffer(np.ascontiguousarray(both, np.float32).tobytes())
     content = [(corners, "2f 2f", "vertex_place", "vertex_uv")]
     whole, sharing = (
-        context.vertex_array(program, content, index_buffer=indices) for program in programs
+        context.vertex_array(program, content, index_buffer=indices)
+        for program in (programs.whole, programs.sharing)
     )
-    return Mesh(level, (whole, sharing), len(faces))
+    return Mesh(level, (whole, sharing), static, len(faces) + num_static)
 
 
 def placeholder_map() -> FloatArray:

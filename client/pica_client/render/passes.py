@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import moderngl
 import numpy as np
 
-from pica_client.render.gpu_avatar import Body, Mesh, upload_placeholder
+from pica_client.render.gpu_avatar import Body, Mesh, MeshPrograms, upload_placeholder
 from pica_client.render.gpu_program import (
     UNIT_EXPRESSION,
     UNIT_POSITION,
@@ -135,11 +135,17 @@ class DrawPasses:
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
-        self.mesh_programs = (
-            build_program(context, compose("mesh.vert"), compose("surface.frag")),
-            build_program(
-                context, compose("mesh.vert"), compose("surface.frag", defines={"SHARED": ""})
+        shared, static = {"SHARED": ""}, {"STATIC": ""}
+        mesh, surface = compose("mesh.vert"), compose("surface.frag")
+        self.mesh_programs = MeshPrograms(
+            whole=build_program(context, mesh, surface),
+            sharing=build_program(context, mesh, compose("surface.frag", defines=shared)),
+            static=build_program(
+                context,
+                compose("textured.vert", defines=static),
+                compose("textured.frag", defines=static),
             ),
+            unwrap=build_program(context, compose("unwrap.vert"), surface),
         )
         self.textured_program = build_program(
             context, compose("textured.vert"), compose("textured.frag")
@@ -212,7 +218,8 @@ class DrawPasses:
         # Near ones first: what they hide is tested away before it is written.
         for head in sorted(heads, key=lambda head: float(head.place.matrix[3, 3])):
             is_shared = head.share != WHOLE
-            program = self.mesh_programs[is_shared]
+            programs = self.mesh_programs
+            program = programs.sharing if is_shared else programs.whole
             targets.surface.viewport = viewport(head.place.view)
             head.position.use(UNIT_POSITION)
             set_matrix(program, "clip_from_head", head.place.matrix)
@@ -248,6 +255,35 @@ class DrawPasses:
         targets.textured.depth_mask = True
         context.depth_func = "<"
         return counts
+
+    def statics(
+        self, targets: RenderTargets, heads: Sequence[DecodedHead], *, count: bool = False
+    ) -> list[int | None]:
+        """Draw what of decoded heads does not change over the shaded image, behind what is nearer;
+        counts as `shade`."""
+        program = self.mesh_programs.static
+        targets.room_image.use(UNIT_ROOM)
+        targets.textured.use()
+        self._context.enable(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
+
+        def paint(head: DecodedHead) -> None:
+            place, body, vertices = head.place, head.body, head.mesh.static
+            if vertices is None or body.skin is None:
+                return
+            targets.textured.viewport = viewport(place.view)
+            body.skin.use(UNIT_SKIN)
+            set_matrix(program, "clip_from_head", place.matrix)
+            set_values(
+                program,
+                slot=float(head.mark),
+                shown=place.shown,
+                low_m=body.low_m,
+                high_m=body.high_m,
+                share=head.share,
+            )
+            vertices.render()
+
+        return self._draw_each(heads, paint, count)
 
     def texture(
         self,

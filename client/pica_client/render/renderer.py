@@ -10,10 +10,10 @@ pixels.
 A frame is: (1) the surface pass draws all meshes and keeps, per pixel, the head-frame position, the
 UV, whose it is and how much of the texture it reaches over; (2) a shade pass per avatar covers the
 rectangle of its head, and runs the pixel decoder where the first pass says the pixel is its own;
-(3) edges are smoothed. So a hidden pixel costs no decoding, and the pixel
-decoder runs on whole blocks of pixels: drawn triangle by triangle, a mesh whose triangles are as
-small as pixels would run it several times over (llvmpipe and GPUs shade in blocks of 2x2 or 4x4 per
-triangle).
+(3) what does not change with the face is drawn with a texture; (4) edges are smoothed. So a hidden
+pixel costs no decoding, and the pixel decoder runs on whole blocks of pixels: drawn triangle by
+triangle, a mesh whose triangles are as small as pixels would run it several times over (llvmpipe
+and GPUs shade in blocks of 2x2 or 4x4 per triangle).
 
 Colours of avatars are sRGB values already and are stored as they come. The renderer belongs to the
 thread of its context. After the first frame nothing is allocated on the GPU until avatars or size
@@ -137,15 +137,16 @@ class Renderer(Closing):
         self.add_placeholder(slot)
         body = next((entry.body for entry in self._slots.values() if entry.avatar is avatar), None)
         if body is None:
-            body = upload_avatar(
-                self._context,
-                self._passes.mesh_programs,
-                avatar,
-                self.weights,
-                filtered=self._options.filter_encodings,
-                fades=self._options.fade_busts,
-                program=self._program_for(avatar),
-            )
+            with freeing(self._context):
+                body = upload_avatar(
+                    self._context,
+                    self._passes.mesh_programs,
+                    avatar,
+                    self.weights,
+                    filtered=self._options.filter_encodings,
+                    fades=self._options.fade_busts,
+                    program=self._program_for(avatar),
+                )
         rows = {level: avatar.position_rows(level) for level in avatar.levels}
         square, codes = {level: level for level in rows}, avatar.spec.expression_channels
         self._slots[slot] = RenderSlot(
@@ -264,12 +265,13 @@ class Renderer(Closing):
         passes.surfaces(targets, heads.decoded, clear=has_both)
         self._num_decoded = len(heads.decoded)
         counts = passes.shade(targets, heads.decoded, count=count_pixels)
+        static_counts = passes.statics(targets, heads.decoded, count=count_pixels)
         painted_counts = passes.texture(targets, heads.painted, count=count_pixels)
         self._context.copy_framebuffer(targets.final, targets.shaded)
         is_smooth = self._options.smooth_edges
         if is_smooth:
             passes.smooth(targets, [head.place for head in heads.heads])
-        return count_draws(heads, counts, painted_counts, is_smooth=is_smooth)
+        return count_draws(heads, counts, static_counts, painted_counts, is_smooth=is_smooth)
 
     def read_image(self) -> Image:
         """The last frame, uint8 ``[H, W, 3]``, top row first. Waits for the GPU.
@@ -305,6 +307,16 @@ class Renderer(Closing):
         numbers = 255 - marks.reshape(height, width, 4)[::-1, :, 3].astype(np.int32)
         heads = np.where(numbers <= self._num_decoded, numbers - 1, -1).astype(np.int32)
         return xyz[..., :3], uv.reshape(height, width, 2)[::-1], heads
+
+    def read_texture(self, slot: str) -> Image | None:
+        """What an avatar's static surface looks like, uint8 ``[T, T, 3]``, row 0 is v = 0; None
+        where it has none. For tests."""
+        entry = self._slots.get(slot)
+        skin = entry.body.skin if entry and entry.body else None
+        if skin is None:
+            return None
+        texels = np.frombuffer(skin.read(), np.uint8).reshape(*skin.size, 4)
+        return np.ascontiguousarray(texels[..., :3])
 
     @property
     def image(self) -> moderngl.Framebuffer:

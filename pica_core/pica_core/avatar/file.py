@@ -20,6 +20,7 @@ Tensors, float32 in memory unless stated:
     encoder.{i}.weight .bias  52 ARKit shapes -> ... -> 256 latent values, LeakyReLU between
     stream.*              tables of the latent bitstream, integers (`stream_profile`); may be absent
     level.*               levels of detail (`level_tensors`); may be absent
+    static.parts          which vertices do not change with the face (`static`); may be absent
 
 In the file big maps may be smaller than in memory: see `storage`.
 """
@@ -45,6 +46,8 @@ from pica_core.avatar.levels import LevelErrors
 from pica_core.avatar.linear import check_linear, linear_shapes
 from pica_core.avatar.manifest import Manifest
 from pica_core.avatar.spec import AvatarSpec
+from pica_core.avatar.static import NAME as STATIC_NAME
+from pica_core.avatar.static import decoded_faces, parts_of, static_shape, textured_faces
 from pica_core.avatar.storage import (
     DEFAULT_STORAGE,
     Storage,
@@ -56,7 +59,7 @@ from pica_core.codec.profile import PREFIX as STREAM_PREFIX
 from pica_core.codec.profile import StreamProfile, profile_shapes
 from pica_core.errors import AvatarFileError
 from pica_core.files import replacing
-from pica_core.latent import NUM_LATENT
+from pica_core.latent import LATENT_SHAPE, NUM_LATENT
 from pica_core.reference.mesh import sample_vertices
 from pica_core.types import Array, FloatArray, IntArray
 
@@ -70,6 +73,7 @@ MAX_ENCODER_WIDTH = 2048
 _INDEX_TYPES = {"I32", "U16"}
 _WEIGHT_TYPES = {"F32", "F16", "U8", "U16"}
 _STREAM_TYPES = {"I32", "I16", "U16", "U8"}
+_STATIC_TYPES = {"U8"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,6 +105,14 @@ class Avatar:
         name = "mesh.faces" if level == self.spec.map_size else level_tensors.faces_name(level)
         faces: IntArray = self.tensors[name]
         return faces
+
+    def decoded_faces(self, level: int) -> IntArray:
+        """Those of `level_faces` whose pixels are decoded, int32 ``[F, 3]``."""
+        return decoded_faces(self.level_faces(level), parts_of(self.tensors))
+
+    def textured_faces(self, level: int) -> IntArray:
+        """Those of `level_faces` that have a texture, int32 ``[F, 3]``; may be none."""
+        return textured_faces(self.level_faces(level), parts_of(self.tensors))
 
     def position_rows(self, level: int) -> int:
         """Rows of what the geometry decoder makes at a level: of the position map at the full one,
@@ -347,6 +359,8 @@ def _check_header(spec: AvatarSpec, header: Mapping[str, Any]) -> None:
         allowed = _INDEX_TYPES if level_tensors.is_index(name) else _WEIGHT_TYPES
         if name.startswith(STREAM_PREFIX):
             allowed = _STREAM_TYPES
+        if name == STATIC_NAME:
+            allowed = _STATIC_TYPES
         if (stored := str(entry.get("dtype"))) not in allowed:
             raise ValueError(
                 f"tensor {name} is stored as {stored:.20}; allowed are {', '.join(sorted(allowed))}"
@@ -361,6 +375,9 @@ def _check_shapes(spec: AvatarSpec, shapes: Mapping[str, tuple[int, ...]]) -> No
             raise ValueError(f"tensor {name} has {rows} rows; the limit is {limit}")
         wanted[name] = (rows, columns)
     wanted |= level_tensors.wanted_shapes(spec, shapes, MAX_FACES)
+    if STATIC_NAME in shapes:
+        wanted[STATIC_NAME] = static_shape(wanted["mesh.vertex_uv"][0])
+        wanted[level_tensors.STILL_NAME] = LATENT_SHAPE
     if spec.geometry == "bases":
         wanted |= linear_shapes(shapes, wanted["mesh.vertex_uv"][0])
     stream = {
@@ -414,6 +431,9 @@ def _check_tensors(spec: AvatarSpec, tensors: Mapping[str, Array]) -> None:
     _check_shapes(spec, {name: array.shape for name, array in tensors.items()})
     StreamProfile.from_tensors(tensors)
     own = {name: a for name, a in tensors.items() if not name.startswith(STREAM_PREFIX)}
+    parts = own.pop(STATIC_NAME, np.zeros(0, np.uint8))
+    if parts.dtype != np.uint8:
+        raise ValueError(f"tensor {STATIC_NAME} is {parts.dtype}; uint8 is needed")
     for name, array in own.items():
         wanted = np.int32 if level_tensors.is_index(name) else np.float32
         if array.dtype != wanted:
@@ -426,6 +446,8 @@ def _check_tensors(spec: AvatarSpec, tensors: Mapping[str, Array]) -> None:
         )
     for name in filter(level_tensors.is_faces, tensors):
         level_tensors.check_indices(name, tensors[name], len(uv), "vertices")
+        if not len(decoded_faces(tensors[name], parts_of(tensors))):
+            raise ValueError(f"tensor {STATIC_NAME} leaves 0 triangles of {name}; 1 is the least")
     if spec.geometry == "bases":
         check_linear(tensors)
     level_tensors.check_sheets(spec, tensors)

@@ -12,6 +12,7 @@ import numpy as np
 
 from pica_core.avatar.level_tensors import PREFIX as LEVEL_PREFIX
 from pica_core.avatar.level_tensors import is_index
+from pica_core.avatar.static import NAME as STATIC_NAME
 from pica_core.codec.profile import PREFIX as STREAM_PREFIX
 from pica_core.types import Array
 
@@ -57,7 +58,7 @@ def storage_of(precision: Precision, names: Iterable[str]) -> dict[str, Storage]
     """
     if precision == "mixed":
         return dict(DEFAULT_STORAGE)
-    apart = (STREAM_PREFIX, LEVEL_PREFIX)
+    apart = (STREAM_PREFIX, LEVEL_PREFIX, STATIC_NAME)
     own = [name for name in names if not (name.startswith(apart) or is_index(name))]
     if precision == "f32":
         return dict.fromkeys(own, "f32")
@@ -79,7 +80,7 @@ def to_storage(
     Returns:
         What to write, and the table of scales and offsets if there is one.
     """
-    if name.startswith(STREAM_PREFIX):
+    if name == STATIC_NAME or name.startswith(STREAM_PREFIX):
         return array, None
     if is_index(name):
         is_short = num_vertices <= 2**16 and array.max() < 2**16
@@ -105,7 +106,7 @@ def to_memory(name: str, stored: Array, affine: Any) -> Array:
     """
     if is_index(name):
         return stored.astype(np.int32)
-    if name.startswith(STREAM_PREFIX):
+    if name == STATIC_NAME or name.startswith(STREAM_PREFIX):
         return stored
     if stored.dtype.kind == "f":
         return stored.astype(np.float32)

@@ -13,11 +13,14 @@ layout(location = 0) out vec4 xyz_and_owner;
 layout(location = 1) out vec2 uv;
 
 #include "footprint.glsl"
+#ifdef SHARED
+#include "turns.glsl"
+#endif
 
 void main() {
 #ifdef SHARED
     // Two levels of a head take turns from pixel to pixel while one gives way to the other.
-    float turn = fract(52.9829189 * fract(dot(floor(gl_FragCoord.xy), vec2(0.06711056, 0.00583715))));
+    float turn = turn_of_pixel();
     if (turn < share.x || turn >= share.y) {
         discard;
     }

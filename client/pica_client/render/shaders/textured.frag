@@ -1,16 +1,38 @@
-// A baseline avatar: one lookup in the texture that its decoder made.
+// A surface with a texture: a baseline avatar, or what of another does not change with the face.
 
 in vec2 surface_uv;
 in vec3 surface_xyz_m;
+#ifdef STATIC
+in float surface_opacity;
+#endif
 
 uniform sampler2D skin; // row 0 is v = 0
 uniform float slot;
+#ifdef STATIC
+uniform vec2 share; // the part of the pixels that this level of a head gets, from and to
+#endif
 
 layout(location = 0) out vec4 colour;
 
 #include "mark.glsl"
 #include "bust.glsl"
+#include "turns.glsl"
+
+#ifdef STATIC
+// As surface_joint.glsl looks its map up, so that both sides of a seam are as sharp.
+const float LOD_BIAS = -0.5;
+#else
+const float LOD_BIAS = 0.0;
+#endif
 
 void main() {
-    colour = vec4(before_room(texture(skin, surface_uv).rgb, surface_xyz_m), mark_of(slot));
+#ifdef STATIC
+    // At its seam it takes turns with the decoded surface below, and where two levels are mixed
+    // they with each other.
+    float turn = turn_of_pixel();
+    if (surface_opacity <= fract(turn + 0.5) || turn < share.x || turn >= share.y) {
+        discard;
+    }
+#endif
+    colour = vec4(before_room(texture(skin, surface_uv, LOD_BIAS).rgb, surface_xyz_m), mark_of(slot));
 }

@@ -27,6 +27,7 @@ from pica_core.avatar.level_tensors import (
 )
 from pica_core.avatar.levels import EXIT_DIVISORS, level_sizes
 from pica_core.avatar.linear import components_of, weights_of_latent
+from pica_core.avatar.static import NAME as STATIC_NAME
 from pica_core.capture.stage.expressions import stream_training_performances
 from pica_core.capture.triangles import areas, signed_areas
 from pica_core.errors import TrainingOptionError, check_ranges
@@ -52,6 +53,7 @@ from pica_core.train.lod.judge import (
     shown_faces,
 )
 from pica_core.train.lod.simplify import Simplifier
+from pica_core.train.lod.static import mark_static
 from pica_core.types import Array
 
 NOISE_RATIO = 0.1
@@ -154,9 +156,11 @@ def add_levels(
     show: Callable[[str], None] = lambda _: None,
 ) -> tuple[Avatar, list[LevelReport]]:
     """Fit exits and simplify meshes for every level below the full one: the avatar with its levels,
-    and how good they are. Levels that it has are made anew, a table of errors is dropped."""
+    and how good they are; its static surface is marked. Levels that it has are made anew, a table
+    of errors is dropped."""
     options = options or LevelOptions()
-    tensors = {name: a for name, a in avatar.tensors.items() if not name.startswith(PREFIX)}
+    made_here = (PREFIX, STATIC_NAME)
+    tensors = {name: a for name, a in avatar.tensors.items() if not name.startswith(made_here)}
     bare = Avatar(avatar.manifest, tensors)
     faces, check = _draw_faces(bare, options)
     full = _FullLevel(bare, faces, options)
@@ -201,7 +205,8 @@ def add_levels(
     show("judging")
     judge = Judge(bare, regions, full.vertices_m(seen), full_maps, still)
     tensors[JUDGED_NAME] = judge_levels(judge, meshes, drawn)
-    return Avatar(avatar.manifest, tensors), reports
+    show("static surfaces")
+    return mark_static(Avatar(avatar.manifest, tensors)), reports
 
 
 def _draw_faces(avatar: Avatar, options: LevelOptions) -> tuple[FaceSet, FaceSet]:

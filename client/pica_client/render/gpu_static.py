@@ -1,0 +1,93 @@
+"""The texture of what does not change with the face, made when an avatar comes.
+
+The avatar's own pixel decoder makes it: the mesh at rest is laid out flat by its UVs, and each
+texel is coloured as a pixel of the still face. So nothing of it stands in the file, and none can
+disagree with what is decoded beside it.
+"""
+
+from collections.abc import Callable
+
+import moderngl
+import numpy as np
+
+from pica_client.render.gpu_program import (
+    UNIT_VISIBLE_UV,
+    UNIT_VISIBLE_XYZ,
+    clamp,
+    set_values,
+)
+from pica_core.avatar.bust import WHOLE_M
+from pica_core.avatar.file import Avatar
+from pica_core.types import Array
+
+TEXTURE_PX = 1024
+"""Side of the texture (measured: docs/drawing.md)."""
+MARGIN_PX = 8
+"""So far beside its charts a texture has their colours."""
+MIP_LEVELS = 3
+"""Smaller copies of the texture: as many as the margin serves."""
+_WHOLE_SCREEN = (-1.0, -1.0, 1.0, 1.0)
+
+
+def bake_texture(
+    context: moderngl.Context,
+    unwrap: moderngl.Program,
+    shade: moderngl.VertexArray,
+    avatar: Avatar,
+    bind_still: Callable[[], None],
+) -> moderngl.Texture:
+    """Colour the still face wherever it has a texture.
+
+    Args:
+        unwrap: Lays a mesh out flat.
+        shade: The avatar's pixel decoder.
+        bind_still: Makes what it reads current, its still map as the expression map.
+    """
+    size = (TEXTURE_PX, TEXTURE_PX)
+    xyz, uv = context.texture(size, 4, dtype="f4"), context.texture(size, 2, dtype="nu2")
+    depth = context.depth_renderbuffer(size)
+    texture = clamp(context.texture(size, 4))
+    surface = context.framebuffer([xyz, uv], depth)
+    coloured = context.framebuffer([texture], depth)
+    rest_m, vertex_uv = avatar.mean_vertices_m, avatar.tensors["mesh.vertex_uv"]
+    corners = np.concatenate([rest_m, vertex_uv], axis=1)
+    faces = avatar.textured_faces(avatar.levels[-1])
+    flat = static_vertices(context, unwrap, faces, corners, "3f 2f")
+
+    context.enable_only(moderngl.DEPTH_TEST)
+    context.depth_func = "<"
+    coloured.clear()
+    surface.use()
+    surface.clear(depth=1.0)
+    set_values(unwrap, slot=1.0, margin=MARGIN_PX / TEXTURE_PX)
+    flat.render(instances=9)
+
+    bind_still()
+    xyz.use(UNIT_VISIBLE_XYZ)
+    uv.use(UNIT_VISIBLE_UV)
+    coloured.use()
+    coloured.depth_mask = False
+    context.depth_func = ">"
+    shown = (*WHOLE_M, 1.0)
+    set_values(shade.program, is_change=False, slot=1.0, mark=1.0, shown=shown, rect=_WHOLE_SCREEN)
+    shade.render(moderngl.TRIANGLE_STRIP, vertices=4)
+    context.depth_func = "<"
+    context.detect_framebuffer(0).use()  # those of here are freed
+    texture.build_mipmaps(0, MIP_LEVELS)
+    texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
+    return texture
+
+
+def static_vertices(
+    context: moderngl.Context, program: moderngl.Program, faces: Array, corners: Array, layout: str
+) -> moderngl.VertexArray:
+    """Triangles ``[F, 3]`` over those of the corners ``[V, C]`` that they use: places, UVs and,
+    where the layout has it, opacities."""
+    used, numbers = np.unique(faces, return_inverse=True)
+    content = np.ascontiguousarray(corners[used], np.float32).tobytes()
+    names = ("vertex_xyz_m", "vertex_uv", "vertex_opacity")[: len(layout.split())]
+    return context.vertex_array(
+        program,
+        [(context.buffer(content), layout, *names)],
+        index_buffer=context.buffer(np.ascontiguousarray(numbers, np.int32).tobytes()),
+    )

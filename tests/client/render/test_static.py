@@ -1,0 +1,96 @@
+"""What does not change with the face is drawn with a texture, and looks as if it were decoded."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import moderngl
+import numpy as np
+import pytest
+
+from pica_client.decode.decoder import OnnxDecoder
+from pica_client.render.renderer import DrawStats, Renderer, RenderOptions
+from pica_client.render.scene import Placement
+from pica_core.avatar.file import Avatar, load_avatar
+from pica_core.avatar.shipped import shipped_avatar_files
+from pica_core.avatar.static import NAME, STATIC, parts_of
+from pica_core.camera import look_at
+from pica_core.gl import create_context
+from pica_core.reference.sampling import sample_bilinear
+from pica_core.reference.static import still_colours
+from pica_core.types import Image
+
+pytestmark = pytest.mark.render
+
+SIZE = (240, 240)
+AVATAR = load_avatar(shipped_avatar_files()[1])
+DECODED = replace(AVATAR, tensors={k: a for k, a in AVATAR.tensors.items() if k != NAME})
+WHOLE = Placement(slot="head", world_from_head=np.eye(4, dtype=np.float32))
+CAMERA = look_at(
+    centre_m=(0.2, -0.05, 0.9),
+    target_m=(0, -0.1, 0),
+    vertical_fov=0.6,
+    width=SIZE[0],
+    height=SIZE[1],
+)
+
+
+@pytest.fixture(scope="module")
+def context() -> Iterator[moderngl.Context]:
+    made = create_context()
+    yield made
+    made.release()
+
+
+def drawn(
+    context: moderngl.Context, avatar: Avatar, level: int, placement: Placement = WHOLE
+) -> tuple[Image, DrawStats]:
+    """A moving face at a level."""
+    with Renderer(context, SIZE, RenderOptions(smooth_edges=False)) as renderer:
+        renderer.add_avatar("head", avatar)
+        latent = np.random.default_rng(2).standard_normal((8, 8, 4)).astype(np.float32)
+        maps = OnnxDecoder(avatar).decode(latent, np.array([0, 0, 1], np.float32), level)
+        renderer.update_maps("head", maps.position_map, maps.expression_map)
+        stats = renderer.draw([placement], CAMERA, count_pixels=True)
+        return renderer.read_image(), stats
+
+
+@pytest.mark.parametrize("level", AVATAR.levels)
+def test_a_textured_pullover_looks_as_a_decoded_one(context: moderngl.Context, level: int) -> None:
+    textured, stats = drawn(context, AVATAR, level)
+    decoded, whole = drawn(context, DECODED, level)
+
+    error = np.square(textured.astype(float) - decoded).mean(axis=2)
+    assert error.mean() < 1.0
+    assert np.percentile(error, 99.5) < 40
+    assert stats.shaded_pixels is not None
+    assert whole.shaded_pixels is not None
+    assert stats.shaded_pixels < 0.5 * whole.shaded_pixels
+    assert whole.textured_pixels == 0
+
+
+def test_every_pixel_is_textured_or_decoded_while_a_mesh_fades(context: moderngl.Context) -> None:
+    full = AVATAR.levels[-1]
+    fading = replace(WHOLE, mesh_level=64, mesh_before=full, blend=0.5, is_same_maps=True)
+    textured, _ = drawn(context, AVATAR, full, fading)
+    decoded, _ = drawn(context, DECODED, full, fading)
+
+    assert np.square(textured.astype(float) - decoded).mean() < 1.0
+
+
+def test_the_texture_is_that_of_the_reference(context: moderngl.Context) -> None:
+    with Renderer(context, SIZE) as renderer:
+        renderer.add_avatar("head", AVATAR)
+        skin = renderer.read_texture("head")
+    uv, parts = AVATAR.tensors["mesh.vertex_uv"], parts_of(AVATAR.tensors)
+    assert skin is not None
+    assert parts is not None
+    chosen = parts == STATIC
+    wanted = 255 * still_colours(AVATAR, AVATAR.mean_vertices_m[chosen], uv[chosen])
+
+    error = sample_bilinear(skin, uv[chosen]) - wanted
+
+    # A texel shows the mean of what it covers, the reference one point of it.
+    assert np.abs(error).mean() < 2.0
+    assert np.median(np.abs(error)) < 1.0
