@@ -222,6 +222,16 @@ def test_an_address_on_the_command_line_needs_no_form(
     assert kept.load().url == relay_url
 
 
+def test_a_stay_begins_without_what_held_for_the_people_of_another(
+    library: AvatarLibrary, relay_url: str
+) -> None:
+    state = state_at(relay_url)
+    state.volumes, state.barred = {1: 0.0}, {"eve": "Eve"}
+    state.side, state.is_talking = "settings", True
+    look(HEADLESS, state, library, without_signals)
+    assert (state.volumes, state.barred, state.side, state.is_talking) == ({}, {}, "none", False)
+
+
 def test_what_cannot_be_kept_is_said_and_the_call_ends_well(
     library: AvatarLibrary, relay_url: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

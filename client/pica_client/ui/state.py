@@ -136,6 +136,14 @@ class ViewState(Preferences):
         """Whether one's own voice is to be sent now."""
         return self.own_voice == "sent" and (self.is_talking or not self.sound.push_to_talk)
 
+    def enter(self, avatars: tuple[str, ...]) -> None:
+        """Begin a stay in a room; forget what held for the people and the panels of another."""
+        self.entered, self.avatars = self.identity, avatars
+        self.orbit, self.pinned, self.side = Orbit(), None, "none"
+        self.volumes, self.barred = {}, {}
+        self.wants_rejoin = self.wants_close = self.asks_to_leave = False
+        self.is_talking = self.is_recording = False
+
     def pin(self, place: int | None) -> None:
         """Pin a participant, or let go of the one who is pinned."""
         if place is not None:

@@ -17,7 +17,6 @@ from pica_client.errors import OptionError, RelayUnreachableError
 from pica_client.output import check_writable, say
 from pica_client.publish.face_desk import FaceDesk
 from pica_client.publish.own_face import OutgoingFace
-from pica_client.render.views import ViewState as Orbit
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.connect import trusting
 from pica_client.transport.link_news import LinkNews
@@ -85,9 +84,7 @@ class View:
         self._call = Call(avatars, log_shown=options.frame_log is not None)
         self._publisher = None if face is None else face.publisher
         state.name = link.name
-        state.entered, state.avatars = state.identity, tuple(library.names)
-        state.orbit, state.pinned = Orbit(), None
-        state.wants_rejoin = state.wants_close = state.asks_to_leave = state.is_recording = False
+        state.enter(tuple(library.names))
         self._window = window
         self._waiting = waiting
         self.was_cancelled = False
