@@ -26,8 +26,8 @@ from pica_core.reference.static import still_colours
 from pica_core.types import Array, BoolArray, ByteArray, Float64Array
 
 MOST_MSE = 12.0
-"""Mean squared change of colour, 0-255, that a static vertex may have (measured:
-docs/drawing.md)."""
+"""Mean squared change of colour, 0-255, that a static vertex may have (chosen: what a
+talking face changes by between two frames begins at 10; no other limit was compared)."""
 MOST_MOVED_M = 5e-4
 """How far a static vertex may move (chosen: a pixel of a head 500 pixels high)."""
 NUM_FACES = 24
