@@ -11,6 +11,7 @@ from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.errors import AvatarLookupError, OptionError, RelayError, SourceError
@@ -52,6 +53,7 @@ def first_state(options: ViewOptions, kept: PreferencesFile | None, *, asks: boo
     state = ViewState(has_seen_hint=True) if kept is None else kept.load()
     if not asks:
         state.url = state.room = state.name = state.avatar = state.ca_file = state.secret_file = ""
+        state.invited_url = ""
         state.source = state.voice = None
     given = {"url": options.url, "room": options.room, "name": options.name}
     given |= {"avatar": options.own_avatar, "layout": options.layout}
@@ -107,6 +109,9 @@ def _choose_sound(options: ViewOptions, state: ViewState, *, asks: bool) -> None
 def link_of(options: ViewOptions, state: ViewState) -> LinkConfig:
     """The connection that is asked for.
 
+    A token file is for the relay of ``--url``, or for one that the user has typed: an invite link
+    must not take its token to another relay.
+
     Raises:
         OptionError: A part of it cannot be right; names it.
     """
@@ -119,10 +124,17 @@ def link_of(options: ViewOptions, state: ViewState) -> LinkConfig:
         connect_timeout_s=connect_timeout_s(wait=options.wait, seconds=options.seconds),
         secret_file=_path(state.secret_file),
         token=token,
-        token_file=None if token else options.token_file,
+        token_file=None if token or withholds_token(options, state) else options.token_file,
         ca_file=_path(state.ca_file) if needs_ca else None,
         redirect_hosts=options.redirect_hosts,
     )
+
+
+def withholds_token(options: ViewOptions, state: ViewState) -> bool:
+    """Return True if the token file is for another relay than the one that an invite link named."""
+    wanted = _origin(state.url)
+    is_invited = wanted == _origin(state.invited_url)
+    return is_invited and wanted != _origin(options.url or DEFAULT_URL)
 
 
 def face_of(options: ViewOptions, state: ViewState) -> FaceChoice:
@@ -148,6 +160,7 @@ def look(
     Raises:
         See `View.run` and `open_own_face`.
     """
+    _say_token_withheld(options, state)
     while True:
         link = link_of(options, state)
         own = open_own_face(face_of(options, state), link, library, say)
@@ -186,6 +199,7 @@ def ask_and_look(
         pool = stack.enter_context(ThreadPoolExecutor(1, thread_name_prefix="own-face"))
         while lobby.ask(form):
             link = link_of(options, state)
+            _say_token_withheld(options, state)
             try:
                 opening = pool.submit(open_own_face, face_of(options, state), link, library, say)
                 if not lobby.wait("Getting your avatar …", opening.done):
@@ -216,6 +230,23 @@ def ask_and_look(
             if not state.wants_rejoin:
                 return result
     return dict(NOTHING_SHOWN)
+
+
+def _say_token_withheld(options: ViewOptions, state: ViewState) -> None:
+    if options.token_file is not None and not state.token and withholds_token(options, state):
+        url = state.url.strip()
+        say(f"token-file is not sent where the invite link leads; --url {url!r} would send it")
+
+
+def _origin(url: str) -> tuple[str, str | None, int | None]:
+    """The scheme, host and port of an address, which credentials belong to; nothing of one that
+    cannot be read, which `LinkConfig` refuses."""
+    ports = {"ws": 80, "wss": 443}
+    try:
+        parts = urlsplit(url.strip())
+        return parts.scheme, parts.hostname, parts.port or ports.get(parts.scheme)
+    except ValueError:
+        return "", None, None
 
 
 def _let_go(opening: Future[OutgoingFace | None]) -> None:
