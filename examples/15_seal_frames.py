@@ -13,9 +13,7 @@ from pica_client.e2ee.frames import derive_key, metadata_of, open_, seal
 from pica_protocol.frames import Frame
 
 key = derive_key(os.urandom(16), key_id=0)
-frame = Frame(
-    stream=7, sequence=41, layer=0, is_keyframe=True, captured_us=1_000_000, payload=b"a face"
-)
+frame = Frame(stream=7, sequence=41, captured_us=1_000_000, payload=b"a face")
 sealed = seal(frame.payload, metadata_of(frame), key, counter=41)
 print(f"{len(frame.payload)} bytes of payload, {len(sealed)} sealed: {sealed.hex()}")
 assert open_(sealed, metadata_of(frame), key) == frame.payload

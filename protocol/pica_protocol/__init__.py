@@ -1,7 +1,7 @@
 """The language of the wire: bytes <-> messages, and the handshake. No socket, no clock."""
 
-SUBPROTOCOL = "pica.1"
+SUBPROTOCOL = "pica.2"
 """The websocket sub-protocol both sides name; the digit changes when old peers could not follow."""
 
-PROTOCOL_VERSION = 1
+PROTOCOL_VERSION = 2
 """What ``Hello`` and ``Welcome`` carry; must be equal on both sides."""

@@ -9,6 +9,7 @@ from typing import Final
 from pica_protocol import messages, session
 from pica_protocol.codec import decode_message
 from pica_protocol.errors import CloseCode, LocalProtocolError, RemoteProtocolError
+from pica_protocol.frame_queue import FrameQueue, QueuedFrame
 from pica_protocol.frames import (
     MEDIA_KIND,
     SEQUENCE_MODULUS,
@@ -18,8 +19,6 @@ from pica_protocol.frames import (
     media_message,
 )
 from pica_protocol.limits import MAX_CONTROL_BYTES, MAX_MEDIA_MESSAGE_BYTES, MAX_PEERS
-from pica_protocol.ordered_queue import OrderedQueue, queue_for
-from pica_protocol.stream_queue import Put, StreamQueue
 
 MAX_QUEUED_MESSAGES: Final = 256
 """Control messages a client may queue before its shell sends them (chosen: one whisper to each peer
@@ -96,11 +95,12 @@ class ClientSession(session.Session):
         self._room = room
         self._seal = seal
         self._next_sequence = [0] * len(tracks)
-        self._queues = [queue_for(track, self.drops) for track in tracks]
-        # What is not to wait goes first, and takes along what else there is.
-        self._ordered = [each for each in self._queues if isinstance(each, OrderedQueue)]
-        self._latest = [each for each in self._queues if isinstance(each, StreamQueue)]
+        self._waiting = FrameQueue(self.drops)
         self._riding_until_s = -math.inf
+        self._captured_s = 0.0
+        # Of each peer the newest capture time, and when it came: times on the wire wrap.
+        self._clocks: dict[str, tuple[int, float]] = {}
+        self._publishers: dict[int, str] = {}
         self._came_with = ticket
         self._resume = ""
         self._queue(messages.Hello(software=software))
@@ -123,11 +123,14 @@ class ClientSession(session.Session):
         try:
             data = session.binary(data)
             if data[0] == MEDIA_KIND:
-                frames = decode_media(data)
+                frames = decode_media(data, lambda stream: self._expected_us(stream, now))
                 self._advance(session.Media)
-                return (
-                    [] if self.state is session.State.LEAVING else list[session.ClientEvent](frames)
-                )
+                if self.state is session.State.LEAVING:
+                    return []
+                for frame in frames:
+                    if peer_id := self._publishers.get(frame.stream):
+                        self._clocks[peer_id] = frame.captured_us, now
+                return list[session.ClientEvent](frames)
             return self._receive_message(decode_message(data, self._max_bytes))
         except RemoteProtocolError as error:
             return [self._end(error.code, str(error), is_remote=False)]
@@ -138,20 +141,19 @@ class ClientSession(session.Session):
         due_s = self.frames_due_s
         if due_s is None or due_s > now:
             return data
-        if any(map(len, self._ordered)):
+        if self._waiting.has_ordered:
             self._riding_until_s = now + RIDE_S
-        frames = [item.frame for queue in self._ordered for item in queue.take(_NO_LIMIT)]
-        frames += [item.frame for queue in self._latest for item in queue.take(_NO_LIMIT)]
+        frames = self._waiting.take(_NO_LIMIT, self._captured_s)
         if self.state is session.State.JOINED:
-            data += _media_messages(frames)
+            data += _media_messages([frame.data for frame in frames])
         return data
 
     @property
     def frames_due_s(self) -> float | None:
         """When the frames that wait go out; None: none waits."""
-        if any(map(len, self._ordered)):
+        if self._waiting.has_ordered:
             return -math.inf
-        return self._riding_until_s if any(map(len, self._latest)) else None
+        return self._riding_until_s if len(self._waiting) else None
 
     def handle_timer(self, now: float) -> list[session.ClientEvent]:
         """Give up if the relay has not let us in, or out, by now."""
@@ -163,19 +165,14 @@ class ClientSession(session.Session):
         return [self._end(CloseCode.HANDSHAKE_TIMEOUT, reason, is_remote=False)]
 
     def send_frame(
-        self,
-        payload: bytes,
-        captured_us: int,
-        *,
-        track: int = 0,
-        layer: int = 0,
-        is_keyframe: bool = False,
-    ) -> list[session.ClientEvent]:
-        """Queue a frame of one of our tracks; what waits too long is thinned, see `StreamQueue`.
+        self, payload: bytes, captured_us: int, *, track: int = 0, multiple: int = 1
+    ) -> None:
+        """Queue a frame of one of our tracks; of what waits too long less is sent, see
+        `FrameQueue`.
 
-        Returns:
-            A ``KeyframeRequest`` for our own stream, when the frame was dropped and so will be all
-            before the next keyframe. So the first frame of a track is to be a keyframe.
+        Args:
+            multiple: The frame gets the next sequence number that is a multiple of this: of 4 when
+                all shall have it who want but a quarter of the stream.
 
         Raises:
             LocalProtocolError: Not joined, or there is no such track.
@@ -183,26 +180,21 @@ class ClientSession(session.Session):
         """
         if self.state is not session.State.JOINED or not 0 <= track < len(self.tracks):
             raise LocalProtocolError(f"cannot send on track {track} while {self.state.value}")
-        stream = self.tracks[track].stream
-        sequence = self._next_sequence[track]
-        frame = Frame(
-            stream=stream,
-            sequence=sequence,
-            captured_us=captured_us,
-            payload=payload,
-            layer=layer,
-            is_keyframe=is_keyframe,
-        )
+        stream, policy = self.tracks[track].stream, self.tracks[track].policy
+        next_sequence = self._next_sequence[track]
+        sequence = (next_sequence + -next_sequence % multiple) % SEQUENCE_MODULUS
+        frame = Frame(stream=stream, sequence=sequence, captured_us=captured_us, payload=payload)
         self._next_sequence[track] = (sequence + 1) % SEQUENCE_MODULUS
         if stream in self.muted:
             self.drops["muted"] += 1
-            return []
+            return
         if self._seal is not None:
             frame = replace(frame, payload=self._seal(frame))
+        deadline_s = self.tracks[track].deadline_ms / 1000 if policy == "ordered" else None
         # The capture time is all the clock we have here; only differences count.
-        queue = self._queues[track]
-        fate = queue.put(encode_frame(frame), layer, is_keyframe, captured_us / 1e6)
-        return [] if fate in (Put.WAITS, Put.DROPPED) else [messages.KeyframeRequest(stream=stream)]
+        self._captured_s = captured_us / 1e6
+        data = encode_frame(frame)
+        self._waiting.put(QueuedFrame("", stream, data, self._captured_s, deadline_s))
 
     def tell(self, message: messages.FromMember) -> None:
         """Say something to the relay, or through it: a whisper may be dropped, and nobody is told.
@@ -261,6 +253,7 @@ class ClientSession(session.Session):
                 self.is_admin = message.is_admin
                 self.tracks = message.tracks
                 self.peers = {peer.peer_id: peer for peer in message.peers}
+                self._note_streams(*message.peers)
                 self._deadline = None
                 self._resume = message.resume
                 if message.resumed:
@@ -275,11 +268,14 @@ class ClientSession(session.Session):
                 self._check_peers(self.peer_id, self.tracks, others.values())
                 # One id is one peer: whoever had it has gone.
                 is_known, self.peers = peer.peer_id in self.peers, others
+                self._forget_streams(peer.peer_id)
+                self._note_streams(peer)
                 self.away.discard(peer.peer_id)
                 if is_known:
                     return [messages.PeerLeft(peer_id=peer.peer_id), message]
             case messages.PeerLeft(peer_id=peer_id):
                 self.peers.pop(peer_id, None)
+                self._forget_streams(peer_id)
                 self.away.discard(peer_id)
             case messages.PeerAway(peer_id=peer_id):
                 if peer_id in self.peers:  # else a relay could fill our memory
@@ -294,6 +290,20 @@ class ClientSession(session.Session):
                 self.muted = self.muted | {stream} if is_muted else self.muted - {stream}
         assert isinstance(message, messages.Joined | messages.RoomNews)  # so says the table
         return [message]
+
+    def _note_streams(self, *peers: messages.Peer) -> None:
+        for peer in peers:
+            self._publishers |= {track.stream: peer.peer_id for track in peer.tracks}
+
+    def _forget_streams(self, peer_id: str) -> None:
+        self._clocks.pop(peer_id, None)
+        self._publishers = {s: each for s, each in self._publishers.items() if each != peer_id}
+
+    def _expected_us(self, stream: int, now: float) -> int:
+        """Return about what time a peer's clock shows: as long after its newest frame as ours. All
+        tracks of a peer are on one clock; of who has sent nothing yet it is taken to be ours."""
+        captured_us, received_s = self._clocks.get(self._publishers.get(stream, ""), (0, 0.0))
+        return captured_us + round((now - received_s) * 1e6)
 
     @staticmethod
     def _check_peers(

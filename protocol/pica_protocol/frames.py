@@ -1,21 +1,21 @@
-"""Media frames: a fixed 16-byte header in front of an opaque payload.
+"""Media frames: a fixed 8-byte header in front of an opaque payload.
 
     offset  size  field
-    0       2     stream        whose frame this is; unique in the room
-    2       2     sequence      counts the frames of a stream, wraps at 65536
-    4       1     layer         temporal layer, 0 is the base
-    5       1     flags         bit 0: keyframe, decodable alone; the rest is sent as 0, ignored
-    6       2     length        bytes of payload that follow the header
-    8       8     captured_us   microseconds of the sender's own clock
+    0       2     stream      whose frame this is; unique in the room
+    2       2     sequence    numbers the frames of a stream, wraps at 65536
+    4       4     upper 21 bits: capture time, in units of 0.1 ms of the sender's clock, wraps after
+                  209.7 s; lower 11 bits: bytes of payload that follow the header
 
 All numbers are big-endian. One websocket message is the kind byte 2 and then one or more frames.
 The header stays in the clear so that payloads may be encrypted end to end, and the relay forwards a
-frame's bytes as they came: streams are unique in a room, so not even the stream needs rewriting (it
-stands first, alone, in case a gateway between rooms must).
+frame's bytes as they came.
+
+Every frame stands alone: any of them may be dropped. Who wants less of a stream gets the frames
+whose sequence number is a multiple of 2 or of 4.
 """
 
 import struct
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -25,12 +25,15 @@ from pica_protocol.errors import RemoteProtocolError
 MEDIA_KIND: Final = 2
 """First byte of a websocket message that carries media frames; ``codec.CONTROL_KIND`` is the
 other."""
-
 MEDIA_PREFIX: Final = bytes([MEDIA_KIND])
-FLAG_KEYFRAME: Final = 1
 SEQUENCE_MODULUS: Final = 1 << 16
+TICK_US: Final = 100
+"""Resolution of capture times on the wire, microseconds (chosen: far below a display's frame)."""
+LENGTH_BITS: Final = 11
+LENGTH_MASK: Final = (1 << LENGTH_BITS) - 1
+TICK_MODULUS: Final = 1 << (32 - LENGTH_BITS)
 
-_HEADER = struct.Struct(">HHBBHQ")
+_HEADER = struct.Struct(">HHI")
 HEADER_BYTES: Final = _HEADER.size
 MAX_PAYLOAD_BYTES: Final = limits.MAX_FRAME_BYTES - HEADER_BYTES
 
@@ -42,14 +45,12 @@ class Frame:
     stream: int
     sequence: int
     captured_us: int
+    """Sender's clock; from the wire in steps of `TICK_US` and with an origin of its own."""
     payload: bytes
-    layer: int = 0
-    is_keyframe: bool = False
 
     def __post_init__(self) -> None:
         limits.check_range("frame.stream", self.stream, 1, limits.MAX_STREAM)
         limits.check_range("frame.sequence", self.sequence, 0, SEQUENCE_MODULUS - 1)
-        limits.check_range("frame.layer", self.layer, 0, limits.MAX_LAYER)
         limits.check_range("frame.captured_us", self.captured_us, 0, 2**64 - 1)
         limits.check_range("frame.payload bytes", len(self.payload), 0, MAX_PAYLOAD_BYTES)
 
@@ -58,25 +59,22 @@ class FrameSpan(NamedTuple):
     """Where one frame lies in a media message, and the little the relay needs to know of it."""
 
     stream: int
-    layer: int
-    flags: int
+    sequence: int
     start: int
     end: int
 
 
+def clear_header(frame: Frame) -> bytes:
+    """Return the header of a frame without the length of its payload: what a seal covers."""
+    ticks = frame.captured_us // TICK_US % TICK_MODULUS
+    return _HEADER.pack(frame.stream, frame.sequence, ticks << LENGTH_BITS)
+
+
 def encode_frame(frame: Frame) -> bytes:
     """Return header and payload, without the kind byte of the message around it."""
-    return (
-        _HEADER.pack(
-            frame.stream,
-            frame.sequence,
-            frame.layer,
-            FLAG_KEYFRAME if frame.is_keyframe else 0,
-            len(frame.payload),
-            frame.captured_us,
-        )
-        + frame.payload
-    )
+    ticks = frame.captured_us // TICK_US % TICK_MODULUS
+    word = ticks << LENGTH_BITS | len(frame.payload)
+    return _HEADER.pack(frame.stream, frame.sequence, word) + frame.payload
 
 
 def media_message(encoded_frames: Iterable[bytes]) -> bytes:
@@ -88,8 +86,8 @@ def scan_frames(message: bytes) -> list[FrameSpan]:
     """Check a whole media message and find its frames, without copying anything.
 
     Raises:
-        RemoteProtocolError: The message is too long or empty, or a frame is cut off, too long, of
-            stream 0 or of a layer above ``MAX_LAYER``.
+        RemoteProtocolError: The message is too long or empty, or a frame is cut off, too long, or
+            of stream 0.
     """
     size = len(message)
     if size > limits.MAX_MEDIA_MESSAGE_BYTES:
@@ -103,7 +101,8 @@ def scan_frames(message: bytes) -> list[FrameSpan]:
     while start < size:
         if size - start < HEADER_BYTES:
             raise RemoteProtocolError(f"frame header cut off after {size - start} bytes")
-        stream, _, layer, flags, length, _ = _HEADER.unpack_from(message, start)
+        stream, sequence, word = _HEADER.unpack_from(message, start)
+        length = word & LENGTH_MASK
         end = start + HEADER_BYTES + length
         if length > MAX_PAYLOAD_BYTES:
             raise RemoteProtocolError(
@@ -113,29 +112,40 @@ def scan_frames(message: bytes) -> list[FrameSpan]:
             raise RemoteProtocolError(f"frame payload cut off, {end - size} bytes are missing")
         if stream == 0:
             raise RemoteProtocolError("frame of stream 0, which nobody owns")
-        if layer > limits.MAX_LAYER:
-            raise RemoteProtocolError(f"frame of layer {layer}, the limit is {limits.MAX_LAYER}")
-        spans.append(FrameSpan(stream, layer, flags, start, end))
+        spans.append(FrameSpan(stream, sequence, start, end))
         start = end
     return spans
 
 
-def decode_media(message: bytes) -> list[Frame]:
-    """Return the frames of one media message, in order; raises as ``scan_frames``."""
+def decode_media(
+    message: bytes, expected_us: Callable[[int], int] = lambda stream: 0
+) -> list[Frame]:
+    """Return the frames of one media message, in order; raises as ``scan_frames``.
+
+    Args:
+        expected_us: About what a stream's capture time is, microseconds: the wire carries it modulo
+            209.7 s, and the time nearest to this is taken.
+    """
     frames = []
-    for span in scan_frames(message):
-        _, sequence, _, _, _, captured_us = _HEADER.unpack_from(message, span.start)
+    for stream, sequence, start, end in scan_frames(message):
+        _, _, word = _HEADER.unpack_from(message, start)
         frames.append(
             Frame(
-                stream=span.stream,
+                stream=stream,
                 sequence=sequence,
-                captured_us=captured_us,
-                payload=message[span.start + HEADER_BYTES : span.end],
-                layer=span.layer,
-                is_keyframe=bool(span.flags & FLAG_KEYFRAME),
+                captured_us=unwrap_time_us(word >> LENGTH_BITS, expected_us(stream)),
+                payload=message[start + HEADER_BYTES : end],
             )
         )
     return frames
+
+
+def unwrap_time_us(ticks: int, near_us: int) -> int:
+    """Return the time nearest to ``near_us`` that is ``ticks`` modulo the wrap, never below 0."""
+    near = near_us // TICK_US
+    half = TICK_MODULUS // 2
+    unwrapped = near + (ticks - near + half) % TICK_MODULUS - half
+    return (unwrapped if unwrapped >= 0 else ticks) * TICK_US
 
 
 def sequence_distance(sequence: int, reference: int) -> int:

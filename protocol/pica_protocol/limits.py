@@ -21,9 +21,6 @@ MAX_CONTROL_BYTES = 131_072
 MAX_CLIENT_MESSAGE_BYTES = 16_384
 """One message of either kind from a client: the relay reads no more than this at once."""
 
-MAX_LAYER = 7
-"""Highest temporal layer; three are planned, eight fit the relay's counters (chosen)."""
-
 MAX_STREAM = 65_535
 """Streams are unsigned 16 bit, unique in a room; 0 means "not allotted yet"."""
 

@@ -1,6 +1,6 @@
 """The control messages: frozen records that check their own limits.
 
-Direction and bytes of each are shown in ``docs/protocol.md``. The annotations are the schema that
+Direction and bytes of each are shown in ``docs/wire.md``. The annotations are the schema that
 ``codec.py`` reads: ``int``, ``bool``, ``str``, ``bytes``, ``int | None``, another record, a tuple
 of one of these, or ``Metadata``; what an annotation adds to a type is the field's limit.
 """
@@ -16,8 +16,10 @@ from pica_protocol import PROTOCOL_VERSION, limits
 MAX_COUNTER: Final = 2**63 - 1
 MAX_TRACK_KIND_BYTES: Final = 16
 DROP_POLICIES: Final = ("latest", "ordered")
-"""What may be dropped when a receiver is slow. ``latest``: whatever newer frames make needless, see
-`stream_queue`. ``ordered``: what has waited longer than its deadline, see `ordered_queue`."""
+"""What may be dropped when a receiver is slow, see `frame_queue`. ``latest``: all but the newest
+frame. ``ordered``: what has waited longer than its deadline."""
+SHARES: Final = (0, 1, 2, 4)
+"""What may be asked for of a stream: none of it, all, or each second or fourth sequence number."""
 Metadata = tuple[tuple[str, str], ...]
 """What a peer says of itself, a few short texts by key; a map on the wire."""
 BYE_CODES: Final = (1000, 1001, 1009, 1011)
@@ -108,7 +110,7 @@ class Track(Checked):
     stream: Annotated[int, within(0, limits.MAX_STREAM)] = 0
     """The stream its frames travel on; 0 in ``Join``, allotted by the relay in ``Joined``."""
     profile: Sha256 = ""
-    """SHA-256 of the stream profile the payloads are encoded with, in hexadecimal; empty: plain."""
+    """SHA-256 of the stream profile the payloads are encoded with, in hexadecimal."""
     deadline_ms: int = 0
     """Says, with ``ordered``, how long a frame may wait for a receiver, milliseconds; else 0."""
 
@@ -257,22 +259,17 @@ class Leave(Checked):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Want(Checked):
-    """A receiver's subscription to one stream: frames up to ``layer``, or none.
-
-    Without one it gets everything.
-    """
+class Subscribe(Checked):
+    """How much of one stream a receiver wants. Without one it gets everything."""
 
     stream: Stream
-    layer: Annotated[int | None, _if_any(within(0, limits.MAX_LAYER))] = None
-    """Highest layer to forward; None stops the stream."""
+    every: int = 1
+    """1: every frame; 2 or 4: those whose sequence number is a multiple of it; 0: none."""
 
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class KeyframeRequest(Checked):
-    """A receiver asks for a keyframe; the relay passes it on to the publisher at a limited rate."""
-
-    stream: Stream
+    def __post_init__(self) -> None:
+        Checked.__post_init__(self)
+        if self.every not in SHARES:
+            raise ValueError(f"subscribe.every must be one of {SHARES}, got {self.every}")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -348,20 +345,11 @@ class Bye(Checked):
             raise ValueError(f"bye.code must be one a close frame may carry, got {self.code}")
 
 
-RoomNews = (
-    PeerJoined
-    | PeerLeft
-    | PeerAway
-    | PeerBack
-    | PeerUpdated
-    | StreamMuted
-    | KeyframeRequest
-    | Whisper
-)
+RoomNews = PeerJoined | PeerLeft | PeerAway | PeerBack | PeerUpdated | StreamMuted | Whisper
 """What a relay says to who is in a room."""
 Moderation = RemovePeer | MutePeer | BarIdentity
 """What only an admin says to the relay."""
-FromMember = Want | KeyframeRequest | Report | Whisper | UpdateMetadata | Moderation
+FromMember = Subscribe | Report | Whisper | UpdateMetadata | Moderation
 """What who is in a room says to the relay, but for ``Leave``."""
 Message = Hello | Welcome | Join | Joined | Leave | Bye | RoomNews | FromMember
 

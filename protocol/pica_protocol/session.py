@@ -32,7 +32,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final, NamedTuple, get_args
 
-from pica_protocol import PROTOCOL_VERSION
+from pica_protocol import PROTOCOL_VERSION, SUBPROTOCOL
 from pica_protocol.codec import CONTROL_KIND, encode_message
 from pica_protocol.errors import CloseCode, RemoteProtocolError
 from pica_protocol.frames import MEDIA_KIND, Frame, FrameSpan
@@ -166,7 +166,7 @@ def check_version(version: int) -> None:
     """Refuse another version than ours."""
     if version != PROTOCOL_VERSION:
         raise RemoteProtocolError(
-            f"we speak protocol version {PROTOCOL_VERSION}, you {quoted(version)}",
+            f"this side speaks {SUBPROTOCOL}, the other version {quoted(version)}",
             CloseCode.WRONG_VERSION,
         )
 

@@ -5,7 +5,7 @@ answers ``Stored`` when it has the file, else ``Ready``, and then takes chunks, 
 has as many bytes as were offered. It checks them and answers ``Stored``. Whatever goes wrong on
 either side ends with ``Bye`` and a close frame, as in ``pica.1``.
 
-Getting a file back is plain HTTP: ``GET /avatars/ID``, see ``docs/protocol.md``.
+Getting a file back is plain HTTP: ``GET /avatars/ID``, see ``docs/wire.md``.
 """
 
 import re

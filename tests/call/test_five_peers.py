@@ -39,7 +39,7 @@ PEERS = ("ada", "ben", "cho", "dee", "eve")
 ROOM = "kitchen"
 AVATARS = {seed * 64: make_toy_avatar(seed=int(seed)) for seed in "12"}
 PAYLOAD_BYTES = 269
-FRAME_BYTES = PAYLOAD_BYTES + 16
+FRAME_BYTES = PAYLOAD_BYTES + 8
 
 
 @dataclass
@@ -262,7 +262,7 @@ async def send_garbage(relay: Relay, seconds: float) -> None:
     loop = asyncio.get_running_loop()
     end_s = loop.time() + seconds
     while loop.time() < end_s:
-        noisy.send_frame(rng.randbytes(rng.randrange(600)), rng.randrange(2**63))
+        noisy.send_frame(rng.randbytes(rng.randrange(600)), round(loop.time() * 1e6))
         await asyncio.sleep(1 / 30)
     noisy.leave()
     await running

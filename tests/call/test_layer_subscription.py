@@ -25,7 +25,6 @@ from pica_client.transport.config import LinkConfig
 from pica_client.transport.receiver import Receiver
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar, load_avatar
-from pica_protocol.limits import MAX_LAYER
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
 from simnet.clock import current_network, in_virtual_time
@@ -70,7 +69,7 @@ class Viewer:
 
     def __init__(self, receiver: Receiver) -> None:
         self.receiver = receiver
-        self.layer: int | None = MAX_LAYER
+        self.every = 1
         self.faces: list[tuple[float, FaceState]] = []
         self.looked = asyncio.Event()
 
@@ -82,15 +81,15 @@ class Viewer:
             await asyncio.sleep(DISPLAY_FRAME_S)
             now = loop.time()
             for face in self.receiver.call.faces(now):
-                self.receiver.call.subscribe(face.peer_id, self.layer, now)
+                self.receiver.call.subscribe(face.peer_id, self.every, now)
                 self.faces.append((now, face))
             self.looked.set()
         self.receiver.stop()
         await running
 
-    async def subscribe_from_now(self, layer: int | None) -> float:
+    async def subscribe_from_now(self, every: int) -> float:
         """Subscribe to something else from the next display frame on; return its time."""
-        self.layer = layer
+        self.every = every
         self.looked.clear()
         await self.looked.wait()
         return self.faces[-1][0]
@@ -127,10 +126,10 @@ async def test_a_stream_that_nobody_sees_costs_next_to_nothing(avatar: Avatar) -
         watching = asyncio.create_task(viewer.run(30))
         await asyncio.sleep(10)
         seen_bytes = viewer.payload_bytes()
-        viewer.layer = None
+        viewer.every = 0
         await asyncio.sleep(10)
         unseen_bytes = viewer.payload_bytes() - seen_bytes
-        viewer.layer = MAX_LAYER
+        viewer.every = 1
         await asyncio.sleep(9)
         again_bytes = viewer.payload_bytes() - seen_bytes - unseen_bytes
         await watching
@@ -151,7 +150,7 @@ async def test_once_the_relay_knows_not_a_byte_of_an_unseen_stream_comes(avatar:
         viewer = Viewer(make_receiver(relay.url, avatar))
         watching = asyncio.create_task(viewer.run(13))
         await asyncio.sleep(3)
-        viewer.layer = None
+        viewer.every = 0
         await asyncio.sleep(1)
         before = viewer.payload_bytes()
         await asyncio.sleep(8)
@@ -177,9 +176,9 @@ async def test_back_in_view_the_face_of_now_is_there_within_two_display_frames(
         viewer = Viewer(make_receiver(relay.url, avatar))
         watching = asyncio.create_task(viewer.run(away_s + 9))
         await asyncio.sleep(5)
-        viewer.layer = None
+        viewer.every = 0
         await asyncio.sleep(away_s)
-        back_s = await viewer.subscribe_from_now(MAX_LAYER)
+        back_s = await viewer.subscribe_from_now(1)
         await watching
         await sending
     truth = Truth(avatar, began_s)
@@ -216,7 +215,7 @@ async def test_a_wish_outlives_the_connection(avatar: Avatar) -> None:
         viewer = Viewer(make_receiver(relay.url, avatar))
         watching = asyncio.create_task(viewer.run(24))
         await asyncio.sleep(3)
-        viewer.layer = None
+        viewer.every = 0
         await asyncio.sleep(3)
         network.reset("viewer")
         await asyncio.sleep(8)
@@ -224,7 +223,7 @@ async def test_a_wish_outlives_the_connection(avatar: Avatar) -> None:
         before = viewer.payload_bytes()
         await asyncio.sleep(4)
         assert viewer.payload_bytes() == before
-        back_s = await viewer.subscribe_from_now(MAX_LAYER)
+        back_s = await viewer.subscribe_from_now(1)
         await watching
         await sending
     assert {face.status for _, face in viewer.after(back_s + 0.07 + BASE_S)} == {"live"}
@@ -242,7 +241,7 @@ async def test_who_looks_to_and_fro_tells_the_relay_a_message_or_two_a_second(
         before = viewer.receiver.link.counters.sent_messages
         rng = random.Random(5)
         for _ in range(50):
-            viewer.layer = rng.choice([None, 0, 1, MAX_LAYER])
+            viewer.every = rng.choice([0, 1, 2, 4])
             await asyncio.sleep(rng.uniform(0.02, 0.6))
         spent_s = asyncio.get_running_loop().time() - 2
         sent = viewer.receiver.link.counters.sent_messages - before
@@ -263,10 +262,10 @@ async def test_who_leaves_while_unseen_is_gone_and_a_silent_one_turns_stale_once
         viewer = Viewer(make_receiver(relay.url, avatar))
         watching = asyncio.create_task(viewer.run(12))
         await asyncio.sleep(3)
-        viewer.layer = None
+        viewer.every = 0
         await asyncio.sleep(3)
         current_network().stall("ada", 60)
-        back_s = await viewer.subscribe_from_now(MAX_LAYER)
+        back_s = await viewer.subscribe_from_now(1)
         await watching
         sender.stop()
         sending.cancel()
@@ -278,5 +277,5 @@ async def test_who_leaves_while_unseen_is_gone_and_a_silent_one_turns_stale_once
 
 def test_a_subscription_to_a_peer_who_is_not_there_changes_nothing() -> None:
     call = Call(LoadedAvatars({}))
-    call.subscribe("unknown", None, 0.0)
-    assert call.tell_subscriptions(lambda stream, layer: False, 0.0) is None
+    call.subscribe("unknown", 0, 0.0)
+    assert call.tell_subscriptions(lambda stream, every: False, 0.0) is None

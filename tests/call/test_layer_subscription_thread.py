@@ -15,7 +15,6 @@ from pica_client.call.call import Call
 from pica_client.publish.sender import SenderConfig
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.receiver import Receiver
-from pica_protocol.limits import MAX_LAYER
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
 
@@ -50,14 +49,14 @@ def test_a_subscription_of_another_thread_reaches_the_relay_and_is_taken_back() 
             sending = asyncio.create_task(sender.run())
             viewer = LinkConfig(url=relay.url, room="kitchen", name="viewer")
             receiver = Receiver(viewer, Call(LoadedAvatars(AVATARS)), rng=random.Random(1))
-            receiver.call.subscribe("nobody", None, time.monotonic())  # before it runs: no error
+            receiver.call.subscribe("nobody", 0, time.monotonic())  # before it runs: no error
             with receiver:
                 await until(lambda: received(receiver) > 10)
                 (peer_id,) = receiver.call.names()
-                receiver.call.subscribe(peer_id, None, time.monotonic())
+                receiver.call.subscribe(peer_id, 0, time.monotonic())
                 counts = [-1]
                 await until(lambda: is_silent(receiver, counts), SILENCE_S)
-                receiver.call.subscribe(peer_id, MAX_LAYER, time.monotonic())
+                receiver.call.subscribe(peer_id, 1, time.monotonic())
                 await until(lambda: received(receiver) > counts[-1] + 10)
                 receiver.stop()
                 await until(lambda: not receiver.is_connected)

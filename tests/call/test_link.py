@@ -17,7 +17,6 @@ from pica_protocol import SUBPROTOCOL
 from pica_protocol.messages import (
     BarIdentity,
     Joined,
-    KeyframeRequest,
     MutePeer,
     PeerJoined,
     StreamMuted,
@@ -236,37 +235,32 @@ async def test_frames_are_refused_while_nobody_listens() -> None:
     link, _ = make_link()
     assert not link.send_frame(b"x", 1)
     assert not link.is_joined
-    assert not link.want(1, 0)
-    assert not link.request_keyframe(1)
+    assert not link.subscribe(1, 1)
     assert not link.whisper("p1", b"x")
 
 
 @in_virtual_time
-async def test_wishes_requests_and_whispers_go_through_the_relay() -> None:
+async def test_subscriptions_and_whispers_go_through_the_relay() -> None:
     events: list[ClientEvent] = []
     async with Relay(RelayConfig()), peer_in_room(URL, "Bob", room="r") as bob:
         config = LinkConfig(url=URL, room="r")
         link = Link(config, (FACE,), on_event=lambda event, now: events.append(event))
         running = asyncio.create_task(link.run())
         ada = (await bob.until(PeerJoined)).peer
-        own, bobs = ada.tracks[0].stream, bob.session.tracks[0].stream
+        bobs = bob.session.tracks[0].stream
         assert link.whisper(bob.session.peer_id, b"key")
         assert await bob.until(Whisper) == Whisper(peer_id=ada.peer_id, data=b"key")
-        assert link.request_keyframe(bobs)
-        assert await bob.until(KeyframeRequest) == KeyframeRequest(stream=bobs)
-        assert link.want(bobs, None)
+        assert link.subscribe(bobs, 0)
         await asyncio.sleep(0.001)
         await bob.send_frame(b"unseen")
-        bob.session.tell(KeyframeRequest(stream=own))
         bob.session.tell(Whisper(peer_id=ada.peer_id, data=b"answer"))
         await bob.flush()
         await asyncio.sleep(0.001)
         assert link.send_frame(b"base", 1)
-        assert link.send_frame(b"top", 2, layer=2, is_keyframe=False)
+        assert link.send_frame(b"top", 2, multiple=4)
         await asyncio.sleep(0.001)
-        assert [(f.payload, f.layer, f.is_keyframe) for _, f in bob.arrivals][-1][1:] == (2, False)
+        assert [frame.sequence for _, frame in bob.arrivals][-1] == 4
         assert events[1:] == [
-            KeyframeRequest(stream=own),
             Whisper(peer_id=bob.session.peer_id, data=b"answer"),
         ]
         link.leave()

@@ -138,9 +138,9 @@ async def test_a_voice_is_heard_beside_its_face_on_one_clock_and_by_no_one_who_w
         assert set(times) == {2 * FRAME_US}
         assert [packet.is_first for packet in ben.packets[1:]] == [False] * (len(sequences) - 1)
         assert all(10 < (packet.level or 0) < 40 for packet in ben.packets)
-        assert ben.seen > 100
+        assert ben.seen > 95
         assert cho.heard == {}
-        assert cho.seen > 100
+        assert cho.seen > 95
         assert cho.receiver.call.strays == 0
         assert len(dan.packets) > 95
         assert dan.seen == 0

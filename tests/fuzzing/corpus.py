@@ -14,7 +14,6 @@ from pica_protocol.messages import (
     Hello,
     Join,
     Joined,
-    KeyframeRequest,
     Leave,
     Peer,
     PeerAway,
@@ -25,9 +24,9 @@ from pica_protocol.messages import (
     Report,
     StreamMuted,
     StreamReport,
+    Subscribe,
     Track,
     UpdateMetadata,
-    Want,
     Welcome,
     Whisper,
 )
@@ -53,8 +52,6 @@ def media(rng: random.Random, stream: int, *, num_frames: int = 1, sequence: int
                 sequence=(sequence + i) % 65_536,
                 captured_us=33_333 * (sequence + i),
                 payload=rng.randbytes(rng.randrange(60)),
-                layer=rng.choice((0, 0, 1, 2)),
-                is_keyframe=rng.random() < 0.3,
             )
         )
         for i in range(num_frames)
@@ -75,8 +72,7 @@ def to_relay(rng: random.Random, *, room: str = "lobby", stream: int = 1) -> lis
         ),
     ]
     others = [
-        encode_message(Want(stream=rng.randrange(1, 6), layer=rng.choice((None, 0, 1, 2)))),
-        encode_message(KeyframeRequest(stream=rng.randrange(1, 6))),
+        encode_message(Subscribe(stream=rng.randrange(1, 6), every=rng.choice((0, 1, 2, 4)))),
         encode_message(Whisper(peer_id=f"p{rng.randrange(1, 6)}", data=rng.randbytes(20))),
         encode_message(UpdateMetadata(metadata=(("hand", rng.choice(("up", "down"))),))),
         encode_message(Report(streams=(StreamReport(stream=1, received=9, lost=1),))),
@@ -105,7 +101,6 @@ def to_client(rng: random.Random, tracks: tuple[Track, ...] = (FACE,)) -> list[b
         encode_message(PeerBack(peer_id=rng.choice(("p1", "p3")))),
         encode_message(PeerUpdated(peer_id="p1", metadata=(("hand", "up"),))),
         encode_message(StreamMuted(stream=rng.choice((1, 10)), is_muted=rng.random() < 0.5)),
-        encode_message(KeyframeRequest(stream=10)),
         encode_message(Whisper(peer_id="p1", data=rng.randbytes(68))),
         media(rng, 1),
         media(rng, 3, num_frames=2),

@@ -22,7 +22,7 @@ from pica_protocol.frames import MEDIA_KIND
 MAX_BYTES: Final = 20_000
 """Of a damaged message: a little more than a relay reads at once."""
 
-_HEADER = struct.Struct(">HHBBHQ")
+_HEADER = struct.Struct(">HHI")
 
 _NEAR = (0, 1, 7, 16, 63, 64, 127, 128, 255, 1000, 1184, 1200, 3000, 4000, 4999, 65_535)
 INTEGERS: Final = (
@@ -238,10 +238,8 @@ class Mutator:
             stream = rng.choice(
                 (1, 1, 2, 3, 4, rng.randrange(65_536), 0 if rng.random() < 0.1 else 1)
             )
-            layer = rng.choice((0, 0, 1, 2, 7)) if rng.random() < 0.98 else rng.randrange(256)
-            flags = rng.choice((0, 1, 1)) if rng.random() < 0.9 else rng.randrange(256)
-            sequence, captured_us = rng.randrange(65_536), rng.getrandbits(rng.choice((1, 40, 64)))
-            out += _HEADER.pack(stream, sequence, layer, flags, length, captured_us) + payload
+            sequence, ticks = rng.randrange(65_536), rng.getrandbits(rng.choice((1, 12, 21)))
+            out += _HEADER.pack(stream, sequence, ticks << 11 | length & 2047) + payload
             if len(out) > MAX_BYTES:
                 break
         return bytes(out)

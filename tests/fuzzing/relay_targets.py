@@ -125,7 +125,7 @@ def hub(rng: random.Random, meter: Meter) -> None:
             _administer(rng, relay, now)
         if step % 8 == 0:
             for healthy in (ada, bob):
-                healthy.session.send_frame(bytes([step]), captured_us=step, is_keyframe=True)
+                healthy.session.send_frame(bytes([step]), captured_us=step)
                 healthy.speak(now)
                 num = len(bob.frames)
                 for listener in (ada, bob):

@@ -84,7 +84,7 @@ def guard(rng: random.Random, meter: Meter) -> None:
                 if receiver == whom:
                     listener.receive_event(Whisper(peer_id=sender, data=data), now)
     expect("p1" in bob.status.verified, "two who know the secret do not find each other")
-    frame = Frame(stream=1, sequence=0, captured_us=0, payload=b"face", is_keyframe=True)
+    frame = Frame(stream=1, sequence=0, captured_us=0, payload=b"face")
     payload = ada.seal(frame)
     mutator = Mutator(rng, [payload, *(data for _, data in bob.messages_to_send(now))])
     for _ in range(50):
@@ -100,7 +100,6 @@ def guard(rng: random.Random, meter: Meter) -> None:
                 sequence=rng.choice((0, 1)),
                 captured_us=0,
                 payload=damaged[:1184],
-                is_keyframe=True,
             )
             opened = meter.call(bob.receive_event, sent, now)
             is_good = (sent.stream, sent.sequence, sent.payload) == (1, 0, payload)

@@ -16,29 +16,19 @@ from typing import Final
 from fuzzing.corpus import CORPUS, FACE, media, shuffled, to_client, to_relay
 from fuzzing.meter import Meter, Violation
 from fuzzing.mutator import Mutator
-from pica_protocol import ordered_queue as ordered
 from pica_protocol.client_session import MAX_QUEUED_MESSAGES, ClientSession
 from pica_protocol.codec import decode_message, encode_message
 from pica_protocol.errors import CloseCode, RemoteProtocolError
+from pica_protocol.frame_queue import MAX_WAITING, FrameQueue, QueuedFrame
 from pica_protocol.frames import HEADER_BYTES, decode_media, encode_frame, scan_frames
 from pica_protocol.limits import (
     MAX_CLIENT_MESSAGE_BYTES,
     MAX_CONTROL_BYTES,
-    MAX_FRAME_BYTES,
     MAX_PEERS,
 )
-from pica_protocol.messages import Bye, Join, Joined, Peer, PeerAway, PeerJoined, Track, Want
-from pica_protocol.ordered_queue import MAX_WAITING_FRAMES, OrderedQueue
+from pica_protocol.messages import Bye, Join, Joined, Peer, PeerAway, PeerJoined, Subscribe, Track
 from pica_protocol.server_session import ServerSession
 from pica_protocol.session import Closed, State
-from pica_protocol.stream_queue import (
-    MAX_CHAIN_BYTES,
-    MAX_WAITING_BASE,
-    MAX_WAITING_BYTES,
-    MAX_WAITING_UPPER,
-    Put,
-    StreamQueue,
-)
 
 Target = Callable[[random.Random, Meter], None]
 
@@ -89,8 +79,7 @@ def frames(rng: random.Random, meter: Meter) -> None:
         for span, frame in zip(spans, decoded, strict=True):
             expect(span.start == at and span.end - at >= HEADER_BYTES, "a gap:", data)
             at = span.end
-            written = bytearray(encode_frame(frame))
-            written[5] = span.flags  # those bits that a client does not know are let through
+            written = encode_frame(frame)
             expect(written == data[span.start : span.end], "written again it differs:", data)
         expect(at == len(data), "bytes left over:", data)
         meter.note("accepted")
@@ -145,8 +134,8 @@ def client_session(rng: random.Random, meter: Meter) -> None:
         expect(len(session.peers) <= MAX_PEERS, "more peers than a room holds:", session.peers)
         expect(len(session.away) <= MAX_PEERS, "more are away than were there:", session.away)
         if session.can_queue and tracks and rng.random() < 0.3:
-            session.send_frame(rng.randbytes(30), captured_us=int(now * 1e6), is_keyframe=True)
-            session.tell(Want(stream=3, layer=1))
+            session.send_frame(rng.randbytes(30), captured_us=int(now * 1e6))
+            session.tell(Subscribe(stream=3, every=2))
         if rng.random() < 0.03:
             session.leave(now)
         if rng.random() < 0.05:
@@ -172,87 +161,34 @@ def crowded_client(rng: random.Random, meter: Meter) -> None:
         expect(many <= MAX_PEERS, "more peers than a room holds:", number)
 
 
-def stream_queue(rng: random.Random, meter: Meter) -> None:
-    """The queue of one stream and reader: bounded, in order, and counting right."""
+def frame_queue(rng: random.Random, meter: Meter) -> None:
+    """The queue of one reader: bounded, nothing in it for long, and counting right."""
     drops: Counter[str] = Counter()
-    queue = StreamQueue(drops)
-    chain: list[bytes] = []
+    queue = FrameQueue(drops)
     now, given, got = 0.0, 0, 0
-    for number in range(120):
+    for _ in range(200):
         now += rng.choice((0.0, 0.0, 0.033, 0.6))
+        stream = rng.randrange(1, 9)
         match rng.randrange(12):
             case 0:
-                queue.want(rng.choice((None, 0, 1, 2, 7)))
-            case 1:
-                is_whole = sum(map(len, chain)) <= MAX_CHAIN_BYTES and rng.random() < 0.8
-                kept = chain if is_whole else chain[:1]
-                meter.call(queue.resume, kept, is_whole=is_whole, now=now)
-            case 2 | 3:
-                budget = rng.choice((0, 100, 1200, 16_383))
-                taken = meter.call(queue.take, budget)
+                got += queue.drop(stream)
+            case 1 | 2:
+                budget = rng.choice((1, 100, 1200, 16_383))
+                taken = meter.call(queue.take, budget, now)
                 got += len(taken)
-                total = sum(len(item.frame) for item in taken)
-                expect(total <= budget, "more taken than there is room for:", total, budget)
-                sequences = [int.from_bytes(item.frame[2:4]) for item in taken]
-                expect(sequences == sorted(sequences), "out of order:", sequences)
-            case _:
-                layer = rng.choice((0, 0, 1, 2, 7))
-                is_keyframe = layer == 0 and rng.random() < 0.2
-                header = b"\x00\x01" + number.to_bytes(2) + bytes([layer, is_keyframe])
-                frame = header + bytes(rng.choice((10, 40, 1194)))
-                if is_keyframe:
-                    chain.clear()
-                if layer == 0:
-                    chain.append(frame)
-                fate = meter.call(queue.put, frame, layer, is_keyframe, now)
-                given += 1
-                expect(isinstance(fate, Put), "no fate:", fate)
-                outcome = "accepted" if fate is Put.WAITS else f"refused {fate.name}"
-                meter.note(outcome, is_damaged=False)
-        bound = MAX_WAITING_BASE + MAX_WAITING_UPPER
-        expect(len(queue) <= bound, "too many frames wait:", len(queue))
-        num_bytes = queue.num_bytes
-        is_fit = 0 <= num_bytes <= MAX_WAITING_BYTES + MAX_FRAME_BYTES
-        expect(is_fit, "too many bytes wait, or fewer than none:", num_bytes)
-    rest = queue.take(1 << 30)
-    expect(queue.num_bytes == 0 and len(queue) == 0, "something is left of an empty queue")
-    expect(got + len(rest) <= given + 120 * 96, "frames out of nothing")
-
-
-def ordered_queue(rng: random.Random, meter: Meter) -> None:
-    """The queue of an ordered stream: bounded, in order, nothing in it for long."""
-    drops: Counter[str] = Counter()
-    deadline_s = rng.choice((0.001, 0.1, 10.0))
-    queue = OrderedQueue(drops, deadline_s)
-    now, given, got, unwanted = 0.0, 0, 0, 0
-    for number in range(400):
-        now += rng.choice((0.0, 0.0, 0.02, 0.2))
-        match rng.randrange(14):
-            case 0:
-                unwanted += queue.want(rng.choice((None, 0, 1, 7)))
-            case 1:
-                queue.resume([], is_whole=rng.random() < 0.5, now=now)
-            case 2:
-                queue.expire(now)
-                budget = rng.choice((0, 100, 1200, 16_383))
-                taken = meter.call(queue.take, budget)
-                got += len(taken)
-                expect(sum(len(item.frame) for item in taken) <= budget, "more than fits")
-                sequences = [int.from_bytes(item.frame[2:4]) for item in taken]
-                expect(sequences == sorted(sequences), "out of order:", sequences)
-                is_late = any(now - item.received_s > deadline_s for item in taken)
+                total = sum(len(frame.data) for frame in taken)
+                expect(len(taken) <= 1 or total <= budget, "more than fits:", total, budget)
+                is_late = any(now - f.received_s > f.deadline_s for f in taken if f.deadline_s)
                 expect(not is_late, "later than its deadline:", now)
             case _:
-                frame = b"\x00\x01" + number.to_bytes(2) + bytes(rng.choice((12, 40, 1196)))
-                fate = meter.call(queue.put, frame, rng.choice((0, 0, 1)), rng.random() < 0.5, now)
-                given += fate is Put.WAITS
-                outcome = "accepted" if fate is Put.WAITS else f"refused {fate.name}"
-                meter.note(outcome, is_damaged=False)
-        expect(len(queue) <= MAX_WAITING_FRAMES, "too many frames wait:", len(queue))
-        is_fit = 0 <= queue.num_bytes <= ordered.MAX_WAITING_BYTES
-        expect(is_fit, "too many bytes wait, or fewer than none:", queue.num_bytes)
-    got += len(queue.take(1 << 30))
-    expect(given == got + unwanted + drops.total(), "frames are lost count of:", given, drops)
+                deadline_s = (0.001, 0.1)[stream % 2] if stream > 4 else None
+                data = bytes(rng.choice((12, 40, 1196)))
+                meter.call(queue.put, QueuedFrame(f"p{stream % 3}", stream, data, now, deadline_s))
+                given += 1
+                meter.note("accepted", is_damaged=False)
+        expect(len(queue) <= 4 + 4 * MAX_WAITING, "too many frames wait:", len(queue))
+    got += len(queue)
+    expect(given == got + drops.total(), "frames are lost count of:", given, drops)
 
 
 def _note_session(

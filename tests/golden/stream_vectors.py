@@ -7,7 +7,7 @@ language; all in it is integers or hexadecimal.
     profile_hash   their SHA-256, as the handshake names them
     performance    faces: latents in units of 2^-12, poses (rotation, translation) of 2^-14; the
                    last one is held for so many faces more
-    streams        by quality, of each frame: layer, payload, whether the sender falls silent,
+    streams        by quality, of each frame: multiple, payload, whether the sender falls silent,
                    coefficients, and the SHA-256 of the latent as 256 little-endian int32 in units
                    of 2^-12
     damaged        payloads: coefficients, or null for refused
@@ -104,7 +104,7 @@ def made_vectors() -> dict[str, Any]:
             coefficients, is_still = decode_frame(profile, sent.payload)
             frames.append(
                 {
-                    "layer": sent.layer,
+                    "multiple": sent.multiple,
                     "payload": sent.payload.hex(),
                     "is_still": is_still,
                     "coefficients": coefficients.tolist(),
@@ -124,7 +124,7 @@ def made_vectors() -> dict[str, Any]:
 def to_text(vectors: dict[str, Any]) -> str:
     """JSON with one frame or array a line."""
     text = json.dumps(vectors, separators=(",", ":"))
-    for opening in ('{"layer"', '{"payload"', '{"type"', "[[", '"performance"'):
+    for opening in ('{"multiple"', '{"payload"', '{"type"', "[[", '"performance"'):
         text = text.replace(opening, "\n" + opening)
     return text.replace("],[", "],\n[") + "\n"
 

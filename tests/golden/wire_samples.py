@@ -15,7 +15,6 @@ from pica_protocol.messages import (
     Hello,
     Join,
     Joined,
-    KeyframeRequest,
     Leave,
     Message,
     MutePeer,
@@ -29,9 +28,9 @@ from pica_protocol.messages import (
     Report,
     StreamMuted,
     StreamReport,
+    Subscribe,
     Track,
     UpdateMetadata,
-    Want,
     Welcome,
     Whisper,
 )
@@ -85,9 +84,8 @@ MESSAGES: dict[str, Message] = {
     "stream_muted": StreamMuted(stream=1, is_muted=True),
     "update_metadata": UpdateMetadata(metadata=(("role", "host"), ("hand", "up"))),
     "leave": Leave(),
-    "want": Want(stream=1, layer=0),
-    "want none": Want(stream=1, layer=None),
-    "keyframe_request": KeyframeRequest(stream=1),
+    "subscribe": Subscribe(stream=1, every=4),
+    "subscribe to nothing": Subscribe(stream=1, every=0),
     "report": Report(streams=(StreamReport(stream=1, received=30, lost=2, concealed=1),)),
     "whisper": Whisper(peer_id="p1", data=b"for your eyes only"),
     "remove_peer": RemovePeer(peer_id="p1"),
@@ -102,17 +100,16 @@ FRAMES: dict[str, list[Frame]] = {
         Frame(
             stream=1,
             sequence=65_535,
-            captured_us=1_700_000_000_000_000,
+            captured_us=123_456_700,
             payload=b"opaque",
-            is_keyframe=True,
         )
     ],
     "two frames": [
-        Frame(stream=1, sequence=0, captured_us=33_333, payload=b"delta", layer=2),
+        Frame(stream=1, sequence=0, captured_us=33_300, payload=b"face"),
         Frame(stream=2, sequence=7, captured_us=0, payload=b""),
     ],
     "voice packet": [
-        Frame(stream=3, sequence=7, captured_us=1_234_560_000, payload=b"\x9e" + b"opus packet")
+        Frame(stream=3, sequence=7, captured_us=34_560_000, payload=b"\x9e" + b"opus packet")
     ],
 }
 
@@ -149,7 +146,7 @@ def invalid_bytes() -> dict[str, bytes]:
         "control cut off": hello[:-1],
         "control with bytes to spare": hello + b"\x00",
         "unknown type": hello.replace(b"hello", b"hullo"),
-        "required field missing": b"\x01\x81\xa4type\xa4want",
+        "required field missing": b"\x01\x81\xa4type\xa9subscribe",
         "number where text belongs": encode_message(Bye(code=1000, reason="x")).replace(
             b"\xa1x", b"\x07"
         ),
@@ -172,7 +169,7 @@ def invalid_bytes() -> dict[str, bytes]:
         "deadline of a latest track": encode_message(
             Join(room="r", name="n", tracks=(Track(kind="face"),))
         ).replace(b"deadline_ms\x00", b"deadline_ms\x01"),
-        "stream 0": encode_message(Want(stream=1)).replace(b"stream\x01", b"stream\x00"),
+        "stream 0": encode_message(Subscribe(stream=1)).replace(b"stream\x01", b"stream\x00"),
         "key that stands twice": hello[:1] + b"\x84" + hello[2:] + b"\xa7version\x01",
         "name that draws nothing": encode_message(Join(room="r", name="n")).replace(
             b"\xa1n", b"\xa3\xe3\x85\xa4"
@@ -180,11 +177,13 @@ def invalid_bytes() -> dict[str, bytes]:
         "map with a number as key": b"\x01\x81\x01\x01",
         "extension type": b"\x01\xd4\x05\x00",
         "media without a frame": b"\x02",
-        "header cut off": frame[:16],
+        "header cut off": frame[:8],
         "payload cut off": frame[:-1],
         "byte behind the last frame": frame + b"\x00",
         "frame of stream 0": frame[:1] + b"\x00\x00" + frame[3:],
-        "frame of layer 8": frame[:5] + b"\x08" + frame[6:],
+        "share of a third": encode_message(Subscribe(stream=1, every=4)).replace(
+            b"every\x04", b"every\x03"
+        ),
         "payload above the limit": frame[:7] + b"\xff\xff" + frame[9:],
     }
 

@@ -67,13 +67,9 @@ class Member:
         payload: bytes,
         now: float,
         *,
-        is_keyframe: bool = True,
         track: int = 0,
-        layer: int = 0,
     ) -> None:
-        self.session.send_frame(
-            payload, captured_us=0, is_keyframe=is_keyframe, track=track, layer=layer
-        )
+        self.session.send_frame(payload, captured_us=0, track=track)
         self.speak(now)
 
     def listen(self, now: float) -> list[Message | Frame]:

@@ -14,7 +14,6 @@ from pica_client.e2ee.secret import RoomSecret
 from pica_protocol.frames import Frame
 from pica_protocol.messages import (
     Joined,
-    KeyframeRequest,
     Peer,
     PeerJoined,
     PeerLeft,
@@ -39,11 +38,9 @@ class Member:
     joined: Joined
     sequence: int = 0
     frames: list[Frame] = field(default_factory=list)
-    keyframe_requests: int = 0
 
     def take(self, events: list[ClientEvent]) -> None:
         self.frames += [event for event in events if isinstance(event, Frame)]
-        self.keyframe_requests += sum(isinstance(event, KeyframeRequest) for event in events)
 
 
 class Room:

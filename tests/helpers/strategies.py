@@ -18,7 +18,6 @@ from pica_protocol.messages import (
     Hello,
     Join,
     Joined,
-    KeyframeRequest,
     Leave,
     Message,
     MutePeer,
@@ -32,9 +31,9 @@ from pica_protocol.messages import (
     Report,
     StreamMuted,
     StreamReport,
+    Subscribe,
     Track,
     UpdateMetadata,
-    Want,
     Welcome,
     Whisper,
 )
@@ -108,8 +107,7 @@ messages: st.SearchStrategy[Message] = st.one_of(
     st.builds(StreamMuted, stream=streams, is_muted=st.booleans()),
     st.builds(UpdateMetadata, metadata=metadata),
     st.builds(Leave),
-    st.builds(Want, stream=streams, layer=st.none() | st.integers(0, 7)),
-    st.builds(KeyframeRequest, stream=streams),
+    st.builds(Subscribe, stream=streams, every=st.sampled_from((0, 1, 2, 4))),
     st.builds(
         Report,
         streams=st.lists(
@@ -141,6 +139,4 @@ frames = st.builds(
     sequence=st.integers(0, 65_535),
     captured_us=st.integers(0, 2**64 - 1),
     payload=st.binary(max_size=40) | st.just(bytes(MAX_PAYLOAD_BYTES)),
-    layer=st.integers(0, 7),
-    is_keyframe=st.booleans(),
 )

@@ -92,7 +92,7 @@ class Sent:
     number: int
     """Counts the frames; on the wire modulo 65536."""
     captured_us: int
-    layer: int
+    multiple: int
     payload: bytes
 
     @property
@@ -125,9 +125,10 @@ class Publisher:
         frame = self.encoder.encode(face, pose[0], pose[1], now_us)
         if frame is None:
             return None
-        number = self._first + len(self.sent)
+        number = self.sent[-1].number + 1 if self.sent else self._first
+        number += -number % frame.multiple
         self.sent.append(
-            Sent(number=number, captured_us=now_us, layer=frame.layer, payload=frame.payload)
+            Sent(number=number, captured_us=now_us, multiple=frame.multiple, payload=frame.payload)
         )
         return self.sent[-1]
 

@@ -192,7 +192,6 @@ def flood(url: str, room: str, end_s: float) -> dict[str, Any]:
                     sequence=num_sent % 65_536,
                     captured_us=0,
                     payload=bytes(6),
-                    is_keyframe=num_sent == 0,
                 )
                 intruder.send(media_message([encode_frame(frame)]))
                 num_sent += 1

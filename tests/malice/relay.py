@@ -133,9 +133,9 @@ class World:
         session, line = person.session, person.line
         if session is None or line is None or line.peer is None or not person.is_joined:
             return
-        step = round(self.now * 1e6) // 10 * 10 + person.index
-        person.captured_us = max(person.captured_us + 10, step)
-        session.send_frame(FACE, person.captured_us, is_keyframe=True)
+        step = round(self.now * 1e3) * 1000 + person.index * 100
+        person.captured_us = max(person.captured_us + 1000, step)
+        session.send_frame(FACE, person.captured_us)
         self.sealed[line.peer.peer_id].append(person.captured_us)
         self.pump(person)
 
@@ -174,7 +174,7 @@ class World:
                 self.break_promise(f"{person.name} counts {peer_id}, who had gone before")
         for due in person.call.due_frames(self.now):
             captured_us = due.frame.captured_us
-            owner = captured_us % 10
+            owner = captured_us // 100 % 10
             if (due.name, due.avatar_id) != (NAMES[owner], AVATARS[owner]):
                 self.break_promise(f"{person.name} sees {NAMES[owner]} as {due.name}")
             if captured_us in self.shown[person.index]:
@@ -203,8 +203,8 @@ class World:
     def look_at_opened(self, person: Person, frame: Frame) -> None:
         """Check a frame that a guard let through."""
         captured_us = frame.captured_us
-        name = NAMES[captured_us % 10]
-        if captured_us % 10 == person.index:
+        name = NAMES[captured_us // 100 % 10]
+        if captured_us // 100 % 10 == person.index:
             self.break_promise(f"{name} gets a frame of their own")
         if captured_us in self.opened[person.index]:
             self.break_promise(f"{person.name} opens a frame of {name} twice")
@@ -442,7 +442,7 @@ class World:
             self.break_promise(f"an honest relay, and {len(coded)} codes")
         for person in self.people:
             frames = self.opened[person.index] - before[person.index]
-            owners = Counter(captured_us % 10 for captured_us in frames)
+            owners = Counter(captured_us // 100 % 10 for captured_us in frames)
             if len(owners) != len(self.people) - 1 or min(owners.values()) < 19:
                 self.break_promise(f"an honest relay, and {person.name} opens {dict(owners)}")
             if len(person.guard.status.verified) != len(self.people) - 1:

@@ -18,8 +18,8 @@ from pica_protocol.messages import (
     Peer,
     Report,
     StreamReport,
+    Subscribe,
     Track,
-    Want,
 )
 
 pytestmark = pytest.mark.unit
@@ -112,21 +112,21 @@ def test_a_message_above_the_size_limit_is_refused_before_it_is_decoded() -> Non
 
 
 def test_unknown_fields_are_ignored_so_that_later_versions_may_add_some() -> None:
-    assert decode_message(pack({"type": "hello", "version": 1, "colour": [1, {}]})) == Hello()
+    assert decode_message(pack({"type": "hello", "version": 2, "colour": [1, {}]})) == Hello()
 
 
 def test_missing_fields_take_their_default() -> None:
-    assert decode_message(pack({"type": "want", "stream": 3})) == Want(stream=3)
+    assert decode_message(pack({"type": "subscribe", "stream": 3})) == Subscribe(stream=3)
 
 
 @pytest.mark.parametrize(
     ("record", "complaint"),
     [
-        ({"type": "want"}, "want.stream is missing"),
-        ({"type": "want", "stream": "3"}, "want.stream must be an integer, got '3'"),
-        ({"type": "want", "stream": True}, "want.stream must be an integer, got True"),
-        ({"type": "want", "stream": 0}, "want.stream must be in 1..65535, got 0"),
-        ({"type": "want", "stream": 1, "layer": 8}, "want.layer must be in 0..7, got 8"),
+        ({"type": "subscribe"}, "subscribe.stream is missing"),
+        ({"type": "subscribe", "stream": "3"}, "subscribe.stream must be an integer, got '3'"),
+        ({"type": "subscribe", "stream": True}, "subscribe.stream must be an integer, got True"),
+        ({"type": "subscribe", "stream": 0}, "subscribe.stream must be in 1..65535, got 0"),
+        ({"type": "subscribe", "stream": 1, "every": 3}, "subscribe.every must be one of"),
         ({"type": "peer_joined", "peer": 5}, "peer_joined.peer must be a map, got 5"),
         (
             {"type": "join", "room": "r", "name": "n", "tracks": [{"kind": 1}]},
@@ -186,7 +186,7 @@ def test_a_bad_field_is_refused_with_its_path_value_and_limit(
 
 def test_a_refused_value_cannot_fill_the_log() -> None:
     with pytest.raises(RemoteProtocolError) as caught:
-        decode_message(pack({"type": "want", "stream": "x" * 100}))
+        decode_message(pack({"type": "subscribe", "stream": "x" * 100}))
     assert len(str(caught.value)) < 100
 
 

@@ -1,4 +1,5 @@
 import contextlib
+from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
@@ -10,6 +11,8 @@ from pica_protocol.frames import (
     HEADER_BYTES,
     MAX_PAYLOAD_BYTES,
     SEQUENCE_MODULUS,
+    TICK_MODULUS,
+    TICK_US,
     Frame,
     decode_media,
     encode_frame,
@@ -17,6 +20,7 @@ from pica_protocol.frames import (
     scan_frames,
     sequence_distance,
     unwrap_sequence,
+    unwrap_time_us,
 )
 from pica_protocol.limits import MAX_FRAME_BYTES, MAX_MEDIA_MESSAGE_BYTES
 
@@ -25,7 +29,11 @@ pytestmark = pytest.mark.unit
 
 @given(st.lists(frames, min_size=1, max_size=8))
 def test_frames_survive_the_wire_together(batch: list[Frame]) -> None:
-    assert decode_media(media_message(map(encode_frame, batch))) == batch
+    times = {frame.stream: frame.captured_us for frame in batch}
+    distinct = list({frame.stream: frame for frame in batch}.values())
+    wire = media_message(map(encode_frame, distinct))
+    expected = [replace(f, captured_us=f.captured_us // TICK_US * TICK_US) for f in distinct]
+    assert decode_media(wire, times.__getitem__) == expected
 
 
 @given(st.lists(frames, min_size=1, max_size=8))
@@ -60,28 +68,21 @@ def test_a_header_is_sixteen_bytes_with_the_stream_first() -> None:
     frame = Frame(
         stream=0x0102,
         sequence=0x0304,
-        layer=5,
-        is_keyframe=True,
         captured_us=0x0809_0A0B_0C0D_0E0F,
         payload=b"xyz",
     )
-    assert encode_frame(frame).hex() == "01020304050100030809 0a0b0c0d0e0f78797a".replace(" ", "")
-    assert HEADER_BYTES == 16
-
-
-def test_unknown_flags_are_ignored() -> None:
-    header = bytes.fromhex("0001000000ff00000000000000000000")
-    assert decode_media(b"\x02" + header)[0].is_keyframe
+    ticks = 0x0809_0A0B_0C0D_0E0F // 100 % 2**21
+    assert encode_frame(frame).hex() == f"01020304{ticks << 11 | 3:08x}78797a"
+    assert HEADER_BYTES == 8
 
 
 @pytest.mark.parametrize(
     ("header", "complaint"),
     [
-        ("0000 0000 00 00 0000 0000000000000000", "stream 0"),
-        ("0001 0000 08 00 0000 0000000000000000", "layer 8, the limit is 7"),
-        ("0001 0000 00 00 04a1 0000000000000000", "1185 bytes, the limit is 1184"),
-        ("0001 0000 00 00 0005 0000000000000000", "5 bytes are missing"),
-        ("0001 0000 00 00 0000 0000000000000000 00", "cut off after 1 bytes"),
+        ("0000 0000 00000000", "stream 0"),
+        ("0001 0000 000004a9", "1193 bytes, the limit is 1192"),
+        ("0001 0000 00000005", "5 bytes are missing"),
+        ("0001 0000 00000000 00", "cut off after 1 bytes"),
     ],
 )
 def test_a_bad_frame_is_refused_with_its_value_and_limit(header: str, complaint: str) -> None:
@@ -95,9 +96,9 @@ def test_a_message_longer_than_the_limit_is_refused() -> None:
         scan_frames(media_message([frame] * 17))
 
 
-@pytest.mark.parametrize("field", ["stream", "sequence", "layer", "captured_us"])
+@pytest.mark.parametrize("field", ["stream", "sequence", "captured_us"])
 def test_a_field_out_of_range_cannot_be_sent(field: str) -> None:
-    fields = {"stream": 1, "sequence": 0, "captured_us": 0, "layer": 0, field: -1}
+    fields = {"stream": 1, "sequence": 0, "captured_us": 0, field: -1}
     with pytest.raises(ValueError, match=field):
         Frame(payload=b"", **fields)
 
@@ -135,3 +136,12 @@ def test_a_sequence_is_unwrapped_to_the_nearest_number(
 def test_a_number_within_half_the_wrap_is_found_again(near: int, distance: int) -> None:
     number = near + distance
     assert unwrap_sequence(number % SEQUENCE_MODULUS, near) == number
+
+
+@given(time_us=st.integers(0, 10**12), error_us=st.integers(-100_000_000, 100_000_000))
+def test_a_time_is_unwrapped_to_the_one_nearest_to_what_is_expected(
+    time_us: int, error_us: int
+) -> None:
+    near_us = max(time_us + error_us, 0)
+    ticks = time_us // TICK_US
+    assert unwrap_time_us(ticks % TICK_MODULUS, near_us) == ticks * TICK_US

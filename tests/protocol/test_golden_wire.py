@@ -15,7 +15,7 @@ from pica_protocol.session import CLIENT_TABLE, SERVER_TABLE
 pytestmark = pytest.mark.unit
 
 VECTORS = json.loads(GOLDEN.read_text())
-DOCUMENT = (ROOT / "docs" / "protocol.md").read_text()
+DOCUMENT = (ROOT / "docs" / "wire.md").read_text()
 
 
 @pytest.mark.parametrize("name", VECTORS["valid"])
@@ -36,7 +36,7 @@ def test_samples_encode_to_the_golden_bytes(name: str) -> None:
 def test_every_truncation_of_golden_bytes_is_refused(name: str) -> None:
     data = bytes.fromhex(VECTORS["valid"][name])
     # A media message cut between two frames is a shorter media message.
-    whole = [1 + 16 + len(FRAMES[name][0].payload)] if name == "two frames" else []
+    whole = [1 + 8 + len(FRAMES[name][0].payload)] if name == "two frames" else []
     for size in set(range(len(data))) - set(whole):
         with pytest.raises(RemoteProtocolError):
             decode_message(data[:size]) if name in MESSAGES else decode_media(data[:size])

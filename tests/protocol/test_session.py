@@ -15,7 +15,6 @@ from pica_protocol.messages import (
     Hello,
     Join,
     Joined,
-    KeyframeRequest,
     Leave,
     Message,
     Peer,
@@ -27,9 +26,9 @@ from pica_protocol.messages import (
     Report,
     StreamMuted,
     StreamReport,
+    Subscribe,
     Track,
     UpdateMetadata,
-    Want,
     Welcome,
     Whisper,
 )
@@ -115,12 +114,12 @@ def test_a_server_may_refuse_a_join_with_code_and_reason() -> None:
 
 def test_frames_pass_from_client_to_server_unchanged() -> None:
     client, server = joined_client(), joined_server()
-    client.send_frame(b"payload", captured_us=123, is_keyframe=True)
+    client.send_frame(b"payload", captured_us=123)
     (message,) = client.messages_to_send(now=1.0)
     (media,) = server.receive_data(message, now=1.1)
     assert isinstance(media, Media)
     assert media.message == message
-    expected = Frame(stream=7, sequence=0, captured_us=123, payload=b"payload", is_keyframe=True)
+    expected = Frame(stream=7, sequence=0, captured_us=100, payload=b"payload")
     assert joined_client().receive_data(media.message, now=1.2) == [expected]
 
 
@@ -131,17 +130,16 @@ def test_a_payload_is_sealed_when_its_header_is_final() -> None:
     client = ClientSession(room="lobby", name="Ada", tracks=(FACE,), now=0.0, seal=seal)
     client.receive_data(encode_message(Welcome()), now=0.1)
     client.receive_data(encode_message(JOINED), now=0.2)
-    client.send_frame(b"one", captured_us=0, is_keyframe=True)
-    client.send_frame(b"two", captured_us=1, is_keyframe=False)
+    client.send_frame(b"one", captured_us=0)
     (media,) = client.messages_to_send(now=1.0)[-1:]
-    assert [frame.payload for frame in decode_media(media)] == [b"7 0 eno", b"7 1 owt"]
+    assert [frame.payload for frame in decode_media(media)] == [b"7 0 eno"]
 
 
 def test_sequences_count_per_track_and_wrap() -> None:
     client = joined_client()
     last = 0
     for _ in range(65_537):
-        client.send_frame(b"", captured_us=0, is_keyframe=True)
+        client.send_frame(b"", captured_us=0)
         (message,) = client.messages_to_send(now=1.0)
         last = int.from_bytes(message[3:5], "big")
     assert last == 0
@@ -149,57 +147,61 @@ def test_sequences_count_per_track_and_wrap() -> None:
 
 def test_a_frame_that_waits_is_replaced_by_a_newer_one_and_counted() -> None:
     client = joined_client()
-    client.send_frame(b"old", captured_us=1, is_keyframe=True)
-    client.send_frame(b"new", captured_us=2, is_keyframe=True)
+    client.send_frame(b"old", captured_us=1)
+    client.send_frame(b"new", captured_us=2)
     (message,) = client.messages_to_send(now=1.0)
     assert message.endswith(b"new")
     assert b"old" not in message
     assert client.drops == {"replaced": 1}
 
 
-def test_delta_frames_wait_in_order_behind_their_keyframe() -> None:
-    client = joined_client()
-    for payload, layer in ((b"key", 0), (b"top", 2), (b"base", 0)):
-        assert client.send_frame(payload, 0, layer=layer, is_keyframe=payload == b"key") == []
-    (message,) = client.messages_to_send(now=1.0)
-    assert [frame.payload for frame in decode_media(message)] == [b"key", b"top", b"base"]
-
-
-def test_a_publisher_whose_network_falls_behind_is_asked_for_a_keyframe() -> None:
-    client = joined_client()
-    client.send_frame(b"key", 0, is_keyframe=True)
-    client.messages_to_send(now=0.0)
-    events = [client.send_frame(b"base", captured_us) for captured_us in (0, 400_000, 700_000)]
-    assert events == [[], [], [KeyframeRequest(stream=7)]]
-    assert client.messages_to_send(now=1.0) == []
-    assert client.send_frame(b"key", 800_000, is_keyframe=True) == []
-    assert len(client.messages_to_send(now=1.0)) == 1
-
-
-def test_a_stream_begins_with_a_keyframe() -> None:
-    client = joined_client()
-    assert client.send_frame(b"base", 0) == [KeyframeRequest(stream=7)]
-    assert client.messages_to_send(now=0.0) == []
-
-
 def test_what_waits_is_split_into_messages_that_the_relay_takes() -> None:
-    client = ClientSession(room="lobby", name="Ada", tracks=(FACE,) * 4, now=0.0)
-    own = tuple(Track(kind="face", stream=stream) for stream in (7, 9, 10, 11))
+    data = Track(kind="data", policy="ordered", deadline_ms=100)
+    client = ClientSession(room="lobby", name="Ada", tracks=(data,) * 4, now=0.0)
+    own = tuple(replace(data, stream=stream) for stream in (7, 9, 10, 11))
     client.receive_data(encode_message(Welcome()), now=0.1)
     client.receive_data(encode_message(Joined(room="lobby", peer_id="p1", tracks=own)), now=0.2)
-    client.messages_to_send(now=0.2)
+    client.messages_to_send(now=0.0)
     for track in range(4):
-        for i in range(5):
-            client.send_frame(bytes(1184), 0, track=track, is_keyframe=i == 0)
-    messages = client.messages_to_send(now=0.3)
+        for _ in range(5):
+            client.send_frame(bytes(1192), 0, track=track)
+    messages = client.messages_to_send(now=0.0)
     assert [len(decode_media(message)) for message in messages] == [13, 7]
+
+
+def test_a_frame_that_everybody_must_get_has_a_sequence_that_is_a_multiple_of_four() -> None:
+    client = joined_client()
+    for multiple in (1, 1, 4, 1, 2, 4):
+        client.send_frame(b"", captured_us=0, multiple=multiple)
+        client.messages_to_send(now=1.0)
+    (message,) = sent_frames(client, multiple=1)
+    assert message.sequence == 9
+
+
+def sent_frames(client: ClientSession, *, multiple: int) -> list[Frame]:
+    client.send_frame(b"", captured_us=0, multiple=multiple)
+    return [frame for data in client.messages_to_send(now=1.0) for frame in decode_media(data)]
+
+
+@pytest.mark.parametrize("elapsed_s", [0.03, 100.0, 209.8, 5000.0])
+def test_capture_times_are_whole_again_however_long_nothing_came(elapsed_s: float) -> None:
+    client = joined_client()
+    peer = Peer(peer_id="p77", name="Cyd", tracks=(Track(kind="face", stream=28),))
+    client.receive_data(encode_message(PeerJoined(peer=peer)), now=1.0)
+    captured_us = [7_000_000, 7_000_000 + round(elapsed_s * 1e6)]
+    frames = [Frame(stream=28, sequence=0, captured_us=us, payload=b"") for us in captured_us]
+    times = []
+    for frame, now in zip(frames, (1.0, 1.2 + elapsed_s), strict=True):
+        (got,) = client.receive_data(media_message([encode_frame(frame)]), now=now)
+        assert isinstance(got, Frame)
+        times.append(got.captured_us)
+    assert times[1] - times[0] == captured_us[1] - captured_us[0]
 
 
 def test_wishes_requests_and_reports_reach_the_server_as_events() -> None:
     client, server = joined_client(), joined_server()
     report = Report(streams=(StreamReport(stream=8, received=30),))
-    client.tell(Want(stream=8, layer=None))
-    client.tell(KeyframeRequest(stream=8))
+    client.tell(Subscribe(stream=8, every=0))
     client.tell(report)
     client.tell(Whisper(peer_id="p2", data=b"key"))
     events = [
@@ -208,8 +210,7 @@ def test_wishes_requests_and_reports_reach_the_server_as_events() -> None:
         for event in server.receive_data(data, now=1.1)
     ]
     assert events == [
-        Want(stream=8, layer=None),
-        KeyframeRequest(stream=8),
+        Subscribe(stream=8, every=0),
         report,
         Whisper(peer_id="p2", data=b"key"),
     ]
@@ -270,8 +271,9 @@ def test_a_server_closes_a_client_that_does_not_join_in_time(has_greeted: bool) 
 
 def test_another_version_is_refused_by_the_server() -> None:
     server = ServerSession(now=0.0)
-    (closed,) = server.receive_data(encode_message(Hello(version=2)), now=0.1)
-    assert closed == Closed(code=4001, reason="we speak protocol version 1, you 2", is_remote=False)
+    (closed,) = server.receive_data(encode_message(Hello(version=1)), now=0.1)
+    reason = "this side speaks pica.2, the other version 1"
+    assert closed == Closed(code=4001, reason=reason, is_remote=False)
 
 
 def test_another_version_is_refused_by_the_client() -> None:
@@ -321,7 +323,7 @@ def test_a_closed_session_hears_and_says_nothing_more() -> None:
 
 def test_a_frame_that_waits_when_the_session_ends_is_not_sent() -> None:
     client = joined_client()
-    client.send_frame(b"late", captured_us=0, is_keyframe=True)
+    client.send_frame(b"late", captured_us=0)
     client.close(CloseCode.GOING_AWAY, "bye")
     assert sent(client) == [Bye(code=1001, reason="bye")]
 
@@ -330,8 +332,8 @@ def test_what_a_client_must_not_do_is_its_own_error() -> None:
     client = ClientSession(room="lobby", name="Ada", tracks=(FACE,), now=0.0)
     with pytest.raises(LocalProtocolError, match="while greeting"):
         client.send_frame(b"", captured_us=0)
-    with pytest.raises(LocalProtocolError, match="Want while greeting"):
-        client.tell(Want(stream=1, layer=0))
+    with pytest.raises(LocalProtocolError, match="Subscribe while greeting"):
+        client.tell(Subscribe(stream=1))
     with pytest.raises(LocalProtocolError, match="track 1"):
         joined_client().send_frame(b"", captured_us=0, track=1)
     with pytest.raises(LocalProtocolError, match="nobody asked"):
@@ -342,10 +344,10 @@ def test_a_shell_that_never_drains_is_told() -> None:
     client = joined_client()
     assert client.can_queue
     for _ in range(MAX_QUEUED_MESSAGES):
-        client.tell(KeyframeRequest(stream=8))
+        client.tell(Subscribe(stream=8))
     assert not client.can_queue
     with pytest.raises(LocalProtocolError, match="drain messages_to_send"):
-        client.tell(KeyframeRequest(stream=8))
+        client.tell(Subscribe(stream=8))
 
 
 def test_a_long_reason_is_clipped_to_what_a_close_frame_holds() -> None:
@@ -364,8 +366,7 @@ SAMPLES: list[Message] = [
     PeerJoined(peer=BOB),
     PeerLeft(peer_id="p2"),
     Leave(),
-    Want(stream=8),
-    KeyframeRequest(stream=8),
+    Subscribe(stream=8),
     Report(),
     Whisper(peer_id="p2", data=b"x"),
     PeerAway(peer_id="p2"),
@@ -478,14 +479,14 @@ def test_a_face_of_ours_rides_with_our_voice_and_alone_only_when_none_comes() ->
     def streams(now: float) -> list[list[int]]:
         return [[f.stream for f in decode_media(m)] for m in session.messages_to_send(now)]
 
-    session.send_frame(b"face", 1_000_000, is_keyframe=True)
+    session.send_frame(b"face", 1_000_000)
     assert streams(1.0) == [[1]]  # nobody speaks
     session.send_frame(b"voice", 1_010_000, track=1)
     assert streams(1.01) == [[2]]
-    session.send_frame(b"face", 1_020_000, is_keyframe=True)
+    session.send_frame(b"face", 1_020_000)
     assert streams(1.02) == []
     assert session.frames_due_s == 1.01 + RIDE_S
     session.send_frame(b"voice", 1_050_000, track=1)
     assert streams(1.05) == [[2, 1]]
-    session.send_frame(b"face", 1_060_000, is_keyframe=True)
+    session.send_frame(b"face", 1_060_000)
     assert streams(1.05 + RIDE_S) == [[1]]

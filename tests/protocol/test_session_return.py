@@ -38,19 +38,19 @@ def client_with(ticket: Ticket | None = None, *, resumed: bool = False) -> Clien
 def test_a_client_that_comes_back_goes_on_counting_where_it_stopped() -> None:
     client = client_with()
     for _ in range(3):
-        client.send_frame(b"x", captured_us=0, is_keyframe=True)
+        client.send_frame(b"x", captured_us=0)
     ticket = client.ticket
     assert ticket == Ticket(secret="s3cret", next_sequences=(3,))
     again = client_with(ticket, resumed=True)
     again.messages_to_send(now=0.0)
-    again.send_frame(b"x", captured_us=0, is_keyframe=True)
+    again.send_frame(b"x", captured_us=0)
     assert decode_media(again.messages_to_send(now=0.0)[0])[0].sequence == 3
 
 
 def test_a_client_whose_place_is_gone_begins_to_count_anew() -> None:
     again = client_with(Ticket(secret="old", next_sequences=(500,)), resumed=False)
     again.messages_to_send(now=0.0)
-    again.send_frame(b"x", captured_us=0, is_keyframe=True)
+    again.send_frame(b"x", captured_us=0)
     assert decode_media(again.messages_to_send(now=0.0)[0])[0].sequence == 0
 
 
@@ -85,7 +85,7 @@ def test_frames_of_a_muted_stream_stay_here_and_leave_a_hole_in_the_sequence() -
     client.messages_to_send(now=0.0)
     for is_muted in (False, True, False):
         client.receive_data(encode_message(StreamMuted(stream=1, is_muted=is_muted)), now=0.0)
-        client.send_frame(b"x", captured_us=0, is_keyframe=True)
+        client.send_frame(b"x", captured_us=0)
     frames = [f for m in client.messages_to_send(now=0.0) for f in decode_media(m)]
     assert [frame.sequence for frame in frames] == [2]
     assert client.drops == {"muted": 1, "replaced": 1}

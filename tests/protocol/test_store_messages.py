@@ -23,7 +23,7 @@ from pica_protocol.store import (
 pytestmark = pytest.mark.unit
 
 VECTORS = json.loads(GOLDEN.read_text())["store"]
-DOCUMENT = (ROOT / "docs" / "protocol.md").read_text()
+DOCUMENT = (ROOT / "docs" / "wire.md").read_text()
 ID = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
 
 

@@ -70,7 +70,9 @@ def test_a_relay_that_was_stopped_expels_nobody_for_what_came_meanwhile(
             await sending
             await asyncio.sleep(0.5)
             assert not ada.told(Closed)
-            assert len(bob.arrivals) == 150
+            # Of the faces that piled up the relay passes on the newest.
+            assert 60 <= len(bob.arrivals) <= 150
+            assert bob.arrivals[-1][1].sequence == 149
 
     asyncio.run(call())
 

@@ -110,36 +110,11 @@ async def test_what_comes_late_and_all_at_once_is_passed_on_whole() -> None:
     ):
         payloads = [bytes([index]) for index in range(12)]
         messages: list[bytes] = []
-        for index, payload in enumerate(payloads):
-            captured_us, layer = round(now() * 1e6), index % 2
-            ada.session.send_frame(payload, captured_us, layer=layer, is_keyframe=index == 0)
+        for payload in payloads:
+            captured_us = round(now() * 1e6)
+            ada.session.send_frame(payload, captured_us)
             messages += ada.session.messages_to_send(now())
         for message in messages:
             await ada.websocket.send(message)
         await asyncio.sleep(0.05)
         assert [frame.payload for _, frame in bob.arrivals] == payloads
-
-
-@in_virtual_time
-async def test_a_peer_that_sends_much_at_once_does_not_make_others_wait_for_all_of_it() -> None:
-    async with (
-        Relay(RelayConfig()),
-        peer_in_room(URL, "Flood") as flood,
-        peer_in_room(URL, "Ada") as ada,
-        peer_in_room(URL, "Bob", tracks=()) as bob,
-    ):
-        messages: list[bytes] = []
-        for _ in range(100):
-            flood.session.send_frame(b"much", round(now() * 1e6), is_keyframe=True)
-            messages += flood.session.messages_to_send(now())
-        for message in messages:
-            await flood.websocket.send(message)
-        await asyncio.sleep(0)  # a turn of the loop: the relay has begun with the hundred
-        await ada.send_frame(b"little")
-        await asyncio.sleep(0.05)
-        payloads = [frame.payload for _, frame in bob.arrivals]
-        assert sorted(payloads) == [b"little"] + [b"much"] * 100
-        assert payloads.index(b"little") < 50
-        await flood.send_frame(b"more")  # and it is read on
-        await asyncio.sleep(0.05)
-        assert bob.arrivals[-1][1].payload == b"more"

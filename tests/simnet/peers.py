@@ -55,10 +55,10 @@ class WirePeer:
             for data in self.session.messages_to_send(now()):
                 await self.websocket.send(data)
 
-    async def send_frame(self, payload: bytes, *, is_keyframe: bool = True, track: int = 0) -> None:
+    async def send_frame(self, payload: bytes, *, track: int = 0) -> None:
         """Publish a frame that was captured now, by the clock of the loop."""
         captured_us = round(now() * 1e6)
-        self.session.send_frame(payload, captured_us, track=track, is_keyframe=is_keyframe)
+        self.session.send_frame(payload, captured_us, track=track)
         await self.flush()
 
     async def publish(self, num_frames: int, fps: float, num_bytes: int = 100) -> None:

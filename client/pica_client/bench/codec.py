@@ -192,6 +192,7 @@ def code_stream(
         coded.encode_s.append(took.wall_s)
         if frame is None:
             continue
+        sequence += -sequence % frame.multiple
         if sequence % every == 0:
             took, found[index] = timed(decoder.decode, frame.payload)
             coded.decode_s.append(took.wall_s)

@@ -139,7 +139,7 @@ class Call:
                         seat.is_muted = is_muted
                         seat.note_silence(now)
                 case _:
-                    pass  # a keyframe is all we ever send; a closed session is the link's affair
+                    pass  # a closed session is the link's affair
             members = self._roster.members
         self.on_members(members)
 
@@ -162,7 +162,7 @@ class Call:
             return messages.Report(streams=tuple(streams))
 
     def tell_subscriptions(self, tell: Tell, now: float) -> float | None:
-        """Tell the relay which layers are wanted by now; return when to call again, None until
+        """Tell the relay how much is wanted by now; return when to call again, None until
         somebody subscribes or joins."""
         with self._lock:
             timers = [seat.tell_subscription(tell, now) for seat in self._seats.values()]
@@ -170,11 +170,11 @@ class Call:
 
     # The display's side
 
-    def subscribe(self, peer_id: str, layer: int | None, now: float) -> None:
+    def subscribe(self, peer_id: str, every: int, now: float) -> None:
         """Note how much of a peer's stream is worth having; see `FaceSource.subscribe`."""
         with self._lock:
             seat = self._seats.get(peer_id)
-            has_changed = seat is not None and seat.subscription.subscribe(layer, now)
+            has_changed = seat is not None and seat.subscription.subscribe(every, now)
         if has_changed:
             self.on_subscription()
 

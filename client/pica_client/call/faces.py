@@ -6,7 +6,7 @@ of recordings, a test).
 
     faces = source.faces(now)            # once per drawn frame, on the drawing thread
     avatar = source.avatar(face.avatar_id)
-    source.subscribe(face.peer_id, layer, now)
+    source.subscribe(face.peer_id, every, now)
 """
 
 from dataclasses import dataclass, field
@@ -73,12 +73,12 @@ class FaceSource(Protocol):
         """
         ...
 
-    def subscribe(self, peer_id: str, layer: int | None, now: float) -> None:
+    def subscribe(self, peer_id: str, every: int, now: float) -> None:
         """Say how much of a peer's stream is worth having, as often as every drawn frame.
 
         Args:
             peer_id: Whose; somebody who has left is no error.
-            layer: Highest temporal layer to receive; None is nothing at all.
+            every: 1 for every frame, 2 or 4 for each second or fourth one, 0 for nothing at all.
             now: Local time, seconds.
         """
         ...

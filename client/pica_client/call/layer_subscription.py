@@ -1,8 +1,8 @@
-"""Which layers of a stream the relay is told that we want, and when. Pure.
+"""How much of a stream the relay is told that we want, and when. Pure.
 
-    subscribe(layer, now)    what is wanted from now on; None is nothing at all
-    due(now)                 the layer to tell the relay now, if any
-    note_told(layer, now)    the relay was told
+    subscribe(every, now)    what is wanted from now on, see `pica_protocol.messages.Subscribe`
+    due(now)                 the share to tell the relay now, if any
+    note_told(share, now)    the relay was told
     next_timer()             when something is due
     begin(now)               a new connection: the relay sends everything again
 
@@ -14,10 +14,14 @@ a second at most, and its stream is there whenever it is seen.
 import math
 from typing import Final
 
-from pica_protocol.limits import MAX_LAYER
+from pica_protocol.messages import SHARES
 
-NOTHING: Final = -1
-"""The layer below all: nothing of the stream is sent."""
+EVERY: Final = (0, 4, 2, 1)
+"""What is asked for by *share*, which is a place in this list: the more, the higher."""
+assert set(EVERY) == set(SHARES)
+NOTHING: Final = 0
+ALL: Final = len(EVERY) - 1
+"""The share of nothing and of everything."""
 LOWER_AFTER_S: Final = 0.5
 """Less is asked for when nothing more was wanted for so long (chosen: longer than a glance
 aside)."""
@@ -29,19 +33,19 @@ class LayerSubscription:
     """What is wanted of one stream.
 
     Attributes:
-        told: The highest layer that the relay sends, as far as it was told.
+        told: The share that the relay sends, as far as it was told.
     """
 
     def __init__(self) -> None:
-        self.told = self._wanted = MAX_LAYER  # a relay that was told nothing sends everything
+        self.told = self._wanted = ALL  # a relay that was told nothing sends everything
         self._lower_s = math.inf  # when less is asked for
         self._highest = NOTHING  # most that was wanted since the first request for less
         self._lowered_s = -math.inf
 
-    def subscribe(self, layer: int | None, now: float) -> bool:
-        """Note the highest layer that is wanted, None is nothing at all; return whether `due` or
+    def subscribe(self, every: int, now: float) -> bool:
+        """Note what is wanted; return whether `due` or
         `next_timer` may say something new."""
-        wanted = NOTHING if layer is None else min(layer, MAX_LAYER)
+        wanted = EVERY.index(every)
         if wanted == self._wanted:
             return False
         self._wanted = wanted
@@ -54,18 +58,18 @@ class LayerSubscription:
         return True
 
     def due(self, now: float) -> int | None:
-        """The layer that the relay is to be told by now, `NOTHING` included; None if there is no
+        """The share that the relay is to be told by now, `NOTHING` included; None if there is no
         news."""
         if self._wanted > self.told:
             return self._wanted
         return self._highest if now >= self._lower_s else None
 
-    def note_told(self, layer: int, now: float) -> None:
+    def note_told(self, share: int, now: float) -> None:
         """Note that the relay was told what was due."""
-        if layer < self.told:
+        if share < self.told:
             self._lowered_s, self._lower_s = now, math.inf
-        self.told = layer
-        if self._wanted < layer:
+        self.told = share
+        if self._wanted < share:
             self._lower(now)
 
     def next_timer(self) -> float | None:
@@ -74,9 +78,9 @@ class LayerSubscription:
 
     def begin(self, now: float) -> None:
         """Begin a connection: the relay knows of no subscription, so less is due now."""
-        self.told = MAX_LAYER
+        self.told = ALL
         self._highest = self._wanted
-        self._lower_s = now if self._wanted < MAX_LAYER else math.inf
+        self._lower_s = now if self._wanted < ALL else math.inf
 
     def _lower(self, now: float) -> None:
         """Begin to wait until less may be asked for."""

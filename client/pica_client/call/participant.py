@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from pica_client.call.connection_quality import StreamHealth
-from pica_client.call.layer_subscription import NOTHING, LayerSubscription
+from pica_client.call.layer_subscription import EVERY, NOTHING, LayerSubscription
 from pica_client.playout.buffer import PlayedFace, Playout, PlayoutReport
 from pica_client.playout.config import PlayoutConfig
 from pica_client.publish.face_track import FACE_KEY, FACE_LOST
@@ -27,8 +27,8 @@ FACE_NOTES = {
 """Why a face stands still, by what its owner says under `FACE_KEY`."""
 
 
-Tell = Callable[[int, int | None], bool]
-"""Asks the relay for a stream up to a layer, or for nothing; False if it could not be told."""
+Tell = Callable[[int, int], bool]
+"""Asks the relay for a share of a stream, see `Subscribe`; False if it could not be told."""
 
 
 @dataclass(kw_only=True, slots=True)
@@ -126,14 +126,14 @@ class RemoteParticipant:
         return dict(self.peer.metadata).get(FACE_KEY, "")
 
     def tell_subscription(self, tell: Tell, now: float) -> float | None:
-        """Tell the relay which layers are wanted, if that is due; return when to call again."""
+        """Tell the relay how much is wanted, if that is due; return when to call again."""
         subscription = self.subscription
-        layer, before = subscription.due(now), subscription.told
-        if layer is not None:
-            if not tell(self.track.stream, None if layer == NOTHING else layer):
+        share, before = subscription.due(now), subscription.told
+        if share is not None:
+            if not tell(self.track.stream, EVERY[share]):
                 return now + RETRY_S
-            subscription.note_told(layer, now)
-            if layer == NOTHING:
+            subscription.note_told(share, now)
+            if share == NOTHING:
                 self.pause()
                 self.note_silence(now)
             elif before == NOTHING:

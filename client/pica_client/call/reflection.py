@@ -39,8 +39,6 @@ class Reflection:
             sequence=self._num_frames % SEQUENCE_MODULUS,
             captured_us=captured_us,
             payload=coded.payload,
-            layer=coded.layer,
-            is_keyframe=coded.layer == 0,
         )
         self._num_frames += 1
         self.call.receive_event(frame, now)

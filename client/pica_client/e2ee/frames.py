@@ -5,10 +5,9 @@
 
 The cipher is AES_128_GCM_SHA256_128 of RFC 9605. The tag covers the header and the *metadata*: the
 fields of the media header that travel in the clear. A payload that is moved to another stream,
-sequence number, layer or time does not open.
+sequence number or time does not open.
 """
 
-import struct
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -18,7 +17,7 @@ from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 
 from pica_client.e2ee.errors import OpenError
-from pica_protocol.frames import FLAG_KEYFRAME, Frame
+from pica_protocol.frames import Frame, clear_header
 
 BASE_KEY_BYTES: Final = 16
 TAG_BYTES: Final = 16
@@ -31,7 +30,6 @@ longer than any delay that a playout would wait for)."""
 
 _SUITE: Final = 4
 _NONCE_BYTES: Final = 12
-_METADATA: Final = struct.Struct(">HHBBQ")
 _PADDING_MARK: Final = b"\x80"
 
 
@@ -85,9 +83,8 @@ def decode_header(sealed: bytes) -> tuple[int, int, int]:
 
 
 def metadata_of(frame: Frame) -> bytes:
-    """Return what the tag covers of a frame's clear header: 14 bytes that do not travel again."""
-    flags = FLAG_KEYFRAME if frame.is_keyframe else 0
-    return _METADATA.pack(frame.stream, frame.sequence, frame.layer, flags, frame.captured_us)
+    """Return what the tag covers of a frame's clear header: 8 bytes that do not travel again."""
+    return clear_header(frame)
 
 
 def seal(payload: bytes, metadata: bytes, key: FrameKey, counter: int) -> bytes:

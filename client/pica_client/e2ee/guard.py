@@ -129,8 +129,7 @@ class Guard:
     def receive_event(self, event: ClientEvent, now: float) -> list[ClientEvent]:
         """Take an event of the session and return what the owner of the link gets instead.
 
-        Whispers end here and frames come out plain. A newcomer who can read us from now on needs a
-        frame to begin with: that shows as a `KeyframeRequest` for each of our streams.
+        Whispers end here and frames come out plain.
         """
         self._now = now
         passed: list[ClientEvent] = [event]
@@ -139,10 +138,10 @@ class Guard:
                 return self._open(event)
             case messages.Whisper(peer_id=peer_id, data=data):
                 try:
-                    passed = self._receive_key_message(peer_id, data)
+                    self._receive_key_message(peer_id, data)
                 except errors.KeyMessageError:
                     self.counters.messages_refused += 1
-                    passed = []
+                passed = []
             case messages.Joined():
                 self._enter(event)
             case messages.PeerJoined(peer=peer):
@@ -188,8 +187,6 @@ class Guard:
         self._streams: dict[int, tuple[str, str]] = {}  # owner and kind of the others' streams
         self._own_id = joined.peer_id
         self._kinds = {track.stream: track.kind for track in joined.tracks}
-        # Only these know keyframes; of other tracks each frame stands alone.
-        self._latest = [track.stream for track in joined.tracks if track.policy == "latest"]
         self._description = key_messages.describe(self._room, self._name, joined.tracks)
         private_bytes = self._random_bytes(key_messages.PUBLIC_KEY_BYTES)
         self._private = X25519PrivateKey.from_private_bytes(private_bytes)
@@ -256,8 +253,8 @@ class Guard:
         way, base_key = (self._own_id, peer.peer.peer_id), self._own.base_key
         return key_messages.encode(message, self._code_key, way, peer.pair_key, base_key)
 
-    def _receive_key_message(self, peer_id: str, data: bytes) -> list[ClientEvent]:
-        """Take what a peer whispers; return requests for keyframes if it can now read us."""
+    def _receive_key_message(self, peer_id: str, data: bytes) -> None:
+        """Take what a peer whispers."""
         peer, way = self._peers.get(peer_id), (peer_id, self._own_id)
         if peer is None:
             raise errors.KeyMessageError("not from anybody in the room")
@@ -269,12 +266,11 @@ class Guard:
             peer.state = SealState.SECRET_DIFFERS
         if message is None or is_relabelled:
             raise errors.KeyMessageError("not by this peer with the secret of this room")
-        is_live, requests = message.echo == peer.challenge, list[ClientEvent]()
+        is_live = message.echo == peer.challenge
         if message.public_key != peer.public_key and (is_live or not peer.public_key):
             if peer.public_key:  # it began anew, and the relay did not say so
                 peer, is_live = self._add(peer.peer), False
             self._meet(peer, message.public_key)
-            requests = [messages.KeyframeRequest(stream=stream) for stream in self._latest]
         assert self._own is not None  # there are peers in a room only
         if message.challenge != peer.its_challenge:
             peer.its_challenge = message.challenge
@@ -290,7 +286,6 @@ class Guard:
             peer.due_s = self._now
         elif peer.is_content(self._generation) and (peer.due_s or 0.0) > self._now:
             peer.due_s = None
-        return requests
 
     def _meet(self, peer: PeerKeys, public_key: bytes) -> None:
         """Learn a public key: from now on the peer can be given ours."""

@@ -29,7 +29,7 @@ from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.streams import open_encoder
 from pica_core.codec.latent_stream import DEFAULT_QUALITY, StreamConfig
-from pica_protocol.messages import Joined, KeyframeRequest, StreamMuted, Track
+from pica_protocol.messages import Joined, StreamMuted, Track
 from pica_protocol.session import ClientEvent
 
 _log = logging.getLogger(__name__)
@@ -147,8 +147,6 @@ class Publisher:
     def receive_event(self, event: ClientEvent) -> None:
         """Take an event of the link's session."""
         match event:
-            case KeyframeRequest():
-                self._stream.restart()
             case Joined(tracks=tracks):  # nobody here has seen anything of us, or of the last of it
                 self._stream.restart()
                 self._own_streams = tuple(t.stream for t in tracks if t.kind == FACE_TRACK)
@@ -250,9 +248,7 @@ class Publisher:
             self._silent += 1  # still: the receivers know, and hold the face
             self._last_sent_s = now
             return
-        if link.send_frame(
-            coded.payload, captured_us, layer=coded.layer, is_keyframe=coded.layer == 0
-        ):
+        if link.send_frame(coded.payload, captured_us, multiple=coded.multiple):
             if self._reflection is not None:
                 self._reflection.receive(coded, captured_us, now)
             self._first_sent_s = now if self._first_sent_s is None else self._first_sent_s

@@ -1,1 +1,1 @@
-"""What each avatar gets in a frame: level of detail, mesh, decode rate, layer of its stream."""
+"""What each avatar gets in a frame: level of detail, mesh, decode rate, share of its stream."""

@@ -44,8 +44,8 @@ class Choice(NamedTuple):
     """What to decode now, at `level`; "expression" with the latent of the maps that are there."""
     mesh_level: int
     """Level of the triangles: that of the maps; with full maps also a coarser one."""
-    wanted_layer: int | None
-    """Highest layer of its stream to ask for; None is no stream at all."""
+    every: int
+    """Which frames of its stream to ask for: 1 is all, 2 or 4 each second or fourth, 0 none."""
     cost_s: float
     """Its share of the plan's cost."""
     is_limited: bool

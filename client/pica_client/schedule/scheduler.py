@@ -1,4 +1,4 @@
-"""What every head gets in a frame: level, what to decode, mesh, layer of its stream. Pure.
+"""What every head gets in a frame: level, what to decode, mesh, share of its stream. Pure.
 
 Theory of operation. The taller a head is, the more it gets: the coarsest level, the middle one, the
 full maps on the middle mesh, and on their own. A face that has changed is
@@ -25,7 +25,6 @@ from dataclasses import dataclass
 from pica_client.errors import OptionError, check_ranges
 from pica_client.schedule.cost_model import CostModel
 from pica_client.schedule.head import Choice, Decode, Head
-from pica_protocol.limits import MAX_LAYER
 
 FACE_S = 1 / 30
 """Seconds between two faces of a stream."""
@@ -59,15 +58,15 @@ class SchedulerOptions:
     """Maps of a face that moves are not kept longer, whatever the budget; plus one frame."""
     stream_hold_s: float = 1.0
     """How long the stream of a head that left the screen is still wanted."""
-    layer_px: tuple[float, ...] = (12.0, 32.0)
-    """Heads lower than the first get layer 0, than the second layer 1, and so on; all others get
+    share_px: tuple[float, float] = (12.0, 32.0)
+    """Heads lower than the first get a quarter of their faces, than the second half; all others get
     everything (chosen: 7.5 and 15 faces a second where a face is a dozen and a few dozen pixels
     high)."""
 
     def __post_init__(self) -> None:
         check_ranges(self, full_px=(0, 1e4), refresh_px=(0, 1e4), least_change=(0, 10))
         check_ranges(self, max_age_s=(0.001, 60), stream_hold_s=(0, 600))
-        for name, most in (("mesh_px", 8), ("layer_px", MAX_LAYER)):
+        for name, most in (("mesh_px", 8), ("share_px", 2)):
             values = getattr(self, name)
             if list(values) != sorted(values) or len(values) > most:
                 raise OptionError(f"{name} is {values}; ascending, at most {most}")
@@ -132,7 +131,7 @@ class Scheduler:
                 level=levels[level],
                 decode=decode,
                 mesh_level=levels[mesh],
-                wanted_layer=self._layer(head),
+                every=self._every(head),
                 cost_s=decode_s + self._head_s(head, mesh),
                 is_limited=is_kept_back or (level, mesh) != self._places(head, 1.0),
             )
@@ -239,13 +238,12 @@ class Scheduler:
             head.seen_s = now
         is_wanted = now - head.seen_s < self.options.stream_hold_s
         level = head.held_level or head.avatar.levels[0]
-        return Choice(level, "none", level, MAX_LAYER if is_wanted else None, 0.0, False)
+        return Choice(level, "none", level, int(is_wanted), 0.0, False)
 
-    def _layer(self, head: Head) -> int:
+    def _every(self, head: Head) -> int:
         sight = head.sight
         height = sight.head_px * math.sqrt(max(1 - sight.hidden_ratio, 0.0))
-        layer = bisect_right(self.options.layer_px, height)
-        return layer if layer < len(self.options.layer_px) else MAX_LAYER
+        return (4, 2, 1)[bisect_right(self.options.share_px, height)]
 
 
 def _kept(head: Head, level: int, mesh: int) -> tuple[int, int]:

@@ -50,13 +50,12 @@ from pica_protocol.limits import check_metadata
 from pica_protocol.messages import (
     FromMember,
     Joined,
-    KeyframeRequest,
     Metadata,
     Moderation,
     Report,
+    Subscribe,
     Track,
     UpdateMetadata,
-    Want,
     Whisper,
 )
 from pica_protocol.session import ClientEvent, Closed, State
@@ -149,51 +148,37 @@ class Link:
         captured_us: int,
         *,
         track: Track | None = None,
-        layer: int = 0,
-        is_keyframe: bool = True,
+        multiple: int = 1,
     ) -> bool:
-        """Offer a frame of one of our tracks, by default of the first.
-
-        When the network is too slow for the stream, and with the first frame of a connection unless
-        it is a keyframe, the frame is dropped and ``on_event`` gets a ``KeyframeRequest``.
+        """Offer a frame of one of our tracks, by default of the first; see
+        `ClientSession.send_frame`.
 
         Returns:
             False while not joined; the frame is gone then.
         """
         if self._session is None or not self.is_joined:
             return False
-        events = self._session.send_frame(
-            payload,
-            captured_us,
-            track=0 if track is None else self._tracks.index(track),
-            layer=layer,
-            is_keyframe=is_keyframe,
-        )
-        if self._on_event is not None:
-            for event in events:
-                self._on_event(event, asyncio.get_running_loop().time())
+        place = 0 if track is None else self._tracks.index(track)
+        self._session.send_frame(payload, captured_us, track=place, multiple=multiple)
         self._wake.set()
         return True
 
-    def want(self, stream: int, layer: int | None) -> bool:
-        """Ask the relay for the frames of a stream up to ``layer``, or for none.
+    def subscribe(self, stream: int, every: int) -> bool:
+        """Ask the relay for a share of a stream: all of it (1), each second or fourth frame, or
+        none (0).
 
         It ends with the connection: ask anew after each ``Joined``.
 
         Returns:
             False if it could not be told: not joined, or the network takes nothing.
         """
-        return self._tell(Want(stream=stream, layer=layer))
-
-    def request_keyframe(self, stream: int) -> bool:
-        """Ask the publisher of a stream for a keyframe; returns as `want`."""
-        return self._tell(KeyframeRequest(stream=stream))
+        return self._tell(Subscribe(stream=stream, every=every))
 
     def whisper(self, peer_id: str, data: bytes) -> bool:
         """Send opaque bytes to one peer in the room; it gets a ``Whisper`` with our peer id.
 
         It may be lost on its way: when the peer has just gone, or when we whisper more than the
-        relay allows. Returns as `want`.
+        relay allows. Returns as `subscribe`.
 
         Raises:
             ValueError: More than ``MAX_WHISPER_BYTES``, or no peer id.

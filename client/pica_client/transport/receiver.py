@@ -190,7 +190,7 @@ class Receiver:
             used = faces[:1] if self._takes_faces else []
             for stream in (track.stream for track in peer.tracks):
                 if stream not in used and not self.voices.is_wanted(stream):
-                    self.link.want(stream, None)
+                    self.link.subscribe(stream, 0)
 
     def _call_soon(self, action: Callable[[], None]) -> None:
         """Call something on the loop; at once as long as there is none."""
@@ -201,13 +201,14 @@ class Receiver:
             self._loop.call_soon_threadsafe(action)
 
     async def _tell_subscriptions(self) -> None:
-        """Tell the relay which layers are wanted, when that changes and when its time has come."""
+        """Tell the relay how much of each stream is wanted, when that changes and when it is
+        due."""
         now = asyncio.get_running_loop().time()
         while True:
             self._subscribed.clear()
             timer = None  # who is not in the room waits for the next join
             if self.link.is_joined and self._takes_faces:
-                timer = self.call.tell_subscriptions(self.link.want, now)
+                timer = self.call.tell_subscriptions(self.link.subscribe, now)
             now = await wait_until(self._subscribed, timer)
 
     async def _report(self) -> None:

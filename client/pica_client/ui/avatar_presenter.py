@@ -274,7 +274,7 @@ class AvatarPresenter:
         for head, request in self._planner.requests(heads, scene.now):
             self._pool.submit(head.slot, request)
         for slot, choice in plan.choices.items():
-            self._source.subscribe(slot, choice.wanted_layer, scene.now)
+            self._source.subscribe(slot, choice.every, scene.now)
         return plan
 
     def collect(self, now: float) -> None:

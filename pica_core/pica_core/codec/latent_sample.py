@@ -25,8 +25,9 @@ class EncodedFrame:
     """What goes onto the wire for one moment; it is decoded alone."""
 
     payload: bytes
-    layer: int = 0
-    """Frames of layer 2, or of 2 and 1, are left out where half or a quarter of them is enough."""
+    multiple: int = 1
+    """Its sequence number is to be a multiple of this: receivers may ask for every second or fourth
+    number."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,11 +15,11 @@ large the coefficients just before it in the same frame are. Pose coefficients a
 length in bits, by a table of each, their sign and the rest. See docs/bitstream.md.
 
 So anybody may drop any frame, a loss costs exactly what was lost, and who joins late decodes the
-next frame. Frames are numbered in a pattern of *layers*, so that whoever forwards a stream can keep
-every second or every fourth frame of it by looking at its header alone.
+next frame. Who wants less of a stream gets the frames whose sequence number is a multiple of 2 or
+4; `EncodedFrame.multiple` sees to it that what everybody must get is among them.
 
 A face that does not change falls silent: one last frame says so and is a little finer than the rest
-(it will be looked at for long), then a heartbeat once a second keeps the stream alive, until
+(it will be looked at for long), then a heartbeat four times a second keeps the stream alive, until
 something moves by more than a tracker's noise.
 
 All is integers. Nothing here knows of time or networks; `now_us` is an argument.
@@ -49,11 +49,9 @@ HAS_LATENT, HAS_POSE, IS_STILL = 1, 2, 4
 REST_LENGTH_BITS = 4
 """What lies beyond an escape is written as its length in bits, so many, and then itself."""
 MAX_REST_BITS = 13
-LAYER_PATTERNS: dict[int, tuple[int, ...]] = {1: (0,), 2: (0, 1), 3: (0, 2, 1, 2)}
-"""Layers of successive frames, by the number of layers."""
-LEAST_BASE_FPS = 5.0
-"""A stream has no more layers than leave this many base frames a second: below, a face that lost
-its upper layers is a slide show."""
+LEAST_QUARTER_FPS = 5.0
+"""What is left of a stream by the quarter of its sequence numbers, at least: less is a slide show.
+Slower streams leave numbers out."""
 MOVED_FACE, MOVED_POSE = 18, (8, 8, 8, 2, 2, 2)
 """How far a coefficient must move, in its units, for a face not to be still: a quarter of a root of
 rendered MSE, half a milliradian, an eighth of a millimetre (chosen: below is what trackers do by
@@ -61,7 +59,7 @@ themselves)."""
 DEFAULT_QUALITY = 3
 STILL_AFTER_US = 250_000
 """A face that has not changed for so long falls silent."""
-HEARTBEAT_US = 1_000_000
+HEARTBEAT_US = 250_000
 """Time between two frames of a silent face."""
 MAX_POSE = np.repeat((np.pi, 1.0), 3)
 """Rotation vectors (radians) and offsets (metres) are clamped to this: half a turn, an arm's length
@@ -79,7 +77,7 @@ class StreamConfig:
     """How a stream is encoded."""
 
     fps: float = 30.0
-    """Frames a second that `encode` is called with; decides how many layers make sense."""
+    """Frames a second that `encode` is called with; decides which may be left out."""
     quality: int = DEFAULT_QUALITY
     """0 is the coarsest; each step up costs about a quarter more bits."""
 
@@ -87,13 +85,11 @@ class StreamConfig:
         check_ranges(self, fps=(0.1, 1000), quality=(0, 15))
 
     @property
-    def layers(self) -> int:
-        """The number of layers."""
-        return max(
-            count
-            for count in LAYER_PATTERNS
-            if count == 1 or self.fps / len(LAYER_PATTERNS[count]) >= LEAST_BASE_FPS
-        )
+    def multiples(self) -> tuple[int, ...]:
+        """`EncodedFrame.multiple` of successive frames."""
+        if self.fps < 2 * LEAST_QUARTER_FPS:
+            return (4,)
+        return (4, 2) if self.fps < 4 * LEAST_QUARTER_FPS else (4, 1, 2, 1)
 
 
 def quantise(values: Int64Array, steps: Array) -> Int64Array:
@@ -231,7 +227,7 @@ class LatentEncoder:
         highest = profile.num_qualities - 1
         if self.config.quality > highest:
             raise LatentError(f"quality is {self.config.quality}; this avatar has 0 to {highest}")
-        self._pattern = LAYER_PATTERNS[self.config.layers]
+        self._multiples = self.config.multiples
         self._moved = np.full(profile.num_coefficients, MOVED_FACE)
         self._moved[profile.num_components :] = MOVED_POSE
         self.restart()
@@ -277,17 +273,17 @@ class LatentEncoder:
             self._quiet_since_us = None
         elif self._quiet_since_us is None:
             self._quiet_since_us = now_us
-        layer = self._pattern[self._phase]
-        if layer == 0:
+        multiple = self._multiples[self._phase]
+        if self._phase == 0:
             since_us = self._quiet_since_us
             self._is_silent = since_us is not None and now_us - since_us >= STILL_AFTER_US
-        self._phase = (self._phase + 1) % len(self._pattern)
+        self._phase = (self._phase + 1) % len(self._multiples)
         quality = min(self.config.quality + self._is_silent, self.profile.num_qualities - 1)
         steps = self.profile.steps[quality]
         quantised = quantise(wanted, steps)
         payload = encode_frame(self.profile, quantised, quality, is_still=self._is_silent)
         self._sent, self._sent_us = wanted, now_us
-        return EncodedFrame(payload, layer)
+        return EncodedFrame(payload, multiple)
 
     def _coefficients(
         self, latent: npt.ArrayLike, rotation: npt.ArrayLike, translation_m: npt.ArrayLike

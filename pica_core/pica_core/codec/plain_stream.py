@@ -101,7 +101,7 @@ def _checked(name: str, value: npt.ArrayLike, shape: tuple[int, ...]) -> Float64
 
 
 class PlainEncoder:
-    """The plain format as a stream: every frame is of layer 0."""
+    """The plain format as a stream: every frame is for everybody."""
 
     def __init__(self, latent_scale: tuple[float, ...]) -> None:
         self._latent_scale = latent_scale

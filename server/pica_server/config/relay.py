@@ -151,11 +151,6 @@ class RelayConfig:
     """Seconds between the pings that find silent peers; a pong is due within the same time."""
     close_timeout_s: Annotated[float, Range(0.05, 600)] = 2.0
     """Seconds a closing handshake may take before the socket is cut."""
-    keyframe_interval_s: Annotated[float, Range(0, 600)] = 0.5
-    """Shortest time between two keyframe requests that are passed on for one stream."""
-    slow_keyframe_interval_s: Annotated[float, Range(0, 600)] = 2.0
-    """The same for requests that are made because a receiver reads too slowly: one that always
-    does must not make the stream more expensive for everybody else."""
     send_buffer_bytes: Annotated[int, Range(2048, 16_777_216)] = 16_384
     """Bytes of one connection that the kernel may hold; what waits there is stale and cannot be
     replaced by newer frames. The kernel may round it up."""

@@ -125,7 +125,7 @@ class RelaySocket(ServerConnection):
     handshake_timeout_s: float
     _deadline: asyncio.TimerHandle | None = None
     _is_admitted = _is_opened = _is_open = False
-    _on_message: Callable[[bytes], None] | None = None
+    _on_messages: Callable[[list[bytes]], None] | None = None
     _uses_recv = False
     _is_between_frames = False
     _num_request_bytes = 0
@@ -259,11 +259,11 @@ class RelaySocket(ServerConnection):
         self._is_open = self.protocol.state is State.OPEN
         self.guard.opened()
 
-    def hand_to(self, on_message: Callable[[bytes], None]) -> None:
-        """Hand whole binary messages to a function as they come, from now on; those that it does
-        not get are in ``recv``."""
+    def hand_to(self, on_messages: Callable[[list[bytes]], None]) -> None:
+        """Hand whole binary messages to a function as they come, from now on, those that came
+        together at once; those that it does not get are in ``recv``."""
         if not self._uses_recv:
-            self._on_message = on_message
+            self._on_messages = on_messages
 
     def data_received(self, data: bytes) -> None:
         """Take what has come: whole short messages here, the rest the library's way."""
@@ -277,13 +277,11 @@ class RelaySocket(ServerConnection):
                 self.stats.limits_hit["request"] += 1
                 self.transport.abort()
                 return
-        while (
-            size - at > _HEADER_BYTES
-            and data[at] == _WHOLE_BINARY
-            and (on_message := self._on_message) is not None
-            and self.protocol.state is State.OPEN
-            and self._is_between_frames
-        ):
+        messages: list[bytes] = []
+        on_messages = self._on_messages if self._is_between_frames else None
+        if on_messages is not None and self.protocol.state is not State.OPEN:
+            on_messages = None
+        while on_messages is not None and size - at > _HEADER_BYTES and data[at] == _WHOLE_BINARY:
             begin = at + _HEADER_BYTES
             length = data[at + 1] - _MASKED
             if length == _SHORT_BYTES and size > begin + 2:  # two bytes of length follow, as a
@@ -297,7 +295,9 @@ class RelaySocket(ServerConnection):
                 break
             mask, message = data[begin - 4 : begin], data[begin : begin + length]
             at = begin + length
-            on_message(message if mask == _NO_MASK else apply_mask(message, mask))
+            messages.append(message if mask == _NO_MASK else apply_mask(message, mask))
+        if messages and on_messages is not None:
+            on_messages(messages)
         if at < size:
             was_open = self.state is State.OPEN
             super().data_received(data[at:] if at else data)
@@ -335,10 +335,10 @@ class RelaySocket(ServerConnection):
     def process_event(self, event: Event) -> None:
         """Take a message, or a part of one, that the library has read."""
         if isinstance(event, Frame) and event.opcode in _DATA:
-            if self._on_message is not None and event.opcode is Opcode.BINARY and event.fin:
-                self._on_message(bytes(event.data))
+            if self._on_messages is not None and event.opcode is Opcode.BINARY and event.fin:
+                self._on_messages([bytes(event.data)])
                 return
-            self._uses_recv, self._on_message = True, None
+            self._uses_recv, self._on_messages = True, None
         is_extra = isinstance(event, Frame) and (event.opcode not in _DATA or not event.fin)
         is_counted = is_extra and self.state is State.OPEN
         if is_counted and not self._extra_frames.take(self.loop.time()):

@@ -25,6 +25,7 @@ _COUNTERS: Final = (
     ("bytes_in", "bytes_in", "Payload bytes of all messages received."),
     ("bytes_out", "bytes_out", "Payload bytes of all messages sent."),
     ("messages_out", "messages_out", "Messages sent."),
+    ("frames_in", "frames_in", "Frames received."),
     ("frames_out", "frames_out", "Frames sent, counted for each receiver."),
     ("frames_unwanted", "unwanted", "Frames a receiver had asked not to get."),
     ("frames_resumed", "frames_resumed", "Kept frames sent to latecomers."),
@@ -39,9 +40,7 @@ _COUNTERS: Final = (
 """Name, field of `RelayStats`, explanation."""
 
 _LABELLED_COUNTERS: Final = (
-    ("frames_in", "frames_in_by_layer", "layer", "Frames received."),
     ("frames_dropped", "dropped", "reason", "Frames a receiver did not get."),
-    ("keyframe_requests", "keyframe_requests", "reason", "Keyframe requests."),
     ("whispers_dropped", "whispers_dropped", "reason", "Private messages not passed on."),
     ("placement", "placement", "event", "What happened to rooms among several relays."),
     ("resumes", "resumes", "outcome", "Lost connections, and who came back."),

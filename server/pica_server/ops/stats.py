@@ -52,7 +52,6 @@ class RelayStats:
     joins: int = 0
     """Peers let into a room."""
     frames_in: int = 0
-    frames_in_by_layer: Counter[int] = field(default_factory=Counter)
     bytes_in: int = 0
     """Bytes of all messages received, as websocket payload."""
     frames_out: int = 0
@@ -60,12 +59,9 @@ class RelayStats:
     """Bytes of all messages sent, as websocket payload."""
     messages_out: int = 0
     dropped: Counter[str] = field(default_factory=Counter)
-    """Frames that a receiver did not get. As it reads slowly: ``replaced`` by a newer keyframe;
-    ``upper_replaced``, one too many of an upper layer; ``layer_thinned``, it refers to one that was
-    dropped, or the layer has not begun yet; ``base_cut``, nothing goes before the next keyframe.
-    Of ordered streams: ``expired`` at the deadline, ``overflow``, too many wait. As the relay has
-    too much to do: ``late``. Besides:
-    ``before_keyframe``, the receiver has none yet; ``departed`` with either end; ``muted``."""
+    """Frames that a receiver did not get. As it reads slowly: ``replaced`` by a newer one; of
+    ordered streams ``expired`` at the deadline, ``overflow``, too many wait. As the relay has too
+    much to do: ``late``. Besides: ``departed`` with either end; ``muted``."""
     resumes: Counter[str] = field(default_factory=Counter)
     """Peers who lost their connection and may come back: ``away``. Those who tried: ``resumed``;
     ``unknown``, the place was not there (any more); ``unfit``, as somebody else."""
@@ -73,10 +69,6 @@ class RelayStats:
     """Frames that a receiver had asked not to get."""
     frames_resumed: int = 0
     """Frames kept for latecomers that were sent to one."""
-    keyframe_requests: Counter[str] = field(default_factory=Counter)
-    """Passed on to a publisher: ``asked`` by a receiver; made by the relay for one that is
-    ``behind``, or ``keyless``, as who comes while the chain is too long. ``withheld``: any of them,
-    too soon after another."""
     whispers: int = 0
     """Private messages (``Whisper``) passed on."""
     whispers_dropped: Counter[str] = field(default_factory=Counter)

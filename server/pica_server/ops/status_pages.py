@@ -14,12 +14,13 @@ from pica_server.auth.tokens import ANY_ROOM
 from pica_server.config.relay import RelayConfig
 from pica_server.errors import AdmissionError
 from pica_server.ops.metrics import CONTENT_TYPE, metrics_text
+from pica_server.room.forwarding import CALM_S
 from pica_server.room.hub import Hub
 from pica_server.room.room import Room
 from pica_server.store.store import AvatarStore
 
 PERIOD_S: Final = 0.05
-"""Between two looks (chosen: half of what is late, see `room.brake`)."""
+"""Between two looks (chosen: half of what is late, see `room.forwarding`)."""
 REMEMBERED_S: Final = 10.0
 """How long a stall counts (chosen: a health check each ten seconds sees every stall)."""
 WORST_S: Final = 1.0
@@ -86,10 +87,9 @@ class StatusPages:
             case "/readyz":
                 if self._hub.connections.is_draining:
                     return _verdict("draining")
-                if self._hub.brake.level:
-                    page = _verdict("late, nobody joins anew and upper layers are dropped")
-                    retry_after = f"{self._hub.brake.retry_after_s:.0f}"
-                    return replace(page, headers={"Retry-After": retry_after})
+                if self._hub.overload.refuses(now):
+                    page = _verdict("late, nobody joins anew")
+                    return replace(page, headers={"Retry-After": f"{CALM_S:.0f}"})
                 is_full = self._hub.num_connections >= self._config.max_connections
                 return _verdict("full" if is_full else "", self._placement_trouble)
             case "/metrics" if is_local or self._config.open_metrics:
@@ -155,13 +155,9 @@ class StatusPages:
                     "Bytes of control messages that wait for receivers.",
                     hub.num_waiting_control_bytes,
                 ),
-                "brake_level": (
-                    "0 all is forwarded, 1 layers 0 and 1, 2 layer 0, 3 keyframes.",
-                    hub.brake.level,
-                ),
-                "gathering": (
-                    "1 while the faces of a room wait for each other.",
-                    float(hub.brake.is_gathering),
+                "overload": (
+                    "1 while the event loop is late and nobody joins anew.",
+                    float(hub.overload.refuses(now)),
                 ),
                 "loop_busy_ratio": ("How much of the time the event loop works.", hub.busy_ratio),
                 "loop_lateness_seconds": (

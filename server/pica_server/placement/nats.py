@@ -164,7 +164,7 @@ class Bucket:
         """Write a beat over the last one; if that is missing, read all keys again."""
         assert self._bucket is not None
         hub, placement, now = self._hub, self.placement, self._now()
-        data = placement.beat(self._url, hub.num_connections, is_open=hub.takes_rooms, now=now)
+        data = placement.beat(self._url, hub.num_connections, is_open=hub.takes_rooms(now), now=now)
         try:
             self._revision = await self._bucket.update(self._key, data, last=self._revision)
         except nats.js.errors.KeyWrongLastSequenceError:

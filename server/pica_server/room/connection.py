@@ -1,6 +1,5 @@
 """One websocket as the hub sees it: its session, its outbox, and what it may still send. Pure."""
 
-import math
 from dataclasses import InitVar, dataclass, field
 
 from pica_protocol.server_session import ServerSession
@@ -44,8 +43,6 @@ class Connection:
     whispers: TokenBucket = field(init=False)
     moderations: TokenBucket = field(init=False)
     has_joined: bool = False
-    held_s: float = math.inf
-    """When what waits for more to come goes at the latest."""
     room: Room | None = None
     sending_since: float | None = None
     is_crowded: bool = False

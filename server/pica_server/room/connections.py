@@ -20,7 +20,6 @@ from pica_protocol.server_session import ServerSession
 from pica_server.config.relay import RelayConfig
 from pica_server.errors import OutboxFullError
 from pica_server.ops.stats import RelayStats
-from pica_server.room.brake import Brake
 from pica_server.room.connection import Connection
 from pica_server.room.outbox import Outbox
 from pica_server.room.room import Room
@@ -35,7 +34,6 @@ class Connections:
     Attributes:
         by_peer: Those that are not over, by the id of their peer; to be read only.
         ready: Those that have got something to send, or have closed.
-        first: Those that have got a voice to send: they go before the rest of the turn.
         timers: When which connection is to be looked at, a heap with the soonest first; to be read
             only.
         on_over: Told of every connection that is over, once or more, to clear up after it; it
@@ -48,10 +46,8 @@ class Connections:
         self.stats = stats
         self.by_peer: dict[str, Connection] = {}
         self.ready: dict[Connection, None] = {}
-        self.first: dict[Connection, None] = {}
         self.timers: list[tuple[float, int, Connection]] = []
         self.on_over: Callable[[Connection, float], None] = lambda connection, now: None
-        self.brake = Brake()
         self.is_draining = False
         self._serials = count(1)
         self._by_address: Counter[str] = Counter()  # bounded by the number of connections
@@ -67,7 +63,7 @@ class Connections:
         """
         config, limits = self.config, self.config.limits
         session = ServerSession(software=SOFTWARE, now=now, timeout_s=config.handshake_timeout_s)
-        outbox = Outbox(config.max_control_bytes, self.stats.dropped, brake=self.brake)
+        outbox = Outbox(config.max_control_bytes, self.stats.dropped)
         serial = next(self._serials)
         peer_id = f"p{serial}"
         connection = Connection(serial, session, outbox, limits, address, now, peer_id)

@@ -5,15 +5,13 @@ asks which connections have something to send (``take_ready``) and takes it from
 a time (``take``, ``sent``). The parts decide:
 
     connections   the connections: how they begin and end, who is late, what is said to whom
-    forwarding    frames, keyframe requests and whispers, from peer to peer
+    forwarding    frames and whispers, from peer to peer
     membership    rooms: who comes, goes, is away for a while and comes back
     moderation    what admins ask for in their room
 
 A connection is over when its ``closed`` is set; what it still has to send ends with a ``Bye``.
 """
 
-import heapq
-import math
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from typing import Final
@@ -22,12 +20,11 @@ from pica_protocol.errors import CloseCode
 from pica_protocol.messages import (
     BarIdentity,
     Join,
-    KeyframeRequest,
     MutePeer,
     RemovePeer,
     Report,
+    Subscribe,
     UpdateMetadata,
-    Want,
     Whisper,
 )
 from pica_protocol.session import Closed, Media, ServerEvent
@@ -36,15 +33,13 @@ from pica_server.config.relay import RelayConfig
 from pica_server.ops.stats import RelayStats
 from pica_server.room.connection import Connection
 from pica_server.room.connections import Connections
-from pica_server.room.forwarding import Forwarding
+from pica_server.room.forwarding import Forwarding, Overload
 from pica_server.room.membership import Membership
 from pica_server.room.moderation import Moderation
 from pica_server.room.outbox import OutboundMessage
 from pica_server.room.resume_tickets import ResumeTickets
 from pica_server.room.room import Room
 
-HOLD_STEP_S: Final = 0.002
-"""Moments at which what was held back goes (chosen: many leave in one turn of the loop)."""
 BUSY_PERIOD_S: Final = 0.25
 """Time over which is counted how busy the event loop is (chosen)."""
 TELLING_SHARE: Final = 0.5
@@ -101,13 +96,14 @@ class Hub:
         grace_s = 0.0 if new_secret is None else config.resume_grace_s
         self._tickets = ResumeTickets(grace_s, new_secret or str)
         self.connections = Connections(config, self.stats)
-        self.brake = self.connections.brake
+        self.overload = Overload()
         self.forwarding = Forwarding(self.connections)
         self.membership = Membership(
             self.connections,
             self.forwarding,
             self._tickets,
             admit or (lambda join: Admission()),
+            self.overload,
         )
         self.moderation = Moderation(self.connections, self.membership, self.forwarding)
         self._config = config
@@ -115,8 +111,6 @@ class Hub:
         self._load = (0.0, 0.0)
         self.busy_ratio = 0.0
         self._departures: deque[tuple[float, str]] = deque()
-        # Whose messages wait for more to share them with: each stands here once.
-        self._held: list[tuple[float, int, Connection]] = []
 
     @property
     def num_connections(self) -> int:
@@ -128,12 +122,10 @@ class Hub:
         """Rooms with somebody in them."""
         return len(self.membership.rooms)
 
-    @property
-    def takes_rooms(self) -> bool:
+    def takes_rooms(self, now: float) -> bool:
         """Whether there is a place for rooms that are placed on this relay."""
-        connections = self.connections
         is_full = self.num_connections >= self._config.max_connections
-        return not (is_full or connections.is_draining or self.brake.level)
+        return not (is_full or self.connections.is_draining or self.overload.refuses(now))
 
     def room(self, name: str) -> Room | None:
         """Return a room, or None if nobody is in it here."""
@@ -158,7 +150,7 @@ class Hub:
         if now - since_s >= BUSY_PERIOD_S:
             self._load = (processor_s, now)
             self.busy_ratio = (processor_s - before_s) / (now - since_s)
-        self.brake.note_turn(late_s, self.busy_ratio, now)
+        self.overload.note_turn(late_s, now)
 
     def connect(self, now: float, address: str = "") -> Connection:
         """Take a new websocket, see `Connections.connect`."""
@@ -171,8 +163,6 @@ class Hub:
             self.connections.close_too_fast(connection, "bytes", now)
         elif not connection.messages_in.take(now):
             self.connections.close_too_fast(connection, "messages", now)
-        elif self.brake.level and self.forwarding.drop_late(connection, data, now):
-            return
         for event in connection.session.receive_data(data, now):
             if type(event) is Media:  # nearly always; it leaves the session nothing to say
                 self.forwarding.forward(connection, event, now)
@@ -180,15 +170,16 @@ class Hub:
             self._handle(connection, event, now)
         self.connections.flush(connection, now)
 
-    def drop_late(self, connection: Connection, data: bytes, now: float) -> bool:
-        """Drop a message as it comes if nobody is to get it because the relay is late; return
-        whether it is gone. Nothing of the same connection may wait."""
-        if not self.brake.level or not self.forwarding.drop_late(connection, data, now):
-            return False
-        self.stats.bytes_in += len(data)
-        if not connection.messages_in.take(now):
+    def shed(
+        self, connection: Connection, messages: Sequence[bytes | str], now: float
+    ) -> Sequence[bytes | str]:
+        """Return those of several messages that a late relay looks at; the rest still counts
+        against the limits of its sender."""
+        kept = self.forwarding.shed(connection, messages)
+        num_shed = len(messages) - len(kept)
+        if num_shed and not connection.messages_in.take(now, num_shed):
             self.connections.close_too_fast(connection, "messages", now)
-        return True
+        return kept
 
     def disconnect(self, connection: Connection, code: int, reason: str, now: float) -> None:
         """Take note that a websocket has ended."""
@@ -219,21 +210,10 @@ class Hub:
         self._send_rooms_away(now)
 
     def take_ready(self) -> list[Connection]:
-        """Take the list of connections that have got something to send, voices first, or have
-        closed."""
-        first, ready = self.connections.first, self._ready
-        taken = list(first | ready) if first else list(ready)
-        first.clear()
-        ready.clear()
+        """Take the list of connections that have got something to send, or have closed."""
+        taken = list(self._ready)
+        self._ready.clear()
         return taken
-
-    def hold(self, connection: Connection, due_s: float) -> None:
-        """Bring a connection among those that are ready when what waits for it is due."""
-        if due_s < connection.held_s:
-            # Never a rounding before it: a timer that finds nothing due would be set again and
-            # again without the clock moving on.
-            connection.held_s = due_s = (math.floor(due_s / HOLD_STEP_S) + 1) * HOLD_STEP_S
-            heapq.heappush(self._held, (due_s, connection.serial, connection))
 
     def take(self, connection: Connection, now: float) -> OutboundMessage | None:
         """Take the next message for a connection; the shell calls ``sent`` when it is out."""
@@ -245,6 +225,7 @@ class Hub:
     def is_sending(self, connection: Connection, now: float) -> None:
         """Take note that a socket did not take a message at once; ``sent`` follows when it has."""
         connection.sending_since = now
+        connection.outbox.note_full(now)
 
     def sent(self, connection: Connection, message: OutboundMessage, now: float) -> None:
         """Take note that the socket took a message."""
@@ -264,20 +245,14 @@ class Hub:
 
     def next_timer(self) -> float | None:
         """Return when ``handle_timer`` is due, or None."""
-        timers = [line[0][0] for line in (self._timers, self._departures, self._held) if line]
+        timers = [line[0][0] for line in (self._timers, self._departures) if line]
         grace_ends_s = self._tickets.next_timer()
         if grace_ends_s is not None:
             timers.append(grace_ends_s)
         return min(timers, default=None)
 
     def handle_timer(self, now: float) -> None:
-        """Close those who are late by now, and those whose turn to go has come; what was held back
-        is ready."""
-        while self._held and self._held[0][0] <= now:
-            connection = heapq.heappop(self._held)[2]
-            connection.held_s = math.inf
-            if connection.outbox.is_waiting:
-                self._ready[connection] = None
+        """Close those who are late by now, and those whose turn to go has come."""
         self._send_rooms_away(now)
         self.membership.handle_timer(now)
         self.connections.handle_timer(now)
@@ -298,11 +273,8 @@ class Hub:
             case Report():
                 self.stats.reported_lost += sum(stream.lost for stream in event.streams)
                 self.stats.reported_concealed += sum(s.concealed for s in event.streams)
-            case Want(stream=stream, layer=layer):
-                self.forwarding.want(connection, stream, layer, now)
-            case KeyframeRequest(stream=stream):
-                assert connection.room is not None  # the session's table: only while joined
-                self.forwarding.ask_for_keyframe(connection.room, stream, "asked", now)
+            case Subscribe(stream=stream, every=every):
+                self.forwarding.subscribe(connection, stream, every, now)
             case Whisper():
                 self.forwarding.whisper(connection, event, now)
             case RemovePeer() | MutePeer() | BarIdentity():

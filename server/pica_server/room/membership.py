@@ -6,6 +6,7 @@ A peer has a connection, or it is away: its connection broke, and its place is k
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Final
 
 from pica_protocol.errors import CloseCode
 from pica_protocol.messages import (
@@ -22,13 +23,18 @@ from pica_protocol.messages import (
 from pica_protocol.session import Closed
 from pica_server.auth.tokens import Admission
 from pica_server.errors import AdmissionError, RoomFullError
-from pica_server.net.limits import TokenBucket
+from pica_server.net.limits import MOST_REMEMBERED, TokenBucket
 from pica_server.placement.placement import Placed, Placement
 from pica_server.room.connection import Connection
 from pica_server.room.connections import Connections
-from pica_server.room.forwarding import Forwarding
+from pica_server.room.forwarding import CALM_S, Forwarding, Overload
 from pica_server.room.resume_tickets import ResumeTickets
 from pica_server.room.room import Room
+
+OWN_JOINS_PER_S: Final = 1.0
+OWN_JOINS_BURST: Final = 10.0
+"""How often one identity may join, or else one address (chosen: a household behind one address
+comes together, and a page that is loaded again and again is no attack)."""
 
 
 @dataclass(eq=False)
@@ -45,6 +51,7 @@ class Membership:
     _tickets: ResumeTickets
     _admit: Callable[[Join], Admission]
     """Says what who joins may do, or raises `AdmissionError`."""
+    _overload: Overload
 
     def __post_init__(self) -> None:
         self._stats = self._connections.stats
@@ -52,6 +59,8 @@ class Membership:
         # The last connection of those who are away; as many as there are places kept.
         self._away: dict[str, Connection] = {}
         self._joins: TokenBucket | None = None  # full when the first one comes
+        # By identity, or else by address; drops the oldest.
+        self._own_joins: dict[str, TokenBucket] = {}
         self.placement: Placement | None = None
         # Joins that wait until the relay of their room is known, at most one for each connection.
         self._waiting: dict[str, list[tuple[Connection, Join, Admission]]] = {}
@@ -70,9 +79,9 @@ class Membership:
         except AdmissionError as error:
             refuse(connection, "admission", error.code, str(error), now)
             return
-        if self._joins is None:
-            self._joins = TokenBucket(limits.joins_per_s, limits.joins_burst, now)
-        if not self._joins.take(now):
+        # Who comes back to a place that is still there costs nobody else theirs.
+        is_back = self._tickets.place_of(join.room, join.resume) is not None
+        if not is_back and not self._may_join(admission.identity or connection.address, now):
             reason = "too many join at once, try again"
             refuse(connection, "joins", CloseCode.BUSY, reason, now)
             return
@@ -82,6 +91,21 @@ class Membership:
         self._waiting.setdefault(join.room, []).append((connection, join, admission))
         self.placement.ask(join.room, now)
         self.follow(self.placement.take_events(), now)
+
+    def _may_join(self, payer: str, now: float) -> bool:
+        """Return True if there is room for one more join, of this identity or address and in
+        all."""
+        limits = self._connections.config.limits
+        if self._joins is None:
+            self._joins = TokenBucket(limits.joins_per_s, limits.joins_burst, now)
+        own = self._own_joins.pop(payer, None)
+        if own is None:
+            own = TokenBucket(OWN_JOINS_PER_S, OWN_JOINS_BURST, now)
+        if payer:
+            self._own_joins[payer] = own
+            if len(self._own_joins) > MOST_REMEMBERED:
+                del self._own_joins[next(iter(self._own_joins))]
+        return own.take(now) and self._joins.take(now)
 
     def follow(self, events: Sequence[Placed], now: float) -> None:
         """Admit joins for rooms that are placed here, and redirect those for other rooms."""
@@ -109,9 +133,10 @@ class Membership:
         connection.is_resumable = join.resumable
         if join.resume and self._come_back(connection, join, admission, now):
             return
-        room, brake = self.rooms.get(join.room), self._connections.brake
-        if brake.level and (room is None or room.peer_of(admission.identity) is None):
-            reason = f"the relay has too much to do, try again in {brake.retry_after_s:g} s"
+        room = self.rooms.get(join.room)
+        is_late = self._overload.refuses(now)
+        if is_late and (room is None or room.peer_of(admission.identity) is None):
+            reason = f"the relay has too much to do, try again in {CALM_S:g} s"
             refuse(connection, "late", CloseCode.BUSY, reason, now)
             return
         self._replace(connection, join, admission.identity, now)
@@ -210,7 +235,7 @@ class Membership:
         for number in room.muted_of(peer.peer_id):
             tell_others(room, peer.peer_id, StreamMuted(stream=number, is_muted=True), now)
         if admission.may_subscribe:
-            self._forwarding.catch_up(connection, room, now)
+            self._forwarding.catch_up(connection, room)
 
     def _come_back(
         self, connection: Connection, join: Join, admission: Admission, now: float
@@ -242,7 +267,7 @@ class Membership:
             news = PeerUpdated(peer_id=peer_id, metadata=join.metadata)
             connections.tell_others(room, peer_id, news, now)
         if admission.may_subscribe:
-            self._forwarding.catch_up(connection, room, now)
+            self._forwarding.catch_up(connection, room)
         return True
 
     def _accept(

@@ -1,24 +1,18 @@
 """Who is here, who publishes which stream, who wants how much of it, and what latecomers get.
 
-Pure: a room knows peers by their id and frames by their bytes, nothing of connections.
-
-Of each stream a room keeps the latest keyframe and the base frames since, so that whoever comes can
-decode at once and no publisher is disturbed, however many come. A chain that grows too long is
-given up but for its keyframe: a latecomer has that to look at until the next one comes.
+Pure: a room knows peers by their id and frames by their bytes, nothing of connections. Of each
+stream of faces it keeps the newest frame, so that who comes sees everybody at once.
 """
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Final
 
-from pica_protocol.limits import MAX_LAYER, MAX_STREAM
-from pica_protocol.messages import Join, Joined, Metadata, Peer, Track
-from pica_protocol.stream_queue import MAX_CHAIN_BYTES, MAX_CHAIN_FRAMES
+from pica_protocol.frame_queue import QueuedFrame
+from pica_protocol.limits import MAX_STREAM
+from pica_protocol.messages import SHARES, Join, Joined, Metadata, Peer, Track
 from pica_server.auth.tokens import Admission
 from pica_server.errors import RoomFullError
-
-_NOTHING = -1
-"""Stands for no layer at all as the highest wanted one."""
 
 BAR: Final = ""
 """Stands for the whole participant in a decision, in place of a kind of track."""
@@ -29,9 +23,9 @@ MAX_DECISIONS: Final = 256
 @dataclass(slots=True)
 class _Member:
     peer: Peer
-    highest_layer: dict[int, int] = field(default_factory=dict)
-    """The highest wanted layer by stream; one that is missing is wanted up to ``default_layer``."""
-    default_layer: int = MAX_LAYER
+    every: dict[int, int] = field(default_factory=dict)
+    """What is wanted by stream, see `Subscribe`; of one that is missing ``default_every``."""
+    default_every: int = 1
     is_away: bool = False
     """Its connection is lost, and it may come back."""
 
@@ -46,37 +40,14 @@ class Stream:
     """How long its frames may wait for a receiver if it is ordered; None: it is not."""
     is_muted: bool = False
     """An admin has stopped it."""
-    decodable_layer: int = MAX_LAYER
-    """Other frames than keyframes that are above it refer to one that the relay did not forward, as
-    it was late; see `Brake`. -1: all do."""
-    chain: list[bytes] = field(default_factory=list)
-    """The latest keyframe and, if ``is_whole``, all base frames since."""
-    is_whole: bool = False
-    num_bytes: int = 0
-    """Bytes of all frames of the chain."""
-    asked_s: float | None = None
-    """When the publisher was last asked for a keyframe."""
+    newest: QueuedFrame | None = None
+    """The newest frame, for those who come later; None of an ordered stream."""
 
     @classmethod
     def of(cls, publisher: str, track: Track) -> "Stream":
         """Begin the stream of a track."""
         is_ordered = track.policy == "ordered"
         return cls(publisher, track.deadline_ms / 1000 if is_ordered else None)
-
-    def remember(self, frame: bytes, is_keyframe: bool) -> None:
-        """Keep a base frame for those who come later; of an ordered stream nothing is kept."""
-        if self.deadline_s is not None:
-            return
-        if is_keyframe:
-            self.chain = [frame]
-            self.num_bytes = len(frame)
-            self.is_whole = True
-        elif self.is_whole:
-            self.chain.append(frame)
-            self.num_bytes += len(frame)
-            if len(self.chain) > MAX_CHAIN_FRAMES or self.num_bytes > MAX_CHAIN_BYTES:
-                del self.chain[1:]
-                self.is_whole = False
 
 
 class Room:
@@ -88,7 +59,8 @@ class Room:
         self._members: dict[str, _Member] = {}
         self._streams: dict[int, Stream] = {}
         self._last_stream = 0
-        # Who gets the frames of a stream and layer: looked up for every frame, changed rarely.
+        # Who gets the frames of a stream, by sequence modulo 4: looked up for every frame, changed
+        # rarely.
         self._receivers: dict[tuple[int, int], list[str]] = {}
         self._decisions: dict[tuple[str, str], None] = {}
 
@@ -136,8 +108,7 @@ class Room:
         )
         present = self.peers
         self._receivers.clear()
-        default_layer = MAX_LAYER if admission.may_subscribe else _NOTHING
-        self._members[peer_id] = _Member(peer, default_layer=default_layer)
+        self._members[peer_id] = _Member(peer, default_every=int(admission.may_subscribe))
         return self._joined(peer, present)
 
     def leave(self, peer_id: str) -> Peer:
@@ -147,7 +118,7 @@ class Room:
         for track in peer.tracks:
             del self._streams[track.stream]
             for member in self._members.values():
-                member.highest_layer.pop(track.stream, None)
+                member.every.pop(track.stream, None)
         return peer
 
     def go_away(self, peer_id: str) -> None:
@@ -155,8 +126,8 @@ class Room:
         self._receivers.clear()
         member = self._members[peer_id]
         member.is_away = True
-        member.highest_layer.clear()
-        member.default_layer = _NOTHING
+        member.every.clear()
+        member.default_every = 0
 
     def is_place_of(self, peer_id: str, identity: str, tracks: tuple[Track, ...]) -> bool:
         """Say whether somebody who comes back with these tracks is who had this place."""
@@ -181,15 +152,8 @@ class Room:
         self._receivers.clear()
         member = self._members[peer_id]
         member.is_away = False
-        member.highest_layer.clear()
-        member.default_layer = MAX_LAYER if may_subscribe else _NOTHING
-        for track in member.peer.tracks:
-            # What is to come does not follow what was kept: frames were lost between.
-            stream = self._streams[track.stream]
-            del stream.chain[1:]
-            stream.num_bytes = sum(map(len, stream.chain))
-            stream.is_whole = False
-            stream.asked_s = None
+        member.every.clear()
+        member.default_every = int(may_subscribe)
         others = tuple(peer for peer in self.peers if peer.peer_id != peer_id)
         return self._joined(member.peer, others, resumed=True)
 
@@ -225,25 +189,15 @@ class Room:
         """Return one member as the others see it."""
         return self._members[peer_id].peer
 
-    def forget_chain(self, stream: int) -> None:
-        """Forget what was kept of a stream that does not come any more."""
-        found = self._streams.get(stream)
-        if found is not None:
-            found.chain, found.num_bytes, found.is_whole = [], 0, False
-
-    def want(self, peer_id: str, stream: int, layer: int | None) -> bool:
-        """Note a layer subscription, if the stream has not just ended; return whether the peer
-        wants frames of it after it wanted none."""
-        if stream not in self._streams:
-            return False
+    def subscribe(self, peer_id: str, stream: int, every: int) -> bool:
+        """Note a subscription, if the stream has not just ended; return whether the peer wants
+        frames of it after it wanted none."""
         member = self._members[peer_id]
-        if member.default_layer == _NOTHING:
+        if stream not in self._streams or member.default_every == 0:
             return False
-        wanted = member.highest_layer
-        had_stopped = wanted.get(stream) == _NOTHING
         self._receivers.clear()
-        wanted[stream] = _NOTHING if layer is None else layer
-        return had_stopped and layer is not None
+        before, member.every[stream] = member.every.get(stream, 1), every
+        return before == 0 and every > 0
 
     def decide(self, identity: str, kind: str, *, holds: bool) -> None:
         """Note an admin's decision on an identity: its tracks of a kind are muted, or with `BAR` it
@@ -258,32 +212,20 @@ class Room:
         """Return True if an identity is barred, or its tracks of a kind are muted."""
         return (identity, kind) in self._decisions
 
-    def owns(self, peer_id: str, stream: int) -> bool:
-        """Say whether this peer publishes this stream."""
-        found = self._streams.get(stream)
-        return found is not None and found.publisher == peer_id
-
-    def receivers(self, stream: int, layer: int) -> list[str]:
-        """Return who gets a frame of this stream and layer; the list is to be read only."""
-        found = self._receivers.get((stream, layer))
-        if found is not None:
-            return found
-        publisher = self._streams[stream].publisher
-        found = self._receivers[stream, layer] = [
-            peer_id
-            for peer_id, member in self._members.items()
-            if peer_id != publisher
-            and member.highest_layer.get(stream, member.default_layer) >= layer
-        ]
+    def receivers(self, stream: int, sequence: int) -> list[str]:
+        """Return who gets a frame of this stream; the list is to be read only."""
+        place = sequence % max(SHARES)
+        found = self._receivers.get((stream, place))
+        if found is None:
+            publisher = self._streams[stream].publisher
+            found = self._receivers[stream, place] = [
+                peer_id
+                for peer_id, member in self._members.items()
+                if peer_id != publisher
+                and (every := member.every.get(stream, member.default_every))
+                and place % every == 0
+            ]
         return found
-
-    def request_keyframe(self, stream: int, interval_s: float, now: float) -> str | None:
-        """Return the publisher to ask, or None if it is gone or was asked within the interval."""
-        found = self._streams.get(stream)
-        if found is None or (found.asked_s is not None and now - found.asked_s < interval_s):
-            return None
-        found.asked_s = now
-        return found.publisher
 
     def _new_stream(self, peer_id: str, track: Track) -> int:
         # Counting up, not lowest first: a late frame of a departed peer must not find a new owner.

@@ -38,14 +38,13 @@ GENERATION = 9
 FRAME = Frame(
     stream=1,
     sequence=65535,
-    captured_us=1_700_000_000_000_000,
+    captured_us=123_456_700,
     payload=b"opaque",
-    is_keyframe=True,
 )
-METADATA = "0001ffff000100060a24181e4000"
+METADATA = "0001ffff96b43800"
 SEALED = (
     "19012c1beedb2459b0a64d5b7e054a51a8b267de540dfb41b944552d5d5c042a7e9de2f11981dcbb"
-    "f8c29877ff57baec0b10c3cc704191021e8dcddf28f03cb34fbd51"
+    "f8c29877ff57baec0b10c335b1581797b387cd64739f57074066ad"
 )
 DESCRIPTION = describe(
     "lobby", "Ada", (Track(kind="face", stream=1, avatar="0f" * 32), Track(kind="wave", stream=2))

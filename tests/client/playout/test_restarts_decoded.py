@@ -37,8 +37,6 @@ class Receiving:
             sequence=frame.sequence,
             captured_us=CLOCK_US + frame.captured_us,
             payload=frame.payload,
-            layer=frame.layer,
-            is_keyframe=frame.layer == 0,
         )
         passed = self.clock.receive(wire, self.now)
         shown = [each.decoded(self.decoder.decode(each.payload)) for each in passed]

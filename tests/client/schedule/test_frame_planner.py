@@ -96,15 +96,14 @@ def test_behind_the_viewer_nothing_is_decoded_and_the_stream_is_given_up_later(
 ) -> None:
     planner, ada = FramePlanner(Scheduler()), head(avatar)
     away = camera_at(away=True)
-    layers = []
+    wanted = []
     for frame in range(90):
         ada.latent = np.full_like(ada.latent, frame)
         now = frame * FRAME_S
         plan = planned(planner, ada, camera=away, now=now)
         assert planner.requests([ada], now) == []
-        layers.append(plan.choices["ada"].wanted_layer)
-    assert layers[0] is not None
-    assert layers[-1] is None
+        wanted.append(plan.choices["ada"].every)
+    assert (wanted[0], wanted[-1]) == (1, 0)
 
 
 def test_who_comes_back_into_view_is_decoded_in_the_very_next_frame(avatar: Avatar) -> None:
@@ -113,7 +112,7 @@ def test_who_comes_back_into_view_is_decoded_in_the_very_next_frame(avatar: Avat
         planned(planner, ada, camera=camera_at(away=True), now=frame * FRAME_S)
     assert len(asked(planner, ada, now=2.0)) == 1
     assert ada.choice is not None
-    assert ada.choice.wanted_layer is not None
+    assert ada.choice.every
 
 
 def test_where_time_is_short_a_far_head_gives_up_more_than_a_near_one(avatar: Avatar) -> None:

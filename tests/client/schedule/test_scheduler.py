@@ -30,7 +30,6 @@ from pica_client.schedule.cost_model import CostModel, DrawCost
 from pica_client.schedule.head import Head
 from pica_client.schedule.scheduler import Plan, Scheduler, SchedulerOptions
 from pica_client.schedule.visibility import NOTHING
-from pica_protocol.limits import MAX_LAYER
 
 pytestmark = pytest.mark.unit
 
@@ -41,7 +40,7 @@ pytestmark = pytest.mark.unit
 def test_a_near_talking_head_gets_everything_while_there_is_time() -> None:
     choice = choose(view(head_px=900))
     assert (choice.level, choice.decode, choice.mesh_level) == (256, "both", 256)
-    assert choice.wanted_layer == MAX_LAYER
+    assert choice.every == 1
     assert not choice.is_limited
 
 
@@ -209,12 +208,12 @@ def test_a_head_that_leaves_is_wanted_a_while_longer_and_then_not_at_all() -> No
     for frame in range(90):
         head.sight = sight if frame < 10 else NOTHING
         made = scheduler.plan([head], AMPLE_S, frame * FRAME_S)
-        wanted.append(made.choices["ada"].wanted_layer)
+        wanted.append(made.choices["ada"].every)
     hold_s = SchedulerOptions().stream_hold_s
-    last = max(i for i, layer in enumerate(wanted) if layer is not None)
+    last = max(i for i, every in enumerate(wanted) if every)
     assert (last - 9) * FRAME_S == pytest.approx(hold_s, abs=1.5 * FRAME_S)
     head.sight = sight
-    assert scheduler.plan([head], AMPLE_S, 3.1).choices["ada"].wanted_layer == MAX_LAYER
+    assert scheduler.plan([head], AMPLE_S, 3.1).choices["ada"].every == 1
 
 
 def test_a_head_that_comes_back_is_decoded_in_the_same_frame() -> None:
@@ -227,9 +226,9 @@ def test_a_head_that_comes_back_is_decoded_in_the_same_frame() -> None:
 
 
 def test_a_small_or_mostly_hidden_head_wants_fewer_layers() -> None:
-    layers = [choose(view(head_px=px)).wanted_layer for px in (5, 20, 200)]
-    assert layers == [0, 1, MAX_LAYER]
-    assert choose(view(head_px=60, hidden_ratio=0.9)).wanted_layer == 1
+    layers = [choose(view(head_px=px)).every for px in (5, 20, 200)]
+    assert layers == [4, 2, 1]
+    assert choose(view(head_px=60, hidden_ratio=0.9)).every == 2
 
 
 def test_two_eyes_decode_once_and_draw_twice() -> None:
@@ -337,7 +336,7 @@ def test_nearer_never_gets_less_than_farther_with_the_same_past(
     assert near_choice.decode != "none" or far_choice.decode == "none" or factor > 1
     if near_choice.decode == far_choice.decode:
         assert detail(near_choice) >= detail(far_choice)
-    layers = [-1 if c.wanted_layer is None else c.wanted_layer for c in (near_choice, far_choice)]
+    layers = [4 // c.every if c.every else 0 for c in (near_choice, far_choice)]
     assert layers[0] >= layers[1]
 
 
@@ -355,7 +354,7 @@ def test_an_unseen_head_costs_nothing_and_takes_nothing_from_the_others(
 
 
 @pytest.mark.parametrize(
-    "changes", [{"max_age_s": 0.0}, {"least_change": -1.0}, {"layer_px": (9.0, 3.0)}]
+    "changes", [{"max_age_s": 0.0}, {"least_change": -1.0}, {"share_px": (9.0, 3.0)}]
 )
 def test_options_that_make_no_sense_are_refused(changes: dict[str, object]) -> None:
     with pytest.raises(OptionError, match=next(iter(changes))):

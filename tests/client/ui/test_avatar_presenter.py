@@ -42,7 +42,7 @@ class OneFace:
     def avatar(self, avatar_id: str) -> Avatar:
         return TOY
 
-    def subscribe(self, peer_id: str, layer: int | None, now: float) -> None:
+    def subscribe(self, peer_id: str, every: int, now: float) -> None:
         """There is no stream."""
 
 

@@ -72,8 +72,8 @@ class Faces:
             raise AvatarFileError("evil.pica: tensor u_encoding is missing")
         return self.avatars[avatar_id]
 
-    def subscribe(self, peer_id: str, layer: int | None, now: float) -> None:
-        self.subscribed.add((peer_id, layer))
+    def subscribe(self, peer_id: str, every: int, now: float) -> None:
+        self.subscribed.add((peer_id, every))
 
 
 def step_until_decoded(viewer: Viewer, now: float = 1.0) -> None:
@@ -475,7 +475,7 @@ def test_a_viewer_short_of_time_gives_up_detail_and_says_which() -> None:
 
 def test_the_call_is_told_what_is_worth_having_of_each_stream() -> None:
     source = Faces("ada", "grace")
-    with Viewer(source, SMALL, scheduler=SchedulerOptions(layer_px=(8.0, 200.0))) as viewer:
+    with Viewer(source, SMALL, scheduler=SchedulerOptions(share_px=(8.0, 200.0))) as viewer:
         for frame in range(4):
             step_until_decoded(viewer, now=1.0 + 0.1 * frame)
     assert source.subscribed == {("ada", 1), ("grace", 1)}

@@ -33,7 +33,7 @@ def test_every_avatar_can_be_sent_plain(avatar: Avatar) -> None:
     for number in (5, 3, 3, 60_000):  # each stands for itself, in any order
         frame = encoder.encode(FACE, STILL, STILL, number)
         assert frame is not None
-        assert (len(frame.payload), frame.layer) == (PLAIN_BYTES, 0)
+        assert (len(frame.payload), frame.multiple) == (PLAIN_BYTES, 1)
         assert decoder.decode(frame.payload).latent == pytest.approx(FACE, abs=0.02)
 
 

@@ -41,9 +41,9 @@ def test_the_profile_has_its_golden_name() -> None:
 
 @pytest.mark.parametrize("quality", QUALITIES)
 def test_golden_faces_encode_to_golden_payloads(quality: int) -> None:
-    made = [(frame.layer, frame.payload.hex()) for frame in encode_stream(VECTORS, quality)]
+    made = [(frame.multiple, frame.payload.hex()) for frame in encode_stream(VECTORS, quality)]
     golden = VECTORS["streams"][str(quality)]
-    assert made == [(frame["layer"], frame["payload"]) for frame in golden]
+    assert made == [(frame["multiple"], frame["payload"]) for frame in golden]
 
 
 def test_golden_payloads_decode_to_golden_faces() -> None:

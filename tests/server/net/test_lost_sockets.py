@@ -37,8 +37,8 @@ async def until_num_sockets(number: int) -> None:
         b"nonsense\r\n\r\n",
         b"GET /healthz HTTP/1.1\r\nHost: relay\r\n\r\n",
         UPGRADE + b"\r\n",  # no sub-protocol: it is told so, and closed
-        UPGRADE + b"Sec-WebSocket-Protocol: pica.1\r\n\r\n",
-        UPGRADE + b"Sec-WebSocket-Protocol: pica.1\r\n\r\n" + b"\x7f no frame",
+        UPGRADE + b"Sec-WebSocket-Protocol: pica.2\r\n\r\n",
+        UPGRADE + b"Sec-WebSocket-Protocol: pica.2\r\n\r\n" + b"\x7f no frame",
         UPGRADE + b"Sec-WebSocket-Protocol: pica.store.1\r\n\r\n",
     ],
     ids=["silent", "nonsense", "page", "stranger", "guest", "rule-breaker", "giver"],

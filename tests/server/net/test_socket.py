@@ -71,7 +71,6 @@ def media(peer: WirePeer, number: int, num_bytes: int) -> bytes:
         sequence=number,
         captured_us=number,
         payload=bytes(num_bytes),
-        is_keyframe=True,
     )
     return media_message([encode_frame(frame)])
 

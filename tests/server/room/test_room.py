@@ -3,10 +3,10 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from pica_protocol.messages import Join, Joined, Peer, Track
+from pica_protocol.messages import SHARES, Join, Joined, Peer, Track
 from pica_server.auth.tokens import Admission
 from pica_server.errors import RoomFullError
-from pica_server.room.room import Room, Stream
+from pica_server.room.room import Room
 
 pytestmark = pytest.mark.unit
 
@@ -56,63 +56,24 @@ def test_streams_wrap_around_those_in_use() -> None:
     assert join(room, "bob", "Bob", (FACE,)).tracks[0].stream == 2
 
 
-def test_a_wish_limits_the_layers_of_one_stream_for_one_peer() -> None:
+def test_a_subscription_limits_the_frames_of_one_stream_for_one_peer() -> None:
     room = room_of("ada", "bob", "cyd")
-    room.want("bob", stream=1, layer=1)
-    assert room.receivers(stream=1, layer=1) == ["bob", "cyd"]
-    assert room.receivers(stream=1, layer=2) == ["cyd"]
-    assert room.receivers(stream=3, layer=2) == ["ada", "bob"]
+    room.subscribe("bob", stream=1, every=2)
+    assert room.receivers(stream=1, sequence=6) == ["bob", "cyd"]
+    assert room.receivers(stream=1, sequence=7) == ["cyd"]
+    assert room.receivers(stream=3, sequence=7) == ["ada", "bob"]
 
 
-def test_a_keyframe_is_asked_for_at_most_once_in_an_interval() -> None:
-    room = room_of("ada", "bob")
-    assert room.request_keyframe(1, interval_s=0.5, now=10.0) == "ada"
-    assert room.request_keyframe(1, interval_s=0.5, now=10.4) is None
-    assert room.request_keyframe(2, interval_s=0.5, now=10.4) == "bob"
-    assert room.request_keyframe(1, interval_s=2.0, now=10.5) is None
-    assert room.request_keyframe(1, interval_s=0.5, now=10.5) == "ada"
-
-
-def test_wishes_and_requests_for_a_stream_that_has_ended_change_nothing() -> None:
+def test_a_subscription_for_a_stream_that_has_ended_changes_nothing() -> None:
     room = room_of("ada", "bob")
     room.leave("ada")
-    assert not room.want("bob", stream=1, layer=0)
-    assert room.request_keyframe(1, interval_s=0.5, now=0.0) is None
+    assert not room.subscribe("bob", stream=1, every=1)
 
 
 def test_a_peer_that_wants_a_stream_again_is_told_apart_from_one_that_never_stopped() -> None:
     room = room_of("ada", "bob")
-    wishes = (0, None, None, 2, 1)
-    assert [room.want("bob", 1, layer) for layer in wishes] == [False, False, False, True, False]
-
-
-def test_a_keyframe_and_what_followed_is_kept_as_long_as_its_stream() -> None:
-    room = room_of("ada", "bob")
-    stream = room.stream(1)
-    assert stream is not None
-    assert (stream.chain, stream.is_whole) == ([], False)
-    for frame, is_keyframe in ((b"lost", False), (b"old", True), (b"key", True), (b"base", False)):
-        stream.remember(frame, is_keyframe)
-    assert (stream.chain, stream.is_whole) == ([b"key", b"base"], True)
-    room.leave("ada")
-    assert room.stream(1) is None
-
-
-@pytest.mark.parametrize(("num_bytes", "num_kept"), [(1, 95), (1000, 4)])
-def test_a_chain_that_grows_too_long_is_given_up_but_for_its_keyframe(
-    num_bytes: int, num_kept: int
-) -> None:
-    stream = Stream("ada")
-    stream.remember(b"k", True)
-    for i in range(num_kept):
-        stream.remember(bytes(num_bytes), False)
-        assert stream.is_whole
-        assert len(stream.chain) == i + 2
-    for _ in range(2):
-        stream.remember(bytes(num_bytes), False)
-        assert (stream.chain, stream.is_whole) == ([b"k"], False)
-    stream.remember(b"key", True)
-    assert (stream.chain, stream.is_whole) == ([b"key"], True)
+    found = [room.subscribe("bob", 1, every) for every in (4, 0, 0, 2, 1)]
+    assert found == [False, False, False, True, False]
 
 
 class RoomMachine(RuleBasedStateMachine):
@@ -122,7 +83,7 @@ class RoomMachine(RuleBasedStateMachine):
         super().__init__()
         self.room = Room("lobby", CAPACITY)
         self.present: dict[str, list[int]] = {}
-        self.wishes: dict[tuple[str, int], int | None] = {}
+        self.wishes: dict[tuple[str, int], int] = {}
         self.num_joins = 0
 
     @rule(num_tracks=st.integers(0, 4))
@@ -148,31 +109,30 @@ class RoomMachine(RuleBasedStateMachine):
         self.room.leave(peer_id)
         gone = self.present.pop(peer_id)
         self.wishes = {
-            key: layer
-            for key, layer in self.wishes.items()
+            key: every
+            for key, every in self.wishes.items()
             if key[0] != peer_id and key[1] not in gone
         }
 
     @precondition(lambda self: self.present)
-    @rule(data=st.data(), stream=st.integers(1, 20), layer=st.none() | st.integers(0, 7))
-    def want(self, data: st.DataObject, stream: int, layer: int | None) -> None:
+    @rule(data=st.data(), stream=st.integers(1, 20), every=st.sampled_from(SHARES))
+    def subscribe(self, data: st.DataObject, stream: int, every: int) -> None:
         peer_id = data.draw(st.sampled_from(list(self.present)))
-        self.room.want(peer_id, stream, layer)
+        self.room.subscribe(peer_id, stream, every)
         if any(stream in streams for streams in self.present.values()):
-            self.wishes[peer_id, stream] = layer
+            self.wishes[peer_id, stream] = every
 
     @invariant()
     def frames_go_to_whom_the_reference_says(self) -> None:
         for publisher, streams in self.present.items():
             for stream in streams:
-                assert self.room.owns(publisher, stream)
-                for layer in (0, 3, 7):
+                for sequence in (0, 1, 2):
                     expected = []
                     for peer_id in self.present:
-                        wish = self.wishes.get((peer_id, stream), 7)
-                        if peer_id != publisher and wish is not None and wish >= layer:
+                        every = self.wishes.get((peer_id, stream), 1)
+                        if peer_id != publisher and every and sequence % every == 0:
                             expected.append(peer_id)
-                    assert self.room.receivers(stream, layer) == expected
+                    assert self.room.receivers(stream, sequence) == expected
 
     @invariant()
     def everybody_present_is_listed_in_order(self) -> None:

@@ -1,12 +1,11 @@
 """Sender, relay and receiver of one stream of frames, as a model. Pure: `now` is an argument.
 
-The relay is the real one's decision (`pica_protocol.stream_queue`: upper layers are dropped first,
-a base layer that waits too long is cut until a keyframe) in front of a modelled way (`impairment`).
-While the way takes no more, up to `queue_bytes` wait in front of it, first in, first out; the rest
-waits in the relay, and what waits there together leaves as one message.
+The relay is the real one's decision (`pica_protocol.frame_queue`: of a face the newest frame waits)
+in front of a modelled way (`impairment`). While the way takes no more, up to `queue_bytes` wait in
+front of it, first in, first out; the rest waits in the relay, and what waits there together leaves
+as one message.
 
-`thin_ratio` stands for whatever else makes a relay drop frames, as the congestion of other streams:
-upper layers pay first, and what refers to a dropped frame is dropped with it.
+`thin_ratio` stands for whatever else makes a relay drop frames, as the congestion of other streams.
 
 A voice shares the way with its face, leaves first, and takes along what waits of the face; while
 it speaks, the face waits for its next packet (`RIDE_S`), as at the real sender.
@@ -26,15 +25,12 @@ import numpy as np
 from pica_client.bench.network.impairment import Impairment, Way
 from pica_client.stats import wire_bytes
 from pica_protocol.client_session import RIDE_S
+from pica_protocol.frame_queue import FrameQueue, QueuedFrame
 from pica_protocol.frames import Frame, decode_media, encode_frame, media_message
 from pica_protocol.limits import MAX_MEDIA_MESSAGE_BYTES
-from pica_protocol.stream_queue import Put, StreamQueue
 
 MAX_UNDER_WAY = 4096
 """Messages on the way; beyond it the newest is dropped."""
-SHED_DEBT_FRAMES = (8, 3, 1)
-"""Drops that the relay owes before a frame of layer 0, 1, 2 is dropped (chosen: the base layer pays
-when two turns of the pattern had nothing else to give)."""
 
 VOICE_DEADLINE_S = 0.2
 """Age beyond which the relay drops a voice packet."""
@@ -73,11 +69,8 @@ class FramePath:
         self._drops: Counter[str] = Counter()
         self._way = Way(impairment, rng)
         self._rng = rng
-        self._debt = 0
-        self._blocked_above: int | None = None
-        self._relay = StreamQueue(self._drops)
-        # Voices: (frame, offered); what is older than VOICE_DEADLINE_S is dropped.
-        self._voices: deque[tuple[bytes, float]] = deque()
+        self._relay = FrameQueue(self._drops)
+        self._newest_us = 0
         self._queue: deque[_Message] = deque()  # behind the relay; bounded by `queue_bytes`
         self._queue_bytes = 0
         self._ride_ends_s = self._advanced_s = -math.inf
@@ -90,21 +83,23 @@ class FramePath:
         self._advance(now)
         self._way.change(impairment)
 
-    def send(self, frame: Frame, now: float) -> bool:
-        """Offer a frame to the relay; True if the relay asks for a keyframe."""
+    def send(self, frame: Frame, now: float) -> None:
+        """Offer a frame to the relay."""
         self._advance(now)
         self._sent += 1
-        if self._is_thinned(frame.layer):
+        if self._rng.random() < self._way.impairment.thin_ratio:
             self._thinned += 1
-            return False
-        put = self._relay.put(encode_frame(frame), frame.layer, frame.is_keyframe, now)
-        self._advance(now)
-        return put in (Put.BEHIND, Put.KEYLESS)
+        else:
+            self._offer(frame, None, now)
 
     def send_voice(self, frame: Frame, now: float) -> None:
         """Offer a voice packet to the relay, which lets it go first and drops it when it is old."""
         self._advance(now)
-        self._voices.append((encode_frame(frame), now))
+        self._offer(frame, VOICE_DEADLINE_S, now)
+
+    def _offer(self, frame: Frame, deadline_s: float | None, now: float) -> None:
+        self._newest_us = max(self._newest_us, frame.captured_us)
+        self._relay.put(QueuedFrame("", frame.stream, encode_frame(frame), now, deadline_s))
         self._advance(now)
 
     def arrivals(self, now: float) -> list[tuple[float, Frame]]:
@@ -113,25 +108,15 @@ class FramePath:
         arrived = []
         while self._under_way and self._under_way[0][0] <= now:
             arrival_s, _, data = heapq.heappop(self._under_way)
-            arrived += [(arrival_s, frame) for frame in decode_media(data)]
+            arrived += [
+                (arrival_s, frame) for frame in decode_media(data, lambda _: self._newest_us)
+            ]
         return arrived
 
     @property
     def counters(self) -> PathCounters:
         """What became of the frames so far."""
         return PathCounters(self._sent, self._thinned, sum(self._drops.values()), self._lost)
-
-    def _is_thinned(self, layer: int) -> bool:
-        self._debt += bool(self._rng.random() < self._way.impairment.thin_ratio)
-        if self._blocked_above is not None and layer > self._blocked_above:
-            self._debt -= 1  # it refers to a frame that is gone
-            return True
-        self._blocked_above = None
-        if self._debt < SHED_DEBT_FRAMES[min(layer, 2)]:
-            return False
-        self._debt -= 1
-        self._blocked_above = layer or None
-        return True
 
     def _advance(self, now: float) -> None:
         """Move what can move up to now: relay -> queue -> way."""
@@ -148,18 +133,15 @@ class FramePath:
 
     def _fill_queue(self, now: float) -> None:
         """Let the relay write while its socket takes it."""
-        while self._voices and self._voices[0][1] < now - VOICE_DEADLINE_S:
-            self._voices.popleft()
-            self._drops["voice"] += 1
-        while (self._voices or (len(self._relay) and now >= self._ride_ends_s)) and (
+        relay = self._relay
+        while (relay.has_ordered or (len(relay) and now >= self._ride_ends_s)) and (
             not self._queue or self._queue_bytes < self._way.impairment.queue_bytes
         ):
-            frames = [frame for frame, _ in self._voices]
-            if self._voices:
+            if relay.has_ordered:
                 self._ride_ends_s = now + RIDE_S
-            self._voices.clear()
-            room = MAX_MEDIA_MESSAGE_BYTES - 1 - sum(map(len, frames))
-            frames += [item.frame for item in self._relay.take(room)]
+            frames = [frame.data for frame in relay.take(MAX_MEDIA_MESSAGE_BYTES - 1, now)]
+            if not frames:
+                return
             data = media_message(frames)
             num_bytes = wire_bytes(len(data), is_masked=False)
             self._queue.append(_Message(data, len(frames), num_bytes, now))

@@ -57,7 +57,7 @@ class Impairment:
     loss_ratio: float = 0.0
     """Share of pieces lost: late by a retransmission on a stream, gone as datagrams."""
     thin_ratio: float = 0.0
-    """Share of frames that the relay drops, from the upper layers as long as there are any."""
+    """Share of frames that the relay drops."""
     rate_bps: float | None = None
     """Bits per second, all headers included; None is no limit."""
     queue_bytes: int = 4096

@@ -87,7 +87,7 @@ SCENARIOS: Final[tuple[Scenario, ...]] = (
         *(100, 300, 1000),
     ),
     *_family(
-        *("thin", "%", "the relay drops {} % of the frames, upper layers first"),
+        *("thin", "%", "the relay drops {} % of the frames"),
         lambda percent: Impairment(thin_ratio=percent / 100),
         *(1, 5, 10, 30),
     ),
@@ -103,7 +103,7 @@ SCENARIOS: Final[tuple[Scenario, ...]] = (
         *(64, 32, 16),
     ),
     *_family(
-        *("loss", "%", "datagrams: {} % of the frames never come, whatever their layer"),
+        *("loss", "%", "datagrams: {} % of the frames never come"),
         lambda percent: _datagrams(loss=percent / 100),
         *(1, 5, 10, 30),
     ),

@@ -154,8 +154,6 @@ def deliver(
             sequence=sent % SEQUENCE_MODULUS,
             captured_us=captured_us,
             payload=coded.payload,
-            layer=coded.layer,
-            is_keyframe=coded.layer == 0,
         )
         path.send(frame, now)
         sent += 1

@@ -1,7 +1,7 @@
 """`pica bench relay`: rooms full of simulated peers, and what they cost the relay.
 
 Every peer is a real websocket that publishes one stream and receives those of the others in its
-room (`peer`); payloads have the sizes and layers of a coded face (`traffic`). Without an address
+room (`peer`); payloads have the sizes of a coded face (`traffic`). Without an address
 the bench starts a relay of its own on a core of its own, and keeps the load on the others.
 
 The fields of its rows stand in ``docs/benches.md``. What it does not show: real networks, TLS

@@ -27,17 +27,24 @@ from pica_client.errors import RelayUnreachableError
 from pica_client.transport.connect import MAX_UNSENT_BYTES
 from pica_protocol import SUBPROTOCOL
 from pica_protocol.client_session import ClientSession
-from pica_protocol.frames import HEADER_BYTES, MEDIA_KIND
-from pica_protocol.messages import Joined, KeyframeRequest, Track
+from pica_protocol.frames import (
+    HEADER_BYTES,
+    LENGTH_BITS,
+    LENGTH_MASK,
+    MEDIA_KIND,
+    TICK_MODULUS,
+    TICK_US,
+)
+from pica_protocol.messages import Joined, Track
 from pica_protocol.session import State
 
 CONNECT_TIMEOUT_S: Final = 5.0
 JOIN_TIMEOUT_S: Final = 10.0
 _VOICE: Final = Track(kind="voice", policy="ordered", deadline_ms=200)
 _READ_BYTES: Final = 65_536
-_OUT = struct.Struct(">IBHHBBHQ")
+_OUT = struct.Struct(">IBHHI")
 """A mask of zeros, kind of the message, header of the frame."""
-_IN = struct.Struct(">HHBBHQ")
+_IN = struct.Struct(">HHI")
 _BINARY, _CLOSE, _PING, _PONG = 2, 8, 9, 10
 _FIN = 0x80
 _MASK = 0x80
@@ -89,24 +96,22 @@ class SwarmPeer:
 
     def send_frame(self, now_us: int) -> bool:
         """Send the next frame; False when the network does not take it, and it is dropped."""
-        sequence, layer, is_keyframe, payload = self._traffic.next_frame(now_us)
-        return self._send(self._stream, sequence, layer, is_keyframe, payload, now_us)
+        return self._send(self._stream, *self._traffic.next_frame(), now_us)
 
     def send_voice(self, now_us: int) -> bool:
         """Send the next packet of the voice; False as `send_frame`."""
         sequence = self._voice_sequence
         self._voice_sequence = (sequence + 1) & 0xFFFF
-        return self._send(self._voice_stream, sequence, 0, False, VOICE_PAYLOAD, now_us)
+        return self._send(self._voice_stream, sequence, VOICE_PAYLOAD, now_us)
 
-    def _send(
-        self, stream: int, sequence: int, layer: int, is_keyframe: bool, payload: bytes, now_us: int
-    ) -> bool:
+    def _send(self, stream: int, sequence: int, payload: bytes, now_us: int) -> bool:
         size = len(payload)
         length = 1 + HEADER_BYTES + size
         begin = bytes((_FIN | _BINARY, _MASK | min(length, 126)))
         if length >= 126:
             begin += length.to_bytes(2, "big")
-        head = begin + _OUT.pack(0, MEDIA_KIND, stream, sequence, layer, is_keyframe, size, now_us)
+        word = now_us // TICK_US % TICK_MODULUS << LENGTH_BITS | size
+        head = begin + _OUT.pack(0, MEDIA_KIND, stream, sequence, word)
         if self._unsent:
             self._write(b"")
             if self._unsent:
@@ -169,9 +174,16 @@ class SwarmPeer:
                 break
             if first == _FIN | _BINARY and length and data[begin] == MEDIA_KIND:
                 tally, unpack, at = self._tally, _IN.unpack_from, begin + 1
+                now_us = tally.now_us
+                now_tick = now_us // TICK_US
                 received, received_voice = tally.received, tally.received_voice
                 while at < end:
-                    _, _, _, _, payload_bytes, captured_us = unpack(data, at)
+                    _, _, word = unpack(data, at)
+                    payload_bytes = word & LENGTH_MASK
+                    # On one clock, and never a wrap under way.
+                    captured_us = (
+                        now_us - (now_tick - (word >> LENGTH_BITS)) % TICK_MODULUS * TICK_US
+                    )
                     if payload_bytes > LARGEST_FACE_BYTES:
                         received_voice(captured_us)
                     else:
@@ -199,8 +211,6 @@ class SwarmPeer:
                         event.tracks[-1].stream,
                     )
                     self.is_live = True
-                elif isinstance(event, KeyframeRequest):
-                    self._traffic.request_keyframe()
             self._flush(now)
         elif opcode != _PONG:
             self._end(1002)

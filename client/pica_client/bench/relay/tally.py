@@ -14,6 +14,7 @@ class Tally:
     """Counts frames, packets of voices, bytes and closed connections.
 
     Attributes:
+        now_us: When the last read was.
         codes: Websocket close codes of connections that the relay ended; kept over all windows.
     """
 
@@ -30,7 +31,7 @@ class Tally:
         self.latencies = [0] * NUM_STEPS
         self.voice_latencies = [0] * NUM_STEPS
         self.turns = [0] * NUM_STEPS
-        self._now_us = 0
+        self.now_us = 0
 
     def covers(self, captured_us: int) -> bool:
         """Whether what was captured then counts."""
@@ -40,19 +41,19 @@ class Tally:
         """Count one frame as of the last read."""
         if self.covers(captured_us):
             self.num_received += 1
-            add_step(self.latencies, self._now_us - captured_us)
+            add_step(self.latencies, self.now_us - captured_us)
 
     def received_voice(self, captured_us: int) -> None:
         """Count one packet of a voice as of the last read."""
         if self.covers(captured_us):
             self.voices_received += 1
-            add_step(self.voice_latencies, self._now_us - captured_us)
+            add_step(self.voice_latencies, self.now_us - captured_us)
 
     def heard(self, num_bytes: int) -> None:
         """Count the bytes of one read."""
         self.bytes_in += num_bytes
         self.reads += 1
-        self._now_us = time.monotonic_ns() // 1000
+        self.now_us = time.monotonic_ns() // 1000
 
     def as_dict(self) -> dict[str, Any]:
         """Return it as JSON: of the buckets only those with something in them."""

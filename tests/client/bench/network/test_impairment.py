@@ -18,7 +18,6 @@ from pica_protocol.frames import Frame
 pytestmark = pytest.mark.unit
 
 FRAME_S = 1 / 30
-LAYERS = (0, 2, 1, 2)
 
 
 def rng(seed: int = 0) -> np.random.Generator:
@@ -26,35 +25,26 @@ def rng(seed: int = 0) -> np.random.Generator:
 
 
 def run(
-    impairment: Impairment, count: int, *, seed: int = 0, layered: bool = True
+    impairment: Impairment, count: int, *, seed: int = 0
 ) -> tuple[list[tuple[float, int]], FramePath]:
-    """Send frames 0.. at 30 fps, and take all that comes within another 20 s.
-
-    The relay's wish for a keyframe is granted with the next base frame.
-    """
+    """Send frames 0.. at 30 fps, and take all that comes within another 20 s."""
     path = FramePath(impairment, rng(seed))
     arrived = []
-    is_wanted = True
     for index in range(count):
         now = index * FRAME_S
         arrived += path.arrivals(now)
-        layer = LAYERS[index % 4] * layered
-        is_keyframe = not layered or (is_wanted and layer == 0)
-        is_wanted &= not is_keyframe
-        is_wanted |= path.send(frame(index, layer, is_keyframe), now)
+        path.send(frame(index), now)
     arrived += path.arrivals(count * FRAME_S + 20)
     return [(arrival_s, frame.sequence) for arrival_s, frame in arrived], path
 
 
-def frame(index: int, layer: int = 0, is_keyframe: bool = True) -> Frame:
+def frame(index: int) -> Frame:
     """A message of 100 bytes on the wire."""
     return Frame(
         stream=1,
         sequence=index,
         captured_us=0,
-        payload=bytes(41),
-        layer=layer,
-        is_keyframe=is_keyframe,
+        payload=bytes(49),
     )
 
 
@@ -128,19 +118,9 @@ def test_loss_of_datagrams_is_loss() -> None:
     assert delays(arrived) == pytest.approx(CALM.delay_s)
 
 
-def test_thinning_drops_upper_layers_before_lower_ones() -> None:
-    arrived, path = run(Impairment(thin_ratio=0.3), 4000)
+def test_thinning_drops_its_share_at_random() -> None:
+    _, path = run(Impairment(thin_ratio=0.3), 4000)
     assert path.counters.thinned / 4000 == pytest.approx(0.3, abs=0.02)
-    kept = np.bincount([LAYERS[index % 4] for _, index in arrived], minlength=3)
-    assert kept[0] == 1000
-    assert kept[1] > 980
-    assert kept[2] < 900
-
-
-def test_thinning_takes_the_base_when_nothing_else_is_there() -> None:
-    arrived, path = run(Impairment(thin_ratio=0.3), 1000, layered=False)
-    assert path.counters.thinned / 1000 == pytest.approx(0.3, abs=0.04)
-    assert len(arrived) + path.counters.thinned == 1000
 
 
 def test_datagrams_are_overtaken_and_doubled() -> None:
@@ -150,24 +130,13 @@ def test_datagrams_are_overtaken_and_doubled() -> None:
     assert len(indices) - len(set(indices)) == pytest.approx(50, abs=20)
 
 
-def test_a_rate_below_the_demand_keeps_the_base_layer_and_the_delay_bounded() -> None:
+def test_a_rate_below_the_demand_keeps_the_delay_bounded() -> None:
     # 30 messages of 100 bytes are 24 kbit/s: 12 kbit/s carry half of them.
     impairment = Impairment(rate_bps=12_000, queue_bytes=400)
     arrived, path = run(impairment, 600)
-    kept = np.bincount([LAYERS[index % 4] for _, index in arrived], minlength=3)
-    assert kept[0] == 150
-    assert kept[2] < 250
     assert path.counters.dropped == 600 - len(arrived) > 100
-    # The queue, one message more, what is leaving, and what waits in the relay: three upper frames
-    # and a base frame or two.
-    assert delays(arrived).max() < CALM.delay_s + 8 * (400 + 3 * 350) / 12_000
-
-
-def test_a_rate_below_the_base_layer_cuts_the_stream_and_goes_on_with_a_keyframe() -> None:
-    arrived, path = run(Impairment(rate_bps=2400, queue_bytes=400), 600)
-    assert path.counters.dropped > 400
-    assert arrived[-1][1] > 560
-    assert delays(arrived).max() < CALM.delay_s + 8 * 1000 / 2400 + 0.5
+    # The queue, one message more, what is leaving, and the newest frame.
+    assert delays(arrived).max() < CALM.delay_s + 8 * (400 + 3 * 100) / 12_000
 
 
 def test_what_piles_up_behind_the_relay_is_delay() -> None:

@@ -1,5 +1,4 @@
 import random
-from collections import Counter
 from typing import Any, cast
 
 import pytest
@@ -7,9 +6,9 @@ import pytest
 from pica_client.bench.relay import bench
 from pica_client.bench.relay.bench import Load, RelayBenchConfig, Target
 from pica_client.bench.relay.processes import Workers
-from pica_client.bench.relay.traffic import KEYFRAME_INTERVAL_S, KEYFRAME_PAUSE_S, Traffic
+from pica_client.bench.relay.traffic import Traffic
 from pica_client.errors import OptionError
-from pica_protocol.frames import FLAG_KEYFRAME, Frame, decode_media, encode_frame, media_message
+from pica_protocol.frames import Frame, decode_media, encode_frame, media_message
 
 pytestmark = pytest.mark.unit
 
@@ -40,51 +39,20 @@ def test_what_a_server_without_metrics_did_not_pass_on_was_dropped(
     assert (figures["dropped"], figures["missing"]) == (1, 1)
 
 
-def frames(num: int) -> list[tuple[int, int, bool, bytes]]:
+def frames(num: int) -> list[tuple[int, bytes]]:
     traffic = Traffic(random.Random(7))
-    return [traffic.next_frame(index * STEP_US) for index in range(num)]
+    return [traffic.next_frame() for _ in range(num)]
 
 
-def test_simulated_payloads_are_of_six_bytes_on_average_and_keyframes_of_twice_that() -> None:
-    sizes = [len(payload) for _, _, is_keyframe, payload in frames(9000) if not is_keyframe]
-    assert 5.5 < sum(sizes) / len(sizes) < 6.5
-    assert all(len(payload) >= 15 for _, _, is_keyframe, payload in frames(900) if is_keyframe)
-
-
-def test_simulated_streams_begin_with_a_keyframe_and_go_on_in_three_layers() -> None:
-    first, *rest = frames(9)
-    assert first[:3] == (0, 0, True)
-    assert [layer for _, layer, _, _ in rest] == [2, 1, 2, 0, 2, 1, 2, 0]
-    assert [sequence for sequence, *_ in rest] == list(range(1, 9))
-
-
-def test_simulated_keyframes_come_every_ten_seconds_and_soon_after_a_request() -> None:
-    traffic = Traffic(random.Random(7))
-    times_s = []
-    for index in range(700):
-        if index == 60:
-            traffic.request_keyframe()
-        if traffic.next_frame(index * STEP_US)[2]:
-            times_s.append(index * STEP_US / 1e6)
-    assert times_s[0] == 0
-    assert times_s[1] == pytest.approx(2.0, abs=KEYFRAME_PAUSE_S)
-    assert times_s[2] - times_s[1] == pytest.approx(KEYFRAME_INTERVAL_S, abs=0.2)
+def test_simulated_payloads_are_of_twenty_bytes_on_average() -> None:
+    sizes = [len(payload) for _, payload in frames(9000)]
+    assert 19 < sum(sizes) / len(sizes) < 21
 
 
 def test_simulated_frames_are_frames_of_the_protocol() -> None:
-    kinds: Counter[int] = Counter()
-    for sequence, layer, is_keyframe, payload in frames(40):
-        frame = Frame(
-            stream=1,
-            sequence=sequence,
-            captured_us=5,
-            payload=payload,
-            layer=layer,
-            is_keyframe=is_keyframe,
-        )
+    for sequence, payload in frames(40):
+        frame = Frame(stream=1, sequence=sequence, captured_us=500, payload=payload)
         assert decode_media(media_message([encode_frame(frame)])) == [frame]
-        kinds[layer + (FLAG_KEYFRAME << 8 if is_keyframe else 0)] += 1
-    assert len(kinds) == 4
 
 
 @pytest.mark.parametrize(
