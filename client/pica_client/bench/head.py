@@ -4,6 +4,8 @@ stage."""
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
+from functools import cached_property
 from typing import NamedTuple
 
 import moderngl
@@ -17,6 +19,7 @@ from pica_client.render.drawing import HEAD, Drawing, HeadRenderer, drawn_mse
 from pica_client.render.scene import head_matrix, view_direction
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.manifest import Manifest
+from pica_core.avatar.static import NAME as STATIC_PARTS
 from pica_core.camera import Camera, look_at
 from pica_core.capture.stage.dome import dome_cameras
 from pica_core.codec.latent_sample import LatentSample
@@ -104,6 +107,15 @@ class FaceRenderer(Closing):
         self._decoder = OnnxDecoder(avatar)
         self._context = create_context()
         self._renderer = HeadRenderer(self._context, avatar, size_px)
+        self._avatar, self._size_px = avatar, size_px
+
+    @cached_property
+    def _decoded(self) -> HeadRenderer:
+        """Draws all of the head by its pixel decoder: static pixels have no texture coordinates."""
+        tensors = {
+            name: data for name, data in self._avatar.tensors.items() if name != STATIC_PARTS
+        }
+        return HeadRenderer(self._context, replace(self._avatar, tensors=tensors), self._size_px)
 
     def draw(
         self,
@@ -134,8 +146,9 @@ class FaceRenderer(Closing):
         for camera in self._cameras:
             maps = self._decoder.decode(latent, view_direction(HEAD, camera.centre_m), level)
             drawing = self._renderer.draw(maps, camera)
+            self._decoded.draw(maps, camera)
             assert maps.position_map is not None  # both maps were asked for
-            yield Surface(*drawing, self._renderer.read_uv(), maps.position_map)
+            yield Surface(*drawing, self._decoded.read_uv(), maps.position_map)
 
     def largest_step_mse(self, samples: Sequence[LatentSample], points: FloatArray) -> float:
         """MSE between the drawings of the two successive samples whose points differ most.

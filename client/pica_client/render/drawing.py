@@ -70,7 +70,8 @@ class HeadRenderer:
         return read_drawing(self._renderer)
 
     def read_uv(self) -> FloatArray:
-        """Texture coordinates of what the pixels of the last drawing show. ``[H, W, 2]``."""
+        """Texture coordinates of the decoded pixels of the last drawing; static ones have none.
+        ``[H, W, 2]``."""
         return self._renderer.read_surface()[1]
 
 

@@ -295,7 +295,8 @@ class Renderer(Closing):
 
         Returns:
             Head-frame positions in metres ``[H, W, 3]``, UVs ``[H, W, 2]``, and the index of the
-            head among the drawn ones, -1 where there is none, ``[H, W]``.
+            head among the drawn ones, -1 where there is none, ``[H, W]``. Positions and UVs are of
+            decoded pixels; where a head is static they are anything.
         """
         width, height = self.size
         visible = self._targets.visible

@@ -52,7 +52,7 @@ def rows() -> list[dict[str, Any]]:
 
 def test_every_stage_and_level_has_a_row(rows: list[dict[str, Any]]) -> None:
     assert len(rows) == 3 * 3
-    assert all(row["lid_mm"] < 1 and row["poke_ratio"] < 0.05 for row in rows)
+    assert all(row["lid_mm"] < 1 and row["poke_ratio"] < 0.0005 for row in rows)
 
 
 def test_calibration_takes_most_of_an_offset_person_s_error_away(
