@@ -4,7 +4,6 @@ Which avatars somebody has seen says whom they met, and preferences say where.
 """
 
 import os
-import sys
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -38,10 +37,6 @@ def videos_folder() -> Path:
 
 def preferences_folder(system: type[PlatformDirs] = PlatformDirs) -> Path:
     """The folder for this user's preferences."""
-    # On macOS we once did not look at XDG_CONFIG_HOME; what was kept then is still found.
-    former = Path.home() / "Library" / "Application Support" / _NAME
-    if sys.platform == "darwin" and former.is_dir():
-        return former
     return system(_NAME, appauthor=False, roaming=True).user_config_path
 
 

@@ -1,8 +1,7 @@
-"""Each system's folders are those where earlier versions kept their files."""
+"""Files of a user are in the folders of their system, for their eyes alone."""
 
 import os
 import stat
-import sys
 from pathlib import Path
 
 import pytest
@@ -50,7 +49,7 @@ HOME = Path.home()
         ),
     ],
 )
-def test_files_are_where_the_platform_has_them_and_where_they_were(
+def test_files_are_where_the_platform_has_them(
     system: type[PlatformDirs],
     environment: dict[str, str],
     cache: str | Path,
@@ -72,9 +71,8 @@ def test_what_is_kept_of_a_user_is_for_their_eyes_alone(
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
-    monkeypatch.setattr(sys, "platform", "linux")
     assert list(open_to_others()) == []
-    for folder in (cache_folder(), preferences_folder()):  # as earlier versions made them
+    for folder in (cache_folder(), preferences_folder()):
         folder.mkdir(parents=True)
         folder.chmod(0o755)
     token = tmp_path / "token"
@@ -91,15 +89,3 @@ def test_what_is_kept_of_a_user_is_for_their_eyes_alone(
 
 def examined() -> dict[str, Finding]:
     return {each.subject: each for each in examine(has_display=lambda: False, wanted=["privacy"])}
-
-
-def test_preferences_that_were_kept_on_a_mac_before_are_still_found(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(sys, "platform", "darwin")
-    monkeypatch.setenv("HOME", str(tmp_path))
-    monkeypatch.setenv("XDG_CONFIG_HOME", "/p")
-    assert preferences_folder(MacOS) == Path("/p/pica-telepresence")
-    former = tmp_path / "Library/Application Support/pica-telepresence"
-    former.mkdir(parents=True)
-    assert preferences_folder(MacOS) == former
