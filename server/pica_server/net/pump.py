@@ -49,8 +49,8 @@ class _Peer:
         self.websocket = websocket
         self.writer: asyncio.Task[None] | None = None
         self.cut: asyncio.TimerHandle | None = None
-        self.has_more = asyncio.Event()
-        self.is_urgent = asyncio.Event()
+        self.has_more: asyncio.Event | None = None
+        self.is_urgent: asyncio.Event | None = None
 
 
 class Pump:
@@ -180,6 +180,7 @@ class Pump:
         # Once for every message that goes out: written for speed.
         peers, now = self._peers, self._now()
         written: list[OutboundMessage] = []
+        last, framed = None, b""
         for connection in connections:
             peer = peers.get(connection)
             if peer is None:
@@ -187,14 +188,17 @@ class Pump:
             outbox, under_way = connection.outbox, None
             if peer.writer is None and connection.closed is None and not outbox.is_slow(now):
                 while (message := outbox.take(now)) is not None:
-                    if not peer.websocket.write(websocket_message(message.data)):
+                    if message is not last:  # many get the very same
+                        last, framed = message, websocket_message(message.data)
+                    if not peer.websocket.write(framed):
                         self._hub.is_sending(connection, now)
                         under_way = message
                         break
                     written.append(message)
                 if under_way is None:
                     continue
-            if peer.writer is None:
+            if peer.writer is None or peer.has_more is None or peer.is_urgent is None:
+                peer.has_more, peer.is_urgent = asyncio.Event(), asyncio.Event()
                 write = self._write(peer, connection, under_way)
                 peer.writer = asyncio.get_running_loop().create_task(write)
             peer.has_more.set()
@@ -209,14 +213,17 @@ class Pump:
     ) -> None:
         """Send a slow receiver what could not be sent at once, and everybody the goodbye."""
         hub, websocket, outbox = self._hub, peer.websocket, connection.outbox
+        has_more, is_urgent = peer.has_more, peer.is_urgent
+        assert has_more is not None  # made with this task
+        assert is_urgent is not None
         voice_s = self._now()
         try:
             if under_way is not None:
                 await websocket.drain()
                 hub.sent(connection, under_way, self._now())
             while True:
-                peer.has_more.clear()
-                peer.is_urgent.clear()
+                has_more.clear()
+                is_urgent.clear()
                 is_voice = outbox.is_urgent
                 if (message := hub.take(connection, self._now())) is not None:
                     await websocket.send(message.data)
@@ -232,17 +239,17 @@ class Pump:
                 elif not outbox.is_slow(self._now()):
                     return
                 if not outbox.is_waiting:
-                    await peer.has_more.wait()
+                    await has_more.wait()
                 if not outbox.is_urgent and connection.closed is None:
                     # While somebody speaks, faces share the messages of the voice.
                     pace_s = RIDE_S if self._now() - voice_s < 2 * RIDE_S else _PACE_S
                     with suppress(TimeoutError):
                         async with asyncio.timeout(pace_s):
-                            await peer.is_urgent.wait()
+                            await is_urgent.wait()
         except ConnectionClosed:
             return
         finally:
-            peer.writer = None
+            peer.writer = peer.has_more = peer.is_urgent = None
 
     def _cut_later(self, peer: _Peer) -> None:
         """Cut the socket of a peer that does not let us close it in time. The library's own

@@ -9,12 +9,12 @@ from dataclasses import replace
 from typing import Final
 
 from pica_protocol.errors import CloseCode
-from pica_protocol.frame_queue import QueuedFrame
 from pica_protocol.frames import HEADER_BYTES, MEDIA_KIND
 from pica_protocol.messages import StreamMuted, Whisper
 from pica_protocol.session import Media
 from pica_server.room.connection import Connection
 from pica_server.room.connections import Connections
+from pica_server.room.outbox import ArrivedFrame
 from pica_server.room.room import Room, Stream
 
 SHED_S: Final = 0.03
@@ -78,7 +78,7 @@ class Forwarding:
                 stats.dropped["muted"] += len(receivers)
                 continue
             data = message[start:end]
-            frame = QueuedFrame(publisher, number, data, now, stream.deadline_s)
+            frame = ArrivedFrame(publisher, number, data, now, stream.deadline_s)
             if stream.deadline_s is None:
                 stream.newest = frame
             for peer_id in receivers:

@@ -10,7 +10,8 @@ Control messages are never thinned: there is a limit in bytes, and who lets it o
 
 import math
 from collections import Counter, deque
-from typing import Final, NamedTuple
+from collections.abc import Sequence
+from typing import Final, NamedTuple, cast
 
 from pica_protocol.frame_queue import FrameQueue, QueuedFrame
 from pica_protocol.frames import media_message
@@ -32,6 +33,25 @@ class OutboundMessage(NamedTuple):
     data: bytes
     received_s: tuple[float, ...]
     """When each of its frames came to the relay; empty for a control message."""
+
+
+class ArrivedFrame(QueuedFrame):
+    """A frame as it came to the relay."""
+
+    __slots__ = ("_alone",)
+
+    def __init__(
+        self, sender: str, stream: int, data: bytes, received_s: float, deadline_s: float | None
+    ) -> None:
+        super().__init__(sender, stream, data, received_s, deadline_s)
+        self._alone: OutboundMessage | None = None
+
+    @property
+    def alone(self) -> OutboundMessage:
+        """The message that carries this frame and nothing else, the same for all receivers."""
+        if self._alone is None:
+            self._alone = OutboundMessage(media_message((self.data,)), (self.received_s,))
+        return self._alone
 
 
 class Outbox:
@@ -59,7 +79,7 @@ class Outbox:
         self._drops = drops
         self._control: deque[bytes] | None = None
         self.waiting_control_bytes = 0
-        self._fresh: list[QueuedFrame] = []
+        self._fresh: list[ArrivedFrame] = []
         self._fresh_bytes = 0
         self._queue: FrameQueue | None = None
         self._slow_until_s = -math.inf
@@ -100,7 +120,7 @@ class Outbox:
             )
         self._queue_control([data])
 
-    def put(self, frame: QueuedFrame) -> None:
+    def put(self, frame: ArrivedFrame) -> None:
         """Queue a frame."""
         # Once for every frame and receiver: written for speed.
         self._fresh.append(frame)
@@ -131,7 +151,8 @@ class Outbox:
             data = self._control.popleft()
             self.waiting_control_bytes -= len(data)
             return OutboundMessage(data, ())
-        frames, is_slow = self._fresh, now < self._slow_until_s
+        frames: Sequence[QueuedFrame] = self._fresh
+        is_slow = now < self._slow_until_s
         if is_slow or self._queue is not None:
             if frames:
                 self._sort()
@@ -143,6 +164,8 @@ class Outbox:
                 self._queue = None
         elif frames:
             self._fresh, self._fresh_bytes = [], 0
+            if len(frames) == 1:  # nearly always
+                return cast(ArrivedFrame, frames[0]).alone
         if not frames:
             return None
         return OutboundMessage(

@@ -2,11 +2,10 @@ from collections import Counter
 
 import pytest
 
-from pica_protocol.frame_queue import QueuedFrame
 from pica_protocol.frames import Frame, decode_media, encode_frame
 from pica_protocol.limits import MAX_MEDIA_MESSAGE_BYTES
 from pica_server.errors import OutboxFullError
-from pica_server.room.outbox import SLOW_MESSAGE_BYTES, SLOW_S, Outbox
+from pica_server.room.outbox import SLOW_MESSAGE_BYTES, SLOW_S, ArrivedFrame, Outbox
 
 pytestmark = pytest.mark.unit
 
@@ -15,7 +14,7 @@ LIMIT = 100
 
 def put(outbox: Outbox, stream: int, sequence: int = 0, size: int = 10, now: float = 0.0) -> None:
     frame = Frame(stream=stream, sequence=sequence, captured_us=0, payload=bytes(size))
-    outbox.put(QueuedFrame(f"p{stream}", stream, encode_frame(frame), now, None))
+    outbox.put(ArrivedFrame(f"p{stream}", stream, encode_frame(frame), now, None))
 
 
 def taken(outbox: Outbox, now: float = 0.0) -> list[tuple[int, int]]:

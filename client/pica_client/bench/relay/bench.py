@@ -174,8 +174,8 @@ class Load:
         after = relay_metrics(target.url) if target.has_metrics else {}
         answers = [swarm.answer(DRAIN_S + PATIENCE_S) for swarm in self._swarms]
         metrics = {name: value - before.get(name, 0.0) for name, value in after.items()}
-        if "pica_brake_level" in after:
-            metrics["pica_brake_level"] = after["pica_brake_level"]  # as it is, no difference
+        if "pica_overload" in after:
+            metrics["pica_overload"] = after["pica_overload"]  # as it is, no difference
         cpu = None
         if cpu_before is not None and cpu_after is not None:
             cpu = (cpu_after - cpu_before) / (at_after - at_before)
@@ -219,7 +219,7 @@ class Load:
             "relay_forward_ms": relay_percentiles(metrics),
             "dropped": round(summed(metrics, "pica_frames_dropped_total")) if metrics else missing,
             "late": round(metrics.get('pica_frames_dropped_total{reason="late"}', 0.0)),
-            "brake_level": round(metrics.get("pica_brake_level", 0.0)),
+            "overload": round(metrics.get("pica_overload", 0.0)),
             "missing": missing,
             "voices_missing": total["voices_sent"] * (config.peers - 1) - total["voices_received"],
             "blocked": total["blocked"],
