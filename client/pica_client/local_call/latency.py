@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pica_client.stats import summarise_ms
+from pica_protocol.frames import TICK_US
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -71,12 +72,20 @@ def latency_summary(
     The parts of one frame add up to its whole; percentiles of parts do not add up to that of the
     whole. A frame whose encoding time is not known (its sender crashed) counts for the parts it
     has; its way to us is counted as the relay's.
+
+    Args:
+        frames: With capture times as they came over the wire, in steps of `TICK_US`.
+        encode_times_s: By name and capture time as the sender has it, microseconds.
     """
+    on_wire_s = {
+        (name, captured_us // TICK_US * TICK_US): encode_s
+        for (name, captured_us), encode_s in encode_times_s.items()
+    }
     total: list[float] = []
     parts: dict[str, list[float]] = {"encode": [], "relay": [], "playout": [], "decode": []}
     for frame in frames:
         captured_s = frame.captured_us / 1e6
-        encode_s = encode_times_s.get((frame.name, frame.captured_us))
+        encode_s = on_wire_s.get((frame.name, frame.captured_us))
         if encode_s is not None:
             parts["encode"].append(encode_s)
         parts["relay"].append(frame.arrived_s - captured_s - (encode_s or 0.0))
