@@ -14,10 +14,10 @@ from pica_client.render.gpu_textured import TexturedHead
 from pica_client.render.passes import (
     DecodedHead,
     PaintedHead,
-    PixelRect,
     Place,
     rect_in_view,
 )
+from pica_client.render.redraw import HeadKey, PixelRect, area_px, common_part
 from pica_client.render.scene import Placement, clip_from_head, screen_rect
 from pica_core.avatar.file import Avatar
 from pica_core.camera import Camera
@@ -35,8 +35,9 @@ class HeadStats:
 
     slot: str
     level: int
-    """Level of the mesh that was drawn; 0 for a placeholder or a textured head."""
+    """Level of its mesh; 0 for a placeholder or a textured head."""
     num_triangles: int
+    """0 of a head that stayed as it was."""
     shaded_pixels: int | None
     """Pixels that were decoded, or those of a textured head, which colours a pixel again where it
     overlaps itself; None unless asked for."""
@@ -46,13 +47,15 @@ class HeadStats:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DrawStats:
-    """What one frame drew; counts, not times."""
+    """What one frame drew; counts, not times. What stayed from the frame before is not drawn."""
 
     num_avatars: int
     """Avatars on the screen with decoded maps."""
     num_placeholders: int
     num_triangles: int
     num_draw_calls: int
+    drawn_share: float
+    """The part of the heads' rectangles that was drawn, 0 to 1."""
     shaded_pixels: int | None
     """Pixels that pixel decoders coloured; None unless asked for."""
     textured_pixels: int | None
@@ -71,6 +74,8 @@ class RenderSlot:
     maps: tuple[MapSeries, MapSeries] | None = None
     """Maps of positions, and of expressions."""
     textured: TexturedHead | None = None
+    version: int = 0
+    """Never the same for two contents of a slot."""
 
 
 View = tuple[Camera, PixelRect]
@@ -116,42 +121,85 @@ def list_heads(
     return listed
 
 
+def keys_of(listed: DrawList, slots: Mapping[str, RenderSlot]) -> list[HeadKey]:
+    """What the pixels of each head depend on, besides the room."""
+    keys = []
+    for head in listed.heads:
+        place = head.place
+        look: tuple[object, ...] = (slots[head.slot].version, place.matrix.tobytes(), place.shown)
+        mark = 0
+        if isinstance(head, DecodedHead):
+            mark = head.mark
+            vertices = head.mesh.vertices[0].glo
+            maps = head.position.glo, head.expression and head.expression.glo
+            look = (*look, head.share, vertices, maps)
+        keys.append(HeadKey((head.slot, head.number, mark, place.view), look, place.rect))
+    return keys
+
+
+def heads_within(listed: DrawList, part: PixelRect) -> DrawList:
+    """The heads that reach into a part of the image."""
+
+    def reaches(head: DecodedHead | PaintedHead) -> bool:
+        return area_px(common_part(head.place.rect, part)) > 0
+
+    return DrawList(
+        [head for head in listed.decoded if reaches(head)],
+        [head for head in listed.painted if reaches(head)],
+    )
+
+
+@dataclass(slots=True)
+class HeadCounts:
+    """What one head of a frame took, all parts of the image together."""
+
+    num_drawn: int = 0
+    """Parts that it was drawn in."""
+    shaded: int = 0
+    """Pixels of its decoder, or of its texture if it is a textured head."""
+    textured: int = 0
+
+
 def count_draws(
     listed: DrawList,
-    counts: Sequence[int | None],
-    static_counts: Sequence[int | None],
-    painted_counts: Sequence[int | None],
+    counts: Sequence[HeadCounts],
+    parts: Sequence[PixelRect],
     *,
     is_smooth: bool,
+    is_counted: bool,
 ) -> DrawStats:
-    """What a frame drew, with the coloured pixels of each decoded head, of its static part, and of
-    each textured head."""
-    of_static = [*static_counts, *(count and 0 for count in painted_counts)]
+    """What a frame drew of its heads, with the counts of each and the parts that were drawn.
+
+    Args:
+        is_counted: Pixels were counted.
+    """
     heads = [
         HeadStats(
             slot=head.slot,
             level=head.mesh.level,
-            num_triangles=head.mesh.num_triangles,
-            shaded_pixels=count,
-            textured_pixels=textured,
+            num_triangles=count.num_drawn * head.mesh.num_triangles,
+            shaded_pixels=count.shaded if is_counted else None,
+            textured_pixels=count.textured if is_counted else None,
         )
-        for head, count, textured in zip(
-            listed.heads, [*counts, *painted_counts], of_static, strict=True
-        )
+        for head, count in zip(listed.heads, counts, strict=True)
     ]
     num_placeholders = sum(head.expression is None for head in listed.decoded)
     num_second = sum(head.number != head.mark for head in listed.decoded)
-    counted = [count for count in counts if count is not None]
-    statics = [count for count in static_counts if count is not None]
+    decoded, painted = counts[: len(listed.decoded)], counts[len(listed.decoded) :]
+    rects = [head.place.rect for head in listed.heads]
+    drawn_px = sum(area_px(common_part(rect, part)) for rect in rects for part in parts)
     return DrawStats(
         num_avatars=len(heads) - num_placeholders - num_second,
         num_placeholders=num_placeholders,
         num_triangles=sum(head.num_triangles for head in heads),
-        num_draw_calls=(2 + 2 * is_smooth) * len(listed.decoded)
-        + sum(head.mesh.static is not None for head in listed.decoded)
-        + (1 + 2 * is_smooth) * len(listed.painted),
-        shaded_pixels=sum(counted) if len(counted) == len(counts) else None,
-        textured_pixels=sum(statics) if len(statics) == len(static_counts) else None,
+        num_draw_calls=sum(
+            count.num_drawn * (2 + 2 * is_smooth + (head.mesh.static is not None))
+            for head, count in zip(listed.decoded, decoded, strict=True)
+        )
+        + (1 + 2 * is_smooth) * sum(count.num_drawn for count in painted),
+        drawn_share=drawn_px / max(sum(map(area_px, rects)), 1),
+        shaded_pixels=sum(count.shaded for count in decoded) if is_counted else None,
+        textured_pixels=sum(count.textured for count in decoded) if is_counted else None,
         heads=tuple(heads),
     )
 

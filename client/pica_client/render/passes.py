@@ -28,14 +28,11 @@ from pica_client.render.gpu_program import (
     set_values,
 )
 from pica_client.render.gpu_textured import TexturedHead
+from pica_client.render.redraw import PixelRect
 from pica_client.render.room import Room, lens_of
 from pica_client.render.shader_source import compose
 from pica_core.camera import Camera
 from pica_core.types import FloatArray
-
-PixelRect = tuple[int, int, int, int]
-"""Left, bottom, right, top in pixels of the whole image, rows counted from the bottom as GL
-does."""
 
 SMALL_ROOM = (224, 160)
 """Columns and rows that the room is drawn in before it is enlarged, whatever the picture's size: a
@@ -67,15 +64,23 @@ class RenderTargets:
         self.shaded = context.framebuffer([self.shaded_image])
         self.textured = context.framebuffer([self.shaded_image], depth)
         """The shaded image with the depth of the surface pass, for heads drawn in one pass."""
-        final_image = context.texture(size, 4)
-        self.final = context.framebuffer([final_image])
-        self.marked = context.framebuffer([final_image], depth)
-        """The final image with the depth of the surface pass, which by then marks edges."""
+        smoothed_image = context.texture(size, 4)
+        self.smoothed = context.framebuffer([smoothed_image])
+        self.marked = context.framebuffer([smoothed_image], depth)
+        """The smoothed image with the depth of the surface pass, which by then marks edges."""
+        self.final = context.framebuffer([context.texture(size, 4)])
+        """What the renderer hands out: others may draw over it, so nothing is kept in it."""
         self.room_image = context.texture(size, 4)
         self.room = context.framebuffer([self.room_image])
         self.small_room_image = clamp(context.texture(SMALL_ROOM, 4, dtype="f2"))
         self.small_room = context.framebuffer([self.small_room_image])
         """What a view of the room is enlarged from."""
+
+    def draw_only(self, part: PixelRect) -> None:
+        """Let what comes now change this part of the kept images alone."""
+        kept = self.surface, self.depth, self.shaded, self.textured, self.smoothed, self.marked
+        for framebuffer in kept:
+            framebuffer.scissor = viewport(part)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -240,6 +245,7 @@ class DrawPasses:
         """Colour the pixels of each head over the room, and say how many they were; None unless
         they are to be counted, which waits for the GPU."""
         context = self._context
+        targets.shaded.use()
         context.copy_framebuffer(targets.shaded, targets.room)
         context.disable(moderngl.CULL_FACE)
         # Only where some mesh lies before the far plane: whole blocks of others are skipped before
@@ -317,8 +323,11 @@ class DrawPasses:
         return self._draw_each(heads, paint, count)
 
     def smooth(self, targets: RenderTargets, places: Sequence[Place]) -> None:
-        """Blur the stair-steps of silhouettes within these rectangles of the final image."""
+        """Copy the shaded image, and blur the stair-steps of silhouettes within these
+        rectangles."""
         context, size = self._context, targets.size
+        targets.smoothed.use()
+        context.copy_framebuffer(targets.smoothed, targets.shaded)
         context.disable(moderngl.CULL_FACE)
         context.enable(moderngl.DEPTH_TEST)
         targets.shaded_image.use(0)

@@ -13,7 +13,8 @@ rectangle of its head, and runs the pixel decoder where the first pass says the 
 (3) what does not change with the face is drawn with a texture; (4) edges are smoothed. So a hidden
 pixel costs no decoding, and the pixel decoder runs on whole blocks of pixels: drawn triangle by
 triangle, a mesh whose triangles are as small as pixels would run it several times over (llvmpipe
-and GPUs shade in blocks of 2x2 or 4x4 per triangle).
+and GPUs shade in blocks of 2x2 or 4x4 per triangle). A frame draws only the parts of the image in
+which a head has changed since the frame before (`redraw`).
 
 Colours of avatars are sRGB values already and are stored as they come. The renderer belongs to the
 thread of its context. After the first frame nothing is allocated on the GPU until avatars or size
@@ -32,9 +33,13 @@ import numpy.typing as npt
 from pica_client.closing import Closing
 from pica_client.errors import OptionError
 from pica_client.render.draw_list import (
+    DrawList,
     DrawStats,
+    HeadCounts,
     RenderSlot,
     count_draws,
+    heads_within,
+    keys_of,
     list_heads,
 )
 from pica_client.render.gpu_avatar import WeightsPlace, upload_avatar
@@ -42,6 +47,7 @@ from pica_client.render.gpu_maps import MapSeries
 from pica_client.render.gpu_program import UNIT_VISIBLE_UV, UNIT_VISIBLE_XYZ
 from pica_client.render.gpu_textured import TexturedHead
 from pica_client.render.passes import DrawPasses, RenderTargets
+from pica_client.render.redraw import HeadKey, PixelRect, parts_to_draw
 from pica_client.render.room import EMPTY_ROOM, STILL, Room, lens_of
 from pica_client.render.scene import Placement
 from pica_core.avatar.baseline import BaselineAvatar
@@ -109,7 +115,7 @@ class Renderer(Closing):
         self.weights = self._choose_weights()
         self._passes = DrawPasses(context)
         self._slots: dict[str, RenderSlot] = {}
-        self._num_decoded = 0
+        self._num_decoded = self._num_versions = 0
         self.size = (0, 0)
         self.resize(size)
 
@@ -124,6 +130,11 @@ class Renderer(Closing):
             self._unbind()
             self._targets = RenderTargets(self._context, size)
         self._drawn_room: object = None
+        self.forget_frame()
+
+    def forget_frame(self) -> None:
+        """Draw the next frame as a whole, whatever stayed the same: for measuring."""
+        self._drawn: list[HeadKey] | None = None
 
     def add_avatar(self, slot: str, avatar: Avatar) -> None:
         """Put an avatar on the GPU; replaces what was in the slot. Slots with the same avatar
@@ -150,6 +161,7 @@ class Renderer(Closing):
         rows = {level: avatar.position_rows(level) for level in avatar.levels}
         square, codes = {level: level for level in rows}, avatar.spec.expression_channels
         self._slots[slot] = RenderSlot(
+            version=self._next_version(),
             avatar=avatar,
             body=body,
             maps=(
@@ -164,12 +176,12 @@ class Renderer(Closing):
         head = TexturedHead(
             self._context, self._passes.textured_program, avatar, fades=self._options.fade_busts
         )
-        self._slots[slot] = RenderSlot(textured=head)
+        self._slots[slot] = RenderSlot(textured=head, version=self._next_version())
 
     def add_placeholder(self, slot: str) -> None:
         """Show a stand-in for somebody whose avatar is not there or cannot be used."""
         self.remove(slot)
-        self._slots[slot] = RenderSlot()
+        self._slots[slot] = RenderSlot(version=self._next_version())
 
     def remove(self, slot: str) -> None:
         """Forget a slot and free what nobody else uses; an unknown one is no error."""
@@ -211,6 +223,7 @@ class Renderer(Closing):
         for series, array in zip(entry.maps, arrays, strict=True):
             if array is not None:
                 series.write(array)
+        entry.version = self._next_version()
 
     def bytes_uploaded(self, slot: str) -> int:
         """Bytes of maps that went to the GPU for a slot; 0 where there is no avatar."""
@@ -222,6 +235,7 @@ class Renderer(Closing):
         entry = self._slots.get(slot)
         if entry is not None and entry.textured is not None:
             entry.textured.update(vertices_m, texture)
+            entry.version = self._next_version()
 
     def draw(
         self,
@@ -256,22 +270,52 @@ class Renderer(Closing):
             for eye, rect in seen
         ]
         drawn = (room, eyes)
-        if drawn != self._drawn_room:  # only when it looks different; else it is copied
+        is_new_room = drawn != self._drawn_room
+        if is_new_room:  # only when it looks different; else it is copied
             self._drawn_room = drawn
             passes.draw_room(targets, seen, room)
-        heads = list_heads(self._slots, placements, views, passes.placeholder)
-        # With both kinds of heads depth does not tell whose a pixel is.
-        has_both = bool(heads.decoded and heads.painted)
-        passes.surfaces(targets, heads.decoded, clear=has_both)
-        self._num_decoded = len(heads.decoded)
-        counts = passes.shade(targets, heads.decoded, count=count_pixels)
-        static_counts = passes.statics(targets, heads.decoded, count=count_pixels)
-        painted_counts = passes.texture(targets, heads.painted, count=count_pixels)
-        self._context.copy_framebuffer(targets.final, targets.shaded)
+        listed = list_heads(self._slots, placements, views, passes.placeholder)
+        self._num_decoded = len(listed.decoded)
+        keys = keys_of(listed, self._slots)
+        parts = parts_to_draw(None if is_new_room else self._drawn, keys, self.size)
+        self.forget_frame()  # should drawing fail
+        counts = {head.number: HeadCounts() for head in listed.heads}
+        for part in parts:
+            self._draw_part(part, listed, counts, count_pixels)
+        self._drawn = keys
         is_smooth = self._options.smooth_edges
-        if is_smooth:
-            passes.smooth(targets, [head.place for head in heads.heads])
-        return count_draws(heads, counts, static_counts, painted_counts, is_smooth=is_smooth)
+        targets.final.use()
+        self._context.copy_framebuffer(
+            targets.final, targets.smoothed if is_smooth else targets.shaded
+        )
+        return count_draws(
+            listed,
+            list(counts.values()),
+            parts,
+            is_smooth=is_smooth,
+            is_counted=count_pixels,
+        )
+
+    def _draw_part(
+        self, part: PixelRect, listed: DrawList, counts: dict[int, HeadCounts], count_pixels: bool
+    ) -> None:
+        """Draw a part of the image, and add to the counts of the heads in it, by number."""
+        passes, targets = self._passes, self._targets
+        targets.draw_only(part)
+        within = heads_within(listed, part)
+        # With both kinds of heads depth does not tell whose a pixel is.
+        has_both = bool(within.decoded and within.painted)
+        passes.surfaces(targets, within.decoded, clear=has_both)
+        shaded = passes.shade(targets, within.decoded, count=count_pixels)
+        textured = passes.statics(targets, within.decoded, count=count_pixels)
+        shaded += passes.texture(targets, within.painted, count=count_pixels)
+        if self._options.smooth_edges:
+            passes.smooth(targets, [head.place for head in within.heads])
+        for place, head in enumerate(within.heads):
+            count = counts[head.number]
+            count.num_drawn += 1
+            count.shaded += shaded[place] or 0
+            count.textured += (textured[place] or 0) if place < len(textured) else 0
 
     def read_image(self) -> Image:
         """The last frame, uint8 ``[H, W, 3]``, top row first. Waits for the GPU.
@@ -340,6 +384,10 @@ class Renderer(Closing):
                 f"the graphics driver reports {error}; start again, and if it stays, "
                 "make the window smaller or update the driver"
             )
+
+    def _next_version(self) -> int:
+        self._num_versions += 1
+        return self._num_versions
 
     def _unbind(self) -> None:
         """Bind the default framebuffer: freeing one that is bound is an error to moderngl."""

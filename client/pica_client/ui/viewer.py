@@ -259,6 +259,7 @@ class Viewer(Closing):
             )
             self._paint(self._renderer.image, panels=self._window is None)
         drawn.num_triangles = self.last_draw.num_triangles
+        drawn.shaded_px *= self.last_draw.drawn_share
         for frame, seconds in self._draw_clock.take():
             self._scheduler.costs.observe_draw(frame.num_triangles, frame.shaded_px, seconds)
         image = None

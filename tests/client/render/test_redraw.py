@@ -1,0 +1,172 @@
+"""Only what changed is drawn again, and the image is the one that is drawn as a whole."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import moderngl
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from helpers.toy import make_toy_avatar, with_toy_levels
+from pica_client.decode.decoder import OnnxDecoder
+from pica_client.render.redraw import HeadKey, area_px, common_part, parts_to_draw
+from pica_client.render.renderer import Renderer, RenderOptions
+from pica_client.render.room import Room
+from pica_client.render.scene import Placement, head_matrix
+from pica_core.avatar.spec import AvatarSpec
+from pica_core.camera import Camera, look_at
+from pica_core.gl import create_context
+
+pytestmark = pytest.mark.render
+
+TOY = with_toy_levels(make_toy_avatar(spec=AvatarSpec(uv_encoding_size=64), grid=40))
+SIZE = (240, 100)
+PEOPLE = ("p0", "p1", "p2")
+ROOM = Room(seats_m=((-0.2, 0, 0), (0, 0, 0), (0.2, 0, 0)), speaking=(0, 0, 0))
+
+
+def camera(size: tuple[int, int], x_m: float = 0.0) -> Camera:
+    return look_at(
+        centre_m=(x_m, 0.05, 1.1),
+        target_m=(0, 0, 0),
+        vertical_fov=0.5,
+        width=size[0],
+        height=size[1],
+    )
+
+
+class Stage:
+    """People side by side, near enough to overlap, and a renderer that never keeps anything."""
+
+    def __init__(self, context: moderngl.Context) -> None:
+        options = RenderOptions(fade_busts=True)
+        self.kept, self.fresh = (Renderer(context, SIZE, options) for _ in range(2))
+        self.people = list(PEOPLE)
+        self.turn = dict.fromkeys(PEOPLE, 0.0)
+        self.room, self.camera = ROOM, camera(SIZE)
+        decoder = OnnxDecoder(TOY)
+        rng = np.random.default_rng(3)
+        self.faces = []
+        for level in (TOY.levels[-1], TOY.levels[-1], TOY.levels[0]):
+            latent = rng.standard_normal((8, 8, 4)).astype(np.float32)
+            found = decoder.decode(latent, np.array([0, 0, 1], np.float32), level)
+            self.faces.append((found.position_map, found.expression_map))
+        for slot in PEOPLE:
+            self.add(slot)
+
+    def add(self, slot: str) -> None:
+        for renderer in (self.kept, self.fresh):
+            renderer.add_avatar(slot, TOY)
+        self.show(slot, 0)
+
+    def show(self, slot: str, face: int) -> None:
+        for renderer in (self.kept, self.fresh):
+            renderer.update_maps(slot, *self.faces[face])
+
+    def drawn(self) -> list[str]:
+        """Draw with both, compare, and say of whom the first drew something."""
+        placements = [
+            Placement(
+                slot=slot,
+                world_from_head=head_matrix(
+                    np.eye(4), [0, self.turn[slot], 0], [0.2 * PEOPLE.index(slot) - 0.2, 0, 0]
+                ),
+            )
+            for slot in self.people
+        ]
+        self.fresh.forget_frame()
+        self.fresh.draw(placements, self.camera, room=self.room)
+        stats = self.kept.draw(placements, self.camera, room=self.room)
+        np.testing.assert_array_equal(self.kept.read_image(), self.fresh.read_image())
+        return [head.slot for head in stats.heads if head.num_triangles]
+
+
+@pytest.fixture
+def stage() -> Iterator[Stage]:
+    context = create_context()
+    made = Stage(context)
+    assert made.drawn() == list(PEOPLE)
+    yield made
+    made.kept.close()
+    made.fresh.close()
+    context.release()
+
+
+def test_what_stands_still_is_not_drawn_again(stage: Stage) -> None:
+    assert stage.drawn() == []
+
+
+@pytest.mark.parametrize("face", [1, 2])
+def test_a_new_face_is_drawn_with_who_reaches_into_it(stage: Stage, face: int) -> None:
+    stage.show("p0", face)
+    assert stage.drawn() == ["p0", "p1"]
+    assert stage.drawn() == []
+
+
+def test_a_head_that_turns_leaves_nothing_behind(stage: Stage) -> None:
+    for angle in (0.4, -0.6):
+        stage.turn["p2"] = angle
+        assert "p2" in stage.drawn()
+
+
+def test_two_who_are_apart_are_drawn_each_for_itself(stage: Stage) -> None:
+    stage.people.remove("p1")
+    stage.drawn()
+    stage.turn["p0"] = 0.2
+    assert stage.drawn() == ["p0"]
+
+
+def test_who_comes_and_goes_is_drawn_and_wiped_out(stage: Stage) -> None:
+    stage.people.remove("p1")
+    assert stage.drawn() == ["p0", "p2"]
+    stage.people = list(PEOPLE)
+    assert stage.drawn() == list(PEOPLE)
+
+
+def test_another_avatar_in_the_same_slot_is_drawn(stage: Stage) -> None:
+    stage.add("p1")
+    assert "p1" in stage.drawn()
+
+
+def test_another_room_camera_or_size_is_drawn_as_a_whole(stage: Stage) -> None:
+    stage.room = Room(seats_m=ROOM.seats_m, speaking=(0, 1, 0))
+    assert stage.drawn() == list(PEOPLE)
+    stage.camera = camera(SIZE, 0.1)
+    assert stage.drawn() == list(PEOPLE)
+    size = (200, 90)
+    for renderer in (stage.kept, stage.fresh):
+        renderer.resize(size)
+    stage.camera = camera(size, 0.1)
+    assert stage.drawn() == list(PEOPLE)
+    assert stage.drawn() == []
+
+
+def test_what_others_paint_over_an_image_does_not_stay(stage: Stage) -> None:
+    before = stage.kept.read_image().copy()
+    stage.kept.image.clear(1, 0, 0, 1)
+    stage.drawn()
+    np.testing.assert_array_equal(stage.kept.read_image(), before)
+
+
+RECTS = st.tuples(st.integers(0, 90), st.integers(0, 90)).flatmap(
+    lambda low: st.tuples(st.just(low[0]), st.just(low[1]), *(st.integers(x + 1, 100) for x in low))
+)
+
+
+@given(st.lists(st.tuples(RECTS, RECTS, st.booleans()), max_size=6))
+def test_parts_hold_what_changed_and_lie_apart(
+    heads: list[tuple[tuple[int, int, int, int], tuple[int, int, int, int], bool]],
+) -> None:
+    before = [HeadKey(n, 0, old) for n, (old, _, _) in enumerate(heads)]
+    now = [
+        HeadKey(n, int(moved), new if moved else old) for n, (old, new, moved) in enumerate(heads)
+    ]
+    parts = parts_to_draw(before, now, (100, 100))
+    for old, new, is_moved in heads:
+        for rect in (old, new) if is_moved else ():
+            assert any(common_part(rect, part) == rect for part in parts)
+    overlaps = [area_px(common_part(a, b)) for n, a in enumerate(parts) for b in parts[:n]]
+    assert not any(overlaps)
