@@ -82,6 +82,8 @@ class Plan:
     """Seconds that decodes, uploads and drawing are expected to take."""
     floor_s: float
     """Seconds that the least for everybody takes; above the budget it is all there is."""
+    draw_s: float
+    """Seconds that drawing everybody takes, were nothing of the image before kept."""
     shaded_px: float
     """Pixels that the pixel decoder runs on, as far as one can tell without counting them."""
 
@@ -106,7 +108,7 @@ class Scheduler:
         self._now = now
         seen = sorted((head for head in heads if head.sight.is_visible), key=_lowest_first)
         shrinks = self._fit(seen, budget_s, frame_s)
-        spent_s = self._draw_s(seen, shrinks)
+        draw_s = spent_s = self._draw_s(seen, shrinks)
         floor_s = self._draw_s(seen, _shrinks(len(seen), len(seen) * MOST_TURNS))
         has_decoded = False
         for head, shrink in sorted(zip(seen, shrinks, strict=True), key=_oldest_first):
@@ -142,6 +144,7 @@ class Scheduler:
             choices={head.slot: head.choice for head in heads if head.choice is not None},
             cost_s=spent_s,
             floor_s=floor_s,
+            draw_s=draw_s,
             shaded_px=sum(head.sight.visible_px for head in seen),
         )
 

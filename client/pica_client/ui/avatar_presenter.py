@@ -59,6 +59,9 @@ AHEAD_SMOOTHING, MAX_IMAGE_S = 0.05, 0.5
 believed of an image."""
 RECENT_SAMPLES = 60
 """What the figures of one avatar, and of the panel, are made of."""
+LISTENER_S = 1 / 8
+"""How long a listener keeps a face while not everybody can be drawn at every face (chosen: nods and
+smiles are still movements, and speech has the time that this leaves)."""
 MEASURED = ("decode", "decode_wait", "upload", "draw", "latency")
 
 
@@ -121,6 +124,14 @@ class _Peer:
     captured_us: int = 0
     """Sender's clock at the newest sample that was decoded."""
     num_decoded: int = 0
+    held: FaceState | None = None
+    """The face that it shows until its turn comes, while it listens."""
+    turn: int = 0
+    """In which of its turns that was taken."""
+    is_awaited: bool = False
+    """Whether a decode has been asked for and is not there."""
+    drawn: Placement | None = None
+    """As it was drawn last."""
     level: int | None = None
     fade: float = 0.0
     decode: Samples = field(default_factory=lambda: Samples(RECENT_SAMPLES))
@@ -186,6 +197,7 @@ class AvatarPresenter:
         self.seen: set[str] = set()
         self._arranged_s: float | None = None
         self._image_s = self._ahead_s = 0.0  # between two images; until a face is seen
+        self._is_short = False  # whether drawing everybody takes longer than it may
         self._seats: dict[str, Float64Array] = {}
         self._plan: SeatPlan | None = None
         self._size = (0, 0)
@@ -221,14 +233,18 @@ class AvatarPresenter:
         limits = views.orbit_limits(plan, tuple(entry.span for entry in entries))
         self._arranged_s, step = now, since_s / FADE_S
         plan = self._settled(plan, [face.peer_id for face in faces], size, since_s)
-        placements, levels = [], self._levels()
-        for face, entry, seat in zip(faces, entries, plan.seats, strict=True):
+        shown, placements, levels = [], [], self._levels()
+        for number, (face, entry, seat) in enumerate(zip(faces, entries, plan.seats, strict=True)):
             entry.fade = _towards(FADE_OF_STATUS.get(face.status, 0.0), entry.fade, step)
             if face.latent is not None and entry.jaw is not None and face.status == "live":
                 entry.speaking.receive(entry.jaw.jaw_open(face.latent), now)
             if face.peer_id in levels:
                 is_loud = levels[face.peer_id] < AUDIBLE_LEVEL
                 entry.heard_s = now if is_loud else entry.heard_s or -math.inf
+            # Listeners take turns, so that images cost alike.
+            turn = math.floor(now / LISTENER_S + number / len(faces))
+            face = self._taken(entry, face, turn, now)
+            shown.append(face)
             placements.append(
                 Placement(
                     slot=face.peer_id,
@@ -244,7 +260,7 @@ class AvatarPresenter:
         )
         return CallScene(
             now=now,
-            faces=faces,
+            faces=shown,
             placements=placements,
             camera=camera,
             plan=plan,
@@ -271,8 +287,10 @@ class AvatarPresenter:
             heads.append(head)
         size = (cameras[0].width, cameras[0].height)
         plan = self._planner.plan(heads, cameras, size, budget_s, scene.now)
+        self._is_short = plan.draw_s > budget_s
         for head, request in self._planner.requests(heads, scene.now):
             self._pool.submit(head.slot, request)
+            self._peers[head.slot].is_awaited = True
         for slot, choice in plan.choices.items():
             self._source.subscribe(slot, choice.every, scene.now)
         return plan
@@ -283,6 +301,7 @@ class AvatarPresenter:
             entry = self._peers.get(result.slot)
             if entry is None or entry.head is None:
                 continue
+            entry.is_awaited = False
             if result.maps is None:
                 self._renderer.add_placeholder(result.slot)
                 self._give_up(entry, result.error or "cannot be decoded")
@@ -313,7 +332,13 @@ class AvatarPresenter:
         """The scene as its plan wants it drawn: meshes, levels that fade in."""
         dressed = []
         for placement in scene.placements:
-            head = self._peers[placement.slot].head
+            entry = self._peers[placement.slot]
+            if entry.drawn is not None and entry.is_awaited and self._is_waiting(entry, scene.now):
+                # Its pose waits for its face: it is drawn once for both.
+                matrix = entry.drawn.world_from_head
+                placement = replace(placement, world_from_head=matrix)
+            entry.drawn = placement
+            head = entry.head
             dressed.append(placement if head is None else head.dressed(placement, scene.now))
         return replace(scene, placements=dressed)
 
@@ -347,6 +372,26 @@ class AvatarPresenter:
     def num_decoded(self) -> dict[str, int]:
         """Decodes so far, by peer id."""
         return {peer_id: entry.num_decoded for peer_id, entry in self._peers.items()}
+
+    def _taken(self, entry: _Peer, face: FaceState, turn: int, now: float) -> FaceState:
+        """The face to show of a peer: a listener keeps the one of its turn where drawing is
+        short."""
+        held = entry.held
+        is_waiting = turn == entry.turn and face.status == "live" and self._is_waiting(entry, now)
+        if held is not None and held.latent is not None and is_waiting:
+            return replace(
+                face,
+                latent=held.latent,
+                captured_us=held.captured_us,
+                rotation=held.rotation,
+                translation_m=held.translation_m,
+            )
+        entry.held, entry.turn = face, turn
+        return face
+
+    def _is_waiting(self, entry: _Peer, now: float) -> bool:
+        """Whether a peer gives way to who speaks."""
+        return self._is_short and not entry.is_speaking(now)
 
     def _settled(
         self, goal: SeatPlan, peer_ids: list[str], size: tuple[int, int], since_s: float

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -74,3 +76,39 @@ def test_a_scene_says_which_layouts_there_is_room_for(
         presenter = AvatarPresenter(OneFace(count), renderer, pool, planner)
         assert presenter.arrange(1.0, (90, 160)).layouts == layouts
     context.release()
+
+
+class MovingFaces(OneFace):
+    """Several people whose faces and heads are never still."""
+
+    def faces(self, now: float, ahead_s: float = 0.0) -> list[FaceState]:
+        moved = {
+            "latent": np.full((8, 8, 4), now, np.float32),
+            "rotation": np.array([0, 0.1 * now, 0], np.float32),
+        }
+        return [replace(face, **moved) for face in super().faces(now)]
+
+
+@pytest.mark.parametrize(("budget_s", "num_faces"), [(math.inf, 30), (0.0, 8)])
+def test_listeners_keep_their_faces_for_longer_only_where_drawing_is_short(
+    budget_s: float, num_faces: int
+) -> None:
+    context = create_context()
+    spoken = {"p1": 0}
+    seen: dict[str, set[bytes]] = {"p1": set(), "p2": set()}
+    with Renderer(context, (160, 90)) as renderer, DecodePool(OnnxDecoder) as pool:
+        planner = FramePlanner(Scheduler())
+        presenter = AvatarPresenter(
+            MovingFaces(2), renderer, pool, planner, levels=lambda: {**spoken, "p2": 127}
+        )
+        for image in range(31):
+            now = 1 + image / 30
+            scene = presenter.arrange(now, (160, 90))
+            presenter.decide(scene, (scene.camera,), budget_s)
+            pool.wait_idle(10.0)
+            presenter.collect(now)
+            for placement in presenter.dressed(scene).placements if image else ():
+                seen[placement.slot].add(placement.world_from_head.tobytes())
+    context.release()
+    assert len(seen["p1"]) == 30
+    assert num_faces <= len(seen["p2"]) <= num_faces + 2
