@@ -189,6 +189,7 @@ class _Bench:
         if case.distance_cm is not None:
             slot = "baseline" if case.level is None else f"pica-{case.level}"
             camera = self._camera(case.distance_cm)
+            self.renderer.forget_frame()
             stats = self.renderer.draw([_placed(slot)], camera, count_pixels=True)
             found["pixels"] = sum(head.shaded_pixels or 0 for head in stats.heads)
             found["triangles"] = stats.num_triangles
@@ -205,6 +206,7 @@ class _Bench:
         self.renderer.update_textured("baseline", decoded.vertices_m, decoded.texture)
 
     def _draw(self, slot: str, distance_cm: float, _latent: FloatArray) -> None:
+        self.renderer.forget_frame()
         self.renderer.draw([_placed(slot)], self._camera(distance_cm))
         wait_for_gpu(self._context)
 

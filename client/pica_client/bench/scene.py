@@ -241,6 +241,7 @@ class _Bench:
         for head in case.heads:
             placement = Placement(slot=head.slot, world_from_head=head.world_from_head)
             placements.append(head.dressed(placement, now) if case.is_scheduled else placement)
+        self._renderer.forget_frame()
         begin_s = time.perf_counter()
         stats = self._renderer.draw(placements, camera)
         wait_for_gpu(self._context)
