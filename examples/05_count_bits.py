@@ -1,8 +1,7 @@
-"""Encode a performance and count its bits, at several qualities and in the plain format.
+"""Encode a performance and count its bits, at several qualities.
 
-You learn how to use the codec alone, without a network: `open_encoder` gives the sending end of
-an avatar's stream. A face that does not move costs next to nothing; the plain format costs 8
-bits a value.
+You learn how to use the codec alone, without a network: the avatar file holds the profile that
+both ends of its stream share. A face that does not move costs next to nothing.
 """
 
 import numpy as np
@@ -11,8 +10,7 @@ from pica_client.sources import open_source
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import load_avatar
 from pica_core.avatar.shipped import shipped_avatar_files
-from pica_core.avatar.streams import open_decoder, open_encoder
-from pica_core.codec.latent_stream import StreamConfig
+from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
 
 FPS, SECONDS = 30, 4
 avatar = load_avatar(shipped_avatar_files()[0])
@@ -20,11 +18,11 @@ source, expressions = open_source("performance:talk"), ExpressionEncoder(avatar)
 frames = [source.frame_at(index / FPS) for index in range(FPS * SECONDS)]
 latents = [expressions.encode(frame.arkit) for frame in frames]
 
-print("format      kbit/s  rms error of the latent")
-for name, quality, plain in (("quality 0", 0, False), ("quality 3", 3, False),
-                             ("quality 7", 7, False), ("plain", 3, True)):  # fmt: skip
-    encoder, profile = open_encoder(avatar, StreamConfig(fps=FPS, quality=quality), plain=plain)
-    decoder = open_decoder(avatar, profile)
+profile = avatar.stream_profile()
+print("quality  kbit/s  rms error of the latent")
+for quality in (0, 3, 7):
+    encoder = LatentEncoder(profile, StreamConfig(fps=FPS, quality=quality))
+    decoder = LatentDecoder(profile)
     num_bytes, errors = 0, []
     for index, (frame, latent) in enumerate(zip(frames, latents, strict=True)):
         now_us = round(index / FPS * 1e6)
@@ -34,4 +32,4 @@ for name, quality, plain in (("quality 0", 0, False), ("quality 3", 3, False),
         num_bytes += len(coded.payload)
         decoded = decoder.decode(coded.payload)
         errors.append(np.square(decoded.latent - latent).mean())
-    print(f"{name:10} {num_bytes * 8 / SECONDS / 1000:7.2f}  {np.sqrt(np.mean(errors)):.4f}")
+    print(f"{quality:7}  {num_bytes * 8 / SECONDS / 1000:6.2f}  {np.sqrt(np.mean(errors)):.4f}")

@@ -8,13 +8,13 @@ from pica_client.sources import open_source
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import load_avatar
 from pica_core.avatar.shipped import shipped_avatar_files
-from pica_core.avatar.streams import open_decoder, open_encoder
-from pica_core.codec.latent_stream import StreamConfig
+from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
 
 FPS, SECONDS = 30, 4
 avatar = load_avatar(shipped_avatar_files()[0])
 source, expressions = open_source("performance:talk"), ExpressionEncoder(avatar)
-encoder, profile = open_encoder(avatar, StreamConfig(fps=FPS))
+profile = avatar.stream_profile()
+encoder = LatentEncoder(profile, StreamConfig(fps=FPS))
 
 stream = []
 for index in range(FPS * SECONDS):
@@ -27,7 +27,7 @@ for index in range(FPS * SECONDS):
 
 print("every  frames/s  kbit/s")
 for every in (1, 2, 4):
-    decoder = open_decoder(avatar, profile)
+    decoder = LatentDecoder(profile)
     num_sent = num_bytes = sequence = 0
     for coded in stream:
         sequence += 1 + -(sequence + 1) % coded.multiple

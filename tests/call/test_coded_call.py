@@ -29,11 +29,10 @@ from pica_client.publish import publisher as publisher_module
 from pica_client.publish.sender import Sender, SenderConfig
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.receiver import Receiver
-from pica_core.avatar import streams as stream_ends
 from pica_core.avatar.file import Avatar, load_avatar
-from pica_core.avatar.streams import FaceDecoder, FaceEncoder
 from pica_core.codec.latent_sample import LatentSample
-from pica_core.codec.latent_stream import LatentDecoder, StreamConfig
+from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
+from pica_core.codec.profile import StreamProfile
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
 from simnet.clock import current_network, in_virtual_time
@@ -81,11 +80,10 @@ class Witness:
 
 
 class WatchedEncoder:
-    def __init__(self, encoder: FaceEncoder, avatar: Avatar, witness: Witness) -> None:
-        profile = avatar.stream_profile()
-        assert profile is not None
-        self._encoder, self._decoder, self._witness = encoder, LatentDecoder(profile), witness
-        self.restart = encoder.restart
+    def __init__(self, profile: StreamProfile, config: StreamConfig, witness: Witness) -> None:
+        self._encoder, self._decoder = LatentEncoder(profile, config), LatentDecoder(profile)
+        self._witness = witness
+        self.restart = self._encoder.restart
 
     def encode(self, latent: Any, rotation: Any, translation: Any, now_us: int) -> Any:
         frame = self._encoder.encode(latent, rotation, translation, now_us)
@@ -97,8 +95,8 @@ class WatchedEncoder:
 
 
 class WatchedDecoder:
-    def __init__(self, decoder: FaceDecoder, witness: Witness) -> None:
-        self._decoder, self._witness = decoder, witness
+    def __init__(self, profile: StreamProfile, witness: Witness) -> None:
+        self._decoder, self._witness = LatentDecoder(profile), witness
 
     def decode(self, payload: bytes) -> LatentSample:
         sample, now = self._decoder.decode(payload), asyncio.get_running_loop().time()
@@ -111,16 +109,15 @@ class WatchedDecoder:
 def witness() -> Iterator[Witness]:
     watching = Witness()
 
-    def open_encoder(avatar: Avatar, config: StreamConfig, **options: Any) -> Any:
-        encoder, name = stream_ends.open_encoder(avatar, config, **options)
-        return WatchedEncoder(encoder, avatar, watching), name
+    def encoder(profile: StreamProfile, config: StreamConfig) -> Any:
+        return WatchedEncoder(profile, config, watching)
 
-    def open_decoder(avatar: Avatar, name: str) -> Any:
-        return WatchedDecoder(stream_ends.open_decoder(avatar, name), watching)
+    def decoder(profile: StreamProfile) -> Any:
+        return WatchedDecoder(profile, watching)
 
     with (
-        mock.patch.object(publisher_module, "open_encoder", open_encoder),
-        mock.patch.object(call_module, "open_decoder", open_decoder),
+        mock.patch.object(publisher_module, "LatentEncoder", encoder),
+        mock.patch.object(call_module, "LatentDecoder", decoder),
     ):
         yield watching
 

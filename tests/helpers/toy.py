@@ -14,6 +14,9 @@ from pica_core.avatar.levels import LevelErrors, level_sizes
 from pica_core.avatar.manifest import Manifest
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.avatar.variants import VARIANTS
+from pica_core.codec.latent_stream import LatentEncoder
+from pica_core.codec.learning import LearningConfig, RenderMetric, learn_profile
+from pica_core.latent import LATENT_SHAPE
 from pica_core.types import FloatArray
 
 PAPER_SPEC = AvatarSpec(block="H2")
@@ -72,6 +75,7 @@ def make_toy_avatar(
         ).astype(np.float32)
         tensors[f"encoder.{index}.bias"] = np.zeros(out, np.float32)
         width = out
+    tensors |= _stream(tensors["encoder.1.weight"])
     manifest = Manifest(
         name=name,
         identity=f"toy-{seed}",
@@ -85,6 +89,31 @@ def make_toy_avatar(
         model_card={"training": "none: random weights"},
     )
     return Avatar(manifest, tensors)
+
+
+def _stream(encoder_weight: FloatArray) -> dict[str, npt.NDArray[np.generic]]:
+    """The profile of a stream that carries whatever the expression encoder says, and the latent
+    whose values are all alike, within 0.02."""
+    spanned = np.concatenate([np.ones((256, 1)), encoder_weight.astype(np.float64)], axis=1)
+    directions = np.linalg.qr(spanned)[0].T
+    faces = np.random.default_rng(3).standard_normal((120, len(directions))) @ directions
+    metric = RenderMetric(directions, 64.0 * np.eye(len(directions)))
+    config = LearningConfig(num_components=len(directions), num_tables=2, turn_sweeps=0)
+    return learn_profile([faces], metric, config).to_tensors()
+
+
+def toy_payload(avatar: Avatar, value: float = 0.0) -> bytes:
+    """A frame of a face whose latent is `value` all over, at its seat."""
+    encoder = LatentEncoder(avatar.stream_profile())
+    frame = encoder.encode(np.full(LATENT_SHAPE, value), np.zeros(3), np.zeros(3), 0)
+    assert frame is not None
+    return frame.payload
+
+
+def without_stream(avatar: Avatar) -> Avatar:
+    """The same avatar as it is exported without a stream profile."""
+    tensors = {k: v for k, v in avatar.tensors.items() if not k.startswith("stream.")}
+    return Avatar(avatar.manifest, tensors)
 
 
 def guessed_errors(levels: Sequence[int]) -> LevelErrors:

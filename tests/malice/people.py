@@ -5,14 +5,11 @@ from __future__ import annotations
 import random
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from helpers.senders import LoadedAvatars
-from helpers.toy import make_toy_avatar
+from helpers.toy import make_toy_avatar, toy_payload
 from pica_client.call.call import Call
 from pica_client.e2ee.guard import Guard
 from pica_client.e2ee.secret import RoomSecret
-from pica_core.codec.plain_stream import encode_latent
 from pica_protocol.client_session import ClientSession
 from pica_protocol.messages import Peer, Track
 from pica_protocol.session import State
@@ -23,12 +20,8 @@ NAMES = ("Ada", "Ben", "Cho", "Dee")
 _TOY = make_toy_avatar()
 AVATARS = tuple(f"{number:064x}" for number in range(1, len(NAMES) + 1))
 _STORE = LoadedAvatars(dict.fromkeys(AVATARS, _TOY))
-FACE = encode_latent(
-    np.zeros((8, 8, 4)),
-    np.zeros(3),
-    np.zeros(3),
-    _TOY.manifest.latent_scale,
-)
+FACE = toy_payload(_TOY)
+_PROFILE = _TOY.stream_profile().hash
 
 
 class BrokenPromiseError(AssertionError):
@@ -65,7 +58,7 @@ class Person:
     @property
     def track(self) -> Track:
         """What it publishes."""
-        return Track(kind="face", avatar=AVATARS[self.index])
+        return Track(kind="face", avatar=AVATARS[self.index], profile=_PROFILE)
 
     @property
     def is_joined(self) -> bool:

@@ -26,7 +26,6 @@ from pica_core.avatar.file import Avatar
 from pica_core.codec.latent_sample import LatentSample
 from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
 from pica_core.codec.profile import StreamProfile
-from pica_core.errors import ProfileError
 from pica_core.types import FloatArray
 from pica_protocol.frames import HEADER_BYTES
 
@@ -81,8 +80,6 @@ def run_codec_bench(config: CodecConfig, avatar: Avatar) -> dict[str, Any]:
         GraphicsError: No GL context.
     """
     profile = avatar.stream_profile()
-    if profile is None:
-        raise ProfileError("the avatar has no stream profile; `pica export` learns one")
     takes = {source: _read(source, config.seconds, avatar) for source in config.sources}
     rows: list[dict[str, Any]] = []
     coders = _coders(profile, config)

@@ -29,7 +29,6 @@ from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
 from pica_core.codec.latent_sample import LatentSample
 from pica_core.codec.latent_stream import StreamConfig
-from pica_core.errors import ProfileError
 from pica_core.types import FloatArray
 
 TRACKER_FPS: Final = 60
@@ -126,8 +125,6 @@ def shown_latents(avatar: Avatar, arkit: FloatArray, *, coded: bool) -> FloatArr
     if not coded:
         return latents
     profile = avatar.stream_profile()
-    if profile is None:
-        raise ProfileError("the avatar has no stream profile; `pica export` learns one")
     still = np.zeros(3, np.float32)
     samples = [LatentSample(latent=each, rotation=still, translation_m=still) for each in latents]
     coded_stream = code_stream(profile, StreamConfig(fps=FPS), samples)

@@ -29,9 +29,8 @@ from pica_client.sources import open_source
 from pica_client.stats import percentile
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
-from pica_core.avatar.streams import FaceDecoder, FaceEncoder, open_decoder, open_encoder
 from pica_core.codec.latent_sample import LatentSample
-from pica_core.codec.latent_stream import StreamConfig
+from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
 
 SIZE_PX = 192
 MAX_DRAWINGS = 1500
@@ -40,7 +39,6 @@ TURN_WEIGHT, MOVE_WEIGHT = 3.0, 30.0
 """Of a radian and a metre against a latent's unit, where steps are compared before they are drawn
 (chosen: only the order of candidates depends on it)."""
 
-CODECS = ("coded", "plain")
 MSE_FIGURES = ("mse_shown", "mse_expression", "mse_now")
 
 
@@ -50,8 +48,6 @@ class BenchPlayoutConfig:
 
     source: str = "performance:talk"
     """The face that is sent; see pica send --help."""
-    codec: str = "coded"
-    """Format of the payloads: coded, or plain for 8 bits a value and every frame alone."""
     scenarios: Words = ()
     """Names of troubles, separated by commas; all by default."""
     schedule: Annotated[Schedule, Parameter(name="*")] = field(default_factory=Schedule)
@@ -63,23 +59,17 @@ class BenchPlayoutConfig:
 
     def __post_init__(self) -> None:
         check_ranges(self, renders_per_s=(0.5, self.schedule.display_hz), seed=(0, 2**32))
-        check_names("codec", [self.codec], CODECS)
         check_names("scenario", self.scenarios, BY_NAME)
 
 
-def open_ends(avatar: Avatar, codec: str, fps: float) -> tuple[FaceEncoder, FaceDecoder]:
+def open_ends(avatar: Avatar, fps: float) -> tuple[LatentEncoder, LatentDecoder]:
     """Both ends of a stream of an avatar, fresh.
 
     Raises:
-        OptionError: The avatar cannot be coded.
+        ProfileError: The avatar has no stream profile.
     """
-    if codec == "coded" and avatar.stream_profile() is None:
-        raise OptionError(
-            f"avatar {avatar.manifest.name} has no stream profile; take codec plain, "
-            "or export the avatar anew"
-        )
-    encoder, name = open_encoder(avatar, StreamConfig(fps=fps), plain=codec == "plain")
-    return encoder, open_decoder(avatar, name)
+    profile = avatar.stream_profile()
+    return LatentEncoder(profile, StreamConfig(fps=fps)), LatentDecoder(profile)
 
 
 def run_bench_playout(config: BenchPlayoutConfig, avatar: Avatar) -> dict[str, Any]:
@@ -98,7 +88,7 @@ def run_bench_playout(config: BenchPlayoutConfig, avatar: Avatar) -> dict[str, A
     with FaceRenderer(avatar, size_px=SIZE_PX, views=("front",)) as renderer:
         compare = _Comparison(renderer, face, config.schedule, config.renders_per_s)
         for scenario in chosen:
-            ends = open_ends(avatar, config.codec, config.schedule.fps)
+            ends = open_ends(avatar, config.schedule.fps)
             delivery = deliver(face, ends, scenario, config.schedule, seed=config.seed)
             for policy, playout in POLICIES.items():
                 ticks = play(delivery, Playout(playout), config.schedule)
@@ -107,7 +97,6 @@ def run_bench_playout(config: BenchPlayoutConfig, avatar: Avatar) -> dict[str, A
                         "scenario": scenario.name,
                         "policy": policy,
                         "source": config.source,
-                        "codec": config.codec,
                         **compare(ticks, delivery),
                         **_network(delivery, config.schedule),
                     }

@@ -124,7 +124,7 @@ def run_bench_voice(config: BenchVoiceConfig, avatar: Avatar) -> dict[str, Any]:
         voice = _packets(sound, rate * 1000)
         encode_s = time.process_time() - begin_s
         for scenario in chosen:
-            ends = open_ends(avatar, "coded", schedule.fps)
+            ends = open_ends(avatar, schedule.fps)
             delivery = deliver(face, ends, scenario, schedule, seed=config.seed, voice=voice)
             heard = _listen(delivery, schedule, is_spoken)
             rows.append(

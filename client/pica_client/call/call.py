@@ -24,8 +24,8 @@ from pica_client.playout.config import PlayoutConfig
 from pica_client.publish.face_track import FACE_TRACK
 from pica_client.stats import Samples
 from pica_core.avatar.file import Avatar
-from pica_core.avatar.streams import open_decoder
 from pica_core.codec.latent_sample import DecodedFrame
+from pica_core.codec.latent_stream import LatentDecoder
 from pica_core.errors import AvatarFileError, ProfileError
 from pica_protocol import messages
 from pica_protocol.frames import Frame
@@ -349,7 +349,7 @@ class Call:
             self.without_avatar += 1
             return False
         try:
-            seat.decoder = open_decoder(avatar, seat.track.profile)
+            seat.decoder = LatentDecoder(avatar.stream_profile(seat.track.profile))
         except ProfileError as error:
             seat.trouble = str(error)
             self.errors += 1

@@ -12,7 +12,7 @@ from pica_client.call.layer_subscription import EVERY, NOTHING, LayerSubscriptio
 from pica_client.playout.buffer import PlayedFace, Playout, PlayoutReport
 from pica_client.playout.config import PlayoutConfig
 from pica_client.publish.face_track import FACE_KEY, FACE_LOST
-from pica_core.avatar.streams import FaceDecoder
+from pica_core.codec.latent_stream import LatentDecoder
 from pica_core.errors import LatentError
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Peer, Track
@@ -52,7 +52,7 @@ class RemoteParticipant:
         self.track = track
         self.subscription = LayerSubscription()
         self.playout = Playout(config)
-        self.decoder: FaceDecoder | None = None
+        self.decoder: LatentDecoder | None = None
         self.trouble = ""
         self.is_away = False
         self.is_muted = False

@@ -57,8 +57,6 @@ class LocalCallConfig:
     """Frames a second of each sender."""
     quality: int = DEFAULT_QUALITY
     """Fineness of the coded streams, 0 (coarse) to 7 (fine)."""
-    plain: bool = False
-    """Send 8 bits a value instead of coded streams."""
     has_voices: Annotated[bool, Parameter(name="voices")] = False
     """Let them speak by turns, with the sentences that ship."""
     is_encrypted: Annotated[bool, Parameter(name="encrypt")] = False
@@ -67,7 +65,7 @@ class LocalCallConfig:
     def __post_init__(self) -> None:
         if not 1 <= self.peers <= 15:
             raise OptionError(f"peers is {self.peers}; 1 to 15 fit the room")
-        SenderConfig(fps=self.fps, quality=self.quality, plain=self.plain)  # checks them
+        SenderConfig(fps=self.fps, quality=self.quality)  # checks them
 
 
 class LocalCall:
@@ -110,7 +108,7 @@ class LocalCall:
                 *("--fps", f"{config.fps:g}", "--frame-log", str(self._log(name))),
                 *("--give-avatar", "no"),  # the viewer has the same files
                 *(["--voice", f"speech#{index + 1}/{config.peers}"] if has_voices else []),
-                *("--quality", str(config.quality), *(["--plain"] if config.plain else [])),
+                *("--quality", str(config.quality)),
                 *self.secret_arguments,
             )
         self.crashed: list[str] = []

@@ -27,8 +27,7 @@ from pica_client.voice.spoken_face import SpokenFace
 from pica_core.avatar.arkit import ExpressionFrame
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
-from pica_core.avatar.streams import open_encoder
-from pica_core.codec.latent_stream import DEFAULT_QUALITY, StreamConfig
+from pica_core.codec.latent_stream import DEFAULT_QUALITY, LatentEncoder, StreamConfig
 from pica_protocol.messages import Joined, StreamMuted, Track
 from pica_protocol.session import ClientEvent
 
@@ -50,8 +49,6 @@ class SenderConfig:
     """How long to send, once the relay has let us in; 0 is until Ctrl-C."""
     quality: int = DEFAULT_QUALITY
     """Fineness of the coded stream, 0 to 7; each step up costs a quarter more bits."""
-    plain: bool = False
-    """Send 8 bits a value, 65 kbit/s, as avatars without a stream profile are sent."""
     mouth_by_voice: bool = True
     """Move the mouth by the voice while the tracker sees no face, if there is a voice."""
 
@@ -96,8 +93,9 @@ class Publisher:
         self.source = source
         self.seen: ExpressionFrame | None = None
         self._encoder = ExpressionEncoder(avatar)
-        self._stream, profile = open_encoder(avatar, config.stream(), plain=config.plain)
-        self.track = Track(kind=FACE_TRACK, avatar=avatar_identity, profile=profile)
+        profile = avatar.stream_profile()
+        self._stream = LatentEncoder(profile, config.stream())
+        self.track = Track(kind=FACE_TRACK, avatar=avatar_identity, profile=profile.hash)
         self._encode = Samples()
         self._first_sent_s: float | None = None
         self._last_sent_s = 0.0

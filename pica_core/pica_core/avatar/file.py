@@ -57,7 +57,7 @@ from pica_core.avatar.storage import (
 )
 from pica_core.codec.profile import PREFIX as STREAM_PREFIX
 from pica_core.codec.profile import StreamProfile, profile_shapes
-from pica_core.errors import AvatarFileError
+from pica_core.errors import AvatarFileError, ProfileError
 from pica_core.files import replacing
 from pica_core.latent import LATENT_SHAPE, NUM_LATENT
 from pica_core.reference.mesh import sample_vertices
@@ -170,9 +170,27 @@ class Avatar:
         found: FloatArray | None = self.tensors.get(level_tensors.JUDGED_NAME)
         return found
 
-    def stream_profile(self) -> StreamProfile | None:
-        """The tables of its latent stream; None if it has none and only the plain format can be."""
-        return StreamProfile.from_tensors(self.tensors)
+    def stream_profile(self, name: str | None = None) -> StreamProfile:
+        """The tables of its latent stream, which every stream of this avatar is coded with.
+
+        Args:
+            name: Hash of the profile that a sender names; None for whichever the file holds.
+
+        Raises:
+            ProfileError: The file holds no profile, or another one.
+        """
+        profile = StreamProfile.from_tensors(self.tensors)
+        if profile is None:
+            raise ProfileError(
+                f"avatar {self.manifest.name} has no stream profile, which a call needs; "
+                "`pica export` learns one"
+            )
+        if name is not None and name != profile.hash:
+            raise ProfileError(
+                f"the stream is coded with profile {name[:8] or '(none)'}, this avatar file holds "
+                f"{profile.hash[:8]}; get the sender's version of the file"
+            )
+        return profile
 
 
 def avatar_id(source: Path | str | bytes) -> str:

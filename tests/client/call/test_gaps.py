@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 from helpers.senders import LoadedAvatars
-from helpers.toy import make_toy_avatar
+from helpers.toy import make_toy_avatar, toy_payload
 from pica_client.call.call import Call
 from pica_client.publish.face_track import FACE_KEY, FACE_LOST
-from pica_core.codec.plain_stream import encode_latent
 from pica_protocol.frames import Frame
 from pica_protocol.messages import (
     Joined,
@@ -25,12 +23,11 @@ pytestmark = pytest.mark.unit
 
 TOY_ID = "1" * 64
 TOY = make_toy_avatar()
-SCALE = TOY.manifest.latent_scale
-PAYLOAD = encode_latent(np.zeros((8, 8, 4)), np.zeros(3), np.zeros(3), SCALE)
+PAYLOAD = toy_payload(TOY)
 
 
 def ada(peer_id: str, stream: int) -> Peer:
-    track = Track(kind="face", avatar=TOY_ID, stream=stream)
+    track = Track(kind="face", avatar=TOY_ID, stream=stream, profile=TOY.stream_profile().hash)
     return Peer(peer_id=peer_id, name="Ada", tracks=(track,))
 
 

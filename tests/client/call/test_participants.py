@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from helpers.senders import LoadedAvatars
-from helpers.toy import make_toy_avatar
+from helpers.toy import make_toy_avatar, toy_payload
 from pica_client.call.call import Call
 from pica_client.call.participants import (
     Participant,
@@ -19,7 +18,6 @@ from pica_client.call.participants import (
     recorders,
 )
 from pica_client.call.roster import News
-from pica_core.codec.plain_stream import encode_latent
 from pica_protocol.frames import Frame
 from pica_protocol.messages import (
     Joined,
@@ -45,9 +43,9 @@ class AvatarOnItsWay(LoadedAvatars):
 
 
 def person(peer_id: str, name: str, stream: int) -> Peer:
-    return Peer(
-        peer_id=peer_id, name=name, tracks=(Track(kind="face", avatar=TOY_ID, stream=stream),)
-    )
+    profile = make_toy_avatar().stream_profile().hash
+    track = Track(kind="face", avatar=TOY_ID, stream=stream, profile=profile)
+    return Peer(peer_id=peer_id, name=name, tracks=(track,))
 
 
 def call_with(*peers: Peer, avatars: LoadedAvatars | None = None) -> Call:
@@ -169,8 +167,7 @@ def test_what_is_encrypted_is_not_drawn_without_the_secret() -> None:
     avatar = make_toy_avatar()
     call = call_with(person("p1", "Ada", 1))
     # Ciphertext that happens to be a latent: one in some seconds of frames is.
-    scale = avatar.manifest.latent_scale
-    payload = encode_latent(np.ones((8, 8, 4)), np.zeros(3), np.zeros(3), scale)
+    payload = toy_payload(avatar, 1.0)
     call.receive_event(Frame(stream=1, sequence=0, captured_us=0, payload=payload), now=1.0)
     assert call.faces(1.2)[0].latent is not None
     call.receive_event(Whisper(peer_id="p1", data=b"a note about keys"), now=1.3)

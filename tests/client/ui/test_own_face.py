@@ -15,7 +15,7 @@ from pica_client.sources import open_source
 from pica_client.ui.own_face import SelfView
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.spec import AvatarSpec
-from pica_core.avatar.streams import open_encoder
+from pica_core.codec.latent_stream import LatentEncoder
 from pica_core.gl import create_context
 
 pytestmark = pytest.mark.render
@@ -26,7 +26,7 @@ TOY = make_toy_avatar(spec=AvatarSpec(uv_encoding_size=64, axis_encoding_size=64
 def send(reflection: Reflection, number: int) -> None:
     """Send one frame of a face that talks."""
     frame = open_source("performance:talk").frame_at(number / 30)
-    stream, _ = open_encoder(TOY, SenderConfig().stream(), plain=True)
+    stream = LatentEncoder(TOY.stream_profile())
     latent = ExpressionEncoder(TOY).encode(frame.arkit)
     coded = stream.encode(latent, frame.rotation, frame.translation_m, number * 33_333)
     assert coded is not None
@@ -35,7 +35,7 @@ def send(reflection: Reflection, number: int) -> None:
 
 def test_ones_own_face_appears_once_it_is_sent_in_the_size_that_is_asked_for() -> None:
     source = open_source("performance:talk")
-    track = Publisher(SenderConfig(plain=True), source, TOY, "5" * 64).track
+    track = Publisher(SenderConfig(), source, TOY, "5" * 64).track
     reflection = Reflection(TOY, track)
     context = create_context()
     view = SelfView(context, reflection, RenderOptions())

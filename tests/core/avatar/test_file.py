@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import pickle
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,8 +16,8 @@ import safetensors.numpy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from helpers.stream_toy import toy_profile
-from helpers.toy import PAPER_SPEC, make_toy_avatar
+from helpers.stream_toy import other_profile, toy_profile
+from helpers.toy import PAPER_SPEC, make_toy_avatar, without_stream
 from pica_core.avatar import file as avatar_file
 from pica_core.avatar.decoder_layers import spec_tensor_shapes
 from pica_core.avatar.file import (
@@ -28,7 +29,7 @@ from pica_core.avatar.file import (
 from pica_core.avatar.manifest import MAX_DECODE_MULTIPLY_ADDS, MAX_PIXEL_MULTIPLY_ADDS
 from pica_core.avatar.spec import BLOCKS, AvatarSpec
 from pica_core.avatar.variants import VARIANTS, pixel_codec_cost
-from pica_core.errors import AvatarFileError
+from pica_core.errors import AvatarFileError, ProfileError
 
 pytestmark = pytest.mark.unit
 
@@ -408,16 +409,22 @@ def with_place(place: tuple[int, ...], value: int) -> Callable[[Any], Any]:
 
 def test_the_tables_of_a_stream_come_back_exactly(stream_bytes: bytes) -> None:
     loaded = load_avatar(stream_bytes)
-    profile = loaded.stream_profile()
-    assert profile is not None
-    assert profile.hash == toy_profile().hash
+    assert loaded.stream_profile(toy_profile().hash).hash == toy_profile().hash
     for name, array in toy_profile().to_tensors().items():
         assert loaded.tensors[name].dtype == array.dtype
         np.testing.assert_array_equal(loaded.tensors[name], array)
 
 
-def test_an_avatar_without_tables_has_no_stream(toy_bytes: bytes) -> None:
-    assert load_avatar(toy_bytes).stream_profile() is None
+def test_an_avatar_without_tables_is_refused_where_a_stream_begins() -> None:
+    with pytest.raises(ProfileError, match="Toy has no stream profile, which a call needs"):
+        without_stream(TOY).stream_profile()
+
+
+@pytest.mark.parametrize("name", [other_profile().hash, "", "x", toy_profile().hash[:63]])
+def test_a_stream_with_tables_that_the_file_does_not_hold_is_refused_by_name(name: str) -> None:
+    told = f"profile {name[:8] or '(none)'}, this avatar file holds {toy_profile().hash[:8]}"
+    with pytest.raises(ProfileError, match=re.escape(told)):
+        WITH_STREAM.stream_profile(name)
 
 
 def test_tables_in_another_memory_layout_are_the_same_tables(tmp_path: Path) -> None:
@@ -467,8 +474,9 @@ def test_a_table_that_nobody_knows_is_refused(stream_bytes: bytes, toy_bytes: by
     tensors = {**WITH_STREAM.tensors, "stream.surprise": np.zeros(3, np.int32)}
     with pytest.raises(AvatarFileError, match=r"'stream\.surprise' is unknown"):
         save_avatar(Path("unwritten.pica"), Avatar(TOY.manifest, tensors))
+    stored = safetensors.numpy.load(toy_bytes)
     alone = safetensors.numpy.save(
-        {**safetensors.numpy.load(toy_bytes), "stream.mean": np.zeros(256, np.int32)},
+        {k: v for k, v in stored.items() if not k.startswith("stream.") or k == "stream.mean"},
         split(toy_bytes)[0]["__metadata__"],
     )
     with pytest.raises(AvatarFileError, match=r"stream\.analysis has shape \[\]"):

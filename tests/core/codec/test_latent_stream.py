@@ -230,4 +230,4 @@ def test_any_damaged_payload_is_an_error_or_a_bounded_finite_face(decoded_with: 
 
 
 def test_the_toy_avatar_carries_the_toy_stream() -> None:
-    assert stream_avatar().stream_profile() is not None
+    assert stream_avatar().stream_profile().hash == toy_profile().hash

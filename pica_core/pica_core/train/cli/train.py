@@ -88,8 +88,8 @@ class ExportOptions:
     licence: str = "Apache-2.0"
     """Licence of the avatar."""
     stream: bool = True
-    """Learn the tables of the latent stream (a minute or two). Without them the avatar can only be
-    sent at 8 bits a value, 65 kbit/s."""
+    """Learn the tables of the latent stream (a minute or two). Without them the avatar cannot
+    be sent."""
     levels: bool = True
     """Fit levels of detail (a minute or two). Without them far heads cost as much as near ones;
     `pica avatar levels` adds them to a file later."""

@@ -7,17 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from helpers.toy import make_toy_avatar
 from pica_client.bench.network.scenarios import BY_NAME, CALM, POLICIES, SCENARIOS, Scenario
 from pica_client.bench.network.stream_trial import Delivery, Schedule, deliver, play
 from pica_client.errors import OptionError
 from pica_client.playout.buffer import Playout
 from pica_core.codec.latent_sample import LatentSample
-from pica_core.codec.plain_stream import PlainDecoder, PlainEncoder
+from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder
 
 pytestmark = pytest.mark.unit
 
 SHORT = Schedule(seconds=9.0)
-PLAIN = (4.0,) * 4
+PROFILE = make_toy_avatar().stream_profile()
 
 
 def face(time_s: float) -> LatentSample:
@@ -28,14 +29,14 @@ def face(time_s: float) -> LatentSample:
     )
 
 
-def deliver_plain(scenario: str | Scenario, *, seed: int = 0) -> Delivery:
+def deliver_face(scenario: str | Scenario, *, seed: int = 0) -> Delivery:
     chosen = BY_NAME[scenario] if isinstance(scenario, str) else scenario
-    return deliver(face, (PlainEncoder(PLAIN), PlainDecoder(PLAIN)), chosen, SHORT, seed=seed)
+    return deliver(face, (LatentEncoder(PROFILE), LatentDecoder(PROFILE)), chosen, SHORT, seed=seed)
 
 
 def test_the_trouble_begins_and_ends_with_the_middle_third() -> None:
     scenario = replace(BY_NAME["jitter-0"], trouble=replace(CALM, delay_s=0.3))
-    delivery = deliver_plain(scenario)
+    delivery = deliver_face(scenario)
     transit = {
         arrival.number: arrival.arrived_s - arrival.number / 30 for arrival in delivery.arrivals
     }
@@ -47,13 +48,13 @@ def test_the_trouble_begins_and_ends_with_the_middle_third() -> None:
 
 def test_every_scenario_is_the_same_for_the_same_seed() -> None:
     for scenario in SCENARIOS:
-        first, second = deliver_plain(scenario, seed=5), deliver_plain(scenario, seed=5)
+        first, second = deliver_face(scenario, seed=5), deliver_face(scenario, seed=5)
         assert [a.arrived_s for a in first.arrivals] == [a.arrived_s for a in second.arrivals]
         assert first.counters == second.counters
 
 
 def test_on_a_calm_network_every_frame_is_shown_in_time() -> None:
-    delivery = deliver_plain("jitter-0")
+    delivery = deliver_face("jitter-0")
     assert len(delivery.arrivals) == 270
     for config in POLICIES.values():
         ticks = play(delivery, Playout(config), SHORT)
@@ -66,7 +67,7 @@ def test_on_a_calm_network_every_frame_is_shown_in_time() -> None:
 
 
 def test_nothing_shown_before_the_first_frame_is_no_face() -> None:
-    ticks = play(deliver_plain("jitter-0"), Playout(), SHORT)
+    ticks = play(deliver_face("jitter-0"), Playout(), SHORT)
     assert ticks[0].played is None
     with pytest.raises(ValueError, match="nothing is shown"):
         _ = ticks[0].shown_s
