@@ -478,7 +478,7 @@ def test_the_call_is_told_what_is_worth_having_of_each_stream() -> None:
     with Viewer(source, SMALL, scheduler=SchedulerOptions(share_px=(8.0, 200.0))) as viewer:
         for frame in range(4):
             step_until_decoded(viewer, now=1.0 + 0.1 * frame)
-    assert source.subscribed == {("ada", 1), ("grace", 1)}
+    assert source.subscribed == {("ada", 2), ("grace", 2)}
 
 
 @pytest.mark.parametrize(
