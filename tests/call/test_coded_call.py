@@ -22,7 +22,7 @@ import numpy.typing as npt
 import pytest
 
 from helpers.senders import LoadedAvatars, make_senders
-from pica_client.call import call as call_module
+from pica_client.call import participant as participant_module
 from pica_client.call.call import Call
 from pica_client.call.faces import FaceState
 from pica_client.publish import publisher as publisher_module
@@ -117,7 +117,7 @@ def witness() -> Iterator[Witness]:
 
     with (
         mock.patch.object(publisher_module, "LatentEncoder", encoder),
-        mock.patch.object(call_module, "LatentDecoder", decoder),
+        mock.patch.object(participant_module, "LatentDecoder", decoder),
     ):
         yield watching
 

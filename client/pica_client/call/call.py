@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 from pica_client.avatars.library import AvatarStore
 from pica_client.call.connection_quality import StreamHealth
 from pica_client.call.faces import FaceState, FaceStatus
-from pica_client.call.participant import RemoteParticipant, Tell
+from pica_client.call.participant import Participant, Tell
 from pica_client.call.roster import SECRET_NEEDED, Member, RoomState, Roster
 from pica_client.e2ee.status import SealState, SealStatus
 from pica_client.playout.config import PlayoutConfig
@@ -25,8 +25,7 @@ from pica_client.publish.face_track import FACE_TRACK
 from pica_client.stats import Samples
 from pica_core.avatar.file import Avatar
 from pica_core.codec.latent_sample import DecodedFrame
-from pica_core.codec.latent_stream import LatentDecoder
-from pica_core.errors import AvatarFileError, ProfileError
+from pica_core.errors import AvatarFileError
 from pica_protocol import messages
 from pica_protocol.frames import Frame
 from pica_protocol.session import ClientEvent
@@ -35,8 +34,6 @@ MAX_DEPARTED = 64
 """Peers remembered for the statistics after they left; drops the oldest."""
 MAX_SHOWN = 100_000
 """Shown faces remembered for a latency analysis: eleven minutes of five peers at 30 a second."""
-STALE_AFTER_S = 2.0
-"""A face without a frame for this long is shown as stale."""
 
 
 class Shown(NamedTuple):
@@ -89,9 +86,9 @@ class Call:
         self._playout = playout
         self._lock = threading.Lock()
         self._roster = Roster()
-        self._seats: dict[str, RemoteParticipant] = {}  # bounded by the protocol's limit on peers
-        self._by_stream: dict[int, RemoteParticipant] = {}
-        self._departed: deque[RemoteParticipant] = deque(maxlen=MAX_DEPARTED)
+        self._seats: dict[str, Participant] = {}  # bounded by the protocol's limit on peers
+        self._by_stream: dict[int, Participant] = {}
+        self._departed: deque[Participant] = deque(maxlen=MAX_DEPARTED)
         self._window_begin_s: float | None = None
         self.seal_status: Callable[[], SealStatus | None] = lambda: None
         self.on_subscription: Callable[[], None] = lambda: None
@@ -112,34 +109,20 @@ class Call:
                 case messages.Joined(peers=peers):
                     present = {peer.peer_id: peer for peer in peers}
                     for peer_id, seat in list(self._seats.items()):
-                        if not seat.stays(present.get(peer_id)):
-                            self._remove(peer_id, "lost", now)
-                            continue
-                        seat.is_away = seat.is_muted = False  # we are told again if it is so
-                        seat.resume(now)
-                        seat.note_silence(now)
-                        seat.subscription.begin(now)
+                        if seat.stays(present.get(peer_id)):
+                            seat.join_again(now)
+                        else:
+                            self._remove(peer_id, now, is_lost=True)
                     for peer in peers:
                         self._add(peer)
                 case messages.PeerJoined(peer=peer):
                     self._add(peer)
                 case messages.PeerLeft(peer_id=peer_id, reason=reason):
-                    self._remove(peer_id, reason, now)
-                case messages.PeerAway(peer_id=peer_id) | messages.PeerBack(peer_id=peer_id):
-                    if peer_id in self._seats:
-                        self._seats[peer_id].is_away = isinstance(event, messages.PeerAway)
-                case messages.PeerUpdated(peer_id=peer_id, metadata=metadata):
-                    if peer_id in self._seats:
-                        seat = self._seats[peer_id]
-                        seat.peer = replace(seat.peer, metadata=metadata)
-                        seat.note_silence(now)
-                case messages.StreamMuted(stream=stream, is_muted=is_muted):
-                    if stream in self._by_stream:
-                        seat = self._by_stream[stream]
-                        seat.is_muted = is_muted
-                        seat.note_silence(now)
+                    self._remove(peer_id, now, is_lost=reason == "lost")
                 case _:
                     pass  # a closed session is the link's affair
+            for peer_id, seat in self._seats.items():
+                seat.update(self._roster.member(peer_id), now)
             members = self._roster.members
         self.on_members(members)
 
@@ -174,7 +157,7 @@ class Call:
         """Note how much of a peer's stream is worth having; see `FaceSource.subscribe`."""
         with self._lock:
             seat = self._seats.get(peer_id)
-            has_changed = seat is not None and seat.subscription.subscribe(every, now)
+            has_changed = seat is not None and seat.subscribe(every, now)
         if has_changed:
             self.on_subscription()
 
@@ -199,8 +182,8 @@ class Call:
         """Take every frame that is due; not to be mixed with `faces`."""
         with self._lock:
             return [
-                DueFrame(seat.peer.peer_id, seat.peer.name, seat.track.avatar, frame)
-                for seat in self._seats.values()
+                DueFrame(peer_id, seat.member.peer.name, seat.track.avatar, frame)
+                for peer_id, seat in self._seats.items()
                 for frame in seat.playout.due_frames(now)
             ]
 
@@ -253,7 +236,7 @@ class Call:
     def names(self) -> dict[str, str]:
         """Name by peer id of everybody with a face."""
         with self._lock:
-            return {peer_id: seat.peer.name for peer_id, seat in self._seats.items()}
+            return {peer_id: seat.member.peer.name for peer_id, seat in self._seats.items()}
 
     def health(self) -> dict[str, StreamHealth]:
         """How the stream of each peer with a face stands, by peer id; counters since it began."""
@@ -287,7 +270,7 @@ class Call:
         with self._lock:
             begin_s = self._window_begin_s
             seconds = None if begin_s is None else now - begin_s
-            peers = [seat.stats(seconds, None) for seat in self._departed]
+            peers = [seat.stats(seconds, now) for seat in self._departed]
             peers += [seat.stats(seconds, now) for seat in self._seats.values()]
             return {
                 "seconds": None if seconds is None else round(seconds, 3),
@@ -308,20 +291,18 @@ class Call:
                 # viewer's news, and no reason to lose the connection.
                 with suppress(AvatarFileError):
                     self._avatars.get(track.avatar)
-                seat = RemoteParticipant(peer, track, self._playout)
+                member = self._roster.member(peer.peer_id)
+                seat = Participant(member, track, self._playout)
                 self._seats[peer.peer_id] = self._by_stream[track.stream] = seat
                 for former in [each for each in self._departed if each.is_same_person(peer)][-1:]:
                     self._departed.remove(former)
                     seat.succeed(former)
                 return  # one face a person
 
-    def _remove(self, peer_id: str, reason: str, now: float) -> None:
+    def _remove(self, peer_id: str, now: float, *, is_lost: bool) -> None:
         seat = self._seats.pop(peer_id, None)
         if seat is not None:
-            since_s = seat.window.silent_since_s
-            seat.note_gap(now, is_expected=False)
-            if reason == "lost":
-                seat.window.silent_since_s = since_s  # it goes on if they come back
+            seat.leave(now, is_lost=is_lost)
             self._by_stream.pop(seat.track.stream, None)
             self._departed.append(seat)
 
@@ -330,17 +311,13 @@ class Call:
         if seat is None:
             self.strays += 1
             return
-        if self._lacks_secret(seat.peer.peer_id):
+        if self._lacks_secret(seat):
             return  # it could be read as a latent all the same, and would be a heap of triangles
-        if seat.decoder is None and not self._open_decoder(seat):
-            return
-        self.errors += seat.receive_frame(frame, now)
+        if seat.has_decoder or self._open_decoder(seat):
+            self.errors += seat.receive_frame(frame, now)
 
-    def _open_decoder(self, seat: RemoteParticipant) -> bool:
+    def _open_decoder(self, seat: Participant) -> bool:
         """Make the decoder of a stream, if its avatar is there and of the sender's version."""
-        if seat.trouble:
-            self.errors += 1
-            return False
         try:
             avatar = self._avatars.get(seat.track.avatar)
         except AvatarFileError:
@@ -348,60 +325,51 @@ class Call:
         if avatar is None:
             self.without_avatar += 1
             return False
-        try:
-            seat.decoder = LatentDecoder(avatar.stream_profile(seat.track.profile))
-        except ProfileError as error:
-            seat.trouble = str(error)
-            self.errors += 1
-            return False
-        return True
+        is_open = seat.open_decoder(avatar)
+        self.errors += not is_open
+        return is_open
 
-    def _lacks_secret(self, peer_id: str) -> bool:
+    def _lacks_secret(self, seat: Participant) -> bool:
         """Whether a peer's payloads are encrypted, as it has told us, and we have no secret."""
-        return self.seal_status() is None and self._roster.member(peer_id).has_whispered
-
-    def _is_silent(self, seat: RemoteParticipant, now: float) -> bool:
-        """Whether nothing has come for so long that it is to be shown."""
-        silent_s = 0.0 if seat.last_arrival_s is None else now - seat.last_arrival_s
-        return silent_s > STALE_AFTER_S and not seat.is_paused
+        return self.seal_status() is None and seat.member.has_whispered
 
     def _seals(self) -> Mapping[str, SealState]:
         """How the encryption of each peer stands, by peer id; empty where we do not encrypt."""
         status = self.seal_status()
         return {} if status is None else status.peers
 
-    def _note(self, seat: RemoteParticipant, now: float) -> str:
+    def _note(self, seat: Participant, now: float) -> str:
         """Why a face is not to be seen, or not as it should be; empty when nothing is wrong."""
-        peer_id = seat.peer.peer_id
+        peer_id = seat.member.peer.peer_id
         note = self._seals().get(peer_id, SealState.WAITING).note or seat.note
         if note:
             return note
-        if self._lacks_secret(peer_id):
+        if self._lacks_secret(seat):
             return SECRET_NEEDED
         if seat.played is None:
             return self._avatars.note(seat.track.avatar) or "no face yet"
-        return "no signal" if self._is_silent(seat, now) else ""
+        return "no signal" if seat.is_stale(now) else ""
 
-    def _face(self, seat: RemoteParticipant, now: float, ahead_s: float) -> FaceState:
-        voice_us = self.heard_us(seat.peer.peer_id, now)
+    def _face(self, seat: Participant, now: float, ahead_s: float) -> FaceState:
+        member, peer = seat.member, seat.member.peer
+        voice_us = self.heard_us(peer.peer_id, now)
         heard_us = None if voice_us is None else voice_us + round(ahead_s * 1e6)
         played, is_held = seat.play(now, heard_us)
-        peer, avatar_id, note = seat.peer, seat.track.avatar, self._note(seat, now)
-        member = self._roster.member(peer.peer_id)
         face = FaceState(
             peer_id=peer.peer_id,
             name=member.title,
-            avatar_id=avatar_id,
+            avatar_id=seat.track.avatar,
             latent=None,
             status="waiting",
+            note=self._note(seat, now),
             place=member.place,
         )
-        if played is None or self._lacks_secret(peer.peer_id):
-            return replace(face, note=note)
+        if played is None or self._lacks_secret(seat):
+            return face
         status: FaceStatus = "concealed" if is_held or played.is_concealed else "live"
         if seat.says_absent:
             status = "away"
-        elif self._is_silent(seat, now):
+        elif seat.is_stale(now):
             status = "stale"
         if not is_held:
             newest = played.newest
@@ -417,5 +385,4 @@ class Call:
             translation_m=played.sample.translation_m,
             captured_us=max(played.captured_us, 0),
             status=status,
-            note=note,
         )

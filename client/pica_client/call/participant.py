@@ -1,34 +1,62 @@
-"""One peer with a face: what has come of its stream, and the face it makes at display time.
+"""One peer with a face: what has come of its stream, and the face it makes at display time. Pure.
 
-`call.Call` owns the seats and holds its lock around them.
+`call.Call` owns the participants and holds its lock around them. The roster knows who they are; the
+state here is that of the stream:
+
+    JOINING --a frame--> LIVE --nothing is wanted--> PAUSED --something is wanted--> JOINING
+    any of them --the peer leaves--> GONE
+
+How much is wanted goes up at once and down late, so a head that comes and goes at the edge of the
+screen costs a message or two a second at most, and its stream is there whenever it is seen.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from enum import Enum
+from typing import Any, Final
 
 from pica_client.call.connection_quality import StreamHealth
-from pica_client.call.layer_subscription import EVERY, NOTHING, LayerSubscription
+from pica_client.call.roster import Member
 from pica_client.playout.buffer import PlayedFace, Playout, PlayoutReport
 from pica_client.playout.config import PlayoutConfig
 from pica_client.publish.face_track import FACE_KEY, FACE_LOST
+from pica_core.avatar.file import Avatar
 from pica_core.codec.latent_stream import LatentDecoder
-from pica_core.errors import LatentError
+from pica_core.errors import LatentError, ProfileError
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Peer, Track
 
-RETRY_S = 0.1
+LOWER_AFTER_S: Final = 0.5
+"""Less is asked for when nothing more was wanted for so long (chosen: longer than a glance
+aside)."""
+LOWER_INTERVAL_S: Final = 1.0
+"""Shortest time between two requests for less of one stream."""
+RETRY_S: Final = 0.1
 """Until a subscription is told again that could not be, as while the network takes nothing."""
-FACE_NOTES = {
+STALE_AFTER_S: Final = 2.0
+"""A face without a frame for this long is shown as stale."""
+FACE_NOTES: Final = {
     "muted": "face is off",
     "frozen": "face is frozen",
     FACE_LOST: "no face in front of the tracker",
 }
 """Why a face stands still, by what its owner says under `FACE_KEY`."""
 
-
 Tell = Callable[[int, int], bool]
-"""Asks the relay for a share of a stream, see `Subscribe`; False if it could not be told."""
+"""Subscribes to every so many frames of a stream, see `Subscribe`; False if the relay could not be
+told."""
+
+
+class StreamState(Enum):
+    """How a stream stands."""
+
+    JOINING = "joining"
+    """A frame is waited for: the first one, or the first since the stream is wanted again."""
+    LIVE = "live"
+    PAUSED = "paused"
+    """The relay was told to send nothing."""
+    GONE = "gone"
 
 
 @dataclass(kw_only=True, slots=True)
@@ -44,42 +72,54 @@ class StreamWindow:
     before: PlayoutReport = field(default_factory=PlayoutReport)
 
 
-class RemoteParticipant:
-    """One peer with a face, and what has come from it."""
+class Participant:
+    """One peer with a face, and what has come from it.
 
-    def __init__(self, peer: Peer, track: Track, config: PlayoutConfig | None) -> None:
-        self.peer = peer
+    Attributes:
+        trouble: Why its payloads cannot be read; empty: they can, or none has come.
+        played: The face shown last; None before the first.
+        told: The relay sends every so many frames, as far as it was told.
+        reported: What the relay knows of how the stream arrived.
+    """
+
+    def __init__(self, member: Member, track: Track, config: PlayoutConfig | None) -> None:
+        self.member = member
         self.track = track
-        self.subscription = LayerSubscription()
+        self.state = StreamState.JOINING
         self.playout = Playout(config)
-        self.decoder: LatentDecoder | None = None
         self.trouble = ""
-        self.is_away = False
-        self.is_muted = False
-        self.is_paused = self.is_resuming = False
         self.played: PlayedFace | None = None
         self.last_arrival_s: float | None = None
-        self.payload_bytes = 0
-        self.window = StreamWindow()
+        self.told = self._wanted = 1  # a relay that was told nothing sends everything
         self.reported = PlayoutReport()
+        self.window = StreamWindow()
+        self._decoder: LatentDecoder | None = None
+        self._payload_bytes = 0
+        self._lower_s = math.inf  # when less is asked for
+        self._lowered_s = -math.inf
+
+    # Who it is
+
+    def update(self, member: Member, now: float) -> None:
+        """Take what the roster knows of the peer by now."""
+        self.member = member
+        self._note_silence(now)
 
     def stays(self, peer: Peer | None) -> bool:
-        """Say whether this is still the seat of whoever has its id after we joined again.
+        """Return True if the peer that has this id after we joined again is the same one.
 
-        Somebody else may have got an old id, as from another relay, or from one that lies: only who
-        is the same in every respect keeps the seat.
+        A relay may deal old ids to other peers: only one that is the same in every respect goes on.
         """
-        if peer is None or replace(peer, metadata=()) != replace(self.peer, metadata=()):
-            return False
-        self.peer = peer
-        return True
+        return peer is not None and replace(peer, metadata=()) == replace(
+            self.member.peer, metadata=()
+        )
 
     def is_same_person(self, peer: Peer) -> bool:
-        """Say whether somebody who comes is who sat here: by identity, or else by name."""
-        mine = self.peer.identity or self.peer.name
-        return mine == (peer.identity or peer.name)
+        """Return True if a newcomer is this person: by identity, or else by name."""
+        mine = self.member.peer
+        return (mine.identity or mine.name) == (peer.identity or peer.name)
 
-    def succeed(self, former: "RemoteParticipant") -> None:
+    def succeed(self, former: "Participant") -> None:
         """Go on counting where the last seat of the same person stopped."""
         counted = former.playout.report().since(former.window.before)
         self.window = replace(
@@ -87,138 +127,162 @@ class RemoteParticipant:
             before=PlayoutReport().since(counted),
         )
 
-    def note_gap(self, now: float, *, is_expected: bool) -> None:
-        """End the gap that is open, and begin another if a next frame is to be expected."""
-        window = self.window
-        if window.silent_since_s is not None:
-            window.longest_gap_s = max(window.longest_gap_s, now - window.silent_since_s)
-        window.silent_since_s = now if is_expected else None
-
-    def note_silence(self, now: float) -> None:
-        """Note that it has changed whether the stream stands still on purpose."""
-        is_expected = not (self.is_paused or self.is_muted or self.says_muted)
-        if is_expected != (self.window.silent_since_s is not None):
-            self.note_gap(now, is_expected=is_expected and self.last_arrival_s is not None)
+    def leave(self, now: float, *, is_lost: bool) -> None:
+        """Note that the peer has left; if it was lost, the gap goes on when it comes back."""
+        since_s = self.window.silent_since_s
+        self._note_gap(now, is_expected=False)
+        self.window.silent_since_s = since_s if is_lost else None
+        self.state = StreamState.GONE
 
     @property
     def note(self) -> str:
         """What is wrong with the stream, for people."""
         if self.trouble:
             return self.trouble
-        if self.is_muted:
+        if self._is_muted_by_admin:
             return "muted by an admin"
-        if self.is_away:
+        if self.member.is_away:
             return "connection lost"
         return FACE_NOTES.get(self._face_mode, "")
 
     @property
-    def says_muted(self) -> bool:
-        """Whether its owner has said that nothing is sent."""
-        return self._face_mode == "muted"
-
-    @property
     def says_absent(self) -> bool:
-        """Whether its owner has said that the tracker sees nobody."""
+        """Whether its owner has said that the tracker sees no face."""
         return self._face_mode == FACE_LOST
 
-    @property
-    def _face_mode(self) -> str:
-        return dict(self.peer.metadata).get(FACE_KEY, "")
+    def is_stale(self, now: float) -> bool:
+        """Return True if frames are missing for so long that it is to be shown."""
+        silent_s = 0.0 if self.last_arrival_s is None else now - self.last_arrival_s
+        return silent_s > STALE_AFTER_S and self.state is not StreamState.PAUSED
+
+    # How much is wanted
+
+    def subscribe(self, every: int, now: float) -> bool:
+        """Note that every so many frames are wanted, 0 for none; return True if that is news."""
+        if every == self._wanted:
+            return False
+        self._wanted = every
+        if _rate(every) >= _rate(self.told):
+            self._lower_s = math.inf
+        elif self._lower_s == math.inf:
+            self._lower_s = max(now + LOWER_AFTER_S, self._lowered_s + LOWER_INTERVAL_S)
+        return True
 
     def tell_subscription(self, tell: Tell, now: float) -> float | None:
         """Tell the relay how much is wanted, if that is due; return when to call again."""
-        subscription = self.subscription
-        share, before = subscription.due(now), subscription.told
-        if share is not None:
-            if not tell(self.track.stream, EVERY[share]):
-                return now + RETRY_S
-            subscription.note_told(share, now)
-            if share == NOTHING:
-                self.pause()
-                self.note_silence(now)
-            elif before == NOTHING:
-                self.resume(now)
-        return subscription.next_timer()
+        is_more = _rate(self._wanted) > _rate(self.told)
+        if not is_more and now < self._lower_s:
+            return self._lower_s if self._lower_s < math.inf else None
+        if not tell(self.track.stream, self._wanted):
+            return now + RETRY_S
+        if not is_more:
+            self._lowered_s = now
+        self.told, self._lower_s = self._wanted, math.inf
+        if self.told == 0:
+            self.playout.pause()
+            self.state = StreamState.PAUSED
+            self._note_silence(now)
+        else:
+            self._resume(now)
+        return None
 
-    def pause(self) -> None:
-        """Note that the relay was told to send nothing: the face stands still on purpose."""
-        self.playout.pause()
-        self.is_paused, self.is_resuming = True, False
+    def join_again(self, now: float) -> None:
+        """Begin a connection: the relay sends everything again, so less is due now."""
+        self.told = 1
+        self._lower_s = math.inf if self._wanted == 1 else now
+        self._resume(now)
 
-    def resume(self, now: float) -> None:
-        """Note that the relay was told to send again: the face stands still until the first frame
-        comes."""
-        if self.is_paused:
-            self.is_paused, self.is_resuming = False, True
+    def _resume(self, now: float) -> None:
+        """Let the face stand still until the first frame comes of a stream that was paused."""
+        if self.state is StreamState.PAUSED:
+            self.state = StreamState.JOINING
             if self.last_arrival_s is not None:
                 self.last_arrival_s = now
-            self.note_silence(now)
+            self._note_silence(now)
+
+    # The stream
+
+    def open_decoder(self, avatar: Avatar) -> bool:
+        """Make the decoder, if the avatar is of the sender's version; return True if there is
+        one."""
+        if self._decoder is None and not self.trouble:
+            try:
+                self._decoder = LatentDecoder(avatar.stream_profile(self.track.profile))
+            except ProfileError as error:
+                self.trouble = str(error)
+        return self._decoder is not None
+
+    @property
+    def has_decoder(self) -> bool:
+        """Whether frames can be taken."""
+        return self._decoder is not None
 
     def receive_frame(self, frame: Frame, now: float) -> int:
         """Take a frame off the wire; there must be a decoder. Return how many payloads could not be
         read."""
-        assert self.decoder is not None
+        assert self._decoder is not None
         num_unreadable = 0
         for received in self.playout.sender.receive(frame, now):
             try:
-                sample = self.decoder.decode(received.payload)
+                sample = self._decoder.decode(received.payload)
             except LatentError:
                 num_unreadable += 1
-            else:
-                if self.is_paused:
-                    continue  # it was on its way when we wanted nothing more
-                self.playout.receive_frame(received.decoded(sample))
-                if self.is_resuming:  # what the relay had kept; the next need not follow from it
-                    self.playout.pause()
-                self.is_resuming = False
+                continue
+            if self.state is StreamState.PAUSED:
+                continue  # it was on its way when nothing more was wanted
+            self.playout.receive_frame(received.decoded(sample))
+            if self.state is StreamState.JOINING:
+                if self.last_arrival_s is not None:
+                    self.playout.pause()  # what the relay had kept: the hole behind it is no loss
+                self.state = StreamState.LIVE
         if num_unreadable:
             return num_unreadable
         self.last_arrival_s = now
-        is_silent = self.is_paused or self.is_muted or self.says_muted
-        self.note_gap(now, is_expected=not is_silent)
-        window = self.window
-        window.received += 1
-        window.payload_bytes += len(frame.payload)
-        self.payload_bytes += len(frame.payload)
+        self._note_gap(now, is_expected=self._expects_frames)
+        self.window.received += 1
+        self.window.payload_bytes += len(frame.payload)
+        self._payload_bytes += len(frame.payload)
         return 0
 
     def play(self, now: float, heard_us: int | None = None) -> tuple[PlayedFace | None, bool]:
         """The face to show now, None before the first one; and whether the stream is stopped on
         purpose: then the face stands still, and nothing is concealed. ``heard_us`` as in
         `Playout.sample_at`."""
-        is_stopped = self.is_paused or self.is_resuming
+        is_stopped = self.state is not StreamState.LIVE
         if not is_stopped:
             self.played = self.playout.sample_at(now, heard_us)
         return self.played, is_stopped
 
+    # Statistics
+
     def begin_window(self, now: float) -> None:
-        """Begin the statistics anew."""
+        """Begin the statistics here."""
         self.window = StreamWindow(before=self.playout.report())
-        self.note_silence(now)
+        self._note_silence(now)
 
     def health(self) -> StreamHealth:
         """What judges the connection."""
         return StreamHealth(
             **asdict(self.playout.report()),
-            payload_bytes=self.payload_bytes,
-            is_paused=self.is_away or self.is_muted or self.says_muted,
+            payload_bytes=self._payload_bytes,
+            is_paused=self.member.is_away or self._is_muted,
         )
 
-    def stats(self, seconds: float | None, now: float | None) -> dict[str, Any]:
+    def stats(self, seconds: float | None, now: float) -> dict[str, Any]:
         """How the person's stream came in, over all their seats.
 
         Args:
             seconds: So long ago was `begin_window`; None: there was none, so since the call began.
-            now: The time, up to which a gap counts that is still open; None: they are gone.
+            now: The time, up to which a gap counts that is still open, unless they are gone.
         """
         window = self.window
         gap_s = window.longest_gap_s
-        if now is not None and window.silent_since_s is not None:
+        if self.state is not StreamState.GONE and window.silent_since_s is not None:
             gap_s = max(gap_s, now - window.silent_since_s)
         report = self.playout.report().since(window.before)
         counted = ("lost", "late", "concealed", "duplicates", "refused", "future", "restarts")
         return {
-            "name": self.peer.name,
+            "name": self.member.peer.name,
             "received": window.received,
             "latents_per_s": round(window.received / seconds, 2) if seconds else None,
             "payload_bps": round(window.payload_bytes * 8 / seconds) if seconds else None,
@@ -230,3 +294,37 @@ class RemoteParticipant:
             "age_ms": round(report.age_s * 1e3, 2),
             "clock_offset_ms": round(report.offset_s * 1e3, 1),
         }
+
+    @property
+    def _face_mode(self) -> str:
+        return dict(self.member.peer.metadata).get(FACE_KEY, "")
+
+    @property
+    def _is_muted_by_admin(self) -> bool:
+        return self.track.stream in self.member.muted_streams
+
+    @property
+    def _is_muted(self) -> bool:
+        return self._is_muted_by_admin or self._face_mode == "muted"
+
+    @property
+    def _expects_frames(self) -> bool:
+        return self.state is not StreamState.PAUSED and not self._is_muted
+
+    def _note_gap(self, now: float, *, is_expected: bool) -> None:
+        """End the gap that is open, and begin another if a next frame is to be expected."""
+        window = self.window
+        if window.silent_since_s is not None:
+            window.longest_gap_s = max(window.longest_gap_s, now - window.silent_since_s)
+        window.silent_since_s = now if is_expected else None
+
+    def _note_silence(self, now: float) -> None:
+        """Note that it may have changed whether the stream stands still on purpose."""
+        if self._expects_frames != (self.window.silent_since_s is not None):
+            is_expected = self._expects_frames and self.last_arrival_s is not None
+            self._note_gap(now, is_expected=is_expected)
+
+
+def _rate(every: int) -> float:
+    """The share of the frames that are sent."""
+    return 1 / every if every else 0.0

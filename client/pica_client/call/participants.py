@@ -3,7 +3,7 @@
 Pure. Who only watches is in it, too: whoever can see us is to be seen.
 """
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -63,13 +63,11 @@ def list_participants(
     own: Participant,
     room: RoomState,
     quality: Mapping[str, Quality],
-    muted_streams: Collection[int] = (),
 ) -> tuple[Participant, ...]:
     """Everybody in the room.
 
     Args:
         quality: By peer id; unknown of who is missing there.
-        muted_streams: Those that an admin has stopped.
     """
     warnings = name_warnings((member.peer for member in room.members), own.name)
     listed = [own]
@@ -90,7 +88,9 @@ def list_participants(
                 is_verified=peer_id in room.verified,
                 identity=member.peer.identity,
                 muted_kinds=frozenset(
-                    track.kind for track in member.peer.tracks if track.stream in muted_streams
+                    track.kind
+                    for track in member.peer.tracks
+                    if track.stream in member.muted_streams
                 ),
                 is_assured=member.peer.is_name_assured,
                 warning=warnings[peer_id],

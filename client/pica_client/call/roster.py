@@ -59,6 +59,8 @@ class Member:
     """Counts those of one name, from 1; kept when others of that name go."""
     is_away: bool = False
     """Whether the connection is lost and may come back."""
+    muted_streams: frozenset[int] = frozenset()
+    """What an admin has stopped of theirs."""
     has_whispered: bool = False
     """Whether it has sent us a key that we can do nothing with: it encrypts, and we do not."""
 
@@ -169,6 +171,12 @@ class Roster:
             ):
                 member = self._members[peer_id]
                 self._update(member, replace(member.peer, metadata=metadata))
+            case messages.StreamMuted(stream=stream, is_muted=is_muted):
+                for peer_id, member in self._members.items():
+                    if any(track.stream == stream for track in member.peer.tracks):
+                        muted = member.muted_streams - {stream}
+                        muted |= {stream} if is_muted else set()
+                        self._members[peer_id] = replace(member, muted_streams=muted)
             case messages.Whisper(peer_id=peer_id) if peer_id in self._members:
                 self._members[peer_id] = replace(self._members[peer_id], has_whispered=True)
             case _:
@@ -200,7 +208,7 @@ class Roster:
         if event.resumed:  # ids mean whom they meant
             for peer in event.peers:
                 if peer.peer_id in before:
-                    self._update(replace(before.pop(peer.peer_id), is_away=False), peer)
+                    self._update(_reset(before.pop(peer.peer_id)), peer)
         self._keep(before.values(), now, is_told=event.resumed)
         for peer in event.peers:
             if peer.peer_id not in self._members:
@@ -219,7 +227,7 @@ class Roster:
         if found is not None:
             self._missing.remove(found)
             if not found.is_told and _tracks(found.member.peer) == _tracks(peer):
-                self._update(replace(found.member, is_away=False), peer)
+                self._update(_reset(found.member), peer)
                 return
         taken = {each.namesake for each in self._members.values() if each.peer.name == peer.name}
         if peer.name == self.own_name:
@@ -249,6 +257,11 @@ class Roster:
 
     def _tell(self, kind: NewsKind, member: Member) -> None:
         self._news = [*self._news, News(kind, member.title)][-MAX_NEWS:]
+
+
+def _reset(member: Member) -> Member:
+    """A member of a new connection: what is so still is told again."""
+    return replace(member, is_away=False, muted_streams=frozenset())
 
 
 def _tracks(peer: messages.Peer) -> tuple[tuple[str, str], ...]:

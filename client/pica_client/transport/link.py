@@ -212,12 +212,6 @@ class Link:
         session = self._session  # another thread may ask
         return session is not None and session.is_admin
 
-    @property
-    def muted_streams(self) -> frozenset[int]:
-        """Streams of the room that an admin has stopped."""
-        session = self._session
-        return frozenset() if session is None else session.muted
-
     def _tell(self, message: FromMember) -> bool:
         """Have the session take one more message, if it can, and let the writer look."""
         session = self._session

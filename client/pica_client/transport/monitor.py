@@ -42,9 +42,7 @@ class CallMonitor:
         room, guard = receiver.call.room(now), receiver.link.guard
         quality = {peer_id: peer.quality for peer_id, peer in peers.items()}
         return CallStatus(
-            participants=list_participants(
-                self._own(room.own_name), room, quality, receiver.link.muted_streams
-            ),
+            participants=list_participants(self._own(room.own_name), room, quality),
             news=room.news,
             room=receiver.link.config.room,
             invitation=invitation(receiver.link.config.url, receiver.link.config.room),
