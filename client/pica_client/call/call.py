@@ -9,10 +9,10 @@ the face is held; a peer whose avatar nobody has gets a seat without a face.
 
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 from pica_client.avatars.library import AvatarStore
 from pica_client.call.connection_quality import StreamHealth
@@ -57,6 +57,31 @@ class DueFrame(NamedTuple):
     frame: DecodedFrame
 
 
+class Ears(Protocol):
+    """What plays the voices of a call."""
+
+    def heard_us(self, peer_id: str, now: float) -> int | None:
+        """The moment of a peer's voice, on its clock, that leaves the loudspeaker now."""
+        ...
+
+    def seat(self, members: Sequence[Member]) -> None:
+        """Take who else is in the room; called on the network's thread."""
+        ...
+
+
+class Connection(Protocol):
+    """What a call needs of the network; any thread may ask."""
+
+    @property
+    def seal_status(self) -> SealStatus | None:
+        """How the encryption stands; None where nothing is encrypted."""
+        ...
+
+    def wake(self) -> None:
+        """Note that `Call.tell_subscriptions` has news."""
+        ...
+
+
 class Call:
     """Everybody in the room and how their faces look; a `pica_client.call.faces.FaceSource`.
 
@@ -64,21 +89,20 @@ class Call:
         errors: Payloads that could not be read.
         without_avatar: Frames whose avatar is not there, or not yet.
         strays: Frames of streams that nobody owns, as when their peer has just left.
-        seal_status: Says how the encryption stands; None where we do not encrypt. Asked on any
-            thread.
-        on_subscription: Called, on any thread, when `tell_subscriptions` has news.
-        on_members: Is told who else is in the room, on the network's thread, after all that may
-            have changed it.
-        heard_us: Says which moment of somebody's voice leaves the loudspeaker, by peer id and our
-            clock; their face is then led by it.
         skews_s: By how much each face is off its voice when it is seen, either way.
         delays_s: How old the sound was that was heard when a face was shown; only where sender and
             receiver share a clock does it say anything.
     """
 
     def __init__(
-        self, avatars: AvatarStore, playout: PlayoutConfig | None = None, *, log_shown: bool = False
+        self,
+        avatars: AvatarStore,
+        playout: PlayoutConfig | None = None,
+        *,
+        ears: Ears | None = None,
+        log_shown: bool = False,
     ) -> None:
+        """Prepare; faces are led by the voices that the ears play."""
         self.errors = self.without_avatar = self.strays = 0
         # Drops its oldest when full.
         self._shown: deque[Shown] = deque(maxlen=MAX_SHOWN if log_shown else 0)
@@ -90,13 +114,15 @@ class Call:
         self._by_stream: dict[int, Participant] = {}
         self._departed: deque[Participant] = deque(maxlen=MAX_DEPARTED)
         self._window_begin_s: float | None = None
-        self.seal_status: Callable[[], SealStatus | None] = lambda: None
-        self.on_subscription: Callable[[], None] = lambda: None
-        self.on_members: Callable[[Sequence[Member]], None] = lambda members: None
-        self.heard_us: Callable[[str, float], int | None] = lambda peer_id, now: None
+        self._ears = ears
+        self._connection: Connection | None = None
         self.skews_s, self.delays_s = Samples(), Samples()
 
     # The network's side
+
+    def connect(self, connection: Connection) -> None:
+        """Take what runs the link, before its first event."""
+        self._connection = connection
 
     def receive_event(self, event: ClientEvent, now: float) -> None:
         """Take an event of the link's session."""
@@ -124,7 +150,8 @@ class Call:
             for peer_id, seat in self._seats.items():
                 seat.update(self._roster.member(peer_id), now)
             members = self._roster.members
-        self.on_members(members)
+        if self._ears is not None:
+            self._ears.seat(members)
 
     def take_report(self) -> messages.Report:
         """How the streams arrived since the last report, for the relay."""
@@ -158,8 +185,8 @@ class Call:
         with self._lock:
             seat = self._seats.get(peer_id)
             has_changed = seat is not None and seat.subscribe(every, now)
-        if has_changed:
-            self.on_subscription()
+        if has_changed and self._connection is not None:
+            self._connection.wake()
 
     def faces(self, now: float, ahead_s: float = 0.0) -> list[FaceState]:
         """Return everybody's face at display time; see `FaceSource.faces`."""
@@ -331,11 +358,15 @@ class Call:
 
     def _lacks_secret(self, seat: Participant) -> bool:
         """Whether a peer's payloads are encrypted, as it has told us, and we have no secret."""
-        return self.seal_status() is None and seat.member.has_whispered
+        return seat.member.has_whispered and self._seal_status is None
+
+    @property
+    def _seal_status(self) -> SealStatus | None:
+        return None if self._connection is None else self._connection.seal_status
 
     def _seals(self) -> Mapping[str, SealState]:
         """How the encryption of each peer stands, by peer id; empty where we do not encrypt."""
-        status = self.seal_status()
+        status = self._seal_status
         return {} if status is None else status.peers
 
     def _note(self, seat: Participant, now: float) -> str:
@@ -352,7 +383,7 @@ class Call:
 
     def _face(self, seat: Participant, now: float, ahead_s: float) -> FaceState:
         member, peer = seat.member, seat.member.peer
-        voice_us = self.heard_us(peer.peer_id, now)
+        voice_us = None if self._ears is None else self._ears.heard_us(peer.peer_id, now)
         heard_us = None if voice_us is None else voice_us + round(ahead_s * 1e6)
         played, is_held = seat.play(now, heard_us)
         face = FaceState(

@@ -13,6 +13,7 @@ from typing import Any, Self
 
 from pica_client.avatars.upload import AvatarGiver
 from pica_client.call.call import Call
+from pica_client.e2ee.status import SealStatus
 from pica_client.publish.face_track import FACE_TRACK, RECORDS_KEY, RECORDS_YES
 from pica_client.publish.publisher import Publisher
 from pica_client.transport.config import LinkConfig
@@ -71,12 +72,10 @@ class Receiver:
         self._takes_faces = takes_faces
         tracks = tuple(each.track for each in (publisher, voice) if each is not None)
         self.link = Link(link_config, tracks, on_event=self._on_event, rng=rng)
-        guard = self.link.guard
-        call.seal_status = lambda: None if guard is None else guard.status
         self.arrived = asyncio.Event()
         """Set by every event; for those who wait on the same loop."""
         self._subscribed = asyncio.Event()
-        call.on_subscription = lambda: self._call_soon(self._subscribed.set)
+        call.connect(self)
         self._loop: asyncio.AbstractEventLoop | None = None
         self._started = threading.Event()
         self._thread: threading.Thread | None = None
@@ -128,6 +127,15 @@ class Receiver:
         self.is_recording = is_recording
         value = RECORDS_YES if is_recording else ""
         self._call_soon(lambda: self.link.describe(RECORDS_KEY, value))
+
+    def wake(self) -> None:
+        """Note that the call wants another share of a stream; any thread may call it."""
+        self._call_soon(self._subscribed.set)
+
+    @property
+    def seal_status(self) -> SealStatus | None:
+        """How the encryption stands; None where nothing is encrypted."""
+        return None if self.link.guard is None else self.link.guard.status
 
     @property
     def is_connected(self) -> bool:

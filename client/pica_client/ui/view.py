@@ -80,8 +80,6 @@ class View:
         check_writable(options.viewer.record, ".mp4")
         self._options, self._link, self.state = options, link, state
         self._fetcher = self._make_fetcher(library) if options.fetch else None
-        avatars = self._fetcher or library
-        self._call = Call(avatars, log_shown=options.frame_log is not None)
         self._publisher = None if face is None else face.publisher
         state.name = link.name
         state.enter(tuple(library.names))
@@ -94,6 +92,11 @@ class View:
         assert sound is not None
         voice = sound if state.entered.voice == "mic" else open_voice(state.entered.voice)
         self._hearing, self._trouble = self._make_hearing(sound), ""
+        self._call = Call(
+            self._fetcher or library,
+            ears=self._hearing,
+            log_shown=options.frame_log is not None,
+        )
         has_sound = self._hearing is not None or voice is sound
         self._sound = sound if has_sound else None
         is_sealed = link.secret_file is not None
@@ -185,7 +188,7 @@ class View:
             "errors": drawn["errors"] + received["errors"],
             "problems": [*problems, *outputs.failures],
             "received": received,
-            "voice": None if self._hearing is None else self._hearing.stats(),
+            "voice": None if self._hearing is None else self._hearing.stats(self._call),
             "avatars_fetched": 0 if self._fetcher is None else self._fetcher.num_fetched,
         }
 
@@ -195,7 +198,7 @@ class View:
         if (trouble := available()) is not None:
             say(f"a call without sound: {trouble}")
             return None
-        return Hearing(self._call, sound)
+        return Hearing(sound)
 
     def _make_fetcher(self, library: AvatarLibrary) -> AvatarFetcher:
         ca_file = self._link.ca_file

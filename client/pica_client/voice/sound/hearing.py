@@ -16,13 +16,16 @@ WIDTH_RAD = 0.7
 
 
 class Hearing:
-    """Plays the voices of a call; faces are led by what leaves the loudspeaker."""
+    """Plays the voices of a call; faces are led by what leaves the loudspeaker. Give it to the call
+    as its ears."""
 
-    def __init__(self, call: Call, sound: SoundProcess) -> None:
+    def __init__(self, sound: SoundProcess) -> None:
         self._sound = sound
-        self._call = call
         self._seated: list[str] = []
-        call.heard_us, call.on_members = sound.heard_us, self.seat
+
+    def heard_us(self, peer_id: str, now: float) -> int | None:
+        """The moment of a peer's voice, on its clock, that leaves the loudspeaker now."""
+        return self._sound.heard_us(peer_id, now)
 
     def seat(self, members: Sequence[Member]) -> None:
         """Give everybody with a face or a voice a place, in the order of coming; others are
@@ -37,16 +40,16 @@ class Hearing:
         """Take a packet of somebody's voice."""
         self._sound.receive(peer_id, packet, arrived_s)
 
-    def stats(self) -> dict[str, Any]:
-        """How sound and faces went since the call's statistics began.
+    def stats(self, call: Call) -> dict[str, Any]:
+        """How sound and the faces of a call went since the call's statistics began.
 
         ``mouth_to_ear_ms`` means something only where sender and receiver share a clock.
         """
         voices, speaker = self._sound.stats(), self._sound.state.speaker
         ratios = [voice["concealed_ratio"] for voice in voices.values()]
         return {
-            "skew_ms": self._call.skews_s.summary_ms(),
-            "mouth_to_ear_ms": self._call.delays_s.summary_ms(),
+            "skew_ms": call.skews_s.summary_ms(),
+            "mouth_to_ear_ms": call.delays_s.summary_ms(),
             "concealed_ratio": round(sum(ratios) / len(ratios), 4) if ratios else None,
             "loudspeaker": speaker.name,
             "trouble": speaker.note or available() or "",

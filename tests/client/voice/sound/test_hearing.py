@@ -36,8 +36,9 @@ def person(peer_id: str, *kinds: str) -> Peer:
 
 
 def test_each_has_a_place_until_they_leave() -> None:
-    sound, call = Seats(), Call(AvatarLibrary(()))
-    hearing = Hearing(call, sound)
+    sound = Seats()
+    hearing = Hearing(sound)
+    call = Call(AvatarLibrary(()), ears=hearing)
     people = (person("ada", FACE_TRACK), person("eve"), person("ben", VOICE_TRACK))
     call.receive_event(Joined(room="r", peer_id="me", peers=people), now=0.0)
     call.receive_event(PeerJoined(peer=person("cho", VOICE_TRACK)), now=1.0)
