@@ -17,10 +17,9 @@ from pica_server.room.connections import Connections
 from pica_server.room.outbox import ArrivedFrame
 from pica_server.room.room import Room, Stream
 
-SHED_S: Final = 0.03
-"""A turn of the event loop that takes longer sheds faces (chosen: a face at 30 frames a second)."""
 LATE_S: Final = 0.1
-"""A turn that takes longer is overload (chosen: three faces): newcomers are told to come later."""
+"""A turn of the event loop that takes longer sheds faces (chosen: three faces; a shorter one may be
+the machine's doing); two in a row are overload: newcomers are told to come later."""
 CALM_S: Final = 5.0
 """Without such a turn until newcomers are let in again (chosen)."""
 
@@ -40,7 +39,7 @@ class Overload:
     def note_turn(self, late_s: float, now: float) -> None:
         """Note how late the event loop has just been; one pause alone is no overload."""
         before_s, self._late_s = self._late_s, late_s
-        self.sheds = late_s >= SHED_S
+        self.sheds = late_s >= LATE_S
         if late_s >= LATE_S and before_s >= LATE_S:
             self._refuses_until_s = now + CALM_S
 
