@@ -54,5 +54,5 @@ def test_the_first_byte_is_marker_and_level_of_rfc_6464() -> None:
 def test_the_golden_packet_is_the_first_after_a_silence_at_minus_30_decibels() -> None:
     (frame,) = FRAMES["voice packet"]
     packet = decode_payload(frame.sequence, frame.captured_us, frame.payload)
-    assert packet == VoicePacket(7, 1_234_560_000, b"opus packet", level=30, is_first=True)
+    assert packet == VoicePacket(7, 34_560_000, b"opus packet", level=30, is_first=True)
     assert encode_payload(packet) == frame.payload
