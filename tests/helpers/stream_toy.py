@@ -17,8 +17,8 @@ from helpers.toy import make_toy_avatar
 from pica_core.avatar.file import Avatar
 from pica_core.codec.latent_sample import DecodedFrame
 from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
-from pica_core.codec.learning import LearningConfig, RenderMetric, learn_profile
 from pica_core.codec.profile import StreamProfile
+from pica_core.train.stream_learning import RenderMetric, learn_profile
 from pica_core.types import Float64Array
 
 NUM_DIRECTIONS = 12
@@ -67,15 +67,21 @@ def toy_pose(seed: int, num_frames: int) -> Float64Array:
 def toy_profile() -> StreamProfile:
     """Eight components and eight tables, learned in a fraction of a second."""
     faces = [toy_faces(seed, 150, live) for seed, live in ((1, 1.0), (2, 0.5), (3, 0.2))]
-    config = LearningConfig(num_components=NUM_COMPONENTS, num_tables=8, turn_sweeps=2)
-    return learn_profile(faces, toy_metric(), config)
+    return learn_profile(
+        faces, toy_metric(), num_components=NUM_COMPONENTS, num_tables=8, turn_sweeps=2
+    )
 
 
 @functools.cache
 def other_profile() -> StreamProfile:
     """What another version of the same avatar would bring."""
-    config = LearningConfig(num_components=NUM_COMPONENTS, num_tables=5, turn_sweeps=0)
-    return learn_profile([toy_faces(9, 150)], toy_metric(), config)
+    return learn_profile(
+        [toy_faces(9, 150)],
+        toy_metric(),
+        num_components=NUM_COMPONENTS,
+        num_tables=5,
+        turn_sweeps=0,
+    )
 
 
 @functools.cache

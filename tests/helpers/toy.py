@@ -15,8 +15,8 @@ from pica_core.avatar.manifest import Manifest
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.avatar.variants import VARIANTS
 from pica_core.codec.latent_stream import LatentEncoder
-from pica_core.codec.learning import LearningConfig, RenderMetric, learn_profile
 from pica_core.latent import LATENT_SHAPE
+from pica_core.train.stream_learning import RenderMetric, learn_profile
 from pica_core.types import FloatArray
 
 PAPER_SPEC = AvatarSpec(block="H2")
@@ -98,8 +98,7 @@ def _stream(encoder_weight: FloatArray) -> dict[str, npt.NDArray[np.generic]]:
     directions = np.linalg.qr(spanned)[0].T
     faces = np.random.default_rng(3).standard_normal((120, len(directions))) @ directions
     metric = RenderMetric(directions, 64.0 * np.eye(len(directions)))
-    config = LearningConfig(num_components=len(directions), num_tables=2, turn_sweeps=0)
-    return learn_profile([faces], metric, config).to_tensors()
+    return learn_profile([faces], metric, num_tables=2, turn_sweeps=0).to_tensors()
 
 
 def toy_payload(avatar: Avatar, value: float = 0.0) -> bytes:

@@ -25,6 +25,7 @@ something moves by more than a tracker's noise.
 All is integers. Nothing here knows of time or networks; `now_us` is an argument.
 """
 
+from bisect import bisect_right
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,12 +65,6 @@ HEARTBEAT_US = 250_000
 MAX_POSE = np.repeat((np.pi, 1.0), 3)
 """Rotation vectors (radians) and offsets (metres) are clamped to this: half a turn, an arm's length
 about the chair."""
-
-_ACTIVITY_LEVEL = bytes(
-    sum(activity >= level for level in ACTIVITY_LEVELS)
-    for activity in range(ACTIVITY_LEVELS[-1] + 1)
-)
-_MAX_ACTIVITY = len(_ACTIVITY_LEVEL) - 1
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -158,11 +153,6 @@ def decode_frame(profile: StreamProfile, payload: bytes) -> tuple[Int64Array, bo
     return coefficients, bool(header & IS_STILL)
 
 
-def context_of(activity: int) -> int:
-    """The context of a coefficient, by the sum of the magnitudes just before it."""
-    return _ACTIVITY_LEVEL[min(activity, _MAX_ACTIVITY)]
-
-
 def _write_face(
     ranges: list[Range], values: list[int], tables: tuple[tuple[Table, ...], ...]
 ) -> None:
@@ -170,7 +160,8 @@ def _write_face(
     for place, value in enumerate(values):
         magnitude = abs(value)
         shown = min(magnitude, ESCAPE)
-        ranges.append(tables[place][context_of(activity)].ranges[2 * shown - (value > 0)])
+        table = tables[place][bisect_right(ACTIVITY_LEVELS, activity)]
+        ranges.append(table.ranges[2 * shown - (value > 0)])
         if magnitude >= ESCAPE:
             rest = magnitude - ESCAPE + 1
             length = rest.bit_length() - 1
@@ -188,7 +179,7 @@ def _read_face(
 ) -> None:
     activity = 0
     for place, contexts in enumerate(tables):
-        symbol = reader.read(contexts[context_of(activity)])
+        symbol = reader.read(contexts[bisect_right(ACTIVITY_LEVELS, activity)])
         if symbol:
             magnitude = (symbol + 1) >> 1
             if magnitude >= ESCAPE:
@@ -228,6 +219,11 @@ class LatentEncoder:
         if self.config.quality > highest:
             raise LatentError(f"quality is {self.config.quality}; this avatar has 0 to {highest}")
         self._multiples = self.config.multiples
+        finest = min(self.config.quality + 1, highest)
+        least_step = int(profile.steps[finest, : profile.num_components].min())
+        # Far from the limit of what is decoded: rounding must not step over it.
+        largest = (ESCAPE + (1 << MAX_REST_BITS)) * least_step
+        self._largest_face = min(MAX_COEFFICIENT // 2, largest)
         self._moved = np.full(profile.num_coefficients, MOVED_FACE)
         self._moved[profile.num_components :] = MOVED_POSE
         self.restart()
@@ -299,16 +295,8 @@ class LatentEncoder:
             raise LatentError("latent or pose holds a value that is not finite")
         units = np.rint(np.clip(pose.reshape(-1), -MAX_POSE, MAX_POSE) / POSE_UNIT)
         face = self.profile.analyse(values.reshape(NUM_LATENT))
-        # Far from the limit of what is decoded: rounding must not step over it.
-        largest = min(MAX_COEFFICIENT // 2, self._largest_face())
-        np.clip(face, -largest, largest, out=face)
+        np.clip(face, -self._largest_face, self._largest_face, out=face)
         return np.concatenate((face, units.astype(np.int64)))
-
-    def _largest_face(self) -> int:
-        """What the finest quality that is used can say of a coefficient of the latent."""
-        quality = min(self.config.quality + 1, self.profile.num_qualities - 1)
-        least_step = int(self.profile.steps[quality, : self.profile.num_components].min())
-        return (ESCAPE + (1 << MAX_REST_BITS)) * least_step
 
 
 class LatentDecoder:

@@ -1,6 +1,6 @@
 """What both ends of a latent stream share: transform, steps and integer probability tables.
 
-Learned once per avatar (`learning`) and carried by the avatar file under the names
+Learned at export (`pica_core.train.stream_learning`) and carried by the avatar file under the names
 ``stream.*``. Everything is integers, so that two machines that read the same profile make the same
 bytes and the same latents. `StreamProfile.hash` names it in the handshake.
 

@@ -34,7 +34,7 @@ RANGE_BYTES = 6
 _FULL_RANGE = 1 << (8 * RANGE_BYTES)
 _LEAST_RANGE = _FULL_RANGE >> 8
 MAX_PAYLOAD_BYTES = 512
-"""Longest payload that is looked at; keyframes take 20 to 60 bytes."""
+"""Longest payload that is looked at; faces take 10 to 60."""
 
 Range = tuple[int, int]
 """Start and frequency of one symbol."""
@@ -110,29 +110,14 @@ class SymbolReader:
 
     def read(self, table: Table) -> int:
         """Take a symbol of a table."""
-        width = self._width >> TOTAL_BITS
-        slot = self._code // width
-        if slot >= TOTAL:
-            raise LatentError("payload holds a code that no encoder writes")
-        symbol = table.symbol_of_slot[slot]
-        start, frequency = table.ranges[symbol]
-        self._code -= start * width
-        self._width = width * frequency
-        if self._width < _LEAST_RANGE:
-            self._shift()
+        symbol = table.symbol_of_slot[self._slot()]
+        self._take(*table.ranges[symbol])
         return symbol
 
     def read_uniform(self, num_bits: int) -> int:
         """Take a number of up to 14 bits."""
-        width = self._width >> TOTAL_BITS
-        size = TOTAL >> num_bits
-        value = self._code // (width * size)
-        if value >> num_bits:
-            raise LatentError("payload holds a code that no encoder writes")
-        self._code -= value * size * width
-        self._width = width * size
-        if self._width < _LEAST_RANGE:
-            self._shift()
+        value = self._slot() >> (TOTAL_BITS - num_bits)
+        self._take(*uniform(value, num_bits))
         return value
 
     def finish(self) -> None:
@@ -144,7 +129,16 @@ class SymbolReader:
         if len(self._payload) > self._next:
             raise LatentError(f"payload has {len(self._payload) - self._next} bytes too many")
 
-    def _shift(self) -> None:
+    def _slot(self) -> int:
+        self._width >>= TOTAL_BITS
+        slot = self._code // self._width
+        if slot >= TOTAL:
+            raise LatentError("payload holds a code that no encoder writes")
+        return slot
+
+    def _take(self, start: int, frequency: int) -> None:
+        self._code -= start * self._width
+        self._width *= frequency
         while self._width < _LEAST_RANGE:
             place = self._next
             byte = self._payload[place] if place < len(self._payload) else 0

@@ -45,7 +45,7 @@ from pica_core.codec.profile import (
     StreamProfile,
 )
 from pica_core.codec.range_coder import TOTAL
-from pica_core.errors import ProfileError, ShapeError, check_ranges
+from pica_core.errors import ProfileError, ShapeError
 from pica_core.latent import LATENT_SHAPE, NUM_LATENT
 from pica_core.types import Float64Array, Int64Array
 
@@ -65,21 +65,6 @@ LEAST_GAIN = 1e-3
 """Directions of less effect on the image than this share of the strongest count as that strong."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class LearningConfig:
-    """How a profile is learned."""
-
-    num_components: int = 60
-    """Coefficients kept of the latent: those beyond change the image by an MSE below 0.1."""
-    num_tables: int = 32
-    """Probability tables (64 gained nothing)."""
-    turn_sweeps: int = 6
-    """Passes over all pairs of components when turning for sparseness; 0 keeps the plain KLT."""
-
-    def __post_init__(self) -> None:
-        check_ranges(self, num_components=(1, 128), num_tables=(1, 256), turn_sweeps=(0, 100))
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class RenderMetric:
     """How much a change of the latent changes the rendered image, to first order."""
@@ -93,40 +78,32 @@ class RenderMetric:
 def learn_profile(
     sequences: Sequence[npt.NDArray[np.floating[Any]]],
     metric: RenderMetric,
-    config: LearningConfig | None = None,
+    *,
+    num_components: int = 60,
+    num_tables: int = 32,
+    turn_sweeps: int = 6,
 ) -> StreamProfile:
     """Learn a profile.
 
     Args:
         sequences: Latents of performances at about 30 frames a second, each ``[T, 8, 8, 4]`` or
             ``[T, 256]``, of several kinds and speeds: what they hold decides the tables.
+        num_components: Coefficients kept of the latent: those beyond 60 change the image by an MSE
+            below 0.1.
+        num_tables: Probability tables (64 gained nothing).
+        turn_sweeps: Passes over all pairs of components when turning for sparseness; 0 keeps the
+            Karhunen-Loève transform as it is.
 
     Raises:
         ShapeError: Sequences of another shape, or too short to learn from.
         ProfileError: Latents or a metric that no profile can hold.
     """
-    config = config or LearningConfig()
     codes = _checked(sequences, metric)
     rng = np.random.default_rng(0)
     mean = np.concatenate(codes).mean(axis=0)
-    forward, backward = _transform(codes, mean, metric, config, rng)
-    empty = _without_tables(mean, forward, backward)
-    faces = [np.stack([empty.analyse(latent) for latent in code]) for code in codes]
-    return with_tables(empty, faces, config.num_tables, rng)
-
-
-def with_tables(
-    profile: StreamProfile,
-    faces: Sequence[Int64Array],
-    num_tables: int,
-    rng: np.random.Generator,
-) -> StreamProfile:
-    """The same profile with tables for such faces.
-
-    Args:
-        faces: Coefficients of performances, ``[T, K]`` each.
-        num_tables: Probability tables to gather the histograms into.
-    """
+    forward, backward = _transform(codes, mean, metric, num_components, turn_sweeps, rng)
+    profile = _without_tables(mean, forward, backward)
+    faces = [np.stack([profile.analyse(latent) for latent in code]) for code in codes]
     counts, lengths, headers = _count(profile, faces, rng)
     tables, index = _gather(counts, num_tables, rng)
     qualities = np.full(profile.num_qualities, 1.0)
@@ -169,7 +146,8 @@ def _transform(
     codes: list[Float64Array],
     mean: Float64Array,
     metric: RenderMetric,
-    config: LearningConfig,
+    num_components: int,
+    turn_sweeps: int,
     rng: np.random.Generator,
 ) -> tuple[Float64Array, Float64Array]:
     """Latent to coefficients ``[256, K]`` and back ``[K, 256]``, unit a root of rendered MSE."""
@@ -179,11 +157,11 @@ def _transform(
     inverse = (vectors / np.sqrt(values)) @ vectors.T
     seen = [(c - mean) @ metric.directions.T @ root for c in codes]
     spread, axes = np.linalg.eigh(np.cov(np.concatenate(seen).T))
-    axes = axes[:, np.argsort(spread)[::-1][: config.num_components]]
+    axes = axes[:, np.argsort(spread)[::-1][:num_components]]
     values = np.concatenate(seen) @ axes
     if len(values) > TURN_FRAMES:
         values = values[rng.choice(len(values), TURN_FRAMES, replace=False)]
-    turn = _sparse_turn(values, config.turn_sweeps, LATENT_STEPS[4] / UNITS_PER_RMSE)
+    turn = _sparse_turn(values, turn_sweeps, LATENT_STEPS[4] / UNITS_PER_RMSE)
     # Busy components first: by then the context knows how lively the frame is.
     turn = turn[:, np.argsort(-np.abs(values @ turn).mean(axis=0))]
     axes = axes @ turn
@@ -283,7 +261,8 @@ def _contexts(values: Int64Array) -> Int64Array:
     sums = np.pad(np.abs(values).cumsum(axis=1), ((0, 0), (1, 0)))
     ends = np.arange(values.shape[1])
     before = sums[:, ends] - sums[:, np.maximum(ends - ACTIVITY_WINDOW, 0)]
-    return sum((before >= level).astype(np.int64) for level in ACTIVITY_LEVELS)
+    made: Int64Array = sum((before >= level).astype(np.int64) for level in ACTIVITY_LEVELS)
+    return made
 
 
 def _wandering_pose(length: int, rng: np.random.Generator) -> Int64Array:
@@ -296,7 +275,8 @@ def _wandering_pose(length: int, rng: np.random.Generator) -> Int64Array:
         pose += strength * np.sin(2 * np.pi * times / period_s + phase)
     pose *= np.array([0.05] * 3 + [0.006] * 3) * rng.choice([0.0, 0.3, 1.0])
     noise = rng.normal(0, [0.0005] * 3 + [0.0001] * 3, (length, NUM_POSE)) * rng.choice([0.0, 1.0])
-    return np.rint((pose + noise) * (1 << POSE_BITS)).astype(np.int64)
+    made: Int64Array = np.rint((pose + noise) * (1 << POSE_BITS)).astype(np.int64)
+    return made
 
 
 def _gather(
@@ -339,4 +319,5 @@ def _frequencies(weights: Float64Array) -> npt.NDArray[np.uint16]:
     floors = np.floor(exact).astype(np.int64)
     order = np.argsort(-(exact - floors), kind="stable")
     floors[order[: spare - int(floors.sum())]] += 1
-    return (floors + 1).astype(np.uint16)
+    made: npt.NDArray[np.uint16] = (floors + 1).astype(np.uint16)
+    return made

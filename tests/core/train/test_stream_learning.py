@@ -15,14 +15,25 @@ from helpers.stream_toy import (
     toy_profile,
 )
 from pica_core.codec.latent_stream import StreamConfig
-from pica_core.codec.learning import LearningConfig, RenderMetric, learn_profile
 from pica_core.codec.profile import NUM_LENGTHS, NUM_POSE, NUM_SYMBOLS, StreamProfile
 from pica_core.errors import ProfileError, ShapeError
+from pica_core.train.stream_learning import RenderMetric, learn_profile
 
 pytestmark = pytest.mark.unit
 
-QUICK = LearningConfig(num_components=4, num_tables=3, turn_sweeps=1)
 FACES = toy_faces(1, 150)
+
+
+def learn(
+    sequences: list[np.ndarray], metric: RenderMetric | None = None, num_components: int = 4
+) -> StreamProfile:
+    return learn_profile(
+        sequences,
+        metric or toy_metric(),
+        num_components=num_components,
+        num_tables=3,
+        turn_sweeps=1,
+    )
 
 
 def num_bytes(profile: StreamProfile, **options: int) -> int:
@@ -32,13 +43,13 @@ def num_bytes(profile: StreamProfile, **options: int) -> int:
 
 
 def test_learning_again_gives_the_same_profile() -> None:
-    hashes = {learn_profile([FACES], toy_metric(), QUICK).hash for _ in range(2)}
+    hashes = {learn([FACES]).hash for _ in range(2)}
     assert len(hashes) == 1
 
 
 def test_a_flat_latent_is_taken_as_a_folded_one() -> None:
-    folded = learn_profile([FACES], toy_metric(), QUICK)
-    flat = learn_profile([FACES.reshape(-1, 256)], toy_metric(), QUICK)
+    folded = learn([FACES])
+    flat = learn([FACES.reshape(-1, 256)])
     assert folded.hash == flat.hash
 
 
@@ -46,8 +57,7 @@ def test_a_flat_latent_is_taken_as_a_folded_one() -> None:
 def test_there_are_as_many_components_as_asked_for_and_as_the_metric_knows(
     asked: int, found: int
 ) -> None:
-    config = LearningConfig(num_components=asked, num_tables=3, turn_sweeps=1)
-    assert learn_profile([FACES], toy_metric(), config).num_components == found
+    assert learn([FACES], num_components=asked).num_components == found
 
 
 def test_one_unit_of_a_coefficient_is_a_64th_of_a_root_of_rendered_mse() -> None:
@@ -80,7 +90,7 @@ def test_learned_tables_are_worth_having() -> None:
 
 
 def test_faces_that_never_change_give_a_profile_all_the_same() -> None:
-    profile = learn_profile([np.ones((120, 256))], toy_metric(), QUICK)
+    profile = learn([np.ones((120, 256))])
     np.testing.assert_array_equal(
         profile.synthesise(np.zeros(profile.num_components, np.int64)), np.ones(256)
     )
@@ -101,7 +111,7 @@ def test_faces_that_never_change_give_a_profile_all_the_same() -> None:
 )
 def test_sequences_of_another_shape_are_refused(sequences: list[np.ndarray]) -> None:
     with pytest.raises(ShapeError, match="are needed"):
-        learn_profile(sequences, toy_metric(), QUICK)
+        learn(sequences)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 257.0, -1e9])
@@ -109,7 +119,7 @@ def test_latents_that_no_profile_can_hold_are_refused(value: float) -> None:
     faces = FACES.copy()
     faces[3, 0, 0, 0] = value
     with pytest.raises(ProfileError, match="not finite or beyond 256"):
-        learn_profile([faces], toy_metric(), QUICK)
+        learn([faces])
 
 
 @pytest.mark.parametrize(
@@ -124,13 +134,4 @@ def test_latents_that_no_profile_can_hold_are_refused(value: float) -> None:
 def test_a_metric_that_no_profile_can_hold_is_refused(scale: float, message: str) -> None:
     metric = RenderMetric(toy_metric().directions, toy_metric().gram * scale)
     with pytest.raises(ProfileError, match=message):
-        learn_profile([FACES], metric, QUICK)
-
-
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [("num_components", 0), ("num_components", 129), ("num_tables", 257), ("turn_sweeps", -1)],
-)
-def test_an_option_out_of_its_range_is_refused_by_name(field: str, value: int) -> None:
-    with pytest.raises(ValueError, match=f"{field} is {value}"):
-        LearningConfig(**{field: value})
+        learn([FACES], metric)
