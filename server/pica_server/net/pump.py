@@ -2,7 +2,7 @@
 
 What a websocket receives goes to the hub at once. When all sockets that were readable in a turn of
 the event loop have been read, who has got something is sent it, so frames that came in one turn
-leave in one message: nobody waits for that, and a core with more to do saves more. While the kernel
+leave in one message: nothing waits for that, and a full core saves more. While the kernel
 takes what is sent, that is all. A receiver that reads slowly gets a task of its own, which sends it
 what its `Outbox` gives out, and the same task sends the goodbye. One timer serves all deadlines of
 the hub.
@@ -145,9 +145,9 @@ class Pump:
     def _on_messages(self, connection: Connection, messages: Sequence[bytes | str]) -> None:
         """Feed the hub with what one websocket has received."""
         hub, now = self._hub, self._now()
-        if len(messages) > 1 and hub.overload.sheds:
-            messages = hub.shed(connection, messages, now)
         try:
+            if len(messages) > 1 and hub.overload.sheds:
+                messages = hub.shed(connection, messages, now)
             for data in messages:
                 hub.receive(connection, data, now)
         except Exception:  # a fault of ours; it must not cost anybody else anything

@@ -1,7 +1,7 @@
 """What goes from peer to peer: frames to all who want them, and whispers. Pure.
 
 A relay that is late has more to do than it can: of several faces that one publisher sent since the
-last turn of the event loop it then forwards the newest alone, and lets nobody new in (`Overload`).
+last turn of the event loop it then forwards the newest alone, and refuses newcomers (`Overload`).
 """
 
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import Final
 
 from pica_protocol.errors import CloseCode
-from pica_protocol.frames import HEADER_BYTES, MEDIA_KIND
+from pica_protocol.frames import HEADER_BYTES, LENGTH_MASK, MEDIA_KIND
 from pica_protocol.messages import StreamMuted, Whisper
 from pica_protocol.session import Media
 from pica_server.room.connection import Connection
@@ -44,7 +44,7 @@ class Overload:
             self._refuses_until_s = now + CALM_S
 
     def refuses(self, now: float) -> bool:
-        """Whether nobody new is let in."""
+        """Whether newcomers are refused."""
         return now < self._refuses_until_s
 
 
@@ -103,7 +103,7 @@ class Forwarding:
             is_face = (
                 len(data) > HEADER_BYTES
                 and data[0] == MEDIA_KIND
-                and len(data) == 1 + HEADER_BYTES + (int.from_bytes(data[7:9], "big") & 0x7FF)
+                and len(data) == 1 + HEADER_BYTES + (int.from_bytes(data[7:9], "big") & LENGTH_MASK)
                 and stream is not None
                 and stream.publisher == connection.peer_id
                 and stream.deadline_s is None
@@ -116,27 +116,23 @@ class Forwarding:
             kept.append(data)
         return kept[::-1]
 
-    def subscribe(self, connection: Connection, stream: int, every: int, now: float) -> None:
+    def subscribe(self, connection: Connection, number: int, every: int) -> None:
         """Follow a receiver's subscription; who begins to want a stream gets its newest frame."""
         room = connection.room
         assert room is not None
-        if room.subscribe(connection.peer_id, stream, every):
-            self._send_newest(connection, room, stream)
+        stream = room.stream(number)
+        if room.subscribe(connection.peer_id, number, every) and stream is not None:
+            self._send_newest(connection, stream)
         elif every == 0:
-            self._stats.unwanted += connection.outbox.drop_stream(stream)
+            self._stats.unwanted += connection.outbox.drop_stream(number)
 
     def catch_up(self, connection: Connection, room: Room) -> None:
         """Give a receiver who comes, or comes back, the newest frame of every stream."""
-        for number, _ in room.streams:
-            self._send_newest(connection, room, number)
+        for _, stream in room.streams:
+            self._send_newest(connection, stream)
 
-    def _send_newest(self, connection: Connection, room: Room, number: int) -> None:
-        stream = room.stream(number)
-        if (
-            stream is not None
-            and stream.newest is not None
-            and stream.publisher != connection.peer_id
-        ):
+    def _send_newest(self, connection: Connection, stream: Stream) -> None:
+        if stream.newest is not None and stream.publisher != connection.peer_id:
             self._stats.frames_resumed += 1
             connection.outbox.put(stream.newest)
             self._connections.ready[connection] = None

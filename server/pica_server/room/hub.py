@@ -274,7 +274,7 @@ class Hub:
                 self.stats.reported_lost += sum(stream.lost for stream in event.streams)
                 self.stats.reported_concealed += sum(s.concealed for s in event.streams)
             case Subscribe(stream=stream, every=every):
-                self.forwarding.subscribe(connection, stream, every, now)
+                self.forwarding.subscribe(connection, stream, every)
             case Whisper():
                 self.forwarding.whisper(connection, event, now)
             case RemovePeer() | MutePeer() | BarIdentity():
