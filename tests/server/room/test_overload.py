@@ -1,0 +1,34 @@
+import pytest
+
+from helpers.members import hub_with
+from pica_protocol.frames import Frame, encode_frame, media_message
+from pica_server.room.forwarding import CALM_S, LATE_S, Overload
+
+pytestmark = pytest.mark.unit
+
+
+def test_one_late_turn_sheds_and_two_in_a_row_refuse_newcomers_for_a_while() -> None:
+    overload = Overload()
+    overload.note_turn(LATE_S, now=1.0)
+    assert overload.sheds
+    assert not overload.refuses(1.0)
+    overload.note_turn(LATE_S, now=1.1)
+    assert overload.refuses(1.1)
+    overload.note_turn(0.0, now=1.2)
+    assert not overload.sheds
+    assert not overload.refuses(1.1 + CALM_S)
+
+
+def test_of_faces_that_came_together_a_late_relay_looks_at_the_newest_of_each_stream() -> None:
+    hub, (ada, _) = hub_with("Ada", "Bob")
+
+    def face(sequence: int, stream: int = ada.stream) -> bytes:
+        frame = Frame(stream=stream, sequence=sequence, captured_us=0, payload=b"face")
+        return media_message([encode_frame(frame)])
+
+    control = b"\x01\x80"
+    messages = [face(0), control, face(1), face(2)]
+    assert hub.shed(ada.connection, messages, 1.0) == [control, face(2)]
+    assert hub.stats.dropped == {"late": 2}
+    foreign = [face(0, stream=999), face(1, stream=999)]
+    assert hub.shed(ada.connection, foreign, 1.0) == foreign
