@@ -3,7 +3,7 @@
 ``python tests/golden/stream_vectors.py`` writes ``stream.json``. The file is for decoders in any
 language; all in it is integers or hexadecimal.
 
-    profile        the arrays of docs/bitstream.md: type, shape, values row after row
+    profile        the arrays of docs/wire.md: type, shape, values row after row
     profile_hash   their SHA-256, as the handshake names them
     performance    faces: latents in units of 2^-12, poses (rotation, translation) of 2^-14; the
                    last one is held for so many faces more

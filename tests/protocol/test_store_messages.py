@@ -1,14 +1,12 @@
 """The sub-protocol of uploads: its bytes, and what is refused."""
 
 import json
-import re
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from golden.wire_samples import CHUNK, GOLDEN, STORE_MESSAGES, store_bytes
-from helpers.paths import ROOT
 from pica_protocol.codec import decode_message, decode_store_message, encode_message
 from pica_protocol.errors import RemoteProtocolError
 from pica_protocol.messages import Hello
@@ -23,7 +21,6 @@ from pica_protocol.store import (
 pytestmark = pytest.mark.unit
 
 VECTORS = json.loads(GOLDEN.read_text())["store"]
-DOCUMENT = (ROOT / "docs" / "wire.md").read_text()
 ID = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
 
 
@@ -35,12 +32,6 @@ def test_samples_are_the_golden_bytes_both_ways(name: str) -> None:
         assert decode_chunk(data) == CHUNK
     else:
         assert decode_store_message(data) == STORE_MESSAGES[name]
-
-
-@pytest.mark.parametrize("name", VECTORS)
-def test_the_document_shows_the_bytes(name: str) -> None:
-    shown = re.sub(r"\s", "", "".join(re.findall(r"```hex\n(.*?)```", DOCUMENT, re.DOTALL)))
-    assert VECTORS[name] in shown
 
 
 def test_the_golden_file_holds_every_sample() -> None:

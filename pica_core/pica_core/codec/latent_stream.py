@@ -12,7 +12,7 @@ A payload holds, in this order: the quality; what the frame holds (header); the 
 latent, then those of the pose. A part in which all are 0 is left out. Probabilities come from the
 profile: each coefficient of the latent has a table by its place and by a context, which is how
 large the coefficients just before it in the same frame are. Pose coefficients are written as their
-length in bits, by a table of each, their sign and the rest. See docs/bitstream.md.
+length in bits, by a table of each, their sign and the rest. See docs/wire.md.
 
 So anybody may drop any frame, a loss costs exactly what was lost, and who joins late decodes the
 next frame. Who wants less of a stream gets the frames whose sequence number is a multiple of 2 or
