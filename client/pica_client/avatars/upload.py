@@ -58,11 +58,8 @@ async def push_avatar(
     """Give a relay, ws:// or wss://, an avatar's file, unless it has it.
 
     Args:
-        link: Has the token that allows to wear this avatar, and whom to trust with wss://.
+        link: Has the token that allows to wear this avatar, and the certificates for wss://.
         identity: The SHA-256 of the file, in hexadecimal.
-
-    Returns:
-        What the relay says.
 
     Raises:
         PushError: The relay is not there, keeps no avatars, or does not take this one.
@@ -78,10 +75,9 @@ async def push_avatar(
             answer = await _answer(websocket)
             if isinstance(answer, store.Ready):
                 for begin in range(0, len(data), store.MAX_CHUNK_BYTES):
-                    await websocket.send(
-                        store.encode_chunk(data[begin : begin + store.MAX_CHUNK_BYTES])
-                    )
-                    progress(min(begin + store.MAX_CHUNK_BYTES, len(data)) / len(data))
+                    end = min(begin + store.MAX_CHUNK_BYTES, len(data))
+                    await websocket.send(store.encode_chunk(data[begin:end]))
+                    progress(end / len(data))
                 answer = await _answer(websocket)
             if not isinstance(answer, store.Stored):
                 raise _not_understood()
@@ -134,17 +130,14 @@ class AvatarGiver:
                 if getattr(error, "is_worth_retrying", False) and attempt < MAX_ATTEMPTS:
                     await asyncio.sleep(random.uniform(0.125, 0.25) * 2**attempt)
                     continue
-                self._note(str(error))
+                if self.outcome != str(error):
+                    self._say(f"the relay did not get this avatar's file ({error}): others need it")
+                self.outcome = str(error)
             else:
                 if stored.is_new:
                     self._say("gave the relay this avatar's file, for those who do not have it")
                 self.outcome = "given" if stored.is_new else "known"
             return
-
-    def _note(self, why: str) -> None:
-        if self.outcome != why:
-            self._say(f"the relay did not get this avatar's file ({why}): others need it, too")
-        self.outcome = why
 
 
 @asynccontextmanager
