@@ -48,13 +48,7 @@ from pica_core.avatar.manifest import Manifest
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.avatar.static import NAME as STATIC_NAME
 from pica_core.avatar.static import decoded_faces, parts_of, static_shape, textured_faces
-from pica_core.avatar.storage import (
-    DEFAULT_STORAGE,
-    Storage,
-    check_finite,
-    to_memory,
-    to_storage,
-)
+from pica_core.avatar.storage import check_finite, to_memory, to_storage
 from pica_core.codec.profile import PREFIX as STREAM_PREFIX
 from pica_core.codec.profile import StreamProfile, profile_shapes
 from pica_core.errors import AvatarFileError, ProfileError
@@ -205,7 +199,6 @@ def avatar_id(source: Path | str | bytes) -> str:
 def save_avatar(
     path: Path | str,
     avatar: Avatar,
-    storage: Mapping[str, Storage] = DEFAULT_STORAGE,
     *,
     like: Path | str | bytes | None = None,
 ) -> None:
@@ -213,8 +206,6 @@ def save_avatar(
 
     Args:
         path: Replaced if it exists.
-        storage: How to store a tensor, by name. Unnamed ones: fp16 for decoders and expression
-            encoder, else float32.
         like: An avatar file that this avatar was made from. Tensors that have not changed are
             stored as they stand there; rounding them anew could move their last bits.
 
@@ -231,7 +222,7 @@ def save_avatar(
     affine: dict[str, Any] = {}
     for name, array in tensors.items():
         num_vertices = len(tensors["mesh.vertex_uv"])
-        small, table = kept.get(name) or to_storage(name, array, num_vertices, storage.get(name))
+        small, table = kept.get(name) or to_storage(name, array, num_vertices)
         stored[name] = np.ascontiguousarray(small)
         if table is not None:
             affine[name] = table

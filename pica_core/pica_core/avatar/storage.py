@@ -4,7 +4,7 @@ fp16, or 8 or 16 bit integers q with value = offset + scale * q per last-axis ch
 tables stand in the file's metadata key ``storage``. Integers that are integers anyway stay so.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, Literal
 
@@ -22,7 +22,7 @@ MAX_MAGNITUDE = 1e6
 """Largest absolute value of any weight: trained ones are below 1e3; sums of products stay finite in
 float32."""
 
-DEFAULT_STORAGE: Mapping[str, Storage] = MappingProxyType(
+_STORAGE: Mapping[str, Storage] = MappingProxyType(
     {
         "uv_encoding": "u8",
         "u_encoding": "f16",
@@ -42,40 +42,15 @@ texels in 8 bits, its bias in fp16, the rest of it in float32.
 and over a UV 1/64 of a texel, where fp16 would be 60 micrometres and half a texel.
 """
 
-Precision = Literal["mixed", "f32", "f16", "u8"]
-"""Ways to store a whole avatar: see `storage_of`."""
 SIGNED_STEP = float(np.float32(1 / 127))
 """Step of "s8": values from -1 to 1 in 8 bits, 0 exactly."""
 
 
-def storage_of(precision: Precision, names: Iterable[str]) -> dict[str, Storage]:
-    """How to store tensors of these names so that all of an avatar has one precision.
-
-    Args:
-        precision: mixed is `DEFAULT_STORAGE`. f32 rounds nothing. f16 and u8 store decoders,
-            encodings and expression encoder so; positions and UVs stay at 16-bit integers, and the
-            two small sine networks at float32: they are 343 numbers.
-    """
-    if precision == "mixed":
-        return dict(DEFAULT_STORAGE)
-    apart = (STREAM_PREFIX, LEVEL_PREFIX, STATIC_NAME)
-    own = [name for name in names if not (name.startswith(apart) or is_index(name))]
-    if precision == "f32":
-        return dict.fromkeys(own, "f32")
-    weights = [name for name in own if not name.startswith(("xyz.", "pixel."))]
-    always = ("geometry.mean", "mesh.vertex_uv", "linear.mean", "linear.basis")
-    stored = dict.fromkeys(weights, precision)
-    return stored | {name: DEFAULT_STORAGE[name] for name in always if name in own}
-
-
-def to_storage(
-    name: str, array: Array, num_vertices: int, kind: Storage | None = None
-) -> tuple[Array, dict[str, Any] | None]:
+def to_storage(name: str, array: Array, num_vertices: int) -> tuple[Array, dict[str, Any] | None]:
     """A tensor as the file holds it.
 
     Args:
         num_vertices: Vertices of the mesh: triangles of small meshes take half the bytes.
-        kind: How to store it; None for fp16 or float32, as is usual for its name.
 
     Returns:
         What to write, and the table of scales and offsets if there is one.
@@ -85,7 +60,7 @@ def to_storage(
     if is_index(name):
         is_short = num_vertices <= 2**16 and array.max() < 2**16
         return array.astype(np.uint16 if is_short else np.int32), None
-    kind = kind or _usual(name)
+    kind = _STORAGE.get(name) or _usual(name)
     if kind == "s8":
         channels = array.shape[-1]
         offset = [-128 * SIGNED_STEP] * channels

@@ -1,7 +1,7 @@
-"""`pica avatar info`, `pica avatar verify` and `pica avatar precision`."""
+"""`pica avatar info` and `pica avatar verify`."""
 
 import sys
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +14,8 @@ from pica_core.avatar.file import avatar_id, load_avatar
 from pica_core.avatar.shipped import avatar_file
 from pica_core.avatar.variants import pixel_codec_cost
 from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder
-from pica_core.errors import AvatarFileError, check_ranges
+from pica_core.errors import AvatarFileError
 from pica_core.reference.pixel import count_parameters
-from pica_core.reference.precision import measure_precisions
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -35,19 +34,6 @@ class AvatarVerifyOptions:
     """Name of a shipped avatar, or a .pica file."""
     sha256: str = ""
     """Expected identity, hexadecimal; empty to accept any."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class AvatarPrecisionOptions:
-    """Options of `pica avatar precision`."""
-
-    file: Path = field(kw_only=False)
-    """Name of a shipped avatar or a .pica file, best one that was exported with --precision f32."""
-    frames: int = 8
-    """Frames of a sentence to decode, at 30 a second."""
-
-    def __post_init__(self) -> None:
-        check_ranges(self, AvatarFileError, frames=(2, 10_000))
 
 
 def avatar_info(options: AvatarInfoOptions) -> dict[str, Any]:
@@ -105,17 +91,3 @@ def avatar_verify(options: AvatarVerifyOptions) -> dict[str, Any]:
     LatentDecoder(profile).decode(frame.payload)
     print(f"{file}: ok, {identity}", file=sys.stderr)
     return {"file": str(file), "ok": True, "sha256": identity}
-
-
-def avatar_precision(options: AvatarPrecisionOptions) -> dict[str, Any]:
-    """Measure what storing an avatar in 32, 16 or 8 bits costs: error, and flicker."""
-    file = avatar_file(options.file)
-    avatar = load_avatar(file)
-    found = [asdict(cost) for cost in measure_precisions(avatar, options.frames)]
-    for row in found:
-        print(
-            f"{row['precision']:6} {row['bytes'] / 1e6:7.3f} MB  MSE {row['mse']:9.5f}  "
-            f"flicker {row['flicker_mse']:9.5f}  positions {row['position_error_um']:7.2f} um",
-            file=sys.stderr,
-        )
-    return {"file": str(file), "rows": found}

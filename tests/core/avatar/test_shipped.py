@@ -47,7 +47,6 @@ def test_a_small_picture_of_each_person_ships() -> None:
     [
         ["avatar", "info"],
         ["avatar", "verify"],
-        ["avatar", "precision"],
         ["avatar", "push"],
         ["avatar", "measure", "--out", "out.pica"],
         ["avatar", "levels", "--out", "out.pica"],

@@ -17,7 +17,6 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from pica_core.avatar.baseline import save_baseline
 from pica_core.avatar.file import Avatar, avatar_id, save_avatar
-from pica_core.avatar.storage import Precision, storage_of
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.errors import CaptureError, CheckpointError, TrainingOptionError, check_ranges
 from pica_core.model.avatar import PixelCodecAvatar
@@ -93,9 +92,6 @@ class ExportOptions:
     levels: bool = True
     """Fit levels of detail (a minute or two). Without them far heads cost as much as near ones;
     `pica avatar levels` adds them to a file later."""
-    precision: Precision = "mixed"
-    """How weights and maps are stored: mixed is the smallest that shows no difference
-    (docs/variants.md)."""
     threads: int = 2
     """CPU threads of torch. From two on, levels are fitted in a process of their own while the
     stream is learned."""
@@ -191,7 +187,7 @@ def export(options: ExportOptions) -> dict[str, Any]:
                 tensors |= with_levels.tensors
                 print("\n".join(map(describe, reports)), file=sys.stderr)
     avatar = replace(avatar, tensors=tensors)
-    save_avatar(options.out, avatar, storage_of(options.precision, avatar.tensors))
+    save_avatar(options.out, avatar)
     return {
         **written(options.out),
         "id": avatar_id(options.out),
