@@ -97,9 +97,10 @@ class Rasteriser:
 
     def __exit__(self, *_: object) -> None:
         """Give the context back; the rasteriser is useless afterwards."""
-        self._target = None
-        self._meshes.clear()
-        self._context.gc()
+        with self._context:
+            self._target = None
+            self._meshes.clear()
+            self._context.gc()
         self._context.release()
 
     def triangle_ids(self, vertices_m: FloatArray, camera: Camera) -> IntArray:
@@ -111,13 +112,15 @@ class Rasteriser:
     def batch_ids(self, vertices_m: FloatArray, cameras: Sequence[Camera]) -> IntArray:
         """`triangle_ids` of N meshes ``[N, V, 3]``, each through its camera, all of one image size,
         read back at once: ``[N, H, W]``."""
-        self._draw(vertices_m, cameras)
-        return self._read(cameras, 0).astype(np.int32) - 1
+        with self._context:  # another rasteriser of this thread may have been current
+            self._draw(vertices_m, cameras)
+            return self._read(cameras, 0).astype(np.int32) - 1
 
     def batch_depths_m(self, cameras: Sequence[Camera]) -> FloatArray:
         """Depths along the cameras' axes of what `batch_ids` drew last, 0 where nothing is: metres,
         good to about 0.01 mm at 1 m, float32 ``[N, H, W]``."""
-        window = self._read(cameras, -1)
+        with self._context:
+            window = self._read(cameras, -1)
         near, far = NEAR_M, FAR_M
         depths = near * far / (far - window * (far - near))
         return np.where(window < 1, depths, 0).astype(np.float32)

@@ -63,6 +63,17 @@ def test_back_faces_are_not_drawn() -> None:
     assert (ids < 0).all()
 
 
+def test_a_rasteriser_draws_on_after_another_of_its_thread_is_closed() -> None:
+    with Rasteriser(FACE, 3) as first:
+        before = first.triangle_ids(TRIANGLE, front_camera())
+        with Rasteriser(FACE, 3) as second:
+            second.triangle_ids(TRIANGLE, front_camera(32))
+        after = first.triangle_ids(TRIANGLE, front_camera())
+
+    assert (before >= 0).any()
+    np.testing.assert_array_equal(before, after)
+
+
 def test_the_nearer_of_two_triangles_is_seen() -> None:
     vertices = np.concatenate([TRIANGLE, TRIANGLE + np.float32([0, 0, 0.2])])
     faces = np.array([[0, 1, 2], [3, 4, 5]], np.int32)
