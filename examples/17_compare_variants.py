@@ -19,7 +19,7 @@ for name, row in VARIANTS.items():
         if getattr(row, part) != getattr(FULL, part)
     ]
     if row.network != FULL.network:
-        print(f"{name:9} {', '.join(parts)}: a network of its own, see docs/variants.md")
+        print(f"{name:9} {', '.join(parts)}: a network of its own, see docs/training.md")
         continue
     cost = pixel_codec_cost(replace(SPEC, encoding=row.encoding, geometry=row.geometry))
     print(

@@ -1,9 +1,8 @@
-"""Redraw the charts and tables of docs/ from the lines in docs/results/, or add such a line.
+"""Redraw the charts and tables of docs/results.md from docs/results/*.jsonl, or add such a line.
 
 python scripts/chart.py                                      every chart and table
 python scripts/chart.py relay voice                          some of them
 python scripts/chart.py --record call bench call             run a command, append its result
-python scripts/chart.py --record faults tests/faults.py --json
 
 Charts are SVG. Charts and tables show the newest line of their file and end with its source: date,
 commit and command. A recorded line holds these, the machine and the result as JSON, which is the
@@ -20,8 +19,10 @@ import platform
 import subprocess
 import sys
 import textwrap
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
+from statistics import mean
 from typing import Any
 
 import matplotlib
@@ -32,6 +33,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "docs" / "results"
+PAGE = ROOT / "docs" / "results.md"
 PAGE_COLUMNS = 118
 BLUE, ORANGE, YELLOW, GREY = "#0072B2", "#D55E00", "#E69F00", "#777777"
 COLOURS = (BLUE, ORANGE, "#009E73", "#CC79A7", YELLOW)
@@ -80,15 +82,15 @@ def save(figure: Figure, name: str, line: Line, title: str = "") -> None:
     path.write_text("\n".join(text.rstrip() for text in path.read_text().splitlines()) + "\n")
 
 
-def fill_in(page: Path, mark: str, text: str, line: Line) -> None:
-    """Replace what stands between ``<!-- MARK -->`` and ``<!-- end MARK -->`` of a page."""
+def fill_in(mark: str, text: str, source: str) -> None:
+    """Replace what stands between ``<!-- MARK -->`` and ``<!-- end MARK -->`` of the page."""
     begin, end = f"<!-- {mark} -->", f"<!-- end {mark} -->"
-    before, found, rest = page.read_text().partition(begin)
+    before, found, rest = PAGE.read_text().partition(begin)
     _, found_end, after = rest.partition(end)
     if not (found and found_end):
-        sys.exit(f"{page.relative_to(ROOT)} has no place for {mark!r}")
-    source = textwrap.fill(source_line(line), PAGE_COLUMNS, break_on_hyphens=False)
-    page.write_text(f"{before}{begin}\n{text}\n\n{source}\n{end}{after}")
+        sys.exit(f"{PAGE.relative_to(ROOT)} has no place for {mark!r}")
+    source = textwrap.fill(source, PAGE_COLUMNS, break_on_hyphens=False)
+    PAGE.write_text(f"{before}{begin}\n{text}\n\n{source}\n{end}{after}")
 
 
 def table(rows: Iterable[Row], columns: Mapping[str, Column]) -> str:
@@ -113,16 +115,56 @@ def plain_ticks(axis: Axis) -> None:
     axis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:g}"))
 
 
-def pair(figures: Mapping[str, float | None], names: Sequence[str], digits: int) -> str:
-    """Return two percentiles as one cell."""
-    return " / ".join("–" if (f := figures[n]) is None else f"{f:.{digits}f}" for n in names)
+def joined(figures: Mapping[str, float | None], names: Sequence[str], digits: int) -> str:
+    """Return some figures as one cell."""
+    return "/".join("–" if (f := figures[n]) is None else f"{f:.{digits}f}" for n in names)
+
+
+def newest_fence() -> dict[str, Line]:
+    """Return the newest line of each row of the fence."""
+    return {line["row"]: line for line in read_lines("fence")}
+
+
+def shown(value: float) -> str:
+    """Return a figure with four digits."""
+    return f"{value:,.0f}" if value >= 1e4 else f"{value:.4g}"
+
+
+def chart_fence() -> None:
+    """Fill in the newest figures of calls, decoding and drawing."""
+    lines = newest_fence()
+    rows = [
+        {
+            "row": name,
+            "commit": line["commit"],
+            "figures": ", ".join(
+                f"{figure.replace('_', ' ')} {shown(values[0])}"
+                for figure, values in line["figures"].items()
+            ),
+        }
+        for name, line in lines.items()
+        if name.split()[0] in ("call", "demo", "decode", "scene")
+    ]
+    dates = sorted({line["date"] for line in lines.values()})
+    columns = {name: name for name in ("row", "figures", "commit")}
+    fill_in("fence", table(rows, columns), f"{dates[-1]} · python scripts/fence.py")
+
+
+def chart_faults() -> None:
+    """Fill in after how many seconds all faces are back, for each fault."""
+    line = newest_fence()["faults"]
+    rows = [
+        {"fault": name.removesuffix(": back_after_s"), "seconds": f"{values[0]:.1f}"}
+        for name, values in line["figures"].items()
+        if name.endswith("back_after_s")
+    ]
+    source = f"{line['date']} · commit {line['commit']} · python tests/faults.py"
+    fill_in("faults", table(rows, {"fault": "fault", "back after, s": "seconds"}), source)
 
 
 SERVERS: dict[str, dict[str, Any]] = {
     "relay": {"label": "pica relay", "color": BLUE, "marker": "o"},
-    "naive": {"label": "naive, same library", "color": ORANGE, "marker": "s"},
-    "naive-uvloop": {"label": "naive, with uvloop", "color": YELLOW, "marker": "^"},
-    "echo": {"label": "echo: the generator's limit", "color": GREY, "marker": "."},
+    "naive": {"label": "naive", "color": ORANGE, "marker": "s"},
 }
 
 
@@ -131,11 +173,11 @@ def chart_relay() -> None:
 
     Of several runs of one load, the one with the median processor time stands for all.
     """
-    lines = [line for line in read_lines("relay") if "forward_ms" in line["result"]]
-    newest = [line for line in lines if line["commit"] == lines[-1]["commit"]]
+    lines = read_lines("relay")
+    newest = [line["result"] for line in lines if line["commit"] == lines[-1]["commit"]]
     loads = []
-    for rooms in sorted({line["result"]["rooms"] for line in newest}):
-        runs = [line["result"] for line in newest if line["result"]["rooms"] == rooms]
+    for rooms in sorted({result["rooms"] for result in newest}):
+        runs = [result for result in newest if result["rooms"] == rooms]
         runs.sort(key=lambda run: float(run["relay_cpu_s_per_1000"]))
         loads.append({"relay": runs[len(runs) // 2], **runs[len(runs) // 2].get("compare", {})})
     rows = [row | {"server": name} for load in loads for name, row in load.items()]
@@ -156,23 +198,23 @@ def chart_relay() -> None:
     axes[2].set_xlabel("rooms of five at 30 frames/s each")
     save(figure, "relay", lines[-1], "One relay process on one core, the load on the other")
     columns: dict[str, Column] = {
-        "rooms": lambda row: row["rooms"] if row["server"] == "relay" else "",
+        "rooms": "rooms",
         "server": lambda row: SERVERS[row["server"]]["label"],
         "delivered/s": "{delivered_per_s:,.0f}",
-        "p50 / p99, ms": lambda row: pair(row["forward_ms"], ("p50", "p99"), 1),
+        "p50/p99, ms": lambda row: joined(row["forward_ms"], ("p50", "p99"), 1),
         "missing": "missing",
-        "core busy": lambda row: f"{row['relay_cpu_ratio']:.0%}" if row["relay_cpu_ratio"] else "–",
+        "core busy": lambda row: f"{row['relay_cpu_ratio']:.0%}",
         "s per 1,000": "relay_cpu_s_per_1000",
         "bytes/connection": "bytes_per_connection",
     }
-    fill_in(RESULTS / "relay.md", "relay-load", table(rows, columns), lines[-1])
+    fill_in("relay", table(rows, columns), source_line(lines[-1]))
 
 
 def chart_scene() -> None:
     """Draw what one to five heads cost over one that fills the screen, and the error it leaves."""
     line = read_lines("scene")[-1]
     summary = line["result"]["summary"]
-    rows = [row for row in line["result"]["rows"] if row["view"] == "front"]
+    rows = [row for row in line["result"]["rows"] if row.get("view", "front") == "front"]
     figure, (cost, error) = plt.subplots(1, 2, figsize=(7.2, 3.4))
     for distance, colour in zip(sorted({r["distance_cm"] for r in rows}), COLOURS, strict=False):
         for is_scheduled, style in ((True, "-o"), (False, "--x")):
@@ -196,114 +238,103 @@ def chart_scene() -> None:
     for axis in (cost, error):
         axis.set_ylim(bottom=0)
     save(figure, "scene", line)
+
+
+def chart_codec() -> None:
+    """Fill in what bits buy."""
+    line = read_lines("codec")[-1]
     columns: dict[str, Column] = {
-        "distance, cm": "{distance_cm:g}",
-        "five heads over one that fills the screen": "scheduled_over_full_screen",
-        "without the scheduler": "unscheduled_over_full_screen",
-        "MSE": "error",
+        "source": lambda row: row["source"].split(":")[1],
+        "profile": "profile",
+        "payload, kbit/s": lambda row: f"{row['payload_bps'] / 1e3:.2f}",
+        "wire, kbit/s": lambda row: f"{row['wire_bps'] / 1e3:.1f}",
+        "MSE": "{mse:.2f}",
+        "of changes": "{change_mse:.2f}",
+        "encode + decode, µs": lambda row: f"{row['encode_us']:.0f}+{row['decode_us']:.0f}",
     }
-    fill_in(RESULTS / "receiver.md", "scene", table(summary["scenes"], columns), line)
+    fill_in("codec", table(line["result"]["rows"], columns), source_line(line))
 
 
-def chart_models() -> None:
-    """Draw the error of trained models against what decoding and drawing them costs."""
-    line = read_lines("models")[-1]
-    models, rows = line["result"]["models"], line["result"]["rows"]
-    distances = sorted({row["distance_cm"] for row in rows})
-    figure, axes = plt.subplots(1, len(distances), figsize=(3.4 * len(distances), 4), sharey=True)
-    for axis, distance in zip(axes, distances, strict=True):
-        for number, model in enumerate(models):
-            (ms,) = (
-                row["total_ms"]
-                for row in rows
-                if row["distance_cm"] == distance
-                and all(row[name] == model[name] for name in ("identity", "variant", "block"))
-            )
-            error = model["mse"]
-            axis.errorbar(
-                ms,
-                error,
-                yerr=[[error - model["mse_low"]], [model["mse_high"] - error]],
-                fmt="osD^"[number // len(COLOURS)],
-                color=COLOURS[number % len(COLOURS)],
-                elinewidth=0.6,
-                label=f"{model['variant']} {model['block'] or ''}",
-            )
-        axis.set_title(f"{distance:g} cm", fontsize=9)
-        axis.set_xlabel("decode + draw, ms")
-    axes[0].set_ylabel("MSE, 0–255, held-out frames")
-    axes[-1].legend(fontsize=7, loc="center left", bbox_to_anchor=(1, 0.5))
-    save(figure, "models", line)
-
-
-FAMILIES = {
-    "jitter": "jitter p95, ms",
-    "stall": "stall every 2.5 s, ms",
-    "retransmit": "TCP segments lost, %",
-    "thin": "dropped by the relay, %",
-    "rate": "rate of the link, kbit/s",
-}
-"""Families of network scenarios, and what their axis says; a condition is FAMILY-LEVEL."""
+def chart_playout() -> None:
+    """Fill in what each playout policy makes of each network condition."""
+    line = read_lines("playout")[-1]
+    cells: dict[str, Row] = defaultdict(dict)
+    for row in line["result"]["rows"]:
+        figures = (row["mse_expression"], row["added_delay_ms_p95"], row["longest_gap_ms"])
+        cells[row["scenario"]][row["policy"]] = "{:.1f} / {:.0f} / {:.0f}".format(*figures)
+    columns: dict[str, Column] = {
+        "condition": "condition",
+        "adaptive": "adaptive",
+        "fixed 100 ms": "fixed",
+        "none": "unbuffered",
+    }
+    rows = [{"condition": name} | row for name, row in cells.items()]
+    fill_in("playout", table(rows, columns), source_line(line))
 
 
 def chart_voice() -> None:
-    """Draw intelligibility, delay and skew of a voice under network conditions."""
+    """Fill in intelligibility, delay and skew of a voice under network conditions."""
     line = read_lines("voice")[-1]
-    rows = line["result"]["rows"]
-    panels: dict[str, Callable[[Row], Any]] = {
-        "words: STOI": lambda row: row["stoi"],
-        "mouth to ear p95, ms": lambda row: row["mouth_to_ear_ms"]["p95"],
-        "|skew| p95, ms": lambda row: row["skew_ms"]["p95"],
-    }
-    figure, grid = plt.subplots(3, len(FAMILIES), figsize=(12, 7), sharex="col", sharey="row")
-    for axes, (label, value) in zip(grid, panels.items(), strict=True):
-        axes[0].set_ylabel(label)
-        for axis, family in zip(axes, FAMILIES, strict=True):
-            named = [(*row["condition"].rsplit("-", 1), value(row)) for row in rows]
-            points = sorted((int(level), shown) for name, level, shown in named if name == family)
-            axis.plot(*zip(*points, strict=True), "o-", color=BLUE)
-    for axis, label in zip(grid[-1], FAMILIES.values(), strict=True):
-        axis.set_xlabel(label)
-    save(figure, "voice", line)
     columns: dict[str, Column] = {
         "condition": "condition",
         "wire, kbit/s": lambda row: f"{row['wire_bps'] / 1e3:.1f}",
         "PESQ": lambda row: None if row["pesq"] is None else f"{row['pesq']:.2f}",
         "STOI": "{stoi:.3f}",
-        "mouth to ear p50 / p95, ms": lambda row: pair(row["mouth_to_ear_ms"], ("p50", "p95"), 0),
-        "skew p50 / p95, ms": lambda row: pair(row["skew_ms"], ("p50", "p95"), 0),
+        "mouth to ear p50/p95, ms": lambda row: joined(row["mouth_to_ear_ms"], ("p50", "p95"), 0),
+        "skew p95, ms": lambda row: f"{row['skew_ms']['p95']:.0f}",
         "concealed": "{concealed_ratio:.1%}",
-        "CPU, ms/s": "{cpu_ms_per_s:.0f}",
     }
-    fill_in(RESULTS / "voice.md", "voice", table(rows, columns), line)
+    fill_in("voice", table(line["result"]["rows"], columns), source_line(line))
 
 
-def chart_faults() -> None:
-    """Fill in the newest row of each fault."""
-    lines = read_lines("faults")
-    rows = {row["fault"]: row for line in lines for row in line["result"]["faults"]}
+def chart_drive() -> None:
+    """Fill in the newest row of each avatar, source and level under live drive."""
+    lines = read_lines("drive")
+    rows = {
+        (row["avatar"], row["source"], row["level"]): row
+        for line in lines
+        for row in line["result"]["rows"]
+    }
     columns: dict[str, Column] = {
-        "fault": "fault",
-        "faces alive at the end": "survived",
-        "last one back after, s": "back_after_s",
-        "longest gap, s": "longest_gap_s",
-        "age at the end, ms": "age_ms_at_end",
-        "relay closed": lambda row: (
-            ", ".join(f"{number} × {code}" for code, number in row["closed"].items()) or "–"
-        ),
+        "avatar": "avatar",
+        "source": lambda row: row["source"].split(":")[0],
+        "level": "level",
+        "MSE": "{mse:.1f}",
+        "p95": "{p95_mse:.1f}",
+        "lids, mm": "{lid_mm:.2f}",
+        "lips, mm": "{lip_mm:.2f}",
+        "poke": "{poke_ratio:.3%}",
     }
-    fill_in(RESULTS / "faults.md", "faults", table(rows.values(), columns), lines[-1])
+    fill_in("drive", table(rows.values(), columns), source_line(lines[-1]))
 
 
+def chart_tables() -> None:
+    """Fill in the paper's tables: means over seeds and views."""
+    lines = read_lines("tables")
+    found: dict[str, list[Row]] = defaultdict(list)
+    for line in lines:
+        for row in line["result"]["rows"]:
+            if row["variant"] != "full" or line["result"]["table"] == 1:
+                found[row["variant"]].append(row)
+    rows: list[Row] = []
+    for variant, each in found.items():
+        views = {name: [row["mse"] for row in each if row["view"] == name] for name in VIEWS}
+        rows.append(
+            {"model": variant, "mean": mean(row["mse"] for row in each)}
+            | {name: mean(values) for name, values in views.items()}
+            | {"ssim": mean(row["ssim"] for row in each), "size": each[0]["parameters"] / 1e6}
+        )
+    columns: dict[str, Column] = {"model": "model"}
+    columns |= {name: f"{{{name}:.1f}}" for name in (*VIEWS, "mean")}
+    columns |= {"SSIM": "{ssim:.3f}", "M parameters": "{size:.2f}"}
+    fill_in("tables", table(rows, columns), source_line(lines[0]))
+
+
+VIEWS = ("front", "left", "right", "up", "down")
 CHARTS: dict[str, Callable[[], None]] = {
-    function.__name__.removeprefix("chart_"): function
-    for function in (
-        chart_relay,
-        chart_scene,
-        chart_models,
-        chart_voice,
-        chart_faults,
-    )
+    name.removeprefix("chart_"): function
+    for name, function in list(globals().items())
+    if name.startswith("chart_")
 }
 
 

@@ -2,11 +2,14 @@
 
 python scripts/command_page.py
 
-What is said of an option is the text under its field in the code; a test compares the page with it.
+An option is described by the first sentence under its field in the code; `--help` shows the rest. A
+test compares the page with the code.
 """
 
 from __future__ import annotations
 
+import re
+import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -18,6 +21,7 @@ from pica_command.table import COMMANDS, GROUPS
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "command-line.md"
 
 MARK = "<!-- from here on written by scripts/command_page.py -->"
+COLUMNS = 118
 MEASUREMENTS = "Measurements"
 """The group whose options `--help` alone explains."""
 
@@ -29,33 +33,33 @@ def page() -> str:
         lines += [f"## {heading}", ""]
         for name, row in rows.items():
             lines += [f"### `pica {name}`", "", f"{row.summary()}.", ""]
-            if heading == MEASUREMENTS:
-                continue
-            if options := list(_options(name)):
-                lines += ["| option | default | what |", "|---|---|---|", *options, ""]
+            if heading != MEASUREMENTS and (options := list(_options(name))):
+                lines += [*options, ""]
     return "\n".join(lines)
 
 
 def _options(name: str) -> Iterator[str]:
+    """Yield a line for each option: its name, its default and the first sentence of its help."""
     arguments = CommandLine(name, COMMANDS[name], {}, None).app.assemble_argument_collection(
         parse_docstring=True
     )
     for argument in arguments:
         if argument.show and argument.name.removeprefix("--") not in COMMON:
-            text = " ".join((argument.parameter.help or "").split()).replace("|", "\\|")
-            yield f"| `{argument.name}` | {_default(argument)} | {text} |"
+            text = " ".join((argument.parameter.help or "").split())
+            first = re.split(r"(?<=[^.])\. |; |: |\.$", text)[0]
+            line = f"- `{argument.name}{_default(argument)}` {first}"
+            yield textwrap.fill(line, COLUMNS, subsequent_indent="  ", break_on_hyphens=False)
 
 
 def _default(argument: Argument) -> str:
+    """Return a default as it is written after an option; empty if there is none."""
     value = argument.field_info.default
-    if argument.required:
-        return "required"
     show = argument.parameter.show_default
-    if value is argument.field_info.empty or value in (None, "", ()):
+    if argument.required or value is argument.field_info.empty or value in (None, "", (), False):
         return ""
     if callable(show):
-        return f"`{show(value)}`"
-    return f"`{str(value).lower() if isinstance(value, bool) else value}`"
+        return f" {show(value)}"
+    return f" {str(value).lower() if value is True else value}"
 
 
 if __name__ == "__main__":

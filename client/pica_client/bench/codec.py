@@ -1,6 +1,6 @@
 """Bits against the error of the rendered face, for our stream and for what one would take instead.
 
-The fields of its rows stand in ``docs/benches.md``. What it does not show: networks (`pica bench
+The fields of its rows stand in ``docs/results.md``. What it does not show: networks (`pica bench
 playout`), and people: the avatars are synthetic, and only the recording is of a face. An error of 8
 bits and of the pixels that change owner at edges is in every `mse`: about 0.2.
 """

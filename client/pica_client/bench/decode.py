@@ -1,7 +1,7 @@
 """What one head costs: decoding it at every level and drawing it near and far, beside the paper's
 baseline.
 
-The fields of its rows stand in ``docs/benches.md``. What it does not show: several heads (`pica
+The fields of its rows stand in ``docs/results.md``. What it does not show: several heads (`pica
 bench scene`), other execution providers than the one chosen.
 """
 

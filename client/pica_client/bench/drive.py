@@ -4,7 +4,7 @@ The truth is a rig, or a person of the face model, posed by what a source does. 
 avatar is driven by the same values through each step of a live call (`drive_steps`) and shown at
 each level of detail.
 
-The fields of its rows stand in ``docs/benches.md``. What it does not show: people. The truth is
+The fields of its rows stand in ``docs/results.md``. What it does not show: people. The truth is
 synthetic, a tracker's own mistakes are not part of it, and delay is no error here.
 """
 

@@ -2,7 +2,7 @@
 the rendered face. On a virtual clock, so every figure comes out the same on every machine with the
 same renderer.
 
-The fields of its rows stand in ``docs/benches.md``. What it does not show: real networks (see
+The fields of its rows stand in ``docs/results.md``. What it does not show: real networks (see
 `network.impairment` for what is modelled), displays that miss refreshes, and people: performances
 and avatars are synthetic.
 """

@@ -1,7 +1,7 @@
 """What a scene of several talking heads costs with and without the scheduler, and what error it
 leaves.
 
-The fields of its rows stand in ``docs/benches.md``. What it does not show: networks and playout
+The fields of its rows stand in ``docs/results.md``. What it does not show: networks and playout
 (`pica bench call`), windows, several threads.
 """
 
@@ -326,7 +326,7 @@ class _Bench:
 
 
 def summarise(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """The ratios that the rows are measured for; ``docs/benches.md`` says which."""
+    """The ratios that the rows are measured for; ``docs/results.md`` says which."""
     most = max(row["avatars"] for row in rows)
     full_ms = next(row["total_ms"] for row in rows if row["distance_cm"] == FULL_SCREEN_CM)
     scenes, budgets = [], []

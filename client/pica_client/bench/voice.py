@@ -2,7 +2,7 @@
 virtual clock, with the real codec, jitter buffer and playout, so every figure comes out the same on
 every machine with the same libopus (processor time apart).
 
-The fields of its rows stand in ``docs/benches.md``. What it does not show: devices, real networks
+The fields of its rows stand in ``docs/results.md``. What it does not show: devices, real networks
 (see `network.impairment`), people: the speech is synthetic, and PESQ and STOI stand for listeners.
 """
 

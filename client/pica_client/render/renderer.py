@@ -70,7 +70,7 @@ class RenderOptions:
     weights: Literal["auto", "block", "constants", "turns"] = "auto"
     """Where the pixel decoder's weights stand: in a uniform block (one program for all avatars), as
     constants (one program each), or as constants in turns, for sines by polynomial. "auto" takes
-    the last on software rasterisers and the block elsewhere (docs/results/receiver.md)."""
+    the last on software rasterisers and the block elsewhere (docs/results.md)."""
     smooth_edges: bool = True
     """Blur stair-steps after shading."""
     filter_encodings: bool = True

@@ -29,7 +29,7 @@ is gone before it could lag behind the voice)."""
 
 USUAL_MSE = (1.0, 33.0, 125.0)
 """Judged error of the full maps on each mesh, the finest first, for which the heights of
-`SchedulerOptions` are (measured on a head of the face model: docs/levels.md)."""
+`SchedulerOptions` are (measured on a head of the face model: docs/architecture.md)."""
 SCALE_RANGE = (0.5, 1.0)
 """Heights are moved by no more than these factors, whatever a file says; never so that a coarse
 mesh is kept for longer."""

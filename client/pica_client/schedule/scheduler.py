@@ -14,7 +14,7 @@ lowest first, until it fits. What the tests hold it to:
 - Levels do not flap: what has been reached is left only with a margin.
 
 A knapsack over tables of errors leaves as much error at the same cost (measured:
-docs/results/receiver.md, "A simple rule").
+docs/architecture.md).
 """
 
 import math

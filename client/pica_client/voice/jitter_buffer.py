@@ -96,7 +96,7 @@ class JitterBufferConfig:
     ceiling_s: float = 0.2
     """Longest delay, one frame included."""
     least_jitter_s: float = 0.01
-    """Jitter that is always waited for (chosen: docs/results/voice.md)."""
+    """Jitter that is always waited for (chosen: docs/results.md)."""
     jitter_quantile: float = 0.97
     """Share of delays that are waited for."""
     release_s: float = 5.0

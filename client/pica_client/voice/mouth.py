@@ -3,7 +3,7 @@
 A small causal network hears 40 mel bands every 10 ms and names the shapes of jaw and lips: a linear
 layer, a gated recurrent unit (Cho et al., EMNLP 2014), a linear layer. It hears `LOOK_AHEAD_S`
 beyond the moment that it speaks of, for lips move before their sound. Its weights come from
-a training that docs/results/mouth.md describes, with how well it does.
+a training that docs/voice.md describes.
 """
 
 from importlib import resources

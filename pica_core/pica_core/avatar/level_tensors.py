@@ -47,7 +47,7 @@ MAX_HEIGHTS = 64
 MAX_TEXELS = 4
 """Most texels of the trunk that a vertex is made of."""
 LOCAL_TEXELS = 2
-"""Side of a block of texels with weights of its own (measured: docs/levels.md)."""
+"""Side of a block of texels with weights of its own (measured: docs/architecture.md)."""
 JUDGED_NAME = PREFIX + "judged"
 STILL_NAME = PREFIX + "still"
 _TABLE = ("head_px", "errors", "sensitivity")

@@ -10,7 +10,7 @@
     pe_1d      the per-axis tables m_u and m_v alone
     baseline   a mesh and a whole texture (Lombardi et al. 2018)
 
-What the paper says of each, what it leaves open and what we chose: `docs/variants.md`.
+What the paper says of each, what it leaves open and what we chose: `docs/training.md`.
 """
 
 from collections.abc import Mapping

@@ -10,7 +10,7 @@
 The decoders are the layers of `decoder_layers`, one chain each, in one graph at opset 17.
 `plain=True` writes them as they stand. The default graph computes the same function, rearranged for
 ONNX Runtime's CPU kernels. One thread of AVX-512, both maps, in one run on a busy machine
-(`docs/levels.md` has more; H2 gains nothing):
+(`docs/architecture.md` has more; H2 gains nothing):
 
     level                                    64      128     256
     plain                                    1.21    3.55    6.08 ms

@@ -24,14 +24,14 @@ from pica_core.types import Float64Array, FloatArray, IntArray
 
 TOLERANCE_M = 1e-5
 """Root mean square distance that a region may lose by its pruning (chosen: a tenth of what vertices
-may err; `docs/results/linear`)."""
+may err; `docs/training.md`)."""
 LEAST_FRAMES = 8
 """Fewer good meshes make no bases."""
 MOST_FRAMES = 1024
 """Meshes that the components are found from; of more, evenly spaced ones."""
 BENT_M = 1e-4
 """Bases are not enough where those of three in four training meshes leave a larger root mean square
-error in any region of the others (measured, `docs/results/linear`: rigs leave a tenth)."""
+error in any region of the others (measured, `docs/training.md`: rigs leave a tenth)."""
 JUMP_RATIO = 10.0
 JUMP_M = 2e-3
 """A mesh is bad if the others explain it so much worse than a usual one (both, root mean square:

@@ -21,7 +21,7 @@ XYZ_UNIT_M = 0.1
 """Head-frame coordinates enter the network in this unit, which brings a face to about [-1, 1]."""
 STARTS = 64
 """Random starts of the two networks, of which the one is taken that can show the mean texture best
-(measured, docs/results/linear: with one start the error hangs on luck by a factor of two)."""
+(measured, docs/training.md: with one start the error hangs on luck by a factor of two)."""
 START_POINTS = 4096
 """Points of the surface that starts are compared at."""
 START_RIDGE = 1e-3

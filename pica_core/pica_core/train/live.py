@@ -16,7 +16,7 @@ from pica_core.types import FloatArray
 
 RIDGE, BEND_RIDGE = 1e-5, 1e-3
 """Strength of the regression in squared tracker values, for them and for what bends (chosen on two
-people, `docs/results/linear`; a shape that is never shown stays without effect)."""
+people, `docs/training.md`; a shape that is never shown stays without effect)."""
 GEOMETRY = slice(None, None, LATENT_CHANNELS)
 """The first channel's entries in a flat latent: weights of bases."""
 CHUNK = 64

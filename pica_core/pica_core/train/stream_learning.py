@@ -53,7 +53,7 @@ LATENT_STEPS = (80, 64, 48, 36, 28, 20, 14, 10)
 """By quality, in 64ths of a root of rendered MSE."""
 ROTATION_STEPS = (24, 20, 14, 12, 10, 8, 6, 4)
 """Unit 2⁻¹⁴ rad. A head turns by 2 to 4 mrad a frame; 12 is 0.7 mrad and leaves an error of 0.3 in
-its steps from frame to frame. With 48, half of a head's motion was noise (docs/results/log.md)."""
+its steps from frame to frame. With 48, half of a head's motion was noise (docs/results.md)."""
 TRANSLATION_STEPS = (5, 4, 3, 2, 2, 2, 1, 1)
 """Unit 2⁻¹⁴ m; 2 is 0.12 mm, and a head moves by 0.2 to 0.4 mm a frame."""
 TRAINING_QUALITIES = (1, 3, 4, 6)

@@ -68,7 +68,7 @@ def relay(options: RelayOptions) -> dict[str, Any]:
 
 
 def _loop_factory(options: RelayOptions) -> Callable[[], asyncio.AbstractEventLoop] | None:
-    """Choose uvloop where it can be had: a quarter less processor time (docs/results/relay.md).
+    """Choose uvloop where it can be had: a quarter less processor time (docs/results.md).
 
     With TLS the standard loop stays: in uvloop nothing bounds what is written ahead of a slow
     reader, see `pica_protocol.tls_buffer`.

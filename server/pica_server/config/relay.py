@@ -135,7 +135,7 @@ class RelayConfig:
     with the extra `s3`; temporary, a folder that ends with the relay; none."""
     cluster: str = ""
     """Spread rooms over all relays with this NATS, as nats://HOST:4222; it needs JetStream. Several
-    servers of one NATS cluster with commas between. See docs/cluster.md."""
+    servers of one NATS cluster with commas between. See docs/operating.md."""
     public_url: str = ""
     """Where clients of other relays of the cluster reach this one, as wss://HOST:PORT; empty: where
     it listens."""

@@ -4,7 +4,7 @@ Every peer is a real websocket that publishes one stream and receives those of t
 room (`peer`); payloads have the sizes of a coded face (`traffic`). Without an address
 the bench starts a relay of its own on a core of its own, and keeps the load on the others.
 
-The fields of its rows stand in ``docs/benches.md``. What it does not show: real networks, TLS
+The fields of its rows stand in ``docs/results.md``. What it does not show: real networks, TLS
 (unless --url says wss), slow receivers.
 """
 

@@ -47,7 +47,7 @@ FILE = "poses.npz"
 PICTURES = "poses"
 """Folder of their pictures."""
 POSES_PER_FRAME = 2
-"""Poses of a capture for each of its frames (measured: `docs/results/linear`)."""
+"""Poses of a capture for each of its frames (measured: `docs/training.md`)."""
 SEED_STEP = 101
 """Added to a capture's seed for its poses, so that they are of other takes."""
 

@@ -30,7 +30,7 @@ class ClaimOptions:
     """Folder of captures and runs. What is finished there is measured and not made again, and what
     was stopped goes on."""
     variants: tuple[VariantName, ...] = ("linear", "full", "baseline")
-    """Models to train, rows of docs/variants.md."""
+    """Models to train, rows of docs/training.md."""
     preset: Literal["tiny", "small", "long"] = "small"
     """How much to train."""
     seeds: int = 2

@@ -48,7 +48,7 @@ class TrainOptions:
     out: Path
     """Folder of the run: checkpoint, metrics, held-out error."""
     variant: VariantName | None = None
-    """Which model: linear, full, the baseline, or full with one part replaced (docs/variants.md).
+    """Which model: linear, full, the baseline, or full with one part replaced (docs/training.md).
     Without it linear, and full with the preset paper."""
     preset: Literal["tiny", "small", "long", "paper"] = "small"
     """How much to train: tiny (seconds), small (minutes on two cores), long (two or three times

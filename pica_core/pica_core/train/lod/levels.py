@@ -65,7 +65,7 @@ LEAST_CHANCE = 0.2
 """Chance of a face that shows nothing of them, where the most has 1.2."""
 IMPORTANCE = (80.0, 6.0)
 """How much errors of a mesh count at eyes and at a mouth, where they count 1 elsewhere (measured on
-three heads: docs/levels.md)."""
+three heads: docs/architecture.md)."""
 MENDINGS = 3
 """How often meshes are made anew because one piece pokes through another."""
 GOOD_POKE = 1e-4
@@ -76,7 +76,7 @@ POKE_SHAPES = 24
 """Faces in which meshes are looked at for what pokes through."""
 UNSEEN = 0.1
 """How much errors of a mesh count where no view sees it: triangles are spent where they show (with
-a fiftieth, necks poke through collars: docs/levels.md)."""
+a fiftieth, necks poke through collars: docs/architecture.md)."""
 STRONG_SHAPES = 8
 """Faces far from rest in which a mesh is to keep its looks."""
 METRIC_FACES = 6
@@ -95,10 +95,10 @@ class LevelOptions:
     """Points of the surface at which colours are compared."""
     bias_points: int = 200_000
     """Points at which the bias of a map is fitted: 12 for each texel of 128 (with 24,000, as many
-    as colours are compared at, single texels went wrong and showed as specks: docs/levels.md)."""
+    as colours are compared at, single texels went wrong and showed as specks)."""
     mesh_ratios: tuple[float, ...] = (0.22, 0.35)
     """Triangles of the levels' meshes, the coarsest first, as shares of the full mesh (chosen: with
-    0.16 nostrils of people tear at heads 300 pixels high: docs/levels.md)."""
+    0.16 nostrils of people tear at heads 300 pixels high: docs/architecture.md)."""
     texels: tuple[int, ...] = (2, 1)
     """Texels of the trunk per vertex, the coarsest level first (chosen: at 64, which weak machines
     draw most of the time, one leaves 0.063 mm and two 0.042, and half of what pokes out; at 128 one

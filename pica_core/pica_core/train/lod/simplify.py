@@ -30,7 +30,7 @@ WELD_M = 2e-5
 5 micrometres."""
 UV_WEIGHT = 1.5
 """How much an error of UV counts, where one unit of UV is as long as the mesh and places count 1
-(measured on two heads: docs/levels.md)."""
+(measured on two heads: docs/architecture.md)."""
 UV_AREA_WEIGHT = 0.3
 """How much a triangle's room in UV counts against its area: layouts give lids and lips more room.
 With 0 lips at 64 look torn, with 1 temples show through the hair (seen on one avatar)."""
