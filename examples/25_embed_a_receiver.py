@@ -24,7 +24,7 @@ from pica_client.render.views import stereo_cameras
 from pica_client.schedule.frame_planner import FramePlanner
 from pica_client.schedule.scheduler import Scheduler
 from pica_client.transport.config import LinkConfig
-from pica_client.transport.receiver import Receiver
+from pica_client.transport.endpoints import Receiver
 from pica_client.ui.avatar_presenter import AvatarPresenter
 
 NAMES = {"Ada": "amara", "Ben": "elias"}

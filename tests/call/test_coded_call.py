@@ -26,9 +26,9 @@ from pica_client.call import participant as participant_module
 from pica_client.call.call import Call
 from pica_client.call.faces import FaceState
 from pica_client.publish import publisher as publisher_module
-from pica_client.publish.sender import Sender, SenderConfig
+from pica_client.publish.publisher import SenderConfig
 from pica_client.transport.config import LinkConfig
-from pica_client.transport.receiver import Receiver
+from pica_client.transport.endpoints import Receiver, Sender
 from pica_core.avatar.file import Avatar, load_avatar
 from pica_core.codec.latent_sample import LatentSample
 from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig

@@ -18,7 +18,7 @@ from pica_client.call.call import Call
 from pica_client.e2ee.secret import RoomSecret, save_secret
 from pica_client.local_call.processes import Children
 from pica_client.transport.config import LinkConfig
-from pica_client.transport.receiver import Receiver
+from pica_client.transport.endpoints import Receiver
 from pica_core.avatar.file import avatar_id, save_avatar
 
 pytestmark = pytest.mark.realtime

@@ -23,8 +23,8 @@ from pica_client.errors import RelayRefusedError
 from pica_client.publish.publisher import FaceMode, Publisher, SenderConfig
 from pica_client.sources import open_source
 from pica_client.transport.config import LinkConfig
+from pica_client.transport.endpoints import Receiver
 from pica_client.transport.monitor import CallMonitor
-from pica_client.transport.receiver import Receiver
 from pica_server.auth.tokens import Admission, KeyRing, mint
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay

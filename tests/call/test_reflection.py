@@ -13,7 +13,7 @@ from pica_client.call.call import Call
 from pica_client.publish.publisher import Publisher, SenderConfig
 from pica_client.sources import open_source
 from pica_client.transport.config import LinkConfig
-from pica_client.transport.receiver import Receiver
+from pica_client.transport.endpoints import Receiver
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay

@@ -21,7 +21,7 @@ from pica_client.call.call import Call
 from pica_client.errors import OptionError
 from pica_client.local_call.processes import Children
 from pica_client.transport.config import LinkConfig
-from pica_client.transport.receiver import Receiver
+from pica_client.transport.endpoints import Receiver
 from pica_client.ui.events import (
     CloseWanted,
     InputEvent,

@@ -18,8 +18,8 @@ from pica_client.e2ee.secret import RoomSecret, save_secret
 from pica_client.publish.publisher import Publisher, SenderConfig
 from pica_client.sources import open_source
 from pica_client.transport.config import LinkConfig
+from pica_client.transport.endpoints import Receiver
 from pica_client.transport.link import Link
-from pica_client.transport.receiver import Receiver
 from pica_client.voice import opus
 from pica_client.voice.packet import FRAME_US, PACKET_FRAMES, VoicePacket
 from pica_client.voice.publisher import PREROLL_FRAMES, VoicePublisher

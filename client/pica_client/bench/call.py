@@ -37,7 +37,7 @@ from pica_client.local_call.processes import Children
 from pica_client.output import say
 from pica_client.stats import describe_machine
 from pica_client.transport.config import LinkConfig
-from pica_client.transport.receiver import Receiver
+from pica_client.transport.endpoints import Receiver
 
 WARM_UP_S = 2.0
 """Between the last peer's first frame and the first that counts."""

@@ -17,11 +17,11 @@ from pica_client.output import Outputs, check_writable, say
 from pica_client.publish.face_desk import FaceDesk
 from pica_client.publish.face_track import FaceMode
 from pica_client.publish.own_face import DEFAULT_SOURCE
-from pica_client.publish.sender import Sender, SenderConfig
+from pica_client.publish.publisher import SenderConfig
 from pica_client.signals import on_stop_signal
 from pica_client.sources import open_source
 from pica_client.transport.config import LinkConfig, guest_name
-from pica_client.transport.link_news import LinkNews
+from pica_client.transport.endpoints import LinkNews, Sender
 from pica_client.ui.options import check_voice, connect_timeout_s
 from pica_client.voice.publisher import VoicePublisher
 from pica_client.voice.source import open_voice

@@ -1,7 +1,7 @@
 """A face on its way out: source -> expression encoder -> payload -> frame, at a steady rate.
 
-The link is run by somebody else: a `sender.Sender`, which does nothing else, or a
-`transport.receiver.Receiver`, which also listens. Encoding takes a fraction of a millisecond and so
+The link is run by an endpoint: a `Sender`, which does nothing else, or a
+`Receiver`, which also listens. Encoding takes a fraction of a millisecond and so
 runs on the event loop itself; a thread would cost more than it saves.
 """
 

@@ -19,9 +19,8 @@ from pica_client.publish.face_desk import FaceDesk
 from pica_client.publish.own_face import OutgoingFace
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.connect import trusting
-from pica_client.transport.link_news import LinkNews
+from pica_client.transport.endpoints import LinkNews, Receiver
 from pica_client.transport.monitor import CallMonitor
-from pica_client.transport.receiver import Receiver
 from pica_client.ui.call_sound import CallSound
 from pica_client.ui.captures_on_disk import new_path
 from pica_client.ui.options import ViewOptions

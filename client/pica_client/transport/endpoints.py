@@ -1,0 +1,356 @@
+"""The ends of a call: a `Sender` publishes, a `Receiver` also watches and listens.
+
+Each runs one link to the relay. Garbage never gets further than here: what breaks the protocol ends
+the connection, is counted, and the link comes back; what breaks a payload is counted by the call.
+"""
+
+import asyncio
+import contextlib
+import random
+import threading
+from collections.abc import Callable, Coroutine, Sequence
+from typing import Any, Final, Self
+
+from pica_client.avatars.upload import AvatarGiver
+from pica_client.call.call import Call
+from pica_client.e2ee.status import SealStatus
+from pica_client.publish.face_track import FACE_TRACK, RECORDS_KEY, RECORDS_YES
+from pica_client.publish.publisher import Publisher, SenderConfig
+from pica_client.sources import Source
+from pica_client.transport.config import LinkConfig
+from pica_client.transport.link import Link
+from pica_client.transport.timers import wait_until
+from pica_client.voice.publisher import VoicePublisher
+from pica_client.voice.receiver import OnVoice, VoiceReceiver
+from pica_core.avatar.file import Avatar
+from pica_protocol.errors import is_worth_retrying
+from pica_protocol.messages import Joined, Moderation, Peer, PeerJoined
+from pica_protocol.session import ClientEvent, Closed
+
+REPORT_INTERVAL_S: Final = 5.0
+"""Time between two reports to the relay."""
+JOIN_TIMEOUT_S: Final = 5.0
+"""Longest wait for the thread; a link that leaves is gone within its close timeouts."""
+
+
+class LinkNews:
+    """Says a line when the connection to the relay comes and goes, for programs without a window.
+
+    A connection that never led into the room is no news: the link raises why, or tries on.
+    """
+
+    def __init__(self, joined: str, say: Callable[[str], None]) -> None:
+        """Prepare to say `joined` once we are in the room."""
+        self._joined = joined
+        self._say = say
+        self._has_joined = False
+        self._lost_s: float | None = None
+
+    def receive_event(self, event: ClientEvent, now: float) -> None:
+        """Take an event of the link's session at `now`, seconds."""
+        match event:
+            case Joined() if not self._has_joined:
+                self._has_joined = True
+                self._say(self._joined)
+            case Joined() if self._lost_s is not None:
+                self._say(f"back in the room after {now - self._lost_s:.1f} s")
+                self._lost_s = None
+            case Closed(code=code, reason=reason) if (
+                self._has_joined and self._lost_s is None and is_worth_retrying(code)
+            ):
+                self._lost_s = now
+                why = f" ({reason})" if reason else ""
+                self._say(f"connection to the relay lost{why}; coming back by itself")
+            case _:
+                pass
+
+
+class Endpoint:
+    """A link, and the face and the voice that go over it.
+
+    Attributes:
+        publisher: Sends a face, if there is one; the relay does not send it back.
+        voice: Sends a voice, if there is one.
+        giver: Gives the avatar's file to each relay that we join, if there is one.
+    """
+
+    def __init__(
+        self,
+        link_config: LinkConfig,
+        *,
+        publisher: Publisher | None = None,
+        voice: VoicePublisher | None = None,
+        giver: AvatarGiver | None = None,
+        news: LinkNews | None = None,
+        rng: random.Random | None = None,
+    ) -> None:
+        """Prepare; see `Link` for rng. `news` hears of the link."""
+        self.publisher = publisher
+        self.voice = voice
+        self.giver = giver
+        self._news = news
+        if publisher is not None:
+            publisher.listen_to(voice)
+        tracks = tuple(each.track for each in (publisher, voice) if each is not None)
+        self.link = Link(link_config, tracks, on_event=self._on_event, rng=rng)
+        self._stopping = asyncio.Event()
+        self._loop: asyncio.AbstractEventLoop | None = None
+
+    def stop(self) -> None:
+        """Leave the room; any thread may call it."""
+        self._call_soon(self._leave)
+
+    async def _stay(self) -> None:
+        """Stay in the room until `stop`, or until the publisher has sent for its time; once."""
+        if self._loop is not None:
+            raise RuntimeError(f"a {type(self).__name__} is good for one call")
+        self._loop = asyncio.get_running_loop()
+        try:
+            async with asyncio.TaskGroup() as beside:
+                tasks = [beside.create_task(each) for each in self._work()]
+                await self.link.run()
+                for task in tasks:
+                    task.cancel()
+        except ExceptionGroup as errors:
+            raise errors.exceptions[0] from None
+        finally:
+            if self.publisher is not None:
+                self.publisher.close()
+            if self.giver is not None:
+                await self.giver.close()
+
+    def _work(self) -> list[Coroutine[Any, Any, None]]:
+        """What runs beside the link."""
+        work = []
+        if self.publisher is not None:
+            work.append(self._publish(self.publisher))
+        if self.voice is not None:
+            work.append(self.voice.pace(self.link, self._stopping))
+        return work
+
+    async def _publish(self, publisher: Publisher) -> None:
+        await publisher.pace(self.link, self._stopping)
+        self._leave()
+
+    def _leave(self) -> None:
+        self._stopping.set()
+        self.link.leave()
+
+    def _on_event(self, event: ClientEvent, now: float) -> None:
+        for own in (self.publisher, self.voice):
+            if own is not None:
+                own.receive_event(event)
+        if isinstance(event, Joined) and self.giver is not None:
+            self.giver.begin(self.link.url)
+        if self._news is not None:
+            self._news.receive_event(event, now)
+
+    def _call_soon(self, action: Callable[[], None]) -> None:
+        """Call something on the loop; at once as long as there is none."""
+        if self._loop is None:
+            action()
+            return
+        with contextlib.suppress(RuntimeError):  # the loop may be closed by now
+            self._loop.call_soon_threadsafe(action)
+
+    def _own_stats(self) -> dict[str, Any]:
+        counters, guard = self.link.counters, self.link.guard
+        return {
+            "voice": None if self.voice is None else self.voice.stats(),
+            "reconnects": self.link.reconnects,
+            "resumes": counters.resumes,
+            "avatar_given": "" if self.giver is None else self.giver.outcome,
+            "seal": None if guard is None else guard.stats(),
+        }
+
+
+class Sender(Endpoint):
+    """Publishes a face, and a voice with it, and takes nothing of the others."""
+
+    publisher: Publisher
+
+    def __init__(
+        self,
+        config: SenderConfig,
+        link_config: LinkConfig,
+        source: Source,
+        avatar: Avatar,
+        avatar_identity: str,
+        *,
+        voice: VoicePublisher | None = None,
+        giver: AvatarGiver | None = None,
+        news: LinkNews | None = None,
+        rng: random.Random | None = None,
+    ) -> None:
+        """Prepare; see `Publisher` and `Endpoint`."""
+        publisher = Publisher(config, source, avatar, avatar_identity)
+        super().__init__(
+            link_config, publisher=publisher, voice=voice, giver=giver, news=news, rng=rng
+        )
+
+    async def run(self) -> dict[str, Any]:
+        """Send until `stop`, or for the configured time; once. Returns `stats`.
+
+        Raises:
+            RelayError: The relay is not there, or will not have us.
+            Exception: What the source of the face or of the voice raised.
+        """
+        await self._stay()
+        return self.stats()
+
+    def stats(self) -> dict[str, Any]:
+        """What was sent so far, and the link's side of it."""
+        seconds, counters = self.publisher.seconds_sent, self.link.counters
+        return {
+            "name": self.link.config.name,
+            **self.publisher.stats(),
+            **self._own_stats(),
+            "replaced": counters.frames_replaced,
+            "wire_bytes": counters.sent_wire_bytes,
+            "wire_bps": round(counters.sent_wire_bytes * 8 / seconds) if seconds else None,
+            "errors": counters.errors,
+        }
+
+
+class Receiver(Endpoint):
+    """Feeds a call with what comes from the others, and may publish as well.
+
+    On an event loop that is there: ``await receiver.run()``. Beside a drawing loop: ``with
+    receiver: …`` runs it in a thread, and `check` tells the drawing thread what went wrong there.
+
+    Attributes:
+        arrived: Set by every event; for those who wait on the same loop.
+        is_recording: Whether the others are told that what is seen here is kept.
+    """
+
+    def __init__(
+        self,
+        link_config: LinkConfig,
+        call: Call,
+        *,
+        on_voice: OnVoice | None = None,
+        takes_faces: bool = True,
+        publisher: Publisher | None = None,
+        voice: VoicePublisher | None = None,
+        giver: AvatarGiver | None = None,
+        news: LinkNews | None = None,
+        rng: random.Random | None = None,
+    ) -> None:
+        """Prepare; see `Endpoint`. ``on_voice`` is handed the voices of the others, see `OnVoice`;
+        without it none are sent to us, and without ``takes_faces`` no faces."""
+        super().__init__(
+            link_config, publisher=publisher, voice=voice, giver=giver, news=news, rng=rng
+        )
+        self.call = call
+        self.voices = VoiceReceiver(on_voice)
+        self.arrived = asyncio.Event()
+        self.is_recording = False
+        self._takes_faces = takes_faces
+        self._subscribed = asyncio.Event()
+        self._started = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._error: BaseException | None = None
+        call.set_own_name(link_config.name)
+        call.connect(self)
+
+    async def run(self) -> None:
+        """Receive until `stop`; once. Raises as `Sender.run` does."""
+        await self._stay()
+
+    def check(self) -> None:
+        """Raise what ended the thread, if anything did, as `run` does."""
+        if self._error is not None:
+            raise self._error
+
+    def moderate(self, message: Moderation) -> None:
+        """Ask the relay to remove, mute or bar a member, if our token allows it; from any
+        thread."""
+        self._call_soon(lambda: self.link.moderate(message))
+
+    def say_recording(self, is_recording: bool) -> None:
+        """Tell the others whether what is seen here is kept; any thread may call it."""
+        self.is_recording = is_recording
+        value = RECORDS_YES if is_recording else ""
+        self._call_soon(lambda: self.link.describe(RECORDS_KEY, value))
+
+    def wake(self) -> None:
+        """Note that the call wants another share of a stream; any thread may call it."""
+        self._call_soon(self._subscribed.set)
+
+    @property
+    def seal_status(self) -> SealStatus | None:
+        """How the encryption stands; None where nothing is encrypted."""
+        return None if self.link.guard is None else self.link.guard.status
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether the relay has us in the room right now."""
+        return self.link.is_joined
+
+    def stats(self, now: float) -> dict[str, Any]:
+        """`Call.stats`, and the link's side of it."""
+        stats, counters = self.call.stats(now), self.link.counters
+        return stats | {
+            **self._own_stats(),
+            "errors": stats["errors"] + counters.errors,
+            "received_wire_bytes": counters.received_wire_bytes,
+            "voices": self.voices.stats(),
+            "sent": None if self.publisher is None else self.publisher.stats(),
+        }
+
+    def __enter__(self) -> Self:
+        def work() -> None:
+            try:
+                asyncio.run(self.run())
+            except Exception as error:  # for the other thread to see, see `check`
+                self._error = error
+
+        self._thread = threading.Thread(target=work, name="receiver", daemon=True)
+        self._thread.start()
+        self._started.wait()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+        if self._thread is not None:
+            self._thread.join(timeout=JOIN_TIMEOUT_S)
+
+    def _work(self) -> list[Coroutine[Any, Any, None]]:
+        self._started.set()
+        return [*super()._work(), self._report(), self._tell_subscriptions()]
+
+    def _on_event(self, event: ClientEvent, now: float) -> None:
+        if self.voices.receive_event(event, now):
+            return
+        self.call.receive_event(event, now)
+        if isinstance(event, PeerJoined | Joined):
+            self._decline([event.peer] if isinstance(event, PeerJoined) else event.peers)
+            self._subscribed.set()
+        super()._on_event(event, now)
+        self.arrived.set()
+
+    def _decline(self, peers: Sequence[Peer]) -> None:
+        """Tell the relay to send nothing of newcomers that is not used here: tracks of unknown
+        kinds, further ones of a known kind, voices that are not heard."""
+        for peer in peers:
+            faces = [track.stream for track in peer.tracks if track.kind == FACE_TRACK]
+            used = faces[:1] if self._takes_faces else []
+            for stream in (track.stream for track in peer.tracks):
+                if stream not in used and not self.voices.is_wanted(stream):
+                    self.link.subscribe(stream, 0)
+
+    async def _tell_subscriptions(self) -> None:
+        """Tell the relay how much of each stream is wanted, when that changes and when it is
+        due."""
+        now = asyncio.get_running_loop().time()
+        while True:
+            self._subscribed.clear()
+            timer = None  # outside the room, wait for the next join
+            if self.link.is_joined and self._takes_faces:
+                timer = self.call.tell_subscriptions(self.link.subscribe, now)
+            now = await wait_until(self._subscribed, timer)
+
+    async def _report(self) -> None:
+        while True:
+            await asyncio.sleep(REPORT_INTERVAL_S)
+            self.link.report(self.call.take_report())
