@@ -85,11 +85,6 @@ def test_a_user_who_leaves_the_telemetry_on_is_obeyed_and_the_watch_sees_it(
     assert any(each.startswith("look-up ") for each in native.seen), native.seen
 
 
-def test_a_doctor_leaves_no_identifier_of_the_machine(tmp_path: Path) -> None:
-    assert watch([*PICA, "doctor"], home=tmp_path) == []
-    assert not (tmp_path / DEVICE_ID).exists()
-
-
 def test_the_watch_sees_the_look_ups_and_connections_of_python(tmp_path: Path) -> None:
     script = (
         "import contextlib, socket\n"

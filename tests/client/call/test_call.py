@@ -95,34 +95,9 @@ def test_peers_come_and_go_in_order_of_arrival(call: Call) -> None:
     assert [face.name for face in call.faces(0.0)] == ["Ada", "Cho"]
 
 
-def test_an_old_peer_id_in_a_new_session_may_be_somebody_else(call: Call) -> None:
-    call.receive_event(joined(peer("p1", "Ada", 1), peer("p2", "Ben", 2)), now=0.0)
-    call.receive_event(joined(peer("p1", "Ben", 1), peer("p2", "Ada", 2)), now=9.0)
-    call.receive_event(frame(2, 0, 0), now=9.0)
-    assert [face.name for face in call.faces(9.1) if face.latent is not None] == ["Ada"]
-
-
-def test_who_is_the_same_after_a_reconnect_keeps_the_seat_and_the_face(call: Call) -> None:
-    call.receive_event(joined(peer("p1", "Ada", 1)), now=0.0)
-    call.receive_event(frame(1, 0, 0), now=0.0)
-    call.receive_event(joined(peer("p1", "Ada", 1)), now=1.0)
-    assert call.faces(1.0)[0].latent is not None
-
-
 def test_a_peer_without_a_face_track_has_no_seat(call: Call) -> None:
     call.receive_event(joined(peer("p1", "Ada", 1, kind="voice")), now=0.0)
     assert call.faces(0.0) == []
-
-
-@pytest.mark.parametrize("payload", [b"\x01" * 60, b"\xff" * 269, bytes(1184)])
-def test_a_payload_that_is_no_latent_is_counted_and_the_face_stays(
-    call: Call, payload: bytes
-) -> None:
-    call.receive_event(joined(peer("p1", "Ada", 1)), now=0.0)
-    call.receive_event(frame(1, 0, 0), now=0.0)
-    call.receive_event(Frame(stream=1, sequence=1, captured_us=33_333, payload=payload), now=0.03)
-    assert call.errors == 1
-    assert call.faces(0.1)[0].latent is not None
 
 
 def test_a_frame_of_nobody_is_a_stray(call: Call) -> None:

@@ -135,15 +135,6 @@ def test_soon_after_a_thaw_the_face_is_that_of_now(call: Call, backlog_s: float)
     assert stats["playout_delay_ms"] == pytest.approx(33.3, abs=1)
 
 
-def test_a_way_that_has_become_longer_is_no_backlog(call: Call) -> None:
-    send_ada(call, 0, 2)
-    for index in range(60, 240):
-        send_frame(call, index, now=index / 30 + 1.5)
-        call.faces(index / 30 + 1.501)
-    assert [face.status for face in call.faces(9.51)] == ["live"]
-    assert min(ages_s(call, 9.5, 9.52)) < 1.7
-
-
 def test_a_face_is_away_while_its_tracker_sees_nobody(call: Call) -> None:
     send_frame(call, 0)
     statuses = []
