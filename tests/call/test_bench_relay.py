@@ -45,13 +45,13 @@ def test_offenders_get_their_close_codes_and_healthy_rooms_their_frames() -> Non
     with Workers() as workers, Children() as children, relay_target(config, children) as target:
         assert target.pid is not None
         load = Load(config, target, workers)
-        load.connect(config.rooms)
+        load.connect()
         before = memory_bytes(target.pid) or 0
         offenders = {
             kind: workers.start(OFFENDERS, kind, target.url, load.room(0), str(OFFENCE_S))
             for kind in kinds
         }
-        beside = load.measure(config.rooms, config.seconds)
+        beside = load.measure()
         reports = {kind: worker.answer(30.0) for kind, worker in offenders.items()}
         metrics = relay_metrics(target.url)
         peak = memory_bytes(target.pid, "VmHWM") or 0
@@ -73,9 +73,9 @@ def test_a_slow_reader_stays_while_it_reads_and_costs_nobody_else_a_frame() -> N
     config = RelayBenchConfig(rooms=2, seconds=2.0)
     with Workers() as workers, Children() as children, relay_target(config, children) as target:
         load = Load(config, target, workers)
-        load.connect(config.rooms)
+        load.connect()
         slow = workers.start(OFFENDERS, "slow-reader", target.url, load.room(0), "4")
-        beside = load.measure(config.rooms, config.seconds)
+        beside = load.measure()
         report = slow.answer(30.0)
         load.leave()
     assert report["codes"] == {"none": 1}

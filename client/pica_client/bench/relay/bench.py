@@ -1,30 +1,22 @@
 """`pica bench relay`: rooms full of simulated peers, and what they cost the relay.
 
 Every peer is a real websocket that publishes one stream and receives those of the others in its
-room (`peer`); payloads have the sizes of a coded face (`traffic`). Without an address
-the bench starts a relay of its own on a core of its own, and keeps the load on the others.
-
-The fields of its rows stand in ``docs/results.md``. What it does not show: real networks, TLS
-(unless --url says wss), slow receivers.
+room (`peer`), all in one process (`swarm`). Without an address the bench starts a relay of its own
+on a core of its own. What it does not show: real networks, TLS (unless --url says wss), slow
+receivers.
 """
 
 import json
 import time
-from collections import Counter
-from collections.abc import Iterator, Sequence
+from bisect import bisect_left
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from itertools import accumulate
 from typing import Any, Final
 
 from pica_client.bench.harness import Arguments
-from pica_client.bench.relay.figures import (
-    close_codes,
-    describe,
-    merged,
-    percentiles,
-    relay_percentiles,
-)
-from pica_client.bench.relay.peer import JOIN_TIMEOUT_S
+from pica_client.bench.relay.peer import JOIN_TIMEOUT_S, STEP_US
 from pica_client.bench.relay.processes import (
     START_TIMEOUT_S,
     Workers,
@@ -37,7 +29,7 @@ from pica_client.bench.relay.processes import (
 )
 from pica_client.bench.relay.swarm import DRAIN_S, SwarmConfig
 from pica_client.errors import CallProcessError, check_ranges
-from pica_client.local_call.processes import Child, Children
+from pica_client.local_call.processes import Children
 from pica_client.output import say
 from pica_client.stats import describe_machine
 from pica_client.transport.config import check_address
@@ -45,8 +37,10 @@ from pica_client.transport.config import check_address
 SETTLE_S: Final = 1.5
 """Between the first frame and the first that counts: queues and windows find their size."""
 OWN_JOINS_PER_S: Final = 400.0
+FOREIGN_JOINS_PER_S: Final = 40.0
+"""Of a relay that runs already; its limits allow so many."""
 PATIENCE_S: Final = 30.0
-"""Seconds that a swarm's answer may take beyond the time of its order."""
+"""Seconds that an answer of the swarm may take beyond the time of its work."""
 NO_LIMITS: Final = (
     *("--limits.joins-per-s", "100000", "--limits.joins-burst", "100000"),
     *("--limits.handshakes", "4096"),
@@ -69,13 +63,6 @@ class RelayBenchConfig:
     url: str | None = None
     """Address of a relay that runs already, ws:// or wss://; by default one is started, pinned to
     one core."""
-    processes: int = 1
-    """Processes of the load generator."""
-    joins_per_s: float | None = None
-    """How fast peers come in; by default 40 a second, which a relay's limits allow, and 400 for the
-    relay that is started."""
-    voices: bool = False
-    """Let the peers of each room speak in turn as well, 25 packets a second."""
     relay_arguments: Arguments = ()
     """Further arguments of the relay that is started: --relay-arguments="--port 8765"."""
     seed: int = 0
@@ -83,7 +70,6 @@ class RelayBenchConfig:
 
     def __post_init__(self) -> None:
         check_ranges(self, rooms=(1, 10_000), peers=(2, 64), fps=(1, 240), seconds=(0.5, 7200))
-        check_ranges(self, processes=(1, min(64, self.rooms)), joins_per_s=(0.1, 10_000))
         if self.url is not None:
             check_address(self.url)
 
@@ -99,161 +85,127 @@ class Target:
 
 
 class Load:
-    """The swarms on one server: peers that come, send and count."""
+    """Peers that join one server, send and count."""
 
     def __init__(self, config: RelayBenchConfig, target: Target, workers: Workers) -> None:
-        """Start the processes; nobody has come yet."""
+        """Start the process; no peer has joined yet."""
         self.target = target
-        self._config = config
-        self._workers = workers
-        self._connected = 0
-        _, cores = share_cores()
-        self._rate = config.joins_per_s or (40.0 if target.pid is None else OWN_JOINS_PER_S)
-        names = [self.room(index) for index in range(config.rooms)]
-        swarms = [
-            SwarmConfig(
-                url=target.url,
-                rooms=names[part :: config.processes],
-                peers=config.peers,
-                fps=config.fps,
-                joins_per_s=self._rate / config.processes,
-                voices=config.voices,
-                seed=f"{config.seed}/{part}",
-            )
-            for part in range(config.processes)
-        ]
-        self._swarms = [
-            workers.start("swarm", json.dumps(asdict(swarm)), core=cores[part % len(cores)])
-            for part, swarm in enumerate(swarms)
-        ]
+        self._config, self._workers = config, workers
+        self._rate = FOREIGN_JOINS_PER_S if target.pid is None else OWN_JOINS_PER_S
+        swarm = SwarmConfig(
+            url=target.url,
+            rooms=[self.room(index) for index in range(config.rooms)],
+            peers=config.peers,
+            fps=config.fps,
+            joins_per_s=self._rate,
+            seed=config.seed,
+        )
         self._idle_bytes = None if target.pid is None else memory_bytes(target.pid)
+        self._swarm = workers.start("swarm", json.dumps(asdict(swarm)), core=share_cores()[1])
 
     @property
     def num_connections(self) -> int:
-        """Peers that are there."""
-        return self._connected * self._config.peers
+        """Number of peers."""
+        return self._config.rooms * self._config.peers
 
     def room(self, index: int) -> str:
         """The name of a room, by its number from 0."""
         return f"load-{self._config.seed}-{index}"
 
-    def connect(self, rooms: int) -> None:
-        """Fill the first so many rooms.
+    def connect(self) -> None:
+        """Wait until all peers are in their rooms.
 
         Raises:
-            CallProcessError: Not everybody got in.
+            CallProcessError: Some were refused.
         """
-        if rooms <= self._connected:
-            return
-        new = (rooms - self._connected) * self._config.peers
-        for swarm, part in zip(self._swarms, self._parts(rooms), strict=True):
-            swarm.order(do="connect", rooms=part)
-        timeout_s = new / self._rate + JOIN_TIMEOUT_S + PATIENCE_S
-        answers = [swarm.answer(timeout_s) for swarm in self._swarms]
-        live = sum(answer["live"] for answer in answers)
-        if live < rooms * self._config.peers:
+        answer = self._swarm.answer(self.num_connections / self._rate + JOIN_TIMEOUT_S + PATIENCE_S)
+        if answer["live"] < self.num_connections:
             raise CallProcessError(
-                f"{live} of {rooms * self._config.peers} peers got in; the others were closed "
-                f"with {close_codes(answers) or 'no code'}: see the limits of the relay"
+                f"{answer['live']} of {self.num_connections} peers joined; the others were closed "
+                f"with {answer['closed'] or 'no code'}: see the limits of the relay"
             )
-        self._connected = rooms
 
-    def measure(self, rooms: int, seconds: float) -> dict[str, Any]:
-        """Let the first so many rooms send for a while; return the figures."""
-        self.connect(rooms)
-        pid, target = self.target.pid, self.target
+    def measure(self) -> dict[str, Any]:
+        """Let all peers send for a while; return the figures."""
+        target, seconds = self.target, self._config.seconds
         begin_s = time.monotonic() + SETTLE_S
         end_s = begin_s + seconds
-        for swarm, part in zip(self._swarms, self._parts(rooms), strict=True):
-            swarm.order(do="window", rooms=part, begin_s=begin_s, end_s=end_s)
-        _sleep_until(begin_s)
-        before = relay_metrics(target.url) if target.has_metrics else {}
-        cpu_before, at_before = None if pid is None else cpu_s(pid), time.monotonic()
-        _sleep_until(end_s)
-        cpu_after, at_after = None if pid is None else cpu_s(pid), time.monotonic()
-        after = relay_metrics(target.url) if target.has_metrics else {}
-        answers = [swarm.answer(DRAIN_S + PATIENCE_S) for swarm in self._swarms]
+        self._swarm.order(json.dumps([begin_s, end_s]))
+        readings = []
+        for moment_s in (begin_s, end_s):
+            time.sleep(max(moment_s - time.monotonic(), 0.0))
+            metrics = relay_metrics(target.url) if target.has_metrics else {}
+            cpu = None if target.pid is None else cpu_s(target.pid)
+            readings.append((metrics, cpu, time.monotonic()))
+        counted = self._swarm.answer(DRAIN_S + PATIENCE_S)
+        (before, cpu_before, at_before), (after, cpu_after, at_after) = readings
         metrics = {name: value - before.get(name, 0.0) for name, value in after.items()}
-        if "pica_overload" in after:
-            metrics["pica_overload"] = after["pica_overload"]  # as it is, no difference
-        cpu = None
+        cpu_ratio = None
         if cpu_before is not None and cpu_after is not None:
-            cpu = (cpu_after - cpu_before) / (at_after - at_before)
-        return self._figures(rooms, seconds, answers, metrics, cpu)
+            cpu_ratio = (cpu_after - cpu_before) / (at_after - at_before)
+        overload = round(after.get("pica_overload", 0.0))
+        return self._figures(counted, metrics, cpu_ratio) | {"overload": overload}
 
     def leave(self) -> None:
-        """End the swarms."""
-        self._workers.stop(self._swarms)
+        """End the process."""
+        self._workers.stop([self._swarm])
 
     def _figures(
-        self,
-        rooms: int,
-        seconds: float,
-        answers: Sequence[dict[str, Any]],
-        metrics: dict[str, float],
-        cpu: float | None,
+        self, counted: dict[str, Any], metrics: dict[str, float], cpu_ratio: float | None
     ) -> dict[str, Any]:
-        config, closed = self._config, close_codes(answers)
-        total: Counter[str] = Counter()
-        for answer in answers:
-            total.update({key: n for key, n in answer.items() if isinstance(n, int)})
-        received = total["received"] + total["voices_received"]
-        expected = (total["sent"] + total["voices_sent"]) * (config.peers - 1)
-        missing = expected - received
-        delivered_per_s = received / seconds
+        config = self._config
+        missing = counted["sent"] * (config.peers - 1) - counted["received"]
+        delivered_per_s = counted["received"] / config.seconds
         held = None if self.target.pid is None else memory_bytes(self.target.pid)
         per_connection = None
         if self._idle_bytes is not None and held is not None:
             per_connection = round(max(held - self._idle_bytes, 0) / self.num_connections)
         messages = summed(metrics, "pica_messages_out_total")
+        frames = summed(metrics, "pica_frames_out_total")
         return {
-            "rooms": rooms,
+            "rooms": config.rooms,
             "peers": config.peers,
             "fps": config.fps,
-            "seconds": seconds,
+            "seconds": config.seconds,
             "connections": self.num_connections,
             "delivered_per_s": round(delivered_per_s, 1),
-            "sent_per_s": round(total["sent"] / seconds, 1),
-            "forward_ms": percentiles(merged(answers, "latency")),
-            "voice_ms": percentiles(merged(answers, "voice_latency")) if config.voices else None,
-            "relay_forward_ms": relay_percentiles(metrics),
+            "sent_per_s": round(counted["sent"] / config.seconds, 1),
+            "forward_ms": percentiles(counted["latency"]),
             "dropped": round(summed(metrics, "pica_frames_dropped_total")) if metrics else missing,
             "late": round(metrics.get('pica_frames_dropped_total{reason="late"}', 0.0)),
-            "overload": round(metrics.get("pica_overload", 0.0)),
             "missing": missing,
-            "voices_missing": total["voices_sent"] * (config.peers - 1) - total["voices_received"],
-            "blocked": total["blocked"],
+            "blocked": counted["blocked"],
             "relay_cpu_s_per_1000": None
-            if cpu is None or not delivered_per_s
-            else round(cpu / delivered_per_s * 1000, 5),
-            "relay_cpu_ratio": None if cpu is None else round(cpu, 3),
+            if cpu_ratio is None or not delivered_per_s
+            else round(cpu_ratio / delivered_per_s * 1000, 5),
+            "relay_cpu_ratio": None if cpu_ratio is None else round(cpu_ratio, 3),
             "bytes_per_connection": per_connection,
-            "messages_per_s": round(messages / seconds) if messages else None,
-            "bitrate_bps": round(total["bytes_in"] * 8 / seconds / max(rooms * config.peers, 1)),
-            "frames_per_message": None
-            if not messages
-            else round(summed(metrics, "pica_frames_out_total") / messages, 2),
-            "errors": sum(closed.values()),
-            "close_codes": closed,
-            "generator": {
-                "processes": config.processes,
-                "cpu_ratio": [round(answer["cpu_ratio"], 3) for answer in answers],
-                "turn_ms": percentiles(merged(answers, "turn")),
-                "reads_per_s": round(total["reads"] / seconds, 1),
-            },
+            "frames_per_message": round(frames / messages, 2) if messages else None,
+            "errors": sum(counted["closed"].values()),
+            "close_codes": counted["closed"],
+            "generator_cpu_ratio": round(counted["cpu_ratio"], 3),
+            "generator_turn_ms": percentiles(counted["turn"]),
         }
 
-    def _parts(self, rooms: int) -> list[int]:
-        """How many rooms of each swarm are the first so many of all."""
-        num = self._config.processes
-        return [(rooms - part + num - 1) // num for part in range(num)]
+
+def percentiles(steps: Mapping[str, int]) -> dict[str, float | None]:
+    """Percentiles of a histogram of steps of `STEP_US`, upper edges, in milliseconds."""
+    counts = {int(step): count for step, count in steps.items()}
+    ordered = sorted(counts)
+    seen = list(accumulate(counts[step] for step in ordered))
+    found: dict[str, float | None] = {}
+    for percent in (50, 95, 99):
+        place = bisect_left(seen, seen[-1] * percent / 100) if seen else None
+        ms = None if place is None else round((ordered[place] + 1) * STEP_US / 1e3, 3)
+        found[f"p{percent}"] = ms
+    return found
 
 
 def run_relay_bench(config: RelayBenchConfig) -> dict[str, Any]:
     """Measure a relay.
 
     Raises:
-        ClientError: The relay does not answer, or does not let everybody in.
+        ClientError: The relay does not answer, or refuses peers.
     """
     with Workers() as workers, Children() as children, relay_target(config, children) as target:
         return measure(config, target, workers, "relay") | {"machine": describe_machine()}
@@ -267,28 +219,18 @@ def relay_target(
     if config.url is not None:
         yield Target(url=config.url, has_metrics=bool(relay_metrics(config.url)))
         return
-    relay, target = start_relay(config, children, limits)
-    try:
-        yield target
-    finally:
-        relay.let_go()
-        relay.wait(time.monotonic() + START_TIMEOUT_S)
-
-
-def start_relay(
-    config: RelayBenchConfig, children: Children, limits: Sequence[str] = NO_LIMITS
-) -> tuple[Child, Target]:
-    """Start a relay with room for the load, on a core of its own."""
-    connections = config.rooms * config.peers + 64
     relay, url = children.start_relay(
-        *("--max-connections", str(connections)),
+        *("--max-connections", str(config.rooms * config.peers + 64)),
         *("--room-capacity", str(max(config.peers + 2, 16))),
         *limits,
         *config.relay_arguments,
     )
-    core, _ = share_cores()
-    pin(relay.pid, core)
-    return relay, Target(url=url, pid=relay.pid, has_metrics=True)
+    pin(relay.pid, share_cores()[0])
+    try:
+        yield Target(url=url, pid=relay.pid, has_metrics=True)
+    finally:
+        relay.let_go()
+        relay.wait(time.monotonic() + START_TIMEOUT_S)
 
 
 def measure(
@@ -297,14 +239,15 @@ def measure(
     """Load one server as the configuration says; `name` is what it is called on stderr."""
     load = Load(config, target, workers)
     try:
-        load.connect(config.rooms)
+        load.connect()
         say(f"{name}: {load.num_connections} peers in {config.rooms} rooms")
-        result = load.measure(config.rooms, config.seconds)
-        say(f"{name}: {describe(result)}")
+        result = load.measure()
     finally:
         load.leave()
+    forward = result["forward_ms"]
+    say(
+        f"{name}: {result['delivered_per_s']:,.0f} frames/s delivered, forwarding p50 "
+        f"{forward['p50']} ms, p99 {forward['p99']} ms, missing {result['missing']}, processor "
+        f"{result['relay_cpu_s_per_1000']} s per 1,000"
+    )
     return result
-
-
-def _sleep_until(when_s: float) -> None:
-    time.sleep(max(when_s - time.monotonic(), 0.0))

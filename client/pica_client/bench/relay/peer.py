@@ -8,6 +8,7 @@ session of `pica_protocol`), while media is written and read here, by hand:
   relay unmasks it as any other; random keys are for the protection of proxies (RFC 6455 10.3);
 - of a message that comes in, the frames' headers are walked, the payloads are not looked at.
 
+Payloads are noise with the sizes of a coded face. Unlike a real sender this one never falls silent.
 No event loop: `swarm` calls `on_readable` when the socket is.
 """
 
@@ -15,14 +16,15 @@ import random
 import socket
 import ssl
 import struct
+import time
+from collections import Counter
+from collections.abc import Sequence
 from typing import Final
 
 from websockets.client import ClientProtocol
 from websockets.typing import Subprotocol
 from websockets.uri import parse_uri
 
-from pica_client.bench.relay.tally import Tally
-from pica_client.bench.relay.traffic import LARGEST_FACE_BYTES, VOICE_PAYLOAD, Traffic
 from pica_client.errors import RelayUnreachableError
 from pica_client.transport.connect import MAX_UNSENT_BYTES
 from pica_protocol import SUBPROTOCOL
@@ -40,7 +42,13 @@ from pica_protocol.session import State
 
 CONNECT_TIMEOUT_S: Final = 5.0
 JOIN_TIMEOUT_S: Final = 10.0
-_VOICE: Final = Track(kind="voice", policy="ordered", deadline_ms=200)
+SIZES: Final[Sequence[int]] = (2, 13, 16, 17, 19, 20, 21, 22, 24, 26, 37)
+"""Payload bytes of the shipped performance "talk" at the default quality: minimum, deciles and
+maximum (measured)."""
+STEP_US: Final = 10
+"""Width of the latency buckets."""
+NUM_STEPS: Final = 200_000
+"""Latencies up to 2 s; later frames count as that late."""
 _READ_BYTES: Final = 65_536
 _OUT = struct.Struct(">IBHHI")
 """A mask of zeros, kind of the message, header of the frame."""
@@ -50,41 +58,59 @@ _FIN = 0x80
 _MASK = 0x80
 
 
+class Tally:
+    """Counts of the frames captured between two moments, for all peers of a process.
+
+    Attributes:
+        now_us: When the last read was.
+        latency: Frames received, by steps of `STEP_US` from capture to receipt.
+        codes: Websocket close codes of connections that the relay ended.
+    """
+
+    def __init__(self) -> None:
+        self.begin_us = self.end_us = self.now_us = 0
+        self.sent = self.blocked = self.received = self.bytes_in = 0
+        self.latency: Counter[int] = Counter()
+        self.codes: Counter[int] = Counter()
+
+    def count_sent(self, captured_us: int, *, is_sent: bool) -> None:
+        """Count a frame that was sent, or that the network did not take."""
+        if self.begin_us <= captured_us < self.end_us:
+            self.sent += is_sent
+            self.blocked += not is_sent
+
+    def count_received(self, captured_us: int) -> None:
+        """Count a frame as of the last read."""
+        if self.begin_us <= captured_us < self.end_us:
+            self.received += 1
+            self.latency[min((self.now_us - captured_us) // STEP_US, NUM_STEPS)] += 1
+
+
 class SwarmPeer:
     """One connection, from the first byte to the last.
 
     Attributes:
         is_live: Whether it is in the room and media may flow.
         is_closed: Whether it is over.
+        stream: Number of its track.
     """
 
-    def __init__(
-        self,
-        url: str,
-        room: str,
-        name: str,
-        rng: random.Random,
-        tally: Tally,
-        now: float,
-        *,
-        has_voice: bool,
-    ) -> None:
+    def __init__(self, url: str, room: str, name: str, rng: random.Random, tally: Tally) -> None:
         """Connect, and ask for the websocket.
 
         Raises:
-            RelayUnreachableError: Nobody listens there.
+            RelayUnreachableError: Nothing listens there.
         """
         self.is_live = self.is_closed = False
-        self._tally = tally
-        self._traffic = Traffic(rng)
-        self._stream = self._voice_stream = self._voice_sequence = 0
-        self._rest = b""
-        self._unsent = b""
+        self._tally, self._rng = tally, rng
+        self._noise = rng.randbytes(max(SIZES))
+        self.stream = self._sequence = 0
+        self._rest = self._unsent = b""
         self._session = ClientSession(
             room=room,
             name=name,
-            tracks=(Track(kind="load"), _VOICE)[: 1 + has_voice],
-            now=now,
+            tracks=(Track(kind="load"),),
+            now=time.monotonic(),
             timeout_s=JOIN_TIMEOUT_S,
         )
         self.sock = _connect(url)
@@ -94,29 +120,19 @@ class SwarmPeer:
         self._handshake.send_request(self._handshake.connect())
         self._write(b"".join(self._handshake.data_to_send()))
 
-    def send_frame(self, now_us: int) -> bool:
-        """Send the next frame; False when the network does not take it, and it is dropped."""
-        return self._send(self._stream, *self._traffic.next_frame(), now_us)
-
-    def send_voice(self, now_us: int) -> bool:
-        """Send the next packet of the voice; False as `send_frame`."""
-        sequence = self._voice_sequence
-        self._voice_sequence = (sequence + 1) & 0xFFFF
-        return self._send(self._voice_stream, sequence, VOICE_PAYLOAD, now_us)
-
-    def _send(self, stream: int, sequence: int, payload: bytes, now_us: int) -> bool:
-        size = len(payload)
-        length = 1 + HEADER_BYTES + size
-        begin = bytes((_FIN | _BINARY, _MASK | min(length, 126)))
-        if length >= 126:
-            begin += length.to_bytes(2, "big")
+    def send_frame(self, now_us: int) -> None:
+        """Send the next frame, or drop it when the network does not take it."""
+        if not self.is_live:
+            return
+        size = SIZES[int(self._rng.random() * len(SIZES))]
         word = now_us // TICK_US % TICK_MODULUS << LENGTH_BITS | size
-        head = begin + _OUT.pack(0, MEDIA_KIND, stream, sequence, word)
+        data = bytes((_FIN | _BINARY, _MASK | 1 + HEADER_BYTES + size))
+        data += _OUT.pack(0, MEDIA_KIND, self.stream, self._sequence, word) + self._noise[:size]
+        self._sequence = (self._sequence + 1) & 0xFFFF
         if self._unsent:
             self._write(b"")
-            if self._unsent:
-                return False
-        return self._write(head + payload, may_drop=True)
+        is_sent = not self._unsent and self._write(data, may_drop=True)
+        self._tally.count_sent(now_us, is_sent=is_sent)
 
     def on_readable(self, now: float) -> None:
         """Read what has come."""
@@ -124,6 +140,11 @@ class SwarmPeer:
         # What TLS has decrypted already makes no socket readable.
         while isinstance(self.sock, ssl.SSLSocket) and not self.is_closed and self.sock.pending():
             self._read(now)
+
+    def close(self) -> None:
+        """Cut the connection."""
+        self.is_live, self.is_closed = False, True
+        self.sock.close()
 
     def _read(self, now: float) -> None:
         try:
@@ -137,13 +158,9 @@ class SwarmPeer:
         elif self._handshake is not None:
             self._shake_hands(self._handshake, data, now)
         else:
-            self._tally.heard(len(data))
+            self._tally.bytes_in += len(data)
+            self._tally.now_us = time.monotonic_ns() // 1000
             self._read_messages(self._rest + data if self._rest else data, now)
-
-    def close(self) -> None:
-        """Cut the connection."""
-        self.is_live, self.is_closed = False, True
-        self.sock.close()
 
     def _shake_hands(self, handshake: ClientProtocol, data: bytes, now: float) -> None:
         handshake.receive_data(data)
@@ -173,28 +190,22 @@ class SwarmPeer:
             if end > size:
                 break
             if first == _FIN | _BINARY and length and data[begin] == MEDIA_KIND:
-                tally, unpack, at = self._tally, _IN.unpack_from, begin + 1
-                now_us = tally.now_us
-                now_tick = now_us // TICK_US
-                received, received_voice = tally.received, tally.received_voice
-                while at < end:
-                    _, _, word = unpack(data, at)
-                    payload_bytes = word & LENGTH_MASK
-                    # On one clock, and never a wrap under way.
-                    captured_us = (
-                        now_us - (now_tick - (word >> LENGTH_BITS)) % TICK_MODULUS * TICK_US
-                    )
-                    if payload_bytes > LARGEST_FACE_BYTES:
-                        received_voice(captured_us)
-                    else:
-                        received(captured_us)
-                    at += HEADER_BYTES + payload_bytes
+                self._count_frames(data, begin + 1, end)
             else:
                 self._take(first, data[begin:end], now)
                 if self.is_closed:
                     return
             start = end
         self._rest = data[start:]
+
+    def _count_frames(self, data: bytes, at: int, end: int) -> None:
+        """Walk the headers of a media message. Both ends are on one clock, so none has wrapped."""
+        now_us, unpack, count = self._tally.now_us, _IN.unpack_from, self._tally.count_received
+        now_tick = now_us // TICK_US
+        while at < end:
+            word = unpack(data, at)[2]
+            count(now_us - (now_tick - (word >> LENGTH_BITS)) % TICK_MODULUS * TICK_US)
+            at += HEADER_BYTES + (word & LENGTH_MASK)
 
     def _take(self, first: int, payload: bytes, now: float) -> None:
         """Take one message that is not media."""
@@ -206,11 +217,7 @@ class SwarmPeer:
         elif first == _FIN | _BINARY:
             for event in self._session.receive_data(payload, now):
                 if isinstance(event, Joined):
-                    self._stream, self._voice_stream = (
-                        event.tracks[0].stream,
-                        event.tracks[-1].stream,
-                    )
-                    self.is_live = True
+                    self.stream, self.is_live = event.tracks[0].stream, True
             self._flush(now)
         elif opcode != _PONG:
             self._end(1002)

@@ -1,4 +1,4 @@
-"""The processes of a relay bench: servers and swarms, each on its core, and what they cost."""
+"""The processes of a relay bench: servers and load, each on its core, and what they cost."""
 
 import json
 import os
@@ -26,24 +26,24 @@ class Worker(ChildProcess):
         super().__init__(name, words, stdout=subprocess.PIPE)
         pin(self.pid, core)
 
-    def order(self, **order: Any) -> None:
-        """Send an order.
+    def order(self, line: str) -> None:
+        """Send a line.
 
         Raises:
             CallProcessError: It has ended.
         """
         assert self._process.stdin is not None
         try:
-            self._process.stdin.write(json.dumps(order).encode() + b"\n")
+            self._process.stdin.write(f"{line}\n".encode())
             self._process.stdin.flush()
         except OSError as error:
             raise self._failure() from error
 
     def answer(self, timeout_s: float) -> dict[str, Any]:
-        """Wait for the answer to an order.
+        """Wait for a JSON object.
 
         Raises:
-            CallProcessError: It has ended, or says nothing.
+            CallProcessError: It has ended, or prints nothing.
             OptionError: It refuses its configuration.
         """
         answer = json.loads(self.line(timeout_s))
@@ -55,7 +55,7 @@ class Worker(ChildProcess):
         """Wait for a line of its output.
 
         Raises:
-            CallProcessError: It has ended, or says nothing.
+            CallProcessError: It has ended, or prints nothing.
         """
         assert self._process.stdout is not None
         ready, _, _ = select.select([self._process.stdout], [], [], timeout_s)
@@ -72,7 +72,7 @@ class Worker(ChildProcess):
 
     def _failure(self) -> CallProcessError:
         code = self.exit_code
-        how = "says nothing" if code is None else f"ended with status {code}"
+        how = "prints nothing" if code is None else f"ended with status {code}"
         return CallProcessError(f"{self.name} {how}")
 
 
@@ -104,12 +104,10 @@ class Workers:
         self.stop(self._workers)
 
 
-def share_cores() -> tuple[int | None, list[int | None]]:
-    """Choose a core for the server and those for the load; None where nothing can be pinned."""
+def share_cores() -> tuple[int | None, int | None]:
+    """Choose a core for the server and one for the load; None where nothing can be pinned."""
     cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
-    if len(cores) < 2:
-        return None, [None]
-    return cores[-1], list(cores[:-1])
+    return (cores[-1], cores[0]) if len(cores) > 1 else (None, None)
 
 
 def pin(pid: int, core: int | None) -> None:

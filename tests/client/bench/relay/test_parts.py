@@ -1,32 +1,31 @@
 import random
+import socket
 from typing import Any, cast
 
 import pytest
 
-from pica_client.bench.relay import bench
+from pica_client.bench.relay import bench, peer
 from pica_client.bench.relay.bench import Load, RelayBenchConfig, Target
+from pica_client.bench.relay.peer import STEP_US, SwarmPeer, Tally
 from pica_client.bench.relay.processes import Workers
-from pica_client.bench.relay.traffic import Traffic
 from pica_client.errors import OptionError
-from pica_protocol.frames import Frame, decode_media, encode_frame, media_message
+from pica_protocol.frames import MEDIA_KIND, decode_media
 
 pytestmark = pytest.mark.unit
 
-STEP_US = 33_333
-
 
 class Swarm:
-    """Stands for the workers and the one swarm that they start, of two peers that lose a frame."""
+    """Stands for the workers and the process that they start, of two peers that lose a frame."""
 
     def start(self, *_: object, **__: object) -> "Swarm":
         return self
 
-    def order(self, **_: object) -> None:
+    def order(self, _: str) -> None:
         pass
 
     def answer(self, _: float) -> dict[str, Any]:
-        counts = {"live": 2, "sent": 10, "received": 9}
-        return {**counts, "latency": {}, "turn": {}, "closed": {}, "cpu_ratio": 0.1}
+        counts = {"sent": 10, "received": 9, "blocked": 0, "cpu_ratio": 0.1}
+        return {**counts, "latency": {"10": 8, "100": 1}, "turn": {}, "closed": {}}
 
 
 def test_what_a_server_without_metrics_did_not_pass_on_was_dropped(
@@ -34,35 +33,46 @@ def test_what_a_server_without_metrics_did_not_pass_on_was_dropped(
 ) -> None:
     monkeypatch.setattr(bench, "SETTLE_S", 0.0)
     config = RelayBenchConfig(rooms=1, peers=2, seconds=0.5)
-    load = Load(config, Target(url="ws://relay"), cast("Workers", Swarm()))
-    figures = load.measure(1, config.seconds)
+    figures = Load(config, Target(url="ws://relay"), cast("Workers", Swarm())).measure()
     assert (figures["dropped"], figures["missing"]) == (1, 1)
+    assert figures["forward_ms"] == {"p50": 0.11, "p95": 1.01, "p99": 1.01}
 
 
-def frames(num: int) -> list[tuple[int, bytes]]:
-    traffic = Traffic(random.Random(7))
-    return [traffic.next_frame() for _ in range(num)]
-
-
-def test_simulated_payloads_are_of_twenty_bytes_on_average() -> None:
-    sizes = [len(payload) for _, payload in frames(9000)]
+def test_a_peer_sends_frames_of_the_protocol_with_the_sizes_of_a_face(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    ours, theirs = socket.socketpair()
+    monkeypatch.setattr(peer, "_connect", lambda _: ours)
+    with ours, theirs:
+        tally = Tally()
+        tally.end_us = 1_000_000
+        sender = SwarmPeer("ws://relay", "room", "name", random.Random(7), tally)
+        theirs.recv(65_536)  # the handshake
+        sender.is_live, sender.stream = True, 1
+        sizes = []
+        for _ in range(900):
+            sender.send_frame(500)
+            data = theirs.recv(65_536)
+            assert data[0] == 0x82
+            assert data[6] == MEDIA_KIND
+            (frame,) = decode_media(data[6:])
+            sizes.append(len(frame.payload))
+    assert tally.sent == 900
     assert 19 < sum(sizes) / len(sizes) < 21
 
 
-def test_simulated_frames_are_frames_of_the_protocol() -> None:
-    for sequence, payload in frames(40):
-        frame = Frame(stream=1, sequence=sequence, captured_us=500, payload=payload)
-        assert decode_media(media_message([encode_frame(frame)])) == [frame]
+def test_a_frame_is_counted_by_the_time_from_capture_to_receipt() -> None:
+    tally = Tally()
+    tally.begin_us, tally.end_us, tally.now_us = 1000, 2000, 2500
+    for captured_us in (999, 1000, 2000):
+        tally.count_received(captured_us)
+    assert tally.latency == {1500 // STEP_US: 1}
 
 
 @pytest.mark.parametrize(
     ("options", "words"),
     [
         ({"rooms": 0}, "rooms is 0; 1 to 10000"),
-        ({"peers": 1}, "peers is 1; 2 to 64"),
-        ({"fps": 0.5}, "fps is 0.5"),
-        ({"seconds": 0}, "seconds is 0"),
-        ({"processes": 30}, "processes is 30; 1 to 20"),
         ({"url": "http://x"}, "url 'http://x' is no relay address"),
     ],
 )
