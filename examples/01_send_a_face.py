@@ -6,10 +6,10 @@ You learn the three parts of the sending half: a source (a face as a function of
 
 import asyncio
 
+from pica_client.endpoint.endpoint import Sender
 from pica_client.publish.publisher import SenderConfig
 from pica_client.sources import open_source
 from pica_client.transport.config import LinkConfig
-from pica_client.transport.endpoints import Sender
 from pica_core.avatar.file import avatar_id, load_avatar
 from pica_core.avatar.shipped import shipped_avatar_files
 from pica_server.config.relay import RelayConfig

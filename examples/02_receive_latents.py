@@ -9,10 +9,10 @@ import asyncio
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.call.call import Call
+from pica_client.endpoint.endpoint import Receiver, Sender
 from pica_client.publish.publisher import SenderConfig
 from pica_client.sources import open_source
 from pica_client.transport.config import LinkConfig
-from pica_client.transport.endpoints import Receiver, Sender
 from pica_core.avatar.file import avatar_id, load_avatar
 from pica_core.avatar.shipped import shipped_avatar_files
 from pica_server.config.relay import RelayConfig

@@ -10,9 +10,9 @@ import math
 
 import numpy as np
 
+from pica_client.endpoint.endpoint import Sender
 from pica_client.publish.publisher import SenderConfig
 from pica_client.transport.config import LinkConfig
-from pica_client.transport.endpoints import Sender
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT, ExpressionFrame
 from pica_core.avatar.file import avatar_id, load_avatar
 from pica_core.avatar.shipped import shipped_avatar_files

@@ -10,10 +10,10 @@ import numpy as np
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.call.call import Call
+from pica_client.endpoint.endpoint import Receiver, Sender
 from pica_client.publish.publisher import SenderConfig
 from pica_client.sources import open_source
 from pica_client.transport.config import LinkConfig
-from pica_client.transport.endpoints import Receiver, Sender
 from pica_client.voice.opus import OpusDecoder
 from pica_client.voice.packet import VoicePacket
 from pica_client.voice.publisher import VoicePublisher

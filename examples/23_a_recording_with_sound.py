@@ -13,7 +13,7 @@ from pathlib import Path
 import av
 import numpy as np
 
-from pica_client.render.recorder import Recorder
+from pica_client.ui.recorder import Recorder
 from pica_client.voice.packet import FRAME_SAMPLES, SAMPLE_RATE_HZ
 from pica_client.voice.sound.soundtrack import Soundtrack
 

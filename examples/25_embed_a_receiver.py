@@ -18,13 +18,13 @@ from pica_client.avatars.library import AvatarLibrary
 from pica_client.call.call import Call
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.pool import DecodePool
+from pica_client.endpoint.endpoint import Receiver
 from pica_client.local_call.processes import Children
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.views import stereo_cameras
 from pica_client.schedule.frame_planner import FramePlanner
 from pica_client.schedule.scheduler import Scheduler
 from pica_client.transport.config import LinkConfig
-from pica_client.transport.endpoints import Receiver
 from pica_client.ui.avatar_presenter import AvatarPresenter
 
 NAMES = {"Ada": "amara", "Ben": "elias"}

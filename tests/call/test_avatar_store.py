@@ -20,11 +20,11 @@ from pica_client.avatars.upload import AvatarGiver
 from pica_client.call.call import Call
 from pica_client.call.faces import FaceState
 from pica_client.decode.decoder import OnnxDecoder
+from pica_client.endpoint.endpoint import Receiver, Sender
 from pica_client.publish.own_face import FaceChoice, open_own_face
 from pica_client.publish.publisher import SenderConfig
 from pica_client.sources import open_source
 from pica_client.transport.config import LinkConfig
-from pica_client.transport.endpoints import Receiver, Sender
 from pica_core.avatar.file import avatar_id, save_avatar
 from pica_server.auth.tokens import Admission, KeyRing, mint
 from pica_server.relay import Relay

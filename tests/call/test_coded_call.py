@@ -24,10 +24,10 @@ from helpers.senders import LoadedAvatars, make_senders
 from pica_client.call import participant as participant_module
 from pica_client.call.call import Call
 from pica_client.call.faces import FaceState
+from pica_client.endpoint.endpoint import Receiver, Sender
 from pica_client.publish import publisher as publisher_module
 from pica_client.publish.publisher import SenderConfig
 from pica_client.transport.config import LinkConfig
-from pica_client.transport.endpoints import Receiver, Sender
 from pica_core.avatar.file import Avatar, load_avatar
 from pica_core.codec.latent_sample import LatentSample
 from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig

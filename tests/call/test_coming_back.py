@@ -17,10 +17,10 @@ from helpers.senders import LoadedAvatars, make_senders, run_senders
 from helpers.toy import make_toy_avatar
 from pica_client.call.call import Call
 from pica_client.e2ee.secret import RoomSecret, save_secret
+from pica_client.endpoint.endpoint import LinkNews, Receiver, Sender
 from pica_client.publish.publisher import SenderConfig
 from pica_client.sources import open_source
 from pica_client.transport.config import LinkConfig
-from pica_client.transport.endpoints import LinkNews, Receiver, Sender
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
 from simnet.clock import current_network, in_virtual_time

@@ -20,9 +20,9 @@ from pica_client.call.call import Call
 from pica_client.e2ee.frames import FACE_BYTES
 from pica_client.e2ee.guard import Guard
 from pica_client.e2ee.secret import RoomSecret, save_secret
+from pica_client.endpoint.endpoint import Receiver
 from pica_client.publish.publisher import SenderConfig
 from pica_client.transport.config import LinkConfig
-from pica_client.transport.endpoints import Receiver
 from pica_client.transport.link import Link
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Joined, PeerLeft, Track, Whisper

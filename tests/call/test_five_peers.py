@@ -21,10 +21,10 @@ import pytest
 from helpers.senders import LoadedAvatars, make_senders, run_senders
 from helpers.toy import make_toy_avatar
 from pica_client.call.call import Call
+from pica_client.endpoint.endpoint import Receiver
 from pica_client.publish.publisher import SenderConfig
 from pica_client.stats import percentile
 from pica_client.transport.config import LinkConfig
-from pica_client.transport.endpoints import Receiver
 from pica_client.transport.link import Link
 from pica_core.avatar.file import Avatar
 from pica_protocol.messages import Track

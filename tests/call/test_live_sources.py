@@ -19,11 +19,11 @@ from helpers.senders import LoadedAvatars
 from helpers.toy import make_toy_avatar
 from pica_client.call.call import Call
 from pica_client.cli.track import CalibrateOptions, TrackOptions, calibrate, track
+from pica_client.endpoint.endpoint import Receiver, Sender
 from pica_client.publish.publisher import SenderConfig
 from pica_client.sources.live.tracker import UdpOptions, UdpTracker
 from pica_client.sources.registry import decoder_of, open_live
 from pica_client.transport.config import LinkConfig
-from pica_client.transport.endpoints import Receiver, Sender
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
 

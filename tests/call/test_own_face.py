@@ -19,12 +19,12 @@ from helpers.toy import make_toy_avatar
 from pica_client.call.call import Call
 from pica_client.call.faces import FaceState
 from pica_client.call.status import CallStatus
+from pica_client.endpoint.endpoint import Receiver
+from pica_client.endpoint.monitor import CallMonitor
 from pica_client.errors import RelayRefusedError
 from pica_client.publish.publisher import FaceMode, Publisher, SenderConfig
 from pica_client.sources import open_source
 from pica_client.transport.config import LinkConfig
-from pica_client.transport.endpoints import Receiver
-from pica_client.transport.monitor import CallMonitor
 from pica_server.auth.tokens import Admission, KeyRing, mint
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay

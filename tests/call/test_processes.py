@@ -20,11 +20,11 @@ from pica_client.avatars.library import AvatarLibrary
 from pica_client.bench.call import BenchConfig, run_bench
 from pica_client.bench.relay.processes import Workers
 from pica_client.call.call import Call
+from pica_client.endpoint.endpoint import Receiver
 from pica_client.errors import CallProcessError, RelayUnreachableError
 from pica_client.local_call.local_call import LocalCall, LocalCallConfig
 from pica_client.local_call.processes import Child, Children
 from pica_client.transport.config import LinkConfig
-from pica_client.transport.endpoints import Receiver
 from pica_client.voice.sound.process import SoundProcess
 from pica_core.avatar.file import avatar_id, save_avatar
 

@@ -10,10 +10,11 @@ import pytest
 from helpers.senders import LoadedAvatars
 from helpers.stream_toy import stream_avatar
 from pica_client.call.call import Call
+from pica_client.call.reflection import Reflection
+from pica_client.endpoint.endpoint import Receiver
 from pica_client.publish.publisher import Publisher, SenderConfig
 from pica_client.sources import open_source
 from pica_client.transport.config import LinkConfig
-from pica_client.transport.endpoints import Receiver
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
@@ -41,7 +42,8 @@ async def test_ones_own_face_is_what_the_others_see_and_not_what_the_tracker_saw
         theirs = Receiver(LinkConfig(url=f"ws://ben:{port}", name="Ben"), others)
         running = [asyncio.create_task(each.run()) for each in (mine, theirs)]
         await asyncio.sleep(3)
-        reflection = publisher.reflect()  # in the middle of a call
+        reflection = Reflection(avatar, publisher.track)
+        publisher.watch(reflection.receive)  # in the middle of a call
         await asyncio.sleep(2)
         publisher.mode = "frozen"  # so that two playout delays show one face
         await asyncio.sleep(3)

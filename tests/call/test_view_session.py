@@ -18,10 +18,10 @@ import pytest
 from helpers.hand import Rect, note_places
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.call.call import Call
+from pica_client.endpoint.endpoint import Receiver
 from pica_client.errors import OptionError
 from pica_client.local_call.processes import Children
 from pica_client.transport.config import LinkConfig
-from pica_client.transport.endpoints import Receiver
 from pica_client.ui.events import (
     CloseWanted,
     InputEvent,

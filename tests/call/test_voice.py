@@ -15,16 +15,16 @@ import pytest
 from helpers.senders import LoadedAvatars
 from pica_client.call.call import Call
 from pica_client.e2ee.secret import RoomSecret, save_secret
+from pica_client.endpoint.endpoint import Receiver
 from pica_client.publish.publisher import Publisher, SenderConfig
 from pica_client.sources import open_source
+from pica_client.tracks import VOICE_KEY, VOICE_TRACK, voice_track
 from pica_client.transport.config import LinkConfig
-from pica_client.transport.endpoints import Receiver
 from pica_client.transport.link import Link
 from pica_client.voice import opus
 from pica_client.voice.packet import FRAME_US, PACKET_FRAMES, VoicePacket
 from pica_client.voice.publisher import PREROLL_FRAMES, VoicePublisher
 from pica_client.voice.source import TURN_S, SoundSource
-from pica_client.voice.track import VOICE_KEY, VOICE_TRACK, voice_track
 from pica_core.avatar.file import load_avatar
 from pica_protocol.messages import Track
 from pica_server.config.relay import RelayConfig

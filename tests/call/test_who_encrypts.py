@@ -15,10 +15,10 @@ from helpers.stream_toy import stream_avatar
 from pica_client.call.call import Call
 from pica_client.call.participants import Participant
 from pica_client.e2ee.secret import RoomSecret, save_secret
+from pica_client.endpoint.endpoint import Receiver
+from pica_client.endpoint.monitor import CallMonitor
 from pica_client.publish.publisher import SenderConfig
 from pica_client.transport.config import LinkConfig
-from pica_client.transport.endpoints import Receiver
-from pica_client.transport.monitor import CallMonitor
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
 from simnet.clock import in_virtual_time

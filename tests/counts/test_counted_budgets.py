@@ -24,6 +24,7 @@ from pica_client.avatars.library import AvatarLibrary
 from pica_client.bench.head import front_camera
 from pica_client.bench.scene import FPS, SPACING_M
 from pica_client.call.call import Call
+from pica_client.endpoint.endpoint import Receiver
 from pica_client.publish.publisher import SenderConfig
 from pica_client.render.scene import Placement, head_matrix
 from pica_client.schedule.frame_planner import FramePlanner
@@ -31,7 +32,6 @@ from pica_client.schedule.head import Head
 from pica_client.schedule.scheduler import Scheduler
 from pica_client.sources.performances import make_performance
 from pica_client.transport.config import LinkConfig
-from pica_client.transport.endpoints import Receiver
 from pica_client.ui.avatar_presenter import AvatarPresenter
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar

@@ -30,6 +30,7 @@ from pica_client.bench.network.impairment import Impairment
 from pica_client.bench.network.proxy import ImpairedProxy
 from pica_client.call.call import Call, DueFrame
 from pica_client.decode.decoder import OnnxDecoder
+from pica_client.endpoint.endpoint import Receiver
 from pica_client.errors import CallProcessError, OptionError
 from pica_client.local_call import local_call
 from pica_client.local_call.latency import FrameTimes, latency_summary
@@ -37,7 +38,6 @@ from pica_client.local_call.processes import Children
 from pica_client.output import say
 from pica_client.stats import describe_machine
 from pica_client.transport.config import LinkConfig
-from pica_client.transport.endpoints import Receiver
 
 WARM_UP_S = 2.0
 """Between the last peer's first frame and the first that counts."""

@@ -1,7 +1,7 @@
 """The receiving half of a call: who is there, their streams, and their faces at display time.
 
 Events of the link go in on the network thread, faces come out on the drawing thread, one lock
-between them. No socket and no clock: `transport.endpoints.Receiver` is the shell around it.
+between them. No socket and no clock: `endpoint.endpoint.Receiver` is the shell around it.
 
 What is wrong with one stream stays with that stream: a payload that cannot be read is counted and
 the face is held; a peer whose avatar nobody has gets a seat without a face.
@@ -21,8 +21,8 @@ from pica_client.call.participant import Participant, Tell
 from pica_client.call.roster import SECRET_NEEDED, Member, RoomState, Roster
 from pica_client.e2ee.status import SealState, SealStatus
 from pica_client.playout.config import PlayoutConfig
-from pica_client.publish.face_track import FACE_TRACK
 from pica_client.stats import Samples
+from pica_client.tracks import FACE_TRACK
 from pica_core.avatar.file import Avatar
 from pica_core.codec.latent_sample import DecodedFrame
 from pica_core.errors import AvatarFileError

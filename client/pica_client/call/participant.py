@@ -20,7 +20,7 @@ from pica_client.call.connection_quality import StreamHealth
 from pica_client.call.roster import Member
 from pica_client.playout.buffer import PlayedFace, Playout, PlayoutReport
 from pica_client.playout.config import PlayoutConfig
-from pica_client.publish.face_track import FACE_KEY, FACE_LOST
+from pica_client.tracks import FACE_KEY, FACE_LOST
 from pica_core.avatar.file import Avatar
 from pica_core.codec.latent_stream import LatentDecoder
 from pica_core.errors import LatentError, ProfileError

@@ -10,7 +10,7 @@ from typing import Final, Literal
 from pica_client.call.connection_quality import Quality
 from pica_client.call.names import name_warnings
 from pica_client.call.roster import News, NewsKind, RoomState
-from pica_client.publish.face_track import FaceMode
+from pica_client.tracks import FaceMode
 
 NAMES_IN_A_ROW: Final = 3
 """Names in one line; of more, the others are counted."""

@@ -15,8 +15,16 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final, Literal, NamedTuple
 
-from pica_client.publish import face_track
-from pica_client.voice.track import VOICE_KEY, VOICE_MUTED, voice_of
+from pica_client.tracks import (
+    FACE_KEY,
+    FACE_TRACK,
+    RECORDS_KEY,
+    RECORDS_YES,
+    VOICE_KEY,
+    VOICE_MUTED,
+    FaceMode,
+    voice_of,
+)
 from pica_protocol import messages
 from pica_protocol.session import ClientEvent
 
@@ -35,7 +43,7 @@ MAX_NEWS: Final = 64
 SECRET_NEEDED: Final = "encrypted: the room's secret is needed"
 """Why nothing is to be seen of who encrypts when we do not."""
 
-_FACE_MODES: dict[str, face_track.FaceMode] = {"frozen": "frozen", "muted": "muted"}
+_FACE_MODES: dict[str, FaceMode] = {"frozen": "frozen", "muted": "muted"}
 
 NewsKind = Literal["joined", "left", "away", "back", "records", "records no more"]
 
@@ -72,12 +80,12 @@ class Member:
     @property
     def is_watching(self) -> bool:
         """Whether there is no face to be expected."""
-        return all(track.kind != face_track.FACE_TRACK for track in self.peer.tracks)
+        return all(track.kind != FACE_TRACK for track in self.peer.tracks)
 
     @property
-    def face(self) -> face_track.FaceMode:
+    def face(self) -> FaceMode:
         """What becomes of the face, as far as its owner says."""
-        return _FACE_MODES.get(dict(self.peer.metadata).get(face_track.FACE_KEY, ""), "sent")
+        return _FACE_MODES.get(dict(self.peer.metadata).get(FACE_KEY, ""), "sent")
 
     @property
     def is_voice_muted(self) -> bool:
@@ -92,7 +100,7 @@ class Member:
     @property
     def is_recording(self) -> bool:
         """Whether this one says to keep what is seen."""
-        return dict(self.peer.metadata).get(face_track.RECORDS_KEY) == face_track.RECORDS_YES
+        return dict(self.peer.metadata).get(RECORDS_KEY) == RECORDS_YES
 
 
 class RoomState(NamedTuple):

@@ -13,15 +13,15 @@ from cyclopts import Parameter
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.avatars.upload import GiveAvatar, choose_own_avatar
+from pica_client.endpoint.endpoint import LinkNews, Sender
 from pica_client.output import Outputs, check_writable, say
 from pica_client.publish.face_desk import FaceDesk
-from pica_client.publish.face_track import FaceMode
 from pica_client.publish.own_face import DEFAULT_SOURCE
 from pica_client.publish.publisher import SenderConfig
 from pica_client.signals import on_stop_signal
 from pica_client.sources import open_source
+from pica_client.tracks import FaceMode
 from pica_client.transport.config import LinkConfig, guest_name
-from pica_client.transport.endpoints import LinkNews, Sender
 from pica_client.ui.options import check_voice, connect_timeout_s
 from pica_client.voice.publisher import VoicePublisher
 from pica_client.voice.source import open_voice

@@ -27,7 +27,7 @@ from pica_client.e2ee import errors, frames, key_messages
 from pica_client.e2ee.peer_keys import FIRST_WAIT_S, KEY_IDS, PeerKeys
 from pica_client.e2ee.secret import RandomBytes, RoomSecret
 from pica_client.e2ee.status import SealState, SealStatus
-from pica_client.publish.face_track import FACE_TRACK
+from pica_client.tracks import FACE_TRACK
 from pica_protocol import messages
 from pica_protocol.frames import Frame
 from pica_protocol.session import ClientEvent, Closed

@@ -10,16 +10,16 @@ import logging
 import math
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from pica_client.call.reflection import Reflection
 from pica_client.errors import OptionError, check_ranges
-from pica_client.publish.face_track import FACE_KEY, FACE_LOST, FACE_TRACK, FaceMode
 from pica_client.publish.pacer import Pacer
 from pica_client.sources import Source, Tracker
 from pica_client.sources.source import Unseen
 from pica_client.stats import Samples
+from pica_client.tracks import FACE_KEY, FACE_LOST, FACE_TRACK, FaceMode
 from pica_client.transport.link import Link
 from pica_client.transport.timers import wait_until
 from pica_client.voice.publisher import VoicePublisher
@@ -27,6 +27,7 @@ from pica_client.voice.spoken_face import SpokenFace
 from pica_core.avatar.arkit import ExpressionFrame
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
+from pica_core.codec.latent_sample import EncodedFrame
 from pica_core.codec.latent_stream import DEFAULT_QUALITY, LatentEncoder, StreamConfig
 from pica_protocol.messages import Joined, StreamMuted, Track
 from pica_protocol.session import ClientEvent
@@ -35,6 +36,8 @@ _log = logging.getLogger(__name__)
 
 MAX_LOGGED_FRAMES = 100_000
 """Encoding times kept for a latency analysis: 55 minutes at 30 a second."""
+OnSent = Callable[[EncodedFrame, int, float], None]
+"""Takes a frame that was sent, its capture time in microseconds, and the time, seconds."""
 MAX_AGE_US = 200_000
 """Oldest face that a tracker's delay explains."""
 
@@ -74,6 +77,7 @@ class Publisher:
         avatar_identity: Hash of the avatar's file.
 
     Attributes:
+        avatar: Whose expression encoder makes the latents.
         is_muted_by_admin: Whether an admin has stopped the stream.
         mode: What becomes of the face from the next frame on, as far as its owner says; any thread
             may set it.
@@ -86,8 +90,8 @@ class Publisher:
         self, config: SenderConfig, source: Source, avatar: Avatar, avatar_identity: str
     ) -> None:
         self.config = config
-        self._avatar = avatar
-        self._reflection: Reflection | None = None
+        self.avatar = avatar
+        self._watcher: OnSent | None = None
         self.frame_log: deque[tuple[int, int]] = deque(maxlen=MAX_LOGGED_FRAMES)
         self.is_muted_by_admin = False
         self.source = source
@@ -119,11 +123,11 @@ class Publisher:
                 lambda pcm, captured_us: spoken.hear(pcm, captured_us / 1e6 - self._begin_s)
             )
 
-    def reflect(self) -> Reflection:
-        """One's own face as the others get it, from the next frame on."""
-        self._reflection = Reflection(self._avatar, self.track)
+    def watch(self, watcher: OnSent) -> None:
+        """Let a watcher have each frame that is sent from now on; the next one is sent however
+        still the face is."""
+        self._watcher = watcher
         self._stream.restart()
-        return self._reflection
 
     @property
     def trouble(self) -> str:
@@ -247,8 +251,8 @@ class Publisher:
             self._last_sent_s = now
             return
         if link.send_frame(coded.payload, captured_us, multiple=coded.multiple):
-            if self._reflection is not None:
-                self._reflection.receive(coded, captured_us, now)
+            if self._watcher is not None:
+                self._watcher(coded, captured_us, now)
             self._first_sent_s = now if self._first_sent_s is None else self._first_sent_s
             self._last_sent_s = now
             self.num_sent += 1

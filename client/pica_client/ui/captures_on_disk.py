@@ -9,7 +9,7 @@ from pathlib import Path
 from pica_client.closing import Closing
 from pica_client.errors import OptionError
 from pica_client.output import make_folder, writing
-from pica_client.render.recorder import Recorder, save_png
+from pica_client.ui.recorder import Recorder, save_png
 from pica_client.user_folders import pictures_folder, videos_folder
 from pica_client.voice.sound.soundtrack import Soundtrack
 from pica_core.types import Image

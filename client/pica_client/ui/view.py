@@ -13,14 +13,15 @@ from pica_client.avatars.fetch import AvatarFetcher
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.call.call import Call
 from pica_client.decode.request import DecodeResult
+from pica_client.endpoint.endpoint import LinkNews, Receiver
+from pica_client.endpoint.hearing import Hearing
+from pica_client.endpoint.monitor import CallMonitor
 from pica_client.errors import OptionError, RelayUnreachableError
 from pica_client.output import check_writable, say
 from pica_client.publish.face_desk import FaceDesk
 from pica_client.publish.own_face import OutgoingFace
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.connect import trusting
-from pica_client.transport.endpoints import LinkNews, Receiver
-from pica_client.transport.monitor import CallMonitor
 from pica_client.ui.call_sound import CallSound
 from pica_client.ui.captures_on_disk import new_path
 from pica_client.ui.options import ViewOptions
@@ -29,7 +30,6 @@ from pica_client.ui.viewer import Viewer
 from pica_client.ui.window import Window
 from pica_client.voice.opus import available
 from pica_client.voice.publisher import VoicePublisher
-from pica_client.voice.sound.hearing import Hearing
 from pica_client.voice.sound.process import SoundProcess
 from pica_client.voice.source import open_voice
 

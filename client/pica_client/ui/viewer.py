@@ -20,6 +20,7 @@ import moderngl
 import numpy as np
 
 from pica_client.call.faces import FaceSource
+from pica_client.call.reflection import Reflection
 from pica_client.call.status import CallStatus
 from pica_client.closing import Closing
 from pica_client.decode.decoder import OnnxDecoder
@@ -29,7 +30,6 @@ from pica_client.errors import ClientError
 from pica_client.output import Outputs, say
 from pica_client.publish.face_desk import FaceDesk
 from pica_client.render.draw_clock import DrawClock
-from pica_client.render.recorder import Recorder, save_png
 from pica_client.render.renderer import DrawStats, Renderer, RenderOptions
 from pica_client.render.scene import pick_head
 from pica_client.render.views import EYE_DISTANCE_M, stereo_cameras
@@ -44,6 +44,7 @@ from pica_client.ui.captures_on_disk import CapturesOnDisk
 from pica_client.ui.events import InputEvent, MouseMoved, MousePressed, MouseReleased
 from pica_client.ui.options import ViewerOptions, parse_size
 from pica_client.ui.own_face import SelfView
+from pica_client.ui.recorder import Recorder, save_png
 from pica_client.ui.state import ViewState
 from pica_client.ui.window import Window
 from pica_core.camera import Camera
@@ -171,7 +172,10 @@ class Viewer(Closing):
             )
             self._self_view = None
             if desk is not None:
-                self._self_view = SelfView(context, desk.publisher.reflect(), RENDER)
+                publisher = desk.publisher
+                reflection = Reflection(publisher.avatar, publisher.track)
+                publisher.watch(reflection.receive)
+                self._self_view = SelfView(context, reflection, RENDER)
                 stack.callback(self._self_view.close)
             self._resources = stack.pop_all()
         self._started_s = self._clock()

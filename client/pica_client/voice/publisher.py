@@ -14,6 +14,7 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
+from pica_client.tracks import VOICE_KEY, VOICE_MUTED, voice_track
 from pica_client.transport.link import Link
 from pica_client.voice.opus import OpusEncoder
 from pica_client.voice.packet import (
@@ -24,7 +25,6 @@ from pica_client.voice.packet import (
     encode_payload,
     level_of,
 )
-from pica_client.voice.track import VOICE_KEY, VOICE_MUTED, voice_track
 from pica_core.types import FloatArray
 from pica_protocol.messages import Joined, StreamMuted
 from pica_protocol.session import ClientEvent

@@ -9,8 +9,8 @@ from collections.abc import Callable
 from typing import Any
 
 from pica_client.errors import VoiceError
+from pica_client.tracks import voice_of, voice_refusal
 from pica_client.voice.packet import VoicePacket, decode_payload
-from pica_client.voice.track import refusal_of, voice_of
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Joined, Peer, PeerJoined, PeerLeft
 from pica_protocol.session import ClientEvent
@@ -71,7 +71,7 @@ class VoiceReceiver:
         if track is None:
             return
         self._peers[track.stream] = peer.peer_id
-        if self._on_voice is not None and (reason := refusal_of(track)):
+        if self._on_voice is not None and (reason := voice_refusal(track)):
             self.refused[peer.peer_id] = reason
             _log.warning("a voice cannot be heard", extra={"reason": reason})
 

@@ -7,7 +7,7 @@ import pytest
 from helpers.senders import LoadedAvatars
 from helpers.toy import make_toy_avatar, toy_payload
 from pica_client.call.call import Call
-from pica_client.publish.face_track import FACE_KEY, FACE_LOST
+from pica_client.tracks import FACE_KEY, FACE_LOST
 from pica_protocol.frames import Frame
 from pica_protocol.messages import (
     Joined,

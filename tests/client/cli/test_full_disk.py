@@ -15,7 +15,7 @@ from pica_client.e2ee.errors import SecretFileError
 from pica_client.e2ee.secret import RoomSecret, load_secret, save_secret
 from pica_client.errors import OptionError
 from pica_client.output import writing_whole
-from pica_client.render.recorder import save_png
+from pica_client.ui.recorder import save_png
 from pica_core.avatar.file import load_avatar, save_avatar
 from pica_core.errors import AvatarFileError
 from pica_server.auth.tokens import load_keys

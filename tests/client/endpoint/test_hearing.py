@@ -6,11 +6,10 @@ import pytest
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.call.call import Call
-from pica_client.publish.face_track import FACE_TRACK
+from pica_client.endpoint.hearing import WIDTH_RAD, Hearing
+from pica_client.tracks import FACE_TRACK, VOICE_TRACK
 from pica_client.voice.packet import VoicePacket
-from pica_client.voice.sound.hearing import WIDTH_RAD, Hearing
 from pica_client.voice.sound.process import SoundProcess
-from pica_client.voice.track import VOICE_TRACK
 from pica_protocol.messages import Joined, Peer, PeerJoined, PeerLeft, PeerUpdated, Track
 
 pytestmark = pytest.mark.unit

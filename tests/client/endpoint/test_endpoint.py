@@ -9,10 +9,10 @@ import pytest
 from helpers.senders import LoadedAvatars
 from helpers.toy import make_toy_avatar
 from pica_client.call.call import Call
+from pica_client.endpoint.endpoint import Receiver
 from pica_client.publish.publisher import Publisher, SenderConfig
 from pica_client.sources.source import Unseen
 from pica_client.transport.config import LinkConfig
-from pica_client.transport.endpoints import Receiver
 from pica_core.avatar.arkit import ExpressionFrame
 from pica_protocol.messages import Track
 from pica_server.config.relay import RelayConfig

@@ -14,9 +14,9 @@ from typing import Any, Final, Self
 from pica_client.avatars.upload import AvatarGiver
 from pica_client.call.call import Call
 from pica_client.e2ee.status import SealStatus
-from pica_client.publish.face_track import FACE_TRACK, RECORDS_KEY, RECORDS_YES
 from pica_client.publish.publisher import Publisher, SenderConfig
 from pica_client.sources import Source
+from pica_client.tracks import FACE_TRACK, RECORDS_KEY, RECORDS_YES
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.link import Link
 from pica_client.transport.timers import wait_until

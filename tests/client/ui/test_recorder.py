@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from pica_client.errors import OptionError
-from pica_client.render.recorder import KEY_FRAMES, Recorder, save_png
+from pica_client.ui.recorder import KEY_FRAMES, Recorder, save_png
 from pica_client.voice.packet import FRAME_SAMPLES, SAMPLE_RATE_HZ
 from pica_client.voice.sound.soundtrack import Soundtrack
 
@@ -104,7 +104,7 @@ def test_a_recording_without_frames_leaves_no_file_and_can_be_closed_twice(tmp_p
 KILLED = """
 import os, sys, numpy as np
 from pathlib import Path
-from pica_client.render.recorder import Recorder
+from pica_client.ui.recorder import Recorder
 recorder = Recorder(Path(sys.argv[1]), (64, 48))
 for index in range(300):
     recorder.write(np.full((48, 64, 3), index % 200, np.uint8), index / 30)

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from pica_client.call.connection_quality import QualityMeter, StreamHealth, own_quality
 from pica_client.call.participants import Participant, list_participants
 from pica_client.call.status import CallStatus, PeerStatus
-from pica_client.transport.endpoints import Receiver
+from pica_client.endpoint.endpoint import Receiver
 from pica_protocol.invite import Invite, make_link
 
 

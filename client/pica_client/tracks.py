@@ -1,0 +1,49 @@
+"""What the members of a room tell each other of their tracks: kinds, and metadata."""
+
+from typing import Final, Literal
+
+from pica_protocol.messages import Peer, Track
+
+FACE_TRACK: Final = "face"
+"""Kind of the tracks whose payloads are latents."""
+FACE_KEY: Final = "face"
+"""The metadata key under which a peer says why its face stands still: "muted", "frozen" or
+`FACE_LOST`."""
+FACE_LOST: Final = "lost"
+"""The tracker sees no face."""
+FaceMode = Literal["sent", "frozen", "muted"]
+
+RECORDS_KEY: Final = "records"
+"""The metadata key under which a peer says `RECORDS_YES` while it keeps what it sees."""
+RECORDS_YES: Final = "yes"
+
+VOICE_TRACK: Final = "voice"
+"""Kind of the tracks whose payloads are voice packets."""
+VOICE_KEY: Final = "voice"
+"""The metadata key under which a peer says why it is not heard: `VOICE_MUTED`."""
+VOICE_MUTED: Final = "muted"
+VOICE_DEADLINE_MS: Final = 200
+"""How long a voice packet may wait on its way (chosen: as long as the longest delay that is waited
+for before it is heard)."""
+
+
+def voice_track() -> Track:
+    """Return the track that a voice of ours travels on."""
+    return Track(kind=VOICE_TRACK, policy="ordered", deadline_ms=VOICE_DEADLINE_MS)
+
+
+def voice_of(peer: Peer) -> Track | None:
+    """Return the first voice of a peer, or None."""
+    return next((track for track in peer.tracks if track.kind == VOICE_TRACK), None)
+
+
+def voice_refusal(track: Track) -> str:
+    """Return in words why a voice cannot be heard here, or "".
+
+    An empty ``profile`` is Opus in packets of 20 ms; another codec would name itself there.
+    """
+    if track.profile:
+        return f"their voice is of a codec that is not known here ({track.profile[:8]})"
+    if track.policy != "ordered":
+        return f"their voice says that old packets are replaced by new ones ({track.policy})"
+    return ""
