@@ -28,9 +28,10 @@ class QueuedFrame:
     Attributes:
         sender: Whose it is, for fair shares.
         deadline_s: How long it may wait if it is of an ordered stream; None: it is not.
+        framed: The websocket message that holds it alone, made by the first who sends it.
     """
 
-    __slots__ = ("data", "deadline_s", "received_s", "sender", "stream")
+    __slots__ = ("data", "deadline_s", "framed", "received_s", "sender", "stream")
 
     def __init__(
         self, sender: str, stream: int, data: bytes, received_s: float, deadline_s: float | None
@@ -40,6 +41,7 @@ class QueuedFrame:
         self.data = data
         self.received_s = received_s
         self.deadline_s = deadline_s
+        self.framed = b""
 
 
 class _Sender:

@@ -17,7 +17,7 @@ whose sequence number is a multiple of 2 or of 4.
 import struct
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Final
 
 from pica_protocol import limits
 from pica_protocol.errors import RemoteProtocolError
@@ -36,6 +36,7 @@ TICK_MODULUS: Final = 1 << (32 - LENGTH_BITS)
 _HEADER = struct.Struct(">HHI")
 HEADER_BYTES: Final = _HEADER.size
 MAX_PAYLOAD_BYTES: Final = limits.MAX_FRAME_BYTES - HEADER_BYTES
+FrameSpan = tuple[int, int, int, int]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -53,15 +54,6 @@ class Frame:
         limits.check_range("frame.sequence", self.sequence, 0, SEQUENCE_MODULUS - 1)
         limits.check_range("frame.captured_us", self.captured_us, 0, 2**64 - 1)
         limits.check_range("frame.payload bytes", len(self.payload), 0, MAX_PAYLOAD_BYTES)
-
-
-class FrameSpan(NamedTuple):
-    """Where one frame lies in a media message, and the little the relay needs to know of it."""
-
-    stream: int
-    sequence: int
-    start: int
-    end: int
 
 
 def clear_header(frame: Frame) -> bytes:
@@ -83,7 +75,7 @@ def media_message(encoded_frames: Iterable[bytes]) -> bytes:
 
 
 def scan_frames(message: bytes) -> list[FrameSpan]:
-    """Check a whole media message and find its frames, without copying anything.
+    """Check a whole media message and find its frames: stream, sequence, start and end of each.
 
     Raises:
         RemoteProtocolError: The message is too long or empty, or a frame is cut off, too long, or
@@ -112,7 +104,7 @@ def scan_frames(message: bytes) -> list[FrameSpan]:
             raise RemoteProtocolError(f"frame payload cut off, {end - size} bytes are missing")
         if stream == 0:
             raise RemoteProtocolError("frame of stream 0, which nobody owns")
-        spans.append(FrameSpan(stream, sequence, start, end))
+        spans.append((stream, sequence, start, end))
         start = end
     return spans
 

@@ -3,7 +3,7 @@
 from pica_protocol import messages, session
 from pica_protocol.codec import decode_message
 from pica_protocol.errors import CloseCode, LocalProtocolError, RemoteProtocolError
-from pica_protocol.frames import MEDIA_KIND, scan_frames
+from pica_protocol.frames import MEDIA_KIND, FrameSpan, scan_frames
 from pica_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
 
 
@@ -18,20 +18,30 @@ class ServerSession(session.Session):
         self._software = software
 
     def receive_data(self, data: bytes | str, now: float) -> list[session.ServerEvent]:
-        """Take one websocket message; after a ``Join`` event the relay owes the client ``accept``
-        or ``close``."""
+        """Take one websocket message, of which media goes to `receive_media`; after a ``Join``
+        event the relay owes the client ``accept`` or ``close``."""
         if self.state is session.State.CLOSED:
             return []
         try:
             data = session.binary(data)
             if data[0] == MEDIA_KIND:
-                media = session.Media(data, scan_frames(data))
-                if self.state is not session.State.JOINED:  # where the table leads nowhere else
-                    self._advance(session.Media)
-                return [media]
+                self.receive_media(data)
+                return [] if self.closed is None else [self.closed]
             return self._receive_message(decode_message(data, self._max_bytes))
         except RemoteProtocolError as error:
             return [self._end(error.code, str(error), is_remote=False)]
+
+    def receive_media(self, message: bytes) -> list[FrameSpan]:
+        """Take one media message; return its frames, or none and be closed."""
+        if self.state is session.State.CLOSED:
+            return []
+        try:
+            if self.state is not session.State.JOINED:  # where the table leads nowhere else
+                self._advance(session.Media)
+            return scan_frames(message)
+        except RemoteProtocolError as error:
+            self._end(error.code, str(error), is_remote=False)
+            return []
 
     def messages_to_send(self, now: float) -> list[bytes]:
         """Take the control messages that must go out now, in order."""

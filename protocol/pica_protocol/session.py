@@ -30,12 +30,12 @@ What may be received in which state, and where it leads, stands in the two table
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
-from typing import Final, NamedTuple, get_args
+from typing import Final, get_args
 
 from pica_protocol import PROTOCOL_VERSION, SUBPROTOCOL
 from pica_protocol.codec import CONTROL_KIND, encode_message
 from pica_protocol.errors import CloseCode, RemoteProtocolError
-from pica_protocol.frames import MEDIA_KIND, Frame, FrameSpan
+from pica_protocol.frames import MEDIA_KIND, Frame
 from pica_protocol.limits import clipped_reason, quoted
 from pica_protocol.messages import (
     Bye,
@@ -64,12 +64,8 @@ class State(Enum):
     CLOSED = "closed"
 
 
-class Media(NamedTuple):
-    """A checked media message, as the relay wants it: the bytes, and where the frames lie in
-    them."""
-
-    message: bytes
-    spans: list[FrameSpan]
+class Media:
+    """Stands for media messages in the tables."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -86,7 +82,7 @@ class Closed:
 
 
 ClientEvent = Joined | RoomNews | Frame | Closed
-ServerEvent = Join | FromMember | Media | Closed
+ServerEvent = Join | FromMember | Closed
 
 _Table = Mapping[State, Mapping[type, State]]
 

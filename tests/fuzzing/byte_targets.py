@@ -52,7 +52,9 @@ def media(data: bytes) -> None:
             expect(not scan_frames(data), "the relay forwards what nobody reads")
         return
     spans = scan_frames(data)
-    expect([s.stream for s in spans] == [f.stream for f in frames], "frames of other streams")
+    expect(
+        [stream for stream, *_ in spans] == [f.stream for f in frames], "frames of other streams"
+    )
     written = media_message(map(encode_frame, frames))
     expect(decode_media(written) == frames, "not what was read:", frames)
 

@@ -116,11 +116,10 @@ def test_frames_pass_from_client_to_server_unchanged() -> None:
     client, server = joined_client(), joined_server()
     client.send_frame(b"payload", captured_us=123)
     (message,) = client.messages_to_send(now=1.0)
-    (media,) = server.receive_data(message, now=1.1)
-    assert isinstance(media, Media)
-    assert media.message == message
+    ((stream, _, start, end),) = server.receive_media(message)
+    assert (stream, start, end) == (7, 1, len(message))
     expected = Frame(stream=7, sequence=0, captured_us=100, payload=b"payload")
-    assert joined_client().receive_data(media.message, now=1.2) == [expected]
+    assert joined_client().receive_data(message, now=1.2) == [expected]
 
 
 def test_a_payload_is_sealed_when_its_header_is_final() -> None:

@@ -18,12 +18,14 @@ import socket
 import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
+from functools import partial
 
 from websockets.exceptions import ConnectionClosed
 
 from pica_protocol import SUBPROTOCOL
 from pica_protocol.client_session import RIDE_S
 from pica_protocol.errors import CloseCode
+from pica_protocol.frames import media_message
 from pica_server.config.relay import RelayConfig
 from pica_server.net.socket import RelaySocket, set_tcp_option, websocket_message
 from pica_server.room.connection import Connection
@@ -107,7 +109,7 @@ class Pump:
                 reason = f"this relay speaks {SUBPROTOCOL}"
                 hub.close(connection, CloseCode.WRONG_VERSION, reason, self._now())
             self.after_events()
-            websocket.hand_to(lambda messages: self._on_messages(connection, messages))
+            websocket.hand_to(partial(self._on_messages, connection))
             while True:  # what does not come the short way
                 self._on_messages(connection, [await websocket.recv()])
                 # recv() does not yield while messages are queued.
@@ -179,24 +181,42 @@ class Pump:
         """Send what waits for some as far as the kernel takes it; the rest is for the writers."""
         # Once for every message that goes out: written for speed.
         peers, now = self._peers, self._now()
-        written: list[OutboundMessage] = []
-        last, framed = None, b""
+        written: list[bytes] = []
+        received_s: list[float] = []
         for connection in connections:
             peer = peers.get(connection)
             if peer is None:
                 continue
             outbox, under_way = connection.outbox, None
-            if peer.writer is None and connection.closed is None and not outbox.is_slow(now):
+            if outbox.is_quick and peer.writer is None:  # nearly always
+                frames, outbox.fresh = outbox.fresh, []
+                if len(frames) == 1:
+                    frame = frames[0]
+                    if not frame.framed:
+                        frame.framed = websocket_message(media_message((frame.data,)))
+                    framed = frame.framed
+                    moments_s: Sequence[float] = (frame.received_s,)
+                elif frames:
+                    framed = websocket_message(media_message([frame.data for frame in frames]))
+                    moments_s = [frame.received_s for frame in frames]
+                else:
+                    continue
+                if peer.websocket.write(framed):
+                    written.append(framed)
+                    received_s += moments_s
+                    continue
+                under_way = OutboundMessage(framed, tuple(moments_s))
+            elif peer.writer is None and connection.closed is None and not outbox.is_slow(now):
                 while (message := outbox.take(now)) is not None:
-                    if message is not last:  # many get the very same
-                        last, framed = message, websocket_message(message.data)
-                    if not peer.websocket.write(framed):
-                        self._hub.is_sending(connection, now)
+                    if not peer.websocket.write(websocket_message(message.data)):
                         under_way = message
                         break
-                    written.append(message)
+                    written.append(message.data)
+                    received_s += message.received_s
                 if under_way is None:
                     continue
+            if under_way is not None:
+                self._hub.is_sending(connection, now)
             if peer.writer is None or peer.has_more is None or peer.is_urgent is None:
                 peer.has_more, peer.is_urgent = asyncio.Event(), asyncio.Event()
                 write = self._write(peer, connection, under_way)
@@ -206,7 +226,7 @@ class Pump:
                 self._cut_later(peer)
             if outbox.is_urgent or connection.closed is not None:
                 peer.is_urgent.set()
-        self._hub.all_sent(written, self._now())
+        self._hub.stats.note_sent(written, received_s, self._now())
 
     async def _write(
         self, peer: _Peer, connection: Connection, under_way: OutboundMessage | None

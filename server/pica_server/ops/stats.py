@@ -3,6 +3,7 @@
 import math
 from bisect import bisect_right
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any
 
@@ -56,7 +57,7 @@ class RelayStats:
     """Bytes of all messages received, as websocket payload."""
     frames_out: int = 0
     bytes_out: int = 0
-    """Bytes of all messages sent, as websocket payload."""
+    """Bytes of all messages sent; of media with the header of the websocket message."""
     messages_out: int = 0
     dropped: Counter[str] = field(default_factory=Counter)
     """Frames that a receiver did not get. As it reads slowly: ``replaced`` by a newer one; of
@@ -101,6 +102,14 @@ class RelayStats:
     one; ``local``, made here while NATS was ``away``. ``unreadable`` keys."""
     forwarding: LatencyHistogram = field(default_factory=LatencyHistogram)
     """Latencies from a frame's receipt to the moment the receiver's socket took it."""
+
+    def note_sent(self, messages: Sequence[bytes], received_s: Sequence[float], now: float) -> None:
+        """Count messages that went out; ``received_s`` is when each of their frames came."""
+        self.messages_out += len(messages)
+        self.bytes_out += sum(map(len, messages))
+        self.frames_out += len(received_s)
+        for moment_s, times in Counter(received_s).items():
+            self.forwarding.record(now - moment_s, times)
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything as plain values; latencies in milliseconds."""

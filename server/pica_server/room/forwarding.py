@@ -9,12 +9,12 @@ from dataclasses import replace
 from typing import Final
 
 from pica_protocol.errors import CloseCode
-from pica_protocol.frames import HEADER_BYTES, LENGTH_MASK, MEDIA_KIND
+from pica_protocol.frame_queue import QueuedFrame
+from pica_protocol.frames import HEADER_BYTES, LENGTH_MASK, MEDIA_KIND, FrameSpan
 from pica_protocol.messages import StreamMuted, Whisper
-from pica_protocol.session import Media
 from pica_server.room.connection import Connection
 from pica_server.room.connections import Connections
-from pica_server.room.outbox import ArrivedFrame
+from pica_server.room.outbox import MAX_FRESH
 from pica_server.room.room import Room, Stream
 
 LATE_S: Final = 0.1
@@ -55,12 +55,13 @@ class Forwarding:
         self._connections = connections
         self._stats = connections.stats
 
-    def forward(self, connection: Connection, media: Media, now: float) -> None:
-        """Take frames from their publisher, who is in a room."""
+    def forward(
+        self, connection: Connection, message: bytes, spans: list[FrameSpan], now: float
+    ) -> None:
+        """Take the frames of a media message from their publisher, who is in a room."""
         # Once for every frame that comes: written for speed.
         room, publisher, connections = connection.room, connection.peer_id, self._connections
         assert room is not None
-        message, spans = media
         if len(spans) > 1 and not connection.messages_in.take(now, len(spans) - 1):
             connections.close_too_fast(connection, "messages", now)
             return
@@ -77,12 +78,15 @@ class Forwarding:
                 stats.dropped["muted"] += len(receivers)
                 continue
             data = message[start:end]
-            frame = ArrivedFrame(publisher, number, data, now, stream.deadline_s)
+            frame = QueuedFrame(publisher, number, data, now, stream.deadline_s)
             if stream.deadline_s is None:
                 stream.newest = frame
             for peer_id in receivers:
                 receiver = by_peer[peer_id]
-                receiver.outbox.put(frame)
+                fresh = receiver.outbox.fresh
+                fresh.append(frame)
+                if len(fresh) > MAX_FRESH:
+                    receiver.outbox.sort()
                 ready[receiver] = None
             stats.unwanted += len(room) - 1 - len(receivers)
 

@@ -12,11 +12,12 @@ a time (``take``, ``sent``). The parts decide:
 A connection is over when its ``closed`` is set; what it still has to send ends with a ``Bye``.
 """
 
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Final
 
 from pica_protocol.errors import CloseCode
+from pica_protocol.frames import MEDIA_PREFIX
 from pica_protocol.messages import (
     BarIdentity,
     Join,
@@ -27,7 +28,7 @@ from pica_protocol.messages import (
     UpdateMetadata,
     Whisper,
 )
-from pica_protocol.session import Closed, Media, ServerEvent
+from pica_protocol.session import Closed, ServerEvent
 from pica_server.auth.tokens import Admission
 from pica_server.config.relay import RelayConfig
 from pica_server.ops.stats import RelayStats
@@ -163,10 +164,13 @@ class Hub:
             self.connections.close_too_fast(connection, "bytes", now)
         elif not connection.messages_in.take(now):
             self.connections.close_too_fast(connection, "messages", now)
+        if isinstance(data, bytes) and data[:1] == MEDIA_PREFIX:  # nearly always
+            if spans := connection.session.receive_media(data):
+                self.forwarding.forward(connection, data, spans, now)
+            else:
+                self.membership.clear_up(connection, now)
+            return
         for event in connection.session.receive_data(data, now):
-            if type(event) is Media:  # nearly always; it leaves the session nothing to say
-                self.forwarding.forward(connection, event, now)
-                return
             self._handle(connection, event, now)
         self.connections.flush(connection, now)
 
@@ -229,19 +233,10 @@ class Hub:
 
     def sent(self, connection: Connection, message: OutboundMessage, now: float) -> None:
         """Take note that the socket took a message."""
+        if connection.sending_since is not None:
+            connection.outbox.note_taken(len(message.data), now - connection.sending_since)
         connection.sending_since = None
-        self.all_sent([message], now)
-
-    def all_sent(self, messages: Sequence[OutboundMessage], now: float) -> None:
-        """Take note that the sockets took these messages."""
-        # Once for every message that goes out: written for speed.
-        received_s = [moment_s for message in messages for moment_s in message.received_s]
-        stats = self.stats
-        stats.messages_out += len(messages)
-        stats.bytes_out += sum([len(message.data) for message in messages])
-        stats.frames_out += len(received_s)
-        for moment_s, times in Counter(received_s).items():
-            stats.forwarding.record(now - moment_s, times)
+        self.stats.note_sent([message.data], message.received_s, now)
 
     def next_timer(self) -> float | None:
         """Return when ``handle_timer`` is due, or None."""

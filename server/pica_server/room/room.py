@@ -8,11 +8,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Final
 
+from pica_protocol.frame_queue import QueuedFrame
 from pica_protocol.limits import MAX_STREAM
 from pica_protocol.messages import SHARES, Join, Joined, Metadata, Peer, Track
 from pica_server.auth.tokens import Admission
 from pica_server.errors import RoomFullError
-from pica_server.room.outbox import ArrivedFrame
 
 BAR: Final = ""
 """Stands for the whole participant in a decision, in place of a kind of track."""
@@ -40,7 +40,7 @@ class Stream:
     """How long its frames may wait for a receiver if it is ordered; None: it is not."""
     is_muted: bool = False
     """An admin has stopped it."""
-    newest: ArrivedFrame | None = None
+    newest: QueuedFrame | None = None
     """The newest frame, for those who come later; None of an ordered stream."""
 
     @classmethod

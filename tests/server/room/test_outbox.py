@@ -2,10 +2,11 @@ from collections import Counter
 
 import pytest
 
+from pica_protocol.frame_queue import QueuedFrame
 from pica_protocol.frames import Frame, decode_media, encode_frame
 from pica_protocol.limits import MAX_MEDIA_MESSAGE_BYTES
 from pica_server.errors import OutboxFullError
-from pica_server.room.outbox import SLOW_MESSAGE_BYTES, SLOW_S, ArrivedFrame, Outbox
+from pica_server.room.outbox import SLOW_S, Outbox
 
 pytestmark = pytest.mark.unit
 
@@ -14,7 +15,7 @@ LIMIT = 100
 
 def put(outbox: Outbox, stream: int, sequence: int = 0, size: int = 10, now: float = 0.0) -> None:
     frame = Frame(stream=stream, sequence=sequence, captured_us=0, payload=bytes(size))
-    outbox.put(ArrivedFrame(f"p{stream}", stream, encode_frame(frame), now, None))
+    outbox.put(QueuedFrame(f"p{stream}", stream, encode_frame(frame), now, None))
 
 
 def taken(outbox: Outbox, now: float = 0.0) -> list[tuple[int, int]]:
@@ -37,15 +38,25 @@ def test_a_slow_receiver_gets_the_newest_frames_in_short_messages() -> None:
     outbox.note_full(now=0.0)
     for sequence in range(3):
         for stream in range(1, 5):
-            put(outbox, stream, sequence, size=500)
-    message = outbox.take(0.1)
-    assert message is not None
-    assert len(message.data) <= SLOW_MESSAGE_BYTES + 1
-    assert [frame.sequence for frame in decode_media(message.data)] == [2, 2]
-    assert taken(outbox, 0.2) == [(3, 2), (4, 2)]
+            put(outbox, stream, sequence, size=50)
+    assert taken(outbox, 0.1) == [(1, 2), (2, 2)]
     assert drops == {"replaced": 8}
     assert outbox.is_slow(SLOW_S - 0.1)
     assert not outbox.is_slow(SLOW_S)
+
+
+@pytest.mark.parametrize(("bytes_per_s", "most"), [(800, 160), (5000, 500), (1e6, 1200)])
+def test_a_message_to_a_slow_receiver_holds_what_its_line_takes_in_a_tenth_of_a_second(
+    bytes_per_s: float, most: int
+) -> None:
+    outbox = Outbox(LIMIT, Counter())
+    outbox.note_full(now=0.0)
+    outbox.note_taken(num_bytes=round(bytes_per_s), elapsed_s=1.0)
+    for stream in range(1, 200):
+        put(outbox, stream, size=2)
+    message = outbox.take(0.1)
+    assert message is not None
+    assert most - 10 < len(message.data) - 1 <= most
 
 
 def test_control_goes_before_frames_and_in_order() -> None:
