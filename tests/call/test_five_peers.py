@@ -186,8 +186,8 @@ async def test_a_slow_receiver_gets_every_peer_at_a_lower_rate_within_bounded_de
     rates = [watched.peer(name)["latents_per_s"] for name in PEERS]
     assert min(rates) >= 14  # the outbox is fair: nobody is starved
     assert max(rates) <= 20
-    # The buffers on the way hold about 6 KB, which take 2 s at 26 kbit/s.
-    assert max(watched.delay_percentile(name, 99) for name in PEERS) <= 2.2
+    # A message holds what the line takes in a tenth of a second, and few are on their way.
+    assert max(watched.delay_percentile(name, 99) for name in PEERS) <= 0.4
     assert sum(relay_stats["dropped"].values()) > 0
     assert relay_stats["open_connections"] == 0
 
