@@ -74,7 +74,6 @@ def make(name: str, place: Path) -> None:
         pica("train", *of, str(run), *TRAINING.split(), *more)
     words = ["--run", str(run), *of, file, "--licence", LICENCE, "--threads", "1"]
     pica("export", *words, "--name", name.title())
-    pica("avatar", "measure", file, "--out", file)
     fit_size(Path(file))
     pica("avatar", "verify", file)
     draw_portrait(Path(file))
@@ -93,7 +92,7 @@ def fit_size(file: Path) -> None:
         tensors["linear.mix"], tensors["linear.basis"] = mix[kept], basis[kept]
         tensors["linear.rank"] = np.bincount(region, minlength=len(rank)).astype(np.int32)
         print(f"{file}: {len(mix) - len(kept)} of {len(mix)} directions left out", file=sys.stderr)
-        save_avatar(file, replace(avatar, tensors=tensors), like=file)
+        save_avatar(file, replace(avatar, tensors=tensors))
 
 
 def draw_portrait(file: Path) -> None:

@@ -70,8 +70,6 @@ GROUPS: Final[dict[str, dict[str, Command]]] = {
     },
     "Avatars": {
         "avatar info": Command("pica_core.cli.avatar:avatar_info", ("send",)),
-        "avatar levels": Command("pica_core.train.cli.levels:avatar_levels", ("train",)),
-        "avatar measure": Command("pica_client.cli.avatar:avatar_measure", ("view",)),
         "avatar push": Command("pica_client.cli.avatar:avatar_push", ("send",), joins=True),
         "avatar verify": Command("pica_core.cli.avatar:avatar_verify", ("send",)),
         "capture check": Command("pica_core.cli.capture:check", ("capture",)),

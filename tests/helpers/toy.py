@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import numpy.typing as npt
 
 from pica_core.avatar.decoder_layers import spec_tensor_shapes
 from pica_core.avatar.file import Avatar
-from pica_core.avatar.level_tensors import error_tensors, exit_shapes, faces_name, sheet_rows
-from pica_core.avatar.levels import LevelErrors, level_sizes
-from pica_core.avatar.manifest import Manifest
+from pica_core.avatar.level_tensors import exit_shapes, faces_name, sheet_rows
+from pica_core.avatar.levels import level_sizes
+from pica_core.avatar.manifest import Manifest, ViewSpan
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.avatar.variants import VARIANTS
 from pica_core.codec.latent_stream import LatentEncoder
@@ -82,9 +80,9 @@ def make_toy_avatar(
         licence="Apache-2.0",
         spec=spec,
         position_scale_m=0.003,
-        latent_scale=(4.0, 4.0, 4.0, 4.0),
         bounds_min_m=(-0.15, -0.2, -0.15),
         bounds_max_m=(0.15, 0.2, 0.2),
+        view_span=ViewSpan(-60.0, 60.0, -40.0, 40.0),
         variant=next(name for name, row in VARIANTS.items() if row.encoding == spec.encoding),
         model_card={"training": "none: random weights"},
     )
@@ -115,23 +113,8 @@ def without_stream(avatar: Avatar) -> Avatar:
     return Avatar(avatar.manifest, tensors)
 
 
-def guessed_errors(levels: Sequence[int]) -> LevelErrors:
-    """A table in which less detail and larger heads leave more error, as in measured ones."""
-    heights, full = 2.0 ** np.arange(4, 12), max(levels)
-    blur = np.array([[0.0 if each == full else 20.0 / each] for each in levels]) * heights
-    mse = 5.0 + np.stack([blur, 0.5 * blur], axis=1)
-    return LevelErrors(
-        levels=tuple(levels),
-        head_px=heights.astype(np.float32),
-        mse=mse.astype(np.float32),
-        view_mse_per_rad2=200.0,
-        latent_mse_per_unit2=200.0,
-    )
-
-
-def with_toy_levels(avatar: Avatar, *, seed: int = 8, errors: bool = True) -> Avatar:
-    """A toy avatar with exits of random weights, coarser grids as their meshes, and a guessed
-    table of errors."""
+def with_toy_levels(avatar: Avatar, *, seed: int = 8) -> Avatar:
+    """A toy avatar with exits of random weights, coarser grids as their meshes."""
     rng = np.random.default_rng(seed)
     tensors = dict(avatar.tensors)
     grid = round(len(tensors["mesh.vertex_uv"]) ** 0.5)
@@ -153,8 +136,6 @@ def with_toy_levels(avatar: Avatar, *, seed: int = 8, errors: bool = True) -> Av
         tensors[f"level.{level}.geometry.mean"] = rest.reshape(rows, level, 3)
         texel = rng.integers(level * level, size=(rows, level, 2))
         tensors[f"level.{level}.geometry.texel"] = texel.astype(np.int32)
-    if errors:
-        tensors |= error_tensors(guessed_errors((*exits, full)))
     return Avatar(avatar.manifest, tensors)
 
 

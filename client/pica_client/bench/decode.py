@@ -39,6 +39,7 @@ from pica_client.sources import open_source
 from pica_client.stats import describe_machine
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
+from pica_core.avatar.levels import judged_mse
 from pica_core.gl import wait_for_gpu
 from pica_core.reference.baseline import baseline_like
 from pica_core.types import FloatArray
@@ -183,9 +184,10 @@ class _Bench:
         """What a case took, and what it drew or lost."""
         found: dict[str, Any] = case._asdict() | times_ms(took[case])
         found |= dict.fromkeys(("mse", "pixels", "triangles", "over_baseline"))
-        errors = self._avatar.level_errors
-        if case.work == "decode" and case.level is not None and errors is not None:
-            found["mse"] = round(errors.at(case.level, self._config.head_px), 3)
+        judged = self._avatar.judged
+        if case.work == "decode" and case.level is not None and judged is not None:
+            left = judged_mse(judged[self._avatar.levels.index(case.level), 0])
+            found["mse"] = round(float(left), 3)
         if case.distance_cm is not None:
             slot = "baseline" if case.level is None else f"pica-{case.level}"
             camera = self._camera(case.distance_cm)

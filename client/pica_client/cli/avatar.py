@@ -1,4 +1,4 @@
-"""`pica avatar push` and `pica avatar measure`."""
+"""`pica avatar push`."""
 
 import asyncio
 import sys
@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from pica_client.avatars.upload import push_avatar
-from pica_client.output import check_writable, say
+from pica_client.output import say
 from pica_client.transport.config import LinkConfig
-from pica_core.avatar.file import avatar_id, load_avatar, save_avatar
+from pica_core.avatar.file import avatar_id, load_avatar
 from pica_core.avatar.shipped import avatar_file
 
 
@@ -47,43 +47,3 @@ def avatar_push(options: AvatarPushOptions) -> dict[str, Any]:
     stored = asyncio.run(push_avatar(link.url, link, file, identity, show))
     say(f"{file}: the relay {'has it now' if stored.is_new else 'had it already'}")
     return {"sha256": identity, "was_there": not stored.is_new}
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class AvatarMeasureOptions:
-    """Options of `pica avatar measure`."""
-
-    file: Path = field(kw_only=False)
-    """Name of a shipped avatar, or a .pica file."""
-    out: Path
-    """Avatar file to write, with the table of errors in it; may be the same."""
-
-
-def avatar_measure(options: AvatarMeasureOptions) -> dict[str, Any]:
-    """Measure an avatar's levels of detail; write the table of errors into its file."""
-    from pica_client.avatars.level_errors import measure_levels, with_errors
-
-    check_writable(options.out, ".pica")
-    avatar = load_avatar(avatar_file(options.file))
-    errors = measure_levels(avatar, lambda ratio: say(f"{ratio:.0%}"))
-    save_avatar(options.out, with_errors(avatar, errors))
-    rows: list[dict[str, Any]] = []
-    full = avatar.levels[-1]
-    for mesh, by_maps in zip(errors.levels, errors.mse.tolist(), strict=True):
-        ways = {mesh: by_maps[0], full: by_maps[1]}  # the full level's two are one
-        for level, by_height in ways.items():
-            rows.append({"level": level, "mesh": mesh, "mse": by_height})
-            figures = "  ".join(
-                f"{height:g} px {error:.1f}"
-                for height, error in zip(errors.head_px.tolist(), by_height, strict=True)
-            )
-            say(f"maps of {level} on the mesh of {mesh}: MSE {figures}")
-    say(f"wrote {options.out}")
-    return {
-        "name": avatar.manifest.name,
-        "sha256": avatar_id(options.out),
-        "head_px": errors.head_px.tolist(),
-        "rows": rows,
-        "view_mse_per_rad2": errors.view_mse_per_rad2,
-        "latent_mse_per_unit2": errors.latent_mse_per_unit2,
-    }

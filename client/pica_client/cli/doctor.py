@@ -24,7 +24,6 @@ NEEDS: Final = {
     "view": ("OpenGL", "ONNX Runtime", "display", "avatars"),
     "demo": ("OpenGL", "ONNX Runtime", "video", "avatars"),
     "send": ("avatars",),
-    "avatar measure": ("OpenGL", "ONNX Runtime"),
     "capture person": ("OpenGL",),
     "capture rig": ("OpenGL",),
     "bench": ("OpenGL", "ONNX Runtime", "avatars"),

@@ -435,7 +435,7 @@ class AvatarPresenter:
         alike = (each for each in self._peers.values() if each.head and each.head.avatar is avatar)
         shared = next(alike, None)
         entry.head = Head(slot=peer_id, avatar=avatar)
-        entry.span = avatar.manifest.view_span or views.USUAL_SPAN
+        entry.span = avatar.manifest.view_span
         entry.shoulders_m = shared.shoulders_m if shared else bust_of(avatar).width_m
         # Some frames' worth of work (25 ms), so peers who look alike share it.
         entry.jaw = shared.jaw if shared is not None else JawReader(avatar)

@@ -41,8 +41,6 @@ import safetensors.numpy
 from pica_core.avatar import level_tensors
 from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.avatar.decoder_layers import spec_tensor_shapes
-from pica_core.avatar.level_tensors import PREFIX as LEVEL_PREFIX
-from pica_core.avatar.levels import LevelErrors
 from pica_core.avatar.linear import check_linear, linear_shapes
 from pica_core.avatar.manifest import Manifest
 from pica_core.avatar.spec import AvatarSpec
@@ -153,11 +151,6 @@ class Avatar:
         return position_map.reshape(-1, 3)[: len(used)]
 
     @property
-    def level_errors(self) -> LevelErrors | None:
-        """The measured error of its levels; None if it was never measured."""
-        return level_tensors.read_errors(self.spec, self.tensors)
-
-    @property
     def judged(self) -> FloatArray | None:
         """How its levels look where people look, ``[L, 2, 4]`` as `levels.JUDGED` says; None if
         nobody judged."""
@@ -196,18 +189,11 @@ def avatar_id(source: Path | str | bytes) -> str:
     return hashlib.sha256(_content(source)).hexdigest()
 
 
-def save_avatar(
-    path: Path | str,
-    avatar: Avatar,
-    *,
-    like: Path | str | bytes | None = None,
-) -> None:
+def save_avatar(path: Path | str, avatar: Avatar) -> None:
     """Write an avatar file, after the same checks as when one is read.
 
     Args:
         path: Replaced if it exists.
-        like: An avatar file that this avatar was made from. Tensors that have not changed are
-            stored as they stand there; rounding them anew could move their last bits.
 
     Raises:
         AvatarFileError: The avatar is not one that `load_avatar` would accept, or the file cannot
@@ -217,12 +203,11 @@ def save_avatar(
     tensors = {name: np.ascontiguousarray(array) for name, array in avatar.tensors.items()}
     with naming(path):
         _check_tensors(avatar.spec, tensors)
-    kept = _stored_as_they_stand(like, tensors) if like is not None else {}
     stored: dict[str, Array] = {}
     affine: dict[str, Any] = {}
     for name, array in tensors.items():
         num_vertices = len(tensors["mesh.vertex_uv"])
-        small, table = kept.get(name) or to_storage(name, array, num_vertices)
+        small, table = to_storage(name, array, num_vertices)
         stored[name] = np.ascontiguousarray(small)
         if table is not None:
             affine[name] = table
@@ -300,21 +285,6 @@ def naming(where: Path | str) -> Iterator[None]:
 
 def _content(source: Path | str | bytes) -> bytes:
     return source if isinstance(source, bytes) else read_bytes(source, MAX_FILE_BYTES)
-
-
-def _stored_as_they_stand(
-    source: Path | str | bytes, tensors: Mapping[str, Array]
-) -> dict[str, tuple[Array, dict[str, Any] | None]]:
-    """What a file stores of those tensors that it has just so, and their tables."""
-    data = _content(source)
-    before = load_avatar(data, None if isinstance(source, bytes) else str(source)).tensors
-    stored = safetensors.numpy.load(data)
-    affine = json.loads(_read_header(data)["__metadata__"].get("storage", "{}"))
-    return {
-        name: (stored[name], affine.get(name))
-        for name, array in tensors.items()
-        if name in before and np.array_equal(before[name], array)
-    }
 
 
 def _read_header(data: bytes) -> dict[str, Any]:
@@ -460,10 +430,9 @@ def _check_tensors(spec: AvatarSpec, tensors: Mapping[str, Array]) -> None:
     if spec.geometry == "bases":
         check_linear(tensors)
     level_tensors.check_sheets(spec, tensors)
-    try:
-        level_tensors.read_errors(spec, tensors)
-    except ValueError as error:
-        raise ValueError(f"{LEVEL_PREFIX}{error}") from error
+    judged = tensors.get(level_tensors.JUDGED_NAME)
+    if judged is not None and judged.min() < 0:
+        raise ValueError(f"tensor level.judged has {judged.min():g}; errors are at least 0")
 
 
 def _with_ordered_metadata(data: bytes) -> bytes:

@@ -14,20 +14,17 @@ channels of the trunk there, R the rows that hold the vertices of its mesh, T is
                                  of the first code, of the first channel; may be absent alone
     level.still                  [8, 8, 4]: the latent whose full expression map, seen from the
                                  front, is added to what levels below the full one make
-    level.head_px                [K] heights of the head on screen, pixels, ascending
-    level.errors                 [L, 2, K] MSE by level (ascending, the full one last): of its maps
-                                 and its mesh, and of the full maps on its mesh; and by height
-    level.judged                 [L, 2, 4] by level and drawing as above: MSE of eyes, of the mouth
-                                 and of the rest, and the ratio that pokes through, at 350 pixels
-    level.sensitivity            [2] MSE per squared radian of view, per squared unit of the latent
+    level.judged                 [L, 2, 4] by level (ascending, the full one last), and drawing (its
+                                 maps and its mesh, the full maps on its mesh): MSE of eyes, of the
+                                 mouth and of the rest, and the ratio that pokes through, of heads
+                                 350 pixels high
 
 Where bases make the vertices (`linear`), a level has no ``geometry`` tensors: its sheet holds the
 same bases' vertices.
 
-A level is there as a whole or not at all, and so is the table of errors; one of judgements may be
-there without it; without ``level.still`` nothing is added. The geometry is a *sheet*:
-the k-th vertex that the level's mesh uses, counted from the lowest number, stands in row k // S and
-column k % S. What is left of the last row belongs to no vertex.
+A level is there as a whole or not at all; without ``level.still`` nothing is added. The geometry is
+a *sheet*: the k-th vertex that the level's mesh uses, counted from the lowest number, stands in row
+k // S and column k % S. What is left of the last row belongs to no vertex.
 """
 
 from collections.abc import Iterable, Mapping
@@ -35,22 +32,19 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from pica_core.avatar.decoder_layers import trunk_channels
-from pica_core.avatar.levels import JUDGED, NUM_DRAWINGS, LevelErrors, level_sizes
+from pica_core.avatar.levels import JUDGED, NUM_DRAWINGS, level_sizes
 from pica_core.avatar.linear import RANK
 from pica_core.avatar.spec import POSITION_CHANNELS, AvatarSpec
 from pica_core.latent import LATENT_SHAPE
 from pica_core.types import Array, FloatArray
 
 PREFIX = "level."
-MAX_HEIGHTS = 64
-"""Entries of an error table along the height of the head."""
 MAX_TEXELS = 4
 """Most texels of the trunk that a vertex is made of."""
 LOCAL_TEXELS = 2
 """Side of a block of texels with weights of its own (measured: docs/architecture.md)."""
 JUDGED_NAME = PREFIX + "judged"
 STILL_NAME = PREFIX + "still"
-_TABLE = ("head_px", "errors", "sensitivity")
 
 
 def is_faces(name: str) -> bool:
@@ -132,7 +126,7 @@ def wanted_shapes(
     spec: AvatarSpec, shapes: Mapping[str, tuple[int, ...]], max_faces: int
 ) -> dict[str, tuple[int, ...]]:
     """Shapes that the ``level.*`` tensors of a file must have, judged by which of them it has;
-    ValueError if a number of triangles or heights is out of its limits. Unknown names are left to
+    ValueError if a number of triangles is out of its limits. Unknown names are left to
     the caller."""
 
     def rows(name: str, limit: int) -> int:
@@ -155,12 +149,6 @@ def wanted_shapes(
             wanted[faces] = (rows(faces, max_faces), 3)
             if local_name(size) in shapes:
                 wanted[local_name(size)] = local_shape(spec, size)
-    head_px, errors, sensitivity = (PREFIX + name for name in _TABLE)
-    if shapes.keys() & {head_px, errors, sensitivity}:
-        heights = rows(head_px, MAX_HEIGHTS)
-        wanted[head_px] = (heights,)
-        wanted[errors] = (len(levels), NUM_DRAWINGS, heights)
-        wanted[sensitivity] = (2,)
     if STILL_NAME in shapes:
         wanted[STILL_NAME] = LATENT_SHAPE
     if JUDGED_NAME in shapes:
@@ -192,34 +180,3 @@ def check_indices(name: str, indices: Array, count: int, what: str) -> None:
         raise ValueError(
             f"tensor {name} names {what} {low} to {high}; allowed are 0 to {count - 1}"
         )
-
-
-def read_errors(spec: AvatarSpec, tensors: Mapping[str, Array]) -> LevelErrors | None:
-    """The table of errors in an avatar's tensors; None if it has none.
-
-    Raises:
-        ValueError: Heights not above 0 and ascending, or an error below 0 or not finite.
-    """
-    judged = tensors.get(JUDGED_NAME)
-    if judged is not None and judged.min() < 0:
-        raise ValueError(f"judged has {judged.min():g}; errors are at least 0")
-    if PREFIX + "errors" not in tensors:
-        return None
-    view, latent = (float(value) for value in tensors[PREFIX + "sensitivity"])
-    return LevelErrors(
-        levels=levels_of(spec, tensors),
-        head_px=tensors[PREFIX + "head_px"],
-        mse=tensors[PREFIX + "errors"],
-        view_mse_per_rad2=view,
-        latent_mse_per_unit2=latent,
-    )
-
-
-def error_tensors(errors: LevelErrors) -> dict[str, Array]:
-    """The tensors that hold a table; `read_errors` reads them back."""
-    sensitivity = [errors.view_mse_per_rad2, errors.latent_mse_per_unit2]
-    return {
-        PREFIX + "head_px": np.asarray(errors.head_px, np.float32),
-        PREFIX + "errors": np.asarray(errors.mse, np.float32),
-        PREFIX + "sensitivity": np.array(sensitivity, np.float32),
-    }

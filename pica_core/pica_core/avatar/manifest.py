@@ -10,7 +10,6 @@ from typing import Any
 
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.avatar.variants import VARIANTS, pixel_codec_cost
-from pica_core.latent import LATENT_CHANNELS
 
 SCHEMA_VERSION = 1
 MAX_TEXT = 200
@@ -18,7 +17,6 @@ MAX_CARD_ENTRIES = 64
 MAX_CARD_TEXT = 2000
 MAX_POSITION_SCALE_M = 10.0
 MAX_EXTENT_M = 10.0
-MAX_LATENT = 1e3
 MAX_MAP_SIZE = 512
 MAX_DECODE_MULTIPLY_ADDS = 256_000_000
 """What a decode of both maps may take (chosen: eight times what the shipped avatars take, twice
@@ -55,29 +53,24 @@ class Manifest:
     spec: AvatarSpec
     position_scale_m: float
     """Metres per unit of the geometry decoder's output."""
-    latent_scale: tuple[float, float, float, float]
-    """Largest absolute latent value per channel; the plain 8-bit step is this / 127."""
     bounds_min_m: tuple[float, float, float]
     """Lower corner of all positions of the head, head frame, metres."""
     bounds_max_m: tuple[float, float, float]
     """Upper corner of all positions of the head, head frame, metres."""
+    view_span: ViewSpan
+    """The directions that it may be seen from."""
     variant: str = "full"
     """One of `DRAWN_VARIANTS`; its encoding must be the spec's."""
     model_card: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
     """What it was trained on, with which command, how well it does; free text by key."""
-    view_span: ViewSpan | None = None
-    """The directions that it may be seen from; None in files of before that was measured."""
     schema_version: int = SCHEMA_VERSION
 
     def to_json(self) -> dict[str, Any]:
         """Plain JSON values; `from_json` reads them back."""
         values = {item.name: getattr(self, item.name) for item in fields(self)}
-        for name in ("latent_scale", "bounds_min_m", "bounds_max_m"):
+        for name in ("bounds_min_m", "bounds_max_m"):
             values[name] = list(values[name])
-        if self.view_span is None:
-            del values["view_span"]
-        else:
-            values["view_span"] = list(astuple(self.view_span))
+        values["view_span"] = list(astuple(self.view_span))
         return values | {"spec": self.spec.to_json(), "model_card": dict(self.model_card)}
 
     @classmethod
@@ -95,7 +88,7 @@ class Manifest:
                 f"manifest.schema_version is {version!r:.40}; this program reads {SCHEMA_VERSION}"
             )
         known = {item.name for item in fields(cls)}
-        if wrong := sorted(known.symmetric_difference({"view_span": None, **values})):
+        if wrong := sorted(known.symmetric_difference(values)):
             raise ValueError(f"manifest field {wrong[0]!r:.80} is missing or unknown")
         try:
             spec = AvatarSpec.from_json(values["spec"])
@@ -122,15 +115,13 @@ class Manifest:
         }
         if not all(a < b for a, b in zip(*corners.values(), strict=True)):
             raise ValueError("manifest.bounds_min_m is not below bounds_max_m")
-        if "view_span" in values:
-            span = ViewSpan(*read_numbers(values, "view_span", 4, -180.0, 180.0))
-            if not (span.min_yaw < 0 < span.max_yaw and span.min_pitch < 0 < span.max_pitch):
-                raise ValueError("manifest.view_span does not hold the view from the front")
-            found["view_span"] = span
+        span = ViewSpan(*read_numbers(values, "view_span", 4, -180.0, 180.0))
+        if not (span.min_yaw < 0 < span.max_yaw and span.min_pitch < 0 < span.max_pitch):
+            raise ValueError("manifest.view_span does not hold the view from the front")
         scale_m = values["position_scale_m"]
         found |= {
             **corners,
-            "latent_scale": read_numbers(values, "latent_scale", LATENT_CHANNELS, 1e-6, MAX_LATENT),
+            "view_span": span,
             "position_scale_m": _number("position_scale_m", scale_m, 1e-9, MAX_POSITION_SCALE_M),
         }
         return cls(spec=spec, model_card=_card(values["model_card"]), **found)

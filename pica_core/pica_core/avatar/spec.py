@@ -44,9 +44,6 @@ SHEET_COLUMNS = 256
 """Vertices in a row of the sheet that bases make."""
 GEOMETRIES = ("decoder", "bases")
 """Where vertices come from: a map that a decoder makes, or bases (`pica_core.avatar.linear`)."""
-_ADDED_LATER: Mapping[str, Any] = {"encoding": "full", "geometry": "decoder"}
-"""Fields that the first files lack, and what they mean by that. Left out where they say nothing
-new, so that older programs still read the files that they can draw."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -151,8 +148,7 @@ class AvatarSpec:
 
     def to_json(self) -> dict[str, Any]:
         """The spec as plain JSON values; `from_json` reads it back."""
-        values = asdict(self)
-        return {k: v for k, v in values.items() if _ADDED_LATER.get(k, object()) != v}
+        return asdict(self)
 
     @classmethod
     def from_json(cls, values: Any) -> AvatarSpec:
@@ -164,7 +160,7 @@ class AvatarSpec:
         """
         if not isinstance(values, dict):
             raise ValueError(f"spec is {type(values).__name__}; a map is needed")
-        read = {**_ADDED_LATER, **values}
+        read = dict(values)
         usual = asdict(cls())
         if wrong := sorted(usual.keys() ^ set(map(str, read))):
             told = ", ".join(f"{name!r:.40}" for name in wrong[:4])

@@ -64,7 +64,6 @@ def avatar_info(options: AvatarInfoOptions) -> dict[str, Any]:
         "encoding": spec.encoding,
         "encodings": sum(int(np.prod(shape)) for shape in spec.encoding_shapes.values()),
         "decode_mmac": round(pixel_codec_cost(spec).per_object_multiply_adds / 1e6, 2),
-        "latent_scale": list(manifest.latent_scale),
         "model_card": dict(manifest.model_card),
     }
     for name, value in found.items():

@@ -4,7 +4,6 @@ from collections.abc import Mapping
 
 import numpy as np
 import numpy.typing as npt
-import torch
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import KDTree
 from torch import Tensor
@@ -26,8 +25,6 @@ from pica_core.types import BoolArray, FloatArray, IntArray
 
 MARGIN_M = 0.02
 """How far decoded positions may leave the box of the training meshes."""
-LATENT_HEADROOM = 1.25
-"""The 8-bit range of a latent channel, against the largest value over the training frames."""
 UNSEEN_MARGIN_RATIO = 1 / 128
 """Seen texels nearer to an unseen one, of the map's width, lend nothing: few pixels, seen edge-on,
 made them what they are (chosen by looking at six people)."""
@@ -86,13 +83,7 @@ def make_avatar(
     Args:
         start: The model's `joint_map` before training. Texels whose last channel, which begins at
             random, is still the same were in no picture, and are filled by `fill_unseen`.
-
-    The latent's 8-bit range comes from the expression encoder's codes of all training frames, since
-    those are what a sender sends.
     """
-    with torch.no_grad():
-        codes = model.expression_encoder(data.arkit[data.train_frames])
-    scale = (codes.abs().amax(dim=(0, 2, 3)).clamp_min(1e-3) * LATENT_HEADROOM).tolist()
     low_m, high_m = _bounds_m(data)
     manifest = Manifest(
         name=name,
@@ -100,7 +91,6 @@ def make_avatar(
         licence=licence,
         spec=model.spec,
         position_scale_m=model.position_scale_m,
-        latent_scale=(scale[0], scale[1], scale[2], scale[3]),
         bounds_min_m=low_m,
         bounds_max_m=high_m,
         variant=variant,

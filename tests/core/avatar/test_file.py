@@ -105,19 +105,6 @@ def test_saving_the_same_avatar_again_gives_the_same_identity(tmp_path: Path) ->
     assert len(identities) == 1
 
 
-def test_what_did_not_change_is_stored_as_it_stood(tmp_path: Path, toy_bytes: bytes) -> None:
-    loaded = load_avatar(toy_bytes)
-    added = {**loaded.tensors, "pixel.0.bias": loaded.tensors["pixel.0.bias"] + np.float32(1)}
-    save_avatar(tmp_path / "b.pica", Avatar(loaded.manifest, added), like=toy_bytes)
-    before = safetensors.numpy.load(toy_bytes)
-    after = safetensors.numpy.load((tmp_path / "b.pica").read_bytes())
-    changed = {name for name in before if before[name].tobytes() != after[name].tobytes()}
-    assert changed == {"pixel.0.bias"}
-    again = load_avatar(tmp_path / "b.pica")
-    for name in sorted(set(TOY.tensors) - changed):
-        np.testing.assert_array_equal(again.tensors[name], loaded.tensors[name], err_msg=name)
-
-
 @pytest.mark.parametrize("block", BLOCKS)
 def test_the_spec_fixes_every_tensor_of_every_block(block: str) -> None:
     shapes = spec_tensor_shapes(AvatarSpec(block=block))
@@ -192,9 +179,6 @@ def test_a_hostile_header_is_refused(text: bytes) -> None:
         ("variant", "unheard_of", "variant"),
         ("position_scale_m", 1e9, "position_scale_m"),
         ("position_scale_m", "1", "position_scale_m"),
-        ("latent_scale", [1, 1, 1], "latent_scale must be 4 numbers"),
-        ("latent_scale", [1, 1, 1, 0], "latent_scale"),
-        ("latent_scale", [1, 1, 1, 1e999], "latent_scale|JSON"),
         ("bounds_min_m", [1, 1, 1], "bounds_min_m is not below"),
         ("view_span", [5, 40, -20, 20], "view from the front"),
         ("view_span", [-40, 40, -20], "must be 4 numbers"),

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,12 +12,11 @@ import safetensors.numpy
 from hypothesis import given
 from hypothesis import strategies as st
 
-from helpers.toy import guessed_errors, make_toy_avatar, with_toy_levels
+from helpers.toy import make_toy_avatar, with_toy_levels
 from pica_core.avatar.decoder_layers import decoder_layers, trunk_channels, trunk_layers
 from pica_core.avatar.file import Avatar, load_avatar, save_avatar
 from pica_core.avatar.level_tensors import (
     STILL_NAME,
-    error_tensors,
     exit_shapes,
     faces_name,
     local_name,
@@ -26,7 +24,7 @@ from pica_core.avatar.level_tensors import (
     sheet_rows,
     sheet_uv,
 )
-from pica_core.avatar.levels import LevelErrors, level_sizes
+from pica_core.avatar.levels import level_sizes
 from pica_core.avatar.spec import BLOCKS, AvatarSpec
 from pica_core.errors import AvatarFileError
 from pica_core.reference.decoders import FRONT, decode_expression_map, still_map
@@ -50,17 +48,6 @@ def toy_bytes(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 def changed(name: str, array: Array | None) -> Avatar:
     tensors = {key: value for key, value in TOY.tensors.items() if key != name}
     return Avatar(TOY.manifest, tensors if array is None else {**tensors, name: array})
-
-
-def some_errors(*, mse: Array | None = None, head_px: tuple[float, ...] = (50.0, 200.0)) -> Any:
-    values = np.arange(12.0).reshape(3, 2, 2) if mse is None else mse
-    return LevelErrors(
-        levels=(64, 128, 256),
-        head_px=np.array(head_px, np.float32),
-        mse=values.astype(np.float32),
-        view_mse_per_rad2=3.0,
-        latent_mse_per_unit2=4.0,
-    )
 
 
 # Which levels there are
@@ -87,9 +74,8 @@ def test_a_trunk_cannot_be_left_where_no_block_ends(level: int) -> None:
         trunk_layers(AvatarSpec(), "geometry", level)
 
 
-def test_an_older_avatar_has_the_full_level_alone() -> None:
+def test_an_avatar_without_exits_has_the_full_level_alone() -> None:
     assert PLAIN.levels == (256,)
-    assert PLAIN.level_errors is None
     np.testing.assert_array_equal(PLAIN.level_faces(256), PLAIN.tensors["mesh.faces"])
 
 
@@ -103,68 +89,10 @@ def test_a_level_that_an_avatar_lacks_has_no_mesh() -> None:
         PLAIN.level_faces(64)
 
 
-# What they cost in error
-
-
-def test_errors_of_the_table_are_found_again() -> None:
-    errors = some_errors()
-    assert errors.at(128, 50.0, full_maps=True) == pytest.approx(6.0)
-    assert errors.at(256, 200.0) == pytest.approx(9.0)
-
-
-def test_between_two_heights_the_logarithms_run_straight() -> None:
-    mse = np.full((3, 2, 2), 1.0)
-    mse[0, 0] = 4.0, 16.0
-    assert some_errors(mse=mse).at(64, 100.0) == pytest.approx(8.0)
-
-
-def test_beyond_the_table_its_nearest_entry_holds() -> None:
-    errors = some_errors()
-    assert errors.at(64, 1.0, full_maps=True) == pytest.approx(2.0)
-    assert errors.at(64, 1e9, full_maps=True) == pytest.approx(3.0)
-
-
-def test_an_unknown_level_has_no_error() -> None:
-    with pytest.raises(ValueError, match="level 32; known are 64, 128, 256"):
-        some_errors().at(32, 100.0)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"head_px": np.array([5.0, 5.0], np.float32)}, "head_px must be"),
-        ({"head_px": np.array([0.0, 5.0], np.float32)}, "head_px must be"),
-        ({"head_px": np.array([1.0, np.inf], np.float32)}, "head_px must be"),
-        ({"mse": np.full((3, 2, 2), -1, np.float32)}, "errors must be finite and at least 0"),
-        ({"mse": np.full((3, 2, 2), np.nan, np.float32)}, "errors must be finite and at least 0"),
-        ({"latent_mse_per_unit2": -1.0}, "sensitivity must be finite"),
-    ],
-)
-def test_a_table_that_cannot_be_is_refused(change: dict[str, Any], message: str) -> None:
-    good = some_errors()
-    values = {name: getattr(good, name) for name in LevelErrors.__dataclass_fields__}
-    with pytest.raises(ValueError, match=message):
-        LevelErrors(**{**values, **change})
-
-
-@given(
-    heights=st.lists(st.integers(1, 5000), min_size=1, max_size=8, unique=True).map(sorted),
-    head_px=st.floats(0.01, 1e5),
-    seed=st.integers(0, 99),
-)
-def test_a_looked_up_error_lies_within_its_row(
-    heights: list[int], head_px: float, seed: int
-) -> None:
-    mse = np.random.default_rng(seed).uniform(0.1, 500, (3, 2, len(heights)))
-    errors = some_errors(mse=mse, head_px=tuple(map(float, heights)))
-    row = errors.mse[1, 1]
-    assert row.min() * 0.999 <= errors.at(128, head_px, full_maps=True) <= row.max() * 1.001
-
-
 # What a file may say of them
 
 
-def test_levels_and_errors_come_back_from_a_file(toy_bytes: bytes) -> None:
+def test_levels_come_back_from_a_file(toy_bytes: bytes) -> None:
     loaded = load_avatar(toy_bytes)
     assert loaded.levels == TOY.levels
     for level in TOY.levels:
@@ -172,8 +100,6 @@ def test_levels_and_errors_come_back_from_a_file(toy_bytes: bytes) -> None:
     for name in LEVEL_NAMES:
         spread = float(np.ptp(TOY.tensors[name].astype(np.float64)))
         assert np.abs(loaded.tensors[name] - TOY.tensors[name]).max() <= 0.51 / 255 * spread, name
-    assert loaded.level_errors is not None
-    np.testing.assert_array_equal(loaded.level_errors.mse, TOY.tensors["level.errors"])
 
 
 def test_a_mean_keeps_sixteen_bits_and_convolutions_all_of_theirs(toy_bytes: bytes) -> None:
@@ -245,15 +171,6 @@ def test_a_still_latent_of_another_shape_is_refused(tmp_path: Path) -> None:
         save_avatar(tmp_path / "bad.pica", Avatar(TOY.manifest, tensors))
 
 
-def test_the_table_of_errors_survives_the_trip_into_tensors() -> None:
-    errors = some_errors()
-    avatar = Avatar(TOY.manifest, {**TOY.tensors, **error_tensors(errors)})
-    found = avatar.level_errors
-    assert found is not None
-    assert found.latent_mse_per_unit2 == 4.0
-    assert found.at(64, 200.0) == errors.at(64, 200.0)
-
-
 def test_a_sheet_that_does_not_fit_its_mesh_is_refused(tmp_path: Path) -> None:
     large = np.arange(64, dtype=np.int32)[:63].reshape(-1, 3)
     tensors = dict(TOY.tensors)
@@ -276,14 +193,14 @@ def test_vertices_stand_in_the_middle_of_their_texels_row_by_row() -> None:
 
 
 def test_an_avatar_with_one_exit_alone_is_whole(tmp_path: Path) -> None:
-    lacking = {*exit_shapes(SPEC, 64, 1, 1), faces_name(64), *error_tensors(guessed_errors((256,)))}
+    lacking = {*exit_shapes(SPEC, 64, 1, 1), faces_name(64)}
     tensors = {name: array for name, array in TOY.tensors.items() if name not in lacking}
     save_avatar(tmp_path / "one.pica", Avatar(TOY.manifest, tensors))
     assert load_avatar(tmp_path / "one.pica").levels == (128, 256)
 
 
 @pytest.mark.parametrize("name", LEVEL_NAMES)
-def test_half_a_level_or_half_a_table_is_refused(tmp_path: Path, name: str) -> None:
+def test_half_a_level_is_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(AvatarFileError, match=rf"tensor {name} is missing"):
         save_avatar(tmp_path / "half.pica", changed(name, None))
 
@@ -292,14 +209,6 @@ def test_a_mesh_without_its_level_is_refused(tmp_path: Path) -> None:
     alone = {**PLAIN.tensors, faces_name(64): PLAIN.tensors["mesh.faces"][:4]}
     with pytest.raises(AvatarFileError, match=r"level\.64\.expression\.bias is missing"):
         save_avatar(tmp_path / "alone.pica", Avatar(PLAIN.manifest, alone))
-
-
-def test_a_table_of_an_avatar_without_exits_has_one_row(tmp_path: Path) -> None:
-    one = {**PLAIN.tensors, **error_tensors(guessed_errors((256,)))}
-    save_avatar(tmp_path / "one.pica", Avatar(PLAIN.manifest, one))
-    three = {**PLAIN.tensors, **error_tensors(guessed_errors((64, 128, 256)))}
-    with pytest.raises(AvatarFileError, match=r"level\.errors has shape \[3, 2, 8\]; \[1, 2, 8\]"):
-        save_avatar(tmp_path / "three.pica", Avatar(PLAIN.manifest, three))
 
 
 @pytest.mark.parametrize(
@@ -323,15 +232,8 @@ def test_a_table_of_an_avatar_without_exits_has_one_row(tmp_path: Path) -> None:
         ("level.64.faces", np.zeros((0, 3), np.int32), "0 rows; allowed are 1 to"),
         ("level.64.faces", np.zeros((9, 3), np.float32), "float32; int32 is needed"),
         ("level.64.faces", np.zeros((400_001, 3), np.int32), "400001 rows; allowed are 1 to"),
-        ("level.head_px", np.arange(8, dtype=np.float32), "level.head_px must be"),
-        ("level.head_px", np.full(8, 9, np.float32), "level.head_px must be"),
-        ("level.head_px", np.arange(1, 10, dtype=np.float32), r"errors has shape \[3, 2, 8\]"),
-        ("level.head_px", np.arange(1, 99, dtype=np.float32), "98 rows; allowed are 1 to 64"),
-        ("level.errors", np.full((3, 2, 8), -1, np.float32), "level.errors must be finite"),
-        ("level.errors", np.full((3, 3, 8), 1, np.float32), r"\[3, 2, 8\] is needed"),
-        ("level.errors", np.full((3, 2, 8), np.inf, np.float32), "not finite"),
-        ("level.sensitivity", np.full(2, -1, np.float32), "level.sensitivity must be"),
-        ("level.sensitivity", np.ones(3, np.float32), r"shape \[3\]; \[2\]"),
+        ("level.judged", np.zeros((2, 2, 4), np.float32), r"shape \[2, 2, 4\]; \[3, 2, 4\]"),
+        ("level.judged", np.full((3, 2, 4), -1, np.float32), "errors are at least 0"),
         ("level.64.geometry.mean", np.full((1, 64, 3), np.nan, np.float32), "not finite"),
         ("level.128.geometry.weight", np.full((1, 128, 48), 1e9, np.float32), "beyond 1e"),
     ],
@@ -349,8 +251,6 @@ def test_hostile_values_in_a_file_are_refused_on_reading(toy_bytes: bytes) -> No
     metadata = json.loads(toy_bytes[8 : 8 + length])["__metadata__"]
     for name, value in (
         ("level.64.expression.weight", np.nan),
-        ("level.head_px", -1.0),
-        ("level.errors", -1.0),
         ("level.128.faces", 64),
     ):
         tensors = safetensors.numpy.load(toy_bytes)
@@ -388,8 +288,6 @@ def test_any_mutation_of_the_levels_loads_or_raises_an_avatar_file_error(
         avatar = load_avatar(safetensors.numpy.save(tensors, metadata))
         for level in avatar.levels:
             assert avatar.level_faces(level).max() < 64
-        errors = avatar.level_errors or guessed_errors(avatar.levels)
-        assert np.isfinite(errors.at(avatar.levels[0], 100.0))
 
 
 def test_levels_are_found_once_and_not_for_every_one_who_asks() -> None:

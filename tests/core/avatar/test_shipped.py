@@ -48,8 +48,6 @@ def test_a_small_picture_of_each_person_ships() -> None:
         ["avatar", "info"],
         ["avatar", "verify"],
         ["avatar", "push"],
-        ["avatar", "measure", "--out", "out.pica"],
-        ["avatar", "levels", "--out", "out.pica"],
         ["send", "--avatar"],
         ["view", "--avatar"],
         ["demo", "--avatar"],

@@ -17,7 +17,7 @@ from helpers.trainable import grid_uv, toy_prior
 from pica_client.decode.onnx_runtime import onnxruntime
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.level_tensors import local_name, local_shape
-from pica_core.avatar.manifest import Manifest
+from pica_core.avatar.manifest import Manifest, ViewSpan
 from pica_core.avatar.spec import BLOCKS, AvatarSpec
 from pica_core.graphs.onnx_graph import decoder_graph
 from pica_core.model.avatar import PixelCodecAvatar
@@ -57,7 +57,7 @@ def exported(model: PixelCodecAvatar) -> Avatar:
         licence="Apache-2.0",
         spec=model.spec,
         position_scale_m=model.position_scale_m,
-        latent_scale=(1.0, 1.0, 1.0, 1.0),
+        view_span=ViewSpan(-60.0, 60.0, -40.0, 40.0),
         bounds_min_m=(-0.2, -0.2, -0.2),
         bounds_max_m=(0.2, 0.2, 0.2),
     )

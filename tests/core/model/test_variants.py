@@ -16,7 +16,7 @@ from helpers.trainable import grid_uv, toy_prior
 from pica_client.decode.onnx_runtime import onnxruntime
 from pica_core.avatar.arkit import ARKIT_INDEX
 from pica_core.avatar.file import Avatar, load_avatar, save_avatar
-from pica_core.avatar.manifest import DRAWN_VARIANTS, Manifest
+from pica_core.avatar.manifest import DRAWN_VARIANTS, Manifest, ViewSpan
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.avatar.variants import FULL, TABLE_1, TABLE_2, VARIANTS
 from pica_core.errors import AvatarFileError
@@ -69,7 +69,7 @@ def exported(variant: str) -> tuple[PixelCodecAvatar, Avatar]:
         spec=model.spec,
         variant=variant,
         position_scale_m=model.position_scale_m,
-        latent_scale=(1.0, 1.0, 1.0, 1.0),
+        view_span=ViewSpan(-60.0, 60.0, -40.0, 40.0),
         bounds_min_m=(-0.2, -0.2, -0.2),
         bounds_max_m=(0.2, 0.2, 0.2),
     )
@@ -205,13 +205,6 @@ def test_a_file_whose_encoding_is_not_its_variants_is_refused(tmp_path: Path) ->
 
     with pytest.raises(AvatarFileError, match=r"spec\.encoding is 'joint'; variant full"):
         save_avatar(tmp_path / "v.pica", wrong)
-
-
-def test_a_spec_says_nothing_of_the_papers_encoding_so_that_old_programs_read_it() -> None:
-    assert "encoding" not in SMALL.to_json()
-    assert AvatarSpec.from_json(SMALL.to_json()) == SMALL
-    other = replace(SMALL, encoding="uv")
-    assert AvatarSpec.from_json(other.to_json()) == other
 
 
 def test_an_unknown_encoding_is_refused() -> None:

@@ -22,7 +22,6 @@ from pica_core.errors import CaptureError, CheckpointError, TrainingOptionError,
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.baseline import DeepAppearanceModel
 from pica_core.train.checkpoint import read_checkpoint
-from pica_core.train.cli.levels import describe, written
 from pica_core.train.config import PRESETS, TrainConfig
 from pica_core.train.data.training import TrainingData
 from pica_core.train.eval.evaluate import evaluate, mean_mse
@@ -90,8 +89,8 @@ class ExportOptions:
     """Learn the tables of the latent stream (a minute or two). Without them the avatar cannot
     be sent."""
     levels: bool = True
-    """Fit levels of detail (a minute or two). Without them far heads cost as much as near ones;
-    `pica avatar levels` adds them to a file later."""
+    """Fit levels of detail (a minute or two). Without them far heads cost as much as near
+    ones."""
     threads: int = 2
     """CPU threads of torch. From two on, levels are fitted in a process of their own while the
     stream is learned."""
@@ -154,7 +153,7 @@ def export(options: ExportOptions) -> dict[str, Any]:
         model = trainer.model
         if isinstance(model, DeepAppearanceModel):
             save_baseline(options.out, make_baseline(model, data))
-            return written(options.out)
+            return _written(options.out)
         assert isinstance(model, PixelCodecAvatar)
         avatar = make_avatar(
             model,
@@ -185,11 +184,11 @@ def export(options: ExportOptions) -> dict[str, Any]:
                     levelled.result() if levelled else _add_levels(avatar, options.threads)
                 )
                 tensors |= with_levels.tensors
-                print("\n".join(map(describe, reports)), file=sys.stderr)
+                print("\n".join(map(_describe, reports)), file=sys.stderr)
     avatar = replace(avatar, tensors=tensors)
     save_avatar(options.out, avatar)
     return {
-        **written(options.out),
+        **_written(options.out),
         "id": avatar_id(options.out),
         "levels": [asdict(report) for report in reports],
     }
@@ -199,6 +198,23 @@ def _add_levels(avatar: Avatar, threads: int) -> tuple[Avatar, list[LevelReport]
     """Fit levels with so many threads of torch, saying what is done."""
     torch.set_num_threads(threads)
     return add_levels(avatar, show=lambda text: print(text, file=sys.stderr))
+
+
+def _written(path: Path) -> dict[str, Any]:
+    """Say where a file is and how large."""
+    size = path.stat().st_size
+    print(f"{path}: {size / 1e6:.2f} MB", file=sys.stderr)
+    return {"path": str(path), "bytes": size}
+
+
+def _describe(report: LevelReport) -> str:
+    """One line about a level."""
+    return (
+        f"level {report.level}: {report.triangles} triangles, vertices off by "
+        f"{report.vertex_error_mm:.2f} mm (p99 {report.vertex_error_p99_mm:.2f}; a still face "
+        f"{report.vertex_rest_mm:.2f}), colours by {report.colour_mse:.1f} MSE "
+        f"(0-255; a still map {report.colour_still_mse:.1f})"
+    )
 
 
 def _device(wished: str) -> torch.device:

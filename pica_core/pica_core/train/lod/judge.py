@@ -233,8 +233,8 @@ class Judge:
 def judge_levels(
     judge: Judge, meshes: list[Array], own: list[tuple[Array | None, Tensor]]
 ) -> Array:
-    """The table of an avatar, ``[L, 2, 4]``: by level, the full one last; by drawing, as
-    `LevelErrors` has them; and as `JUDGED` names them. The full level leaves nothing."""
+    """The table of an avatar, ``[L, 2, 4]``: by level, the full one last; by drawing, its
+    own maps and the full ones; and as `JUDGED` names them. The full level leaves nothing."""
     table = np.zeros((len(meshes) + 1, NUM_DRAWINGS, len(JUDGED)), np.float32)
     for row, mesh, (vertices_m, maps) in zip(table, meshes, own, strict=False):
         row[0] = judge.compare(mesh, vertices_m, maps)

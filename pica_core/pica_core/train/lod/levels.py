@@ -1,7 +1,7 @@
-"""Give an avatar levels of detail after the fact, from its file alone.
+"""Give an avatar levels of detail, from what its file holds.
 
-No capture and no checkpoint is needed: the decoders are rebuilt from the file, and the faces to fit
-on are performances of the stage's generators as the avatar's own expression encoder codes them,
+No capture and no checkpoint is needed: the decoders are rebuilt from the tensors, and the faces to
+fit on are performances of the stage's generators as the avatar's own expression encoder codes them,
 with noise, seen from all over the front. Nothing of the full model changes.
 
     levelled, report = add_levels(avatar, LevelOptions())
@@ -27,7 +27,6 @@ from pica_core.avatar.level_tensors import (
 )
 from pica_core.avatar.levels import EXIT_DIVISORS, level_sizes
 from pica_core.avatar.linear import components_of, weights_of_latent
-from pica_core.avatar.static import NAME as STATIC_NAME
 from pica_core.capture.stage.expressions import stream_training_performances
 from pica_core.capture.triangles import areas, signed_areas
 from pica_core.errors import TrainingOptionError, check_ranges
@@ -156,23 +155,20 @@ def add_levels(
     show: Callable[[str], None] = lambda _: None,
 ) -> tuple[Avatar, list[LevelReport]]:
     """Fit exits and simplify meshes for every level below the full one: the avatar with its levels,
-    and how good they are; its static surface is marked. Levels that it has are made anew, a table
-    of errors is dropped."""
+    and how good they are; its static surface is marked."""
     options = options or LevelOptions()
-    made_here = (PREFIX, STATIC_NAME)
-    tensors = {name: a for name, a in avatar.tensors.items() if not name.startswith(made_here)}
-    bare = Avatar(avatar.manifest, tensors)
-    faces, check = _draw_faces(bare, options)
-    full = _FullLevel(bare, faces, options)
+    tensors = dict(avatar.tensors)
+    faces, check = _draw_faces(avatar, options)
+    full = _FullLevel(avatar, faces, options)
     show("meshes")
     levels = level_sizes(avatar.spec)[:-1]
     mean_face = FaceSet(faces.latents.mean(dim=0, keepdim=True), torch.tensor([FRONT]))
     ((_, (still,)),) = full.decoders["expression"].run(mean_face, levels[0])
     tensors[STILL_NAME] = mean_face.latents[0].permute(1, 2, 0).numpy().copy()
-    regions = looked_at(bare, full.vertices_m)
+    regions = looked_at(avatar, full.vertices_m)
     meshes = _simplify(full, regions, options)[-len(levels) :]
     reports = []
-    seen, drawn = shown_faces(bare), []
+    seen, drawn = shown_faces(avatar), []
     for level, mesh, texels in zip(levels, meshes, options.texels[-len(levels) :], strict=True):
         show(f"level {level}: exits")
         geometry = None  # bases need no exit: they make a level's vertices as they are
@@ -203,7 +199,7 @@ def add_levels(
         show(f"level {level}: error")
         reports.append(_report(full, geometry, expression, still, level, mesh, check))
     show("judging")
-    judge = Judge(bare, regions, full.vertices_m(seen), full_maps, still)
+    judge = Judge(avatar, regions, full.vertices_m(seen), full_maps, still)
     tensors[JUDGED_NAME] = judge_levels(judge, meshes, drawn)
     show("static surfaces")
     return mark_static(Avatar(avatar.manifest, tensors)), reports

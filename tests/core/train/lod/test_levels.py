@@ -1,4 +1,4 @@
-"""Levels made after the fact: near to the full model, without cracks, and nothing else changed."""
+"""Levels: near to the full model, without cracks, and nothing else changed."""
 
 from __future__ import annotations
 
@@ -10,13 +10,12 @@ import pytest
 import torch
 
 from helpers.mesh_edges import boundary_edges
-from helpers.toy import grid_faces, make_toy_avatar, with_toy_levels
-from pica_core.avatar.file import Avatar, avatar_id, load_avatar, save_avatar
+from helpers.toy import grid_faces, make_toy_avatar
+from pica_core.avatar.file import Avatar, load_avatar, save_avatar
 from pica_core.avatar.levels import JUDGED
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.errors import AvatarFileError, TrainingOptionError
 from pica_core.model.decoders import sample_map
-from pica_core.train.cli.levels import AvatarLevelsOptions, avatar_levels
 from pica_core.train.lod.exits import (
     FaceSet,
     FrozenDecoder,
@@ -78,13 +77,6 @@ def test_the_report_is_of_each_level() -> None:
     assert small.triangles < large.triangles
     for report in (small, large):
         assert report.triangles == len(levelled()[0].level_faces(report.level))
-
-
-def test_levels_are_made_anew_with_the_same_result_and_their_errors_are_forgotten() -> None:
-    again, _ = add_levels(with_toy_levels(TOY), QUICK)
-    assert again.level_errors is None
-    for name, array in levelled()[0].tensors.items():
-        np.testing.assert_array_equal(again.tensors[name], array, err_msg=name)
 
 
 @pytest.mark.parametrize("field", ["faces", "rounds", "points", "check_faces"])
@@ -212,24 +204,6 @@ def test_vertices_within_a_texel_of_the_map_go_first() -> None:
         mesh.reduce(800, map_size)
         crowded.append((uv[np.unique(mesh.faces()), 0] < 0.05).sum())
     assert crowded[0] < 0.9 * crowded[1] <= 0.9 * crowded[2]
-
-
-def test_the_command_adds_levels_to_a_file_and_leaves_the_rest_of_it_alone(tmp_path: Path) -> None:
-    path = tmp_path / "toy.pica"
-    save_avatar(path, TOY)
-    before = load_avatar(path)
-    found = avatar_levels(AvatarLevelsOptions(file=path, out=path, levels=QUICK, threads=1))
-    assert [row["level"] for row in found["levels"]] == [32, 64]
-    assert found["id"] == avatar_id(path)
-    after = load_avatar(path)
-    assert after.levels == (32, 64, 128)
-    for name, array in before.tensors.items():
-        np.testing.assert_array_equal(after.tensors[name], array, err_msg=name)
-
-
-def test_the_command_refuses_no_threads(tmp_path: Path) -> None:
-    with pytest.raises(TrainingOptionError, match="threads is 0"):
-        AvatarLevelsOptions(file=tmp_path / "a", out=tmp_path / "b", threads=0)
 
 
 # Judgements
