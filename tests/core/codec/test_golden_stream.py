@@ -28,7 +28,7 @@ PROFILE = read_profile(VECTORS)
 FRAMES: list[dict[str, Any]] = [f for frames in VECTORS["streams"].values() for f in frames]
 
 
-SECOND = runpy.run_path(str(ROOT / "examples" / "26_decode_without_pica.py"))
+SECOND = runpy.run_path(str(ROOT / "examples" / "24_decode_without_pica.py"))
 """A second decoder; as an example it decodes what is not damaged."""
 LISTS = {
     name: np.array(array["values"]).reshape(array["shape"]).tolist()

@@ -4,7 +4,7 @@ You learn how a recording keeps its times: pictures have those at which they wer
 at which it left the loudspeaker, or was said; who talks adds to a `Soundtrack`, on any thread, and
 the `Recorder` takes from it what belongs to the pictures. Here a flash and a tone begin together.
 
-    python examples/23_a_recording_with_sound.py [OUT]
+    python examples/22_a_recording_with_sound.py [OUT]
 """
 
 import sys

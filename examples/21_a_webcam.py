@@ -5,7 +5,7 @@ followed, 478 landmarks in a crop that follows the face, and a network that name
 head's turn comes from the landmarks. Nothing of the picture goes any further. Without the networks
 (`pica webcam setup`) or a picture the example shows the geometry alone, on a head of its own.
 
-    python examples/22_a_webcam.py [OUT] [PICTURE.jpg]
+    python examples/21_a_webcam.py [OUT] [PICTURE.jpg]
 """
 
 import math
@@ -41,7 +41,7 @@ def find(path: str) -> None:
 if len(sys.argv) > 2:
     find(sys.argv[2])
 else:
-    print("a picture to look at: python examples/22_a_webcam.py OUT PICTURE.jpg")
+    print("a picture to look at: python examples/21_a_webcam.py OUT PICTURE.jpg")
 
 # Where a face was a moment ago, there it is looked for: a square that turns with the eyes.
 region = Region(x=320.0, y=240.0, side=200.0, angle=math.radians(20))

@@ -2,7 +2,7 @@
 
 You learn: the encoder, packets, the jitter buffer, and what a mixer tells a display.
 
-Run it with: python examples/20_a_voice.py
+Run it with: python examples/19_a_voice.py
 """
 
 import random
