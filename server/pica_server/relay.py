@@ -47,6 +47,7 @@ _WRITE_LIMIT_BYTES = 1  # of 0, TLS of the standard library would make no end of
 library waits until three quarters of it have drained: seconds of a slow reader's time, in which its
 streams fall behind and are cut."""
 
+_logger = logging.getLogger(__name__)
 # What strangers do to a public port (bad HTTP, cut handshakes) is no error of ours and no news.
 _websockets_logger = logging.getLogger(f"{__name__}.websockets")
 _websockets_logger.setLevel(logging.CRITICAL)
@@ -281,10 +282,12 @@ class Relay:
         """Serve one websocket until it has ended; the server owns this task."""
         assert isinstance(websocket, RelaySocket)
         websocket.note_opened()
-        if websocket.subprotocol == STORE_SUBPROTOCOL:
-            await self._uploads.serve(websocket)
-        else:
-            await self._pump.serve(websocket)
+        is_upload = websocket.subprotocol == STORE_SUBPROTOCOL
+        try:
+            await (self._uploads if is_upload else self._pump).serve(websocket)
+        except Exception:  # a fault of ours, which the library would not log
+            _logger.exception("connection failed")
+            raise
 
     def _now(self) -> float:
         return asyncio.get_running_loop().time()

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from helpers.members import VOICE
 from helpers.senders import LoadedAvatars, make_senders
 from pica_client.call.call import Call
 from pica_client.call.faces import FaceState
@@ -23,12 +24,14 @@ from pica_client.endpoint.endpoint import Receiver, Sender
 from pica_client.publish.publisher import SenderConfig
 from pica_client.sources import open_source
 from pica_client.transport.config import LinkConfig
+from pica_client.voice.receiver import OnVoice
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar, load_avatar
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
 from simnet.clock import current_network, in_virtual_time
 from simnet.link import Link as Wire
+from simnet.peers import WirePeer, now, peer_in_room
 
 pytestmark = pytest.mark.call
 
@@ -54,9 +57,10 @@ def make_sender(url: str, avatar: Avatar, seconds: float) -> Sender:
     return sender
 
 
-def make_receiver(url: str, avatar: Avatar) -> Receiver:
+def make_receiver(url: str, avatar: Avatar, on_voice: OnVoice | None = None) -> Receiver:
     config = LinkConfig(url=_from("viewer", url), room="kitchen", name="viewer")
-    return Receiver(config, Call(LoadedAvatars({AVATAR_ID: avatar})), rng=random.Random(1))
+    call = Call(LoadedAvatars({AVATAR_ID: avatar}))
+    return Receiver(config, call, on_voice=on_voice, rng=random.Random(1))
 
 
 def _from(host: str, url: str) -> str:
@@ -222,6 +226,32 @@ async def test_who_leaves_while_unseen_is_gone_and_a_silent_one_turns_stale_once
     statuses = [(at_s - back_s, face.status) for at_s, face in viewer.after(back_s)]
     assert "stale" not in {status for since_s, status in statuses if since_s < 1.9}
     assert {status for since_s, status in statuses if since_s > 2.5} == {"stale"}
+
+
+async def speak_by_a_slow_clock(eve: WirePeer, seconds: float) -> None:
+    """Send a voice whose capture times fall 150 ms further behind every two seconds."""
+    for packet in range(round(25 * seconds)):
+        captured_us = round(now() * 1e6) - 150_000 * (packet // 50)
+        eve.session.send_frame(b"\x9e\xf8", max(captured_us, 0))
+        await eve.flush()
+        await asyncio.sleep(0.04)
+
+
+@in_virtual_time
+async def test_one_senders_clock_judges_nobody_elses_network(avatar: Avatar) -> None:
+    async with Relay(RelayConfig(port=0)) as relay:
+        sending = asyncio.create_task(make_sender(relay.url, avatar, 31).run())
+        viewer = Viewer(make_receiver(relay.url, avatar, lambda peer_id, packet, now: None))
+        watching = asyncio.create_task(viewer.run(30))
+        url = _from("eve", relay.url)
+        async with peer_in_room(url, "eve", room="kitchen", tracks=(VOICE,)) as eve:
+            await speak_by_a_slow_clock(eve, 28)
+            await watching
+        await sending
+        stats = relay.stats()
+    assert stats["unwanted"] == 0
+    ada = [face for at_s, face in viewer.faces if face.name == "ada"]
+    assert len([face for face in ada if face.status == "live"]) >= 0.97 * len(ada)
 
 
 def test_a_subscription_to_a_peer_who_is_not_there_changes_nothing() -> None:

@@ -316,6 +316,21 @@ async def test_frames_of_several_senders_share_a_message() -> None:
 
 
 @in_virtual_time
+async def test_a_fault_outside_any_message_is_logged_and_ends_one_connection(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(now: float, address: str) -> None:
+        raise RuntimeError("no connection")
+
+    async with Relay(RelayConfig()) as relay:
+        monkeypatch.setattr(relay.hub, "connect", fail)
+        async with open_websocket(URL) as websocket:
+            with pytest.raises(ConnectionClosed):
+                await websocket.recv()
+    assert [record.message for record in caplog.records] == ["connection failed"]
+
+
+@in_virtual_time
 async def test_a_room_takes_no_more_than_its_capacity_however_many_join_at_once() -> None:
     async def join(number: int) -> int | None:
         async with open_websocket(URL) as websocket:
