@@ -14,6 +14,8 @@ import moderngl
 
 from pica_core.errors import GraphicsError
 
+SOFTWARE_RENDERERS = ("llvmpipe", "softpipe", "swiftshader")
+"""What the names of rasterisers contain that run on the processor."""
 GL_VERSION = 330
 """Desktop GL 3.3 core: the oldest version with everything we use."""
 
@@ -42,6 +44,11 @@ def create_context() -> moderngl.Context:
         ) from error
     context.gc_mode = "context_gc"
     return context
+
+
+def is_software(renderer: str) -> bool:
+    """Return True if a GL renderer of this name runs on the processor."""
+    return any(word in renderer.lower() for word in SOFTWARE_RENDERERS)
 
 
 def link_program(context: moderngl.Context, *, vertex: str, fragment: str) -> moderngl.Program:

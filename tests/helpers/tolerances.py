@@ -37,3 +37,12 @@ EXPRESSION_ONNX = 2e-5
 GOLDEN_IMAGE = 1.0 / 255
 """Golden images: one step per channel, same llvmpipe; compilers may contract multiply-adds
 differently."""
+
+EXPRESSION_GLSL = 1e-5
+"""Expression map, unitless, values up to about 3, shaders against numpy float64: as
+EXPRESSION_ONNX, with room for GPUs that fuse or order sums otherwise (measured 3.3e-7 under
+llvmpipe)."""
+
+MAP_GLSL_M = 1e-7
+"""Vertices in metres, shaders against numpy float64: one rounding at 0.1 m after a sum of at
+most 41 directions of a few millimetres (measured 1e-8)."""

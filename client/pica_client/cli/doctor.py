@@ -29,7 +29,6 @@ NEEDS: Final = {
     "bench": ("OpenGL", "ONNX Runtime", "avatars"),
 }
 """What commands, or families of them, need besides their extras."""
-SOFTWARE_RENDERERS: Final = ("llvmpipe", "softpipe", "swiftshader")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -160,7 +159,8 @@ def _extra(extra: str, modules: tuple[str, ...], load: Callable[[str], Any]) -> 
 
 def _graphics(load: Callable[[str], Any]) -> Finding:
     try:
-        context = load("pica_core.gl").create_context()
+        gl = load("pica_core.gl")
+        context = gl.create_context()
     except ModuleNotFoundError:
         return Finding("OpenGL", "missing", "moderngl is not installed", install_line("view"))
     except GraphicsError as error:
@@ -168,11 +168,14 @@ def _graphics(load: Callable[[str], Any]) -> Finding:
     try:
         info = context.info
         renderer, version = info["GL_RENDERER"], context.version_code
+        can_decode = load("pica_client.decode.gpu_decoder").draws_floats(context)
     finally:
         context.release()
     detail = f"{renderer}, GL {version / 100:.1f}"
-    if any(word in renderer.lower() for word in SOFTWARE_RENDERERS):
+    if gl.is_software(renderer):
         detail += ", in software: a graphics driver would draw faster"
+    elif not can_decode:
+        detail += ", without 32-bit float targets: faces are decoded on the processor"
     return Finding("OpenGL", "ready", detail)
 
 

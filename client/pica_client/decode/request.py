@@ -7,6 +7,8 @@ from typing import Literal
 
 from pica_core.types import FloatArray
 
+DecodeChoice = Literal["auto", "cpu", "gpu"]
+"""Where to decode: in shaders, by ONNX Runtime, or in shaders where a GPU draws."""
 Parts = Literal["both", "expression"]
 """Maps to make: both, or the expression map alone."""
 
@@ -17,9 +19,9 @@ class DecodedMaps:
 
     position_map: FloatArray | None
     """Head-frame metres, float32 ``[S, S, 3]`` or a sheet ``[R, S, 3]``, C-contiguous; None if it
-    was not asked for."""
-    expression_map: FloatArray
-    """float32 ``[S, S, 4]``, C-contiguous."""
+    was not asked for, or is on the GPU already."""
+    expression_map: FloatArray | None
+    """float32 ``[S, S, 4]``, C-contiguous; None if it is on the GPU already."""
     level: int = 0
     """S, texels per side of what was decoded."""
 

@@ -17,8 +17,8 @@ and GPUs shade in blocks of 2x2 or 4x4 per triangle). A frame draws only the par
 which a head has changed since the frame before (`redraw`).
 
 Colours of avatars are sRGB values already and are stored as they come. The renderer belongs to the
-thread of its context. After the first frame nothing is allocated on the GPU until avatars or size
-change: an avatar's maps have a texture for each of its levels from the start.
+thread of its context. Nothing is allocated on the GPU but for a new size, a new avatar, or a level
+of it that is drawn for the first time.
 """
 
 from collections.abc import Sequence
@@ -31,6 +31,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_client.closing import Closing
+from pica_client.decode.request import Parts
 from pica_client.errors import OptionError
 from pica_client.render.draw_list import (
     DrawList,
@@ -55,7 +56,7 @@ from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import POSITION_CHANNELS
 from pica_core.camera import Camera
 from pica_core.errors import GraphicsError
-from pica_core.gl import GL_VERSION, freeing, wait_for_gpu
+from pica_core.gl import GL_VERSION, freeing, is_software, wait_for_gpu
 from pica_core.types import FloatArray, Image
 
 __all__ = ["DrawStats", "RenderOptions", "Renderer"]
@@ -225,6 +226,19 @@ class Renderer(Closing):
                 series.write(array)
         entry.version = self._next_version()
 
+    def map_targets(
+        self, slot: str, level: int, parts: Parts
+    ) -> tuple[moderngl.Framebuffer | None, moderngl.Framebuffer] | None:
+        """Where a decoder in shaders is to draw a slot's maps: positions, unless they stay, and
+        expressions. They count as drawn. None where there is no avatar."""
+        entry = self._slots.get(slot)
+        if entry is None or entry.maps is None:
+            return None
+        entry.version = self._next_version()
+        positions, expressions = entry.maps
+        target = positions.target(level) if parts == "both" else None
+        return target, expressions.target(level)
+
     def bytes_uploaded(self, slot: str) -> int:
         """Bytes of maps that went to the GPU for a slot; 0 where there is no avatar."""
         entry = self._slots.get(slot)
@@ -353,6 +367,13 @@ class Renderer(Closing):
         heads = np.where(numbers <= self._num_decoded, numbers - 1, -1).astype(np.int32)
         return xyz[..., :3], uv.reshape(height, width, 2)[::-1], heads
 
+    def read_maps(self, slot: str) -> tuple[FloatArray, FloatArray]:
+        """The newest maps of an avatar, positions and expressions; for tests."""
+        maps = self._slots[slot].maps
+        assert maps is not None  # of an avatar
+        position, expression = (series.read() for series in maps)
+        return position[..., :POSITION_CHANNELS], expression
+
     def read_texture(self, slot: str) -> Image | None:
         """What an avatar's static surface looks like, uint8 ``[T, T, 3]``, row 0 is v = 0; None
         where it has none. For tests."""
@@ -407,6 +428,4 @@ class Renderer(Closing):
     def _choose_weights(self) -> WeightsPlace:
         if self._options.weights != "auto":
             return self._options.weights
-        name = self.gl_renderer.lower()
-        is_software = any(word in name for word in ("llvmpipe", "softpipe", "swiftshader"))
-        return "turns" if is_software else "block"
+        return "turns" if is_software(self.gl_renderer) else "block"

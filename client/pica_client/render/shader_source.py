@@ -34,7 +34,10 @@ AXIS_ROW = 1024
 power of two: the shader takes remainders by its bits."""
 
 _INCLUDE = re.compile(r'\s*#include\s+(?:"(?P<file>[^"]*)"|(?P<name>\w+))\s*(?://.*)?$')
-_PRECISION = "precision highp float;\nprecision highp int;\nprecision highp sampler2D;\n"
+_PRECISION = "".join(
+    f"precision highp {kind};\n"
+    for kind in ("float", "int", "sampler2D", "sampler2DArray", "usampler2D")
+)
 _NOTHING: Mapping[str, str] = MappingProxyType({})
 _CODES: Mapping[str, str] = MappingProxyType(
     {

@@ -23,6 +23,7 @@ from functools import partial
 from pica_client.call.faces import FaceSource, FaceState
 from pica_client.call.speaking import JawReader, SpeakingMeter
 from pica_client.call.status import AvatarFigures
+from pica_client.decode.gpu_decoder import GpuDecoder
 from pica_client.decode.pool import DecodePool
 from pica_client.decode.request import DecodeResult
 from pica_client.errors import ShaderError
@@ -116,6 +117,8 @@ class _Peer:
     avatar_id: str
     head: Head | None = None
     """Its avatar before the cameras; None until that is there."""
+    is_shaded: bool = False
+    """Whether it is decoded in shaders."""
     shoulders_m: float = SHOULDERS_M
     span: ViewSpan = views.USUAL_SPAN
     """The directions that its avatar may be seen from."""
@@ -162,6 +165,7 @@ class AvatarPresenter:
 
     Args:
         pool: Where they are decoded; its slots are peer ids.
+        shaders: Where those are decoded whom it takes; None: all in the pool.
         planner: Says what is decoded, and how finely it is drawn.
         levels: How loud each is who sends a voice, by peer id; see `VoiceMixer.levels`.
         on_decoded: Told of every decode that reached the GPU; its slot is the peer id.
@@ -179,6 +183,7 @@ class AvatarPresenter:
         pool: DecodePool,
         planner: FramePlanner,
         *,
+        shaders: GpuDecoder | None = None,
         meter: Meter | None = None,
         levels: Callable[[], Mapping[str, int]] = dict,
         on_decoded: Callable[[DecodeResult], None] | None = None,
@@ -188,6 +193,7 @@ class AvatarPresenter:
         self._source = source
         self._renderer = renderer
         self._pool = pool
+        self._shaders = shaders
         self._planner = planner
         self._meter = meter or Meter()
         self._levels = levels
@@ -289,15 +295,18 @@ class AvatarPresenter:
         plan = self._planner.plan(heads, cameras, size, budget_s, scene.now)
         self._is_short = plan.draw_s > budget_s
         for head, request in self._planner.requests(heads, scene.now):
-            self._pool.submit(head.slot, request)
+            self._decoder_of(self._peers[head.slot]).submit(head.slot, request)
             self._peers[head.slot].is_awaited = True
         for slot, choice in plan.choices.items():
             self._source.subscribe(slot, choice.every, scene.now)
         return plan
 
     def collect(self, now: float) -> None:
-        """Upload what has been decoded, and note what could not be."""
-        for result in self._pool.take_results():
+        """Upload what has been decoded, decode in shaders, and note what could not be decoded."""
+        results = self._pool.take_results()
+        if self._shaders is not None:
+            results += self._shaders.take_results()
+        for result in results:
             entry = self._peers.get(result.slot)
             if entry is None or entry.head is None:
                 continue
@@ -439,7 +448,14 @@ class AvatarPresenter:
         entry.shoulders_m = shared.shoulders_m if shared else bust_of(avatar).width_m
         # Some frames' worth of work (25 ms), so peers who look alike share it.
         entry.jaw = shared.jaw if shared is not None else JawReader(avatar)
-        self._pool.add(peer_id, avatar)
+        if self._shaders is not None and self._shaders.add(peer_id, avatar):
+            entry.is_shaded = True
+            entry.on_leave.callback(self._shaders.remove, peer_id)
+        else:
+            self._pool.add(peer_id, avatar)
+
+    def _decoder_of(self, entry: _Peer) -> DecodePool | GpuDecoder:
+        return self._shaders if self._shaders is not None and entry.is_shaded else self._pool
 
     def _give_up(self, entry: _Peer, problem: str) -> None:
         entry.problem = problem

@@ -10,6 +10,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from pica_client.avatars.upload import GiveAvatar
+from pica_client.decode.request import DecodeChoice
 from pica_client.errors import OptionError, check_ranges
 from pica_client.render.seats import Layout
 from pica_protocol.limits import MAX_PEERS
@@ -61,6 +62,9 @@ class ViewerOptions:
     """Folder for the pictures and recordings made by key, instead of the one used last."""
     max_fps: float = 30.0
     """Draw at most so many images a second."""
+    decode: DecodeChoice = "auto"
+    """Where faces are decoded: gpu, in shaders; cpu, by ONNX Runtime; auto takes the GPU where it
+    is not drawn in software."""
     frame_budget_ms: float = 0.0
     """What decoding and drawing an image may take before detail is given up; 0 is most of the time
     that --max-fps leaves."""

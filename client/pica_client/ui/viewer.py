@@ -24,6 +24,7 @@ from pica_client.call.reflection import Reflection
 from pica_client.call.status import CallStatus
 from pica_client.closing import Closing
 from pica_client.decode.decoder import OnnxDecoder
+from pica_client.decode.gpu_decoder import choose_decoder
 from pica_client.decode.pool import DecodePool, num_workers
 from pica_client.decode.request import DecodeResult
 from pica_client.errors import ClientError
@@ -88,7 +89,7 @@ class Viewer(Closing):
 
     Raises:
         GraphicsError: No window or no GL context; names the fix.
-        OptionError: The recording cannot be written.
+        OptionError: The recording cannot be written, or the driver does not decode.
         ModuleNotFoundError: Recording without PyAV.
     """
 
@@ -158,6 +159,9 @@ class Viewer(Closing):
             stack.callback(lambda: self.outputs.attempt(self._captures.close))
             workers = num_workers(os.cpu_count())
             self._pool = stack.enter_context(DecodePool(OnnxDecoder, clock, workers=workers))
+            shaders = choose_decoder(options.decode, context, self._renderer, clock)
+            if shaders is not None:
+                stack.enter_context(shaders)
             self._draw_clock: DrawClock[_DrawnFrame] = DrawClock(context)
             self._scheduler = Scheduler(scheduler or SchedulerOptions())
             self._presenter = AvatarPresenter(
@@ -165,6 +169,7 @@ class Viewer(Closing):
                 self._renderer,
                 self._pool,
                 FramePlanner(self._scheduler),
+                shaders=shaders,
                 meter=self._meter,
                 levels=self._sound.levels,
                 on_decoded=on_decoded,

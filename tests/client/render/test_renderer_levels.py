@@ -291,7 +291,7 @@ def test_an_eye_sees_what_one_camera_would(
 def test_after_the_first_frames_nothing_is_made_whatever_changes(
     context: moderngl.Context, maps: Maps
 ) -> None:
-    renderer = renderer_with(context, maps, 64, 256, options=RenderOptions())
+    renderer = renderer_with(context, maps, 128, 64, 256, options=RenderOptions())
     eyes = (camera_at(-0.03, 0, 0.6, size=(80, 120)), camera_at(0.03, 0, 0.6, size=(80, 120)))
     renderer.draw([placed(blend=0.5)], NEAR, count_pixels=True)
     renderer.draw([placed(blend=0.5)], *eyes, count_pixels=True)

@@ -1,0 +1,13 @@
+// One head's expression map, out of the four phases of all heads' maps.
+
+uniform int head;
+
+layout(location = 0) out vec4 value;
+
+#include "decode_phases.glsl"
+#include "decode_texel.glsl"
+
+void main() {
+    ivec2 texel = ivec2(gl_FragCoord.xy);
+    value = read_texel(texel, ivec2(0, SIZE / 2 * head));
+}
