@@ -28,10 +28,10 @@ from typing import Any
 import numpy as np
 
 from pica_client.decode.decoder import OnnxDecoder
-from pica_client.decode.gpu_decoder import GpuDecoder, draws_floats
 from pica_client.decode.pool import DecodePool, num_workers
 from pica_client.decode.request import DecodeRequest
 from pica_client.render.draw_clock import DrawClock
+from pica_client.render.gpu_decoder import GpuDecoder, draws_floats
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.scene import Placement, head_matrix
 from pica_client.render.seats import plan_seats

@@ -10,7 +10,7 @@ import ctypes
 import sys
 from typing import Any
 
-from pica_client.decode.gpu_tables import lay_out
+from pica_client.render.gpu_tables import lay_out
 from pica_client.render.shader_source import compose
 from pica_core.avatar.file import load_avatar
 from pica_core.avatar.shipped import shipped_avatar_files

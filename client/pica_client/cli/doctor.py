@@ -168,7 +168,7 @@ def _graphics(load: Callable[[str], Any]) -> Finding:
     try:
         info = context.info
         renderer, version = info["GL_RENDERER"], context.version_code
-        can_decode = load("pica_client.decode.gpu_decoder").draws_floats(context)
+        can_decode = load("pica_client.render.gpu_decoder").draws_floats(context)
     finally:
         context.release()
     detail = f"{renderer}, GL {version / 100:.1f}"

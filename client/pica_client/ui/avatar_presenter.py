@@ -23,11 +23,11 @@ from functools import partial
 from pica_client.call.faces import FaceSource, FaceState
 from pica_client.call.speaking import JawReader, SpeakingMeter
 from pica_client.call.status import AvatarFigures
-from pica_client.decode.gpu_decoder import GpuDecoder
 from pica_client.decode.pool import DecodePool
 from pica_client.decode.request import DecodeResult
 from pica_client.errors import ShaderError
 from pica_client.render import views
+from pica_client.render.gpu_decoder import GpuDecoder
 from pica_client.render.renderer import Renderer
 from pica_client.render.room import Room
 from pica_client.render.scene import Placement, head_matrix

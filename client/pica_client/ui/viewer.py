@@ -24,13 +24,13 @@ from pica_client.call.reflection import Reflection
 from pica_client.call.status import CallStatus
 from pica_client.closing import Closing
 from pica_client.decode.decoder import OnnxDecoder
-from pica_client.decode.gpu_decoder import choose_decoder
 from pica_client.decode.pool import DecodePool, num_workers
 from pica_client.decode.request import DecodeResult
 from pica_client.errors import ClientError
 from pica_client.output import Outputs, say
 from pica_client.publish.face_desk import FaceDesk
 from pica_client.render.draw_clock import DrawClock
+from pica_client.render.gpu_decoder import choose_decoder
 from pica_client.render.renderer import DrawStats, Renderer, RenderOptions
 from pica_client.render.scene import pick_head
 from pica_client.render.views import EYE_DISTANCE_M, stereo_cameras

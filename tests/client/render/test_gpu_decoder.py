@@ -16,10 +16,10 @@ from helpers.linear import make_linear_avatar
 from helpers.toy import make_toy_avatar
 from pica_client.call.faces import FaceState
 from pica_client.decode.decoder import OnnxDecoder
-from pica_client.decode.gpu_decoder import GpuDecoder, choose_decoder, draws_floats
 from pica_client.decode.pool import DecodePool
 from pica_client.decode.request import DecodeRequest, Parts
 from pica_client.errors import OptionError
+from pica_client.render.gpu_decoder import GpuDecoder, choose_decoder, draws_floats
 from pica_client.render.renderer import Renderer
 from pica_client.schedule.frame_planner import FramePlanner
 from pica_client.schedule.scheduler import Scheduler

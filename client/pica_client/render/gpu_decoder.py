@@ -26,7 +26,11 @@ import moderngl
 import numpy as np
 
 from pica_client.closing import Closing
-from pica_client.decode.gpu_tables import (
+from pica_client.decode.request import DecodeChoice, DecodedMaps, DecodeRequest, DecodeResult, Parts
+from pica_client.errors import OptionError
+from pica_client.render.draw_clock import DrawClock
+from pica_client.render.gpu_program import build_program, clamp, set_values
+from pica_client.render.gpu_tables import (
     TABLE_COLUMNS,
     VECTOR,
     Pass,
@@ -37,10 +41,6 @@ from pica_client.decode.gpu_tables import (
     sheet_of,
     vectors,
 )
-from pica_client.decode.request import DecodeChoice, DecodedMaps, DecodeRequest, DecodeResult, Parts
-from pica_client.errors import OptionError
-from pica_client.render.draw_clock import DrawClock
-from pica_client.render.gpu_program import build_program, clamp, set_values
 from pica_client.render.renderer import Renderer
 from pica_client.render.shader_source import compose
 from pica_core.avatar.file import Avatar
