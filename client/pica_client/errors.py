@@ -7,8 +7,8 @@
     ├── VoiceError          sound that cannot be opened, encoded, decoded or played
     ├── AvatarLookupError   an avatar that is neither shipped nor in the given files
     ├── RelayError          the way to the relay
-    │   ├── RelayUnreachableError   nobody answers at that address
-    │   └── RelayRefusedError       somebody answers, and says no
+    │   ├── RelayUnreachableError   no answer at that address
+    │   └── RelayRefusedError       the relay refuses us
     └── CallProcessError    a process of a demo or bench that did not do its part
 
 ``exit_code`` is what the ``pica`` command ends with when the error reaches it (see
@@ -54,7 +54,7 @@ class RelayError(ClientError):
 
 
 class RelayUnreachableError(RelayError):
-    """Nobody answers: names the address and how to start a relay."""
+    """No answer: names the address and how to start a relay."""
 
 
 class RelayRefusedError(RelayError):

@@ -1,6 +1,6 @@
 """The folders that this system gives a user for what we keep, for their eyes alone.
 
-Which avatars somebody has seen says whom they met, and preferences say where.
+Which avatars were seen tells who was met, and preferences tell where.
 """
 
 import os
@@ -47,7 +47,7 @@ def make_private(folder: Path) -> None:
         OSError: The system says no.
     """
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    with suppress(PermissionError):  # somebody else's: what is in it is still ours alone
+    with suppress(PermissionError):  # another user's folder: its content is still ours alone
         folder.chmod(0o700)
 
 

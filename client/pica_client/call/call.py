@@ -1,10 +1,10 @@
-"""The receiving half of a call: who is there, their streams, and their faces at display time.
+"""The receiving half of a call: its members, their streams, and their faces at display time.
 
 Events of the link go in on the network thread, faces come out on the drawing thread, one lock
 between them. No socket and no clock: `endpoint.endpoint.Receiver` is the shell around it.
 
 What is wrong with one stream stays with that stream: a payload that cannot be read is counted and
-the face is held; a peer whose avatar nobody has gets a seat without a face.
+the face is held; a peer whose avatar is missing gets a seat without a face.
 """
 
 import threading
@@ -49,7 +49,7 @@ class Shown(NamedTuple):
 
 
 class DueFrame(NamedTuple):
-    """A frame whose time has come, and whose it is."""
+    """A frame whose time has come, and its sender."""
 
     peer_id: str
     name: str
@@ -65,7 +65,7 @@ class Ears(Protocol):
         ...
 
     def seat(self, members: Sequence[Member]) -> None:
-        """Take who else is in the room; called on the network's thread."""
+        """Take the other members of the room; called on the network's thread."""
         ...
 
 
@@ -83,12 +83,12 @@ class Connection(Protocol):
 
 
 class Call:
-    """Everybody in the room and how their faces look; a `pica_client.call.faces.FaceSource`.
+    """The members of a room and how their faces look; a `pica_client.call.faces.FaceSource`.
 
     Attributes:
         errors: Payloads that could not be read.
         without_avatar: Frames whose avatar is not there, or not yet.
-        strays: Frames of streams that nobody owns, as when their peer has just left.
+        strays: Frames of unknown streams, as when their peer has just left.
         skews_s: By how much each face is off its voice when it is seen, either way.
         delays_s: How old the sound was that was heard when a face was shown; only where sender and
             receiver share a clock does it say anything.
@@ -154,7 +154,7 @@ class Call:
             self._ears.seat(members)
 
     def take_report(self) -> messages.Report:
-        """How the streams arrived since the last report, for the relay."""
+        """Return how the streams arrived since the last report, for the relay."""
         with self._lock:
             streams = []
             for stream, seat in self._by_stream.items():
@@ -173,7 +173,7 @@ class Call:
 
     def tell_subscriptions(self, tell: Tell, now: float) -> float | None:
         """Tell the relay how much is wanted by now; return when to call again, None until
-        somebody subscribes or joins."""
+        a subscription changes or a peer joins."""
         with self._lock:
             timers = [seat.tell_subscription(tell, now) for seat in self._seats.values()]
         return min((timer for timer in timers if timer is not None), default=None)
@@ -189,13 +189,13 @@ class Call:
             self._connection.wake()
 
     def faces(self, now: float, ahead_s: float = 0.0) -> list[FaceState]:
-        """Return everybody's face at display time; see `FaceSource.faces`."""
+        """Return all faces at display time; see `FaceSource.faces`."""
         with self._lock:
             faces = [self._face(seat, now, ahead_s) for seat in self._seats.values()]
             return sorted(faces, key=lambda face: face.place)
 
     def avatar(self, avatar_id: str) -> Avatar | None:
-        """See `FaceSource.avatar`; an avatar that nobody here has is an error with the fix."""
+        """See `FaceSource.avatar`; a missing avatar is an error with the fix."""
         if not self._avatars.has(avatar_id):
             short = avatar_id[:8] or "(none)"
             raise AvatarFileError(
@@ -223,12 +223,12 @@ class Call:
     # The people
 
     def set_own_name(self, name: str) -> None:
-        """Say what we are called: whoever has our name gets a number."""
+        """Set our own name: other members of that name get a number."""
         with self._lock:
             self._roster.own_name = name
 
     def room(self, now: float) -> RoomState:
-        """Who is in the room, those who only watch among them, and what happened since the last
+        """Return the members of the room, watchers included, and what happened since the last
         call."""
         with self._lock:
             self._roster.handle_timer(now)
@@ -291,8 +291,9 @@ class Call:
     def stats(self, now: float) -> dict[str, Any]:
         """How the stream of each person came in since `begin_window`, or since the call began.
 
-        Who left and came back is one person; `longest_gap_ms` is how long a face stood still that
-        was expected to move, also if it does so now, or was lost and came back to another seat.
+        A person who left and came back is counted once; `longest_gap_ms` is how long a face stood
+        still that was expected to move, also if it does so now, or was lost and came back to
+        another seat.
         """
         with self._lock:
             begin_s = self._window_begin_s

@@ -1,6 +1,6 @@
 """How good a connection is, for people who do not read numbers: good, fair, poor. Pure.
 
-Nobody is to be warned of a hiccup, and no warning is to flicker: a level must be wrong for a while
+A hiccup causes no warning, and no warning flickers: a level must be wrong for a while
 before it changes, and longer for the better than for the worse.
 
     meter = QualityMeter()
@@ -90,7 +90,7 @@ class QualityMeter:
             self.level, self._differs_since_s = "unknown", None
             return self.level
         if self._samples and health.received < self._samples[-1][1].received:
-            self._samples.clear()  # the stream began anew
+            self._samples.clear()  # the stream began again
         self._samples.append((now, health))
         while len(self._samples) > 2 and now - self._samples[1][0] >= WINDOW_S:
             self._samples.popleft()
@@ -108,7 +108,7 @@ class QualityMeter:
 
 
 def own_quality(peers: Sequence[Quality], *, replaced_ratio: float | None = None) -> Quality:
-    """How good one's own connection is.
+    """Rate our own connection.
 
     When most of several streams are poor at once, what they share is this end. What cannot be sent
     in time says it, too.

@@ -1,4 +1,4 @@
-"""What the viewer needs to know of a call: who is there, and how each face looks right now.
+"""What the viewer needs to know of a call: its members, and how each face looks right now.
 
 This is the whole interface between the network half of the receiver and its drawing half. The
 receiver of a call implements `FaceSource`; so does anything else that has faces to show (a player
@@ -22,7 +22,7 @@ FaceStatus = Literal["waiting", "live", "concealed", "stale", "away"]
 
 waiting: nothing received yet; live: a received or interpolated sample; concealed: held or
 extrapolated over a hole;
-stale: nothing for so long that it should be shown as such; away: the sender's tracker sees nobody.
+stale: nothing for so long that it should be shown as such; away: the sender's tracker sees no face.
 """
 
 
@@ -49,8 +49,8 @@ class FaceState:
     note: str = ""
     """What is wrong with the stream, for people; empty when nothing is."""
     place: int = 0
-    """Says which person this is: nobody else has it in this call, and who comes back as another
-    peer has it again. Rises with the order of coming."""
+    """Number of the person, unique in the call and kept when the person comes back as another
+    peer. Rises with the order of coming."""
 
 
 class FaceSource(Protocol):
@@ -77,7 +77,7 @@ class FaceSource(Protocol):
         """Say how much of a peer's stream is worth having, as often as every drawn frame.
 
         Args:
-            peer_id: Whose; somebody who has left is no error.
+            peer_id: Whose; a peer that has left is no error.
             every: 1 for every frame, 2 or 4 for each second or fourth one, 0 for nothing at all.
             now: Local time, seconds.
         """

@@ -22,16 +22,16 @@ _BARE_MARKS = re.compile("[\u034f\u17b4\u17b5\u180b-\u180f\ufe00-\ufe0f\U000e010
 
 
 def name_warnings(peers: Iterable[Peer], own_name: str = "") -> dict[str, str]:
-    """Look for names that are the same, or look the same, and warn of all who may be somebody else.
+    """Look for names that are the same, or look the same, and warn of possible impersonation.
 
     Of those whose names are alike, one whose name alone is assured gets no warning.
 
     Args:
         peers: Everybody else in the room.
-        own_name: Ours, as the others see it: nobody should look like us either. Empty: unknown.
+        own_name: Ours, as the others see it: names like ours are warned of too. Empty: unknown.
 
     Returns:
-        By peer id a warning for people, in a few words; empty: nobody else is called like this.
+        By peer id a warning for people, in a few words; empty: the name is unique.
     """
     people = {peer.peer_id: peer for peer in peers}
     names = {_SELF: own_name} | {peer_id: peer.name for peer_id, peer in people.items()}

@@ -1,6 +1,6 @@
 """The people of a call as a list to be shown: oneself first, then the others in order of coming.
 
-Pure. Who only watches is in it, too: whoever can see us is to be seen.
+Pure. Watchers are in it, too: all who can see us are listed.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -25,7 +25,7 @@ class Participant:
     place: int = -1
     """See `Member.place`; -1 for oneself."""
     name: str
-    """What the others are shown, with a number behind it when somebody else had it before."""
+    """What the others are shown, with a number if another member had it first."""
     is_self: bool = False
     is_watching: bool = False
     """Whether there is no face to be expected."""
@@ -45,7 +45,7 @@ class Participant:
     is_assured: bool = False
     """Whether the relay has the name from a token."""
     warning: str = ""
-    """Why this may be somebody else than the name makes believe; empty: no reason to think so."""
+    """Why the name may mislead; empty: no reason to think so."""
     note: str = ""
     """Why the face is not to be seen, or not as it should be; empty: nothing is wrong."""
 

@@ -1,4 +1,4 @@
-"""One's own face as the others get it: a call of one, fed with what is sent. Pure.
+"""Our own face as the others get it: a call of one, fed with what is sent. Pure.
 
 The frames that leave are decoded and played out as a receiver does it. So what the codec takes
 away, and a face that is frozen or off, is seen here as it is seen there; what the network does to

@@ -1,10 +1,10 @@
-"""Who is in the room, in the order in which they came, and what of their coming is news. Pure.
+"""The members of a room, in the order in which they came, and what of their coming is news. Pure.
 
-Everybody who can see the others is here, whether they publish a face or only watch.
+All who can see the others are members, whether they publish a face or only watch.
 
-A place belongs to a person, and not to a peer id: when the relay starts again, ids are dealt anew
-while everybody comes back in the order of their patience. Who has the name, and best the avatar
-too, of somebody who was there a moment ago gets that one's place, so nobody swaps chairs.
+A place belongs to a person, and not to a peer id: when the relay starts again, ids are new and
+people come back in any order. A newcomer with the name, and at best the avatar too, of a member who
+was there a moment ago gets the place of that member, so places are not swapped.
 
     receive_event(event, now)    what came of the link
     handle_timer(now)            at any time, as twice a second
@@ -29,19 +29,19 @@ from pica_protocol import messages
 from pica_protocol.session import ClientEvent
 
 AWAY_IS_NEWS_AFTER_S: Final = 2.0
-"""A connection that comes back sooner is not worth a word."""
+"""Notices of shorter outages are suppressed."""
 LEFT_IS_NEWS_AFTER_S: Final = 15.0
-"""How long somebody who was there before the relay started again is waited for (chosen: twice the
+"""How long a member from before a restart of the relay is waited for (chosen: twice the
 longest pause between two tries of a client)."""
 PLACE_IS_KEPT_S: Final = 120.0
-"""How long the place of somebody who has gone is kept (chosen: a laptop changes networks)."""
+"""How long the place of a member who has gone is kept (chosen: a laptop changes networks)."""
 MAX_KEPT: Final = 64
-"""Places that are kept for others; those who went first lose theirs."""
+"""Places that are kept; the oldest are given up first."""
 MAX_NEWS: Final = 64
-"""News that nobody takes: the oldest are dropped."""
+"""News not yet taken: beyond these the oldest are dropped."""
 
 SECRET_NEEDED: Final = "encrypted: the room's secret is needed"
-"""Why nothing is to be seen of who encrypts when we do not."""
+"""Note on a member who encrypts when we do not."""
 
 _FACE_MODES: dict[str, FaceMode] = {"frozen": "frozen", "muted": "muted"}
 
@@ -50,7 +50,7 @@ NewsKind = Literal["joined", "left", "away", "back", "records", "records no more
 
 @dataclass(frozen=True, slots=True)
 class News:
-    """Something that happened to somebody else."""
+    """Something that happened to another member."""
 
     kind: NewsKind
     name: str
@@ -58,11 +58,11 @@ class News:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Member:
-    """Somebody else in the room."""
+    """Another member of the room."""
 
     peer: messages.Peer
     place: int
-    """Rises with the order of coming; nobody's changes while they are here."""
+    """Rises with the order of coming; constant while the member is here."""
     namesake: int = 1
     """Counts those of one name, from 1; kept when others of that name go."""
     is_away: bool = False
@@ -74,7 +74,7 @@ class Member:
 
     @property
     def title(self) -> str:
-        """The name, with a number behind it when somebody else had it before."""
+        """The name, with a number if another member had it first."""
         return self.peer.name if self.namesake == 1 else f"{self.peer.name} ({self.namesake})"
 
     @property
@@ -104,7 +104,7 @@ class Member:
 
 
 class RoomState(NamedTuple):
-    """Who is in the room, and since when we are."""
+    """The members of the room, and how long we have been in it."""
 
     own_name: str
     """What the others are shown as our name."""
@@ -113,7 +113,7 @@ class RoomState(NamedTuple):
     notes: Mapping[str, str]
     """Why a face is not to be seen, or not as it should be, by peer id; empty: nothing is wrong."""
     verified: frozenset[str]
-    """Who has proven to know the room's secret, by peer id; nobody where we do not encrypt."""
+    """Peer ids that have proven to know the room's secret; empty where we do not encrypt."""
     news: tuple[News, ...]
     """What happened since this was asked for the last time."""
     duration_s: float
@@ -122,7 +122,7 @@ class RoomState(NamedTuple):
 
 @dataclass(slots=True)
 class _Missing:
-    """Somebody who was there, and has not come back yet."""
+    """A member who was there, and has not come back yet."""
 
     member: Member
     gone_s: float
@@ -154,7 +154,7 @@ class Roster:
         return sorted(self._members.values(), key=lambda member: member.place)
 
     def member(self, peer_id: str) -> Member:
-        """Somebody who is here."""
+        """Return the member with this id; it must be here."""
         return self._members[peer_id]
 
     def receive_event(self, event: ClientEvent, now: float) -> None:
@@ -258,7 +258,7 @@ class Roster:
         del self._missing[:-MAX_KEPT]
 
     def _find_missing(self, peer: messages.Peer) -> _Missing | None:
-        """Whose place a newcomer has; of several of the name, best one with the same tracks."""
+        """Return whose place a newcomer takes: at best, of a member with the same tracks."""
         found = [each for each in self._missing if each.member.peer.name == peer.name]
         alike = (each for each in found if _tracks(each.member.peer) == _tracks(peer))
         return next(alike, found[0] if found else None)

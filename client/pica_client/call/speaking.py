@@ -36,8 +36,8 @@ WINDOW_S = 1.2
 DEAD_BAND = 0.02
 """Movement that is not seen as such, in units of jawOpen: what quantisation leaves (chosen)."""
 SPEAKING_TRAVEL = 0.25
-"""Way to and fro in a window, in units of jawOpen, from which on somebody speaks (chosen between
-the shipped performances that talk and that listen; see the tests)."""
+"""Way to and fro in a window, in units of jawOpen, from which on a person counts as speaking
+(chosen between the shipped performances that talk and that listen; see the tests)."""
 HOLD_S = 0.5
 """How long the hint stays after it: pauses between words are speech."""
 MAX_SAMPLES = 300

@@ -47,7 +47,7 @@ class CallStatus:
     """Whether faces are encrypted end to end."""
     code: str = ""
     """Digits that everybody who sees the same people has, too; empty without encryption, and while
-    nobody else is verified."""
+    no other member is verified."""
     duration_s: float = 0.0
     """Since we came in for the first time."""
     summary: tuple[tuple[str, str], ...] = ()

@@ -22,4 +22,4 @@ class KeyMessageError(SealError):
 
 
 class OpenError(SealError):
-    """A sealed payload does not open; it is dropped and counted, and nobody else is told."""
+    """A sealed payload does not open; it is dropped and counted, and not reported further."""

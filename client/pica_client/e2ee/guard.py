@@ -2,11 +2,11 @@
 
 Every peer has a random *sender key*, whose generation counts up. It is given to every other peer
 that proves to know the room secret and describes itself as the relay does, wrapped for it alone. It
-changes when somebody leaves who was given it, and when somebody comes, unless it has sealed nothing
+changes when a member leaves who was given it, and when one comes, unless it has sealed nothing
 or is younger than `YOUNG_KEY_S`. Messages leave before the frames that need them, and arrive in
 that order, so a new key is used at once.
 
-The relay says who comes and goes, and may lie and repeat. So whenever it says that somebody came or
+The relay says who comes and goes, and may lie and repeat. So whenever it says that a member came or
 came back, we forget that peer and draw a *challenge* for it, and take its key only from a message
 that echoes the challenge. A peer that sees a new challenge gives its key from the counter on that
 it has reached: what it sealed earlier does not open, on this connection or another one. The first
@@ -182,7 +182,7 @@ class Guard:
     # Who is in the room
 
     def _enter(self, joined: messages.Joined) -> None:
-        """We are in a room: begin anew, with keys that are used nowhere else."""
+        """Begin a stay in a room, with keys that are used nowhere else."""
         self._peers.clear()
         self._streams: dict[int, tuple[str, str]] = {}  # owner and kind of the others' streams
         self._own_id = joined.peer_id
@@ -196,7 +196,7 @@ class Guard:
             self._add(peer)
 
     def _add(self, peer: messages.Peer) -> PeerKeys:
-        """Somebody came in, or came back: it has to show itself anew."""
+        """Take a member who came in, or came back: it has to prove itself again."""
         self._remove(peer.peer_id)
         added = self._peers[peer.peer_id] = PeerKeys(
             peer,
@@ -209,7 +209,7 @@ class Guard:
         return added
 
     def _remove(self, peer_id: str) -> None:
-        """Somebody went: the key that was theirs to open with is no longer ours to seal with."""
+        """Take a departure: the key that was given to that member seals no longer."""
         peer = self._peers.pop(peer_id, None)
         if peer is not None and peer.given == self._generation:
             self._change_key()
@@ -268,7 +268,7 @@ class Guard:
             raise errors.KeyMessageError("not by this peer with the secret of this room")
         is_live = message.echo == peer.challenge
         if message.public_key != peer.public_key and (is_live or not peer.public_key):
-            if peer.public_key:  # it began anew, and the relay did not say so
+            if peer.public_key:  # it began again, and the relay did not say so
                 peer, is_live = self._add(peer.peer), False
             self._meet(peer, message.public_key)
         assert self._own is not None  # there are peers in a room only
@@ -290,7 +290,7 @@ class Guard:
     def _meet(self, peer: PeerKeys, public_key: bytes) -> None:
         """Learn a public key: from now on the peer can be given ours."""
         if public_key in {self._public_key, *(each.public_key for each in self._peers.values())}:
-            raise errors.KeyMessageError("a public key of somebody else in the room")
+            raise errors.KeyMessageError("a public key of another member of the room")
         peer.pair_key = key_messages.agree(self._private, public_key, self._pair_salt)
         peer.public_key = public_key
         assert self._own is not None  # there are peers in a room only

@@ -4,7 +4,7 @@ A message says the same however often it comes, so one that was lost is mended b
 there is no order to keep. It travels as a whisper: the relay carries it, and may drop or repeat it.
 
 Its bytes stand in ``docs/privacy.md``. Code and wrapped key cover all that stands before them, and
-the ids of sender and receiver: a message cannot be turned round, handed to somebody else, or used
+the ids of sender and receiver: a message cannot be turned round, handed to another peer, or used
 in another room, and its key cannot be moved to another message, not even by a member.
 """
 
@@ -70,7 +70,7 @@ def room_key(secret: RoomSecret, room: str, purpose: bytes) -> bytes:
 
 
 def agree(private: X25519PrivateKey, theirs: bytes, salt: bytes) -> bytes:
-    """Return the key that two peers share, and nobody else.
+    """Return the key that two peers, and no others, share.
 
     Raises:
         KeyMessageError: The other public key is of small order: anybody would know the key.
@@ -105,13 +105,13 @@ def unwrap(data: bytes, way: tuple[str, str], pair_key: bytes) -> bytes:
     """Return the base key in a message that `decode` has taken.
 
     Raises:
-        KeyMessageError: It was wrapped for somebody else, or in another message.
+        KeyMessageError: It was wrapped for another peer, or in another message.
     """
     body, wrapped = data[: _BODY.size], data[_BODY.size : -_CODE_BYTES]
     try:
         return _wrapping(body, way, pair_key).decrypt(bytes(12), wrapped, b"")
     except InvalidTag:
-        raise KeyMessageError("a key that is wrapped for somebody else") from None
+        raise KeyMessageError("a key that is wrapped for another peer") from None
 
 
 def _wrapping(body: bytes, way: tuple[str, str], pair_key: bytes) -> AESGCM:

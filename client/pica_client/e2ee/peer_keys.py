@@ -33,7 +33,7 @@ SILENT_S: Final = 3.0
 
 @dataclass(slots=True)
 class OpeningKey:
-    """A key of somebody else, with what it has opened."""
+    """A key of another member, with what it has opened."""
 
     key: FrameKey
     window: ReplayWindow

@@ -5,7 +5,7 @@ faces: those keys are made for each call and never derived from it, so a secret 
 later opens no recording of earlier calls.
 
 The file holds one line, ``pica-secret-1:`` and 32 random bytes in URL-safe base64. A password in
-its place is refused: whoever records the messages could try passwords at leisure.
+its place is refused: an eavesdropper could try passwords offline.
 """
 
 import os
@@ -19,7 +19,7 @@ from pica_client.e2ee.errors import SecretFileError
 
 SECRET_BYTES: Final = 32
 RandomBytes = Callable[[int], bytes]
-"""Returns so many bytes that nobody can guess; `os.urandom` outside tests."""
+"""Returns so many unpredictable bytes; `os.urandom` outside tests."""
 
 _LINE: Final = re.compile(rb"pica-secret-1:([A-Za-z0-9_-]{43}=)\s*")
 

@@ -56,10 +56,10 @@ class SealStatus:
 
     @cached_property
     def code(self) -> str:
-        """Thirty digits in six groups, to be read aloud; empty while nobody else can read us.
+        """Thirty digits in six groups, to be read aloud; empty while no other member can read us.
 
         It covers the room, and public key, name, avatar, tracks and streams of each who can read
-        us, so it is another one when somebody comes, goes or reconnects. If two have different
+        us, so it changes when a member comes, goes or reconnects. If two have different
         codes, the relay shows them different people. Takes milliseconds the first time.
         """
         if len(self.members) < 2:

@@ -1,4 +1,4 @@
-"""Everybody's voice at one receiver: network -> mixer -> loudspeaker, and faces that follow it."""
+"""All voices at one receiver: network -> mixer -> loudspeaker, and faces that follow it."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -28,8 +28,8 @@ class Hearing:
         return self._sound.heard_us(peer_id, now)
 
     def seat(self, members: Sequence[Member]) -> None:
-        """Give everybody with a face or a voice a place, in the order of coming; others are
-        forgotten."""
+        """Give each member with a face or a voice a place, in the order of coming; forget
+        others."""
         seated = [each.peer.peer_id for each in members if each.has_voice or not each.is_watching]
         if seated != self._seated:
             self._seated = seated
@@ -37,7 +37,7 @@ class Hearing:
             self._sound.seat(dict(zip(seated, (WIDTH_RAD * places).tolist(), strict=True)))
 
     def receive(self, peer_id: str, packet: VoicePacket, arrived_s: float) -> None:
-        """Take a packet of somebody's voice."""
+        """Take a packet of a voice."""
         self._sound.receive(peer_id, packet, arrived_s)
 
     def stats(self, call: Call) -> dict[str, Any]:

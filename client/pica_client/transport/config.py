@@ -17,7 +17,7 @@ _JOINERS = "\u200c\u200d"
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LinkConfig:
-    """Where to connect, and as whom."""
+    """Where to connect, and under which name."""
 
     url: str = "ws://127.0.0.1:8765"
     """Address of the relay, ws:// or wss://."""
@@ -28,14 +28,14 @@ class LinkConfig:
     """Room to join: 1 to 64 of A-Z a-z 0-9 _ . -"""
     name: str = "guest"
     """Name shown to the others, up to 64 bytes. Wide and fixed spaces become ordinary ones, and
-    joiners, which nobody sees, are left out."""
+    joiners, which are invisible, are left out."""
     connect_timeout_s: float | None = 3.0
-    """How long to try the first time before giving up, seconds; None tries for ever."""
+    """How long to try the first time before giving up, seconds; None tries without end."""
     secret_file: Path | None = None
     """File with the room secret; with it, payloads are encrypted end to end. Needs the extra
     `seal`."""
     token_file: Path | None = None
-    """File with the token that the relay wants, from `pica token`; read anew for every join, so
+    """File with the token that the relay wants, from `pica token`; read again for every join, so
     that a fresh one can be put there."""
     token: str = field(default="", repr=False)
     """The token itself, instead of a file; a secret."""
@@ -79,7 +79,7 @@ def check_address(url: str) -> None:
 
 
 def guest_name() -> str:
-    """A name for who has given none: the names of a few guests differ."""
+    """Return a name for a guest who gave none: the names of a few guests differ."""
     return f"Guest {secrets.randbelow(90) + 10}"
 
 

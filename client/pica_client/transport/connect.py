@@ -67,7 +67,7 @@ class LinkCounters:
     resumes: int = 0
     """How many of them led back to the old place in the room."""
     errors: int = 0
-    """Connections that ended because somebody broke the protocol."""
+    """Connections that ended because one end broke the protocol."""
     sent_messages: int = 0
     sent_wire_bytes: int = 0
     """Bytes with all that lies around a message, see `stats.wire_bytes`."""
@@ -141,7 +141,7 @@ class RelayConnect(connect):
             max_size=MAX_CONTROL_BYTES,
             max_queue=MAX_QUEUED_MESSAGES,
             # One message in the library; more only once the kernel has taken it. With 0, TLS of
-            # the standard library would wait for ever.
+            # the standard library would wait without end.
             write_limit=1,
             ping_interval=None if subprotocol == SUBPROTOCOL else PING_S,
             ping_timeout=PING_S,
@@ -183,7 +183,7 @@ async def watch(websocket: RelayWebsocket) -> None:
 
 
 def trusting(ca_file: Path) -> ssl.SSLContext:
-    """What trusts the certificates of a file, and no others.
+    """Return a context that trusts the certificates of a file, and no others.
 
     Raises:
         OptionError: There are none in it.
@@ -197,7 +197,7 @@ def trusting(ca_file: Path) -> ssl.SSLContext:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether a proxy from the environment must not get in the way."""
+    """Return True if a proxy from the environment must not be used."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -205,7 +205,7 @@ def is_loopback(host: str) -> bool:
 
 
 def refusal(error: BaseException) -> str | None:
-    """Why trying again cannot help, or None if it may."""
+    """Return why trying again cannot help, or None if it may."""
     if isinstance(error, ssl.SSLCertVerificationError):
         return f"its certificate is not trusted: {error.verify_message.rstrip('.')} (--ca-file)"
     if isinstance(error, InvalidURI | UnicodeError):
@@ -221,7 +221,7 @@ def refusal(error: BaseException) -> str | None:
 
 
 def trouble(error: BaseException, url: str) -> str:
-    """What stands in the way of a websocket now, and perhaps not later: who answers there."""
+    """Return what stands in the way of a websocket now, and perhaps not later."""
     cause = error.__cause__
     has_tls = url.startswith("wss://")
     if isinstance(cause, EOFError) or isinstance(error, ConnectionResetError):
@@ -232,4 +232,4 @@ def trouble(error: BaseException, url: str) -> str:
     if isinstance(error, InvalidMessage) and isinstance(cause, ValueError):
         words = str(cause).rpartition(": ")[2]
         return f"something answers that is no relay: {words[:60]!r}"
-    return str(error) or "nobody answered"
+    return str(error) or "no answer"

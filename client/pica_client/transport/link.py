@@ -12,7 +12,7 @@ the link unless it may pass and we were in the room (`refusals`).
 
 Time is that of the event loop, which for asyncio's own loops is `time.monotonic`. On one machine
 all processes share that clock (Linux CLOCK_MONOTONIC, macOS and Windows likewise), so benches there
-may subtract a sender's capture times from a receiver's clock. Across machines nobody may.
+may subtract a sender's capture times from a receiver's clock. Across machines they may not.
 """
 
 import asyncio
@@ -60,7 +60,7 @@ from pica_protocol.messages import (
 )
 from pica_protocol.session import ClientEvent, Closed, State
 
-if TYPE_CHECKING:  # who does not encrypt needs no cryptography
+if TYPE_CHECKING:  # a link without a secret needs no cryptography
     from pica_client.e2ee.guard import Guard
 
 _log = logging.getLogger(__name__)
@@ -104,7 +104,7 @@ class Link:
             SecretFileError: There is no secret in the file.
         """
         if guard is None and config.secret_file is not None:
-            # Only here: who does not encrypt needs no cryptography.
+            # Only here: a link without a secret needs no cryptography.
             from pica_client.e2ee.guard import Guard
             from pica_client.e2ee.secret import load_secret
 
@@ -167,7 +167,7 @@ class Link:
         """Ask the relay for a share of a stream: all of it (1), each second or fourth frame, or
         none (0).
 
-        It ends with the connection: ask anew after each ``Joined``.
+        It ends with the connection: ask again after each ``Joined``.
 
         Returns:
             False if it could not be told: not joined, or the network takes nothing.
@@ -203,7 +203,7 @@ class Link:
         self._tell(report)
 
     def moderate(self, message: Moderation) -> None:
-        """Ask the relay to remove, mute or bar somebody; dropped while nothing can be sent."""
+        """Ask the relay to remove, mute or bar a member; dropped while nothing can be sent."""
         self._tell(message)
 
     @property
@@ -232,7 +232,7 @@ class Link:
         """Connect and stay connected until `leave`.
 
         Raises:
-            RelayUnreachableError: Nobody answered within the first connect timeout.
+            RelayUnreachableError: No answer within the first connect timeout.
             RelayRefusedError: The relay, or what answers there, will not have us.
             OptionError: The token file, or that of certificates to trust, cannot be read.
         """
@@ -259,7 +259,7 @@ class Link:
         except TimeoutError as error:
             raise RelayUnreachableError(
                 f"no relay answers at {self.config.url} (tried for {limit_s:g} s: "
-                f"{self._trouble or 'nobody answered'}); "
+                f"{self._trouble or 'no answer'}); "
                 "start one with `pica relay`, or wait for it with --wait"
             ) from (self._trouble or error)
 

@@ -65,7 +65,7 @@ def test_a_wrapped_key_does_not_unwrap_in_another_message_even_of_a_member() -> 
         forged = encode(MESSAGE._replace(**changed), CODE_KEY, WAY, bytes(31) + b"x", BASE_KEY)
         wrapped = slice(93, 125)
         moved = forged[: wrapped.start] + DATA[wrapped] + forged[wrapped.stop :]
-        with pytest.raises(KeyMessageError, match="wrapped for somebody else"):
+        with pytest.raises(KeyMessageError, match="wrapped for another peer"):
             unwrap(moved, WAY, PAIR_KEY)
 
 
