@@ -12,15 +12,16 @@ Every head is its own person, changes in every image and is drawn whole. In mill
     draw      by the GPU's clock
     thread    processor time of this thread in a call: plan, decode, upload, submit
 
-``images_s`` is decoding and drawing one after the other, ``call_images_s`` what a call does: beside
-each other in worker threads where ONNX Runtime decodes. The first lines are the largest differences
-from numpy. Needs moderngl, numpy, safetensors, onnx and onnxruntime.
+``images_s`` is what a call reaches, with ONNX Runtime in worker threads beside the drawing. The
+first lines are the largest differences from numpy. Needs moderngl, numpy, safetensors, onnx and
+onnxruntime.
 """
 
 import argparse
 import json
 import os
 import time
+from collections import defaultdict
 from collections.abc import Callable
 from statistics import median
 from typing import Any
@@ -46,72 +47,18 @@ from pica_core.gl import create_context, wait_for_gpu
 from pica_core.reference.decoders import decode_expression_map, decode_position_map
 from pica_core.types import FloatArray
 
+Size = tuple[int, int]
 CASES = (((1920, 1080), 1, (1, 5, 20)), ((3664, 1920), 2, (5, 20)))
 QUICK = (((160, 90), 1, (1, 2)), ((240, 120), 2, (2,)))
-NUM_FACES = 8
 FRONT = np.array([0, 0, 1], np.float32)
-
-
-def main() -> None:
-    """Print all lines."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
-    parser.add_argument("--quick", action="store_true", help="small images, few of them")
-    parser.add_argument("--seconds", type=float, default=1.2, help="of each measurement")
-    options = parser.parse_args()
-    begin_s, seconds = time.monotonic(), 0.1 if options.quick else options.seconds
-    cases = QUICK if options.quick else CASES
-    context = create_context()
-    print_line(
-        gl_renderer=context.info["GL_RENDERER"], cores=os.cpu_count(), floats=draws_floats(context)
-    )
-    files = shipped_avatar_files()
-    most = max(count for _, _, counts in cases for count in counts)
-    avatars = [load_avatar(files[index % len(files)]) for index in range(most)]
-    for avatar in avatars[:1] if options.quick else avatars[: len(files)]:
-        print_line(**errors(context, avatar))
-    decoders = [OnnxDecoder(avatar) for avatar in avatars]
-    for size, num_eyes, counts in cases:
-        for count in counts:
-            with Scene(context, size, num_eyes, avatars[:count], decoders) as scene:
-                for _ in range(2):
-                    for mode in ("cpu", "gpu"):
-                        print_line(
-                            size=size, eyes=num_eyes, heads=count, **scene.row(mode, seconds)
-                        )
-    print_line(seconds=round(time.monotonic() - begin_s, 1))
+ROUNDS, NUM_FACES, LEAST_IMAGES = 2, 8, 12
+AHEAD = 4
+"""Images that are submitted before the GPU is waited for."""
 
 
 def print_line(**values: Any) -> None:
-    """One JSON line, at once."""
+    """Print one JSON line, at once."""
     print(json.dumps(values), flush=True)
-
-
-def errors(context: Any, avatar: Avatar) -> dict[str, Any]:
-    """The largest difference of both maps from numpy, at each level: in shaders, and by ONNX."""
-    found: dict[str, Any] = {"avatar": avatar.manifest.name}
-    latent = faces_of(avatar, 1)[0]
-    with (
-        Renderer(context, (64, 64)) as renderer,
-        GpuDecoder(context, renderer.map_targets) as decoder,
-    ):
-        renderer.add_avatar("head", avatar)
-        assert decoder.add("head", avatar)
-        onnx = OnnxDecoder(avatar)
-        for level in avatar.levels:
-            decoder.submit("head", DecodeRequest(latent, FRONT, 0, level))
-            decoder.take_results()
-            maps = renderer.read_maps("head")
-            wanted = (
-                decode_position_map(avatar, latent, level),
-                decode_expression_map(avatar, latent, FRONT, level),
-            )
-            other = onnx.decode(latent, FRONT, level)
-            for name, made in (("gpu", maps), ("onnx", (other.position_map, other.expression_map))):
-                for kind, one, true in zip(("m", "code"), made, wanted, strict=True):
-                    found[f"{name}_{level}_{kind}"] = float(np.abs(one - true).max())
-    return found
 
 
 def faces_of(avatar: Avatar, count: int) -> list[FloatArray]:
@@ -120,21 +67,36 @@ def faces_of(avatar: Avatar, count: int) -> list[FloatArray]:
     return [encoder.encode(rng.uniform(0, 0.7, 52).astype(np.float32)) for _ in range(count)]
 
 
+def errors(context: Any, avatar: Avatar) -> dict[str, Any]:
+    """The largest difference of both maps from numpy, at each level: in shaders, and by ONNX."""
+    found: dict[str, Any] = {"avatar": avatar.manifest.name}
+    latent, onnx = faces_of(avatar, 1)[0], OnnxDecoder(avatar)
+    with Renderer(context, (64, 64)) as renderer:
+        decoder = GpuDecoder(context, renderer.map_targets)
+        renderer.add_avatar("head", avatar)
+        decoder.add("head", avatar)
+        for level in avatar.levels:
+            decoder.submit("head", DecodeRequest(latent, FRONT, 0, level))
+            decoder.take_results()
+            maps = onnx.decode(latent, FRONT, level)
+            codes = decode_expression_map(avatar, latent, FRONT, level)
+            wanted = decode_position_map(avatar, latent, level), codes
+            for name, made in (
+                ("gpu", renderer.read_maps("head")),
+                ("onnx", (maps.position_map, maps.expression_map)),
+            ):
+                for kind, one, true in zip(("m", "code"), made, wanted, strict=True):
+                    found[f"{name}_{level}_{kind}"] = float(f"{np.abs(one - true).max():.2g}")
+    return found
+
+
 class Scene:
     """Heads on a grid before one or two eyes, each of them in two slots: one a decoder."""
 
-    def __init__(
-        self,
-        context: Any,
-        size: tuple[int, int],
-        num_eyes: int,
-        avatars: list[Avatar],
-        decoders: list[OnnxDecoder],
-    ) -> None:
-        self._context, self._avatars, self._decoders = context, avatars, decoders
+    def __init__(self, context: Any, size: Size, num_eyes: int, avatars: list[Avatar]) -> None:
+        self._context, self._avatars = context, avatars
         self._renderer = Renderer(context, size, RenderOptions(fade_busts=True))
         self._shaders = GpuDecoder(context, self._renderer.map_targets)
-        self._workers = num_workers(os.cpu_count())
         self._size = (size[0] // num_eyes, size[1])
         plan = plan_seats("grid", count=len(avatars), aspect=self._size[0] / size[1])
         camera = plan_camera(plan, ViewState(), *self._size)
@@ -142,61 +104,52 @@ class Scene:
         self._matrices = [head_matrix(seat, [0, 0, 0], [0, 0, 0]) for seat in plan.seats]
         self._faces = [faces_of(avatar, NUM_FACES) for avatar in avatars]
         for index, avatar in enumerate(avatars):
-            for mode in ("cpu", "gpu"):
-                self._renderer.add_avatar(f"{mode} {index}", avatar)
+            self._renderer.add_avatar(f"cpu {index}", avatar)
+            self._renderer.add_avatar(f"gpu {index}", avatar)
             self._shaders.add(f"gpu {index}", avatar)
         self._turn = 0
 
-    def __enter__(self) -> "Scene":
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
+        """Free all that it holds on the GPU."""
         self._shaders.close()
         self._renderer.close()
 
-    def row(self, mode: str, seconds: float) -> dict[str, Any]:
+    def row(self, mode: str, seconds: float, decoders: list[OnnxDecoder]) -> dict[str, Any]:
         """All figures of one way to decode."""
-        took: dict[str, list[float]] = {}
-        clock: DrawClock[int] = DrawClock(self._context)
+        took: dict[str, list[float]] = defaultdict(list)
+        clock: DrawClock[str] = DrawClock(self._context)
         before = self._uploaded(mode)
-        num_images = self._repeat(seconds, lambda: self._image(mode, took, clock, waits=True))
-        upload_kb = (self._uploaded(mode) - before) / num_images / 1e3
-        row: dict[str, Any] = {"mode": mode, "upload_kb": round(upload_kb, 1)}
-        row |= {
-            f"{name}_ms": round(median(times) * 1e3, 3) for name, times in took.items() if times
-        }
-        for name, image in (
-            ("draw_images_s", lambda: self._draw(mode)),
-            ("images_s", lambda: self._image(mode, {}, clock, waits=False)),
-        ):
-            begin_s = time.perf_counter()
-            num_images = self._repeat(seconds, image)
-            row[name] = round(num_images / (time.perf_counter() - begin_s), 1)
-        return row | self._call(mode, seconds)
+        count = self._repeat(seconds, lambda: self._image(mode, decoders, took, clock), ahead=1)
+        row = {f"{name}_ms": round(median(times) * 1e3, 3) for name, times in took.items() if times}
+        row["upload_kb"] = round((self._uploaded(mode) - before) / count / 1e3, 1)
+        return {"mode": mode, **row, **self._call(mode, seconds)}
 
-    def _repeat(self, seconds: float, image: Callable[[], object]) -> int:
+    def _repeat(self, seconds: float, image: Callable[[], object], ahead: int = AHEAD) -> int:
         """Make images for so long; how many they were."""
         end_s, count = time.perf_counter() + seconds, 0
-        while time.perf_counter() < end_s or count < 12:
+        while time.perf_counter() < end_s or count < LEAST_IMAGES:
             image()
             count += 1
-            if count % 4 == 0:  # no further ahead of the GPU than drivers let programs be
+            if count % ahead == 0:
                 wait_for_gpu(self._context)
-        wait_for_gpu(self._context)
         return count
 
     def _image(
-        self, mode: str, took: dict[str, list[float]], clock: DrawClock[int], *, waits: bool
+        self,
+        mode: str,
+        decoders: list[OnnxDecoder],
+        took: dict[str, list[float]],
+        clock: DrawClock[str],
     ) -> None:
         """Decode everybody, one after the other, and draw."""
         self._turn += 1
         begin_s, upload_s, decode_s = time.perf_counter(), 0.0, 0.0
-        for index, decoder in enumerate(self._decoders[: len(self._avatars)]):
-            latent = self._faces[index][self._turn % NUM_FACES]
+        for index, faces in enumerate(self._faces):
+            latent = faces[self._turn % NUM_FACES]
             if mode == "gpu":
                 self._shaders.submit(f"gpu {index}", DecodeRequest(latent, FRONT, 0))
                 continue
-            maps = decoder.decode(latent, FRONT)
+            maps = decoders[index].decode(latent, FRONT)
             done_s = time.perf_counter()
             self._renderer.update_maps(f"cpu {index}", maps.position_map, maps.expression_map)
             upload_s += time.perf_counter() - done_s
@@ -204,15 +157,13 @@ class Scene:
             decode_s = sum(result.decode_s for result in self._shaders.take_results())
         python_s = time.perf_counter() - begin_s - upload_s
         begin_s = time.perf_counter()
-        with clock.around(0):
+        with clock.around(mode):
             self._draw(mode)
-        times = {"decode": decode_s or python_s, "python": python_s, "upload": upload_s}
-        times["submit"] = time.perf_counter() - begin_s
-        if waits:
-            wait_for_gpu(self._context)
-        for name, value in times.items():
-            took.setdefault(name, []).append(value)
-        took.setdefault("draw", []).extend(drawn for _, drawn in clock.take())
+        took["submit"].append(time.perf_counter() - begin_s)
+        took["decode"].append(decode_s or python_s)
+        took["python"].append(python_s)
+        took["upload"].append(upload_s)
+        took["draw"] += [drawn_s for _, drawn_s in clock.take()]
 
     def _draw(self, mode: str) -> None:
         self._renderer.forget_frame()
@@ -225,56 +176,75 @@ class Scene:
     def _call(self, mode: str, seconds: float) -> dict[str, Any]:
         """As a call does it: planned, and decoded beside drawing by ONNX Runtime."""
         planner = FramePlanner(Scheduler(SchedulerOptions(mesh_px=(0.0, 0.0), full_px=0.0)))
-        heads = [
-            Head(slot=f"{mode} {index}", avatar=avatar, world_from_head=matrix)
-            for index, (avatar, matrix) in enumerate(
-                zip(self._avatars, self._matrices, strict=True)
-            )
-        ]
-        shown = {head.slot: head for head in heads}
-        begin_s, thread_s = time.perf_counter(), time.thread_time()
-        num_decodes = 0
-        with DecodePool(OnnxDecoder, workers=self._workers, prepares_ahead=False) as pool:
-            for head in heads if mode == "cpu" else ():
-                pool.add(head.slot, head.avatar)
-            decoder = pool if mode == "cpu" else self._shaders
+        places = enumerate(zip(self._avatars, self._matrices, strict=True))
+        heads = {
+            f"{mode} {index}": Head(slot=f"{mode} {index}", avatar=avatar, world_from_head=matrix)
+            for index, (avatar, matrix) in places
+        }
+        with DecodePool(OnnxDecoder, workers=num_workers(os.cpu_count())) as pool:
+            decoder = self._shaders if mode == "gpu" else pool
+            for slot, head in heads.items() if mode == "cpu" else ():
+                pool.add(slot, head.avatar)
 
-            def image() -> None:
-                nonlocal num_decodes
+            def image() -> int:
                 self._turn += 1
                 now = time.perf_counter()
-                for head, faces in zip(heads, self._faces, strict=True):
+                for head, faces in zip(heads.values(), self._faces, strict=True):
                     head.latent = faces[self._turn % NUM_FACES]
-                planner.plan(heads, self._eyes, self._size, 1.0, now)
-                for head, request in planner.requests(heads, now):
+                planner.plan(list(heads.values()), self._eyes, self._size, 1.0, now)
+                for head, request in planner.requests(list(heads.values()), now):
                     decoder.submit(head.slot, request)
-                for result in decoder.take_results():
-                    if result.maps is not None and result.maps.expression_map is not None:
-                        maps = result.maps
-                        self._renderer.update_maps(
-                            result.slot, maps.position_map, maps.expression_map
-                        )
-                    planner.note_decoded(shown[result.slot], result, 0.0, now)
-                    num_decodes += 1
+                for result in (results := decoder.take_results()):
+                    assert result.maps is not None, result.error
+                    maps = result.maps
+                    self._renderer.update_maps(result.slot, maps.position_map, maps.expression_map)
+                    planner.note_decoded(heads[result.slot], result, 0.0, now)
                 self._draw(mode)
+                return len(results)
 
             self._repeat(0.0, image)
-            pool.wait_idle(20.0)
-            num_decodes, begin_s, thread_s = 0, time.perf_counter(), time.thread_time()
-            count = self._repeat(seconds, image)
+            pool.wait_idle(30.0)
+            decodes: list[int] = []
+            begin_s, thread_s = time.perf_counter(), time.thread_time()
+            count = self._repeat(seconds, lambda: decodes.append(image()))
             thread_ms = 1e3 * (time.thread_time() - thread_s) / count
-            rate = count / (time.perf_counter() - begin_s)
+            images_s = count / (time.perf_counter() - begin_s)
         return {
-            "call_images_s": round(rate, 1),
-            "call_decodes_an_image": round(num_decodes / count, 2),
+            "images_s": round(images_s, 1),
+            "decodes_an_image": round(sum(decodes) / count, 2),
             "thread_ms": round(thread_ms, 3),
         }
 
     def _uploaded(self, mode: str) -> int:
-        if mode == "gpu":
-            return self._shaders.bytes_uploaded
-        slots = (f"cpu {index}" for index in range(len(self._avatars)))
-        return sum(self._renderer.bytes_uploaded(slot) for slot in slots)
+        slots = [f"cpu {index}" for index in range(len(self._avatars))]
+        by_maps = sum(map(self._renderer.bytes_uploaded, slots))
+        return self._shaders.bytes_uploaded if mode == "gpu" else by_maps
+
+
+def main() -> None:
+    """Print all lines."""
+    parser = argparse.ArgumentParser(description="Measure both ways to decode in turns.")
+    parser.add_argument("--quick", action="store_true", help="small images, few of them")
+    parser.add_argument("--seconds", type=float, default=1.5, help="of each measurement")
+    options = parser.parse_args()
+    begin_s, seconds = time.monotonic(), 0.1 if options.quick else options.seconds
+    context, files = create_context(), shipped_avatar_files()
+    renderer = context.info["GL_RENDERER"]
+    print_line(gl_renderer=renderer, cores=os.cpu_count(), floats=draws_floats(context))
+    cases = QUICK if options.quick else CASES
+    most = max(count for _, _, counts in cases for count in counts)
+    avatars = [load_avatar(files[index % len(files)]) for index in range(most)]
+    for avatar in avatars[: 1 if options.quick else len(files)]:
+        print_line(**errors(context, avatar))
+    decoders = [OnnxDecoder(avatar) for avatar in avatars]
+    for size, num_eyes, counts in cases:
+        for count in counts:
+            scene = Scene(context, size, num_eyes, avatars[:count])
+            for mode in ("cpu", "gpu") * ROUNDS:
+                row = scene.row(mode, seconds, decoders)
+                print_line(size=size, eyes=num_eyes, heads=count, **row)
+            scene.close()
+    print_line(seconds=round(time.monotonic() - begin_s, 1))
 
 
 if __name__ == "__main__":
