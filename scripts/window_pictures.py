@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from pica_client.ui.actions import Request
     from pica_client.ui.call_view import CallView
     from pica_client.ui.state import ViewState
-    from pica_client.ui.surface.theme import Metrics
+    from pica_client.ui.surface.style import Metrics
 
 ROOT = Path(__file__).resolve().parents[1]
 SIZES = ("1280x720", "320x240", "2560x1440", "2560x1440@2")

@@ -14,27 +14,19 @@ from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import pytest
+from imgui_bundle import imgui
 
-from helpers.hand import Rect, note_places
+from helpers.hand import Event, Rect, hold, note_places, point, press, write
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.call.call import Call
 from pica_client.endpoint.endpoint import Receiver
 from pica_client.errors import OptionError
 from pica_client.local_call.processes import Children
 from pica_client.transport.config import LinkConfig
-from pica_client.ui.events import (
-    CloseWanted,
-    InputEvent,
-    KeyPressed,
-    KeyReleased,
-    MouseMoved,
-    MousePressed,
-    MouseReleased,
-    TextTyped,
-)
 from pica_client.ui.join_form import JoinForm
 from pica_client.ui.options import ViewerOptions, ViewOptions
 from pica_client.ui.state import PreferencesFile, ViewState
+from pica_client.ui.surface.surface import Surface
 from pica_client.ui.view_session import ask_and_look, first_state, link_of, look
 from pica_core.gl import create_context
 
@@ -42,42 +34,41 @@ pytestmark = pytest.mark.call
 
 NOBODY = "ws://127.0.0.1:9"
 SIZE = (640, 360)
-PASTE = "paste"
 
 
 class ScreenlessWindow:
     """Stands in for `window.Window`: the user does one thing a frame."""
 
-    happened: list[InputEvent]
+    happened: list[Event]
 
     def __init__(self, size: tuple[int, int]) -> None:
         self.context = create_context()
+        self.surface = Surface(self.context)
         self.size_px = self.windowed_size = size
-        self.content_scale = 1.0
         self._screen = self.context.simple_framebuffer(size)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self.surface.close()
         self.context.release()
 
-    def poll(self) -> list[InputEvent]:
-        return [self.happened.pop(0)] if self.happened else []
+    def poll(self) -> bool:
+        if self.happened:
+            self.happened.pop(0)(self.surface.io)
+        return True
+
+    def begin(self, now: float, **options: Any) -> None:
+        self.surface.begin(now, self.size_px)
 
     def show(self, draw: Callable[[Any], None]) -> None:
         draw(self._screen)
 
-    def clipboard(self) -> str:
-        return ""
-
-    def copy(self, text: str) -> None:
-        raise AssertionError
-
 
 @pytest.fixture
-def window_of(monkeypatch: pytest.MonkeyPatch) -> Callable[[list[InputEvent]], None]:
-    def prepare(happened: list[InputEvent]) -> None:
+def window_of(monkeypatch: pytest.MonkeyPatch) -> Callable[[list[Event]], None]:
+    def prepare(happened: list[Event]) -> None:
         monkeypatch.setattr(ScreenlessWindow, "happened", list(happened), raising=False)
         monkeypatch.setattr("pica_client.ui.window.Window", ScreenlessWindow)
 
@@ -90,16 +81,13 @@ def without_signals(stop: Callable[[], object]) -> Iterator[None]:
 
 
 class ClickingWindow(ScreenlessWindow):
-    """A window whose user clicks on labels, one after the other, types a text that begins with an
-    equals sign, and pastes; at the end they close it."""
+    """A window whose user clicks on labels, one after the other, and types a text that begins with
+    an equals sign; at the end they close it."""
 
     places: ClassVar[dict[str, Rect]]
     todo: ClassVar[list[str]]
 
-    def clipboard(self) -> str:
-        return " Lovelace"
-
-    def poll(self) -> list[InputEvent]:
+    def poll(self) -> bool:
         self.num_frames = getattr(self, "num_frames", 0) + 1
         if self.happened or self.num_frames % 4:
             return super().poll()
@@ -108,17 +96,14 @@ class ClickingWindow(ScreenlessWindow):
         stands = found == getattr(self, "found", None)  # a panel that just opened still moves
         self.found = found
         if not self.todo:
-            return [CloseWanted()]
+            return False
         if self.todo[0].startswith("="):
-            return [TextTyped(self.todo.pop(0)[1:])]
-        if self.todo[0] == PASTE:
-            self.todo.pop(0)
-            self.happened += [KeyPressed("V", has_control=True), KeyReleased("V")]
+            self.happened.append(write(self.todo.pop(0)[1:]))
         if found and stands:
             self.todo.pop(0)
             left, top, right, bottom = found[-1]
             place = (left + right) / 2, (top + bottom) / 2
-            self.happened += [MouseMoved(*place), MousePressed(*place), MouseReleased(*place)]
+            self.happened += [point(*place), hold(), hold(is_down=False)]
         return super().poll()
 
 
@@ -146,14 +131,13 @@ def state_at(url: str, name: str = "guest") -> ViewState:
     )
 
 
-@pytest.mark.parametrize("written", ["= Lovelace", PASTE])
 def test_one_comes_again_under_another_name(
-    monkeypatch: pytest.MonkeyPatch, relay_url: str, tmp_path: Path, written: str
+    monkeypatch: pytest.MonkeyPatch, relay_url: str, tmp_path: Path
 ) -> None:
     monkeypatch.setattr("pica_client.ui.window.Window", ClickingWindow)
     monkeypatch.setattr(ScreenlessWindow, "happened", [], raising=False)
     ClickingWindow.places = note_places(monkeypatch)
-    steps = ["Join", "Settings", "##name", written, "Join again"]
+    steps = ["Join", "Settings", "##name", "= Lovelace", "Join again"]
     ClickingWindow.todo = list(steps)
     kept = PreferencesFile(tmp_path)
     state = state_at(relay_url, "Ada")
@@ -166,17 +150,17 @@ def test_one_comes_again_under_another_name(
 
 
 def test_one_can_leave_at_the_form(
-    window_of: Callable[[list[InputEvent]], None], library: AvatarLibrary
+    window_of: Callable[[list[Event]], None], library: AvatarLibrary
 ) -> None:
-    window_of([KeyPressed("Escape")])
+    window_of([press(imgui.Key.escape)])
     result = ask_and_look(OPTIONS, state_at(NOBODY), library, without_signals)
     assert result["frames_rendered"] == 0
 
 
 def test_a_relay_that_is_not_there_is_said_in_the_form(
-    window_of: Callable[[list[InputEvent]], None], library: AvatarLibrary
+    window_of: Callable[[list[Event]], None], library: AvatarLibrary
 ) -> None:
-    window_of([KeyPressed("Enter")])
+    window_of([press(imgui.Key.enter)])
     state = state_at(NOBODY, "Ada")
     form = JoinForm(state, partial(link_of, OPTIONS))
     refusals: list[str] = []
@@ -192,12 +176,12 @@ def test_a_relay_that_is_not_there_is_said_in_the_form(
 
 
 def test_who_joins_by_the_form_is_in_the_call_and_found_again_next_time(
-    window_of: Callable[[list[InputEvent]], None],
+    window_of: Callable[[list[Event]], None],
     library: AvatarLibrary,
     relay_url: str,
     tmp_path: Path,
 ) -> None:
-    window_of([KeyPressed("Enter")])
+    window_of([press(imgui.Key.enter)])
     kept = PreferencesFile(tmp_path)
     state = state_at(relay_url, "Ada")
     state.token = "a-secret"

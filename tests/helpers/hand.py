@@ -1,9 +1,10 @@
 """A hand that clicks and types on panels, without a window or a GPU.
 
-    hand = Hand(monkeypatch)
-    orders = hand.click("Leave", lambda metrics: control_bar(view, metrics))
+    with open_hand() as hand:
+        orders = hand.click("Leave", lambda metrics: control_bar(view, call, metrics))
 
-Where a button is is noted when it is drawn, by its label or by what its tooltip says.
+Where a button is is noted when it is drawn, by its label or by what its tooltip says. What the user
+does is a function of ImGui's input, as `press(Key.l)` makes one.
 """
 
 from collections.abc import Callable, Iterator
@@ -13,18 +14,10 @@ from typing import Any
 import pytest
 from imgui_bundle import imgui
 
-from pica_client.ui.events import (
-    InputEvent,
-    KeyPressed,
-    KeyReleased,
-    MouseMoved,
-    MousePressed,
-    MouseReleased,
-    TextTyped,
-)
+from pica_client.ui.surface.style import Metrics
 from pica_client.ui.surface.surface import Surface
-from pica_client.ui.surface.theme import Metrics
 
+Event = Callable[[imgui.IO], None]
 Show = Callable[[Metrics], list[Any]]
 Rect = tuple[float, float, float, float]
 NOTED = (
@@ -33,6 +26,7 @@ NOTED = (
     "input_text",
     "input_text_with_hint",
     "checkbox",
+    "radio_button",
     "selectable",
     "begin_combo",
     "image_button",
@@ -64,6 +58,26 @@ def note_places(patch: pytest.MonkeyPatch) -> dict[str, Rect]:
     return places
 
 
+def press(key: imgui.Key, *, is_down: bool = True) -> Event:
+    """A key that goes down, or up."""
+    return lambda io: io.add_key_event(key, is_down)
+
+
+def point(x: float, y: float) -> Event:
+    """The pointer is somewhere else."""
+    return lambda io: io.add_mouse_pos_event(x, y)
+
+
+def hold(*, is_down: bool = True) -> Event:
+    """The left button of the mouse goes down, or up."""
+    return lambda io: io.add_mouse_button_event(0, is_down)
+
+
+def write(text: str) -> Event:
+    """Characters are typed."""
+    return lambda io: io.add_input_characters_utf8(text)
+
+
 class Hand:
     """Steers panels on a surface of its own."""
 
@@ -71,17 +85,18 @@ class Hand:
         self, patch: pytest.MonkeyPatch, size: tuple[int, int] = (1280, 720), scale: float = 1.0
     ) -> None:
         self.places = note_places(patch)
-        self.surface = Surface(size, content_scale=scale)
+        self.surface = Surface()
+        self._size, self._scale = size, scale
         self._now = 0.0
 
-    def frame(self, show: Show, *events: InputEvent) -> list[Any]:
+    def frame(self, show: Show, *events: Event) -> list[Any]:
         """One frame after some events; gives what the panel orders."""
         self._now += 0.05
         self.places.clear()
         for event in events:
-            self.surface.receive(event)
-        with self.surface.frame(self._now):
-            return show(self.surface.metrics)
+            event(self.surface.io)
+        with self.surface.frame(self._now, self._size, self._scale) as metrics:
+            return show(metrics)
 
     def where(self, label: str) -> Rect:
         """Where the last frame drew a widget whose label holds a text."""
@@ -95,18 +110,18 @@ class Hand:
             self.frame(show)
         left, top, right, bottom = self.where(label)
         place = ((left + right) / 2, (top + bottom) / 2)
-        steps = (MouseMoved(*place), MousePressed(*place), MouseReleased(*place))
+        steps = (point(*place), hold(), hold(is_down=False))
         orders = [order for step in steps for order in self.frame(show, step)]
         return orders + self.frame(show)
 
     def type(self, text: str, show: Show) -> list[Any]:
         """Type a text into what is in use."""
-        return self.frame(show, TextTyped(text)) + self.frame(show)
+        return self.frame(show, write(text)) + self.frame(show)
 
-    def press(self, key: str, show: Show, *, has_control: bool = False) -> list[Any]:
+    def press(self, key: imgui.Key, show: Show) -> list[Any]:
         """Press a key and let it go."""
-        orders = self.frame(show, KeyPressed(key, has_control=has_control))
-        return orders + self.frame(show, KeyReleased(key)) + self.frame(show)
+        orders = self.frame(show, press(key))
+        return orders + self.frame(show, press(key, is_down=False)) + self.frame(show)
 
 
 @contextmanager

@@ -1,7 +1,8 @@
 """All that the panels of a call may show, as one read-only value a frame. Pure.
 
-A panel is a function of the user's state, a `CallView` and the picture's metrics. It draws with the
-widgets of `surface`, writes settings into the state, and returns what else the user asked for:
+A panel is a function of the user's state, a `CallView` and the surface's metrics. It draws with
+stock ImGui and `surface.widgets`, writes settings into the state, and returns what else the user
+asked for:
 
     def leave_question(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
         ...
@@ -9,16 +10,48 @@ widgets of `surface`, writes settings into the state, and returns what else the 
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Final, NamedTuple
 
 from pica_client.call.faces import FaceStatus
 from pica_client.call.status import AvatarFigures, CallStatus, PeerStatus
 from pica_client.publish.face_desk import Seen
 from pica_client.render.scene import Rect
 from pica_client.ui.actions import Request
-from pica_client.ui.notice_board import Notice
 from pica_client.ui.state import ViewState
-from pica_client.ui.surface.theme import Metrics
+from pica_client.ui.surface.style import Metrics, Tone
 from pica_client.voice.sound.settings import SoundState
+
+NOTICE_S: Final = 4.0
+"""How long a notice stands."""
+LOUD_NOTICE_S: Final = 8.0
+"""The same for a warning or an alert, which should not be missed."""
+MAX_NOTICES: Final = 3
+"""Shown at once; one more drops the oldest."""
+
+
+class Notice(NamedTuple):
+    """One line that is shown for a few seconds."""
+
+    text: str
+    tone: Tone = "plain"
+
+
+class NoticeBoard:
+    """Keeps the notices that are shown."""
+
+    def __init__(self) -> None:
+        self._notices: list[tuple[Notice, float]] = []
+
+    def add(self, notice: Notice, now: float) -> None:
+        """Show a notice from `now` on, seconds; the same text again only stays longer."""
+        lasts_s = LOUD_NOTICE_S if notice.tone in ("warning", "alert") else NOTICE_S
+        others = [each for each in self._notices if each[0] != notice]
+        self._notices = [*others, (notice, now + lasts_s)][-MAX_NOTICES:]
+
+    def shown(self, now: float) -> tuple[Notice, ...]:
+        """Return the notices of this moment, the oldest first."""
+        self._notices = [each for each in self._notices if now < each[1]]
+        return tuple(notice for notice, _ in self._notices)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -32,12 +65,10 @@ class PersonView:
     """What is wrong with the stream or the avatar, for people."""
     is_speaking: bool = False
     is_voice_muted: bool = False
-    label_px: Rect | None = None
-    """The part of the picture that the name may fill, from its upper edge on; None for nowhere."""
+    label: Rect | None = None
+    """The part of the surface that the name may fill, from its upper edge on; None: nowhere."""
     figures: AvatarFigures | None = None
     stream: PeerStatus = field(default_factory=PeerStatus)
-    draw_ms: float | None = None
-    """This head's share of the drawing time."""
 
     @property
     def remark(self) -> str:
@@ -49,37 +80,32 @@ class PersonView:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class OwnFaceView:
-    """What is shown of one's own face."""
+    """What is shown of the user's own face."""
 
     texture: int | None = None
-    """What the others see, by the painter's number; None before there is a picture."""
+    """What the others see, as a number of the surface; None before there is a picture."""
     source: str = ""
     """What plays it."""
     seen: Seen | None = None
-    """What its tracker sees; None where no tracker plays it."""
+    """What its tracker sees; None without a tracker."""
     camera: int | None = None
-    """What its camera sees, by the painter's number."""
-
-
-NOTHING = OwnFaceView()
+    """What its camera sees, as a number of the surface."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CallView:
     """One frame of a call."""
 
-    now: float
     people: tuple[PersonView, ...] = ()
-    """Everybody who is there, in the order of their seats."""
+    """All participants with a face, in the order of their seats."""
     status: CallStatus = field(default_factory=CallStatus)
     notices: tuple[Notice, ...] = ()
     """What was just done, and what just happened, the oldest first."""
     shows_bar: bool = True
-    """Whether the control bar is to be seen: the pointer moved a moment ago."""
+    """The control bar is to be seen: the pointer moved a moment ago."""
     has_pointer: bool = True
-    """Whether there is somebody to steer: a window."""
-    own: OwnFaceView = NOTHING
-    """One's own face, as others and as the tracker see it."""
+    """There is a window with a pointer."""
+    own: OwnFaceView = field(default_factory=OwnFaceView)
     sound: SoundState | None = None
     """How sound stands; None: there is none."""
     figures: tuple[tuple[str, str], ...] = ()

@@ -14,13 +14,10 @@ from pica_client.avatars.upload import avatar_by_name
 from pica_client.closing import Closing
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.room import STILL
-from pica_client.ui.events import CloseWanted
 from pica_client.ui.join_form import JoinForm, JoinRequest
 from pica_client.ui.panels.join import JoinView, connecting_panel, join_panel
-from pica_client.ui.panels.sound import MICROPHONE
-from pica_client.ui.surface.painter import Painter
-from pica_client.ui.surface.surface import Surface
-from pica_client.ui.surface.theme import Metrics
+from pica_client.ui.panels.settings import MICROPHONE
+from pica_client.ui.surface.style import Metrics
 from pica_client.ui.window import Window
 from pica_client.voice.sound.process import SoundProcess
 from pica_core.avatar.shipped import shipped_portraits
@@ -49,15 +46,11 @@ class Lobby(Closing):
         with ExitStack() as stack:
             stack.callback(window.context.gc)
             self._renderer = Renderer(window.context, window.size_px, RenderOptions())
-            self._surface = Surface(window.size_px, content_scale=window.content_scale)
-            self._surface.use_clipboard(window.clipboard, window.copy)
-            stack.callback(self._surface.close)
-            self._painter = Painter(window.context, self._surface)
             self._portraits: dict[str, int] = {}
             for name, file in shipped_portraits().items():
                 with PillowImage.open(file) as image:
                     picture = np.asarray(image.convert("RGB"))
-                self._portraits[name] = self._painter.show(name, picture)
+                self._portraits[name] = window.surface.show(f"avatar {name}", picture)
             self._resources = stack.pop_all()
 
     def close(self) -> None:
@@ -67,7 +60,7 @@ class Lobby(Closing):
     def ask(self, form: JoinForm) -> bool:
         """Show the form until the user wants to join, True, or to leave."""
         while form.outcome == "asking":
-            requests = self._frame(lambda metrics: join_panel(self._view(form), metrics))
+            requests = self._frame(lambda metrics: join_panel(form, self._view(form), metrics))
             for request in requests:
                 form.obey(request)
             if self._wants_close:
@@ -97,31 +90,25 @@ class Lobby(Closing):
 
     def show_waiting(self, what: str) -> bool:
         """Draw one frame that says what is being waited for; False once the user gives up."""
-        is_cancelled = self._frame(
-            lambda metrics: connecting_panel(what, metrics, time.monotonic())
-        )
+        is_cancelled = self._frame(lambda metrics: connecting_panel(what, metrics))
         return not (is_cancelled or self._wants_close)
 
     def _view(self, form: JoinForm) -> JoinView:
         names = self._library.names
         return JoinView(
-            state=form.state,
-            trouble=form.trouble,
-            portraits={name: self._portraits.get(name) for name in names},
+            portraits={name: self._portraits[name] for name in names if name in self._portraits},
             sound=None if self._sound is None else self._sound.state,
             default_avatar=avatar_by_name(form.state.name, names) if names else "",
         )
 
     def _frame(self, show: Callable[[Metrics], Any]) -> Any:
         """Draw a frame of panels over the empty room; gives what they order."""
-        now, window, surface = time.monotonic(), self._window, self._surface
+        now, window = time.monotonic(), self._window
+        self._wants_close |= not window.poll()
         self._renderer.resize(window.size_px)
-        surface.resize(window.size_px, window.content_scale)
-        for event in window.poll():
-            surface.receive(event)
-            self._wants_close |= isinstance(event, CloseWanted)
-        with surface.frame(now):
-            found = show(surface.metrics)
+        window.begin(now)
+        found = show(window.surface.metrics)
+        window.surface.end()
         self._renderer.draw([], STILL)
         window.show(self._show)
         time.sleep(max(PERIOD_S - (time.monotonic() - now), 0.0))
@@ -129,4 +116,4 @@ class Lobby(Closing):
 
     def _show(self, screen: moderngl.Framebuffer) -> None:
         self._renderer.present(screen)
-        self._painter.paint(screen)
+        self._window.surface.paint(screen)

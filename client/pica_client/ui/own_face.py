@@ -1,5 +1,5 @@
-"""One's own face while a call is shown: as the others see it, drawn small in a corner, and what the
-tracker sees beside it."""
+"""The user's own face while a call is shown: as the others see it, drawn small in a corner, and
+what the tracker sees beside it."""
 
 import moderngl
 
@@ -11,13 +11,13 @@ from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.schedule.frame_planner import FramePlanner
 from pica_client.schedule.scheduler import Scheduler
 from pica_client.ui.avatar_presenter import AvatarPresenter
-from pica_client.ui.call_view import NOTHING, OwnFaceView
+from pica_client.ui.call_view import OwnFaceView
+from pica_client.ui.panels.overlay import ASPECT
 from pica_client.ui.state import ViewState
-from pica_client.ui.surface.painter import Painter
+from pica_client.ui.surface.surface import Surface
 
-ASPECT = 4 / 3
 PERIOD_S = 1 / 15
-"""Between two images (chosen: one's own face is to be checked, not watched)."""
+"""Between two images (chosen: the own face is to be checked, not watched)."""
 BUDGET_S = 0.01
 """What one image may take."""
 
@@ -39,14 +39,14 @@ class SelfView:
             reflection.call, self._renderer, self._pool, FramePlanner(Scheduler())
         )
         self._looked_s = -PERIOD_S
-        self._shown = NOTHING
+        self._shown = OwnFaceView()
 
     def close(self) -> None:
         """End the decoding thread."""
         self._pool.close()
 
     def draw(self, now: float, height_px: int) -> moderngl.Texture | None:
-        """One's own face on a picture so many pixels high; None before there is one."""
+        """Draw the own face so many pixels high; None before there is one."""
         size = (round(ASPECT * height_px), height_px)
         self._renderer.resize(size)
         scene = self._presenter.arrange(now, size, ViewState(layout="line"))
@@ -60,16 +60,16 @@ class SelfView:
         assert isinstance(texture, moderngl.Texture)
         return texture
 
-    def look(self, now: float, height_px: int, desk: FaceDesk, painter: Painter) -> OwnFaceView:
-        """What there is to see on a picture so many pixels high, every `PERIOD_S` anew."""
+    def look(self, now: float, height_px: int, desk: FaceDesk, surface: Surface) -> OwnFaceView:
+        """Return what there is to see on a picture so many pixels high, renewed each `PERIOD_S`."""
         if height_px and now - self._looked_s >= PERIOD_S:
             self._looked_s = now
             texture, seen = self.draw(now, height_px), desk.seen()
             picture = None if seen is None else seen.picture
             self._shown = OwnFaceView(
-                texture=None if texture is None else painter.adopt("own face", texture),
+                texture=None if texture is None else surface.adopt("own face", texture),
                 source=desk.source,
                 seen=seen,
-                camera=None if picture is None else painter.show("camera", picture),
+                camera=None if picture is None else surface.show("camera", picture),
             )
-        return self._shown if height_px else NOTHING
+        return self._shown if height_px else OwnFaceView()

@@ -17,7 +17,7 @@ from pica_client.output import say
 from pica_client.render.seats import LAYOUTS, Layout
 from pica_client.render.views import OrbitLimits
 from pica_client.render.views import ViewState as Orbit
-from pica_client.ui.surface.theme import Mode
+from pica_client.ui.surface.style import Mode
 from pica_client.user_folders import make_private, preferences_folder
 from pica_client.voice.sound.settings import SoundSettings
 from pica_core.files import replacing

@@ -12,12 +12,13 @@ import os
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import moderngl
 import numpy as np
+from imgui_bundle import imgui
 
 from pica_client.call.faces import FaceSource
 from pica_client.call.reflection import Reflection
@@ -36,17 +37,18 @@ from pica_client.render.scene import pick_head
 from pica_client.render.views import EYE_DISTANCE_M, stereo_cameras
 from pica_client.schedule.frame_planner import FramePlanner
 from pica_client.schedule.scheduler import Plan, Scheduler, SchedulerOptions
-from pica_client.ui.actions import Action, Controls, Request
+from pica_client.ui.actions import Action, Request, apply, keyboard, mouse
 from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter
 from pica_client.ui.call_sound import CallSound
 from pica_client.ui.call_surface import CallSurface
-from pica_client.ui.call_view import NOTHING, OwnFaceView
+from pica_client.ui.call_view import OwnFaceView
 from pica_client.ui.captures_on_disk import CapturesOnDisk
-from pica_client.ui.events import InputEvent, MouseMoved, MousePressed, MouseReleased
 from pica_client.ui.options import ViewerOptions, parse_size
 from pica_client.ui.own_face import SelfView
+from pica_client.ui.panels.overlay import own_face_height
 from pica_client.ui.recorder import Recorder, save_png
 from pica_client.ui.state import ViewState
+from pica_client.ui.surface.surface import Surface
 from pica_client.ui.window import Window
 from pica_core.camera import Camera
 from pica_core.gl import create_context
@@ -121,9 +123,7 @@ class Viewer(Closing):
         state.own_face = "none" if desk is None else "sent"
         state.own_voice = self._sound.own_voice
         self._source = state.source
-        self._controls = Controls(state)
         self._meter = Meter()
-        self._events: list[InputEvent] = []
         self._num_frames = 0
         self.outputs = Outputs()
         self._scene: CallScene | None = None
@@ -140,15 +140,12 @@ class Viewer(Closing):
                 context = self._window.context
             size = self._window.size_px if self._window else wanted_size
             self._renderer = Renderer(context, size, RENDER)
-            self._surface = CallSurface(
-                context,
-                self._eye_size,
-                self._meter,
-                status,
-                has_pointer=self._window is not None,
-                clipboard=(self._window.clipboard, self._window.copy) if self._window else None,
-            )
-            stack.callback(self._surface.close)
+            if self._window is None:
+                self.surface = stack.enter_context(Surface(context))
+            else:
+                self.surface = self._window.surface
+            has_pointer = self._window is not None
+            self._panels = CallSurface(self.surface, self._meter, status, has_pointer=has_pointer)
             begin_sound = self._sound.begin_track
             self._film: Recorder | None = None
             if options.record is not None:
@@ -225,40 +222,49 @@ class Viewer(Closing):
         self._meter.clear()
         self._started_s = self._clock()
 
-    def receive(self, event: InputEvent) -> None:
-        """Take something that the user did, as from the window; the next frame sees it."""
-        self._events.append(event)
-
     def step(self, now: float) -> bool:
-        """Draw one frame; False once the user wants to leave."""
-        content_scale = 1.0
-        if self._window is not None:
-            self._events += self._window.poll()
-            self._renderer.resize(self._window.size_px)
-            content_scale = self._window.content_scale
-        self._take_events(now, content_scale)
-        if self.state.wants_close:
-            self._surface.abandon()
+        """Draw one frame; return False once the user wants to leave."""
+        state, panels = self.state, self._panels
+        is_open = self._begin(now)
+        places = [] if self._scene is None else [face.place for face in self._scene.faces]
+        requests = keyboard(state, places)
+        mouse(state, self._pick_unit)
+        tasks = [apply(request, state) for request in requests]
+        if state.wants_close or not is_open:
+            self.surface.end()
             return False
         scene = self._scene = self._arrange(now)
         plan = self._decide(scene)
         self._presenter.collect(now)
         scene = self._presenter.dressed(scene)
         self._note_recording()
-        requests = self._surface.build(
-            now,
-            scene,
-            self._presenter,
-            self.state,
-            own=self._draw_own(now),
-            sound=self._sound.state(),
-        )
-        for request in requests:
-            self._controls.obey(request)
+        own, sound = self._draw_own(now), self._sound.state()
+        requests = panels.build(now, scene, self._presenter, state, own=own, sound=sound)
+        self.surface.end()
+        tasks += [apply(request, state) for request in requests]
         self._follow_face()
-        trouble = self._sound.follow(self.state, self._surface.status.participants, now)
-        if trouble:
-            self._surface.notice(trouble, now)
+        if trouble := self._sound.follow(state, panels.status.participants, now):
+            panels.notice(trouble, now)
+        self._draw(scene, plan, now)
+        for task in tasks:
+            if task is not None:
+                self._carry_out(task, now)
+        self._num_frames += 1
+        return True
+
+    def _begin(self, now: float) -> bool:
+        """Begin a frame with what the user did; return False once they close the window."""
+        state, eyes = self.state, 2 if self.options.stereo else 1
+        if self._window is None:
+            self.surface.begin(now, self._eye_size, content_scale=state.scale, mode=state.mode)
+            return True
+        is_open = self._window.poll()
+        self._renderer.resize(self._window.size_px)
+        self._window.begin(now, scale=state.scale, mode=state.mode, eyes=eyes)
+        return is_open
+
+    def _draw(self, scene: CallScene, plan: Plan, now: float) -> None:
+        """Draw a frame, and show and record it."""
         begin_s = self._clock()
         # What a frame cost is known some frames later, when the GPU is done with it.
         drawn = _DrawnFrame(plan.shaded_px)
@@ -284,10 +290,6 @@ class Viewer(Closing):
             self._keep(lambda: self._captures.write(shown, now))
         if self._window is not None:
             self._window.show(self._show)
-        for request in self._controls.take_requests():
-            self._obey(request, now)
-        self._num_frames += 1
-        return True
 
     def _note_recording(self) -> None:
         is_recording = self._film is not None or self._captures.is_recording
@@ -351,7 +353,7 @@ class Viewer(Closing):
         }
 
     def _arrange(self, now: float) -> CallScene:
-        scene = self._presenter.arrange(now, self._eye_size, self.state, self._surface.free)
+        scene = self._presenter.arrange(now, self._eye_size, self.state, self._panels.free)
         self.state.limits, self.state.layouts = scene.limits, scene.layouts
         return scene
 
@@ -381,43 +383,33 @@ class Viewer(Closing):
         self, target: moderngl.Framebuffer, *, signs: bool = True, panels: bool = True
     ) -> None:
         """Paint the surface: for two eyes twice, at the depth of the screen."""
-        width, height = self._eye_size
-        for left in range(0, self._renderer.size[0] - width + 1, width):
-            self._surface.painter.paint(
-                target, (left, 0, width, height), background=signs, windows=panels
-            )
-
-    def _take_events(self, now: float, content_scale: float) -> None:
-        """Give what the user did to the surface, and what is not for it to the controls."""
-        width = self._eye_size[0]  # both halves of a picture for two eyes show the same
-        events = [
-            replace(event, x_px=event.x_px % width)
-            if isinstance(event, MouseMoved | MousePressed | MouseReleased)
-            else event
-            for event in self._events
-        ]
-        self._events = []
-        places = [] if self._scene is None else [face.place for face in self._scene.faces]
-        rest = self._surface.begin(now, self._eye_size, content_scale, events, self.state)
-        for event in rest:
-            self._controls.receive(event, places=places, pick=self.pick)
+        for eye in range(2 if self.options.stereo else 1):
+            left = eye * self.surface.metrics.size[0]
+            self.surface.paint(target, left=left, background=signs, windows=panels)
 
     def _draw_own(self, now: float) -> OwnFaceView:
-        """One's own face; its picture if it is to be seen and there is room for it."""
+        """Return the own face; its picture if there is room for it."""
         if self._desk is None or self._self_view is None:
-            return NOTHING
-        surface = self._surface
+            return OwnFaceView()
         for notice in self._desk.take_notices(now):
-            surface.notice(notice, now)
-        is_shown = self.state.shows_self and not self.options.stereo
-        height_px = surface.self_view_px if is_shown else 0
-        return self._self_view.look(now, height_px, self._desk, surface.painter)
+            self._panels.notice(notice, now)
+        height = 0 if self.options.stereo else own_face_height(self.state, self.surface.metrics)
+        height_px = round(height * self._pixels_a_unit)
+        return self._self_view.look(now, height_px, self._desk, self.surface)
 
-    def _obey(self, request: Request, now: float) -> None:
+    @property
+    def _pixels_a_unit(self) -> float:
+        return self._eye_size[0] / max(self.surface.metrics.size[0], 1)
+
+    def _pick_unit(self, x: float, y: float) -> int | None:
+        """Return the place of the head at a point of the surface, units."""
+        return self.pick(x * self._pixels_a_unit, y * self._pixels_a_unit)
+
+    def _carry_out(self, request: Request, now: float) -> None:
         """Do once what the user asked for."""
         match request:
             case str():
-                self._surface.notice(request, now)
+                self._panels.notice(request, now)
             case Action.SCREENSHOT:
                 self._keep(lambda: self._captures.save_picture(self._renderer.read_image()))
             case Action.RECORD:
@@ -428,15 +420,14 @@ class Viewer(Closing):
                 self._sound.play_test()
             case Action.REJOIN:
                 if trouble := self._on_rejoin():
-                    self._surface.notice(trouble, now)
+                    self._panels.notice(trouble, now)
                 else:
                     self.state.wants_close = True
             case Action.CALIBRATE if self._desk is not None:
                 self._desk.calibrate(now)
             case Action.COPY_INVITATION:
-                if self._window is not None:
-                    self._window.copy(self._surface.status.invitation)
-                self._surface.notice("Invitation copied", now)
+                imgui.set_clipboard_text(self._panels.status.invitation)
+                self._panels.notice("Invitation copied", now)
             case messages.RemovePeer() | messages.MutePeer() | messages.BarIdentity():
                 self._on_moderation(request)
 
@@ -447,4 +438,4 @@ class Viewer(Closing):
         except (ClientError, ModuleNotFoundError) as error:
             notice = str(error)
         if notice:
-            self._surface.notice(notice, self._clock())
+            self._panels.notice(notice, self._clock())

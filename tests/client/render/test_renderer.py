@@ -339,7 +339,6 @@ def test_a_shader_that_the_driver_refuses_is_named(context: moderngl.Context) ->
         ("rect.vert", "near_edges.frag"),
         ("rect.vert", "smooth_edges.frag"),
         ("rect.vert", "background.frag"),
-        ("shapes.vert", "shapes.frag"),
     ],
 )
 def test_the_browsers_dialect_compiles(

@@ -1,107 +1,120 @@
-"""What keys and mouse mean, without a window."""
+"""What keys and mouse mean, on a surface without a window."""
 
 from __future__ import annotations
 
-import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from collections.abc import Iterator
 
+import pytest
+from imgui_bundle import imgui
+
+from helpers.hand import Event, hold, point, press
 from pica_client.render.seats import LAYOUTS
 from pica_client.render.views import ViewState as Orbit
-from pica_client.ui.actions import ACTIONS, NO_FACE, NO_VOICE, Action, Controls, help_lines
-from pica_client.ui.events import (
-    CloseWanted,
-    InputEvent,
-    KeyPressed,
-    KeyReleased,
-    MouseMoved,
-    MousePressed,
-    MouseReleased,
-    Scrolled,
-    TextTyped,
+from pica_client.ui.actions import (
+    ACTIONS,
+    NO_FACE,
+    NO_VOICE,
+    Action,
+    Request,
+    apply,
+    help_lines,
+    keyboard,
+    mouse,
 )
 from pica_client.ui.state import LAYOUT_TITLES, ViewState
-from pica_client.ui.window import KEY_NAMES
+from pica_client.ui.surface.surface import Surface
 from pica_client.voice.sound.settings import SoundSettings
 
 pytestmark = pytest.mark.unit
 
+KEY = imgui.Key
 PLACES = (4, 7, 9)
 
 
-def press(controls: Controls, *keys: str) -> None:
-    for key in keys:
-        controls.receive(KeyPressed(key), places=PLACES)
+class Controls:
+    """A user with a keyboard and a mouse."""
+
+    def __init__(self, surface: Surface) -> None:
+        self.surface, self.state, self.now = surface, ViewState(), 0.0
+        self.requests: list[Request] = []
+        self.place: int | None = None
+
+    def frame(self, *events: Event, after_s: float = 0.05) -> None:
+        for event in events:
+            event(self.surface.io)
+        self.now += after_s
+        with self.surface.frame(self.now, (640, 360)):
+            mouse(self.state, lambda x, y: self.place)
+            rest = [apply(each, self.state) for each in keyboard(self.state, PLACES)]
+        self.requests += [each for each in rest if each is not None]
+
+    def press(self, *keys: imgui.Key) -> None:
+        for key in keys:
+            self.frame(press(key))
+            self.frame(press(key, is_down=False))
+
+    def click(self, place: int | None, *, by: float = 0.0) -> None:
+        self.place = place
+        for event in (point(100, 100), hold(), point(100 + by, 100), hold(is_down=False)):
+            self.frame(event)
+
+    def take_requests(self) -> list[Request]:
+        taken, self.requests = self.requests, []
+        return taken
 
 
-def click(controls: Controls, place: int | None, *, by_px: float = 0.0) -> None:
-    controls.receive(MousePressed(100, 100))
-    if by_px:
-        controls.receive(MouseMoved(100 + by_px, 100))
-    controls.receive(MouseReleased(100 + by_px, 100), pick=lambda x, y: place)
+@pytest.fixture
+def controls() -> Iterator[Controls]:
+    with Surface() as surface:
+        yield Controls(surface)
 
 
 def test_every_key_has_one_meaning() -> None:
-    keys = [key for binding in ACTIONS.values() for key in binding.keys]
+    keys = [key for row in ACTIONS.values() for key in row.keys]
     assert len(keys) == len(set(keys))
-    assert not {str(number) for number in range(1, 10)} & set(keys)  # these pin
-
-
-def test_the_window_knows_every_key_that_means_something() -> None:
-    known = set(KEY_NAMES.values())
-    for binding in ACTIONS.values():
-        # A key may have two names; one of them is on every keyboard.
-        assert not binding.keys or set(binding.keys) & known, binding.keys
-    assert {"Enter", "Tab", "Backspace", "Escape", "Up", "Down", "U", "V"} <= known
-    assert {str(number) for number in range(10)} <= known
-
-
-def test_the_key_to_talk_is_held() -> None:
-    controls = Controls(ViewState(own_voice="sent", sound=SoundSettings(push_to_talk=True)))
-    heard = []
-    for event in (KeyPressed("Space"), KeyPressed("Space", is_repeat=True), KeyReleased("Space")):
-        heard.append(controls.state.is_heard)
-        controls.receive(event)
-    assert [*heard, controls.state.is_heard] == [False, True, True, False]
-    controls.receive(KeyPressed("T"))
-    controls.receive(KeyPressed("Space"))
-    assert not controls.state.is_heard  # who has muted oneself is not heard by a key
-    controls.state.sound = SoundSettings()
-    controls.receive(KeyReleased("Space"))
-    controls.receive(KeyPressed("T"))
-    assert controls.state.is_heard
+    assert not {imgui.Key(KEY._0 + number) for number in range(1, 10)} & set(keys)  # these pin
 
 
 def test_every_button_of_the_bar_has_a_key_that_does_the_same() -> None:
-    assert all(row.keys for row in ACTIONS.values() if row.button is not None)
+    assert all(row.keys for row in ACTIONS.values() if row.off is not None)
 
 
-def test_the_help_shows_every_titled_key_with_its_title() -> None:
+def test_the_help_shows_every_titled_key_with_its_title(controls: Controls) -> None:
     shown = dict(help_lines(ViewState(own_face="sent")))
-    for binding in ACTIONS.values():
-        if binding.title:
-            assert shown[", ".join(binding.keys)] == binding.title
+    for row in ACTIONS.values():
+        if row.title:
+            assert shown[", ".join(row.key_names)] == row.title
+    assert shown["+, ="] == "come closer"
+    assert shown["Escape, Q"] == "close, or leave"
 
 
-def test_a_key_of_the_help_does_what_the_help_says() -> None:
-    controls = Controls()
-    press(controls, "S")
-    assert controls.state.show_statistics
-    press(controls, "H")
-    assert controls.state.side == "help"
-    press(controls, "U")
+def test_the_key_to_talk_is_held(controls: Controls) -> None:
+    state = controls.state = ViewState(own_voice="sent", sound=SoundSettings(push_to_talk=True))
+    heard = []
+    for events in ((), (press(KEY.space),), (), (press(KEY.space, is_down=False),)):
+        controls.frame(*events)
+        heard.append(state.is_heard)
+    assert heard == [False, True, True, False]
+    controls.press(KEY.t)
+    controls.frame(press(KEY.space))
+    assert not state.is_heard  # a muted voice is not heard by a key
+
+
+def test_panels_open_and_close_by_key(controls: Controls) -> None:
+    controls.press(KEY.s, KEY.h)
+    assert (controls.state.show_statistics, controls.state.side) == (True, "help")
+    controls.press(KEY.u)
     assert controls.state.side == "participants"
-    press(controls, "S", "U")
-    assert not controls.state.show_statistics
-    assert controls.state.side == "none"
+    controls.press(KEY.s, KEY.u)
+    assert (controls.state.show_statistics, controls.state.side) == (False, "none")
 
 
-def test_layouts_follow_each_other_and_come_round() -> None:
-    controls = Controls(ViewState(layout=LAYOUTS[0], pinned=2))
+def test_layouts_follow_each_other_and_come_round(controls: Controls) -> None:
+    controls.state = ViewState(layout=LAYOUTS[0], pinned=2)
     seen = []
     for _ in LAYOUTS:
         seen.append(controls.state.layout)
-        press(controls, "L")
+        controls.press(KEY.l)
     assert seen == list(LAYOUTS)
     assert controls.state.layout == LAYOUTS[0]
     assert controls.state.pinned is None  # else nothing would be seen of them
@@ -109,176 +122,98 @@ def test_layouts_follow_each_other_and_come_round() -> None:
     assert controls.take_requests() == said
 
 
-def test_a_layout_that_looks_like_the_grid_is_skipped_and_not_announced() -> None:
-    controls = Controls(ViewState(layout="table", layouts=("arc", "grid")))
-    press(controls, "L", "L")
-    assert controls.take_requests() == ["People sit: Arc", "People sit: Grid"]
-    said = controls.state.seat("line")
-    assert controls.state.layout == "line"  # as soon as there is room
-    assert said == "People sit: Grid – no room here for: Line"
+def test_a_layout_without_room_is_skipped_and_one_that_is_chosen_is_explained() -> None:
+    state = ViewState(layout="table", layouts=("arc", "grid"))
+    said = [apply(Action.NEXT_LAYOUT, state) for _ in range(2)]
+    assert said == ["People sit: Arc", "People sit: Grid"]
+    assert state.seat("line") == "People sit: Grid – no room here for: Line"
+    assert state.layout == "line"  # as soon as there is room
+    only = ViewState(layout="grid", layouts=("grid",))
+    assert apply(Action.NEXT_LAYOUT, only) == "People sit: Grid – no room here for another"
 
 
-def test_where_only_the_grid_has_room_the_user_is_told() -> None:
-    controls = Controls(ViewState(layout="arc", layouts=("grid",)))
-    press(controls, "L")
-    assert controls.state.layout == "arc"
-    assert controls.take_requests() == ["People sit: Grid – no room here for: Arc"]
-    assert controls.state.seat("grid") == "People sit: Grid – no room here for another"
-    press(controls, "L")
-    assert controls.take_requests() == ["People sit: Grid – no room here for another"]
-
-
-@pytest.mark.parametrize("key", ["Q", "Escape"])
-def test_leaving_by_key_is_asked_once_and_enter_leaves(key: str) -> None:
-    controls = Controls()
-    press(controls, key)
-    assert controls.state.asks_to_leave
-    assert not controls.state.wants_close
-    press(controls, "Enter")
+@pytest.mark.parametrize("key", [KEY.q, KEY.escape])
+def test_leaving_by_key_is_asked_once_and_enter_leaves(controls: Controls, key: imgui.Key) -> None:
+    controls.press(key)
+    assert (controls.state.asks_to_leave, controls.state.wants_close) == (True, False)
+    controls.press(KEY.enter)
     assert controls.state.wants_close
 
 
-def test_escape_closes_what_is_open_before_it_asks_and_takes_the_question_back() -> None:
-    controls = Controls()
-    press(controls, "H", "Escape")
+def test_escape_closes_what_is_open_and_takes_the_question_back(controls: Controls) -> None:
+    controls.press(KEY.h, KEY.escape)
     assert (controls.state.side, controls.state.asks_to_leave) == ("none", False)
-    press(controls, "Escape", "Escape")
-    assert not controls.state.asks_to_leave
-    press(controls, "Enter")
-    assert not controls.state.wants_close
+    controls.press(KEY.escape, KEY.escape, KEY.enter)
+    assert (controls.state.asks_to_leave, controls.state.wants_close) == (False, False)
 
 
-def test_closing_the_window_is_leaving() -> None:
-    controls = Controls()
-    controls.receive(CloseWanted())
-    assert controls.state.wants_close
+def test_a_number_pins_and_the_same_number_lets_go(controls: Controls) -> None:
+    pinned = []
+    for key in (KEY._2, KEY.keypad3, KEY._3, KEY._9):
+        controls.press(key)
+        pinned.append(controls.state.pinned)
+    assert pinned == [7, 9, None, None]
 
 
-def test_a_number_pins_and_the_same_number_lets_go() -> None:
-    controls = Controls()
-    press(controls, "2")
-    assert controls.state.pinned == 7
-    press(controls, "3")
-    assert controls.state.pinned == 9
-    press(controls, "3")
-    assert controls.state.pinned is None
-    press(controls, "9")
-    assert controls.state.pinned is None
-
-
-def test_a_click_on_a_head_pins_it_and_a_drag_over_it_does_not() -> None:
-    controls = Controls()
-    click(controls, 4)
+def test_a_click_on_a_head_pins_it_and_a_drag_over_it_does_not(controls: Controls) -> None:
+    controls.click(4)
     assert controls.state.pinned == 4
-    click(controls, 7, by_px=50)
+    controls.click(7, by=50)
     assert controls.state.pinned == 4
-    click(controls, None)
+    controls.click(None)
     assert controls.state.pinned == 4
-    click(controls, 4)
+    controls.click(4, by=3)  # a hand trembles
     assert controls.state.pinned is None
 
 
-def test_a_hand_that_trembles_clicks_all_the_same() -> None:
-    controls = Controls()
-    click(controls, 4, by_px=3)
-    assert controls.state.pinned == 4
+def test_dragging_turns_the_view_and_moving_alone_does_not(controls: Controls) -> None:
+    controls.frame(point(500, 300))
     assert controls.state.orbit == Orbit()
-
-
-def test_dragging_turns_the_view_and_moving_alone_does_not() -> None:
-    controls = Controls()
-    controls.receive(MouseMoved(500, 500))
-    assert controls.state.orbit == Orbit()
-    click(controls, None, by_px=100)
+    controls.click(None, by=100)
     assert controls.state.orbit.yaw < 0
 
 
-def test_the_wheel_comes_closer_and_reset_undoes_all() -> None:
-    controls = Controls()
-    controls.receive(Scrolled(3))
+def test_the_wheel_comes_closer_and_reset_undoes_all(controls: Controls) -> None:
+    controls.frame(point(100, 100))
+    controls.frame(lambda io: io.add_mouse_wheel_event(0.0, 3.0))
     assert controls.state.orbit.zoom > 1.3
-    press(controls, "1", "R")
-    assert controls.state.orbit == Orbit()
-    assert controls.state.pinned is None
+    controls.press(KEY._1, KEY.r)
+    assert (controls.state.orbit, controls.state.pinned) == (Orbit(), None)
 
 
-def test_requests_are_given_once() -> None:
-    controls = Controls()
-    press(controls, "P", "V", "F11")
-    assert controls.take_requests() == [
-        Action.SCREENSHOT,
-        Action.RECORD,
-        Action.FULL_SCREEN,
-    ]
-    assert controls.take_requests() == []
+def test_what_the_viewer_carries_out_is_left(controls: Controls) -> None:
+    controls.press(KEY.p, KEY.v, KEY.f11)
+    assert controls.take_requests() == [Action.SCREENSHOT, Action.RECORD, Action.FULL_SCREEN]
 
 
-def test_a_held_key_repeats_only_where_that_makes_sense() -> None:
-    controls = Controls()
-    controls.receive(KeyPressed("S", is_repeat=True))
-    assert not controls.state.show_statistics
-    controls.receive(KeyPressed("Left", is_repeat=True))
-    assert controls.state.orbit.yaw != 0
+def test_a_held_key_repeats_only_where_that_makes_sense(controls: Controls) -> None:
+    controls.frame(press(KEY.s), press(KEY.left_arrow))
+    once = controls.state.orbit.yaw
+    for _ in range(20):
+        controls.frame()
+    assert controls.state.show_statistics
+    assert abs(controls.state.orbit.yaw) > abs(once) > 0
 
 
-def test_ones_own_face_is_muted_and_frozen_by_those_who_send_one() -> None:
-    watcher = Controls()
-    press(watcher, "M")
-    assert watcher.state.own_face == "none"
-    controls = Controls(ViewState(own_face="sent"))
+def test_the_own_face_is_muted_and_frozen(controls: Controls) -> None:
+    controls.state = ViewState(own_face="sent")
     steps = []
-    for key in ("M", "F", "F", "M", "M"):
-        press(controls, key)
+    for key in (KEY.m, KEY.f, KEY.f, KEY.m, KEY.m):
+        controls.press(key)
         steps.append(controls.state.own_face)
     assert steps == ["muted", "frozen", "sent", "muted", "sent"]
 
 
-def test_ones_own_voice_is_muted_by_those_who_send_one_and_explained_to_others() -> None:
-    watcher = Controls()
-    press(watcher, "T")
-    assert watcher.state.own_voice == "none"
-    assert watcher.take_requests() == [NO_VOICE]
-    controls = Controls(ViewState(own_voice="sent"))
-    steps = []
-    for _ in range(3):
-        press(controls, "T")
-        steps.append(controls.state.own_voice)
-    assert steps == ["muted", "sent", "muted"]
+@pytest.mark.parametrize(("key", "said"), [(KEY.m, NO_FACE), (KEY.f, NO_FACE), (KEY.t, NO_VOICE)])
+def test_without_a_face_or_a_voice_the_user_is_told_how_to_send_one(
+    controls: Controls, key: imgui.Key, said: str
+) -> None:
+    controls.press(key)
+    assert (controls.state.own_face, controls.state.own_voice) == ("none", "none")
+    assert controls.take_requests() == [said]
 
 
-def test_the_desktops_own_shortcuts_are_left_alone() -> None:
-    controls = Controls()
-    controls.receive(KeyPressed("Q", has_control=True))
-    assert not controls.state.wants_close
-
-
-numbers = st.floats(allow_nan=True, allow_infinity=True)
-coordinates = st.floats(-1e5, 1e5)
-events: st.SearchStrategy[InputEvent] = st.one_of(
-    st.builds(KeyPressed, st.text(max_size=3), is_repeat=st.booleans()),
-    st.builds(KeyPressed, st.sampled_from([key for each in ACTIONS.values() for key in each.keys])),
-    st.builds(TextTyped, st.text(max_size=5)),
-    st.builds(Scrolled, numbers),
-    st.builds(MousePressed, coordinates, coordinates),
-    st.builds(MouseMoved, coordinates, coordinates),
-    st.builds(MouseReleased, coordinates, coordinates),
-)
-
-
-@given(st.lists(events, max_size=40))
-def test_whatever_is_typed_and_clicked_the_view_stays_a_view(happened: list[InputEvent]) -> None:
-    controls = Controls()
-    for event in happened:
-        controls.receive(event, places=PLACES, pick=lambda x, y: 4)
-    view = controls.state.orbit
-    assert abs(view.pitch) <= 1.4
-    assert 0.25 <= view.zoom <= 12
-    assert controls.state.pinned in (None, *PLACES)
-
-
-@pytest.mark.parametrize("key", ["M", "F"])
-def test_who_shows_no_face_is_told_what_to_do_for_one(key: str) -> None:
-    controls = Controls(ViewState())
-    controls.receive(KeyPressed(key))
-    assert controls.state.own_face == "none"
-    assert controls.take_requests() == [NO_FACE]
+def test_the_desktops_own_shortcuts_are_left_alone(controls: Controls) -> None:
+    controls.frame(press(KEY.mod_ctrl), press(KEY.left_ctrl))
+    controls.press(KEY.q)
+    assert not controls.state.asks_to_leave

@@ -13,8 +13,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from imgui_bundle import imgui
 from PIL import Image
 
+from helpers.hand import Event, hold, point, press
 from helpers.toy import make_toy_avatar, with_toy_levels
 from pica_client.call.faces import FaceState, FaceStatus
 from pica_client.call.status import CallStatus
@@ -24,7 +26,6 @@ from pica_client.publish.face_desk import FaceDesk
 from pica_client.publish.publisher import Publisher, SenderConfig
 from pica_client.schedule.scheduler import SchedulerOptions
 from pica_client.sources import open_source
-from pica_client.ui.events import KeyPressed, MouseMoved, MousePressed, MouseReleased, Scrolled
 from pica_client.ui.options import ViewerOptions
 from pica_client.ui.state import ViewState
 from pica_client.ui.viewer import Viewer
@@ -38,6 +39,7 @@ pytestmark = pytest.mark.render
 TOY = make_toy_avatar(spec=AvatarSpec(uv_encoding_size=64, axis_encoding_size=64), grid=24)
 SMALL = ViewerOptions(headless=True, size="160x90")
 PATIENCE_S = 20.0
+KEY = imgui.Key
 
 
 class Faces:
@@ -74,6 +76,25 @@ class Faces:
 
     def subscribe(self, peer_id: str, every: int, now: float) -> None:
         self.subscribed.add((peer_id, every))
+
+
+def do(viewer: Viewer, *events: Event) -> None:
+    """Have the user do something before the next frame."""
+    for event in events:
+        event(viewer.surface.io)
+
+
+def key(name: str) -> tuple[Event, Event]:
+    """A key that is pressed and let go."""
+    found = getattr(KEY, name)
+    return press(found), press(found, is_down=False)
+
+
+def click(viewer: Viewer, x: float, y: float, now: float) -> None:
+    """Point at a place, press and let go, in a frame each."""
+    for number, event in enumerate((point(x, y), hold(), hold(is_down=False))):
+        do(viewer, event)
+        viewer.step(now + 0.03 * number)
 
 
 def step_until_decoded(viewer: Viewer, now: float = 1.0) -> None:
@@ -220,7 +241,7 @@ def test_a_key_changes_how_people_sit_and_the_picture_with_it(two: tuple[Faces, 
     _, viewer = two
     step_until_decoded(viewer)
     before = read(viewer)
-    viewer.receive(KeyPressed("L"))
+    do(viewer, *key("l"))
     step_until_decoded(viewer, 2.0)
     assert viewer.state.layout != "arc"
     assert np.abs(read(viewer).astype(int) - before).max() > 30
@@ -229,9 +250,7 @@ def test_a_key_changes_how_people_sit_and_the_picture_with_it(two: tuple[Faces, 
 def test_a_click_on_a_head_brings_it_forward() -> None:
     with Viewer(Faces("ada", "grace"), replace(SMALL, size="640x360")) as viewer:
         step_until_decoded(viewer)
-        viewer.receive(MousePressed(400, 150))
-        viewer.receive(MouseReleased(400, 150))
-        step_until_decoded(viewer, 2.0)
+        click(viewer, 400, 150, 2.0)
         assert viewer.state.pinned == 1
 
 
@@ -264,14 +283,13 @@ def test_a_click_on_the_bar_is_not_one_on_the_head_behind_it() -> None:
         replace(SMALL, size="640x360"),
         state=ViewState(layout="grid", has_seen_hint=True),
     ) as viewer:
-        viewer.receive(Scrolled(40))
-        viewer.receive(MouseMoved(320, 340))
+        do(viewer, point(320, 100), lambda io: io.add_mouse_wheel_event(0, 40))
+        step_until_decoded(viewer, 0.5)
+        do(viewer, point(320, 340))
         step_until_decoded(viewer)
         step_until_decoded(viewer, 1.1)
         assert viewer.pick(320, 340) == 0
-        for event in (MouseMoved(320, 340), MousePressed(320, 340), MouseReleased(320, 340)):
-            viewer.receive(event)
-            viewer.step(1.2)
+        click(viewer, 320, 340, 1.2)
         assert viewer.state.pinned is None
 
 
@@ -279,7 +297,7 @@ def test_the_bar_comes_with_the_pointer_and_goes_without_it() -> None:
     with Viewer(Faces("ada"), replace(SMALL, size="640x360"), clock=lambda: 5.0) as viewer:
         step_until_decoded(viewer)
         without = read(viewer)
-        viewer.receive(MouseMoved(320, 100))
+        do(viewer, point(320, 100))
         for now in (2.0, 2.1, 2.2):
             viewer.step(now)
         assert (read(viewer) != without)[300:].any()
@@ -293,11 +311,11 @@ def test_the_statistics_and_the_help_are_drawn_over_the_picture() -> None:
     with Viewer(Faces("ada"), replace(SMALL, size="640x360"), clock=lambda: 5.0) as viewer:
         step_until_decoded(viewer)
         plain = read(viewer)
-        viewer.receive(KeyPressed("H"))
+        do(viewer, *key("h"))
         viewer.step(3.0)  # a panel is measured in its first frame, and shown from the second on
         viewer.step(3.1)
         helped = read(viewer)
-        viewer.receive(KeyPressed("S"))
+        do(viewer, *key("s"))
         viewer.step(4.0)
         viewer.step(4.1)
         both = read(viewer)
@@ -310,7 +328,7 @@ def test_the_help_covers_nobody() -> None:
     options = replace(SMALL, size="1280x720")
     state = ViewState(show_statistics=True, layout="line", has_seen_hint=True)
     with Viewer(source, options, state=state, clock=lambda: 5.0) as viewer:
-        viewer.receive(KeyPressed("H"))
+        do(viewer, *key("h"))
         for step in range(3):
             viewer.step(1.0 + step)
         picked = {viewer.pick(x, y) for x in range(950, 1280, 10) for y in range(0, 460, 10)}
@@ -324,8 +342,7 @@ def test_pictures_and_recordings_are_made_by_key(tmp_path: Path) -> None:
     options = replace(SMALL, keep_in=tmp_path / "kept")
     with Viewer(Faces("ada"), options, clock=lambda: 5.0) as viewer:
         for now, keys in ((1.0, "P"), (1.1, "V"), (1.2, ""), (1.3, "V"), (1.4, "P")):
-            for key in keys:
-                viewer.receive(KeyPressed(key))
+            do(viewer, *(event for each in keys.lower() for event in key(each)))
             viewer.step(now)
     names = sorted(path.name for path in (tmp_path / "kept").iterdir())
     assert names == ["picture-0001.png", "picture-0002.png", "recording-0001.mp4"]
@@ -337,7 +354,7 @@ def test_a_folder_that_cannot_be_written_is_said_and_ends_nothing(tmp_path: Path
     with Viewer(Faces("ada"), options, clock=lambda: 5.0) as viewer:
         viewer.step(1.0)
         before = read(viewer)
-        viewer.receive(KeyPressed("P"))
+        do(viewer, *key("p"))
         assert viewer.step(1.1)
         assert viewer.step(1.2)
         assert (read(viewer) != before)[:40].any()
@@ -367,12 +384,13 @@ def test_muting_ones_own_face_is_told_and_shown() -> None:
     with Viewer(Faces(), options, desk=desk, clock=lambda: 5.0) as viewer:
         viewer.step(1.0)
         before = read(viewer)
-        viewer.receive(KeyPressed("M"))
+        do(viewer, *key("m"))
         viewer.step(1.1)
         assert publisher.mode == "muted"
         assert (read(viewer) != before)[300:, :320].any()
-        viewer.receive(KeyPressed("M"))
         viewer.step(1.2)
+        do(viewer, *key("m"))
+        viewer.step(1.3)
         assert publisher.mode == "sent"
     desk.close()
 
@@ -384,9 +402,7 @@ def test_two_eyes_see_the_same_people_from_two_places_with_one_decode() -> None:
         step_until_decoded(viewer)
         left, right = np.split(read(viewer).astype(int), 2, axis=1)
         assert viewer.report()["decodes"] == {"ada": 1}
-        viewer.receive(MousePressed(480, 100))
-        viewer.receive(MouseReleased(480, 100))
-        step_until_decoded(viewer, 2.0)
+        click(viewer, 160, 100, 2.0)
         assert viewer.state.pinned == 0
     for eye in (left, right):
         assert (
@@ -399,9 +415,9 @@ def test_two_eyes_see_the_same_people_from_two_places_with_one_decode() -> None:
 def test_leaving_by_key_ends_the_loop(two: tuple[Faces, Viewer]) -> None:
     _, viewer = two
     assert viewer.step(1.0)
-    viewer.receive(KeyPressed("Q"))
+    do(viewer, *key("q"))
     assert viewer.step(1.1)
-    viewer.receive(KeyPressed("Enter"))
+    do(viewer, *key("enter"))
     assert not viewer.step(1.2)
 
 

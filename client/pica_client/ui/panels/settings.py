@@ -1,45 +1,116 @@
-"""The settings of a call."""
+"""The settings of a call; those of the sound also stand in the form that begins one."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
+from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
 
-from pica_client.ui.actions import Action, Request, key_of
+from pica_client.ui.actions import ACTIONS, TALK_KEY, Action, Request
 from pica_client.ui.call_view import CallView
 from pica_client.ui.join_form import SOURCES
-from pica_client.ui.panels.side import side_panel
-from pica_client.ui.panels.sound import MICROPHONE, microphone_picker, sound_part
 from pica_client.ui.state import LAYOUT_TITLES, MIN_DETAIL, SCALES, ViewState
-from pica_client.ui.surface.theme import Metrics, Mode
+from pica_client.ui.surface.style import Metrics, Mode, Tone
 from pica_client.ui.surface.widgets import action_button, choice_of, note, one_of
-from pica_client.voice.sound.settings import SoundState
+from pica_client.voice.sound.settings import DeviceState, SoundState
 
+NO_VOICE, MICROPHONE = "none", "mic"
+"""Voices, as `voice.source.open_voice` names them."""
+SOFTEST_DB, LOUD_DB = 60, 4
+"""Where a meter begins, and what is too loud: decibels below full scale."""
+MAX_PERCENT = 200
+SYSTEMS_OWN = "The system's"
 MODES: dict[Mode, str] = {"dark": "Dark", "light": "Light"}
 MAX_NAME = 64
 """Characters of a name that are taken from its field."""
 
 
-def settings_panel(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
+def settings_tabs(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
     """The user's identity and sound, and how the call is shown: a tab for each that there is."""
     requests: list[Request] = []
-    if state.side != "settings":
-        return requests
-    with side_panel("Settings", metrics, requests):
-        if not imgui.begin_tab_bar("parts"):
-            return requests
+    if imgui.begin_tab_bar("parts"):
         if state.avatars and imgui.begin_tab_item("You")[0]:
             requests += _identity(state, call, metrics)
             imgui.end_tab_item()
         if call.sound is not None and imgui.begin_tab_item("Sound")[0]:
-            requests += _sound(state, call.sound, metrics)
+            note("Microphone", metrics)
+            microphone_picker(state, call.sound)
+            # A microphone is opened or closed by rejoining.
+            is_open = state.entered.voice == MICROPHONE
+            if sound_settings(state, call.sound, metrics, has_microphone=is_open):
+                requests.append(Action.TEST_SOUND)
             imgui.end_tab_item()
         if imgui.begin_tab_item("View")[0]:
             requests += _shown(state, metrics)
             imgui.end_tab_item()
         imgui.end_tab_bar()
-        if state.avatars:
-            requests += _rejoining(state, call, metrics)
-    return requests
+    return requests + (_rejoining(state, call, metrics) if state.avatars else [])
+
+
+def microphone_picker(state: ViewState, sound: SoundState) -> None:
+    """Choose whose voice is sent, and by which microphone."""
+    voice, settings = state.voice or NO_VOICE, state.sound
+    chosen = f"{voice}:{settings.microphone}" if voice == MICROPHONE else voice
+    devices = _devices(sound.microphones, settings.microphone, f"{MICROPHONE}:")
+    found = choice_of("##microphone", ((NO_VOICE, "Off: only listen"), *devices), chosen)
+    kind, _, device = found.partition(":")
+    if kind == MICROPHONE:
+        state.voice, state.sound = MICROPHONE, replace(settings, microphone=device)
+    else:
+        state.voice = found
+
+
+def sound_settings(
+    state: ViewState, sound: SoundState, metrics: Metrics, *, has_microphone: bool
+) -> bool:
+    """Meters, loudspeaker, volume and switches; return True when a test sound is wanted."""
+    settings = state.sound
+    if has_microphone:
+        _meter(sound.microphone_level, sound.microphone, metrics)
+        if sound.cleaning:
+            note(sound.cleaning[0].upper() + sound.cleaning[1:], metrics)
+        else:
+            _, cleans = imgui.checkbox("Take out echo and noise", settings.cleans)
+            settings = replace(settings, cleans=cleans)
+        label = f"Hold {imgui.get_key_name(TALK_KEY)} to talk"
+        _, is_held = imgui.checkbox(label, settings.push_to_talk)
+        settings = replace(settings, push_to_talk=is_held)
+    note("Loudspeaker", metrics)
+    devices = _devices(sound.speakers, settings.speaker)
+    settings = replace(settings, speaker=choice_of("##speaker", devices, settings.speaker))
+    _meter(sound.speaker_level, sound.speaker, metrics)
+    settings = replace(settings, volume=volume_slider("##volume", settings.volume, metrics))
+    _, is_stereo = imgui.checkbox("Voices come from their seats", settings.is_stereo)
+    state.sound = replace(settings, is_stereo=is_stereo)
+    return action_button(f"{icons.ICON_FA_VOLUME_HIGH}  Play a test sound", metrics)
+
+
+def volume_slider(label: str, volume: float, metrics: Metrics, *, width: float = -1.0) -> float:
+    """Choose how loud a sound is, 0 to twice as loud as it comes."""
+    percent = round(100 * volume)
+    note(f"Volume {percent} %", metrics)
+    imgui.set_next_item_width(width)
+    has_changed, percent = imgui.slider_int(label, percent, 0, MAX_PERCENT, "")
+    return min(max(percent, 0), MAX_PERCENT) / 100 if has_changed else volume
+
+
+def _devices(names: Sequence[str], chosen: str, prefix: str = "") -> list[tuple[str, str]]:
+    """Return values and titles to choose from; an absent device is marked as such."""
+    found = [(prefix, SYSTEMS_OWN), *((prefix + name, name) for name in names)]
+    if chosen and chosen not in names:
+        found.append((prefix + chosen, f"{chosen} (not there)"))
+    return found
+
+
+def _meter(level: int, device: DeviceState, metrics: Metrics) -> None:
+    """A bar as long as the sound is loud, and what is wrong with its device."""
+    share = min(max((SOFTEST_DB - level) / SOFTEST_DB, 0.0), 1.0)
+    tone: Tone = "warning" if level < LOUD_DB else "good"
+    imgui.push_style_color(imgui.Col_.plot_histogram, metrics.palette.tone(tone))
+    imgui.progress_bar(share, (-1, metrics.px(6)), "")
+    imgui.pop_style_color()
+    if device.note:
+        note(device.note, metrics, tone="warning")
 
 
 def _identity(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
@@ -50,7 +121,7 @@ def _identity(state: ViewState, call: CallView, metrics: Metrics) -> list[Reques
     source = choice_of("##source", SOURCES, before)
     if source != before:
         state.source = source
-    calibrate = f"Calibrate   [{key_of(Action.CALIBRATE)}]"
+    calibrate = f"Calibrate   [{ACTIONS[Action.CALIBRATE].key_names[0]}]"
     if call.own.seen and action_button(calibrate, metrics):
         requests.append(Action.CALIBRATE)
     note("Your avatar", metrics)
@@ -63,7 +134,7 @@ def _identity(state: ViewState, call: CallView, metrics: Metrics) -> list[Reques
 
 
 def _rejoining(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
-    """A button, where something was chosen that holds only after rejoining."""
+    """A button, if a choice needs rejoining."""
     entered = state.entered
     sends = state.own_face != "none"
     shows = bool(call.own.source or state.source)
@@ -71,17 +142,6 @@ def _rejoining(state: ViewState, call: CallView, metrics: Metrics) -> list[Reque
         return []
     note("You leave for a moment and join again.", metrics)
     return [Action.REJOIN] if action_button("Join again as this", metrics, tone="accent") else []
-
-
-def _sound(state: ViewState, sound: SoundState, metrics: Metrics) -> list[Request]:
-    """Microphone and loudspeaker; a microphone is opened or closed by rejoining."""
-    note("Microphone", metrics)
-    voice = state.voice or "none"
-    state.voice, microphone = microphone_picker(voice, state.sound, sound)
-    settings = replace(state.sound, microphone=microphone)
-    is_open = state.entered.voice == MICROPHONE
-    state.sound, wants_test = sound_part(settings, sound, metrics, has_microphone=is_open)
-    return [Action.TEST_SOUND] if wants_test else []
 
 
 def _shown(state: ViewState, metrics: Metrics) -> list[Request]:

@@ -1,20 +1,29 @@
-"""The panel at the right: its frame, which all that stands in it shares, and the help."""
+"""The panel at the right with help, settings or the participants, and the page while waiting."""
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 
+from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
 
+from pica_client.call.participants import Participant, duration_text
 from pica_client.ui.actions import Action, Request, help_lines
 from pica_client.ui.call_view import CallView
-from pica_client.ui.panels.control_bar import BAR_PT, EDGE_PT
+from pica_client.ui.panels.bar import BAR_PT
+from pica_client.ui.panels.settings import settings_tabs, volume_slider
 from pica_client.ui.state import ViewState
-from pica_client.ui.surface import icons
-from pica_client.ui.surface.theme import PADDING_PT, Metrics, Tone
-from pica_client.ui.surface.widgets import action_button, card, icon_button, note, title
+from pica_client.ui.surface import widgets
+from pica_client.ui.surface.style import EDGE_PT, PADDING_PT, TEXT_PT, Metrics, Tone
+from pica_protocol.messages import BarIdentity, MutePeer, RemovePeer
 
 WIDTH_PT = 300.0
+WAITING_PT = 380.0
 CLOSE_PT = 28.0
+CODE_PT = 19.0
+MENU_PT = 24.0
+VOLUME_PT = 180.0
+Sign = tuple[str, Tone, str]
+"""An icon, its tone, and what it means."""
 
 
 @contextmanager
@@ -23,11 +32,11 @@ def side_panel(name: str, metrics: Metrics, requests: list[Request]) -> Iterator
     edge, (columns, rows) = metrics.px(EDGE_PT), metrics.size
     width = columns - 2 * edge if metrics.is_compact else metrics.px(WIDTH_PT)
     height = rows - edge * 3 - metrics.px(BAR_PT)
-    # Only as high as it must be: on software GL a panel costs as much as it covers.
-    with card(name, (columns - edge - width, edge), metrics, size=(width, 0)):
-        title(name)
+    with widgets.card(name, (columns - edge - width, edge), metrics, size=(width, 0)):
+        widgets.title(name)
         imgui.same_line(imgui.get_window_width() - metrics.px(CLOSE_PT + PADDING_PT))
-        if icon_button(icons.CLOSE, "Close", metrics, keys="Esc", size_pt=CLOSE_PT):
+        close = icons.ICON_FA_XMARK
+        if widgets.icon_button(close, "Close", metrics, keys="Esc", size_pt=CLOSE_PT):
             requests.append(Action.CLOSE)
         room = height - imgui.get_cursor_pos_y() - metrics.px(PADDING_PT)
         imgui.set_next_window_size_constraints((0, 0), (columns, max(room, metrics.px(60))))
@@ -36,16 +45,8 @@ def side_panel(name: str, metrics: Metrics, requests: list[Request]) -> Iterator
         imgui.end_child()
 
 
-def invitation(line: str, metrics: Metrics, tone: Tone = "plain") -> list[Request]:
-    """A line that leads others here, and a button that copies it."""
-    note("To invite somebody, send them this link.", metrics)
-    note(line, metrics, tone="accent")
-    is_wanted = action_button(f"{icons.COPY}  Copy the invitation", metrics, tone=tone)
-    return [Action.COPY_INVITATION] if is_wanted else []
-
-
 def side_share(state: ViewState, metrics: Metrics) -> float:
-    """The part of the picture's width that the panel takes from the people."""
+    """Return the part of the picture's width that the panel takes from the people."""
     if state.side == "none" or metrics.is_compact:
         return 0.0
     return (metrics.px(WIDTH_PT) + 2 * metrics.px(EDGE_PT)) / metrics.size[0]
@@ -65,6 +66,222 @@ def help_panel(state: ViewState, call: CallView, metrics: Metrics) -> list[Reque
                 imgui.table_next_column()
                 imgui.text_unformatted(keys)
                 imgui.table_next_column()
-                note(meaning, metrics)
+                widgets.note(meaning, metrics)
             imgui.end_table()
     return requests
+
+
+def settings_panel(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
+    """The settings of the call."""
+    requests: list[Request] = []
+    if state.side == "settings":
+        with side_panel("Settings", metrics, requests):
+            requests += settings_tabs(state, call, metrics)
+    return requests
+
+
+def waiting_page(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
+    """Where the user is, who watches, and an invitation, until the first face comes."""
+    status = call.status
+    is_asked = state.asks_to_leave or (metrics.is_compact and state.side != "none")
+    if call.people or not status.room or not status.is_connected or is_asked:
+        return []
+    (columns, rows), edge = metrics.size, metrics.px(EDGE_PT)
+    width = min(metrics.px(WAITING_PT), columns - 2 * edge)
+    imgui.set_next_window_size_constraints((width, 0), (width, rows - 2 * edge))
+    place = (columns / 2, 0.42 * rows)
+    with widgets.card("waiting", place, metrics, pivot=(0.5, 0.5), scrolls=True):
+        widgets.title("Waiting for others")
+        watching = len(status.participants) - 1
+        widgets.note(f"You are in the room {status.room}.", metrics)
+        if watching > 0:
+            who = "One person watches" if watching == 1 else f"{watching} people watch"
+            widgets.note(f"{who} without showing a face.", metrics)
+        if call.has_pointer:
+            return _invitation(status.invitation, metrics, "accent")
+        widgets.note(status.invitation, metrics, tone="accent")
+    return []
+
+
+def _invitation(line: str, metrics: Metrics, tone: Tone = "plain") -> list[Request]:
+    """A link that leads others here, and a button that copies it."""
+    widgets.note("To invite others, send them this link.", metrics)
+    widgets.note(line, metrics, tone="accent")
+    label = f"{icons.ICON_FA_COPY}  Copy the invitation"
+    is_wanted = widgets.action_button(label, metrics, tone=tone)
+    return [Action.COPY_INVITATION] if is_wanted else []
+
+
+def participants_panel(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
+    """All participants, the user first, then in order of coming."""
+    requests: list[Request] = []
+    if state.side != "participants":
+        return requests
+    status = call.status
+    speaking = {person.peer_id for person in call.people if person.is_speaking}
+    with side_panel("Participants", metrics, requests):
+        many = f"{len(status.participants)} in {status.room}, {duration_text(status.duration_s)}"
+        widgets.note(many, metrics)
+        for person in status.participants:
+            requests += _row(person, state, call, metrics, speaking)
+        requests += _barred(state, metrics)
+        imgui.separator()
+        _encryption(call, metrics)
+        imgui.separator()
+        requests += _invitation(status.invitation, metrics)
+    return requests
+
+
+def signs_of(person: Participant, *, is_encrypted: bool, volume: float = 1.0) -> list[Sign]:
+    """Return what is shown beside a name."""
+    is_banned = "voice" in person.muted_kinds
+    is_unverified = is_encrypted and not person.is_self and not person.is_verified
+    signs: list[tuple[bool, Sign]] = [
+        (is_banned, (icons.ICON_FA_MICROPHONE_SLASH, "alert", "An admin has muted the voice")),
+        (
+            person.is_voice_muted and not is_banned,
+            (icons.ICON_FA_MICROPHONE_SLASH, "alert", "Voice is muted"),
+        ),
+        (
+            volume == 0,
+            (icons.ICON_FA_VOLUME_XMARK, "alert", "You have muted this person for yourself"),
+        ),
+        (
+            volume not in (0, 1),
+            (icons.ICON_FA_VOLUME_HIGH, "plain", f"As loud as {volume:.0%} here"),
+        ),
+        (person.is_recording, (icons.ICON_FA_CIRCLE, "alert", "Keeps what is seen here")),
+        (person.face == "muted", (icons.ICON_FA_EYE_SLASH, "plain", "Face is off")),
+        (person.face == "frozen", (icons.ICON_FA_SNOWFLAKE, "plain", "Face is frozen")),
+        (person.is_watching, (icons.ICON_FA_EYE, "plain", "Watches, and shows no face")),
+        (person.is_verified, (icons.ICON_FA_LOCK, "good", "Encrypts, and knows the room's secret")),
+        (is_unverified, (icons.ICON_FA_TRIANGLE_EXCLAMATION, "warning", "Not verified")),
+        (person.is_assured, (icons.ICON_FA_CHECK, "accent", "The relay vouches for this name")),
+    ]
+    return [sign for holds, sign in signs if holds]
+
+
+def _row(
+    person: Participant,
+    state: ViewState,
+    call: CallView,
+    metrics: Metrics,
+    speaking: Collection[str],
+) -> list[Request]:
+    """One person: a dot while they speak, the name with its signs, a menu, and remarks."""
+    px, palette, requests = metrics.px, metrics.palette, list[Request]()
+    left, top = imgui.get_cursor_pos()
+    width, indent = imgui.get_content_region_avail().x, px(20)
+    volume = state.volumes.get(person.place, 1.0)
+    signs = signs_of(person, is_encrypted=call.status.is_encrypted, volume=volume)
+    signs_width = sum(widgets.text_size(icon, TEXT_PT)[0] + px(6) for icon, _, _ in signs)
+    name = f"{person.name} (you)" if person.is_self else person.name
+    if person.peer_id in speaking:
+        place = imgui.get_cursor_screen_pos()
+        centre = (place.x + px(7), place.y + widgets.text_size("A", TEXT_PT)[1] / 2)
+        imgui.get_window_draw_list().add_circle_filled(centre, px(5), widgets.ink(palette.good))
+    imgui.set_cursor_pos((left + indent, top))
+    imgui.begin_group()
+    imgui.push_style_var(imgui.StyleVar_.item_spacing, (px(6), px(2)))
+    room = width - indent - px(MENU_PT + 8)
+    imgui.text_unformatted(widgets.shortened(name, room - signs_width, TEXT_PT))
+    for icon, tone, meaning in signs:
+        imgui.same_line()
+        imgui.text_colored(palette.tone(tone), icon)
+        widgets.hint(meaning)
+    remarks: list[tuple[str, Tone]] = [(person.warning, "warning"), (person.line, "plain")]
+    for text, tone in remarks:
+        if text:
+            widgets.note(text, metrics, tone=tone, wrap=room)
+    imgui.pop_style_var()
+    imgui.end_group()
+    after = imgui.get_cursor_pos()
+    if not person.is_self:
+        imgui.set_cursor_pos((left + width - px(MENU_PT), top - px(3)))
+        more = f"More on {person.name}"
+        if widgets.icon_button(icons.ICON_FA_ELLIPSIS_VERTICAL, more, metrics, size_pt=MENU_PT):
+            imgui.open_popup(f"menu {person.peer_id}")
+        requests += _menu(person, state, call, metrics)
+    imgui.set_cursor_pos((left, max(after.y, top + px(MENU_PT))))
+    imgui.dummy((0, 0))
+    return requests
+
+
+def _menu(person: Participant, state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
+    requests: list[Request] = []
+    if imgui.begin_popup(f"menu {person.peer_id}"):
+        pin = "Unpin" if state.pinned == person.place else "Pin"
+        if not person.is_watching and _item(icons.ICON_FA_THUMBTACK, pin):
+            state.pin(person.place)
+        if _item(icons.ICON_FA_CHART_SIMPLE, "Statistics"):
+            requests.append(Action.STATISTICS)
+        if _item(icons.ICON_FA_ROTATE_LEFT, "Reset the view"):
+            requests.append(Action.RESET_VIEW)
+        if person.has_voice:
+            imgui.separator()
+            before = state.volumes.get(person.place, 1.0)
+            volume = volume_slider("##volume", before, metrics, width=metrics.px(VOLUME_PT))
+            if before == 0 and _item(icons.ICON_FA_VOLUME_HIGH, "Hear again"):
+                volume = 1.0
+            elif before != 0 and _item(icons.ICON_FA_VOLUME_XMARK, "Mute for me"):
+                volume = 0.0
+            if volume != before:
+                state.volumes[person.place] = volume
+        if call.status.is_admin:
+            imgui.separator()
+            requests += _moderation(person, state)
+        imgui.end_popup()
+    return requests
+
+
+def _item(icon: str, text: str) -> bool:
+    return imgui.menu_item_simple(f"{icon}  {text}")
+
+
+def _moderation(person: Participant, state: ViewState) -> list[Request]:
+    """What an admin may do to a participant."""
+    requests: list[Request] = []
+    kinds = (
+        ("voice", person.has_voice, icons.ICON_FA_MICROPHONE, icons.ICON_FA_MICROPHONE_SLASH),
+        ("face", not person.is_watching, icons.ICON_FA_FACE_SMILE, icons.ICON_FA_EYE_SLASH),
+    )
+    for kind, is_sent, on, off in kinds:
+        is_muted = kind in person.muted_kinds
+        icon, text = (on, f"Unmute {kind}") if is_muted else (off, f"Mute {kind}")
+        if is_sent and _item(icon, text):
+            requests.append(MutePeer(peer_id=person.peer_id, kind=kind, is_muted=not is_muted))
+    if _item(icons.ICON_FA_USER_MINUS, "Remove"):
+        requests.append(RemovePeer(peer_id=person.peer_id))
+    if person.identity and _item(icons.ICON_FA_BAN, "Bar until the room is empty"):
+        state.barred[person.identity] = person.name
+        requests.append(BarIdentity(identity=person.identity, is_barred=True))
+    return requests
+
+
+def _barred(state: ViewState, metrics: Metrics) -> list[Request]:
+    """Those whom this admin has barred, each with a button that lets them rejoin."""
+    requests: list[Request] = []
+    for identity, name in tuple(state.barred.items()):
+        widgets.note(f"{name} may not rejoin until the room is empty.", metrics)
+        if widgets.action_button(f"{icons.ICON_FA_ROTATE_LEFT}  Let {name} rejoin", metrics):
+            del state.barred[identity]
+            requests.append(BarIdentity(identity=identity, is_barred=False))
+    return requests
+
+
+def _encryption(call: CallView, metrics: Metrics) -> None:
+    """How the encryption stands, with the code in groups that can be read aloud."""
+    status = call.status
+    if not status.is_encrypted:
+        text = "Not encrypted end to end: the operator of the relay can read the faces."
+        widgets.note(text, metrics)
+        return
+    if not status.code:
+        widgets.note("Encrypted end to end. No other participant is verified yet.", metrics)
+        return
+    widgets.note("Encrypted end to end. All participants must read the same code:", metrics)
+    groups = status.code.split()
+    with widgets.type_size(CODE_PT, is_bold=True):
+        for begin in range(0, len(groups), 3):
+            imgui.text_unformatted("   ".join(groups[begin : begin + 3]))
+    widgets.note("A different code means that the relay shows you different people.", metrics)

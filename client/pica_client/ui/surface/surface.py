@@ -1,166 +1,226 @@
-"""Dear ImGui without a window: events in, a list of shapes out; `painter` brings them to the GPU.
+"""Dear ImGui for one window or picture: input, fonts, and its way to the GPU.
 
-    surface = Surface((1280, 720))
-    surface.receive(MouseMoved(640, 700))
-    with surface.frame(now):
-        orders = control_bar(view, surface.metrics)
-    surface.claims(event)                  # whether it was for the surface, not for the scene
+    with Surface(context, window=handle) as surface:
+        surface.begin(now, (1280, 720))
+        control_bar(state, call, surface.metrics)
+        surface.end()
+        surface.paint(framebuffer)
 
-Needs no GL, so panels are tested by feeding events and reading orders. Lengths are pixels of the
-picture; the metrics say how many of them a point has.
+ImGui's own back ends read keyboard, mouse and clipboard (glfw) and draw (OpenGL). Without a GL
+context nothing can be drawn, but panels can be tested. Lengths are the window's own units, which
+are pixels except where the display server scales windows itself, as on a Mac.
+
+Latin, Greek and Cyrillic are Roboto, icons are Font Awesome; both come with imgui-bundle. The other
+scripts and emoji are subsets of Noto in `font_files`. What none of them has is looked for in the
+fonts of the machine. A glyph is read and set when it is first needed.
 """
 
-from collections.abc import Callable, Iterator
+import sys
+from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
+import imgui_bundle
+import moderngl
+import numpy as np
 from imgui_bundle import imgui
 
-from pica_client.ui import events
-from pica_client.ui.surface.fonts import add_fonts
-from pica_client.ui.surface.theme import Metrics, Mode, apply_theme, metrics_for
+from pica_client.closing import Closing
+from pica_client.ui.surface.style import TEXT_PT, Metrics, Mode, apply_style, metrics_for
+from pica_core.gl import GL_VERSION
+from pica_core.types import Image
 
 BACKGROUND = "##Background"
 """ImGui's name of the list that is drawn below all windows."""
-PLAIN = (1 << 31) - 1
-"""The number of no texture: what is drawn with it covers what is below it, in one colour. On
-software GL that takes a quarter of the time of an area that a texel is looked up for and blended
-(measured: 0.17 of 0.65 ms for 300 x 600 pixels)."""
-DEFAULT_STEP_S = 1 / 30
 MAX_STEP_S = 0.25
-"""A frame that took longer than this is not made up for by animations."""
-KEYS = {
-    **{letter: getattr(imgui.Key, letter.lower()) for letter in "ABCDEFGHIJKLMNOPQRSTUVWXYZ"},
-    **{digit: getattr(imgui.Key, f"_{digit}") for digit in "0123456789"},
-    **{f"F{number}": getattr(imgui.Key, f"f{number}") for number in range(1, 13)},
-    **{name: getattr(imgui.Key, name.lower()) for name in events.NAMED_KEYS},
-    **{name: getattr(imgui.Key, f"{name.lower()}_arrow") for name in events.ARROW_KEYS},
+"""Animations skip the rest of a frame that took longer than this."""
+_BUNDLE = Path(imgui_bundle.__file__).parent / "assets" / "fonts"
+_NOTO = {
+    "NotoSansCJKsc-common.otf": 1.24,
+    "NotoSansArabic.ttf": 1.8,
+    "NotoSansHebrew.ttf": 1.16,
+    "NotoSansDevanagari.ttf": 1.11,
+    "NotoSansThai.ttf": 1.29,
+    "NotoSansArmenian.ttf": 1.16,
+    "NotoSansGeorgian.ttf": 1.16,
+    "NotoEmoji.ttf": 1.0,
 }
+"""Our fonts, and how much larger each is set: ImGui makes lines of one height, and some of these
+fonts have much air in theirs."""
+_SYSTEM = {
+    "linux": (
+        "/usr/share/fonts/opentype/noto/NotoSansCJK-Regular.ttc",
+        "/usr/share/fonts/truetype/dejavu/DejaVuSans.ttf",
+    ),
+    "win32": (r"C:\Windows\Fonts\msyh.ttc", r"C:\Windows\Fonts\segoeui.ttf"),
+    "darwin": ("/System/Library/Fonts/Supplemental/Arial Unicode.ttf",),
+}
+"""Large fonts of each system, for characters that are in none of ours."""
 
 
-class Surface:
-    """One ImGui context.
+class Surface(Closing):
+    """One ImGui context. Several can live side by side; each method makes its own the current one.
 
     Args:
-        size: Columns and rows of the picture, pixels.
-        content_scale: Pixels a point of this display; 2 on most HiDPI ones.
+        context: Where it is painted, GL 3.3, current on this thread; None paints nothing.
+        window: Address of the glfw window whose input is taken; None leaves input to tests.
+
+    Attributes:
+        metrics: Sizes and colours of the frame that was begun last.
     """
 
     def __init__(
-        self, size: tuple[int, int], *, content_scale: float = 1.0, mode: Mode = "dark"
+        self, context: moderngl.Context | None = None, *, window: int | None = None
     ) -> None:
-        self._context = imgui.create_context()
+        self._imgui = imgui.create_context()
         self._is_open = True
-        self._use()  # a new context is current only where there was none
-        io = imgui.get_io()
-        io.set_ini_filename("")
-        io.backend_flags |= imgui.BackendFlags_.renderer_has_textures
-        io.config_input_text_cursor_blink = True
-        io.config_flags |= imgui.ConfigFlags_.nav_enable_keyboard
-        add_fonts(io.fonts)
+        self._context, self._window = context, window
+        self._textures: dict[str, moderngl.Texture] = {}
         self._last_s: float | None = None
-        self.metrics = Metrics(size=(0, 0), scale=1.0, mode=mode)
-        self.resize(size, content_scale)
+        self.metrics = Metrics(size=(0, 0), scale=1.0)
+        io = self.io
+        io.set_ini_filename("")
+        io.config_flags |= imgui.ConfigFlags_.nav_enable_keyboard
+        _add_fonts(io.fonts)
+        if context is None:
+            io.backend_flags |= imgui.BackendFlags_.renderer_has_textures
+        else:
+            imgui.backends.opengl3_init(f"#version {GL_VERSION}")
+        if window is not None:
+            imgui.backends.glfw_init_for_opengl(window, True)
 
     def close(self) -> None:
         """Free the context; twice is harmless."""
-        if self._is_open:
-            self._is_open = False
-            imgui.destroy_context(self._context)
+        if not self._is_open:
+            return
+        self._is_open = False
+        imgui.set_current_context(self._imgui)
+        if self._context is not None:
+            imgui.backends.opengl3_shutdown()
+        if self._window is not None:
+            imgui.backends.glfw_shutdown()
+        imgui.destroy_context(self._imgui)
 
-    def resize(
-        self, size: tuple[int, int], content_scale: float = 1.0, mode: Mode | None = None
+    @property
+    def io(self) -> imgui.IO:
+        """ImGui's input and output of this surface."""
+        imgui.set_current_context(self._imgui)
+        return imgui.get_io()
+
+    def begin(
+        self,
+        now: float,
+        size: tuple[int, int],
+        *,
+        content_scale: float = 1.0,
+        mode: Mode = "dark",
+        pixels_a_unit: float = 1.0,
+        pointer: tuple[float, float] | None = None,
     ) -> None:
-        """Draw for another picture from now on, and in another mode if one is given."""
-        metrics = metrics_for(size, content_scale, mode or self.metrics.mode)
+        """Begin a frame with the input that has come.
+
+        Args:
+            size: Columns and rows, units.
+            content_scale: Units a point of this display, and the user's own factor.
+            pointer: Where the pointer is to be taken to be, instead of where it is.
+        """
+        io = self.io
+        if self._context is not None:
+            imgui.backends.opengl3_new_frame()
+        if self._window is not None:
+            imgui.backends.glfw_new_frame()
+        step_s = 1 / 30 if self._last_s is None else now - self._last_s
+        io.delta_time, self._last_s = min(max(step_s, 1e-4), MAX_STEP_S), now
+        io.display_size = imgui.ImVec2(*size)
+        io.display_framebuffer_scale = imgui.ImVec2(pixels_a_unit, pixels_a_unit)
+        if pointer is not None:
+            io.add_mouse_pos_event(*pointer)
+        metrics = metrics_for(size, content_scale, mode)
         if metrics != self.metrics:
-            self._use()
             self.metrics = metrics
-            imgui.get_io().display_size = imgui.ImVec2(*size)
-            apply_theme(imgui.get_style(), metrics)
-
-    def use_clipboard(self, read: Callable[[], str], write: Callable[[str], None]) -> None:
-        """Copy and paste by the system's clipboard, and not by one of its own."""
-        self._use()
-        platform = imgui.get_platform_io()
-        platform.platform_get_clipboard_text_fn = lambda _context: read()
-        platform.platform_set_clipboard_text_fn = lambda _context, text: write(text)
-
-    def receive(self, event: events.InputEvent) -> None:
-        """Take something that the user did."""
-        self._use()
-        io = imgui.get_io()
-        match event:
-            case events.MouseMoved(x_px=x, y_px=y):
-                io.add_mouse_pos_event(x, y)
-            case events.MousePressed(x_px=x, y_px=y, button=button):
-                io.add_mouse_pos_event(x, y)
-                io.add_mouse_button_event(button, True)
-            case events.MouseReleased(x_px=x, y_px=y, button=button):
-                io.add_mouse_pos_event(x, y)
-                io.add_mouse_button_event(button, False)
-            case events.Scrolled(steps=steps):
-                io.add_mouse_wheel_event(0.0, steps)
-            case events.TextTyped(text=text):
-                io.add_input_characters_utf8(text)
-            case events.KeyPressed(is_repeat=False) | events.KeyReleased():
-                is_down = isinstance(event, events.KeyPressed)
-                io.add_key_event(imgui.Key.mod_ctrl, event.has_control)
-                io.add_key_event(imgui.Key.mod_shift, event.has_shift)
-                if event.key in KEYS:
-                    io.add_key_event(KEYS[event.key], is_down)
-            case _:
-                pass
-
-    def begin(self, now: float) -> None:
-        """Begin a frame with all that was received. From here on `claims` speaks of it."""
-        self._use()
-        io = imgui.get_io()
-        step_s = DEFAULT_STEP_S if self._last_s is None else now - self._last_s
-        io.delta_time = min(max(step_s, 1e-4), MAX_STEP_S)
-        self._last_s = now
+            apply_style(imgui.get_style(), metrics)
         imgui.new_frame()
 
     def end(self) -> None:
-        """Finish the frame: its shapes can be painted."""
-        self._use()
+        """Finish the frame: it can be painted."""
+        imgui.set_current_context(self._imgui)
         imgui.render()
 
     @contextmanager
-    def frame(self, now: float) -> Iterator[None]:
+    def frame(
+        self, now: float, size: tuple[int, int], content_scale: float = 1.0
+    ) -> Iterator[Metrics]:
         """A whole frame; panels are called within."""
-        self.begin(now)
+        self.begin(now, size, content_scale=content_scale)
         try:
-            yield
+            yield self.metrics
         finally:
             self.end()
 
-    def claims(self, event: events.InputEvent) -> bool:
-        """Whether an event belongs to the surface: the pointer is on it, or a field is typed in."""
-        match event:
-            case (
-                events.MouseMoved()
-                | events.MousePressed()
-                | events.MouseReleased()
-                | events.Scrolled()
-            ):
-                return self.wants_mouse
-            case events.TextTyped():
-                return True
-            case events.KeyPressed(key=key) if key != "Escape":
-                self._use()
-                return bool(imgui.get_io().want_text_input)
-        return False
+    def show(self, name: str, image: Image) -> int:
+        """Keep a picture to show in a panel, uint8 ``[H, W, 3]``; see `adopt`."""
+        assert self._context is not None
+        size = (image.shape[1], image.shape[0])
+        texture = self._textures.get(name)
+        if texture is None or texture.size != size:
+            texture = self._context.texture(size, 3, alignment=1)
+        texture.write(np.ascontiguousarray(image), alignment=1)
+        return self.adopt(name, texture)
 
-    @property
-    def wants_mouse(self) -> bool:
-        """Whether the pointer is on the surface, not on the scene."""
-        self._use()
-        return bool(imgui.get_io().want_capture_mouse)
+    def adopt(self, name: str, texture: moderngl.Texture) -> int:
+        """Keep a texture to show in a panel until another one has its name; return its number,
+        which is for `ImTextureRef`."""
+        self._textures[name] = texture
+        return int(texture.glo)
 
-    def draw_data(self) -> imgui.ImDrawData:
-        """The shapes of the last frame."""
-        self._use()
-        return imgui.get_draw_data()
+    def paint(
+        self,
+        target: moderngl.Framebuffer,
+        *,
+        left: int = 0,
+        background: bool = True,
+        windows: bool = True,
+    ) -> None:
+        """Blend the last frame over a framebuffer.
 
-    def _use(self) -> None:
-        imgui.set_current_context(self._context)
+        Args:
+            left: Where it begins, units from the left edge.
+            windows: Draw what stands before the background.
+        """
+        imgui.set_current_context(self._imgui)
+        data = imgui.get_draw_data()
+        before = list(data.cmd_lists)
+        size, origin = data.display_size, data.display_pos
+        data.cmd_lists.clear()
+        for each in before:
+            if background if each._owner_name == BACKGROUND else windows:
+                data.cmd_lists.push_back(each)
+        data.display_pos = imgui.ImVec2(-left, 0)
+        data.display_size = imgui.ImVec2(left + size.x, size.y)
+        target.use()
+        imgui.backends.opengl3_render_draw_data(data)
+        data.display_pos, data.display_size = origin, size
+        data.cmd_lists.clear()
+        for each in before:
+            data.cmd_lists.push_back(each)
+
+
+def _add_fonts(atlas: imgui.ImFontAtlas) -> None:
+    """Add all fonts to the atlas of the current context: first plain text, then bold."""
+    for name in ("Roboto-Regular.ttf", "Roboto-Bold.ttf"):
+        _add(atlas, _BUNDLE / "Roboto" / name)
+        # What it lacks is looked for in those that follow.
+        _add(atlas, _BUNDLE / "Font_Awesome_6_Free-Solid-900.otf", merge=True)
+        for noto, larger in _NOTO.items():
+            _add(atlas, Path(__file__).with_name("font_files") / noto, merge=True, larger=larger)
+        for path in map(Path, _SYSTEM.get(sys.platform, ())):
+            if path.is_file():
+                _add(atlas, path, merge=True)
+
+
+def _add(atlas: imgui.ImFontAtlas, path: Path, *, merge: bool = False, larger: float = 1.0) -> None:
+    config = imgui.ImFontConfig()
+    config.extra_size_scale = larger
+    config.pixel_snap_h = True
+    config.merge_mode = merge
+    atlas.add_font_from_file_ttf(str(path), TEXT_PT, config)

@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import partial
 
 import pytest
+from imgui_bundle import imgui
 
 from helpers.hand import Hand, open_hand
 from pica_client.errors import RelayRefusedError
@@ -14,11 +15,13 @@ from pica_client.ui.join_form import JoinForm, JoinRequest
 from pica_client.ui.options import ViewOptions
 from pica_client.ui.panels.join import JoinView, connecting_panel, join_panel
 from pica_client.ui.state import ViewState
-from pica_client.ui.surface.theme import Metrics
+from pica_client.ui.surface.style import Metrics
 from pica_client.ui.view_session import link_of
 from pica_client.voice.sound.settings import SoundSettings, SoundState
 
 pytestmark = pytest.mark.unit
+
+Key = imgui.Key
 
 FILLED = ViewState(url="ws://127.0.0.1:8765", room="lobby", name="Ada", source="performance:talk")
 SIZES = [((320, 240), 1.0), ((1280, 720), 1.0), ((2560, 1440), 1.0), ((2560, 1440), 2.0)]
@@ -31,14 +34,9 @@ class Shown:
         self.form, self.sound = JoinForm(replace(state), partial(link_of, ViewOptions())), sound
 
     def __call__(self, metrics: Metrics) -> list[JoinRequest]:
-        view = JoinView(
-            state=self.form.state,
-            trouble=self.form.trouble,
-            portraits=dict.fromkeys(["amara", "nora"]),
-            default_avatar="amara",
-            sound=self.sound,
-        )
-        requests = join_panel(view, metrics)
+        portraits = dict.fromkeys(["amara", "nora"], 1)
+        view = JoinView(portraits=portraits, default_avatar="amara", sound=self.sound)
+        requests = join_panel(self.form, view, metrics)
         for request in requests:
             self.form.obey(request)
         return requests
@@ -101,8 +99,8 @@ def test_one_who_only_watches_says_so_in_the_list_of_faces(hand: Hand) -> None:
     assert shown.form.state.source == ""
 
 
-@pytest.mark.parametrize(("key", "outcome"), [("Enter", "join"), ("Escape", "leave")])
-def test_the_form_is_answered_by_a_key(hand: Hand, key: str, outcome: str) -> None:
+@pytest.mark.parametrize(("key", "outcome"), [(Key.enter, "join"), (Key.escape, "leave")])
+def test_the_form_is_answered_by_a_key(hand: Hand, key: Key, outcome: str) -> None:
     shown = Shown(FILLED)
     hand.frame(shown)
     hand.press(key, shown)
@@ -125,10 +123,9 @@ def test_the_form_keeps_to_the_window_also_with_an_error(
 
 
 def test_what_is_waited_for_is_seen_in_the_first_frame(hand: Hand) -> None:
-    hand.frame(lambda metrics: [connecting_panel("Connecting …", metrics, 1.0)])
-    shapes = {
-        each._owner_name: each.vtx_buffer.size() for each in hand.surface.draw_data().cmd_lists
-    }
+    hand.frame(lambda metrics: [connecting_panel("Connecting …", metrics)])
+    lists = imgui.get_draw_data().cmd_lists
+    shapes = {each._owner_name: each.vtx_buffer.size() for each in lists}
     assert shapes["connecting"] > 0
 
 
@@ -137,12 +134,12 @@ def test_waiting_can_be_given_up(hand: Hand, way: str) -> None:
     given_up: list[bool] = []
 
     def show(metrics: Metrics) -> list[bool]:
-        given_up.append(connecting_panel("Connecting …", metrics, 1.0))
+        given_up.append(connecting_panel("Connecting …", metrics))
         return []
 
     if way == "button":
         hand.click("Cancel", show)
     else:
         hand.frame(show)
-        hand.press("Escape", show)
+        hand.press(Key.escape, show)
     assert given_up.count(True) == 1

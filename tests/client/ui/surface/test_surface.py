@@ -1,78 +1,89 @@
-"""The surface without a window: several at once, input, clipboard, sizes."""
+"""The surface without a window: several at once, input, drawing, sizes."""
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from imgui_bundle import imgui
 
-from helpers.hand import open_hand
-from pica_client.ui.events import KeyPressed, KeyReleased, MouseMoved
+from helpers.hand import press
+from pica_client.ui.actions import keyboard
+from pica_client.ui.state import ViewState
+from pica_client.ui.surface.style import PALETTES, metrics_for
 from pica_client.ui.surface.surface import Surface
-from pica_client.ui.surface.theme import PALETTES, metrics_for
+from pica_core.gl import create_context
 
-pytestmark = pytest.mark.unit
+pytestmark = pytest.mark.render
 
 
 def test_two_surfaces_live_side_by_side() -> None:
-    first = Surface((640, 360))
-    second = Surface((1280, 720))
-    for surface, width in ((first, 640), (second, 1280), (first, 640)):
-        with surface.frame(1.0):
-            assert imgui.get_io().display_size.x == width
-            imgui.get_background_draw_list().add_text((0, 0), 0xFFFFFFFF, "Ada")
-        assert surface.draw_data().total_vtx_count > 0
-    first.close()
-    first.close()
-    with second.frame(2.0):
-        pass
-    second.close()
+    with Surface() as first, Surface() as second:
+        for surface, width in ((first, 640), (second, 1280), (first, 640)):
+            with surface.frame(1.0, (width, 360)):
+                assert imgui.get_io().display_size.x == width
+                imgui.get_background_draw_list().add_text((0, 0), 0xFFFFFFFF, "Ada")
+            assert imgui.get_draw_data().total_vtx_count > 0
+        first.close()
+        with second.frame(2.0, (640, 360)):
+            pass
 
 
-def test_a_field_is_pasted_into_from_the_clipboard_and_keys_are_then_its_own() -> None:
-    copied: list[str] = []
-    surface = Surface((640, 360))
-    surface.use_clipboard(lambda: "pica://relay.example/standup", copied.append)
-    text = ""
-
-    def frame(now: float) -> None:
-        nonlocal text
-        with surface.frame(now):
-            imgui.begin("form")
-            imgui.set_keyboard_focus_here()
-            _, text = imgui.input_text("##field", text)
-            imgui.end()
-
-    for step in range(3):
-        frame(0.1 * step)
-    assert surface.claims(KeyPressed("L"))
-    assert not surface.claims(KeyPressed("Escape"))
-    surface.receive(KeyPressed("V", has_control=True))
-    frame(0.5)
-    surface.receive(KeyReleased("V"))
-    frame(0.6)
-    assert text == "pica://relay.example/standup"
-    assert copied == []
-    surface.close()
+def test_keys_are_a_fields_own_while_a_text_is_typed() -> None:
+    with Surface() as surface:
+        found = []
+        for step, key in enumerate((None, None, None, imgui.Key.l, imgui.Key.escape)):
+            if key is not None:
+                press(key)(surface.io)
+            with surface.frame(0.1 * step, (640, 360)):
+                imgui.begin("form")
+                imgui.set_keyboard_focus_here()
+                imgui.input_text("##field", "")
+                imgui.end()
+                found += [each.name for each in keyboard(ViewState(), ())]
+    assert found == ["CLOSE"]
 
 
-def test_the_pointer_beside_all_panels_belongs_to_the_scene() -> None:
-    with open_hand() as hand:
-        hand.frame(lambda metrics: [])
-        assert not hand.surface.claims(MouseMoved(100, 100))
+def test_background_windows_and_pictures_are_painted_where_they_are_wanted() -> None:
+    context = create_context()
+    target = context.framebuffer([context.texture((200, 50), 4)])
+    with Surface(context) as surface:
+        picture = surface.show("red", np.full((4, 4, 3), (255, 0, 0), np.uint8))
+        for step in range(2):  # a window is shown from its second frame on
+            with surface.frame(0.1 * step, (100, 50)):
+                shapes = imgui.get_background_draw_list()
+                shapes.add_rect_filled((0, 0), (20, 50), 0xFF00FF00)
+                imgui.set_next_window_pos((50, 0))
+                imgui.begin("window", None, imgui.WindowFlags_.no_decoration)
+                imgui.image(imgui.ImTextureRef(picture), (40, 40))
+                imgui.end()
+        seen = []
+        for paints in ({}, {"left": 100}, {"windows": False}, {"background": False}):
+            target.clear()
+            surface.paint(target, **paints)
+            pixels = np.frombuffer(target.read(components=3), np.uint8).reshape(50, 200, 3)[25]
+            seen.append([tuple(pixels[x].tolist()) for x in (10, 80, 110, 180)])
+        assert context.error == "GL_NO_ERROR"
+    context.release()
+    black, green, red = (0, 0, 0), (0, 255, 0), (255, 0, 0)
+    assert seen[0] == [green, red, black, black]
+    assert seen[1] == [black, black, green, red]
+    assert seen[2] == [green, black, black, black]
+    assert seen[3] == [black, red, black, black]
 
 
 @pytest.mark.parametrize(
     ("size", "content_scale", "low", "high"),
-    [((320, 240), 1, 0.8, 0.8), ((1280, 720), 1, 1, 1), ((3840, 2160), 1, 1.7, 1.75)],
+    [
+        ((320, 240), 1, 0.8, 0.8),
+        ((1280, 720), 1, 1, 1),
+        ((3840, 2160), 1, 1.7, 1.75),
+        ((2560, 1440), 2, 2, 2),
+    ],
 )
 def test_larger_pictures_have_larger_type_within_limits(
     size: tuple[int, int], content_scale: float, low: float, high: float
 ) -> None:
     assert low <= metrics_for(size, content_scale).scale <= high
-
-
-def test_a_display_of_twice_the_pixels_shows_the_same_points() -> None:
-    assert metrics_for((2560, 1440), 2.0).scale == 2 * metrics_for((1280, 720), 1.0).scale
 
 
 @pytest.mark.parametrize("mode", list(PALETTES))
@@ -90,12 +101,3 @@ def test_text_can_be_read_on_what_it_stands_on(mode: str) -> None:
     ):
         light, dark = sorted((luminance(ink), luminance(ground)), reverse=True)
         assert (light + 0.05) / (dark + 0.05) >= 4.5  # (WCAG 2.2, 1.4.3)
-
-
-@pytest.mark.parametrize("mode", ["dark", "light"])
-def test_a_ticked_box_stands_on_the_palettes_ground(mode: str) -> None:
-    surface = Surface((640, 360), mode=mode)  # type: ignore[arg-type]
-    with surface.frame(1.0):
-        found = imgui.get_style().color_(imgui.Col_.checkbox_selected_bg)
-    surface.close()
-    assert tuple(found) == pytest.approx(PALETTES[mode].field)  # type: ignore[index]

@@ -1,7 +1,7 @@
 """One style for all of the surface: colours (dark and light), spacing and type sizes. Pure.
 
-Lengths are points; `Metrics.px` turns them into pixels of the picture. Type has three sizes:
-small (notes, figures), text, and title.
+Lengths are points; `Metrics.px` turns them into units of the surface. Type has three sizes: small
+(notes, figures), text, and title.
 """
 
 import math
@@ -10,14 +10,12 @@ from typing import Any, Literal
 
 from imgui_bundle import imgui
 
-from pica_client.ui.surface.fonts import TEXT_PT
-
 Mode = Literal["dark", "light"]
 Tone = Literal["plain", "good", "warning", "alert", "accent"]
 Colour = tuple[float, float, float, float]
 
-SMALL_PT, TITLE_PT = 12.5, 21.0
-GAP_PT, PADDING_PT, ROUNDING_PT = 8.0, 16.0, 8.0
+SMALL_PT, TEXT_PT, TITLE_PT = 12.5, 15.0, 21.0
+GAP_PT, PADDING_PT, ROUNDING_PT, EDGE_PT = 8.0, 16.0, 8.0, 12.0
 BUTTON_PT = 42.0
 """Height of a button of the control bar: what a finger or a hurried mouse hits."""
 REFERENCE_PT = (1280.0, 720.0)
@@ -92,13 +90,13 @@ class Metrics:
     """How large things are on one picture."""
 
     size: tuple[int, int]
-    """Columns and rows, pixels."""
+    """Columns and rows, units."""
     scale: float
-    """Pixels a point."""
+    """Units a point."""
     mode: Mode = "dark"
 
     def px(self, points: float) -> float:
-        """So many points, in pixels."""
+        """Return so many points in units."""
         return round(points * self.scale)
 
     @property
@@ -121,7 +119,7 @@ def metrics_for(size: tuple[int, int], content_scale: float = 1.0, mode: Mode = 
     return Metrics(size=size, scale=content_scale * growth, mode=mode)
 
 
-def apply_theme(style: imgui.Style, metrics: Metrics) -> None:
+def apply_style(style: imgui.Style, metrics: Metrics) -> None:
     """Make ImGui's style ours."""
     px, palette = metrics.px, metrics.palette
     style.font_size_base, style.font_scale_dpi = TEXT_PT, metrics.scale
@@ -140,8 +138,6 @@ def apply_theme(style: imgui.Style, metrics: Metrics) -> None:
     style.display_safe_area_padding = imgui.ImVec2(0, 0)
     style.hover_delay_normal = 0.35
     style.disabled_alpha = 0.45
-    # Half a pixel off the circle: on software GL the bar's buttons cost as much as their triangles.
-    style.circle_tessellation_max_error = 0.5
     clear = (0.0, 0.0, 0.0, 0.0)
     colours: tuple[tuple[Colour, str], ...] = (
         (palette.ink, "text input_text_cursor"),
