@@ -40,7 +40,7 @@ import numpy as np
 
 from pica_client.errors import VoiceError
 from pica_client.playout.sender_clock import SenderClock
-from pica_client.playout.transit import RESTART_FRAMES
+from pica_client.playout.transit import RESTART_FRAMES, Transit
 from pica_client.voice import stretch
 from pica_client.voice.packet import FRAME_S, VoicePacket
 from pica_client.voice.packet import FRAME_SAMPLES as FRAME
@@ -165,7 +165,7 @@ class JitterBuffer:
         self.config = config = config or JitterBufferConfig()
         self._decoder = decoder
         self._sender = SenderClock(quantile=config.jitter_quantile)
-        self._target_s = FRAME_S + config.least_jitter_s  # beyond the fastest transit
+        self._wait_s: float | None = None  # from capture to sound; the clocks' offset included
         self._report = JitterBufferReport()
         self._waiting: list[ReceivedFrame] = []  # by number; at most MAX_PACKETS
         self._last_number: int | None = None
@@ -214,7 +214,8 @@ class JitterBuffer:
         transit = self._sender.transit
         if transit is None:
             return np.zeros(FRAME, np.float32)
-        should_s = now - transit.fastest_s - self._target_s
+        assert self._wait_s is not None
+        should_s = now - self._wait_s
         self._leap(should_s)
         self._fill(FRAME, should_s)
         self._stretch(should_s)
@@ -245,8 +246,9 @@ class JitterBuffer:
         """Counters since the voice began, and how it stands; do not change it."""
         report = self._report
         report.refused = self._num_broken + self._sender.num_refused
-        report.target_s = self._target_s
-        report.jitter_s = 0.0 if self._sender.transit is None else self._sender.transit.jitter_s
+        if (transit := self._sender.transit) is not None and self._wait_s is not None:
+            report.target_s = self._wait_s - transit.fastest_s
+            report.jitter_s = transit.jitter_s
         return report
 
     @property
@@ -254,14 +256,23 @@ class JitterBuffer:
         """Packets that wait to be played."""
         return len(self._waiting)
 
-    def _aim(self, jitter_s: float, now: float) -> None:
-        """Wait longer at once, and less slowly."""
+    def _aim(self, transit: Transit, now: float) -> None:
+        """Wait longer at once, and less slowly.
+
+        What is released is the whole wait: when the fastest packets of calmer times are forgotten,
+        `fastest_s` rises and `jitter_s` falls by as much, and the sound goes on unchanged.
+        """
         config = self.config
         elapsed_s, self._aimed_s = max(now - self._aimed_s, 0.0), now
-        wait_s = FRAME_S + max(jitter_s, config.least_jitter_s)
-        needed_s = min(wait_s, config.ceiling_s)
-        excess_s = max(self._target_s - needed_s, 0.0)
-        self._target_s = needed_s + excess_s * math.exp(-elapsed_s / config.release_s)
+        room_s = config.ceiling_s - FRAME_S
+        begin_s = transit.fastest_s + FRAME_S
+        needed_s = begin_s + min(transit.jitter_s, room_s)
+        enough_s = begin_s + min(max(transit.jitter_s, config.least_jitter_s), room_s)
+        if self._wait_s is None:
+            self._wait_s = enough_s
+        excess_s = max(self._wait_s - enough_s, 0.0)
+        released_s = excess_s * (1 - math.exp(-elapsed_s / config.release_s))
+        self._wait_s = max(self._wait_s - released_s, needed_s)
 
     def _place(self, received: ReceivedFrame) -> None:
         transit, last, report = self._sender.transit, self._last_number, self._report
@@ -270,7 +281,7 @@ class JitterBuffer:
             self.restart()
             self._last_number = last = None
         transit.receive(received.media_s, received.arrived_s)
-        self._aim(transit.jitter_s, received.arrived_s)
+        self._aim(transit, received.arrived_s)
         place = bisect_left(self._waiting, received.number, key=attrgetter("number"))
         if last is not None and received.number <= last:
             report.late += 1

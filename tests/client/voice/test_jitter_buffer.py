@@ -108,6 +108,18 @@ def test_a_delay_that_is_no_longer_needed_is_given_up_slowly():
     assert later_s == pytest.approx(calm_s, abs=0.01)
 
 
+def test_a_way_that_is_longer_for_good_is_waited_for_no_longer_than_it_is():
+    buffer = JitterBuffer(SpokenDecoder(with_pauses(hum(20))))
+    arrivals = [(usual_arrival_s(i) + 0.04 * (i >= 200), packet(i)) for i in range(890)]
+
+    _, delays_s = play(buffer, arrivals, 17.5)
+
+    # The fastest packets of the shorter way are forgotten six seconds later: nobody hears it.
+    at_first_s, later_s = delays_s[400], delays_s[550:700]
+    assert at_first_s > delays_s[150] + 0.02
+    assert max(later_s) == pytest.approx(at_first_s, abs=0.004)
+
+
 def test_a_delay_that_changes_is_changed_in_silence_where_there_is_one():
     sound = with_pauses(hum(10))
     buffer = JitterBuffer(SpokenDecoder(sound))
