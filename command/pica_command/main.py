@@ -8,7 +8,6 @@ output has gone, as after ``| head``.
 import json
 import os
 import re
-import select
 import signal
 import sys
 import threading
@@ -34,24 +33,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         status = _run_and_report(list(sys.argv[1:] if argv is None else argv))
         sys.stdout.flush()
-    except BrokenPipeError:
-        if not _is_unread():
-            raise
+    except BrokenPipeError:  # the rest of the output goes nowhere, so that no flush complains
+        for stream in (sys.stdout, sys.stderr):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
         return 141
     return status
-
-
-def _is_unread() -> bool:
-    """Return True if the reader of our output has gone; then the rest of it goes nowhere."""
-    if not hasattr(select, "poll"):
-        return False  # Windows, where this is another error
-    poll = select.poll()
-    for stream in (sys.stdout, sys.stderr):
-        poll.register(stream.fileno(), 0)
-    unread = [number for number, event in poll.poll(0) if event & select.POLLERR]
-    for number in unread:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), number)
-    return bool(unread)
 
 
 def _run_and_report(words: list[str]) -> int:
@@ -62,9 +48,9 @@ def _run_and_report(words: list[str]) -> int:
         result = _run(name, words[len(name.split()) :])
     except SystemExit as end:
         return end.code if isinstance(end.code, int) else 0
+    except BrokenPipeError:
+        raise
     except (Exception, KeyboardInterrupt) as error:
-        if isinstance(error, BrokenPipeError) and _is_unread():
-            return 141
         return _report(error, name, words)
     if JSON_FLAG in words and result is not None:
         print(json.dumps(result), flush=True)
@@ -82,8 +68,7 @@ def _run(name: str, words: list[str]) -> Mapping[str, Any] | None:
         options = line.read(words)
     if options is None:
         return None
-    with line.naming_places():
-        result: Mapping[str, Any] | None = line.function(**options)
+    result: Mapping[str, Any] | None = line.function(**options)
     return {} if result is None else result
 
 

@@ -13,17 +13,14 @@ import re
 import tomllib
 import typing
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import MISSING, fields
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Final
 
 from cyclopts import App, Argument, ArgumentCollection, CycloptsError, Group, Parameter, Token
-from cyclopts.exceptions import UnknownOptionError
-from rich.console import Console
 
-from pica_command.table import COMMANDS, REMOVED, SHARED, Command, UsageError
+from pica_command.table import COMMANDS, SHARED, Command, UsageError
 
 COMMON: Final = {
     "config": (Path | None, None, "Read options from this TOML file, not from the user's."),
@@ -33,13 +30,6 @@ COMMON: Final = {
 """Type, default and text of the options that every command takes."""
 _GROUP = Group("Common", sort_key=1)
 _SECTION = re.compile(r"^(Args|Returns|Raises|Attributes|Not checked|Source):", re.MULTILINE)
-
-
-class _Console(Console):
-    """Where help is printed; an end of its reader is told to `main`."""
-
-    def on_broken_pipe(self) -> None:
-        raise BrokenPipeError
 
 
 class CommandLine:
@@ -60,7 +50,6 @@ class CommandLine:
         self._shared = SHARED if row.joins else ()
         self._environment = environment
         self._file = file
-        self._places: dict[str, str] = {}
         self.app = App(
             name=f"pica {name}",
             help=_description(self.function),
@@ -70,7 +59,6 @@ class CommandLine:
             version_flags=(),
             default_parameter=Parameter(consume_multiple=True, negative_iterable=()),
             config=self._add_tokens,
-            console=_Console(),
         )
         self._take = _taker(self.function)
         self.app.default(self._take)
@@ -82,29 +70,14 @@ class CommandLine:
             UsageError: A word, variable or key is unknown, or its value is refused; names it.
         """
         try:
-            with self.naming_places():
-                take, bound, _ = self.app.parse_args(words, exit_on_error=False, print_error=False)
+            take, bound, _ = self.app.parse_args(words, exit_on_error=False, print_error=False)
         except CycloptsError as error:
-            raise UsageError(_line(error)) from error
+            raise UsageError(" ".join(str(error).split())) from error
         if take is not self._take:
             take(*bound.args, **bound.kwargs)
             return None
         bound.apply_defaults()
         return {name: each for name, each in bound.arguments.items() if name not in COMMON}
-
-    @contextmanager
-    def naming_places(self) -> Iterator[None]:
-        """Let an error whose first word is an option say which variable or file set it."""
-        try:
-            yield
-        except Exception as error:
-            first, _, rest = str(error).partition(" ")
-            place = self._places.get(first.removeprefix("--").replace("-", "_"))
-            if place is None or not hasattr(error, "exit_code"):
-                raise
-            named = UsageError(f"{place} {rest}")
-            named.exit_code = error.exit_code
-            raise named from error
 
     def _add_tokens(
         self, _app: App, _commands: tuple[str, ...], arguments: ArgumentCollection
@@ -119,7 +92,6 @@ class CommandLine:
             argument = leaves[key]
             if argument.tokens:
                 continue
-            self._places[key] = place
             is_list = typing.get_origin(argument.hint) is tuple and not argument.parameter.n_tokens
             if is_list and isinstance(value, str):
                 value = [item.strip() for item in value.split(",") if item.strip()]
@@ -193,14 +165,6 @@ def _taker(function: Any) -> Callable[..., None]:
     take.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     take.__annotations__ = {each.name: each.annotation for each in parameters}
     return take
-
-
-def _line(error: CycloptsError) -> str:
-    if isinstance(error, UnknownOptionError):
-        flag = (error.token.keyword or error.token.value).partition("=")[0]
-        if flag in REMOVED:
-            return f"{flag} was removed; {REMOVED[flag]}"
-    return " ".join(str(error).split())
 
 
 def _description(function: Any) -> str:

@@ -95,19 +95,6 @@ GROUPS: Final[dict[str, dict[str, Command]]] = {
 }
 COMMANDS: Final = {name: row for rows in GROUPS.values() for name, row in rows.items()}
 
-REMOVED: Final = {
-    "completion": "use `pica --install-completion`",
-    "avatar thumbnail": "examples/03 draws one picture",
-    "capture synth": "use `pica capture person`",
-    "room": "use the participants panel, or GET /rooms, with a token that grants admin",
-    "config": "edit the TOML file that `pica --help` names",
-    "--facekit": "leave it out: the face model is part of the package",
-    "--bitrate": "use --quality, 0 to 7",
-    "--register-links": "give an invite link to `pica view`, or paste it into the form",
-    "--print-config": "the options with their defaults are in docs/command-line.md",
-}
-"""Commands, first words of commands, and options that are no more, with what to use instead."""
-
 
 def command_of(words: list[str]) -> str | None:
     """The longest command that the first words spell."""
@@ -115,7 +102,7 @@ def command_of(words: list[str]) -> str | None:
 
 
 class UsageError(Exception):
-    """Words, variables or keys that no command understands; one line that names the remedy."""
+    """Words, variables or keys that no command understands: one line."""
 
     exit_code = 2
 
@@ -136,12 +123,9 @@ def refuse(words: list[str]) -> NoReturn:
     """Refuse words that begin no command.
 
     Raises:
-        UsageError: Says what to use instead, or what was probably meant.
+        UsageError: Names the command that was probably meant.
     """
     family = any(name.startswith(f"{words[0]} ") for name in COMMANDS)
-    for text in (" ".join(words[:2]), words[0]):
-        if text in REMOVED:
-            raise UsageError(f"{text!r} was removed; {REMOVED[text]}")
     known = {*COMMANDS, *(name.partition(" ")[0] for name in COMMANDS)}
     near = (difflib.get_close_matches(" ".join(words[:n]), known, n=1, cutoff=0.7) for n in (2, 1))
     found = next((names[0] for names in near if names), None)

@@ -15,7 +15,7 @@ import pytest
 
 from pica_command.extras import install_line
 from pica_command.main import main
-from pica_command.table import COMMANDS, GROUPS, REMOVED, Command, listing
+from pica_command.table import COMMANDS, GROUPS, Command, listing
 
 pytestmark = pytest.mark.unit
 
@@ -176,14 +176,6 @@ def test_with_json_an_error_is_one_object_and_debug_changes_no_exit_status(
     assert error["message"] in shown.err
     assert run(*words, "--debug") == code
     assert "Traceback" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("name", [name for name in REMOVED if not name.startswith("--")])
-def test_a_removed_command_is_answered_with_what_to_use_instead(
-    capsys: pytest.CaptureFixture[str], name: str
-) -> None:
-    assert main(name.split()) == 2
-    assert capsys.readouterr().err == f"pica: {name!r} was removed; {REMOVED[name]}\n"
 
 
 def test_the_list_has_a_line_for_every_command() -> None:

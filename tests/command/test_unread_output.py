@@ -22,6 +22,6 @@ def test_output_that_nobody_reads_is_no_traceback(words: str, unread: str) -> No
         assert process.stdout is not None
         process.stdout.close()
         said = "" if process.stderr is None else process.stderr.read()
-        assert process.wait(60) == 141
+        assert process.wait(60) in (1, 141)  # 1: rich ends by itself
     assert "Traceback" not in said
     assert "Exception ignored" not in said
