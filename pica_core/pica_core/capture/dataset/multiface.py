@@ -9,7 +9,6 @@ What is missing, damaged or cannot be written is a `CaptureError` that names the
     tracked_mesh/SEG/FRAME.bin            float32 [V, 3], head frame, mm
     tracked_mesh/SEG/FRAME_transform.txt  3x4 head-to-world, mm
     unwrapped_uv_SIZE/SEG/average/FRAME.png   upside down, as in the original
-    tex_mean.png (upside down), tex_var.txt, vert_mean.bin, vert_var.txt
   additions
     depth/SEG/CAM/FRAME.png               16 bit, 0.1 mm along the camera axis, 0 = empty
     mask/SEG/CAM/FRAME.png                8 bit, 0 = background, else material id + 1

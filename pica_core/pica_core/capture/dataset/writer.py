@@ -16,7 +16,7 @@ import numpy.typing as npt
 from pica_core.avatar.arkit import ARKIT_NAMES
 from pica_core.capture.dataset import multiface
 from pica_core.capture.dataset.files import SPLITS, Take, Topology
-from pica_core.types import Array, ByteArray, FloatArray
+from pica_core.types import Array, FloatArray
 
 ENCODERS = 2
 """Threads that encode images; what they call lets other threads run."""
@@ -24,8 +24,6 @@ MAX_WAITING = 64
 """Images that may wait for them; then drawing waits."""
 PNG_UP = 2
 """A row's filter: what is kept is the difference to the row above (PNG specification, 9.2)."""
-ERROR_FRAMES = 256
-"""Frames that the tracker's errors are summed up over, at most."""
 
 
 def png(array: Array) -> bytes:
@@ -91,66 +89,17 @@ class BackgroundWriter(AbstractContextManager["BackgroundWriter"]):
             self._waiting.pop(0).result()
 
 
-class TrainingSums:
-    """Running mean and variance of training meshes and textures."""
-
-    def __init__(self) -> None:
-        self._count = 0
-        self._sums: list[Any] = [0.0, 0.0]
-        self._squares: list[Any] = [0.0, 0.0]
-
-    def add(self, vertices_mm: FloatArray, texture: ByteArray) -> None:
-        """Count one frame."""
-        self._count += 1
-        for k, values in enumerate((vertices_mm.astype(np.float64), texture.astype(np.float64))):
-            self._sums[k] = self._sums[k] + values
-            self._squares[k] = self._squares[k] + values * values
-
-    def write(self, out: Path) -> None:
-        """Write means, and variances over all elements."""
-        vertices, texture = means = [total / self._count for total in self._sums]
-        multiface.write_aside(out / "vert_mean.bin", vertices.astype("<f4").tobytes())
-        multiface.write_aside(out / "tex_mean.png", png(np.rint(texture).astype(np.uint8)))
-        names = ("vert_var.txt", "tex_var.txt")
-        for name, mean, squares in zip(names, means, self._squares, strict=True):
-            variance = float(np.mean(np.maximum(squares / self._count - mean * mean, 0.0)))
-            multiface.write_aside(out / name, f"{variance:.9g}\n".encode())
-
-
-class TrackingErrors:
-    """How far the tracked vertices are off, by region."""
-
-    def __init__(self) -> None:
-        self._distance_mm: list[FloatArray] = []
-
-    def add(self, tracked_mm: FloatArray, exact_mm: FloatArray) -> None:
-        """Count one frame; both ``[Vt, 3]``."""
-        if len(self._distance_mm) < ERROR_FRAMES:
-            distance = np.linalg.norm(tracked_mm - exact_mm, axis=1)
-            self._distance_mm.append(distance.astype(np.float32))
-
-    def describe(self, topology: Topology) -> dict[str, dict[str, float]]:
-        """Mean, 99th percentile and largest error by region, mm."""
-        distance = np.stack(self._distance_mm)
-        everything = {"all": np.ones(distance.shape[1], np.bool_)}
-        table = {}
-        for name, mask in (everything | topology.regions).items():
-            if mask.any():
-                part = distance[:, mask]
-                table[name] = {
-                    "mean": round(float(part.mean()), 3),
-                    "p99": round(float(np.percentile(part, 99)), 3),
-                    "max": round(float(part.max()), 3),
-                }
-        return table
-
-
 def write_topology(path: Path, topology: Topology, **more: Array) -> None:
     """Write a topology file."""
     arrays: dict[str, Any] = {"vertex_uv": topology.vertex_uv, "faces": topology.faces, **more}
     arrays |= {f"region_{name}": mask for name, mask in topology.regions.items()}
+    write_archive(path, **arrays)
+
+
+def write_archive(path: Path, **arrays: Array) -> None:
+    """Write arrays by name; zip time stamps are fixed, so the same arrays give the same bytes."""
     data = io.BytesIO()
-    np.savez(data, **arrays)  # fixed zip time stamps: the same bytes every time
+    np.savez(data, **arrays)
     multiface.write_aside(path, data.getvalue())
 
 

@@ -14,15 +14,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from PIL import Image
 
 from pica_core.capture.dataset import multiface
-from pica_core.capture.dataset.files import IMAGE_FORMATS, Take, Topology, read_tracked
+from pica_core.capture.dataset.files import Take, Topology, load_image, read_arrays, read_tracked
 from pica_core.capture.dataset.writer import (
     BackgroundWriter,
-    TrackingErrors,
-    TrainingSums,
     depth_units,
+    write_archive,
     write_tables,
     write_topology,
 )
@@ -40,7 +38,6 @@ from pica_core.capture.stage.subject import Subject, View
 from pica_core.capture.stage.tracked_topology import NUM_VERTICES, track_topology
 from pica_core.capture.stage.tracker import SimulatedTracker, head_to_world, lagged_arkit
 from pica_core.errors import CaptureError, check_ranges
-from pica_core.files import replacing
 from pica_core.types import Array, ByteArray, FloatArray
 
 FILE = "poses.npz"
@@ -77,17 +74,8 @@ def picture_path(folder: Path, number: int) -> Path:
 
 
 def read_picture(folder: Path, number: int) -> ByteArray:
-    """The picture of a pose, uint8 ``[H, W, 3]``.
-
-    Raises:
-        CaptureError: It is missing or damaged.
-    """
-    path = picture_path(folder, number)
-    try:
-        with Image.open(path, formats=IMAGE_FORMATS) as picture:
-            return np.asarray(picture.convert("RGB"))
-    except (OSError, SyntaxError, ValueError) as error:
-        raise CaptureError(f"{path}: cannot be read ({error}); render the capture again") from error
+    """The picture of a pose, uint8 ``[H, W, 3]``."""
+    return load_image(picture_path(folder, number), "RGB", None)
 
 
 def write_poses(folder: Path, poses: Poses) -> None:
@@ -97,14 +85,14 @@ def write_poses(folder: Path, poses: Poses) -> None:
         CaptureError: The file cannot be written.
     """
     first = poses.vertices_m[0]
-    try:
-        with replacing(folder / FILE) as unfinished, unfinished.open("wb") as file:
-            offsets_mm = ((poses.vertices_m - first) * 1000).astype(np.float16)
-            cameras = np.array(poses.cameras, np.str_)
-            kept = {"arkit": poses.arkit, "rest_m": first, "offsets_mm": offsets_mm}
-            np.savez(file, cameras=cameras, **kept)
-    except OSError as error:
-        raise CaptureError(f"{folder / FILE}: cannot be written: {error.strerror}") from error
+    offsets_mm = ((poses.vertices_m - first) * 1000).astype(np.float16)
+    write_archive(
+        folder / FILE,
+        cameras=np.array(poses.cameras, np.str_),
+        arkit=poses.arkit,
+        rest_m=first,
+        offsets_mm=offsets_mm,
+    )
 
 
 def read_poses(folder: Path, num_vertices: int) -> Poses | None:
@@ -116,15 +104,11 @@ def read_poses(folder: Path, num_vertices: int) -> Poses | None:
     path = folder / FILE
     if not path.is_file():
         return None
-    try:
-        with np.load(path) as found:
-            arkit, rest_m = found["arkit"], found["rest_m"]
-            cameras = tuple(found["cameras"].tolist()) if "cameras" in found else ()
-            vertices_m = rest_m + found["offsets_mm"].astype(np.float32) / np.float32(1000)
-    except (OSError, ValueError, KeyError, EOFError) as error:
-        raise CaptureError(
-            f"{path}: is damaged ({error}); remove it, or render the capture again"
-        ) from error
+    found = read_arrays(path)
+    if missing := {"arkit", "rest_m", "offsets_mm", "cameras"} - found.keys():
+        raise CaptureError(f"{path}: field {min(missing)!r} is missing; render the capture again")
+    arkit, cameras = found["arkit"], tuple(found["cameras"].tolist())
+    vertices_m = found["rest_m"] + found["offsets_mm"].astype(np.float32) / np.float32(1000)
     if vertices_m.shape != (len(arkit), num_vertices, 3):
         raise CaptureError(f"{path}: meshes are {vertices_m.shape[1:]}; {num_vertices} are needed")
     if cameras and len(cameras) != len(arkit):
@@ -318,32 +302,18 @@ def _render(
     subject: Subject, options: RenderOptions, takes: list[Take], out: Path, progress: Progress
 ) -> dict[str, Any]:
     frames = [(k, take, index) for k, take in enumerate(takes) for index in range(len(take.arkit))]
-    sums, errors = TrainingSums(), TrackingErrors()
     resumed = 0
     rendering: _Rendering | None = None
     with BackgroundWriter() as writer:
         for done, (number, take, index) in enumerate(frames, start=1):
-            frame = f"{index:06d}"
-            mesh = out / multiface.mesh_path(take.segment, frame)
-            truth = out / multiface.mesh_path(take.segment, frame, multiface.TRUTH_MESH)
-            texture = out / multiface.texture_path(options.texture_size, take.segment, frame)
-            if mesh.is_file():
+            if (out / multiface.mesh_path(take.segment, f"{index:06d}")).is_file():
                 resumed += 1
             else:
                 rendering = rendering or _Rendering(subject, options, out, writer)
                 rendering.draw_frame(take, number, index)
-            if done == 1:
-                tracked, dense_vertex = read_tracked(out, len(subject.topology.vertex_uv))
-            # What is summed is what the files of the frame hold.
-            tracked_mm = np.frombuffer(mesh.read_bytes(), "<f4").reshape(-1, 3)
-            exact_mm = np.frombuffer(truth.read_bytes(), "<f4").reshape(-1, 3)
-            errors.add(tracked_mm, exact_mm[dense_vertex])
-            if take.split == "train":
-                with Image.open(texture, formats=IMAGE_FORMATS) as image:
-                    sums.add(tracked_mm, np.asarray(image))
             progress(done, options.frames)
-    sums.write(out)
-    write_tables(out, takes, _describe(subject, options, tracked, errors))
+    tracked, _ = read_tracked(out, len(subject.topology.vertex_uv))
+    write_tables(out, takes, _describe(subject, options, tracked))
     num_test = sum(take.split == "test" for _, take, _ in frames)
     return {
         "frames": len(frames),
@@ -372,9 +342,7 @@ def _pose(subject: Subject, options: RenderOptions, out: Path) -> None:
     write_poses(out, Poses(arkit, np.stack(meshes), tuple(camera.name for camera in views)))
 
 
-def _describe(
-    subject: Subject, options: RenderOptions, tracked: Topology, errors: TrackingErrors
-) -> dict[str, Any]:
+def _describe(subject: Subject, options: RenderOptions, tracked: Topology) -> dict[str, Any]:
     """What `capture.json` says."""
     return {
         **subject.describe(),
@@ -389,7 +357,6 @@ def _describe(
         "tracked_mesh": {
             "what": "a subset of the exact vertices with a simulated tracker's errors",
             "num_vertices": len(tracked.vertex_uv),
-            "error_mm": errors.describe(tracked),
         },
         "truth_mesh": "the rendered surface",
         "depth": {
