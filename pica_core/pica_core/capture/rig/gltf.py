@@ -5,13 +5,23 @@ samplers and texture transforms, materials that one sees through, and the expres
 are taken in the pose that the vertices are stored in.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from struct import error as StructError
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
-from pica_core.capture.rig.gltf_file import DRACO, MAX_ELEMENTS, GltfFile, child, missing_wheel
+from pica_core.capture.rig.gltf_file import (
+    DRACO,
+    MAX_ELEMENTS,
+    GltfFile,
+    count_of,
+    extension,
+    missing_wheel,
+)
 from pica_core.capture.rig.source import (
     RigImage,
     RigSource,
@@ -30,33 +40,41 @@ VRM = ("VRMC_vrm", "VRM")
 WRAP = {10497: "repeat", 33648: "mirror", 33071: "clamp"}
 CLEAR = 0.5
 """Where a blended material is less opaque than this, it hides nothing."""
+MALFORMED = (
+    AttributeError, IndexError, KeyError, OverflowError, RecursionError, RuntimeError, StructError,
+    TypeError, ValueError,
+)  # fmt: skip
+"""What entries raise that are missing or of another kind than they should be."""
 
 
-def _matrix(file: GltfFile, node: dict[str, Any]) -> Float64Array:
+def read_glb(path: Path) -> RigSource:
+    """Read a rig from a .glb, .vrm or .gltf file."""
     try:
-        if "matrix" in node:
-            result = np.array(node["matrix"], np.float64).reshape(4, 4).T
-        else:
-            result = np.eye(4)
-            x, y, z, w = np.array(node.get("rotation", [0, 0, 0, 1]), np.float64)
-            turn = np.array(
-                [
-                    [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-                    [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-                    [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-                ]
-            )
-            result[:3, :3] = turn * np.array(node.get("scale", [1, 1, 1]), np.float64).reshape(3)
-            result[:3, 3] = np.array(node.get("translation", [0, 0, 0]), np.float64).reshape(3)
-    except (TypeError, ValueError) as error:
-        raise CaptureError(f"{file.path}: a node's transform cannot be read ({error})") from error
-    if not np.isfinite(result).all():
-        raise CaptureError(f"{file.path}: a node's transform is not finite")
+        with np.errstate(all="ignore"):  # what is not finite is found by `check_source`
+            return check_source(_read(GltfFile(path)))
+    except MALFORMED as error:
+        what = f"{type(error).__name__}: {error}"
+        raise CaptureError(f"{path}: malformed, or not as glTF 2.0 has it ({what})") from error
+
+
+def _matrix(node: dict[str, Any]) -> Float64Array:
+    if "matrix" in node:
+        return np.array(node["matrix"], np.float64).reshape(4, 4).T
+    result = np.eye(4)
+    x, y, z, w = np.array(node.get("rotation", [0, 0, 0, 1]), np.float64)
+    turn = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    result[:3, :3] = turn * np.array(node.get("scale", [1, 1, 1]), np.float64).reshape(3)
+    result[:3, 3] = np.array(node.get("translation", [0, 0, 0]), np.float64).reshape(3)
     return result
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class _Placed:
+class _Placed(NamedTuple):
     """A mesh where a node puts it."""
 
     node: int
@@ -64,31 +82,28 @@ class _Placed:
     place: Float64Array
 
 
-def _placed_meshes(file: GltfFile) -> list[_Placed]:
+def _placed_meshes(file: GltfFile) -> Iterator[_Placed]:
     """Mesh and transform of every node of the scene."""
-    nodes = file.entries(file.root, "nodes")
-    scene = file.item("scenes", file.root.get("scene", 0)) if file.root.get("scenes") else {}
-    roots = file.entries(scene, "nodes") if "nodes" in scene else list(range(len(nodes)))
+    roots = list(range(len(file.root.get("nodes", []))))
+    if file.root.get("scenes"):
+        roots = file.item("scenes", file.root.get("scene", 0)).get("nodes", roots)
     stack = [(k, np.eye(4), 0) for k in roots]
     worlds: dict[int, Float64Array] = {}
-    found: list[int] = []
     while stack:
         index, parent, depth = stack.pop()
-        if depth > MAX_NODE_DEPTH or len(found) > 1000:
+        if depth > MAX_NODE_DEPTH:
             raise CaptureError(f"{file.path}: nodes are nested deeper than {MAX_NODE_DEPTH}")
         node = file.item("nodes", index)
         if index in worlds:
             raise CaptureError(f"{file.path}: node {index} has several parents; one is allowed")
-        worlds[index] = parent @ _matrix(file, node)
-        if "mesh" in node:
-            found.append(index)
-        stack += [(k, worlds[index], depth + 1) for k in file.entries(node, "children")]
-    placed = []
-    for index in found:
+        worlds[index] = parent @ _matrix(node)
+        stack += [(k, worlds[index], depth + 1) for k in node.get("children", [])]
+    for index, place in worlds.items():
         node = file.item("nodes", index)
-        place = worlds[index] if "skin" not in node else _bind_place(file, node, worlds)
-        placed.append(_Placed(node=index, mesh=node["mesh"], place=place))
-    return placed
+        if "mesh" in node:
+            if "skin" in node:
+                place = _bind_place(file, node, worlds)
+            yield _Placed(node=index, mesh=node["mesh"], place=place)
 
 
 def _bind_place(
@@ -98,12 +113,12 @@ def _bind_place(
 
     Quantised skinned meshes hide what undoes it in their inverse bind matrices.
     """
-    for primitive in file.entries(file.item("meshes", node["mesh"]), "primitives"):
-        at = child(primitive, "attributes").get("POSITION")
-        if file.item("accessors", at).get("componentType") != FLOAT:
+    for primitive in file.item("meshes", node["mesh"])["primitives"]:
+        at = primitive["attributes"]["POSITION"]
+        if file.item("accessors", at)["componentType"] != FLOAT:
             skin = file.item("skins", node["skin"])
-            joints = file.entries(skin, "joints")
-            if not joints or joints[0] not in worlds or "inverseBindMatrices" not in skin:
+            joints = skin["joints"]
+            if joints[0] not in worlds or "inverseBindMatrices" not in skin:
                 break
             inverse = file.accessor(skin["inverseBindMatrices"], 16)[0].reshape(4, 4).T
             return worlds[joints[0]] @ inverse
@@ -114,10 +129,10 @@ def _target_names(
     file: GltfFile, mesh: dict[str, Any], primitive: dict[str, Any], count: int
 ) -> list[str]:
     for owner in (mesh, primitive):
-        names = child(owner, "extras").get("targetNames")
-        if isinstance(names, list) and len(names) == count:
+        names = owner.get("extras", {}).get("targetNames", [])
+        if count and len(names) == count:
             return [str(name) for name in names]
-    if file.extension(file.root, *VRM)[0]:  # its expressions name what they need
+    if not count or extension(file.root, *VRM)[0]:  # its expressions name what they need
         return [f"{mesh.get('name', '')}#{k}" for k in range(count)]
     raise CaptureError(
         f"{file.path}: mesh {mesh.get('name', '')!r} has {count} morph targets and no such list of "
@@ -147,65 +162,43 @@ PLAIN = _Material(
 """What a primitive without a material has."""
 
 
-def _numbers(file: GltfFile, owner: dict[str, Any], name: str, default: list[float]) -> list[float]:
-    value = owner.get(name, default)
-    if not isinstance(value, list) or len(value) != len(default) or not all(map(_is_real, value)):
-        raise CaptureError(f"{file.path}: field {name!r} is {value!r}; numbers are needed")
-    return value
-
-
-def _is_real(value: Any) -> bool:
-    return isinstance(value, (int, float)) and abs(value) < 1e6
-
-
 def _material(file: GltfFile, index: int) -> _Material:
     entry = file.item("materials", index)
-    pbr = child(entry, "pbrMetallicRoughness")
-    _, old = file.extension(entry, "KHR_materials_pbrSpecularGlossiness")
-    texture = child(pbr, "baseColorTexture") or child(old, "diffuseTexture")
-    _, move = file.extension(texture, "KHR_texture_transform")
-    turn = move.get("rotation", 0.0)
-    if not _is_real(turn):
-        raise CaptureError(f"{file.path}: field 'rotation' is {turn!r}; a number is needed")
-    scale = np.diag(_numbers(file, move, "scale", [1.0, 1.0]))
+    pbr = entry.get("pbrMetallicRoughness", {})
+    _, old = extension(entry, "KHR_materials_pbrSpecularGlossiness")
+    texture = pbr.get("baseColorTexture") or old.get("diffuseTexture") or {}
+    _, move = extension(texture, "KHR_texture_transform")
+    scale = np.diag(np.array(move.get("scale", [1.0, 1.0]), np.float64).reshape(2))
+    turn = float(move.get("rotation", 0.0))
     sine, cosine = np.sin(turn), np.cos(turn)
     linear = scale @ np.array([[cosine, -sine], [sine, cosine]])
-    offset = _numbers(file, move, "offset", [0.0, 0.0])
-    _, glass = file.extension(entry, "KHR_materials_transmission")
-    passed = glass.get("transmissionFactor", 0.0)
-    alpha = _numbers(file, pbr, "baseColorFactor", [1.0] * 4)[3]
-    mode, cutoff = entry.get("alphaMode"), entry.get("alphaCutoff", CLEAR)
+    offset = np.array(move.get("offset", [0.0, 0.0]), np.float64).reshape(1, 2)
+    _, glass = extension(entry, "KHR_materials_transmission")
+    passed = float(glass.get("transmissionFactor", 0.0))
+    mode, cutoff = entry.get("alphaMode"), float(entry.get("alphaCutoff", CLEAR))
+    hides_partly = mode in ("MASK", "BLEND") or passed
     return _Material(
         name=str(entry.get("name", f"material {index}")),
         uv=f"TEXCOORD_{move.get('texCoord', texture.get('texCoord', 0))}",
-        transform=np.concatenate([linear, [offset]]),
+        transform=np.concatenate([linear, offset]),
         image=_image(file, texture["index"]) if "index" in texture else None,
-        alpha=alpha * (1 - passed if _is_real(passed) else 1),
-        cutoff=(cutoff if mode == "MASK" and _is_real(cutoff) else CLEAR)
-        if mode in ("MASK", "BLEND") or passed
-        else None,
+        alpha=float(pbr.get("baseColorFactor", [1.0] * 4)[3]) * (1 - passed),
+        cutoff=(cutoff if mode == "MASK" else CLEAR) if hides_partly else None,
     )
 
 
 def _image(file: GltfFile, index: Any) -> RigImage | None:
     texture = file.item("textures", index)
-    _, other = file.extension(texture, "KHR_texture_basisu", "EXT_texture_webp")
+    _, other = extension(texture, "KHR_texture_basisu", "EXT_texture_webp")
     sampler = file.item("samplers", texture["sampler"]) if "sampler" in texture else {}
-    wrap = [WRAP.get(k) for k in (sampler.get("wrapS", 10497), sampler.get("wrapT", 10497))]
-    if wrap[0] is None or wrap[1] is None:
-        raise CaptureError(f"{file.path}: a sampler's wrap is none of {', '.join(map(str, WRAP))}")
+    wrap = WRAP[sampler.get("wrapS", 10497)], WRAP[sampler.get("wrapT", 10497)]
     image = file.item("images", other.get("source", texture.get("source")))
     if "uri" in image:
-        data = file.resource(image["uri"])
-    elif "bufferView" in image:
-        data = bytes(file.view(file.number(image, "bufferView"))[0])
-    else:
-        return None
-    return RigImage(data=data, wrap=(wrap[0], wrap[1]))
+        return RigImage(data=file.resource(image["uri"]), wrap=wrap)
+    return RigImage(data=bytes(file.view(count_of(image, "bufferView"))[0]), wrap=wrap)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class _Target:
+class _Target(NamedTuple):
     """A morph target of one primitive; VRM names it by mesh or node, and number."""
 
     span: slice
@@ -220,7 +213,7 @@ class _Builder:
 
     def __init__(self, file: GltfFile) -> None:
         self.file = file
-        count = len(file.entries(file.root, "materials"))
+        count = len(file.root.get("materials", []))
         self.materials = [*(_material(file, k) for k in range(count)), PLAIN]
         self.positions: list[Float64Array] = []
         self.uv: list[Float64Array | None] = []
@@ -235,22 +228,15 @@ class _Builder:
         file = self.file
         if primitive.get("mode", TRIANGLES) != TRIANGLES:
             return
-        attributes = child(primitive, "attributes")
-        if "POSITION" not in attributes:
-            raise CaptureError(f"{file.path}: a primitive has no attribute POSITION")
-        number = primitive.get("material")
-        if number is None:
-            number = len(self.materials) - 1
-        else:
-            file.item("materials", number)
+        attributes = primitive["attributes"]
+        number = primitive.get("material", len(self.materials) - 1)
+        if not 0 <= number < len(self.materials):
+            raise CaptureError(f"{file.path}: materials {number} does not exist")
         look = self.materials[number]
-        targets = file.entries(primitive, "targets")
-        names = _target_names(file, mesh, primitive, len(targets)) if targets else []
-        at = [t.get("POSITION") if isinstance(t, dict) else None for t in targets]
+        targets = primitive.get("targets", [])
+        names = _target_names(file, mesh, primitive, len(targets))
+        at = [target.get("POSITION") for target in targets]
         coordinates = attributes.get(look.uv)
-        for index in (attributes["POSITION"], coordinates, *at):
-            if index is not None and not isinstance(index, int):
-                raise CaptureError(f"{file.path}: accessors {index!r} does not exist")
         packed = _unpack(file, primitive)
         move = placed.place.tobytes(), look.transform.tobytes()
         key = (attributes["POSITION"], coordinates, *at, *move, id(packed))
@@ -286,7 +272,15 @@ class _Builder:
         file, linear = self.file, placed.place[:3, :3].T
 
         def read(attribute: str, index: int, width: int) -> Array:
-            return file.accessor(index, width, unpacked=_packed_values(file, packed, attribute))
+            unpacked = None
+            if packed is not None and attribute in packed.ids:
+                unpacked = packed.get_attribute_by_unique_id(packed.ids[attribute])["data"]
+            return file.accessor(index, width, unpacked=unpacked)
+
+        def same_count(what: str, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+            if len(values) != len(points):
+                raise CaptureError(f"{file.path}: {len(points)} vertices, {len(values)} {what}")
+            return values
 
         points = read("POSITION", attributes["POSITION"], 3).astype(np.float64)
         span = slice(self.count, self.count + len(points))
@@ -294,33 +288,21 @@ class _Builder:
         self.positions.append(points @ linear + placed.place[:3, 3])
         uv: Float64Array | None = None
         if coordinates is not None:
-            uv = read(look.uv, coordinates, 2).astype(np.float64)
-            if len(uv) != len(points):
-                raise CaptureError(
-                    f"{file.path}: {len(points)} positions and {len(uv)} texture coordinates"
-                )
+            uv = same_count("texture coordinates", read(look.uv, coordinates, 2).astype(np.float64))
             uv = uv @ look.transform[:2] + look.transform[2]
         self.uv.append(uv)
         self.count = span.stop
         for number, (name, index) in enumerate(targets.items()):
-            if index is None:
-                continue
-            delta = file.accessor(index, 3).astype(np.float32)
-            if len(delta) != len(points):
-                raise CaptureError(
-                    f"{file.path}: morph target {name!r} has {len(delta)} vertices, its mesh "
-                    f"{len(points)}"
-                )
-            moved = (delta @ linear).astype(np.float32)
-            self.targets.append(
-                _Target(span=span, name=name, delta=moved, placed=placed, number=number)
-            )
+            if index is not None:
+                delta = same_count(f"in morph target {name!r}", file.accessor(index, 3))
+                moved = (delta.astype(np.float32) @ linear).astype(np.float32)
+                self.targets.append(_Target(span, name, moved, placed, number))
         return span
 
 
 def _unpack(file: GltfFile, primitive: dict[str, Any]) -> Any:
     """The mesh that Draco packed, or None."""
-    _, entry = file.extension(primitive, DRACO)
+    _, entry = extension(primitive, DRACO)
     if not entry:
         return None
     try:
@@ -328,57 +310,35 @@ def _unpack(file: GltfFile, primitive: dict[str, Any]) -> Any:
     except ImportError:
         raise missing_wheel(str(file.path), DRACO) from None
     try:
-        mesh = DracoPy.decode(bytes(file.view(file.number(entry, "bufferView"))[0]))
-        mesh.ids = entry["attributes"]
-        return mesh if len(mesh.faces) else None
-    except (DracoPy.FileTypeException, ValueError, AttributeError, KeyError, TypeError) as error:
+        mesh = DracoPy.decode(bytes(file.view(count_of(entry, "bufferView"))[0]))
+    except DracoPy.FileTypeException as error:
         raise CaptureError(f"{file.path}: a mesh cannot be unpacked by Draco ({error})") from error
-
-
-def _packed_values(file: GltfFile, packed: Any, attribute: str) -> Array | None:
-    if packed is None or not isinstance(packed.ids, dict) or attribute not in packed.ids:
-        return None
-    found = packed.get_attribute_by_unique_id(packed.ids[attribute])
-    if found is None:
-        raise CaptureError(f"{file.path}: Draco's data has no attribute {attribute}")
-    values: Array = found["data"]
-    return values
+    mesh.ids = entry["attributes"]
+    return mesh if len(mesh.faces) else None
 
 
 def _expressions(file: GltfFile, targets: list[_Target]) -> dict[str, list[tuple[_Target, float]]]:
     """The expressions of VRM: what each adds up of morph targets; 0.x counts in hundredths."""
-    version, vrm = file.extension(file.root, *VRM)
+    version, vrm = extension(file.root, *VRM)
     found: list[tuple[Any, Any, str, float]] = []
     if version == "VRM":
-        groups = file.entries(child(vrm, "blendShapeMaster"), "blendShapeGroups")
-        for group in filter(_is_object, groups):
+        for group in vrm.get("blendShapeMaster", {}).get("blendShapeGroups", []):
             preset = group.get("presetName")
             name = preset if preset not in ("", "unknown", None) else group.get("name")
-            found.append((name, group.get("binds"), "mesh", 0.01))
+            found.append((name, group.get("binds", []), "mesh", 0.01))
     elif version:
         for part in ("preset", "custom"):
-            some = child(child(vrm, "expressions"), part)
-            for name in some:
-                found.append((name, child(some, name).get("morphTargetBinds"), "node", 1.0))
+            for name, some in vrm.get("expressions", {}).get(part, {}).items():
+                found.append((name, some.get("morphTargetBinds", []), "node", 1.0))
     result: dict[str, list[tuple[_Target, float]]] = {}
     for name, binds, owner, scale in found:
-        for bind in filter(_is_object, binds if isinstance(binds, list) else ()):
-            weight = bind.get("weight", 1 / scale)
+        for bind in binds:
+            weight = float(bind.get("weight", 1 / scale))
             place = bind.get(owner), bind.get("index")
             for target in targets:
-                if _is_real(weight) and place == (getattr(target.placed, owner), target.number):
+                if place == (getattr(target.placed, owner), target.number):
                     result.setdefault(str(name), []).append((target, weight * scale))
     return result
-
-
-def _is_object(value: Any) -> bool:
-    return isinstance(value, dict)
-
-
-def read_glb(path: Path) -> RigSource:
-    """Read a rig from a .glb, .vrm or .gltf file."""
-    with np.errstate(all="ignore"):  # what is not finite is found by `check_source`
-        return check_source(_read(GltfFile(path)))
 
 
 def _read(file: GltfFile) -> RigSource:
@@ -386,9 +346,7 @@ def _read(file: GltfFile) -> RigSource:
     builder = _Builder(file)
     for placed in _placed_meshes(file):
         mesh = file.item("meshes", placed.mesh)
-        for primitive in file.entries(mesh, "primitives"):
-            if not isinstance(primitive, dict):
-                raise CaptureError(f"{path}: meshes {placed.mesh}: a primitive is no object")
+        for primitive in mesh["primitives"]:
             builder.add(placed, mesh, primitive)
     if not builder.faces:
         raise CaptureError(f"{path}: no triangles")
@@ -425,7 +383,7 @@ def _read(file: GltfFile) -> RigSource:
         face_material=material,
         shapes=shapes,
         split_at_seams=True,
-        copyright=str(child(file.root, "asset").get("copyright", ""))[:500],
+        copyright=str(file.root.get("asset", {}).get("copyright", ""))[:500],
         images={k: m.image for k, m in enumerate(builder.materials) if m.image is not None},
         see_through=_see_through(file, builder.materials, faces, material, uv),
     )

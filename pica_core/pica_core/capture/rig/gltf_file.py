@@ -1,8 +1,10 @@
 """A glTF 2.0 file as bytes and numbers: .glb, .vrm, or .gltf with files beside it.
 
-Read here without a library: a rig may come from a stranger, so each offset, count and index is
-checked before it is used, which no reader that we found does (trimesh drops morph targets,
-pygltflib gives the JSON document and little more).
+Read here without a library, since none that we found reads morph targets and checks what it reads
+(trimesh drops them, pygltflib gives the JSON document and little more). A rig may come from a
+stranger: sizes are limited before anything is allocated, and numpy checks that arrays lie in their
+buffers. An entry that is missing or of another kind is the `KeyError`, `TypeError` ... of its use,
+which `gltf.read_glb` turns into a `CaptureError`.
 
     buffers -> views (plain, or EXT/KHR_meshopt_compression) -> accessors (sparse, normalised)
 """
@@ -41,30 +43,37 @@ def missing_wheel(where: str, extension: str) -> CaptureError:
     return CaptureError(f"{where}: {extension} needs pip install 'pica-telepresence[rigs]'")
 
 
-def child(owner: Any, name: str) -> dict[str, Any]:
-    """An object inside another; empty where either is missing or is none."""
-    value = owner.get(name) if isinstance(owner, dict) else None
-    return value if isinstance(value, dict) else {}
+def extension(owner: dict[str, Any], *names: str) -> tuple[str, dict[str, Any]]:
+    """Name and content of the first of these extensions that an entry has, or two blanks."""
+    found = owner.get("extensions", {})
+    name = next((name for name in names if name in found), "")
+    return name, found[name] if name else {}
+
+
+def count_of(owner: dict[str, Any], name: str, default: int | None = None) -> int:
+    """A count, offset or index that is not negative."""
+    value = owner.get(name, default)
+    if not isinstance(value, int) or value < 0:
+        raise ValueError(f"field {name!r} is {value!r}; 0 or more is needed")
+    return value
 
 
 class GltfFile:
-    """One file and what lies beside it, with every access checked."""
+    """One file and what lies beside it."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         data = read_bytes(path)
         self._binary: bytes | None = None
-        text = self._glb_chunks(data) if data[:4] == b"glTF" or path.suffix != ".gltf" else data
+        text = data if path.suffix.lower() == ".gltf" and data[:4] != b"glTF" else self._glb(data)
         try:
-            self.root = json.loads(text.decode("utf-8"))
+            self.root = json.loads(text.decode("utf-8-sig").rstrip("\0 "))
         except (ValueError, RecursionError) as error:
             raise CaptureError(f"{path}: the JSON document cannot be read ({error})") from error
-        if not isinstance(self.root, dict):
-            raise CaptureError(f"{path}: the JSON document is no object")
-        for extension in self.entries(self.root, "extensionsRequired"):
-            if extension not in UNDERSTOOD and not str(extension).startswith(HARMLESS):
+        for name in self.root.get("extensionsRequired", []):
+            if name not in UNDERSTOOD and not name.startswith(HARMLESS):
                 raise CaptureError(
-                    f"{path}: needs the extension {extension!r}, which is not read here; "
+                    f"{path}: needs the extension {name!r}, which is not read here; "
                     "export without it"
                 )
         self.buffer = cache(self._buffer)
@@ -72,66 +81,36 @@ class GltfFile:
         self._beside_bytes = 0
         self.view = lru_cache(maxsize=8)(self._view)
 
-    def _glb_chunks(self, data: bytes) -> bytes:
-        if len(data) < 20:
-            raise CaptureError(f"{self.path}: {len(data)} bytes; a .glb file has at least 20")
+    def _glb(self, data: bytes) -> bytes:
+        """The JSON document of a binary file, whose buffer is kept."""
         magic, version, length = struct.unpack_from("<III", data)
         if magic != MAGIC or version != 2:
             raise CaptureError(f"{self.path}: not a binary glTF 2.0 file")
-        if length != len(data):
+        if length > len(data):
             raise CaptureError(f"{self.path}: {len(data)} bytes; its header says {length}")
         chunks: dict[int, bytes] = {}
         at = 12
-        while at + 8 <= len(data):
+        while at + 8 <= length:
             size, kind = struct.unpack_from("<II", data, at)
-            if size > len(data) - at - 8:
+            if size > length - at - 8:
                 raise CaptureError(f"{self.path}: a chunk of {size} bytes does not fit into it")
             chunks.setdefault(kind, data[at + 8 : at + 8 + size])
             at += 8 + size
         self._binary = chunks.get(BINARY_CHUNK, b"")
-        return chunks.get(JSON_CHUNK, b"")
+        return chunks[JSON_CHUNK]
 
     def item(self, kind: str, index: Any) -> dict[str, Any]:
         """One entry of a top-level list such as ``accessors``."""
         entries = self.root.get(kind, [])
-        if not (isinstance(index, int) and isinstance(entries, list) and 0 <= index < len(entries)):
+        if not isinstance(index, int) or not 0 <= index < len(entries):
             raise CaptureError(f"{self.path}: {kind} {index!r} does not exist")
-        entry = entries[index]
-        if not isinstance(entry, dict):
-            raise CaptureError(f"{self.path}: {kind} {index} is no object")
+        entry: dict[str, Any] = entries[index]
         return entry
 
-    def entries(self, owner: dict[str, Any], name: str) -> list[Any]:
-        """A list inside an entry; empty where it is missing."""
-        value = owner.get(name, [])
-        if not isinstance(value, list):
-            raise CaptureError(f"{self.path}: field {name!r} is {value!r}; a list is needed")
-        return value
-
-    def number(self, owner: dict[str, Any], name: str, default: int | None = None) -> int:
-        """A count, offset or index that is not negative."""
-        value = owner.get(name, default)
-        if not isinstance(value, int) or isinstance(value, bool) or value < 0:
-            raise CaptureError(f"{self.path}: field {name!r} is {value!r}; 0 or more is needed")
-        return value
-
-    def extension(self, owner: dict[str, Any], *names: str) -> tuple[str, dict[str, Any]]:
-        """Name and content of the first of these extensions that an entry has, or two blanks."""
-        found = child(owner, "extensions")
-        for name in names:
-            if isinstance(found.get(name), dict):
-                return name, found[name]
-        return "", {}
-
-    def resource(self, uri: Any) -> bytes:
+    def resource(self, uri: str) -> bytes:
         """What a URI names: data in the document, or a file in the folder of this one."""
-        if not isinstance(uri, str):
-            raise CaptureError(f"{self.path}: uri is {uri!r}; text is needed")
         if uri.startswith("data:"):
-            try:
-                return base64.b64decode(uri.partition(";base64,")[2], validate=True)
-            except ValueError as error:
-                raise CaptureError(f"{self.path}: a data URI is not base64 ({error})") from error
+            return base64.b64decode(uri.partition(";base64,")[2], validate=True)
         name, folder = unquote(uri), self.path.parent.resolve()
         if "://" in name or "\0" in name or "\\" in name:
             raise CaptureError(f"{self.path}: {uri[:200]!r} is no file beside it")
@@ -154,117 +133,75 @@ class GltfFile:
             raise CaptureError(f"{self.path}: buffers {index} has no data")
         return self._binary
 
-    def _span(self, owner: dict[str, Any], what: str) -> memoryview:
+    def _span(self, owner: dict[str, Any]) -> memoryview:
         """The bytes of its buffer that a view, or its compressed form, names."""
-        data = self.buffer(self.number(owner, "buffer"))
-        start, length = self.number(owner, "byteOffset", 0), self.number(owner, "byteLength")
-        if start + length > len(data):
-            raise CaptureError(f"{self.path}: {what} ends at byte {start + length} of {len(data)}")
-        return memoryview(data)[start : start + length]
+        data = self.buffer(owner["buffer"])
+        start = count_of(owner, "byteOffset", 0)
+        end = start + count_of(owner, "byteLength")
+        if end > len(data):
+            raise CaptureError(f"{self.path}: a buffer view ends at byte {end} of {len(data)}")
+        return memoryview(data)[start:end]
 
     def _view(self, index: int) -> tuple[memoryview, int]:
         """Content and stride of a buffer view; stride 0: one element after the other."""
-        view, what = self.item("bufferViews", index), f"bufferViews {index}"
-        name, packed = self.extension(view, *MESHOPT)
+        view = self.item("bufferViews", index)
+        name, packed = extension(view, *MESHOPT)
         if not packed:
-            return self._span(view, what), self.number(view, "byteStride", 0)
-        data = self._span(packed, what)
-        count, stride = self.number(packed, "count"), self.number(packed, "byteStride")
+            return self._span(view), count_of(view, "byteStride", 0)
+        data = self._span(packed)
+        count, stride = count_of(packed, "count"), count_of(packed, "byteStride")
         if count * stride > MAX_UNPACKED_BYTES:
             raise CaptureError(
-                f"{self.path}: {what} unpacks to {count * stride} bytes; at most "
+                f"{self.path}: bufferViews {index} unpacks to {count * stride} bytes; at most "
                 f"{MAX_UNPACKED_BYTES} are allowed"
             )
         try:
             from meshopt import decode_gltf_buffer
         except ImportError:
             raise missing_wheel(str(self.path), name) from None
-        mode, how = packed.get("mode"), packed.get("filter", "NONE")
-        try:
-            rows = decode_gltf_buffer(data, count, stride, mode, how)
-        except (ValueError, TypeError, RuntimeError) as error:
-            raise CaptureError(f"{self.path}: {what} cannot be unpacked ({error})") from error
+        mode = packed.get("mode")
+        rows = decode_gltf_buffer(data, count, stride, mode, packed.get("filter", "NONE"))
         return memoryview(rows.tobytes()), stride if mode == "ATTRIBUTES" else 0
 
-    def elements(self, index: Any, offset: int, dtype: str, count: int, width: int) -> Array:
+    def elements(self, index: int, offset: int, dtype: str, count: int, width: int) -> Array:
         """Numbers of a buffer view as they are stored. ``[count, width]``."""
-        if not isinstance(index, int):
-            raise CaptureError(f"{self.path}: bufferViews {index!r} does not exist")
         data, stride = self.view(index)
         item = np.dtype(dtype).itemsize
-        size = item * width
-        stride = stride or size
-        if count < 1 or stride < size or offset + stride * (count - 1) + size > len(data):
-            raise CaptureError(
-                f"{self.path}: {count} elements of {size} bytes do not fit into bufferViews {index}"
-            )
-        return np.ndarray((count, width), dtype, data, offset, (stride, item))
+        return np.ndarray((count, width), dtype, data, offset, (stride or item * width, item))
 
     def accessor(
-        self,
-        index: Any,
-        width: int,
-        limit: int = MAX_ELEMENTS,
-        unpacked: Array | None = None,
+        self, index: Any, width: int, limit: int = MAX_ELEMENTS, unpacked: Array | None = None
     ) -> Array:
         """An accessor's numbers, ``[count, width]``; integers that are normalised become floats.
 
         `unpacked` are the numbers where they do not lie in a buffer view (Draco).
         """
         entry = self.item("accessors", index)
-        dtype = _component(entry)
-        count = self.number(entry, "count")
-        kind = entry.get("type")
-        if dtype is None or not isinstance(kind, str) or WIDTH.get(kind) != width:
+        dtype, count = COMPONENT[entry["componentType"]], count_of(entry, "count")
+        if WIDTH.get(entry["type"]) != width:
             raise CaptureError(
-                f"{self.path}: accessors {index} is {entry.get('type')!r} of "
-                f"{entry.get('componentType')!r}; {width} numbers per element are needed"
+                f"{self.path}: accessors {index} is {entry['type']!r}; {width} numbers per element "
+                "are needed"
             )
         if not 0 < count <= limit:
             raise CaptureError(
                 f"{self.path}: accessors {index} has {count} elements; 1 to {limit} are allowed"
             )
         if unpacked is not None:
-            if unpacked.shape != (count, width):
-                raise CaptureError(
-                    f"{self.path}: accessors {index} has {count} elements of {width} numbers; "
-                    f"{unpacked.shape} were unpacked"
-                )
-            values = unpacked
+            values = unpacked.reshape(count, width)
         elif "bufferView" in entry:
-            offset = self.number(entry, "byteOffset", 0)
+            offset = count_of(entry, "byteOffset", 0)
             values = self.elements(entry["bufferView"], offset, dtype, count, width).copy()
         else:
             values = np.zeros((count, width), dtype)
-        sparse = entry.get("sparse")
-        if isinstance(sparse, dict):
-            self._fill_sparse(sparse, values, dtype, index)
+        if "sparse" in entry:
+            sparse = entry["sparse"]
+            few, places, numbers = count_of(sparse, "count"), sparse["indices"], sparse["values"]
+            kind, offset = COMPONENT[places["componentType"]], count_of(places, "byteOffset", 0)
+            at = self.elements(places["bufferView"], offset, kind, few, 1)[:, 0]
+            offset = count_of(numbers, "byteOffset", 0)
+            values[at] = self.elements(numbers["bufferView"], offset, dtype, few, width)
         if entry.get("normalized") is True and values.dtype.kind in "iu":
             scale = np.float32(np.iinfo(values.dtype).max)
             return np.maximum(values.astype(np.float32) / scale, -1.0)
         return values
-
-    def _fill_sparse(self, sparse: dict[str, Any], values: Array, dtype: str, index: Any) -> None:
-        few = self.number(sparse, "count")
-        if few == 0:
-            return
-        places, numbers = child(sparse, "indices"), child(sparse, "values")
-        if not places or not numbers or few > len(values):
-            raise CaptureError(f"{self.path}: accessors {index}: field 'sparse' cannot be read")
-        place_type = _component(places)
-        if place_type not in ("<u1", "<u2", "<u4"):
-            raise CaptureError(f"{self.path}: accessors {index}: sparse indices are no integers")
-        offset = self.number(places, "byteOffset", 0)
-        at = self.elements(places.get("bufferView"), offset, place_type, few, 1)[:, 0].astype("i8")
-        if at.max() >= len(values):
-            raise CaptureError(
-                f"{self.path}: accessors {index}: sparse index {at.max()} of {len(values)}"
-            )
-        offset, width = self.number(numbers, "byteOffset", 0), values.shape[1]
-        values[at] = self.elements(numbers.get("bufferView"), offset, dtype, few, width)
-
-
-def _component(entry: dict[str, Any]) -> str | None:
-    """The numpy type of an accessor's numbers, or None."""
-    kind = entry.get("componentType")
-    return COMPONENT.get(kind) if isinstance(kind, int) else None

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 
 from pica_core.capture.dataset.files import IMAGE_FORMATS
 from pica_core.capture.dataset.obj import read_obj
@@ -131,7 +131,7 @@ def open_image(where: str, data: bytes) -> ByteArray:
                     f"{where}: pixels are {image.mode}; an 8-bit colour image is needed"
                 )
             return np.asarray(image.convert("RGBA"))
-    except (UnidentifiedImageError, OSError, SyntaxError, ValueError) as error:
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise CaptureError(f"{where}: not a complete image ({error})") from error
 
 

@@ -126,8 +126,8 @@ def test_expressions_of_vrm_drive_what_they_come_near_to(tmp_path: Path, version
         ("/etc/hostname", "leaves the folder"),
         ("https://example.org/a.bin", "no file beside it"),
         ("nothing.bin", "the file is missing"),
-        ("data:application/octet-stream;base64,!!", "not base64"),
-        (7, "text is needed"),
+        ("data:application/octet-stream;base64,!!", "malformed"),
+        (7, "malformed"),
     ],
 )
 def test_a_file_beside_a_gltf_stays_beside_it(tmp_path: Path, uri: object, words: str) -> None:
