@@ -1,4 +1,4 @@
-"""Make the avatars that ship: capture each person of the face model, train, export, measure, draw.
+"""Make the avatars that ship: capture each person of the face model, train, export, draw.
 
     python scripts/make_avatars.py --work work                # all six
     python scripts/make_avatars.py --work work --names nora   # one of them

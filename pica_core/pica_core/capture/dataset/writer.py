@@ -96,7 +96,7 @@ def write_topology(path: Path, topology: Topology, **more: Array) -> None:
     write_archive(path, **arrays)
 
 
-def write_archive(path: Path, **arrays: Array) -> None:
+def write_archive(path: Path, **arrays: Any) -> None:
     """Write arrays by name; zip time stamps are fixed, so the same arrays give the same bytes."""
     data = io.BytesIO()
     np.savez(data, **arrays)
