@@ -7,7 +7,6 @@ spread over the capture: there the projected mesh has to lie on the mask and dep
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -144,31 +143,6 @@ SAME_EXPRESSION = 1e-4
 """Expressions that differ by less in every value are the same."""
 
 
-@dataclass(slots=True)
-class _Findings:
-    root: Path
-    problems: dict[tuple[str, str], None] = field(default_factory=dict)
-    """Place and description of each problem, reported once."""
-
-    def add(self, where: Path | str, what: str) -> None:
-        self.problems[str(where).removeprefix(f"{self.root}{os.sep}"), what] = None
-
-    def attempt(self, work: Callable[..., Result], *arguments: Any) -> Result | None:
-        """What `work` returns; None where it fails, which is a problem then."""
-        try:
-            return work(*arguments)
-        except CaptureError as error:
-            self.add_error(str(error))
-        except OSError as error:
-            self.add(error.filename or self.root, error.strerror or str(error))
-        return None
-
-    def add_error(self, message: str) -> None:
-        """A message that starts with the file."""
-        where, _, what = message.partition(": ")
-        self.add(where, what or message)
-
-
 def check_capture(directory: Path, pixel_frames: int = PIXEL_FRAMES) -> dict[str, Any]:
     """Check a capture directory; of `pixel_frames` frames pixels are decoded, of all if 0.
 
@@ -182,178 +156,160 @@ def check_capture(directory: Path, pixel_frames: int = PIXEL_FRAMES) -> dict[str
     """
     if not directory.is_dir():
         raise CaptureError(f"{directory}: no such directory")
-    findings = _Findings(directory)
-    _check_leftovers(findings)
+    check = _Check(directory)
     result: dict[str, Any] = {"frames": 0, "cameras": 0, "images": 0, "decoded": 0}
     result["split"] = dict.fromkeys(files.SPLITS, 0)
-    try:
-        capture = Capture.open(directory)
-    except CaptureError as error:
-        findings.add_error(str(error))
-    else:
+    if (capture := check.attempt(Capture.open, directory)) is not None:
         for problem in capture.left_out:
-            findings.add_error(problem)
-        _check_cameras(findings, capture)
-        _check_tables(findings, capture)
-        _check_split(findings, capture)
+            check.add_error(problem)
+        check.cameras(capture)
+        check.split(capture)
         result["cameras"] = len(capture.cameras)
         result["frames"] = len(capture.frames)
         result["split"] = {split: len(capture.frames_of(split)) for split in files.SPLITS}
         for frame in capture.frames:
-            result["images"] += _check_frame(findings, capture, frame)
+            result["images"] += check.frame(capture, frame)
         for frame in files.spread_evenly(capture.frames, pixel_frames or len(capture.frames)):
-            result["decoded"] += _check_pixels(findings, capture, frame)
-    problems = [{"where": where, "what": what} for where, what in findings.problems]
+            result["decoded"] += check.pixels(capture, frame)
+    problems = [{"where": where, "what": what} for where, what in check.problems]
     return {"ok": not problems, "problems": problems, **result}
 
 
-def _check_leftovers(findings: _Findings) -> None:
-    root = findings.root
-    if (root / multiface.MARKER).exists():
-        findings.add(root / multiface.MARKER, "the render is not finished; run it again to go on")
-    for path in root.rglob("*.part"):
-        findings.add(path, "a half-written file; an interrupted render leaves one")
+class _Check:
+    """Gathers the problems of one directory.
 
+    Attributes:
+        problems: Place and description of each problem, reported once.
+    """
 
-def _check_cameras(findings: _Findings, capture: Capture) -> None:
-    krt = capture.path / multiface.KRT
-    for camera in capture.cameras:
-        k, r = camera.intrinsics, camera.rotation
-        off = float(np.abs(r @ r.T - np.eye(3)).max())
-        if off > 1e-3 or np.linalg.det(r) < 0:
-            findings.add(krt, f"camera {camera.name}: not a rotation (off by {off:.2g})")
-        if k[0, 0] <= 0 or k[1, 1] <= 0 or abs(k[2, 2] - 1) > 1e-6:
-            findings.add(krt, f"camera {camera.name}: focal lengths {k[0, 0]:g}, {k[1, 1]:g}")
-        elif not (0 < k[0, 2] < camera.width and 0 < k[1, 2] < camera.height):
-            at, size = f"{k[0, 2]:g}, {k[1, 2]:g}", f"{camera.width}x{camera.height}"
-            findings.add(krt, f"camera {camera.name}: principal point {at} outside of {size}")
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.problems: dict[tuple[str, str], None] = {}
+        if (root / multiface.MARKER).exists():
+            self.add(multiface.MARKER, "the render is not finished; run it again to go on")
+        for path in root.rglob("*.part"):
+            self.add(path, "a half-written file; an interrupted render leaves one")
 
+    def add(self, where: Path | str, what: str | None) -> None:
+        """Note a problem, if there is one."""
+        if what:
+            self.problems[str(where).removeprefix(f"{self.root}{os.sep}"), what] = None
 
-def _check_tables(findings: _Findings, capture: Capture) -> None:
-    root, described = capture.path, capture.path / multiface.CAPTURE
-    listed = {(frame.segment, frame.name) for frame in capture.frames}
-    for folder in sorted((root / "tracked_mesh").glob("*")):
-        names = [path.stem for path in folder.glob("*.bin")]
-        extra = sum((folder.name, name) not in listed for name in names)
-        known = sum(problem.startswith(f"{folder}{os.sep}") for problem in capture.left_out)
-        if extra > known:
-            findings.add(folder, f"{extra - known} meshes of frames that are not listed")
-    if capture.is_published:
-        return
-    stated, num_vertices = capture.info.get("num_vertices"), len(capture.topology.vertex_uv)
-    if stated != num_vertices:
-        problem = f"num_vertices is {stated!r}, the topology has {num_vertices}"
-        findings.add(described, problem)
-    split = capture.info.get("split")
-    if not isinstance(split, dict):
-        findings.add(described, f"split is {split!r:.40}; a map is needed")
-        return
-    for name in files.SPLITS:
-        found = {frame.segment for frame in capture.frames_of(name)}
-        told = split.get(name, [])
-        if not isinstance(told, list) or not found <= {str(segment) for segment in told}:
-            problem = f"split {name!r} does not hold the segments of {multiface.EXPRESSIONS}"
-            findings.add(described, problem)
-    for frame in capture.frames:
-        values = capture.arkit(frame)
-        if values.min() < EXPRESSION_RANGE[0] or values.max() > EXPRESSION_RANGE[1]:
-            span = f"values from {values.min():g} to {values.max():g}"
-            findings.add(root / multiface.EXPRESSIONS, f"{frame.segment} {frame.name}: {span}")
+    def add_error(self, message: str) -> None:
+        """Note a message that starts with the file."""
+        where, _, what = message.partition(": ")
+        self.add(where, what or message)
 
+    def attempt(self, work: Callable[..., Result], *arguments: Any) -> Result | None:
+        """What `work` returns; None where it fails, which is a problem then."""
+        try:
+            return work(*arguments)
+        except CaptureError as error:
+            self.add_error(str(error))
+        except OSError as error:
+            self.add(error.filename or self.root, error.strerror or str(error))
+        return None
 
-def _check_split(findings: _Findings, capture: Capture) -> None:
-    """Segments, expressions or meshes that are in both splits."""
-    train, test = (capture.frames_of(split) for split in files.SPLITS)
-    for split, frames in (("train", train), ("test", test)):
-        if not frames:
-            findings.add(capture.path, f"no frame is for {split}ing")
-    shared = {frame.segment for frame in train} & {frame.segment for frame in test}
-    for segment in sorted(shared):
-        findings.add(segment, "the segment is in both splits")
+    def cameras(self, capture: Capture) -> None:
+        for camera in capture.cameras:
+            k, r, name = camera.intrinsics, camera.rotation, f"camera {camera.name}"
+            off = float(np.abs(r @ r.T - np.eye(3)).max())
+            if off > 1e-3 or np.linalg.det(r) < 0:
+                self.add(multiface.KRT, f"{name}: not a rotation (off by {off:.2g})")
+            if k[0, 0] <= 0 or k[1, 1] <= 0 or abs(k[2, 2] - 1) > 1e-6:
+                self.add(multiface.KRT, f"{name}: focal lengths {k[0, 0]:g}, {k[1, 1]:g}")
+            elif not (0 < k[0, 2] < camera.width and 0 < k[1, 2] < camera.height):
+                at, size = f"{k[0, 2]:g}, {k[1, 2]:g}", f"{camera.width}x{camera.height}"
+                self.add(multiface.KRT, f"{name}: principal point {at} outside of {size}")
 
-    def key(frame: CaptureFrame) -> bytes:
-        if capture.has_expressions:
-            rounded = np.rint(capture.arkit(frame) / SAME_EXPRESSION)
-            return bytes(rounded.astype(np.int64))
-        return (capture.path / multiface.mesh_path(frame.segment, frame.name)).read_bytes()
+    def split(self, capture: Capture) -> None:
+        """Segments, expressions or meshes that are in both splits."""
+        train, test = (capture.frames_of(split) for split in files.SPLITS)
+        for split, frames in (("train", train), ("test", test)):
+            if not frames:
+                self.add(capture.path, f"no frame is for {split}ing")
+        for segment in sorted({each.segment for each in train} & {each.segment for each in test}):
+            self.add(segment, "the segment is in both splits")
 
-    def compare() -> None:
-        known = {key(frame): frame for frame in train}
+        def key(frame: CaptureFrame) -> bytes:
+            if capture.has_expressions:
+                rounded = np.rint(capture.arkit(frame) / SAME_EXPRESSION)
+                return bytes(rounded.astype(np.int64))
+            return (capture.path / multiface.mesh_path(frame.segment, frame.name)).read_bytes()
+
+        known = {self.attempt(key, frame): frame for frame in train}
+        known.pop(None, None)  # what cannot be read is a problem already
         for frame in test:
-            twin = known.get(key(frame))
-            if twin is not None:
-                problem = f"the same expression is for training in {twin.segment} {twin.name}"
-                findings.add(f"{frame.segment} {frame.name}", problem)
+            if (twin := known.get(self.attempt(key, frame))) is not None:
+                what = f"the same expression is for training in {twin.segment} {twin.name}"
+                self.add(f"{frame.segment} {frame.name}", what)
 
-    findings.attempt(compare)
-
-
-def _check_frame(findings: _Findings, capture: Capture, frame: CaptureFrame) -> int:
-    """Everything about a frame but pixels; returns how many images there are."""
-    root = capture.path
-    meshes = {"tracked_mesh": capture.vertices_m}
-    if capture.has_truth:
-        meshes[multiface.TRUTH_MESH] = capture.true_vertices_m
-    for kind, vertices_of in meshes.items():
-        vertices = findings.attempt(vertices_of, frame)
-        if vertices is None:
-            continue
-        size = float(np.linalg.norm(np.ptp(vertices, axis=0)))
-        if not HEAD_SIZE_M[0] <= size <= HEAD_SIZE_M[1]:
-            path = multiface.mesh_path(frame.segment, frame.name, kind)
-            findings.add(root / path, f"the mesh is {size:.3g} m large; are its units mm?")
-    pose = findings.attempt(capture.head_to_world, frame)
-    if pose is not None and np.abs(pose[:, :3] @ pose[:, :3].T - np.eye(3)).max() > 1e-3:
-        path = multiface.transform_path(frame.segment, frame.name)
-        findings.add(root / path, "not a rotation")
-    side = capture.texture_size
-    texture = root / multiface.texture_path(side, frame.segment, frame.name)
-    findings.attempt(files.check_image_header, texture, "RGB", (side, side))
-    kinds = [("images", "RGB")]
-    kinds += [("mask", "L")] if capture.has_masks else []
-    kinds += [(multiface.TRUTH_DEPTH, "I;16")] if capture.has_truth else []
-    kinds += [("depth", "I;16")] if capture.has_depth_of(frame) else []
-    present = capture.cameras_of(frame)
-    if not present:
-        findings.add(f"{frame.segment} {frame.name}", "no camera has an image of the frame")
-    for camera in capture.cameras:
-        if capture.is_published and camera.name not in present:
-            continue  # published captures miss frames of single cameras
-        for kind, mode in kinds:
-            path = root / multiface.image_path(kind, frame.segment, camera.name, frame.name)
-            findings.attempt(files.check_image_header, path, mode, (camera.width, camera.height))
-    return len(present)
-
-
-def _check_pixels(findings: _Findings, capture: Capture, frame: CaptureFrame) -> int:
-    """Decode a frame's images and compare them with its mesh; returns how many were decoded."""
-    vertices = findings.attempt(capture.vertices_m, frame)
-    findings.attempt(capture.average_texture, frame)
-
-    def add(kind: str, name: str, problem: str | None) -> None:
-        if problem:
-            path = multiface.image_path(kind, frame.segment, name, frame.name)
-            findings.add(capture.path / path, problem)
-
-    def compare(name: str) -> None:
-        if np.ptp(capture.image(frame, name)) == 0:
-            add("images", name, "the image has one colour only")
-        mask = capture.mask(frame, name) if capture.has_masks else None
-        if vertices is None:
-            return
-        camera = capture.head_camera(frame, name)
-        faces = capture.tracked_topology.faces
-        kind = "mask" if capture.has_masks else "images"
-        add(kind, name, silhouette_problem(camera, vertices, faces, mask))
+    def frame(self, capture: Capture, frame: CaptureFrame) -> int:
+        """Everything about a frame but pixels; returns how many images there are."""
+        place = frame.segment, frame.name
+        if capture.has_expressions:
+            values = capture.arkit(frame)
+            if values.min() < EXPRESSION_RANGE[0] or values.max() > EXPRESSION_RANGE[1]:
+                span = f"values from {values.min():g} to {values.max():g}"
+                self.add(multiface.EXPRESSIONS, f"{frame.segment} {frame.name}: {span}")
+        meshes = {"tracked_mesh": capture.vertices_m}
         if capture.has_truth:
-            exact, depth = capture.true_vertices_m(frame), capture.true_depth_m(frame, name)
-            problem = depth_problem(camera, exact, capture.topology.faces, depth)
-            add(multiface.TRUTH_DEPTH, name, problem)
-        if capture.has_depth_of(frame):
-            problem = depth_problem(camera, vertices, faces, capture.depth_m(frame, name))
-            add("depth", name, problem)
+            meshes[multiface.TRUTH_MESH] = capture.true_vertices_m
+        for kind, vertices_of in meshes.items():
+            if (vertices := self.attempt(vertices_of, frame)) is not None:
+                size = float(np.linalg.norm(np.ptp(vertices, axis=0)))
+                if not HEAD_SIZE_M[0] <= size <= HEAD_SIZE_M[1]:
+                    what = f"the mesh is {size:.3g} m large; are its units mm?"
+                    self.add(multiface.mesh_path(*place, kind), what)
+        pose = self.attempt(capture.head_to_world, frame)
+        if pose is not None and np.abs(pose[:, :3] @ pose[:, :3].T - np.eye(3)).max() > 1e-3:
+            self.add(multiface.transform_path(*place), "not a rotation")
+        side = capture.texture_size
+        texture = capture.path / multiface.texture_path(side, *place)
+        self.attempt(files.check_image_header, texture, "RGB", (side, side))
+        kinds = [("images", "RGB")]
+        kinds += [("mask", "L")] if capture.has_masks else []
+        kinds += [(multiface.TRUTH_DEPTH, "I;16")] if capture.has_truth else []
+        kinds += [("depth", "I;16")] if capture.has_depth_of(frame) else []
+        present = capture.cameras_of(frame)
+        if not present:
+            self.add(f"{frame.segment} {frame.name}", "no camera has an image of the frame")
+        for camera in capture.cameras:
+            if capture.is_published and camera.name not in present:
+                continue  # published captures miss frames of single cameras
+            for kind, mode in kinds:
+                image = multiface.image_path(kind, frame.segment, camera.name, frame.name)
+                size_px = camera.width, camera.height
+                self.attempt(files.check_image_header, capture.path / image, mode, size_px)
+        return len(present)
 
-    present = capture.cameras_of(frame)
-    for name in present:
-        findings.attempt(compare, name)
-    return len(present)
+    def pixels(self, capture: Capture, frame: CaptureFrame) -> int:
+        """Decode a frame's images and compare them with its mesh; returns how many were decoded."""
+        vertices = self.attempt(capture.vertices_m, frame)
+        self.attempt(capture.average_texture, frame)
+
+        def add(kind: str, name: str, problem: str | None) -> None:
+            self.add(multiface.image_path(kind, frame.segment, name, frame.name), problem)
+
+        def compare(name: str) -> None:
+            if np.ptp(capture.image(frame, name)) == 0:
+                add("images", name, "the image has one colour only")
+            mask = capture.mask(frame, name) if capture.has_masks else None
+            if vertices is None:
+                return
+            camera = capture.head_camera(frame, name)
+            faces = capture.tracked_topology.faces
+            kind = "mask" if capture.has_masks else "images"
+            add(kind, name, silhouette_problem(camera, vertices, faces, mask))
+            if capture.has_truth:
+                exact, depth = capture.true_vertices_m(frame), capture.true_depth_m(frame, name)
+                problem = depth_problem(camera, exact, capture.topology.faces, depth)
+                add(multiface.TRUTH_DEPTH, name, problem)
+            if capture.has_depth_of(frame):
+                problem = depth_problem(camera, vertices, faces, capture.depth_m(frame, name))
+                add("depth", name, problem)
+
+        present = capture.cameras_of(frame)
+        for name in present:
+            self.attempt(compare, name)
+        return len(present)

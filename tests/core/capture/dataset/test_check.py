@@ -152,7 +152,6 @@ def deepen(path: Path) -> None:
         ("frame_list.txt", replace(" 000000", " 000099"), "has no row in"),
         ("expressions.csv", replace("jawOpen", "jawAjar"), "column 'jawOpen' is missing"),
         ("expressions.csv", lambda path: cut(path, 1500), "row cannot be read|has no row|split"),
-        ("capture.json", replace('\n "num_vertices"', '\n "number"'), "num_vertices is None"),
         ("capture.json", lambda path: cut(path, 99), "not JSON"),
         ("topology.npz", lambda path: cut(path, 5000), "archive"),
         ("tracked_topology.npz", lambda path: cut(path, 5000), "archive"),
