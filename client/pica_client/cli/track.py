@@ -6,38 +6,30 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
 from pica_client.errors import OptionError, SourceError, check_ranges
 from pica_client.output import check_writable, say
-from pica_client.sources.live.calibration import MAX_GAIN, Calibration, sound_offset
+from pica_client.sources.live.calibration import MAX_GAIN, MAX_SOUND_OFFSET_S
 from pica_client.sources.live.calibration import calibrate as calibration_of_samples
 from pica_client.sources.live.live_face import TrackerSample
-from pica_client.sources.live.take import TakeRecorder, TrackReport
+from pica_client.sources.live.take import Recorder
 from pica_client.sources.live.tracker import SampleTap, Tracker
 from pica_client.sources.registry import (
     LIVE_HELP,
     TRACKER_KINDS,
-    calibration_of,
     calibrations,
     open_live,
     split_source,
 )
-from pica_client.voice.packet import FRAME_S, SAMPLE_RATE_HZ
-from pica_client.voice.sound.devices import Microphone
-from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES
+from pica_core.avatar.arkit import ARKIT_NAMES
 from pica_core.types import FloatArray
 
 REDRAW_S = 0.1
 BAR_CELLS = 20
 SHOWN_SHAPES = 16
-SETTLE_S, PLOSIVE_S = 1.0, 1.2
-"""How long a microphone takes to begin, and somebody to say "pa" and wait."""
-OPENING = ("jawOpen", "mouthClose")
-"""A mouth is open by the first less the second."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -68,11 +60,9 @@ class CalibrateOptions:
     gain: float = 1.0
     """Stronger movements of all but lids and gaze, 1 to 2: shapes are multiplied by it and stay
     within 1. It makes what the tracker takes for a movement stronger, too."""
-    plosives: int = 0
-    """How many times to say "pa" after that, as 5: how much later than the microphone the tracker
-    is. It is taken off all that is sent, so that voice and lips fit. 0 leaves it as it was."""
-    microphone: str = ""
-    """The microphone that hears it; the system's by default."""
+    sound_offset: float = 0.0
+    """How much later the tracker sees your mouth than the microphone hears it, seconds: raise it
+    where the others see your lips move after your voice."""
     wait: float = 30.0
     """How long to wait for the first face, seconds."""
 
@@ -80,15 +70,9 @@ class CalibrateOptions:
 def track(options: TrackOptions) -> dict[str, Any]:
     """Show what a tracker sends: rate, gaps, shapes, head, and what would mend it."""
     check_writable(options.record)
-    report, recorder = TrackReport(options.source), TakeRecorder()
-
-    def tap(sample: TrackerSample, arrived_s: float, process_s: float) -> None:
-        report(sample, arrived_s, process_s)
-        if options.record is not None:
-            recorder(sample, arrived_s, process_s)
-
+    recorder = Recorder()
     console = Console(stderr=True)
-    with closing(_open(options.source, tap)) as source, ExitStack() as stack:
+    with closing(_open(options.source, recorder)) as source, ExitStack() as stack:
         say(f"listening for {options.source}; Ctrl-C ends")
         live = None
         if console.is_terminal:
@@ -98,12 +82,12 @@ def track(options: TrackOptions) -> dict[str, Any]:
             while time.monotonic() < end_s:
                 time.sleep(REDRAW_S)
                 if live is not None:
-                    live.update(_bars(report, source.trouble), refresh=True)
+                    live.update(_bars(recorder, source.trouble), refresh=True)
         except KeyboardInterrupt:
             pass
         trouble = source.trouble
-    result = report.to_json(trouble, source.refused, source.subjects)
-    result["sender"] = getattr(source, "sender", "")
+    result = recorder.report(trouble, source.refused, source.subjects)
+    result |= {"source": options.source, "sender": getattr(source, "sender", "")}
     if options.record is not None:
         recorder.save(options.record)
     sender = f" from {result['sender']}" if result["sender"] else ""
@@ -114,18 +98,18 @@ def track(options: TrackOptions) -> dict[str, Any]:
 
 
 def calibrate(options: CalibrateOptions) -> dict[str, Any]:
-    """Learn your face at rest, your closed eyes, and when you are seen, for a tracker.
+    """Learn your face at rest and your closed eyes, for a tracker.
 
     `pica send` and `pica view` use it whenever you join under the same name with that tracker.
     """
     if not options.seconds > 0:
         raise OptionError(f"seconds is {options.seconds:g}; above 0 is needed")
-    check_ranges(options, gain=(1, MAX_GAIN), plosives=(0, 60))
+    limit = MAX_SOUND_OFFSET_S
+    check_ranges(options, gain=(1, MAX_GAIN), sound_offset=(-limit, limit))
     kind, _ = split_source(options.source)
-    offset_s = (calibration_of(options.name, kind) or Calibration()).sound_offset_s
     samples: list[FloatArray] = []
 
-    def tap(sample: TrackerSample, arrived_s: float, process_s: float) -> None:
+    def tap(sample: TrackerSample, arrived_s: float) -> None:
         if sample.has_face:
             samples.append(sample.arkit)
 
@@ -148,10 +132,10 @@ def calibrate(options: CalibrateOptions) -> dict[str, Any]:
             time.sleep(1.0)
             closed = gather(options.eyes_closed)
             say("open them again")
-        if options.plosives:
-            offset_s = _sound_offset(source, options)
     calibration = replace(
-        calibration_of_samples(at_rest, closed), gain=options.gain, sound_offset_s=offset_s
+        calibration_of_samples(at_rest, closed),
+        gain=options.gain,
+        sound_offset_s=options.sound_offset,
     )
     path = calibrations().save(options.name, kind, calibration)
     taken = {
@@ -167,36 +151,7 @@ def calibrate(options: CalibrateOptions) -> dict[str, Any]:
         "lid_open": list(calibration.lid_open),
         "lid_closed": list(calibration.lid_closed),
         "gain": calibration.gain,
-        "sound_offset_ms": round(offset_s * 1e3, 1),
     }
-
-
-def _sound_offset(source: Tracker, options: CalibrateOptions) -> float:
-    """How much later than the microphone the tracker is, from plosives."""
-    frames: list[tuple[FloatArray, int]] = []
-    opening: list[tuple[float, float]] = []
-    microphone = Microphone(options.microphone)
-    microphone.on_frame = lambda frame, captured_us: frames.append((frame, captured_us))
-    microphone.start()
-    try:
-        say(f'say "pa" {options.plosives} times: lips closed, "pa", closed again, wait a second')
-        end_s = time.monotonic() + SETTLE_S + PLOSIVE_S * options.plosives
-        while (now := time.monotonic()) < end_s:
-            face = source.frame_at(now)
-            if not opening or face.captured_us * 1e-6 > opening[-1][0]:
-                jaw, lips = (float(face.arkit[ARKIT_INDEX[name]]) for name in OPENING)
-                opening.append((face.captured_us * 1e-6, jaw - lips))
-            time.sleep(0.005)
-    finally:
-        microphone.stop()
-    if not frames:
-        raise SourceError(f"no microphone: {microphone.state.note or 'it gives no sound'}")
-    sound = np.concatenate([frame for frame, _ in frames])
-    # Its clock only comes too late, while the machine is busy.
-    begin_s = min(us * 1e-6 - index * FRAME_S for index, (_, us) in enumerate(frames))
-    offset_s, num_used = sound_offset(opening, sound, begin_s, SAMPLE_RATE_HZ)
-    say(f"seen {offset_s * 1e3:.0f} ms after it is heard, by {num_used} plosives")
-    return offset_s
 
 
 def _open(text: str, tap: SampleTap) -> Tracker:
@@ -206,14 +161,14 @@ def _open(text: str, tap: SampleTap) -> Tracker:
     return open_live(kind, rest, tap=tap)
 
 
-def _bars(report: TrackReport, trouble: str) -> Table:
+def _bars(recorder: Recorder, trouble: str) -> Table:
     """The shapes that are highest now, as bars."""
-    title = trouble or f"{report.frames} samples"
+    title = trouble or f"{len(recorder.samples)} samples"
     table = Table(title=title, show_header=False, box=None)
-    if report.last is not None and report.last.has_face:
+    if recorder.samples and recorder.samples[-1][1].has_face:
         values = {
             name: float(value)
-            for name, value in zip(ARKIT_NAMES, report.last.arkit, strict=True)
+            for name, value in zip(ARKIT_NAMES, recorder.samples[-1][1].arkit, strict=True)
             if value == value  # not sent: NaN
         }
         for name in sorted(values, key=lambda each: -values[each])[:SHOWN_SHAPES]:

@@ -94,46 +94,6 @@ class Take:
         return replace(frame, captured_us=frame.captured_us + round((time_s - looped_s) * 1e6))
 
 
-@dataclass(slots=True)
-class TakeRecorder:
-    """Gathers a take; a `SampleTap`."""
-
-    samples: list[tuple[float, TrackerSample]] = field(default_factory=list)
-
-    def __call__(self, sample: TrackerSample, arrived_s: float, process_s: float) -> None:
-        """Keep a sample."""
-        if len(self.samples) < MAX_SAMPLES:
-            self.samples.append((arrived_s, sample))
-
-    def save(self, path: Path) -> None:
-        """Write the take.
-
-        Raises:
-            SourceError: Nothing was recorded, or the file cannot be written.
-        """
-        if not self.samples:
-            raise SourceError(f"{path}: not written, because nothing was recorded")
-        arrived_s = np.array([arrived for arrived, _ in self.samples])
-        samples = [sample for _, sample in self.samples]
-        times_s = [np.nan if each.tracker_s is None else each.tracker_s for each in samples]
-        try:
-            with replacing(path) as unfinished, unfinished.open("wb") as file:
-                np.savez_compressed(
-                    file,
-                    format=np.array(FORMAT),
-                    arrived_s=arrived_s - arrived_s[0],
-                    tracker_s=np.array(times_s),
-                    arkit=np.stack([each.arkit for each in samples]),
-                    rotation=np.stack([each.rotation for each in samples]),
-                    has_face=np.array([each.has_face for each in samples]),
-                    place_m=np.stack(
-                        [_NOWHERE if each.place_m is None else each.place_m for each in samples]
-                    ),
-                )
-        except OSError as error:
-            raise SourceError(f"{path}: cannot be written: {error.strerror}") from error
-
-
 def load_take(path: Path, start_s: float = 0.0) -> Take:
     """Read a take, to be played from some time on.
 
@@ -179,53 +139,67 @@ NAMED_SHAPES: Final = 6
 
 
 @dataclass(slots=True)
-class TrackReport:
-    """Gathers samples; a `SampleTap`.
+class Recorder:
+    """Gathers what a tracker sends, to keep it as a take and to report on it; a `SampleTap`."""
 
-    Attributes:
-        last: The newest sample; None before the first.
-    """
+    samples: list[tuple[float, TrackerSample]] = field(default_factory=list)
+    """When each arrived, and what it was."""
 
-    source: str
-    last: TrackerSample | None = None
-    _arrived_s: list[float] = field(default_factory=list)
-    _process_s: list[float] = field(default_factory=list)
-    _samples: list[TrackerSample] = field(default_factory=list)
+    def __call__(self, sample: TrackerSample, arrived_s: float) -> None:
+        """Keep a sample."""
+        if len(self.samples) < MAX_SAMPLES:
+            self.samples.append((arrived_s, sample))
 
-    def __call__(self, sample: TrackerSample, arrived_s: float, process_s: float) -> None:
-        """Take a sample."""
-        self.last = sample
-        self._samples.append(sample)
-        self._arrived_s.append(arrived_s)
-        self._process_s.append(process_s)
+    def save(self, path: Path) -> None:
+        """Write the take.
 
-    @property
-    def frames(self) -> int:
-        """Samples so far."""
-        return len(self._samples)
+        Raises:
+            SourceError: Nothing was recorded, or the file cannot be written.
+        """
+        if not self.samples:
+            raise SourceError(f"{path}: not written, because nothing was recorded")
+        arrived_s, samples = self._columns()
+        times_s = [np.nan if each.tracker_s is None else each.tracker_s for each in samples]
+        places_m = [_NOWHERE if each.place_m is None else each.place_m for each in samples]
+        try:
+            with replacing(path) as unfinished, unfinished.open("wb") as file:
+                np.savez_compressed(
+                    file,
+                    format=np.array(FORMAT),
+                    arrived_s=arrived_s - arrived_s[0],
+                    tracker_s=np.array(times_s),
+                    arkit=np.stack([each.arkit for each in samples]),
+                    rotation=np.stack([each.rotation for each in samples]),
+                    has_face=np.array([each.has_face for each in samples]),
+                    place_m=np.stack(places_m),
+                )
+        except OSError as error:
+            raise SourceError(f"{path}: cannot be written: {error.strerror}") from error
 
-    def to_json(
-        self, trouble: str, refused: Counter[str], subjects: Counter[str]
-    ) -> dict[str, Any]:
-        """The report; times in milliseconds, angles in degrees.
+    def report(self, trouble: str, refused: Counter[str], subjects: Counter[str]) -> dict[str, Any]:
+        """What came, and what would mend it; times in milliseconds, angles in degrees.
 
         Args:
             trouble: Why there is no face, as the source says.
             refused: Datagrams that were not the tracker's, by reason.
             subjects: Samples by subject.
         """
-        seen = [sample for sample in self._samples if sample.has_face]
-        arkit = np.array([sample.arkit for sample in seen]).reshape(-1, len(ARKIT_NAMES))
+        arrived_s, samples = self._columns()
+        seen = [sample for sample in samples if sample.has_face]
+        arkit = np.array([sample.arkit for sample in seen]).reshape(-1, NUM_ARKIT)
         turns = np.degrees([sample.rotation for sample in seen]).reshape(-1, 3)
-        span_s = self._arrived_s[-1] - self._arrived_s[0] if self.frames > 1 else 0.0
-        gaps_ms = np.diff(self._arrived_s) * 1e3
+        count = len(samples)
+        span_s = float(arrived_s[-1] - arrived_s[0]) if count > 1 else 0.0
+        # How much longer than the shortest way each sample took, by the tracker's clock.
+        ways_s = np.array(
+            [at_s - each.tracker_s for at_s, each in self.samples if each.tracker_s is not None]
+        )
         report = {
-            "source": self.source,
-            "frames": self.frames,
-            "fps": round((self.frames - 1) / span_s, 2) if span_s else None,
-            "gap_ms": _percentiles(gaps_ms, p50=50, p95=95, max=100),
-            "jitter_ms": _percentiles(self._jitter_ms(), p50=50, p95=95, max=100),
-            "no_face_ratio": round(1 - len(seen) / self.frames, 4) if self.frames else None,
+            "frames": count,
+            "fps": round((count - 1) / span_s, 2) if span_s else None,
+            "gap_ms": _percentiles(np.diff(arrived_s)),
+            "jitter_ms": _percentiles(ways_s - ways_s.min() if len(ways_s) else ways_s),
+            "no_face_ratio": round(1 - len(seen) / count, 4) if count else None,
             "shapes": {
                 name: _range(arkit[:, index])
                 for index, name in enumerate(ARKIT_NAMES)
@@ -236,24 +210,14 @@ class TrackReport:
                 for name, axis in (("yaw", 1), ("pitch", 0), ("roll", 2))
                 if len(turns)
             },
-            "process_ms": _percentiles(np.array(self._process_s) * 1e3, p50=50, p99=99),
             "refused": dict(refused),
             "subjects": dict(subjects),
         }
         return report | {"hints": _hints(report, trouble, subjects)}
 
-    def _jitter_ms(self) -> Float64Array:
-        """How much longer than the shortest way each sample took, by the tracker's clock."""
-        pairs = [
-            (arrived_s, sample.tracker_s)
-            for arrived_s, sample in zip(self._arrived_s, self._samples, strict=True)
-            if sample.tracker_s is not None
-        ]
-        if not pairs:
-            return np.empty(0)
-        ways = np.subtract(*np.array(pairs).T)
-        lateness: Float64Array = (ways - ways.min()) * 1e3
-        return lateness
+    def _columns(self) -> tuple[Float64Array, list[TrackerSample]]:
+        arrived_s = np.array([arrived_s for arrived_s, _ in self.samples], np.float64)
+        return arrived_s, [sample for _, sample in self.samples]
 
 
 def _hints(report: dict[str, Any], trouble: str, subjects: Counter[str]) -> list[str]:
@@ -300,7 +264,7 @@ def _range(values: Float64Array) -> dict[str, float]:
     return {name: round(float(value), 4) for name, value in figures.items()}
 
 
-def _percentiles(values: Float64Array, **named: float) -> dict[str, float]:
-    if not len(values):
-        return {}
-    return {name: round(float(np.percentile(values, at)), 3) for name, at in named.items()}
+def _percentiles(seconds: Float64Array) -> dict[str, float]:
+    """Median, 95th percentile and largest, in milliseconds."""
+    named = {"p50": 50, "p95": 95, "max": 100} if len(seconds) else {}
+    return {name: round(1e3 * float(np.percentile(seconds, at)), 3) for name, at in named.items()}

@@ -16,9 +16,9 @@ from pica_client.sources.live.live_face import LiveFace, PacketError, TrackerSam
 from pica_core.avatar.arkit import ExpressionFrame
 from pica_core.types import Image
 
-SampleTap = Callable[[TrackerSample, float, float], None]
-"""Sees a sample, when it arrived on this machine's monotonic clock, and how long it took to be
-a face, seconds; called by the thread that reads."""
+SampleTap = Callable[[TrackerSample, float], None]
+"""Sees a sample, and when it arrived on this machine's monotonic clock; called by the thread that
+reads."""
 END_S = 1.0
 """How long a reader has to end: a call waits meanwhile."""
 
@@ -69,12 +69,11 @@ class Tracker(ABC):
         """What a camera sees, uint8 ``[H, W, 3]``; None of other trackers."""
         return None
 
-    def _push(self, sample: TrackerSample, arrived_s: float, began_s: float) -> None:
-        """Take a sample; its making began at a moment."""
+    def _push(self, sample: TrackerSample, arrived_s: float) -> None:
         with self._lock:
             self.face.push(sample, arrived_s)
         if self._tap is not None:
-            self._tap(sample, arrived_s, time.monotonic() - began_s)
+            self._tap(sample, arrived_s)
 
 
 READ_BYTES: Final = 16_384
@@ -232,7 +231,7 @@ class UdpTracker(Tracker):
                 continue
             self._heard_s, self._has_heard = arrived_s, True
             self.sender, is_silent = address, False
-            self._push(sample, arrived_s, arrived_s)
+            self._push(sample, arrived_s)
 
 
 def own_address() -> str:

@@ -301,7 +301,7 @@ class Webcam(Tracker):
             self._picture = picture
             self.subjects[""] += 1
             self._trouble = "" if sample.has_face else "webcam: no face in the picture"
-            self._push(sample, began_s, began_s)
+            self._push(sample, began_s)
 
     def _reopen(self) -> None:
         """Wait until the camera is there again."""

@@ -18,7 +18,7 @@ from pica_client.errors import SourceError
 from pica_client.sources import Tracker, open_source
 from pica_client.sources.live.calibration import Calibration, CalibrationStore, calibrate
 from pica_client.sources.live.live_face import TrackerSample
-from pica_client.sources.live.take import TakeRecorder, TrackReport, load_take
+from pica_client.sources.live.take import Recorder, load_take
 from pica_client.sources.live.tracker import UdpOptions, UdpTracker
 from pica_client.sources.registry import decoder_of, open_live, parse_live
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
@@ -156,9 +156,9 @@ def samples() -> list[tuple[float, TrackerSample]]:
 
 def test_a_take_plays_what_came_and_the_same_each_time(tmp_path: Path) -> None:
     path = tmp_path / "take"
-    recorder = TakeRecorder()
+    recorder = Recorder()
     for arrived_s, sample in samples():
-        recorder(sample, arrived_s, 0.0)
+        recorder(sample, arrived_s)
     recorder.save(path)
 
     take = load_take(path)
@@ -176,9 +176,9 @@ def test_an_array_and_a_take_that_is_damaged_anywhere_are_refused(tmp_path: Path
     np.save(path, np.zeros(3))
     with pytest.raises(SourceError, match=r"bad\.npy: is no take"):
         load_take(path)
-    recorder = TakeRecorder()
+    recorder = Recorder()
     for arrived_s, sample in samples():
-        recorder(sample, arrived_s, 0.0)
+        recorder(sample, arrived_s)
     recorder.save(path)
     whole = path.read_bytes()
     for at in range(0, len(whole), 3):
@@ -188,10 +188,10 @@ def test_an_array_and_a_take_that_is_damaged_anywhere_are_refused(tmp_path: Path
 
 
 def test_a_report_counts_what_came_and_says_what_would_mend_it() -> None:
-    report = TrackReport("livelink")
+    report = Recorder()
     for arrived_s, sample in samples():
-        report(sample, arrived_s, 0.001)
-    result = report.to_json("", Counter(), Counter())
+        report(sample, arrived_s)
+    result = report.report("", Counter(), Counter())
     assert result["frames"] == 90
     assert result["fps"] == pytest.approx(30, abs=0.1)
     assert result["gap_ms"]["p50"] == pytest.approx(1000 / 30, abs=0.1)
