@@ -251,12 +251,6 @@ log = logging.getLogger(__name__)
 MAX_BYTES = 2 << 30
 """Decoded arrays in memory by default (chosen)."""
 THREADS = 2
-OF_CAMERAS = {"image": "image", "mask": "mask", "depth": "depth_m", "true_depth": "true_depth_m"}
-OF_FRAMES = {
-    "texture": "average_texture", "vertices": "vertices_m", "true_vertices": "true_vertices_m",
-}  # fmt: skip
-READS = OF_CAMERAS | OF_FRAMES
-"""Methods of `Capture` by kind of array."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,11 +258,11 @@ class Request:
     """One array of a capture."""
 
     kind: str
-    """Key of `READS`, such as ``image``."""
+    """``image``, ``depth`` or ``texture``."""
     frame: int
     """Place in `Capture.frames`."""
     camera: str = ""
-    """Camera name, for images, masks and depth."""
+    """Camera name, for images and depth."""
 
 
 class CaptureReader(AbstractContextManager["CaptureReader"]):
@@ -290,15 +284,8 @@ class CaptureReader(AbstractContextManager["CaptureReader"]):
         self._pool = ThreadPoolExecutor(THREADS, thread_name_prefix="decode")
         self._kept: OrderedDict[Request, Future[Array]] = OrderedDict()
         pixels = max(camera.width * camera.height for camera in capture.cameras)
-        self._sizes = {  # bytes of a decoded array
-            "image": 3 * pixels,
-            "mask": pixels,
-            "depth": 4 * pixels,
-            "true_depth": 4 * pixels,
-            "texture": 3 * capture.texture_size**2,
-            "vertices": 12 * len(capture.tracked_topology.vertex_uv),
-            "true_vertices": 12 * len(capture.topology.vertex_uv),
-        }
+        self._sizes = {"image": 3 * pixels, "depth": 4 * pixels}  # bytes of a decoded array
+        self._sizes["texture"] = 3 * capture.texture_size**2
 
     def __exit__(self, *error: object) -> None:
         self._pool.shutdown(wait=True, cancel_futures=True)
@@ -327,11 +314,6 @@ class CaptureReader(AbstractContextManager["CaptureReader"]):
 
     def _begin(self, request: Request) -> Future[Array]:
         """Have an array decoded, if it is not there, and keep it in place of the oldest."""
-        if request.kind not in READS or not 0 <= request.frame < len(self.capture.frames):
-            raise CaptureError(
-                f"{self.capture.path}: no {request.kind!r} of frame {request.frame}; there are "
-                f"{', '.join(READS)} of {len(self.capture.frames)} frames"
-            )
         if request in self._kept:
             self._kept.move_to_end(request)
             return self._kept[request]
@@ -344,8 +326,11 @@ class CaptureReader(AbstractContextManager["CaptureReader"]):
         return future
 
     def _decode(self, request: Request) -> Array:
-        frame = self.capture.frames[request.frame]
-        read = getattr(self.capture, READS[request.kind])
-        array: Array = read(frame, request.camera) if request.kind in OF_CAMERAS else read(frame)
+        capture, frame = self.capture, self.capture.frames[request.frame]
+        if request.kind == "texture":
+            array: Array = capture.average_texture(frame)
+        else:
+            read = capture.image if request.kind == "image" else capture.depth_m
+            array = read(frame, request.camera)
         array.flags.writeable = False
         return array

@@ -36,18 +36,9 @@ class ObjFile:
     def _numbers(self, lines: list[bytes], kind: str, width: int) -> Float64Array:
         try:
             return np.array([line.split()[:width] for line in lines], np.float64).reshape(-1, width)
-        except ValueError:
-            for index, line in enumerate(lines, start=1):
-                try:
-                    good = len(np.array(line.split()[:width], np.float64)) == width
-                except ValueError:
-                    good = False
-                if not good:
-                    raise CaptureError(
-                        f"{self.path}: {kind} {index} is {line[:60].decode('utf-8', 'replace')!r}; "
-                        f"{width} numbers are needed"
-                    ) from None
-            raise
+        except ValueError as error:
+            what = f"a {kind} is not {width} numbers ({error})"
+            raise CaptureError(f"{self.path}: {what}") from error
 
     def _corner(self, number: int, word: bytes) -> tuple[int, int]:
         """Position and texture index of ``7``, ``7/3``, ``7/3/1`` or ``7//1``; -1 is no texture."""
