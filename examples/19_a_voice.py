@@ -9,8 +9,9 @@ import random
 
 from pica_client.voice.mixer import VoiceMixer
 from pica_client.voice.opus import OpusDecoder, OpusEncoder, available
-from pica_client.voice.packet import FRAME_S, FRAME_SAMPLES, VoicePacket, level_of
+from pica_client.voice.packet import FRAME_S, FRAME_SAMPLES
 from pica_client.voice.wav import shipped_speech
+from pica_protocol.frames import Frame
 
 SECONDS = 7
 
@@ -21,17 +22,17 @@ def main() -> None:
         print(trouble)
         return
     speech, encoder, chance = shipped_speech(), OpusEncoder(bitrate=24_000), random.Random(0)
-    arrivals: list[tuple[float, VoicePacket]] = []
+    arrivals: list[tuple[float, Frame]] = []
     for index in range(round(SECONDS / FRAME_S)):
         frame = speech[index * FRAME_SAMPLES : (index + 1) * FRAME_SAMPLES]
         payload = encoder.encode(frame)
         if payload is None:
             continue  # nobody speaks: nothing is sent
-        packet = VoicePacket(
+        packet = Frame(
+            stream=1,
             sequence=len(arrivals),
             captured_us=round(index * FRAME_S * 1e6),
             payload=payload,
-            level=level_of(frame),
         )
         late_s = 0.02 + 0.06 * chance.random() ** 4
         arrivals.append(((index + 1) * FRAME_S + late_s, packet))
@@ -40,17 +41,17 @@ def main() -> None:
 
     mixer = VoiceMixer(OpusDecoder)
     mixer.seat({"ann": -0.6})  # radians: to the left
-    loudest = 127
+    loudest = 126
     for tick in range(round(SECONDS / FRAME_S)):
         now = tick * FRAME_S
         while arrivals and arrivals[0][0] <= now:
             arrived_s, packet = arrivals.pop(0)
             mixer.receive("ann", packet, arrived_s)
         mixer.mix(now)  # 20 ms for both ears
-        loudest = min(loudest, mixer.levels().get("ann", 127))
+        loudest = min(loudest, mixer.levels().get("ann", 126))
         heard_us = mixer.heard_us("ann", now)
         if heard_us is not None and tick % 50 == 0:
-            level = mixer.levels().get("ann", 127)
+            level = mixer.levels().get("ann", 126)
             print(f"{now:4.1f} s: said {now - heard_us / 1e6:.3f} s ago; ann at -{level} dB")
     print(f"{sent_bytes * 8 / SECONDS / 1e3:.1f} kbit/s, at most -{loudest} dB")
     print(mixer.stats()["ann"])

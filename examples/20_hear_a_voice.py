@@ -15,18 +15,18 @@ from pica_client.publish.publisher import SenderConfig
 from pica_client.sources import open_source
 from pica_client.transport.config import LinkConfig
 from pica_client.voice.opus import OpusDecoder
-from pica_client.voice.packet import VoicePacket
 from pica_client.voice.publisher import VoicePublisher
 from pica_client.voice.source import SoundSource
 from pica_client.voice.wav import shipped_speech
 from pica_core.avatar.file import avatar_id, load_avatar
 from pica_core.avatar.shipped import shipped_avatar_files
+from pica_protocol.frames import Frame
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
 
 
 async def main() -> None:
-    heard: list[tuple[VoicePacket, float]] = []
+    heard: list[tuple[Frame, float]] = []
     library, file = AvatarLibrary(), shipped_avatar_files()[0]
     async with Relay(RelayConfig(port=0)) as relay:
         receiver = Receiver(

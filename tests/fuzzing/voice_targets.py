@@ -1,4 +1,4 @@
-"""What strangers send as their voice: to the packet's reader, and on into libopus."""
+"""What strangers send as their voice, on into libopus."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fuzzing.mutator import Mutator
 from fuzzing.targets import expect
 from pica_client.errors import VoiceError
 from pica_client.voice.opus import OpusDecoder, OpusEncoder
-from pica_client.voice.packet import FRAME_SAMPLES, VoicePacket, decode_payload, encode_payload
+from pica_client.voice.packet import FRAME_SAMPLES
 
 
 @cache
@@ -25,7 +25,7 @@ def payloads() -> list[bytes]:
         for loudness in (0.001, 0.01, 0.05, 0.1, 0.3, 0.5, 0.02):
             num_frames = 1 + len(found) % 2
             pcm = chance.normal(0, loudness, num_frames * FRAME_SAMPLES).astype(np.float32)
-            found.append(encode_payload(VoicePacket(0, 0, encoder.encode(pcm) or b"\0", 20)))
+            found.append(encoder.encode(pcm) or b"\0")
     return found
 
 
@@ -37,8 +37,7 @@ def voice(rng: random.Random, meter: Meter) -> None:
         is_noise = rng.random() < 0.2
         data = rng.randbytes(rng.randrange(200)) if is_noise else mutator.mutate_bytes(original)
         try:
-            packet = meter.call(decode_payload, 1, 2, data)
-            pcm = meter.call(decoder.decode, packet.payload)
+            pcm = meter.call(decoder.decode, data)
         except VoiceError:
             meter.note("refused VoiceError")
             continue

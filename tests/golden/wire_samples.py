@@ -108,9 +108,7 @@ FRAMES: dict[str, list[Frame]] = {
         Frame(stream=1, sequence=0, captured_us=33_300, payload=b"face"),
         Frame(stream=2, sequence=7, captured_us=0, payload=b""),
     ],
-    "voice packet": [
-        Frame(stream=3, sequence=7, captured_us=34_560_000, payload=b"\x9e" + b"opus packet")
-    ],
+    "voice packet": [Frame(stream=3, sequence=7, captured_us=34_560_000, payload=b"opus packet")],
 }
 
 

@@ -6,11 +6,12 @@ from collections.abc import Callable
 import numpy as np
 
 from pica_client.voice.opus import OpusEncoder
-from pica_client.voice.packet import FRAME_S, FRAME_SAMPLES, MAX_LEVEL, VoicePacket
+from pica_client.voice.packet import FRAME_S, FRAME_SAMPLES, MAX_LEVEL
 from pica_client.voice.sound.process import SoundProcess
 from pica_client.voice.sound.settings import SoundSettings
 from pica_client.voice.wav import shipped_speech
 from pica_core.types import FloatArray
+from pica_protocol.frames import Frame
 
 
 def until(holds: Callable[[], object], seconds: float = 8.0) -> bool:
@@ -32,7 +33,8 @@ def say(sound: SoundProcess, seconds: float, peer_id: str = "ann") -> tuple[int,
         now = time.monotonic()
         if opus is not None:
             captured_us = round((begin_s + index * FRAME_S) * 1e6)
-            sound.receive(peer_id, VoicePacket(index, captured_us, opus, 30), now)
+            frame = Frame(stream=1, sequence=index, captured_us=captured_us, payload=opus)
+            sound.receive(peer_id, frame, now)
         time.sleep(max(begin_s + (index + 1) * FRAME_S - time.monotonic(), 0.0))
         speaker = min(speaker, sound.state.speaker_level)
         microphone = min(microphone, sound.state.microphone_level)

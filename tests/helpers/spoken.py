@@ -3,10 +3,11 @@
 import numpy as np
 
 from pica_client.errors import VoiceError
-from pica_client.voice.packet import FRAME_S, VoicePacket
+from pica_client.voice.packet import FRAME_S
 from pica_client.voice.packet import FRAME_SAMPLES as FRAME
 from pica_client.voice.packet import SAMPLE_RATE_HZ as RATE_HZ
 from pica_core.types import FloatArray
+from pica_protocol.frames import Frame
 
 CLOCK_OFFSET_US = 7_000_000_000
 NETWORK_S = 0.03
@@ -38,12 +39,13 @@ def hum(seconds: float, hz: float = 120.0) -> FloatArray:
     return (0.1 * waves).astype(np.float32)
 
 
-def packet(index: int, sequence: int | None = None) -> VoicePacket:
+def packet(index: int, sequence: int | None = None) -> Frame:
     """The packet of a frame of the sound."""
-    return VoicePacket(
-        (index if sequence is None else sequence) % 65536,
-        CLOCK_OFFSET_US + round(index * FRAME_S * 1e6),
-        index.to_bytes(4, "big"),
+    return Frame(
+        stream=1,
+        sequence=(index if sequence is None else sequence) % 65536,
+        captured_us=CLOCK_OFFSET_US + round(index * FRAME_S * 1e6),
+        payload=index.to_bytes(4, "big"),
     )
 
 

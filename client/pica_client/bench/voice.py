@@ -35,9 +35,6 @@ from pica_client.voice.opus import OpusDecoder, OpusEncoder
 from pica_client.voice.packet import (
     FRAME_S,
     PACKET_FRAMES,
-    VoicePacket,
-    decode_payload,
-    encode_payload,
 )
 from pica_client.voice.packet import FRAME_SAMPLES as FRAME
 from pica_client.voice.packet import SAMPLE_RATE_HZ as RATE_HZ
@@ -169,7 +166,7 @@ def _packets(sound: FloatArray, bitrate: int) -> list[tuple[float, Frame]]:
                 stream=VOICE_STREAM,
                 sequence=len(packets) % SEQUENCE_MODULUS,
                 captured_us=CLOCK_OFFSET_US + round(index * FRAME_S * 1e6),
-                payload=encode_payload(VoicePacket(0, 0, payload, level=60)),
+                payload=payload,
             )
             packets.append(((index + PACKET_FRAMES) * FRAME_S, frame))
     return packets
@@ -198,8 +195,7 @@ def _listen(delivery: Delivery, schedule: Schedule, is_spoken: Callable[[int], b
             arrived_s, arrival = arrivals[position]
             position += 1
             if isinstance(arrival, Frame):
-                packet = decode_payload(arrival.sequence, arrival.captured_us, arrival.payload)
-                buffer.receive(packet, arrived_s)
+                buffer.receive(arrival, arrived_s)
             else:
                 receive_arrival(playout, arrival, samples)
         if not is_sound:

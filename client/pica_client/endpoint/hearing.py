@@ -8,8 +8,8 @@ import numpy as np
 from pica_client.call.call import Call
 from pica_client.call.roster import Member
 from pica_client.voice.opus import available
-from pica_client.voice.packet import VoicePacket
 from pica_client.voice.sound.process import SoundProcess
+from pica_protocol.frames import Frame
 
 WIDTH_RAD = 0.7
 """How far to a side the outermost is heard (chosen: five people are told apart)."""
@@ -36,7 +36,7 @@ class Hearing:
             places = np.linspace(-1, 1, len(seated)) if len(seated) > 1 else np.zeros(len(seated))
             self._sound.seat(dict(zip(seated, (WIDTH_RAD * places).tolist(), strict=True)))
 
-    def receive(self, peer_id: str, packet: VoicePacket, arrived_s: float) -> None:
+    def receive(self, peer_id: str, packet: Frame, arrived_s: float) -> None:
         """Take a packet of a voice."""
         self._sound.receive(peer_id, packet, arrived_s)
 

@@ -42,7 +42,7 @@ from pica_client.errors import VoiceError
 from pica_client.playout.sender_clock import SenderClock
 from pica_client.playout.transit import RESTART_FRAMES, Transit
 from pica_client.voice import stretch
-from pica_client.voice.packet import FRAME_S, VoicePacket
+from pica_client.voice.packet import FRAME_S
 from pica_client.voice.packet import FRAME_SAMPLES as FRAME
 from pica_client.voice.packet import SAMPLE_RATE_HZ as RATE_HZ
 from pica_client.voice.sound.settings import Moment
@@ -184,17 +184,11 @@ class JitterBuffer:
         self._last_arrival_s = self._aimed_s = -math.inf
         self._history: deque[Moment] = deque(maxlen=HISTORY)
 
-    def receive(self, packet: VoicePacket, now: float) -> None:
+    def receive(self, packet: Frame, now: float) -> None:
         """Take a packet that arrived at `now`."""
-        frame = Frame(
-            stream=1,
-            sequence=packet.sequence,
-            captured_us=packet.captured_us,
-            payload=packet.payload,
-        )
         self._report.received += 1
         self._last_arrival_s = now
-        for received in self._sender.receive(frame, now):
+        for received in self._sender.receive(packet, now):
             self._place(received)
 
     def restart(self) -> None:

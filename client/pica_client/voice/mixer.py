@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 
 from pica_client.voice.jitter_buffer import Decoder, JitterBuffer
-from pica_client.voice.packet import FRAME_SAMPLES, MAX_LEVEL, VoicePacket, level_of
+from pica_client.voice.packet import FRAME_SAMPLES, MAX_LEVEL, level_of
 from pica_client.voice.sound.settings import MAX_VOLUME, Moment
 from pica_client.voice.spatial import Placed
 from pica_core.types import Array, FloatArray
+from pica_protocol.frames import Frame
 
 MAX_VOICES = 64
 """People who are heard at most."""
@@ -28,7 +29,7 @@ class _Voice:
     def __init__(self, decoder: Decoder) -> None:
         self.buffer = JitterBuffer(decoder)
         self.placed = Placed()
-        self.level = 127
+        self.level = MAX_LEVEL
 
 
 class VoiceMixer:
@@ -36,7 +37,7 @@ class VoiceMixer:
 
     Attributes:
         volume: Of all voices, 0 to `MAX_VOLUME`.
-        level: Of the last mix, as `VoicePacket.level`.
+        level: Of the last mix, see `level_of`.
         is_spatial: Whether each voice comes from its seat, rather than all from the middle.
         on_mixed: Is given each mixed frame with the time it leaves the loudspeaker, as for a
             recording. float32 ``[FRAME_SAMPLES, 2]``.
@@ -52,7 +53,7 @@ class VoiceMixer:
         self._volumes: dict[str, float] = {}
         self._azimuths: dict[str, float] = {}
 
-    def receive(self, peer_id: str, packet: VoicePacket, arrived_s: float) -> None:
+    def receive(self, peer_id: str, packet: Frame, arrived_s: float) -> None:
         """Take a packet of somebody's voice."""
         with self._lock:
             voice = self._voices.get(peer_id)
@@ -113,7 +114,7 @@ class VoiceMixer:
         return {peer_id: moment for peer_id, moment in found.items() if moment is not None}
 
     def levels(self) -> dict[str, int]:
-        """How loud each voice was in the last 20 ms: decibels below full scale, 0 to 127."""
+        """How loud each voice was in the last 20 ms: decibels below full scale, 0 to 126."""
         with self._lock:
             return {peer_id: voice.level for peer_id, voice in self._voices.items()}
 

@@ -21,8 +21,6 @@ from pica_client.voice.packet import (
     FRAME_SAMPLES,
     FRAME_US,
     PACKET_FRAMES,
-    VoicePacket,
-    encode_payload,
     level_of,
 )
 from pica_core.types import FloatArray
@@ -55,7 +53,7 @@ class VoicePublisher:
     Attributes:
         is_muted: Whether its owner has muted it, from the next frame on; any thread may set it.
         is_muted_by_admin: Whether an admin has stopped the stream.
-        level: Of the last frame that was captured for sending, as `VoicePacket.level`; None: muted.
+        level: Of the last frame that was captured for sending, see `level_of`; None: muted.
         listeners: Take what is captured and not muted: samples, and when the first was captured.
         keeps_preroll: Whether a mute is the key of push-to-talk, which was not pressed yet.
     """
@@ -81,7 +79,6 @@ class VoicePublisher:
         self._stream = 0
         self._told = ""
         self._was_muted = False
-        self._end_us = -(1 << 62)  # of the last packet
         self._begun: list[FloatArray] = []  # of the next packet, and when it was captured
         self._begun_us = 0
         self._sent = self._silent = self._unheard = self._payload_bytes = 0
@@ -92,7 +89,6 @@ class VoicePublisher:
             case Joined(tracks=tracks):
                 self._stream = next(t.stream for t in tracks if t.kind == self.track.kind)
                 self.is_muted_by_admin = False  # we are told again if it is so
-                self._end_us = -(1 << 62)  # whoever hears us begins anew
             case StreamMuted(stream=stream, is_muted=is_muted) if stream == self._stream:
                 self.is_muted_by_admin = is_muted
             case _:
@@ -149,12 +145,9 @@ class VoicePublisher:
         if opus is None:
             self._silent += 1
             return
-        is_first = captured_us - self._end_us > _GAP_US
-        payload = encode_payload(VoicePacket(0, captured_us, opus, level_of(pcm), is_first))
-        if link.send_frame(payload, captured_us, track=self.track):
-            self._end_us = captured_us + len(pcm) // FRAME_SAMPLES * FRAME_US
+        if link.send_frame(opus, captured_us, track=self.track):
             self._sent += 1
-            self._payload_bytes += len(payload)
+            self._payload_bytes += len(opus)
 
     def stats(self) -> dict[str, Any]:
         """What was sent so far."""

@@ -1,23 +1,21 @@
-"""Voices on their way in: from frames of the link to packets of a person. Pure.
+"""Voices on their way in: from frames of the link to those of a person. Pure.
 
-What is wrong with one voice stays with that voice: a payload that is none is counted, and a voice
-of a codec that nobody here knows is named once, in words, and not subscribed to.
+What is wrong with one voice stays with that voice: one of an unknown codec is named once, in words,
+and not subscribed to.
 """
 
 import logging
 from collections.abc import Callable
 from typing import Any
 
-from pica_client.errors import VoiceError
 from pica_client.tracks import voice_of, voice_refusal
-from pica_client.voice.packet import VoicePacket, decode_payload
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Joined, Peer, PeerJoined, PeerLeft
 from pica_protocol.session import ClientEvent
 
-OnVoice = Callable[[str, VoicePacket, float], None]
-"""Takes a peer's id, a packet of its voice, and when it arrived, seconds of our clock. Called on
-the network's thread, for every packet in the order of arrival."""
+OnVoice = Callable[[str, Frame, float], None]
+"""Takes a peer's id, a packet of its voice, see `voice.packet`, and when it arrived, seconds of our
+clock. Called on the network's thread, for every packet in the order of arrival."""
 
 _log = logging.getLogger(__name__)
 
@@ -27,7 +25,6 @@ class VoiceReceiver:
 
     Attributes:
         refused: Why a peer cannot be heard, in words, by peer id.
-        errors: Payloads that were no packets.
     """
 
     def __init__(self, on_voice: OnVoice | None) -> None:
@@ -35,13 +32,16 @@ class VoiceReceiver:
         self._on_voice = on_voice
         self._peers: dict[int, str] = {}  # by stream; bounded by the protocol's limit on peers
         self.refused: dict[str, str] = {}
-        self.received = self.errors = 0
+        self.received = 0
 
     def receive_event(self, event: ClientEvent, now: float) -> bool:
         """Take an event of the link's session; say whether it was a voice's, and no one else's."""
         match event:
             case Frame(stream=stream) if stream in self._peers:
-                self._receive_frame(event, self._peers[stream], now)
+                peer_id = self._peers[stream]
+                if self._on_voice is not None and peer_id not in self.refused:
+                    self.received += 1
+                    self._on_voice(peer_id, event, now)
                 return True
             case Joined(peers=peers):
                 self._peers.clear()
@@ -64,7 +64,7 @@ class VoiceReceiver:
 
     def stats(self) -> dict[str, Any]:
         """What came so far."""
-        return {"received": self.received, "errors": self.errors, "refused": dict(self.refused)}
+        return {"received": self.received, "refused": dict(self.refused)}
 
     def _add(self, peer: Peer) -> None:
         track = voice_of(peer)
@@ -74,14 +74,3 @@ class VoiceReceiver:
         if self._on_voice is not None and (reason := voice_refusal(track)):
             self.refused[peer.peer_id] = reason
             _log.warning("a voice cannot be heard", extra={"reason": reason})
-
-    def _receive_frame(self, frame: Frame, peer_id: str, now: float) -> None:
-        if self._on_voice is None or peer_id in self.refused:
-            return  # it was under way when we said that we want none
-        try:
-            packet = decode_payload(frame.sequence, frame.captured_us, frame.payload)
-        except VoiceError:
-            self.errors += 1
-            return
-        self.received += 1
-        self._on_voice(peer_id, packet, now)

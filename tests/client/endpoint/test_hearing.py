@@ -8,11 +8,13 @@ from pica_client.avatars.library import AvatarLibrary
 from pica_client.call.call import Call
 from pica_client.endpoint.hearing import WIDTH_RAD, Hearing
 from pica_client.tracks import FACE_TRACK, VOICE_TRACK
-from pica_client.voice.packet import VoicePacket
 from pica_client.voice.sound.process import SoundProcess
+from pica_protocol.frames import Frame
 from pica_protocol.messages import Joined, Peer, PeerJoined, PeerLeft, PeerUpdated, Track
 
 pytestmark = pytest.mark.unit
+
+VOICE_FRAME = Frame(stream=1, sequence=0, captured_us=0, payload=b"")
 
 
 class Seats(SoundProcess):
@@ -25,7 +27,7 @@ class Seats(SoundProcess):
     def seat(self, azimuths_rad: Mapping[str, float]) -> None:
         self.said.append(dict(azimuths_rad))
 
-    def receive(self, peer_id: str, packet: VoicePacket, arrived_s: float) -> None:
+    def receive(self, peer_id: str, packet: Frame, arrived_s: float) -> None:
         assert peer_id in self.said[-1]
 
 
@@ -43,7 +45,7 @@ def test_each_has_a_place_until_they_leave() -> None:
     call.receive_event(PeerJoined(peer=person("cho", VOICE_TRACK)), now=1.0)
     call.receive_event(PeerUpdated(peer_id="eve", metadata=(("records", "yes"),)), now=2.0)
     for peer_id in ("ada", "ben", "cho", "ben"):
-        hearing.receive(peer_id, VoicePacket(0, 0, b""), 2.0)
+        hearing.receive(peer_id, VOICE_FRAME, 2.0)
     for peer_id in ("ben", "ada", "eve", "cho"):
         call.receive_event(PeerLeft(peer_id=peer_id), now=3.0)
     assert sound.said == [

@@ -1,5 +1,6 @@
 import itertools
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -20,15 +21,16 @@ from pica_client.voice.jitter_buffer import (
     JitterBuffer,
     JitterBufferConfig,
 )
-from pica_client.voice.packet import FRAME_S, VoicePacket
+from pica_client.voice.packet import FRAME_S
 from pica_client.voice.packet import FRAME_SAMPLES as FRAME
 from pica_client.voice.packet import SAMPLE_RATE_HZ as RATE_HZ
 from pica_core.types import FloatArray
+from pica_protocol.frames import Frame
 
 pytestmark = pytest.mark.unit
 
 WAIT_S = FRAME_S + JitterBufferConfig().least_jitter_s
-Arrivals = Iterable[tuple[float, VoicePacket]]
+Arrivals = Iterable[tuple[float, Frame]]
 
 
 def play(
@@ -54,7 +56,7 @@ def with_pauses(sound: FloatArray) -> FloatArray:
     return np.where(seconds % 1 < 0.5, sound, np.float32(0))
 
 
-def on_time(num_frames: int, *, skip: Iterable[int] = ()) -> list[tuple[float, VoicePacket]]:
+def on_time(num_frames: int, *, skip: Iterable[int] = ()) -> list[tuple[float, Frame]]:
     left_out = set(skip)
     return [(usual_arrival_s(i), packet(i)) for i in range(num_frames) if i not in left_out]
 
@@ -147,10 +149,9 @@ def test_lost_packets_are_concealed_by_the_codec_and_time_goes_on():
 
 
 def test_packets_of_40_ms_are_played_as_soon_and_lost_ones_concealed_whole():
-    def pair(index: int) -> tuple[float, VoicePacket]:
+    def pair(index: int) -> tuple[float, Frame]:
         whole = packet(2 * index, sequence=index)
-        both = VoicePacket(whole.sequence, whole.captured_us, whole.payload + b"+")
-        return usual_arrival_s(2 * index + 1), both
+        return usual_arrival_s(2 * index + 1), replace(whole, payload=whole.payload + b"+")
 
     decoder = SpokenDecoder(hum(4))
     buffer = JitterBuffer(decoder)
@@ -261,7 +262,7 @@ def test_a_packet_that_the_codec_refuses_is_concealed_and_counted():
     buffer = JitterBuffer(decoder)
     arrivals = on_time(90)
     at, bad = arrivals[40]
-    arrivals[40] = at, VoicePacket(bad.sequence, bad.captured_us, b"")
+    arrivals[40] = at, replace(bad, payload=b"")
 
     play(buffer, arrivals, 1.5)
 
@@ -289,7 +290,9 @@ def test_any_packets_are_played_as_whole_frames_of_finite_sound(
     buffer, now = JitterBuffer(SpokenDecoder(hum(1))), 0.0
     for sequence, captured_us, wait_s in packets:
         now += wait_s
-        buffer.receive(VoicePacket(sequence, captured_us, (sequence % 40).to_bytes(4, "big")), now)
+        payload = (sequence % 40).to_bytes(4, "big")
+        frame = Frame(stream=1, sequence=sequence, captured_us=captured_us, payload=payload)
+        buffer.receive(frame, now)
         sound = buffer.pull(now)
         assert sound.shape == (FRAME,)
         assert np.isfinite(sound).all()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pica_client.voice import opus
-from pica_client.voice.packet import FRAME_SAMPLES, FRAME_US, VoicePacket, decode_payload
+from pica_client.voice.packet import FRAME_SAMPLES, FRAME_US
 from pica_client.voice.publisher import VoicePublisher
 from pica_client.voice.source import SoundSource
 from pica_core.types import FloatArray
@@ -24,19 +24,19 @@ class OpenLink:
     is_joined = True
 
     def __init__(self) -> None:
-        self.packets: list[VoicePacket] = []
+        self.packets: list[tuple[bytes, int]] = []
 
     def describe(self, key: str, value: str) -> None:
         """Nobody listens."""
 
     def send_frame(self, payload: bytes, captured_us: int, *, track: Track) -> bool:
         """Keep the packet."""
-        self.packets.append(decode_payload(len(self.packets), captured_us, payload))
+        self.packets.append((payload, captured_us))
         return True
 
 
-def sent(frames: list[int], *, muted_from: int = 1 << 30) -> list[tuple[int, int, bool]]:
-    """When each packet was captured, in frames, how many it holds, and whether it is a first."""
+def sent(frames: list[int], *, muted_from: int = 1 << 30) -> list[tuple[int, int]]:
+    """When each packet was captured, in frames, and how many it holds."""
     link, publisher, decoder = (
         OpenLink(),
         VoicePublisher(SoundSource(LOUD)),
@@ -46,25 +46,21 @@ def sent(frames: list[int], *, muted_from: int = 1 << 30) -> list[tuple[int, int
         publisher.is_muted = index >= muted_from
         publisher.send(link, LOUD, index * FRAME_US)  # type: ignore[arg-type]
     return [
-        (
-            packet.captured_us // FRAME_US,
-            len(decoder.decode(packet.payload)) // FRAME_SAMPLES,
-            packet.is_first,
-        )
-        for packet in link.packets
+        (captured_us // FRAME_US, len(decoder.decode(payload)) // FRAME_SAMPLES)
+        for payload, captured_us in link.packets
     ]
 
 
 def test_two_frames_share_a_packet() -> None:
-    assert sent(list(range(6))) == [(0, 2, True), (2, 2, False), (4, 2, False)]
+    assert sent(list(range(6))) == [(0, 2), (2, 2), (4, 2)]
 
 
 def test_frames_on_both_sides_of_a_hole_do_not_share_a_packet() -> None:
-    assert sent([0, 1, 2, 10, 11]) == [(0, 2, True), (2, 1, False), (10, 2, True)]
+    assert sent([0, 1, 2, 10, 11]) == [(0, 2), (2, 1), (10, 2)]
 
 
-@pytest.mark.parametrize(("muted_from", "last"), [(3, (2, 2, False)), (4, (4, 1, False))])
+@pytest.mark.parametrize(("muted_from", "last"), [(3, (2, 2)), (4, (4, 1))])
 def test_a_mute_sends_the_frame_that_waits_for_another(
-    muted_from: int, last: tuple[int, int, bool]
+    muted_from: int, last: tuple[int, int]
 ) -> None:
     assert sent(list(range(9)), muted_from=muted_from)[-1] == last

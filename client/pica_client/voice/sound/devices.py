@@ -257,7 +257,7 @@ class Microphone(_Device):
     Attributes:
         clean: Takes each frame through echo cancellation and the like; None: nothing does.
         on_frame: Takes each frame.
-        level: Of the last frame, as `VoicePacket.level`.
+        level: Of the last frame, see `level_of`.
     """
 
     def __init__(self, name: str = "") -> None:

@@ -12,11 +12,11 @@ from collections.abc import AsyncIterator, Callable, Mapping
 from typing import Any, Final
 
 from pica_client.voice.jitter_buffer import HISTORY, SILENT_S, moment_at
-from pica_client.voice.packet import VoicePacket
 from pica_client.voice.sound.desk import Outbox
 from pica_client.voice.sound.devices import OnFrame, captured_frames
 from pica_client.voice.sound.settings import DeviceState, Moment, SoundSettings, SoundState
 from pica_core.types import FloatArray
+from pica_protocol.frames import Frame
 
 RESTART_S: Final = 2.0
 """Until sound that ended by itself is begun again."""
@@ -78,7 +78,7 @@ class SoundProcess:
         """Call `on_mixed` from now on, or no longer."""
         self._last("hand_on", is_wanted)
 
-    def receive(self, peer_id: str, packet: VoicePacket, arrived_s: float) -> None:
+    def receive(self, peer_id: str, packet: Frame, arrived_s: float) -> None:
         """Take a packet of somebody's voice."""
         self._arrived_s[peer_id] = arrived_s
         self._tell("receive", peer_id, packet, arrived_s)

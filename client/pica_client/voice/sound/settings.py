@@ -66,7 +66,7 @@ class SoundState:
     speaker: DeviceState = field(default_factory=DeviceState)
     microphone: DeviceState = field(default_factory=DeviceState)
     speaker_level: int = MAX_LEVEL
-    """How loud the last 20 ms were, as `VoicePacket.level`."""
+    """How loud the last 20 ms were, see `voice.packet.level_of`."""
     microphone_level: int = MAX_LEVEL
     speakers: tuple[str, ...] = ()
     """Names of all, the default first."""
@@ -74,7 +74,7 @@ class SoundState:
     cleaning: str = ""
     """Why the microphone cannot be cleaned of echo; empty: it can."""
     levels: Mapping[str, int] = field(default_factory=dict)
-    """How loud each voice was, by peer id, as `VoicePacket.level`."""
+    """How loud each voice was, by peer id, see `voice.packet.level_of`."""
     moments: Mapping[str, Moment] = field(default_factory=dict)
     """What was just mixed of each voice, by peer id."""
     stats: Mapping[str, dict[str, Any]] = field(default_factory=dict)
