@@ -222,7 +222,7 @@ def chart_scene() -> None:
                 row
                 for row in rows
                 if (row["distance_cm"], row["scheduler"]) == (distance, is_scheduled)
-                and not row["budget_ms"]
+                and not row.get("budget_ms")
             ]
             counts = [row["avatars"] for row in chosen]
             ratios = [row["total_ms"] / summary["full_screen_ms"] for row in chosen]

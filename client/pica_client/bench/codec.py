@@ -1,6 +1,7 @@
 """Bits against the error of the rendered face, for our stream and for what one would take instead.
 
-The fields of its rows stand in ``docs/results.md``. What it does not show: networks (`pica bench
+A row is one profile on one source, at 30 frames a second; its latents are decoded and drawn at some
+moments and compared with the drawing of the uncoded latent. What it does not show: networks (`pica bench
 playout`), and people: the avatars are synthetic, and only the recording is of a face. An error of 8
 bits and of the pixels that change owner at edges is in every `mse`: about 0.2.
 """
@@ -13,14 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from pica_client.bench.harness import Words, timed
+from pica_client.bench.harness import Words, report, timed
 from pica_client.bench.head import FaceRenderer
 from pica_client.errors import check_ranges
 from pica_client.output import say
 from pica_client.playout.motion import blend
 from pica_client.render.drawing import Drawing, change_mse, drawn_mse
 from pica_client.sources import open_source
-from pica_client.stats import describe_machine, wire_bytes
+from pica_client.stats import wire_bytes
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
 from pica_core.codec.latent_sample import LatentSample
@@ -92,16 +93,9 @@ def run_codec_bench(config: CodecConfig, avatar: Avatar) -> dict[str, Any]:
                 say(f"{source}: {name}")
                 row = {"profile": name, "source": source, "fps": FPS, **compare(code(samples))}
                 rows.append(row)
-    return {
-        "avatar": avatar.manifest.identity,
-        "stream_profile": profile.hash,
-        "rows": rows,
-        "seconds": config.seconds,
-        "moments": config.moments,
-        "image_size": config.image_size,
-        "views": list(VIEWS),
-        "machine": describe_machine(),
-    }
+    return report(
+        config, rows, avatar=avatar.manifest.identity, stream_profile=profile.hash, views=VIEWS
+    )
 
 
 def _read(source: str, seconds: float, avatar: Avatar) -> list[LatentSample]:

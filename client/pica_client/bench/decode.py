@@ -1,8 +1,9 @@
 """What one head costs: decoding it at every level and drawing it near and far, beside the paper's
 baseline.
 
-The fields of its rows stand in ``docs/results.md``. What it does not show: several heads (`pica
-bench scene`), other execution providers than the one chosen.
+The layout of the drawings is that of the paper's Table 3: one head before a square eye buffer. A
+drawing is all that the viewer draws but texts; reading the image back is not in it. What it does
+not show: several heads (`pica bench scene`), other execution providers than the one chosen.
 """
 
 import os
@@ -20,6 +21,7 @@ from pica_client.bench.harness import (
     Ints,
     Took,
     ratio,
+    report,
     take_turns,
     timed,
     times_ms,
@@ -32,11 +34,7 @@ from pica_client.errors import OptionError, check_ranges
 from pica_client.render.drawing import HEAD
 from pica_client.render.renderer import Renderer
 from pica_client.render.scene import Placement
-from pica_client.schedule.head import Head
-from pica_client.schedule.scheduler import Scheduler
-from pica_client.schedule.visibility import Sight
 from pica_client.sources import open_source
-from pica_client.stats import describe_machine
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.levels import judged_mse
@@ -95,7 +93,7 @@ class Case(NamedTuple):
     """Something that is measured; fields that do not apply are None."""
 
     work: str
-    """decode, frame (decode and upload) or draw."""
+    """decode or draw."""
     model: str
     level: int | None
     parts: str | None = None
@@ -125,22 +123,16 @@ def run_decode_bench(config: DecodeBenchConfig, avatar: Avatar) -> dict[str, Any
 
         samples = take_turns(list(works), turn, rounds=config.rounds, warm_up=WARM_UP_ROUNDS)
         took = dict(zip(works, samples, strict=True))
-        return {
-            "avatar": avatar.manifest.name,
-            "block": avatar.spec.block,
-            "provider": config.onnx.provider,
-            "gl_renderer": bench.renderer.gl_renderer,
-            "gl_threads": os.environ.get("LP_NUM_THREADS"),
-            "rounds": config.rounds,
-            "image_size": config.image_size,
-            "head_px": config.head_px,
-            "machine": describe_machine() | {"onnxruntime": onnxruntime.__version__},
-            "rows": [bench.row(case, took) for case in took],
-            "summary": {
-                "by_threads": _decode_ratios(took),
-                "level_at_head_px": level_for(avatar, config.head_px),
-            },
-        }
+        return report(
+            config,
+            [bench.row(case, took) for case in took],
+            summary={"by_threads": _decode_ratios(took)},
+            avatar=avatar.manifest.name,
+            block=avatar.spec.block,
+            gl_renderer=bench.renderer.gl_renderer,
+            gl_threads=os.environ.get("LP_NUM_THREADS"),
+            onnxruntime=onnxruntime.__version__,
+        )
 
 
 class _Bench:
@@ -152,33 +144,30 @@ class _Bench:
         self._context, self._config, self._avatar = context, config, avatar
         self._baseline = baseline_like(avatar, config.seed)
         self.renderer = Renderer(context, (config.image_size, config.image_size))
-        self.renderer.add_textured("baseline", self._baseline)
 
     def cases(self) -> Iterator[tuple[Case, Work]]:
         """Every level and the baseline, decoded with so many threads, and drawn so far away."""
+        all_parts: tuple[Parts, ...] = ("both", "expression")
+        baseline: BaselineDecoder | None = None
+        decoder: OnnxDecoder | None = None
         for threads in self._config.threads:
             onnx = replace(self._config.onnx, threads=threads)
             decoder = OnnxDecoder(self._avatar, onnx)
             baseline = BaselineDecoder(self._baseline, onnx)
-            all_parts: tuple[Parts, ...] = ("both", "expression")
             for level in self._avatar.levels:
                 for parts in all_parts:
                     decoder.prepare(level, parts)
                     decode = partial(_decode, decoder, level, parts)
                     yield Case("decode", "pica", level, parts, threads), decode
-                frame = partial(self._frame, decoder, level)
-                self.renderer.add_avatar(f"pica-{level}", self._avatar)
-                yield Case("frame", "pica", level, "both", threads), frame
-            work = partial(_decode_baseline, baseline)
-            yield Case("decode", "baseline", None, None, threads), work
-            frame = partial(self._baseline_frame, baseline)
-            yield Case("frame", "baseline", None, None, threads), frame
+            yield Case("decode", "baseline", None, None, threads), partial(_decode, baseline)
+        assert decoder is not None
+        assert baseline is not None  # there are threads
+        self._upload(decoder, baseline)
         for distance in self._config.distances_cm:
-            for level in self._avatar.levels:
-                draw = partial(self._draw, f"pica-{level}", distance)
-                yield Case("draw", "pica", level, distance_cm=distance), draw
-            draw = partial(self._draw, "baseline", distance)
-            yield Case("draw", "baseline", None, distance_cm=distance), draw
+            for drawn in (*self._avatar.levels, None):
+                model = "baseline" if drawn is None else "pica"
+                draw = partial(self._draw, _slot(drawn), distance)
+                yield Case("draw", model, drawn, distance_cm=distance), draw
 
     def row(self, case: Case, took: dict[Case, list[Took]]) -> dict[str, Any]:
         """What a case took, and what it drew or lost."""
@@ -189,23 +178,25 @@ class _Bench:
             left = judged_mse(judged[self._avatar.levels.index(case.level), 0])
             found["mse"] = round(float(left), 3)
         if case.distance_cm is not None:
-            slot = "baseline" if case.level is None else f"pica-{case.level}"
-            camera = self._camera(case.distance_cm)
             self.renderer.forget_frame()
-            stats = self.renderer.draw([_placed(slot)], camera, count_pixels=True)
+            camera = self._camera(case.distance_cm)
+            stats = self.renderer.draw([_placed(_slot(case.level))], camera, count_pixels=True)
             found["pixels"] = sum(head.shaded_pixels or 0 for head in stats.heads)
             found["triangles"] = stats.num_triangles
             baseline = case._replace(model="baseline", level=None)
             found["over_baseline"] = ratio(took[case], took[baseline])
         return found
 
-    def _frame(self, decoder: OnnxDecoder, level: int, latent: FloatArray) -> None:
-        maps = decoder.decode(latent, AHEAD, level)
-        self.renderer.update_maps(f"pica-{level}", maps.position_map, maps.expression_map)
-
-    def _baseline_frame(self, decoder: BaselineDecoder, latent: FloatArray) -> None:
-        decoded = decoder.decode(latent, AHEAD)
-        self.renderer.update_textured("baseline", decoded.vertices_m, decoded.texture)
+    def _upload(self, decoder: OnnxDecoder, baseline: BaselineDecoder) -> None:
+        """Put the resting face of every level on the GPU."""
+        rest = np.zeros((8, 8, 4), np.float32)
+        for level in self._avatar.levels:
+            self.renderer.add_avatar(_slot(level), self._avatar)
+            maps = decoder.decode(rest, AHEAD, level)
+            self.renderer.update_maps(_slot(level), maps.position_map, maps.expression_map)
+        self.renderer.add_textured(_slot(None), self._baseline)
+        decoded = baseline.decode(rest, AHEAD)
+        self.renderer.update_textured(_slot(None), decoded.vertices_m, decoded.texture)
 
     def _draw(self, slot: str, distance_cm: float, _latent: FloatArray) -> None:
         self.renderer.forget_frame()
@@ -217,32 +208,25 @@ class _Bench:
         return front_camera(self._avatar.manifest, distance_cm, size)
 
 
+def _slot(level: int | None) -> str:
+    return "baseline" if level is None else f"pica-{level}"
+
+
 def _placed(slot: str) -> Placement:
     return Placement(slot=slot, world_from_head=HEAD)
 
 
-def _decode(decoder: OnnxDecoder, level: int, parts: Parts, latent: FloatArray) -> object:
-    return decoder.decode(latent, AHEAD, level, parts)
-
-
-def _decode_baseline(decoder: BaselineDecoder, latent: FloatArray) -> object:
-    return decoder.decode(latent, AHEAD)
+def _decode(decoder: OnnxDecoder | BaselineDecoder, *arguments: Any) -> object:
+    *chosen, latent = arguments
+    return decoder.decode(latent, AHEAD, *chosen)
 
 
 def _decode_ratios(took: dict[Case, list[Took]]) -> dict[str, dict[str, dict[str, float]]]:
-    """The baseline over each level, with its upload (`frame_ratio`) and without."""
+    """The baseline over each level, by threads."""
     found: dict[str, dict[str, dict[str, float]]] = {}
     for case in took:
-        if case.threads is None or case.level is None or case.parts != "both":
-            continue
-        name = "baseline_ratio" if case.work == "decode" else "frame_ratio"
-        baseline = case._replace(model="baseline", level=None, parts=None)
-        ratios = found.setdefault(str(case.threads), {}).setdefault(name, {})
-        ratios[str(case.level)] = ratio(took[baseline], took[case])
+        if case.threads is not None and case.parts == "both":
+            baseline = case._replace(model="baseline", level=None, parts=None)
+            ratios = found.setdefault(str(case.threads), {}).setdefault("baseline_ratio", {})
+            ratios[str(case.level)] = ratio(took[baseline], took[case])
     return found
-
-
-def level_for(avatar: Avatar, head_px: float) -> int:
-    """The level that a scheduler with enough time gives a talking head of this height."""
-    head = Head(slot="head", avatar=avatar, sight=Sight(True, head_px=head_px))
-    return Scheduler().level(head)

@@ -4,7 +4,8 @@ The truth is a rig, or a person of the face model, posed by what a source does. 
 avatar is driven by the same values through each step of a live call (`drive_steps`) and shown at
 each level of detail.
 
-The fields of its rows stand in ``docs/results.md``. What it does not show: people. The truth is
+Distances are of the vertices of lids and lips; `poke_ratio` is the share of the head's pixels that
+show another part than the truth within a pixel. What it does not show: people. The truth is
 synthetic, a tracker's own mistakes are not part of it, and delay is no error here.
 """
 
@@ -23,12 +24,11 @@ from pica_client.bench.drive_steps import (
     stage_values,
     values_of,
 )
-from pica_client.bench.harness import Words, check_names
+from pica_client.bench.harness import Words, check_names, report
 from pica_client.bench.head import FaceRenderer, evaluation_cameras
 from pica_client.errors import OptionError, check_ranges
 from pica_client.output import say
 from pica_client.render.drawing import masked_mse
-from pica_client.stats import describe_machine
 from pica_core.avatar.file import Avatar
 from pica_core.capture.dataset.files import Topology
 from pica_core.capture.stage.subject import Subject
@@ -103,14 +103,7 @@ def run_drive_bench(config: DriveBenchConfig, avatars: Sequence[Avatar]) -> dict
     rows: list[dict[str, Any]] = []
     for avatar in avatars:
         rows += _measure(config, avatar)
-    return {
-        "rows": rows,
-        "seconds": config.seconds,
-        "moments": config.moments,
-        "image_size": config.image_size,
-        "views": list(VIEWS),
-        "machine": describe_machine(),
-    }
+    return report(config, rows, views=VIEWS)
 
 
 def _measure(config: DriveBenchConfig, avatar: Avatar) -> list[dict[str, Any]]:

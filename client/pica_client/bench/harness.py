@@ -6,6 +6,8 @@ rounds warm up and are not counted. Results are medians.
 
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
 from statistics import median, quantiles
 from typing import Annotated, Any, NamedTuple, TypeVar
 
@@ -13,7 +15,7 @@ from cyclopts import Parameter, Token
 
 from pica_client.errors import OptionError
 from pica_client.output import say
-from pica_client.stats import percentile
+from pica_client.stats import describe_machine, percentile
 
 T = TypeVar("T")
 Case = TypeVar("Case")
@@ -85,6 +87,19 @@ def times_ms(samples: Sequence[Took]) -> dict[str, float]:
 def ratio(over: Sequence[Took], under: Sequence[Took]) -> float:
     """The median over rounds of two times of the same round."""
     return round(median(a.wall_s / b.wall_s for a, b in zip(over, under, strict=True)), 3)
+
+
+def report(config: Any, rows: Sequence[Mapping[str, Any]], **more: Any) -> dict[str, Any]:
+    """Return the result of a bench: its rows, its options, and what it was measured on.
+
+    Args:
+        config: A dataclass of plain values.
+    """
+    options = {
+        name: str(value) if isinstance(value, Path) else value
+        for name, value in asdict(config).items()
+    }
+    return {"rows": list(rows), **more, "options": options, "machine": describe_machine()}
 
 
 def say_rows(rows: Sequence[Mapping[str, Any]], columns: str) -> None:

@@ -2,9 +2,11 @@
 the rendered face. On a virtual clock, so every figure comes out the same on every machine with the
 same renderer.
 
-The fields of its rows stand in ``docs/results.md``. What it does not show: real networks (see
-`network.impairment` for what is modelled), displays that miss refreshes, and people: performances
-and avatars are synthetic.
+A row is one scenario under one policy; figures are of the troubled third of the run. `mse_shown` is
+against the true face at the moment that the policy means to show, `mse_expression` the same with
+the head where it truly was, `mse_now` against the face now. What it does not show: real networks
+(see `network.impairment` for what is modelled), displays that miss refreshes, and people:
+performances and avatars are synthetic.
 """
 
 import itertools
@@ -17,7 +19,7 @@ from typing import Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 
-from pica_client.bench.harness import Words, check_names
+from pica_client.bench.harness import Words, check_names, report
 from pica_client.bench.head import FaceRenderer
 from pica_client.bench.network.scenarios import BY_NAME, POLICIES, SCENARIOS
 from pica_client.bench.network.stream_trial import Delivery, Face, Schedule, Tick, deliver, play
@@ -75,9 +77,6 @@ def open_ends(avatar: Avatar, fps: float) -> tuple[LatentEncoder, LatentDecoder]
 def run_bench_playout(config: BenchPlayoutConfig, avatar: Avatar) -> dict[str, Any]:
     """Run all scenarios under all policies.
 
-    Returns:
-        ``rows`` as the module describes them, and what they hold for.
-
     Raises:
         ClientError: A source that cannot be read.
         GraphicsError: No GL context; names the fix.
@@ -102,16 +101,7 @@ def run_bench_playout(config: BenchPlayoutConfig, avatar: Avatar) -> dict[str, A
                     }
                 )
             say(f"{scenario.name}: {scenario.note}")
-    return {
-        "rows": rows,
-        "avatar": avatar.manifest.name,
-        "seconds": config.schedule.seconds,
-        "fps": config.schedule.fps,
-        "display_hz": config.schedule.display_hz,
-        "renders_per_s": config.renders_per_s,
-        "size_px": SIZE_PX,
-        "seed": config.seed,
-    }
+    return report(config, rows, avatar=avatar.manifest.name)
 
 
 def true_face(source: str, avatar: Avatar) -> Face:

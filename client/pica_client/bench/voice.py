@@ -2,8 +2,11 @@
 virtual clock, with the real codec, jitter buffer and playout, so every figure comes out the same on
 every machine with the same libopus (processor time apart).
 
-The fields of its rows stand in ``docs/results.md``. What it does not show: devices, real networks
-(see `network.impairment`), people: the speech is synthetic, and PESQ and STOI stand for listeners.
+Voice and face share one way; figures are of the troubled third of the run. PESQ is of the sound as
+it leaves the loudspeaker; for STOI each piece of sound is laid back to the moment when it was
+captured. `skew_ms` is the moment of the face less that of the voice. What it does not show:
+devices, real networks (see `network.impairment`), people: the speech is synthetic, and PESQ and
+STOI stand for listeners.
 """
 
 import time
@@ -14,7 +17,7 @@ from typing import Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 
-from pica_client.bench.harness import Words, check_names
+from pica_client.bench.harness import Words, check_names, report
 from pica_client.bench.network.scenarios import BY_NAME, SCENARIOS
 from pica_client.bench.network.stream_trial import (
     CLOCK_OFFSET_US,
@@ -99,11 +102,7 @@ class _Heard:
 
 
 def run_bench_voice(config: BenchVoiceConfig, avatar: Avatar) -> dict[str, Any]:
-    """Run all scenarios at all bit rates.
-
-    Returns:
-        ``rows`` as the module describes them, and what they hold for.
-    """
+    """Run all scenarios at all bit rates."""
     schedule = config.schedule
     sound = _speech(schedule.seconds, config.seed)
     frames = sound[: len(sound) // FRAME * FRAME].reshape(-1, FRAME)
@@ -136,15 +135,7 @@ def run_bench_voice(config: BenchVoiceConfig, avatar: Avatar) -> dict[str, Any]:
                 }
             )
             say(f"{scenario.name} at {rate} kbit/s: {scenario.note}")
-    return {
-        "rows": rows,
-        "avatar": avatar.manifest.name,
-        "source": config.source,
-        "seconds": schedule.seconds,
-        "fps": schedule.fps,
-        "display_hz": schedule.display_hz,
-        "seed": config.seed,
-    }
+    return report(config, rows, avatar=avatar.manifest.name)
 
 
 def _speech(seconds: float, seed: int) -> FloatArray:

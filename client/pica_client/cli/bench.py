@@ -104,8 +104,7 @@ def bench_scene(avatars: AvatarChoice, options: SceneBenchConfig) -> Result:
     result = run_scene_bench(options, avatars.load())
     say_rows(
         result["rows"],
-        "avatars distance_cm scheduler total_ms budget_ms decode_ms upload_ms draw_ms plan_ms "
-        "error",
+        "avatars distance_cm scheduler total_ms decode_ms upload_ms draw_ms plan_ms error",
     )
     say_rows(
         result["summary"]["scenes"],
