@@ -1,9 +1,9 @@
 """Bits against the error of the rendered face, for our stream and for what one would take instead.
 
 A row is one profile on one source, at 30 frames a second; its latents are decoded and drawn at some
-moments and compared with the drawing of the uncoded latent. What it does not show: networks (`pica bench
-playout`), and people: the avatars are synthetic, and only the recording is of a face. An error of 8
-bits and of the pixels that change owner at edges is in every `mse`: about 0.2.
+moments and compared with the drawing of the uncoded latent. What it does not show: networks (`pica
+bench playout`), and people: the avatars are synthetic, and only the recording is of a face. An
+error of 8 bits and of the pixels that change owner at edges is in every `mse`: about 0.2.
 """
 
 from collections.abc import Callable, Sequence

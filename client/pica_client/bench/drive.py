@@ -19,7 +19,6 @@ import numpy as np
 from pica_client.bench.codec import FPS
 from pica_client.bench.drive_steps import (
     STAGES,
-    open_driven_source,
     shown_latents,
     stage_values,
     values_of,
@@ -29,6 +28,7 @@ from pica_client.bench.head import FaceRenderer, evaluation_cameras
 from pica_client.errors import OptionError, check_ranges
 from pica_client.output import say
 from pica_client.render.drawing import masked_mse
+from pica_client.sources import open_source
 from pica_core.avatar.file import Avatar
 from pica_core.capture.dataset.files import Topology
 from pica_core.capture.stage.subject import Subject
@@ -49,8 +49,7 @@ class DriveBenchConfig:
     """What to measure."""
 
     sources: Words = ("performance:talk", "performance:listen", "performance:range_of_motion")
-    """What the person does, separated by commas; csv:FILE or take:FILE for recordings, still:rest
-    and still:eyes-closed for calibration."""
+    """What the person does, separated by commas; csv:FILE or take:FILE for recordings."""
     stages: Words = STAGES
     """Which of driver, codec, live, offset and calibrated."""
     rig: Path | None = None
@@ -116,7 +115,7 @@ def _measure(config: DriveBenchConfig, avatar: Avatar) -> list[dict[str, Any]]:
     try:
         for source in config.sources:
             say(f"{name}: {source}: the head itself")
-            arkit = values_of(open_driven_source(source), num_frames)
+            arkit = values_of(open_source(source), num_frames)
             truth[source] = [_draw_truth(subject, arkit[each], config) for each in moments]
     finally:
         subject.release()  # one GL context at a time on this thread
@@ -126,7 +125,7 @@ def _measure(config: DriveBenchConfig, avatar: Avatar) -> list[dict[str, Any]]:
         for source in config.sources:
             for stage in config.stages:
                 say(f"{name}: {source}: {stage}")
-                values = stage_values(stage, open_driven_source(source), num_frames)
+                values = stage_values(stage, open_source(source), num_frames)
                 latents = shown_latents(avatar, values, coded=stage != "driver")
                 for level in avatar.levels:
                     shown = [

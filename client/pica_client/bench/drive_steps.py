@@ -15,16 +15,15 @@ does.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from pica_client.bench.codec import FPS, code_stream
-from pica_client.sources import Source, open_source
+from pica_client.sources import Source
 from pica_client.sources.live.calibration import BLINKS, Calibration, calibrate
 from pica_client.sources.live.live_face import LiveFace, TrackerSample
-from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT, ExpressionFrame
+from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
 from pica_core.codec.latent_sample import LatentSample
@@ -66,13 +65,11 @@ def live_values(
     look: Callable[[float], TrackerSample],
     num_frames: int,
     calibration: Calibration | None,
-    tracker_fps: int = TRACKER_FPS,
 ) -> FloatArray:
     """A face as a live sender has it, for the moments of `FPS`.
 
     Args:
         look: What the tracker says of a moment, seconds; asked in order.
-        tracker_fps: How often it looks.
 
     Returns:
         float32 ``[T, 52]``; row t is the face as it was seen at t / `FPS` seconds.
@@ -84,9 +81,9 @@ def live_values(
         while True:
             now = number / FPS + face.delay_s
             way_s = ARRIVES_AFTER_S[pushed % len(ARRIVES_AFTER_S)]
-            if pushed / tracker_fps + way_s > now and pushed:
+            if pushed / TRACKER_FPS + way_s > now and pushed:
                 break
-            face.push(look(pushed / tracker_fps), pushed / tracker_fps + way_s)
+            face.push(look(pushed / TRACKER_FPS), pushed / TRACKER_FPS + way_s)
             pushed += 1
         values.append(face.face_at(now).arkit)
     return np.stack(values)
@@ -129,38 +126,6 @@ def shown_latents(avatar: Avatar, arkit: FloatArray, *, coded: bool) -> FloatArr
     samples = [LatentSample(latent=each, rotation=still, translation_m=still) for each in latents]
     coded_stream = code_stream(profile, StreamConfig(fps=FPS), samples)
     return np.stack([sample.latent for sample in coded_stream.shown])
-
-
-STILL: Final = {"still:rest": (), "still:eyes-closed": BLINKS}
-"""Faces that only this bench knows, and what of them is at 1: the person of a calibration."""
-
-
-@dataclass(frozen=True, slots=True)
-class StillFace:
-    """A source that does not move.
-
-    Attributes:
-        arkit: The face. float32 ``[52]``.
-    """
-
-    arkit: FloatArray
-
-    def frame_at(self, time_s: float) -> ExpressionFrame:
-        """The face; see `Source.frame_at`."""
-        return ExpressionFrame(captured_us=round(time_s * 1e6), arkit=self.arkit)
-
-
-def open_driven_source(text: str) -> Source:
-    """A source by its text, or one of `STILL`.
-
-    Raises:
-        SourceError: As `open_source`.
-    """
-    if text not in STILL:
-        return open_source(text)
-    arkit = np.zeros(NUM_ARKIT, np.float32)
-    arkit[list(STILL[text])] = 1.0
-    return StillFace(arkit)
 
 
 STAGES: Final = ("driver", "codec", "live", "offset", "calibrated")

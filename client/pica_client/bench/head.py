@@ -15,7 +15,7 @@ import numpy.typing as npt
 from pica_client.closing import Closing
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.errors import OptionError
-from pica_client.render.drawing import HEAD, Drawing, HeadRenderer, drawn_mse
+from pica_client.render.drawing import HEAD, Drawing, HeadRenderer
 from pica_client.render.scene import head_matrix, view_direction
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.manifest import Manifest
@@ -149,17 +149,6 @@ class FaceRenderer(Closing):
             self._decoded.draw(maps, camera)
             assert maps.position_map is not None  # both maps were asked for
             yield Surface(*drawing, self._decoded.read_uv(), maps.position_map)
-
-    def largest_step_mse(self, samples: Sequence[LatentSample], points: FloatArray) -> float:
-        """MSE between the drawings of the two successive samples whose points differ most.
-
-        Args:
-            samples: Faces in the order in which they are shown.
-            points: What they are compared by, ``[T, ...]``.
-        """
-        moved = np.square(np.diff(points.reshape(len(samples), -1), axis=0)).sum(axis=1)
-        where = int(moved.argmax())
-        return drawn_mse(*map(self.draw_sample, samples[where : where + 2]))
 
     def close(self) -> None:
         """Give the GL context back."""

@@ -10,7 +10,6 @@ performances and avatars are synthetic.
 """
 
 import itertools
-import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
@@ -37,10 +36,6 @@ from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamCo
 SIZE_PX = 192
 MAX_DRAWINGS = 1500
 """Drawings of the true face kept: 0.15 MB each."""
-TURN_WEIGHT, MOVE_WEIGHT = 3.0, 30.0
-"""Of a radian and a metre against a latent's unit, where steps are compared before they are drawn
-(chosen: only the order of candidates depends on it)."""
-
 MSE_FIGURES = ("mse_shown", "mse_expression", "mse_now")
 
 
@@ -152,8 +147,6 @@ class _Comparison:
             "concealed_ratio": round(float(np.mean([_is_concealed(tick) for tick in troubled])), 4),
             "longest_gap_ms": self._longest_gap_ms(troubled),
             "late": late[1] - late[0],
-            **self._recovery(ticks, delivery),
-            "largest_step": self._largest_step(ticks),
         }
 
     def _errors(self, tick: Tick, delivery: Delivery) -> tuple[float, float, float]:
@@ -176,43 +169,6 @@ class _Comparison:
         runs = itertools.groupby(ticks, key=_is_concealed)
         longest = max((sum(1 for _ in run) for is_gap, run in runs if is_gap), default=0)
         return round(longest / self._schedule.display_hz * 1e3, 1)
-
-    def _recovery(self, ticks: Sequence[Tick], delivery: Delivery) -> dict[str, float | None]:
-        schedule = self._schedule
-        before = [tick for tick in ticks if schedule.begin_s / 2 <= tick.now_s < schedule.begin_s]
-        usual_s = percentile(sorted(_added_delay_s(tick, delivery) for tick in before), 95)
-        after = [tick for tick in ticks if tick.now_s >= schedule.end_s]
-        old = [_added_delay_s(tick, delivery) > usual_s + 1 / schedule.fps for tick in after]
-        return {
-            "recovery_ms": self._last_ms(after, [_is_concealed(tick) for tick in after]),
-            "delay_recovery_ms": self._last_ms(after, old),
-        }
-
-    def _last_ms(self, ticks: Sequence[Tick], flags: Sequence[bool]) -> float | None:
-        """When the last flag was up, after the trouble; 0 for never, None for still."""
-        raised = [tick.now_s for tick, flag in zip(ticks, flags, strict=True) if flag]
-        if not raised:
-            return 0.0
-        if raised[-1] > self._schedule.seconds - 0.5:
-            return None
-        return round((raised[-1] - self._schedule.end_s) * 1e3, 1)
-
-    def _largest_step(self, ticks: Sequence[Tick]) -> float:
-        """The largest step that is shown over the largest true one."""
-        since = [tick for tick in ticks if tick.now_s >= self._schedule.begin_s]
-        shown = [tick.played.sample for tick in since if tick.played is not None]
-        true_step = self._drawn_step([self._face(tick.now_s) for tick in since])
-        return round(math.sqrt(self._drawn_step(shown) / true_step), 2)
-
-    def _drawn_step(self, samples: Sequence[LatentSample]) -> float:
-        """MSE between the two successive faces that differ most, pose included."""
-        points = [
-            np.concatenate(
-                [s.latent.ravel(), TURN_WEIGHT * s.rotation, MOVE_WEIGHT * s.translation_m]
-            )
-            for s in samples
-        ]
-        return self._renderer.largest_step_mse(samples, np.stack(points))
 
     def _draw_true(self, time_us: int) -> Drawing:
         return self._renderer.draw_sample(self._face(time_us / 1e6))

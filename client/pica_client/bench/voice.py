@@ -52,7 +52,6 @@ SPOKEN_RMS = 0.005
 """Above it somebody speaks."""
 SCORE_HZ = 16_000
 """What PESQ and STOI take."""
-RECOVERED_S = 0.04
 FILL_S = 0.015
 """Holes up to this long are periods of the pitch that were left out."""
 
@@ -260,22 +259,7 @@ def _timing(heard: _Heard, schedule: Schedule) -> dict[str, Any]:
         "face_held_ratio": round(num_held / max(len(refreshes), 1), 4),
         "concealed_ratio": round(float(concealed / max(played + concealed, 1)), 4),
         "stretched_ratio": round(float(stretched / ticks), 4),
-        **_recovery(heard, schedule),
     }
-
-
-def _recovery(heard: _Heard, schedule: Schedule) -> dict[str, float | None]:
-    """When the last sound came that was made up, or old, after the trouble; None for to the end."""
-    times, delays_s = heard.counted[:, 0], heard.delays_s
-    before = delays_s[(times >= schedule.begin_s / 2) & (times < schedule.begin_s)]
-    is_old = delays_s > np.nanmedian(before) + RECOVERED_S  # false for NaN
-    made_up = np.diff(heard.counted[:, 2], prepend=0) > 0
-    recovered = {}
-    for name, flags in (("recovery_ms", made_up), ("delay_recovery_ms", is_old)):
-        last_s = max(times[flags & (times >= schedule.end_s)], default=schedule.end_s)
-        is_over = last_s <= schedule.seconds - 0.5
-        recovered[name] = round(float(last_s - schedule.end_s) * 1e3, 1) if is_over else None
-    return recovered
 
 
 def _ms(samples_s: Iterable[float], *percents: int) -> dict[str, float | None]:

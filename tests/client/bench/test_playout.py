@@ -9,7 +9,6 @@ import pytest
 from helpers.toy import make_toy_avatar, without_stream
 from pica_client.bench.network.stream_trial import Schedule
 from pica_client.bench.playout import BenchPlayoutConfig, run_bench_playout
-from pica_client.errors import OptionError
 from pica_core.errors import ProfileError
 
 pytestmark = pytest.mark.render
@@ -31,7 +30,6 @@ def test_rows_are_repeatable_and_compare_every_policy() -> None:
     calm, stalled = (rows[name, "fixed"] for name in ("jitter-0", "stall-300"))
     assert calm["concealed_ratio"] == 0
     assert calm["added_delay_ms_p50"] == pytest.approx(100, abs=1)
-    assert calm["recovery_ms"] == 0
     assert stalled["concealed_ratio"] > 0.02
     # 300 ms of silence and up to one frame interval, less the 100 ms that were in the buffer.
     assert stalled["longest_gap_ms"] == pytest.approx(217, abs=20)
@@ -40,11 +38,6 @@ def test_rows_are_repeatable_and_compare_every_policy() -> None:
     # A delay of 100 ms shows in the error against the face now, not in that against its moment.
     assert calm["mse_now"] > rows["jitter-0", "unbuffered"]["mse_now"]
     assert calm["mse_shown"] < rows["jitter-0", "unbuffered"]["mse_shown"]
-
-
-def test_what_no_bench_can_do_is_refused_before_it_begins() -> None:
-    with pytest.raises(OptionError, match="seed is -1"):
-        BenchPlayoutConfig(seed=-1)
 
 
 def test_an_avatar_without_a_profile_is_refused_with_the_fix() -> None:

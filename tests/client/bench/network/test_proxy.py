@@ -101,10 +101,3 @@ def test_a_server_that_is_not_there_ends_the_connection() -> None:
             writer.close()
 
     asyncio.run(main())
-
-
-def test_datagrams_and_other_addresses_are_refused() -> None:
-    with pytest.raises(ValueError, match="reordered"):
-        ImpairedProxy("ws://127.0.0.1:1/", Impairment(is_ordered=False))
-    with pytest.raises(ValueError, match="ws://HOST:PORT"):
-        ImpairedProxy("wss://127.0.0.1:1/", Impairment())
