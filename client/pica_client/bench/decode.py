@@ -73,16 +73,13 @@ class DecodeBenchConfig:
     """Distances of the camera from the front of the head, separated by commas."""
     image_size: int = 1024
     """Rows and columns of the image, pixels."""
-    head_px: float = 640.0
-    """Height of the head on screen, pixels, for which errors and the scheduler's level are reported
-    (chosen: 65 cm before the viewer's camera of 32 degrees, in a window 720 rows high)."""
     seed: int = 0
     """Seed of the baseline's random weights."""
     onnx: Provider = field(default_factory=OnnxOptions)
     """ONNX Runtime execution provider, as NAME or NAME:key=value,key=value."""
 
     def __post_init__(self) -> None:
-        check_ranges(self, rounds=(1, 10_000), head_px=(1, 1e5), seed=(0, 2**32))
+        check_ranges(self, rounds=(1, 10_000), seed=(0, 2**32))
         check_ranges(self, image_size=(64, 4096))
         check_distances(self.distances_cm)
         if not self.threads or not all(1 <= threads <= 64 for threads in self.threads):
