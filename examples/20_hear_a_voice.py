@@ -15,6 +15,7 @@ from pica_client.publish.publisher import SenderConfig
 from pica_client.sources import open_source
 from pica_client.transport.config import LinkConfig
 from pica_client.voice.opus import OpusDecoder
+from pica_client.voice.packet import level_of
 from pica_client.voice.publisher import VoicePublisher
 from pica_client.voice.source import SoundSource
 from pica_client.voice.wav import shipped_speech
@@ -50,11 +51,11 @@ async def main() -> None:
     library.close()
 
     decoder = OpusDecoder()  # a jitter buffer stands here in a call: it decides what is heard when
-    sound = np.concatenate([decoder.decode(packet.payload) for packet, _ in heard])
+    parts = [decoder.decode(packet.payload) for packet, _ in heard]
     # Sender and receiver share a clock here; a packet is 40 ms old when it is complete.
     delays_ms = [(arrived_s - packet.captured_us / 1e6) * 1e3 - 40 for packet, arrived_s in heard]
-    loudest = min(packet.level for packet, _ in heard if packet.level is not None)
-    print(f"{len(heard)} packets, {len(sound) / 48_000:.1f} s of sound, at most -{loudest} dB")
+    seconds, loudest = sum(map(len, parts)) / 48_000, min(map(level_of, parts))
+    print(f"{len(heard)} packets, {seconds:.1f} s of sound, at most -{loudest} dB")
     print(f"relayed within {np.percentile(delays_ms, 95):.1f} ms, 95 of 100 times")
     print(f"{sent['sent']} faces and {sent['voice']['sent']} packets: {sent['wire_bps']} bit/s")
 
