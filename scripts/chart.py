@@ -240,11 +240,17 @@ def chart_scene() -> None:
     save(figure, "scene", line)
 
 
+def source_of(text: str) -> str:
+    """Return the name of a source without its kind; a file is the real recording."""
+    kind, _, name = text.partition(":")
+    return "real recording" if kind == "csv" else name.replace("_", " ")
+
+
 def chart_codec() -> None:
-    """Fill in what bits buy."""
+    """Fill in what bits buy, for some qualities."""
     line = read_lines("codec")[-1]
     columns: dict[str, Column] = {
-        "source": lambda row: row["source"].split(":")[1],
+        "source": lambda row: source_of(row["source"]),
         "profile": "profile",
         "payload, kbit/s": lambda row: f"{row['payload_bps'] / 1e3:.2f}",
         "wire, kbit/s": lambda row: f"{row['wire_bps'] / 1e3:.1f}",
@@ -252,7 +258,9 @@ def chart_codec() -> None:
         "of changes": "{change_mse:.2f}",
         "encode + decode, µs": lambda row: f"{row['encode_us']:.0f}+{row['decode_us']:.0f}",
     }
-    fill_in("codec", table(line["result"]["rows"], columns), source_line(line))
+    left_out = [f"quality-{number}" for number in (1, 2, 4, 5, 6)]
+    rows = [row for row in line["result"]["rows"] if row["profile"] not in left_out]
+    fill_in("codec", table(rows, columns), source_line(line))
 
 
 def chart_playout() -> None:
@@ -288,24 +296,29 @@ def chart_voice() -> None:
 
 
 def chart_drive() -> None:
-    """Fill in the newest row of each avatar, source and level under live drive."""
+    """Fill in each avatar under live drive, its levels side by side."""
     lines = read_lines("drive")
-    rows = {
-        (row["avatar"], row["source"], row["level"]): row
-        for line in lines
-        for row in line["result"]["rows"]
-    }
+    levels: dict[tuple[str, str], list[Row]] = defaultdict(list)
+    for line in lines:
+        for row in line["result"]["rows"]:
+            levels[row["avatar"], row["source"]].append(row)
+
+    def cell(key: str, form: str) -> Column:
+        return lambda row: " / ".join(form.format(level[key]) for level in row["levels"])
+
     columns: dict[str, Column] = {
         "avatar": "avatar",
-        "source": lambda row: row["source"].split(":")[0],
-        "level": "level",
-        "MSE": "{mse:.1f}",
-        "p95": "{p95_mse:.1f}",
-        "lids, mm": "{lid_mm:.2f}",
-        "lips, mm": "{lip_mm:.2f}",
-        "poke": "{poke_ratio:.3%}",
+        "source": "source",
+        "MSE at 64 / 128 / 256": cell("mse", "{:.1f}"),
+        "lids, mm": lambda row: f"{row['levels'][-1]['lid_mm']:.2f}",
+        "lips, mm": lambda row: f"{row['levels'][-1]['lip_mm']:.2f}",
+        "poke at 64": lambda row: f"{row['levels'][0]['poke_ratio']:.3%}",
     }
-    fill_in("drive", table(rows.values(), columns), source_line(lines[-1]))
+    rows = [
+        {"avatar": avatar, "source": source_of(source), "levels": each}
+        for (avatar, source), each in levels.items()
+    ]
+    fill_in("drive", table(rows, columns), source_line(lines[-1]))
 
 
 def chart_tables() -> None:
