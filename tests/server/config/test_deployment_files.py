@@ -16,8 +16,9 @@ import yaml
 
 from helpers.command_options import read_options
 from helpers.paths import ROOT
-from pica_command.table import COMMANDS, UsageError
+from pica_command.table import COMMANDS
 from pica_server.config.relay import RelayConfig
+from pica_server.errors import ConfigurationError
 from pica_server.ops.status_pages import LoopWatch, StatusPages
 from pica_server.room.hub import Hub
 
@@ -123,7 +124,7 @@ class TestDockerfiles:
 
 
 def test_the_relays_image_refuses_to_be_open_by_mistake() -> None:
-    with pytest.raises(UsageError, match="this relay has no tokens"):
+    with pytest.raises(ConfigurationError, match="this relay has no tokens"):
         relay_options([], image_environment())
     config = relay_options([], {**image_environment(), "PICA_RELAY_KEYS": "/run/secrets/keys"})
     assert (config.host, config.port) == ("0.0.0.0", 8765)
