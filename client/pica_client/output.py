@@ -50,10 +50,14 @@ class Outputs:
         try:
             write()
         except OptionError as error:
-            self.failures.append(str(error))
-            say(str(error))
+            self.fail(str(error))
             return False
         return True
+
+    def fail(self, failure: str) -> None:
+        """Tell and note why something could not be written."""
+        self.failures.append(failure)
+        say(failure)
 
     def write_text(self, path: Path, text: str) -> bool:
         """Write a file; return whether that was possible."""

@@ -9,7 +9,6 @@ import contextlib
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -25,9 +24,9 @@ from pica_client.local_call.processes import Children
 from pica_client.transport.config import LinkConfig
 from pica_client.ui.join_form import JoinForm
 from pica_client.ui.options import ViewerOptions, ViewOptions
+from pica_client.ui.session import first_state, view_calls
 from pica_client.ui.state import PreferencesFile, ViewState
 from pica_client.ui.surface.surface import Surface
-from pica_client.ui.view_session import ask_and_look, first_state, link_of, look
 from pica_core.gl import create_context
 
 pytestmark = pytest.mark.call
@@ -70,7 +69,7 @@ class ScreenlessWindow:
 def window_of(monkeypatch: pytest.MonkeyPatch) -> Callable[[list[Event]], None]:
     def prepare(happened: list[Event]) -> None:
         monkeypatch.setattr(ScreenlessWindow, "happened", list(happened), raising=False)
-        monkeypatch.setattr("pica_client.ui.window.Window", ScreenlessWindow)
+        monkeypatch.setattr("pica_client.ui.session.Window", ScreenlessWindow)
 
     return prepare
 
@@ -134,7 +133,7 @@ def state_at(url: str, name: str = "guest") -> ViewState:
 def test_one_comes_again_under_another_name(
     monkeypatch: pytest.MonkeyPatch, relay_url: str, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr("pica_client.ui.window.Window", ClickingWindow)
+    monkeypatch.setattr("pica_client.ui.session.Window", ClickingWindow)
     monkeypatch.setattr(ScreenlessWindow, "happened", [], raising=False)
     ClickingWindow.places = note_places(monkeypatch)
     steps = ["Join", "Settings", "##name", "= Lovelace", "Join again"]
@@ -144,7 +143,7 @@ def test_one_comes_again_under_another_name(
     state.window_size = (960, 720)
     stay = replace(OPTIONS, seconds=20, viewer=ViewerOptions())
     with contextlib.closing(AvatarLibrary()) as library:
-        ask_and_look(stay, state, library, without_signals, kept=kept)
+        view_calls(stay, state, library, without_signals, kept=kept, asks=True)
     assert ClickingWindow.todo == []
     assert kept.load().name == "Ada Lovelace"
 
@@ -153,24 +152,25 @@ def test_one_can_leave_at_the_form(
     window_of: Callable[[list[Event]], None], library: AvatarLibrary
 ) -> None:
     window_of([press(imgui.Key.escape)])
-    result = ask_and_look(OPTIONS, state_at(NOBODY), library, without_signals)
+    result = view_calls(OPTIONS, state_at(NOBODY), library, without_signals, asks=True)
     assert result["frames_rendered"] == 0
 
 
 def test_a_relay_that_is_not_there_is_said_in_the_form(
-    window_of: Callable[[list[Event]], None], library: AvatarLibrary
+    window_of: Callable[[list[Event]], None],
+    library: AvatarLibrary,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     window_of([press(imgui.Key.enter)])
     state = state_at(NOBODY, "Ada")
-    form = JoinForm(state, partial(link_of, OPTIONS))
     refusals: list[str] = []
 
-    def refuse(error: BaseException) -> None:
+    def refuse(form: JoinForm, error: BaseException) -> None:
         refusals.append(str(error))
         form.outcome = "leave"
 
-    form.refuse = refuse  # type: ignore[method-assign]
-    ask_and_look(OPTIONS, state, library, without_signals, form=form)
+    monkeypatch.setattr(JoinForm, "refuse", refuse)
+    view_calls(OPTIONS, state, library, without_signals, asks=True)
     assert len(refusals) == 1
     assert f"no relay answers at {NOBODY}" in refusals[0]
 
@@ -185,7 +185,7 @@ def test_who_joins_by_the_form_is_in_the_call_and_found_again_next_time(
     kept = PreferencesFile(tmp_path)
     state = state_at(relay_url, "Ada")
     state.token = "a-secret"
-    result = ask_and_look(OPTIONS, state, library, without_signals, kept=kept)
+    result = view_calls(OPTIONS, state, library, without_signals, kept=kept, asks=True)
     assert result["frames_rendered"] > 0
     found = kept.load()
     assert (found.url, found.room, found.name, found.layout) == (
@@ -201,7 +201,7 @@ def test_an_address_on_the_command_line_needs_no_form(
     library: AvatarLibrary, relay_url: str, tmp_path: Path
 ) -> None:
     kept = PreferencesFile(tmp_path)
-    result = look(HEADLESS, state_at(relay_url), library, without_signals, kept=kept)
+    result = view_calls(HEADLESS, state_at(relay_url), library, without_signals, kept=kept)
     assert result["frames_rendered"] > 0
     assert kept.load().url == relay_url
 
@@ -212,7 +212,7 @@ def test_a_stay_begins_without_what_held_for_the_people_of_another(
     state = state_at(relay_url)
     state.volumes, state.barred = {1: 0.0}, {"eve": "Eve"}
     state.side, state.is_talking = "settings", True
-    look(HEADLESS, state, library, without_signals)
+    view_calls(HEADLESS, state, library, without_signals)
     assert (state.volumes, state.barred, state.side, state.is_talking) == ({}, {}, "none", False)
 
 
@@ -222,7 +222,7 @@ def test_what_cannot_be_kept_is_said_and_the_call_ends_well(
     kept = PreferencesFile(tmp_path)
     state = state_at(relay_url)
     state.keep_in = "k" * 2000
-    assert look(HEADLESS, state, library, without_signals, kept=kept)["frames_rendered"] > 0
+    assert view_calls(HEADLESS, state, library, without_signals, kept=kept)["frames_rendered"] > 0
     assert "preferences cannot be kept: keep_in is no text" in capsys.readouterr().err
 
 
@@ -235,7 +235,7 @@ def test_who_records_from_the_command_line_is_seen_to_by_those_in_the_room(
     with Receiver(LinkConfig(url=relay_url, name="Ada"), call) as receiver:
         while not receiver.is_connected:
             time.sleep(0.01)
-        look(recording, state_at(relay_url), library, without_signals)
+        view_calls(recording, state_at(relay_url), library, without_signals)
         news: list[tuple[str, str]] = []
         while ("left", "guest") not in news:
             news += [(each.kind, each.name) for each in call.room(time.monotonic()).news]
@@ -249,9 +249,9 @@ def test_who_comes_in_again_records_into_a_file_of_its_own_and_is_told_where(
     pytest.importorskip("av")
     film, picture = tmp_path / "call.mp4", tmp_path / "last.png"
     recording = replace(HEADLESS, viewer=replace(HEADLESS.viewer, record=film), png=picture)
-    look(recording, state_at(relay_url), library, without_signals)
+    view_calls(recording, state_at(relay_url), library, without_signals)
     first = film.read_bytes()
-    look(recording, state_at(relay_url), library, without_signals)
+    view_calls(recording, state_at(relay_url), library, without_signals)
     assert film.read_bytes() == first
     said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("wrote")]
     again = tmp_path / "call-0001.mp4"
@@ -273,16 +273,16 @@ def test_what_the_command_line_says_comes_before_what_was_kept(tmp_path: Path) -
 def test_without_the_form_nothing_of_it_is_taken_from_the_last_call(tmp_path: Path) -> None:
     kept = PreferencesFile(tmp_path)
     kept.save(ViewState(url="ws://old", room="old", name="Old", source="webcam", layout="grid"))
-    state = first_state(ViewOptions(url="ws://new"), kept, asks=False)
+    state = first_state(ViewOptions(url="ws://new"), kept)
     assert (state.url, state.room, state.name) == ("ws://new", "lobby", "viewer")
     assert (state.source, state.voice, state.layout) == ("", "none", "grid")
 
 
 def test_an_invite_link_leads_where_it_says() -> None:
-    state = first_state(ViewOptions(link="pica://host/there#token=abc"), None, asks=False)
+    state = first_state(ViewOptions(link="pica://host/there#token=abc"), None)
     assert (state.url, state.room, state.token) == ("wss://host", "there", "abc")
     with pytest.raises(OptionError, match="link: "):
-        first_state(ViewOptions(link="pica://host"), None, asks=False)
+        first_state(ViewOptions(link="pica://host"), None)
 
 
 def test_a_token_file_that_is_not_for_the_relay_of_a_link_is_said_to_stay(
@@ -290,6 +290,6 @@ def test_a_token_file_that_is_not_for_the_relay_of_a_link_is_said_to_stay(
 ) -> None:
     link = relay_url.replace("ws://", "pica://") + "/fun?plain=1"
     options = replace(HEADLESS, link=link, token_file=tmp_path / "not there")
-    look(options, first_state(options, None, asks=False), library, without_signals)
+    view_calls(options, first_state(options, None, asks=False), library, without_signals)
     line = f"token-file is not sent where the invite link leads; --url '{relay_url}' would send it"
     assert capsys.readouterr().err.count(line) == 1

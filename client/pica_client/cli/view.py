@@ -20,8 +20,8 @@ def view(options: ViewOptions) -> dict[str, Any]:
         raise OptionError(f"{record}: is there already; move it away or name another file")
     # Only here: help and completion do without the decoders and the window.
     from pica_client.avatars.library import AvatarLibrary
+    from pica_client.ui.session import first_state, view_calls
     from pica_client.ui.state import PreferencesFile
-    from pica_client.ui.view_session import ask_and_look, first_state, look
 
     kept = PreferencesFile() if options.preferences and not is_headless else None
     asks = not is_headless and bool(options.link or not options.url) and has_display()
@@ -30,7 +30,6 @@ def view(options: ViewOptions) -> dict[str, Any]:
         for name in (options.avatar or "").split(","):
             if name:
                 library.load(library.find(name))
-        begin = ask_and_look if asks else look
-        result = begin(options, state, library, on_stop_signal, kept=kept)
+        result = view_calls(options, state, library, on_stop_signal, asks=asks, kept=kept)
     say(f"drew {result['frames_rendered']} images at {result['render_fps']} a second")
     return result

@@ -60,7 +60,7 @@ class CallSurface:
     """Draws the surface of a call.
 
     Args:
-        status: Returns how the call stands, at a time in seconds.
+        status: Returns how the call stands, at a time in seconds; None: there is no call.
         has_pointer: There is a window with a pointer.
 
     Attributes:
@@ -72,7 +72,7 @@ class CallSurface:
         self,
         surface: Surface,
         meter: Meter,
-        status: Callable[[float], CallStatus],
+        status: Callable[[float], CallStatus] | None,
         *,
         has_pointer: bool,
     ) -> None:
@@ -107,7 +107,8 @@ class CallSurface:
         self._times.append(now)
         if self._asked_s is None or now - self._asked_s >= STATUS_PERIOD_S:
             self._asked_s = now
-            self.status = self._ask_status(now)
+            if self._ask_status is not None:
+                self.status = self._ask_status(now)
             for text, tone in notices(self.status.news):
                 self._board.add(Notice(text, tone), now)
             self._figures = self._figures_now()

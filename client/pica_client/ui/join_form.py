@@ -1,19 +1,35 @@
-"""The form that asks where to go and with which identity, without a window. Pure.
+"""The form that asks where to go and under which identity, and what went wrong with joining. Pure.
 
-form = JoinForm(ViewState(url="ws://127.0.0.1:8765"), link_of)
-form.state.room = "standup"
-form.obey("join")
-form.outcome                    # "join" once the fields can be right
+    form = JoinForm(ViewState(url="ws://127.0.0.1:8765"), link_of)
+    form.state.room = "standup"
+    form.obey("join")
+    form.outcome                    # "join" once the fields can be right
+
+Errors are put into a person's words: what it is, and what helps. The raw error is kept as details.
 """
 
+import errno
+import re
+import socket
+import ssl
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Literal
 
-from pica_client.errors import OptionError
+from websockets.exceptions import InvalidHandshake
+
+from pica_client.errors import (
+    AvatarLookupError,
+    OptionError,
+    RelayRefusedError,
+    RelayUnreachableError,
+    SourceError,
+)
 from pica_client.sources.performances import PERFORMANCES
 from pica_client.transport.config import LinkConfig
 from pica_client.ui.state import ViewState
-from pica_client.ui.trouble import Trouble, explain
+from pica_core.errors import AvatarFileError
+from pica_protocol.errors import CloseCode
 from pica_protocol.invite import is_link, parse_link
 
 MAX_CHARACTERS = 2048
@@ -33,6 +49,139 @@ SOURCES: tuple[tuple[str, str], ...] = (
 
 JoinRequest = Literal["typed", "join", "leave", "show meters", "test sound"]
 """What the form asks for; "typed" is after each change of a field."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trouble:
+    """Why one could not join."""
+
+    what: str
+    """What is wrong, one sentence."""
+    remedy: str = ""
+    """What helps, one or two sentences."""
+    details: str = ""
+    """The raw error."""
+
+
+REFUSALS: dict[int, tuple[str, str]] = {
+    CloseCode.WRONG_VERSION: (
+        "The relay runs another version of PiCA.",
+        "Update PiCA on this computer, or ask whoever runs the relay to update it.",
+    ),
+    CloseCode.ROOM_FULL: ("The room is full.", "Wait until somebody leaves, or use another room."),
+    CloseCode.RELAY_FULL: ("The relay is full.", "Try again in a few minutes."),
+    CloseCode.BUSY: ("The relay is busy.", "Try again in a moment."),
+    CloseCode.TOO_MANY: (
+        "Too many people from your network are on this relay.",
+        "Close other PiCA windows, or ask whoever runs the relay for a higher limit.",
+    ),
+    CloseCode.UNAUTHORIZED: (
+        "You need a valid token for this room.",
+        "Ask your host for a fresh invite link. Tokens expire, and hold for one room only.",
+    ),
+    CloseCode.FORBIDDEN: (
+        "Your token does not allow this.",
+        "Choose to watch only or to wear another avatar, or ask your host for another invite link.",
+    ),
+    CloseCode.REPLACED: (
+        "You joined this room from somewhere else.",
+        "Leave there first, or ask for an invite link of your own: each person needs one.",
+    ),
+    CloseCode.REMOVED: ("You were removed from the room.", "Ask the host whether you may return."),
+    CloseCode.TOO_FAST: ("The relay has stopped you for sending too much.", "Try again later."),
+}
+"""What close codes mean, and what helps."""
+
+FIELDS: dict[str, tuple[str, str]] = {
+    "url": (
+        "This is no address of a relay.",
+        "It looks like wss://relay.example or ws://192.168.0.7:8765; an invite link is taken, too.",
+    ),
+    "room": ("No room can be called so.", "Use up to 64 letters A to Z, digits, and _ . -"),
+    "name": (
+        "Please enter your name.",
+        "It may have up to 64 letters, fewer in some scripts.",
+    ),
+    "token": ("This cannot be a token.", "Copy it anew, or ask your host for an invite link."),
+    "ca-file": ("The CA file cannot be used.", "Check the path under More."),
+    "secret-file": ("The room secret cannot be read.", "Check the path under More."),
+}
+"""What is wrong with a field, by its name, and what helps."""
+
+_CHECK_ADDRESS = "Check the address for typing errors, or ask your host for an invite link."
+_NOT_A_RELAY = ("Something else answers at this address, not a PiCA relay.", _CHECK_ADDRESS)
+_NO_ANSWER = (
+    "No relay answers at this address.",
+    "Check the address and that the relay runs. Both ends must allow this port in their firewall.",
+)
+
+
+def explain(error: BaseException) -> Trouble:
+    """An error that came of joining, in a person's words."""
+    what, remedy = _words(error)
+    return Trouble(what, remedy, "" if what == str(error) else str(error))
+
+
+def _words(error: BaseException) -> tuple[str, str]:
+    match error:
+        case RelayRefusedError(code=int(code)) if code in REFUSALS:
+            return REFUSALS[code]
+        case RelayRefusedError() | RelayUnreachableError():
+            return _words_of_cause(error)
+        case SourceError():
+            return "Your face cannot be read from this source.", "Choose another face source."
+        case AvatarLookupError():
+            return "This avatar is not on this computer.", "Choose one of the pictures, or a file."
+        case AvatarFileError():
+            return "This avatar file cannot be used.", "Choose another avatar."
+        case OptionError():
+            field = str(error).partition(" ")[0]
+            return FIELDS.get(field, (str(error), ""))
+    return "Joining did not work.", "Try again; the details say what happened."
+
+
+def _words_of_cause(error: BaseException) -> tuple[str, str]:
+    """What the network said."""
+    cause: BaseException = error
+    while cause.__cause__ is not None:
+        cause = cause.__cause__
+    match cause:
+        case ssl.SSLCertVerificationError():
+            return (
+                "The relay's certificate is not trusted.",
+                "Check the address. If the relay has a certificate of its own, ask for its CA file"
+                " and give it under More.",
+            )
+        case ssl.SSLError():
+            return "The relay does not encrypt its connections.", "Try ws:// instead of wss://."
+        case socket.gaierror():
+            return "There is no computer of that name.", _CHECK_ADDRESS
+        case OSError() if _has_number(cause, {errno.ECONNREFUSED, 10061}):
+            return "Nothing runs at this address.", "Check the port, and that the relay is running."
+        case OSError() if _has_number(cause, {errno.EPERM, errno.EACCES, 10013}):
+            return (
+                "This computer does not allow the connection.",
+                "Allow PiCA in its firewall, or try another network.",
+            )
+        case OSError() if _has_number(cause, {errno.ENETUNREACH, errno.EHOSTUNREACH, 10051, 10065}):
+            return (
+                "The network does not lead to this address.",
+                "Check that you are online, and the address.",
+            )
+        case InvalidHandshake() | EOFError():
+            return _NOT_A_RELAY
+        case RelayRefusedError():
+            return _NOT_A_RELAY if cause.code is None else ("The relay said no.", _CHECK_ADDRESS)
+    return _NO_ANSWER
+
+
+def _has_number(error: OSError, numbers: set[int]) -> bool:
+    """Whether this is one of the system's errors, or holds only such: a name with several addresses
+    gives one error for all of them."""
+    if error.errno is not None:
+        return error.errno in numbers
+    found = {int(number) for number in re.findall(r"\[Errno (\d+)\]", str(error))}
+    return bool(found) and found <= numbers
 
 
 class JoinForm:

@@ -1,4 +1,4 @@
-"""Drawn frames into files: an MP4 of a call, and single PNG images.
+"""Drawn frames into files: recordings of a call as MP4, and single PNG images.
 
 Frames keep the times they were drawn at, so a call that was drawn unevenly plays at its true speed;
 sound keeps the times it was heard at. A thread encodes, up to `MAX_WAITING` frames behind.
@@ -17,11 +17,15 @@ import numpy as np
 
 from pica_client.closing import Closing
 from pica_client.errors import OptionError
-from pica_client.output import writing, writing_whole
+from pica_client.output import make_folder, writing, writing_whole
+from pica_client.user_folders import pictures_folder, videos_folder
 from pica_client.voice.packet import SAMPLE_RATE_HZ
 from pica_client.voice.sound.soundtrack import LATE_S, Soundtrack
 from pica_core.types import Image
 
+BeginSound = Callable[[], Soundtrack | None]
+"""Gives the sound of a recording that begins; None: there is none."""
+MAX_NUMBER = 9999
 TICKS_PER_S = 60
 """Resolution of a frame's time. It is also the rate that players and editors take a recording to
 have, of which the frames that were not drawn are missing: at a finer one they speak of 1000 a
@@ -56,7 +60,7 @@ class Recorder(Closing):
         self,
         path: Path,
         size: tuple[int, int],
-        begin_sound: Callable[[], Soundtrack | None] = lambda: None,
+        begin_sound: BeginSound = lambda: None,
     ) -> None:
         import av
 
@@ -199,3 +203,98 @@ def save_png(path: Path, image: Image) -> None:
 
     with writing_whole(path) as unfinished:
         PillowImage.fromarray(image).save(unfinished, format="png")
+
+
+class Captures:
+    """The recordings under way, and new names for pictures and recordings made by key.
+
+    Names count up and say nothing of the time: ``picture-0001.png``, ``recording-0001.mp4``.
+
+    Args:
+        folder: Where files go that are made by key; None is the system's folders.
+    """
+
+    def __init__(self, folder: Path | None = None, begin_sound: BeginSound = lambda: None) -> None:
+        self._begin_sound = begin_sound
+        self._pictures = folder or pictures_folder()
+        self._videos = folder or videos_folder()
+        self._recorders: dict[Path, Recorder] = {}
+        self._by_key: Path | None = None
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """The files that are being recorded."""
+        return tuple(self._recorders)
+
+    def save_picture(self, image: Image) -> str:
+        """Write a picture, uint8 ``[H, W, 3]``; return what to tell the user.
+
+        Raises:
+            OptionError: It cannot be written.
+        """
+        path = new_path(self._pictures, "picture", ".png")
+        save_png(path, image)
+        return f"Saved {path.name} in {path.parent}"
+
+    def record(self, path: Path, size: tuple[int, int]) -> None:
+        """Begin to record; see `Recorder`. A file that is there already is left as it is."""
+        if path.is_file():
+            path = new_path(path.parent, path.stem, ".mp4")
+        self._recorders[path] = Recorder(path, size, self._begin_sound)
+
+    def toggle_recording(self, size: tuple[int, int]) -> str:
+        """Begin or end the recording made by key; return what to tell the user.
+
+        Raises:
+            OptionError: It cannot be written.
+            ModuleNotFoundError: PyAV is not installed; names the extra.
+        """
+        if self._by_key in self._recorders:
+            return self.end(self._by_key)
+        try:
+            import av  # noqa: F401
+        except ModuleNotFoundError as error:
+            raise ModuleNotFoundError(
+                "recording needs PyAV: pip install 'pica-telepresence[video]'", name="av"
+            ) from error
+        path = self._by_key = new_path(self._videos, "recording", ".mp4")
+        self._recorders[path] = Recorder(path, size, self._begin_sound)
+        return f"Recording into {path.name}"
+
+    def write(self, image: Image, now: float) -> list[str]:
+        """Append a frame to each recording; return why some are over, as on a full disk."""
+        failures = []
+        for path, recorder in tuple(self._recorders.items()):
+            try:
+                recorder.write(image, now)
+            except OptionError as error:
+                del self._recorders[path]
+                failures.append(str(error))
+        return failures
+
+    def end(self, path: Path) -> str:
+        """Finish a recording; return what to tell the user.
+
+        Raises:
+            OptionError: The disk is full; the file cannot be played.
+        """
+        self._recorders.pop(path).close()
+        return f"Saved {path.name} in {path.parent}"
+
+
+def new_path(folder: Path, stem: str, suffix: str) -> Path:
+    """Take the first free name, by making an empty file of it.
+
+    Raises:
+        OptionError: The folder cannot be made or written, or has no name left.
+    """
+    make_folder(folder)
+    for number in range(1, MAX_NUMBER + 1):
+        path = folder / f"{stem}-{number:04d}{suffix}"
+        with writing(path):
+            try:
+                path.open("xb").close()
+            except FileExistsError:
+                continue
+        return path
+    raise OptionError(f"{folder}: all names up to {stem}-{MAX_NUMBER} are taken; move some away")

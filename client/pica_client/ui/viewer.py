@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +23,12 @@ from imgui_bundle import imgui
 
 from pica_client.call.faces import FaceSource
 from pica_client.call.reflection import Reflection
-from pica_client.call.status import CallStatus
 from pica_client.closing import Closing
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.pool import DecodePool, num_workers
 from pica_client.decode.request import DecodeResult
+from pica_client.endpoint.endpoint import Receiver
+from pica_client.endpoint.monitor import CallMonitor
 from pica_client.errors import ClientError
 from pica_client.output import Outputs, say
 from pica_client.publish.face_desk import FaceDesk
@@ -42,11 +44,10 @@ from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter
 from pica_client.ui.call_sound import CallSound
 from pica_client.ui.call_surface import CallSurface
 from pica_client.ui.call_view import OwnFaceView
-from pica_client.ui.captures_on_disk import CapturesOnDisk
 from pica_client.ui.options import ViewerOptions, parse_size
 from pica_client.ui.own_face import SelfView
 from pica_client.ui.panels.overlay import own_face_height
-from pica_client.ui.recorder import Recorder, save_png
+from pica_client.ui.recorder import Captures, save_png
 from pica_client.ui.state import ViewState
 from pica_client.ui.surface.surface import Surface
 from pica_client.ui.window import Window
@@ -72,15 +73,13 @@ class Viewer(Closing):
     """Shows the faces of a source in a window or off the screen.
 
     Args:
-        status: How the call stands, at a time of `clock`; asked twice a second.
+        receiver: Says how the call stands, and takes what the user asks of the relay; None: faces
+            alone are shown.
         on_decoded: Told of every decode that reached the GPU, on the drawing thread; its slot is
             the peer id.
         desk: What steers the user's own face; None while none is sent.
         sound: The voices of the call; None: there are none.
         state: What the user wants at first; keys and panels write into it.
-        on_rejoin: Told that the user wants to rejoin; returns why that cannot be, or nothing.
-        on_moderation: Told what the user asks the relay to do as an admin.
-        on_recording: Told when what is shown begins to be kept, and when that is over.
         window: To show it in, which stays open afterwards; by default a new one.
         clock: Seconds, monotonic; the same clock that stamps `FaceState.captured_us` when sender
             and receiver share a machine (then `report` holds the latency from sample to decoded
@@ -102,23 +101,18 @@ class Viewer(Closing):
         *,
         state: ViewState | None = None,
         scheduler: SchedulerOptions | None = None,
-        status: Callable[[float], CallStatus] = lambda now: CallStatus(),
+        receiver: Receiver | None = None,
         on_decoded: Callable[[DecodeResult], None] | None = None,
-        on_moderation: Callable[[messages.Moderation], None] = lambda asked: None,
-        on_recording: Callable[[bool], None] = lambda is_recording: None,
         desk: FaceDesk | None = None,
         sound: CallSound | None = None,
-        on_rejoin: Callable[[], str] = lambda: "Rejoining is not available here",
         window: Window | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         options = self.options = options or ViewerOptions()
         self._clock = clock
-        self._on_rejoin = on_rejoin
         self._desk = desk
         self._sound = sound or CallSound()
-        self._on_moderation = on_moderation
-        self._on_recording = on_recording
+        self._receiver = receiver
         self.state = state = state or ViewState(has_seen_hint=True)
         state.own_face = "none" if desk is None else "sent"
         state.own_voice = self._sound.own_voice
@@ -144,16 +138,14 @@ class Viewer(Closing):
                 self.surface = stack.enter_context(Surface(context))
             else:
                 self.surface = self._window.surface
+            status = CallMonitor(receiver).status if receiver is not None else None
             has_pointer = self._window is not None
             self._panels = CallSurface(self.surface, self._meter, status, has_pointer=has_pointer)
-            begin_sound = self._sound.begin_track
-            self._film: Recorder | None = None
-            if options.record is not None:
-                self._film = Recorder(options.record, size, begin_sound)
-            stack.callback(self._end_film)
             keep_in = Path(state.keep_in) if state.keep_in else options.keep_in
-            self._captures = CapturesOnDisk(keep_in, begin_sound)
-            stack.callback(lambda: self.outputs.attempt(self._captures.close))
+            self._captures = Captures(keep_in, self._sound.begin_track)
+            stack.callback(self._end_recordings)
+            if options.record is not None:
+                self._captures.record(options.record, size)
             workers = num_workers(os.cpu_count())
             self._pool = stack.enter_context(DecodePool(OnnxDecoder, clock, workers=workers))
             shaders = choose_decoder(options.decode, context, self._renderer, clock)
@@ -284,18 +276,18 @@ class Viewer(Closing):
         self._note_recording()
         if self.state.is_recording:
             shown = self._renderer.read_image() if image is None else image
-            film = self._film
-            if film is not None and not self.outputs.attempt(lambda: film.write(shown, now)):
-                self._film = None  # a full disk ends it and nothing else
-            self._keep(lambda: self._captures.write(shown, now))
+            for failure in self._captures.write(shown, now):
+                self.outputs.fail(failure)
+                self._panels.notice(failure, now)
         if self._window is not None:
             self._window.show(self._show)
 
     def _note_recording(self) -> None:
-        is_recording = self._film is not None or self._captures.is_recording
+        is_recording = bool(self._captures.paths)
         if is_recording != self.state.is_recording:
             self.state.is_recording = is_recording
-            self._on_recording(is_recording)
+            if self._receiver is not None:
+                self._receiver.say_recording(is_recording)
 
     def _follow_face(self) -> None:
         """Do to the user's own face what the state says."""
@@ -307,9 +299,10 @@ class Viewer(Closing):
             desk.choose(state.source)
         self._source = state.source
 
-    def _end_film(self) -> None:
-        if self._film is not None and self.outputs.attempt(self._film.close):
-            say(f"wrote {self.options.record}")
+    def _end_recordings(self) -> None:
+        for path in self._captures.paths:
+            if self.outputs.attempt(partial(self._captures.end, path)):
+                say(f"wrote {path}")
 
     def pick(self, x_px: float, y_px: float) -> int | None:
         """Whose head is at a point of the picture, pixels, y down; see `FaceState.place`."""
@@ -419,17 +412,15 @@ class Viewer(Closing):
             case Action.TEST_SOUND:
                 self._sound.play_test()
             case Action.REJOIN:
-                if trouble := self._on_rejoin():
-                    self._panels.notice(trouble, now)
-                else:
-                    self.state.wants_close = True
+                self.state.wants_rejoin = self.state.wants_close = True
             case Action.CALIBRATE if self._desk is not None:
                 self._desk.calibrate(now)
             case Action.COPY_INVITATION:
                 imgui.set_clipboard_text(self._panels.status.invitation)
                 self._panels.notice("Invitation copied", now)
             case messages.RemovePeer() | messages.MutePeer() | messages.BarIdentity():
-                self._on_moderation(request)
+                if self._receiver is not None:
+                    self._receiver.moderate(request)
 
     def _keep(self, action: Callable[[], str]) -> None:
         """Say what came of something that the user wants to keep; a full disk ends no call."""

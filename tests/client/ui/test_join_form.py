@@ -13,8 +13,8 @@ from pica_client.sources import open_source
 from pica_client.transport.config import LinkConfig
 from pica_client.ui.join_form import SOURCES, JoinForm
 from pica_client.ui.options import ViewOptions
+from pica_client.ui.session import face_of, first_state, link_of
 from pica_client.ui.state import PreferencesFile, ViewState
-from pica_client.ui.view_session import face_of, first_state, link_of
 
 pytestmark = pytest.mark.unit
 

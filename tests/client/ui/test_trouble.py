@@ -18,7 +18,7 @@ from pica_client.errors import (
 )
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.link import Link
-from pica_client.ui.trouble import REFUSALS, explain
+from pica_client.ui.join_form import REFUSALS, explain
 from pica_protocol.errors import CloseCode, is_worth_retrying
 
 pytestmark = pytest.mark.unit

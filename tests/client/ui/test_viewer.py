@@ -222,16 +222,21 @@ def test_whoever_asks_is_told_of_each_decode() -> None:
     assert told[0].captured_us == 1
 
 
-def test_how_the_call_stands_is_asked_for_twice_a_second_and_not_per_frame() -> None:
+def test_how_the_call_stands_is_asked_for_twice_a_second_and_not_per_frame(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     asked: list[float] = []
 
-    def status(now: float) -> CallStatus:
-        asked.append(now)
-        return CallStatus(summary=(("in", "65 kbit/s"),))
+    class Monitor:
+        def __init__(self, receiver: object) -> None: ...
 
-    with Viewer(
-        Faces("ada"), SMALL, state=ViewState(show_statistics=True), status=status
-    ) as viewer:
+        def status(self, now: float) -> CallStatus:
+            asked.append(now)
+            return CallStatus(summary=(("in", "65 kbit/s"),))
+
+    monkeypatch.setattr("pica_client.ui.viewer.CallMonitor", Monitor)
+    state = ViewState(show_statistics=True)
+    with Viewer(Faces("ada"), SMALL, state=state, receiver=object()) as viewer:  # type: ignore[arg-type]
         for step in range(10):
             viewer.step(1.0 + 0.1 * step)
     assert asked == [1.0, 1.5]

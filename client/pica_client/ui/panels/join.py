@@ -6,12 +6,18 @@ from dataclasses import dataclass, field, replace
 from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui, imgui_ctx, imspinner
 
-from pica_client.ui.join_form import MAX_CHARACTERS, SECRETS, SOURCES, JoinForm, JoinRequest
+from pica_client.ui.join_form import (
+    MAX_CHARACTERS,
+    SECRETS,
+    SOURCES,
+    JoinForm,
+    JoinRequest,
+    Trouble,
+)
 from pica_client.ui.panels.settings import MICROPHONE, microphone_picker, sound_settings
 from pica_client.ui.state import ViewState
 from pica_client.ui.surface import widgets
 from pica_client.ui.surface.style import BUTTON_PT, EDGE_PT, GAP_PT, PADDING_PT, SMALL_PT, Metrics
-from pica_client.ui.trouble import Trouble
 from pica_client.voice.sound.settings import SoundState
 
 WIDTH_PT = 420.0

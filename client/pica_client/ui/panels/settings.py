@@ -22,7 +22,7 @@ MAX_PERCENT = 200
 SYSTEMS_OWN = "The system's"
 MODES: dict[Mode, str] = {"dark": "Dark", "light": "Light"}
 MAX_NAME = 64
-"""Characters of a name that are taken from its field."""
+"""Bytes of a name in UTF-8."""
 
 
 def settings_tabs(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
@@ -138,7 +138,8 @@ def _rejoining(state: ViewState, call: CallView, metrics: Metrics) -> list[Reque
     entered = state.entered
     sends = state.own_face != "none"
     shows = bool(call.own.source or state.source)
-    if state.identity._replace(source=entered.source) == entered and shows == sends:
+    is_same = state.identity._replace(source=entered.source) == entered and shows == sends
+    if is_same or not 1 <= len(state.name.strip().encode()) <= MAX_NAME:
         return []
     note("You leave for a moment and join again.", metrics)
     return [Action.REJOIN] if action_button("Join again as this", metrics, tone="accent") else []

@@ -14,9 +14,9 @@ from pica_client.errors import RelayRefusedError
 from pica_client.ui.join_form import JoinForm, JoinRequest
 from pica_client.ui.options import ViewOptions
 from pica_client.ui.panels.join import JoinView, connecting_panel, join_panel
+from pica_client.ui.session import link_of
 from pica_client.ui.state import ViewState
 from pica_client.ui.surface.style import Metrics
-from pica_client.ui.view_session import link_of
 from pica_client.voice.sound.settings import SoundSettings, SoundState
 
 pytestmark = pytest.mark.unit

@@ -1,0 +1,437 @@
+"""`pica view` from the command line to its report: preferences, the form, and stays in rooms.
+
+A stay is one receiver from end to end: network in a thread, decoding in others, drawing in this
+one. Where a form asks, it comes again with the reason when the relay refuses.
+"""
+
+import json
+import sys
+import time
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import AbstractContextManager, ExitStack, closing
+from dataclasses import replace
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from pica_client.avatars.fetch import AvatarFetcher
+from pica_client.avatars.library import AvatarLibrary
+from pica_client.call.call import Call
+from pica_client.decode.request import DecodeResult
+from pica_client.endpoint.endpoint import LinkNews, Receiver
+from pica_client.endpoint.hearing import Hearing
+from pica_client.errors import ClientError, OptionError, RelayUnreachableError
+from pica_client.output import check_writable, say
+from pica_client.publish.face_desk import FaceDesk
+from pica_client.publish.own_face import DEFAULT_SOURCE, FaceChoice, OutgoingFace, open_own_face
+from pica_client.transport.config import LinkConfig
+from pica_client.transport.connect import trusting
+from pica_client.ui.call_sound import CallSound
+from pica_client.ui.join_form import JoinForm, follow_invite
+from pica_client.ui.lobby import Lobby
+from pica_client.ui.options import ViewOptions, check_voice, connect_timeout_s, parse_size
+from pica_client.ui.state import PreferencesFile, ViewState, fit_side
+from pica_client.ui.viewer import Viewer
+from pica_client.ui.window import Window
+from pica_client.voice.opus import available
+from pica_client.voice.publisher import VoicePublisher
+from pica_client.voice.sound.process import SoundProcess
+from pica_client.voice.source import open_voice
+from pica_core.errors import AvatarFileError
+
+DEFAULT_URL = "ws://127.0.0.1:8765"
+DEFAULT_ROOM = "lobby"
+DEFAULT_NAME = "viewer"
+WATCH = "none"
+"""What ``--send`` is given by a user who only watches."""
+OF_THE_FORM = ("ca_file", "secret_file", "avatar", "source", "voice")
+"""Without the form these come from the command line alone, and are not kept."""
+MAX_LOGGED_DECODES = 100_000
+"""Decodes kept for a latency analysis: eleven minutes of five avatars at 30 a second."""
+POLL_S = 0.02
+EXPECT_TIMEOUT_S = 30.0
+"""How long the peers of ``--expect`` are waited for."""
+NOTHING_SHOWN = {"frames_rendered": 0, "render_fps": 0.0}
+"""The result when there was nothing to show."""
+DRAIN_S = 0.2
+"""What is decoded this soon after the picture began is not measured: decoders are being built."""
+
+Stopping = Callable[[Callable[[], None]], AbstractContextManager[None]]
+"""Makes a signal call what it is given, for the length of a block."""
+
+
+def first_state(
+    options: ViewOptions, kept: PreferencesFile | None, *, asks: bool = False
+) -> ViewState:
+    """Return what the command line gives, else what was kept, else defaults.
+
+    Args:
+        kept: The preferences; None takes none, and keeps none.
+        asks: A form asks, with all this in its fields.
+
+    Raises:
+        OptionError: An option cannot be right.
+    """
+    state = ViewState(has_seen_hint=True) if kept is None else kept.load()
+    if not asks:
+        for name in ("url", "invited_url", "room", "name", "avatar", "ca_file", "secret_file"):
+            setattr(state, name, "")
+        state.source = state.voice = None
+    given = {"url": options.url, "room": options.room, "name": options.name}
+    given |= {"avatar": options.own_avatar, "layout": options.layout}
+    given |= {name: str(getattr(options, name) or "") for name in ("ca_file", "secret_file")}
+    for name, value in given.items():
+        if value:
+            setattr(state, name, value)
+    if options.link:
+        try:
+            follow_invite(state, options.link)
+        except ValueError as error:
+            raise OptionError(f"link: {error}") from error
+    state.url, state.room = state.url or DEFAULT_URL, state.room or DEFAULT_ROOM
+    state.name = state.name or ("" if asks else DEFAULT_NAME)
+    if options.send is not None:
+        state.source = "" if options.send == WATCH else options.send
+    elif state.source is None:
+        state.source = DEFAULT_SOURCE if asks else ""
+    if options.own_avatar is not None and not state.source:
+        raise OptionError(
+            f"own-avatar is the look of your own face; to send one, add --send {DEFAULT_SOURCE}"
+        )
+    _choose_sound(options, state, asks=asks)
+    state.show_statistics |= options.statistics
+    if options.viewer.keep_in is not None:
+        state.keep_in = str(options.viewer.keep_in.absolute())
+    if options.viewer.size is not None:
+        state.window_size = parse_size(options.viewer.size)
+    return state
+
+
+def _choose_sound(options: ViewOptions, state: ViewState, *, asks: bool) -> None:
+    voice, sound = options.voice, state.sound
+    if options.speaker not in ("", "off"):
+        sound = replace(sound, speaker=options.speaker)
+    if voice is not None and voice.startswith("mic:"):
+        voice, sound = "mic", replace(sound, microphone=voice.removeprefix("mic:"))
+    if options.clean is not None:
+        sound = replace(sound, cleans=options.clean)
+    state.sound = sound
+    if voice is None and asks and available() is None:
+        voice = state.voice or ("mic" if find_spec("soundcard") else None)
+    state.voice = voice or "none"
+    if not asks:  # at the form a voice can be chosen
+        check_voice(state.source or "", state.voice)
+
+
+def link_of(options: ViewOptions, state: ViewState) -> LinkConfig:
+    """Return the connection that is asked for.
+
+    A token file is for the relay of ``--url``, or for one that the user has typed: an invite link
+    must not take its token to another relay.
+
+    Raises:
+        OptionError: A part of it cannot be right; names it.
+    """
+    url, token = state.url.strip(), state.token.strip()
+    needs_ca = options.ca_file is not None or "wss://" in url
+    return LinkConfig(
+        url=url,
+        room=state.room.strip(),
+        name=state.name.strip(),
+        connect_timeout_s=connect_timeout_s(wait=options.wait, seconds=options.seconds),
+        secret_file=_path(state.secret_file),
+        token=token,
+        token_file=None if token or _withholds_token(options, state) else options.token_file,
+        ca_file=_path(state.ca_file) if needs_ca else None,
+        redirect_hosts=options.redirect_hosts,
+    )
+
+
+def face_of(options: ViewOptions, state: ViewState) -> FaceChoice:
+    """Return the face that is asked for."""
+    avatar = state.avatar.strip() or None
+    return FaceChoice(source=state.source or "", avatar=avatar, give=options.give_avatar)
+
+
+def view_calls(
+    options: ViewOptions,
+    state: ViewState,
+    library: AvatarLibrary,
+    stopping: Stopping,
+    *,
+    asks: bool = False,
+    kept: PreferencesFile | None = None,
+) -> dict[str, Any]:
+    """Stay in the room that the state names, or that a form asks for, until the user leaves.
+
+    Args:
+        stopping: How signals end it.
+        asks: A form in a window asks where to go.
+        kept: Where preferences go afterwards.
+
+    Returns:
+        As `Stay.run`; `NOTHING_SHOWN` when the user left at the form.
+
+    Raises:
+        GraphicsError: There is no way to draw.
+        ClientError: Without a form, what else `Stay` or `open_own_face` raises.
+    """
+    form = JoinForm(state, partial(link_of, options))
+    with ExitStack() as stack:
+        window = sound = lobby = waiting = None
+        if asks:
+            window = stack.enter_context(Window(state.window_size))
+            sound = None if available() else stack.enter_context(closing(SoundProcess()))
+            lobby = stack.enter_context(Lobby(window, library, sound))
+            waiting = partial(lobby.show_waiting, "Connecting …")
+        pool = stack.enter_context(ThreadPoolExecutor(1, thread_name_prefix="own-face"))
+        while lobby is None or lobby.ask(form):
+            link, face = link_of(options, state), face_of(options, state)
+            _say_token_withheld(options, state)
+            opening = pool.submit(open_own_face, face, link, library, say)
+            try:
+                if lobby is not None and not lobby.wait("Getting your avatar …", opening.done):
+                    form.ask_again()
+                    continue
+                stay = Stay(options, state, link, library, opening.result(), window, sound, waiting)
+                with stopping(stay.stop):
+                    result = stay.run()
+            except (ClientError, AvatarFileError) as error:
+                if lobby is None:
+                    raise
+                form.refuse(error)
+                continue
+            finally:
+                opening.add_done_callback(_let_go)
+            if stay.was_cancelled:
+                form.ask_again()
+                continue
+            if kept is not None:
+                kept.save(state, leaving=() if asks else OF_THE_FORM)
+            if not state.wants_rejoin:
+                return result
+    return dict(NOTHING_SHOWN)
+
+
+class Stay:
+    """One stay in one room; `stop` may come from a signal handler.
+
+    Args:
+        state: What the user wants; as they left it once `run` has returned.
+        face: The user's own; None only watches.
+        window: To show it in, which stays open; None opens a new one.
+        sound: Plays and captures, and goes on afterwards; None takes a new one.
+        waiting: Called again and again until we are in the room; False gives up.
+
+    Attributes:
+        was_cancelled: The user did not want to wait for the room.
+
+    Raises:
+        OptionError: A file or folder that is to be written cannot be.
+    """
+
+    def __init__(
+        self,
+        options: ViewOptions,
+        state: ViewState,
+        link: LinkConfig,
+        library: AvatarLibrary,
+        face: OutgoingFace | None,
+        window: Window | None,
+        sound: SoundProcess | None,
+        waiting: Callable[[], bool] | None,
+    ) -> None:
+        check_writable(options.png, ".png")
+        check_writable(options.frame_log)
+        check_writable(options.viewer.record, ".mp4")
+        self._options, self._link, self._state = options, link, state
+        self._window, self._waiting = window, waiting
+        state.name = link.name
+        state.enter(tuple(library.names))
+        self._fetcher = None
+        if options.fetch:
+            tls = None if link.ca_file is None else trusting(link.ca_file)
+            self._fetcher = AvatarFetcher(library, lambda: self._receiver.link.url, tls=tls)
+        self._own_sound = SoundProcess(state.sound) if sound is None else None
+        sound = sound or self._own_sound
+        assert sound is not None
+        voice = sound if state.entered.voice == "mic" else open_voice(state.entered.voice)
+        self._hearing = None
+        if options.speaker != "off":
+            if (lacking := available()) is None:
+                self._hearing = Hearing(sound)
+            else:
+                say(f"a call without sound: {lacking}")
+        self._sound = sound if self._hearing is not None or voice is sound else None
+        self._call = Call(
+            self._fetcher or library,
+            ears=self._hearing,
+            log_shown=options.frame_log is not None,
+        )
+        doing = "looking into" if face is None else f"in, as {link.name},"
+        is_sealed = link.secret_file is not None
+        self._publisher = None if face is None else face.publisher
+        self._receiver = Receiver(
+            link,
+            self._call,
+            voice=None if voice is None else VoicePublisher(voice, is_sealed=is_sealed),
+            on_voice=None if self._hearing is None else self._hearing.receive,
+            publisher=self._publisher,
+            giver=None if face is None else face.giver,
+            news=LinkNews(f"{doing} room {link.room} at {link.url}", say),
+        )
+        self.was_cancelled = self._is_stopping = False
+        self._trouble = ""
+        # Drops its oldest when full.
+        self._decodes: deque[tuple[str, DecodeResult]] = deque(maxlen=MAX_LOGGED_DECODES)
+
+    def stop(self) -> None:
+        """Make `run` end."""
+        self._is_stopping = True
+
+    def run(self) -> dict[str, Any]:
+        """Show the call.
+
+        Returns:
+            What was drawn (`Viewer.report`) and what was received (`Receiver.stats`).
+
+        Raises:
+            RelayError: The relay is not there, or will not have us.
+            GraphicsError: There is no way to draw.
+        """
+        options, state = self._options, self._state
+        self._receiver.say_recording(options.viewer.record is not None)
+        with ExitStack() as stack:
+            if self._fetcher is not None:
+                stack.callback(self._fetcher.close)
+            if self._hearing is not None:
+                stack.callback(self._hearing.seat, ())
+            stack.enter_context(self._receiver)
+            if self._own_sound is not None:
+                stack.callback(self._own_sound.close)
+            self._wait_for_peers()
+            if self.was_cancelled:
+                return dict(NOTHING_SHOWN)
+            desk = None
+            if self._publisher is not None:
+                desk = FaceDesk(self._publisher, self._link.name, state.entered.source)
+                stack.callback(desk.close)
+            with Viewer(
+                self._call,
+                options.viewer,
+                state=state,
+                receiver=self._receiver,
+                on_decoded=self._note_decode if options.frame_log is not None else None,
+                desk=desk,
+                sound=CallSound(self._receiver.voice, self._sound),
+                window=self._window,
+            ) as viewer:
+                # In a window a person looks on: they see who is ready, and no frozen frame.
+                if self._window is None or options.frame_log is not None:
+                    viewer.prepare()
+                begin_s = time.monotonic()
+                self._call.begin_window(begin_s)
+                viewer.run(options.seconds or None, self._should_stop)
+                end_s = time.monotonic()
+                drawn, received = viewer.report(), self._receiver.stats(end_s)
+                problems, outputs = list(viewer.problems.values()), viewer.outputs
+                png = options.png if drawn["frames_rendered"] else None
+                if png is not None and viewer.save_image(png):
+                    say(f"wrote {png}")
+                if size := viewer.windowed_size:
+                    state.window_size = fit_side(size[0]), fit_side(size[1])
+                if not state.wants_rejoin:  # what was chosen for rejoining alone is forgotten
+                    source = desk.source if desk is not None else state.entered.source
+                    state.identity = state.entered._replace(source=source)
+        for problem in problems:
+            print(problem, file=sys.stderr)
+        if options.frame_log is not None:
+            outputs.write_text(options.frame_log, self._log(begin_s))
+        return {
+            **drawn,
+            "ok": not outputs.failures,
+            "seconds": round(end_s - begin_s, 2),
+            "errors": drawn["errors"] + received["errors"],
+            "problems": [*problems, *outputs.failures],
+            "received": received,
+            "voice": None if self._hearing is None else self._hearing.stats(self._call),
+            "avatars_fetched": 0 if self._fetcher is None else self._fetcher.num_fetched,
+        }
+
+    def _wait_for_peers(self) -> None:
+        expect = self._options.expect
+        deadline = time.monotonic() + EXPECT_TIMEOUT_S
+        while not self._is_stopping:
+            self._receiver.check()
+            if self._receiver.is_connected and self._call.num_live >= expect:
+                return
+            if self._waiting is not None and not self._waiting():
+                self.was_cancelled = True
+                return
+            if expect and time.monotonic() > deadline:
+                raise RelayUnreachableError(
+                    f"{self._call.num_live} of {expect} expected peers were seen within "
+                    f"{EXPECT_TIMEOUT_S:g} s"
+                )
+            if self._waiting is None:
+                time.sleep(POLL_S)
+
+    def _should_stop(self) -> bool:
+        """Return True once the stay is to end; raise what ended the network."""
+        self._receiver.check()
+        trouble = "" if self._sound is None else self._sound.state.trouble
+        if trouble and trouble != self._trouble:
+            say(trouble)
+        self._trouble = trouble
+        return self._is_stopping
+
+    def _note_decode(self, result: DecodeResult) -> None:
+        name = self._call.names().get(result.slot)
+        if name is not None:
+            self._decodes.append((name, result))
+
+    def _log(self, begin_s: float) -> str:
+        decodes = [
+            (name, result.captured_us, result.submitted_s, result.finished_s)
+            for name, result in self._decodes
+            if result.captured_us >= (begin_s + DRAIN_S) * 1e6
+        ]
+        return json.dumps({"shown": self._call.take_shown(), "decodes": decodes})
+
+
+def _withholds_token(options: ViewOptions, state: ViewState) -> bool:
+    """Return True if the token file is for another relay than the one that an invite link named."""
+    wanted = _origin(state.url)
+    is_invited = wanted == _origin(state.invited_url)
+    return is_invited and wanted != _origin(options.url or DEFAULT_URL)
+
+
+def _say_token_withheld(options: ViewOptions, state: ViewState) -> None:
+    if options.token_file is not None and not state.token and _withholds_token(options, state):
+        url = state.url.strip()
+        say(f"token-file is not sent where the invite link leads; --url {url!r} would send it")
+
+
+def _origin(url: str) -> tuple[str, str | None, int | None]:
+    """Return the scheme, host and port of an address, which credentials belong to; nothing of one
+    that cannot be read, which `LinkConfig` refuses."""
+    ports = {"ws": 80, "wss": 443}
+    try:
+        parts = urlsplit(url.strip())
+        return parts.scheme, parts.hostname, parts.port or ports.get(parts.scheme)
+    except ValueError:
+        return "", None, None
+
+
+def _let_go(opening: Future[OutgoingFace | None]) -> None:
+    """Free a tracker's port once its stay is over."""
+    if opening.exception() is None and (face := opening.result()) is not None:
+        face.publisher.close()
+
+
+def _path(text: str) -> Path | None:
+    return Path(text.strip()).expanduser() if text.strip() else None
