@@ -47,7 +47,7 @@ docs: .venv/.ready-test
 # What README, quick start and tutorial tell a reader to type, typed in new folders.
 pages: .venv/.ready-test
 	@sh scripts/system_libraries.sh
-	$(BIN)/python scripts/run_pages.py README.md docs/quick-start.md docs/tutorial.md
+	$(BIN)/python scripts/pages.py README.md docs/quick-start.md docs/tutorial.md
 
 # A call in a real window, steered by mouse on an X server of its own; pictures into out/window.
 window: .venv/.ready-test

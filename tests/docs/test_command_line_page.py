@@ -15,7 +15,7 @@ PAGE = (ROOT / "docs" / "command-line.md").read_text()
 
 
 def test_the_page_is_what_its_script_writes() -> None:
-    assert load_script("command_page").page() == PAGE
+    assert load_script("pages").command_line_page() == PAGE
 
 
 def test_the_errors_on_the_page_are_what_the_command_says(

@@ -14,7 +14,7 @@ pytestmark = pytest.mark.unit
 PAGES = ("README.md", "docs/quick-start.md", "docs/tutorial.md")
 
 
-SCRIPT = load_script("run_pages")
+SCRIPT = load_script("pages")
 
 
 @pytest.mark.parametrize("name", PAGES)
@@ -36,11 +36,11 @@ def test_a_page_says_how_its_blocks_are_run() -> None:
     blocks = list(SCRIPT.blocks_of(page))
     assert [block.how for block in blocks] == ["", "heading", "in the background"]
     assert blocks[0].commands == [["doctor"]]
-    with pytest.raises(ValueError, match="nobody knows how to run a block 'sometimes'"):
+    with pytest.raises(ValueError, match="a block is marked 'sometimes'"):
         list(SCRIPT.blocks_of("<!-- sometimes -->\n```sh\nls\n```\n"))
 
 
 def test_ci_runs_every_page() -> None:
     makefile = (ROOT / "Makefile").read_text()
     assert "make pages" in (ROOT / ".github" / "workflows" / "ci.yml").read_text()
-    assert f"scripts/run_pages.py {' '.join(PAGES)}\n" in makefile
+    assert f"scripts/pages.py {' '.join(PAGES)}\n" in makefile

@@ -1,7 +1,8 @@
-"""Run the commands of pages, as a reader would type them, in a new folder.
+"""Run the commands of pages, as a reader would type them, in a new folder; write one page.
 
-    python scripts/run_pages.py README.md docs/quick-start.md
-    python scripts/run_pages.py docs/tutorial.md          # trains very little; a minute
+    python scripts/pages.py README.md docs/quick-start.md
+    python scripts/pages.py docs/tutorial.md          # trains very little; a minute
+    python scripts/pages.py --command-line            # write the options of docs/command-line.md
 
 Every ``sh`` block of a page is run in order, and a command that fails ends the run. A comment in
 front of a block changes that:
@@ -10,6 +11,8 @@ front of a block changes that:
     <!-- only read: REASON -->       its ``pica`` commands are only checked for options that exist
 
 Names of other machines are replaced by this one; see `HERE`. A rig for the tutorial lies ready.
+On the page of the command line an option is described by the first sentence under its field in the
+code; `--help` shows the rest, and a test compares the page with the code.
 """
 
 from __future__ import annotations
@@ -22,18 +25,26 @@ import signal
 import subprocess
 import sys
 import tempfile
+import textwrap
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from pica_command.options import CommandLine
-from pica_command.table import COMMANDS, command_of, refuse
+from cyclopts import Argument
+
+from pica_command.options import COMMON, CommandLine
+from pica_command.table import COMMANDS, GROUPS, command_of, refuse
 
 ROOT = Path(__file__).resolve().parent.parent
 HERE = {"wss://relay.example": "ws://127.0.0.1:8765", "192.168.1.20": "127.0.0.1"}
 """What stands for another machine on a page, and what is reached instead."""
 LONGEST_S = 3600
+COMMAND_LINE = ROOT / "docs" / "command-line.md"
+MARK = "<!-- from here on written by scripts/pages.py --command-line -->"
+COLUMNS = 118
+MEASUREMENTS = "Measurements"
+"""The group whose options `--help` alone explains."""
 BLOCK = re.compile(r"(?:<!-- ([^\n]*?) -->\n+)?```sh\n(.*?)```|^(#+) [^\n]*$", re.M | re.S)
 
 
@@ -60,7 +71,7 @@ def blocks_of(page: str) -> Iterator[Block]:
         elif how == "" or how == "in the background" or how.startswith("only read: "):
             yield Block(how, text)
         else:
-            raise ValueError(f"nobody knows how to run a block {how!r}")
+            raise ValueError(f"a block is marked {how!r}, which says nothing about how to run it")
 
 
 def check(words: list[str]) -> None:
@@ -122,14 +133,54 @@ def stop(running: list[subprocess.Popen[bytes]]) -> None:
             sys.exit(f"what ran in the background ended with {code}")
 
 
+def command_line_page() -> str:
+    """Return the page: its head as it is, and the options as the code has them."""
+    lines = [COMMAND_LINE.read_text().partition(MARK)[0] + MARK, ""]
+    for heading, rows in GROUPS.items():
+        lines += [f"## {heading}", ""]
+        for name, row in rows.items():
+            lines += [f"### `pica {name}`", "", f"{row.summary()}.", ""]
+            if heading != MEASUREMENTS and (options := list(_options(name))):
+                lines += [*options, ""]
+    return "\n".join(lines)
+
+
+def _options(name: str) -> Iterator[str]:
+    """Yield a line for each option: its name, its default and the first sentence of its help."""
+    arguments = CommandLine(name, COMMANDS[name], {}, None).app.assemble_argument_collection(
+        parse_docstring=True
+    )
+    for argument in arguments:
+        if argument.show and argument.name.removeprefix("--") not in COMMON:
+            text = " ".join((argument.parameter.help or "").split())
+            first = re.split(r"(?<=[^.])\. |; |: |\.$", text)[0]
+            line = f"- `{argument.name}{_default(argument)}` {first}"
+            yield textwrap.fill(line, COLUMNS, subsequent_indent="  ", break_on_hyphens=False)
+
+
+def _default(argument: Argument) -> str:
+    """Return a default as it is written after an option; empty if there is none."""
+    value = argument.field_info.default
+    show = argument.parameter.show_default
+    if argument.required or value is argument.field_info.empty or value in (None, "", (), False):
+        return ""
+    if callable(show):
+        return f" {show(value)}"
+    return f" {str(value).lower() if value is True else value}"
+
+
 def main() -> None:
-    """Run the pages that are named."""
+    """Run the pages that are named, or write the one that is generated."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("pages", nargs="+", type=Path)
+    parser.add_argument("pages", nargs="*", type=Path)
+    parser.add_argument("--command-line", action="store_true", help="write docs/command-line.md")
+    options = parser.parse_args()
+    if options.command_line:
+        COMMAND_LINE.write_text(command_line_page())
     sys.path.insert(0, str(ROOT / "tests"))
     from helpers.rig_toy import toy_rig, write_glb
 
-    for page in parser.parse_args().pages:
+    for page in options.pages:
         with tempfile.TemporaryDirectory(prefix="pica-page-") as folder:
             write_glb(Path(folder) / "head.glb", toy_rig())
             run_page(page, Path(folder))
