@@ -159,12 +159,6 @@ def test_a_peer_who_leaves_is_forgotten(two: tuple[Faces, Viewer]) -> None:
     assert viewer.report()["decodes"].keys() == {"grace"}
 
 
-def test_nobody_there_is_an_empty_room(two: tuple[Faces, Viewer]) -> None:
-    source, viewer = two
-    source.present.clear()
-    assert viewer.step(1.0)
-
-
 def test_a_broken_avatar_is_a_placeholder_with_its_reason_and_the_others_go_on(
     two: tuple[Faces, Viewer],
 ) -> None:
@@ -187,22 +181,6 @@ def test_an_avatar_that_comes_late_replaces_its_placeholder(two: tuple[Faces, Vi
     source.avatars["late"] = TOY
     step_until_decoded(viewer)
     assert viewer.last_draw.num_placeholders == 0
-
-
-def test_a_peer_without_a_sample_waits_as_a_placeholder(two: tuple[Faces, Viewer]) -> None:
-    source, viewer = two
-    source.without_latent.add("ada")
-    step_until_decoded(viewer)
-    assert viewer.last_draw is not None
-    assert viewer.last_draw.num_placeholders == 1
-
-
-def test_a_peer_who_changes_avatar_gets_the_new_one(two: tuple[Faces, Viewer]) -> None:
-    source, viewer = two
-    step_until_decoded(viewer)
-    source.avatar_of["ada"] = "evil"
-    step_until_decoded(viewer)
-    assert "ada" in viewer.problems
 
 
 def test_a_decoder_that_fails_breaks_its_own_peer(two: tuple[Faces, Viewer]) -> None:
@@ -298,36 +276,6 @@ def test_a_click_on_the_bar_is_not_one_on_the_head_behind_it() -> None:
         assert viewer.state.pinned is None
 
 
-def test_the_bar_comes_with_the_pointer_and_goes_without_it() -> None:
-    with Viewer(Faces("ada"), replace(SMALL, size="640x360"), clock=lambda: 5.0) as viewer:
-        step_until_decoded(viewer)
-        without = read(viewer)
-        do(viewer, point(320, 100))
-        for now in (2.0, 2.1, 2.2):
-            viewer.step(now)
-        assert (read(viewer) != without)[300:].any()
-        viewer.step(8.0)
-        seats_moved = read(viewer)
-        viewer.step(8.1)
-        assert (read(viewer) == seats_moved).all()
-
-
-def test_the_statistics_and_the_help_are_drawn_over_the_picture() -> None:
-    with Viewer(Faces("ada"), replace(SMALL, size="640x360"), clock=lambda: 5.0) as viewer:
-        step_until_decoded(viewer)
-        plain = read(viewer)
-        do(viewer, *key("h"))
-        viewer.step(3.0)  # a panel is measured in its first frame, and shown from the second on
-        viewer.step(3.1)
-        helped = read(viewer)
-        do(viewer, *key("s"))
-        viewer.step(4.0)
-        viewer.step(4.1)
-        both = read(viewer)
-    assert (plain != helped).any(axis=2)[:, 400:].mean() > 0.1
-    assert (helped != both).any(axis=2)[:, :400].mean() > 0.05
-
-
 def test_the_help_covers_nobody() -> None:
     source = Faces(*"abcde")
     options = replace(SMALL, size="1280x720")
@@ -351,18 +299,6 @@ def test_pictures_and_recordings_are_made_by_key(tmp_path: Path) -> None:
             viewer.step(now)
     names = sorted(path.name for path in (tmp_path / "kept").iterdir())
     assert names == ["picture-0001.png", "picture-0002.png", "recording-0001.mp4"]
-
-
-def test_a_folder_that_cannot_be_written_is_said_and_ends_nothing(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    options = replace(SMALL, size="320x180", keep_in=tmp_path / "file")
-    with Viewer(Faces("ada"), options, clock=lambda: 5.0) as viewer:
-        viewer.step(1.0)
-        before = read(viewer)
-        do(viewer, *key("p"))
-        assert viewer.step(1.1)
-        assert viewer.step(1.2)
-        assert (read(viewer) != before)[:40].any()
 
 
 def test_a_face_that_goes_stale_fades_and_does_not_blink(two: tuple[Faces, Viewer]) -> None:
@@ -415,15 +351,6 @@ def test_two_eyes_see_the_same_people_from_two_places_with_one_decode() -> None:
             > 30
         )
     assert np.abs(left - right).max() > 20
-
-
-def test_leaving_by_key_ends_the_loop(two: tuple[Faces, Viewer]) -> None:
-    _, viewer = two
-    assert viewer.step(1.0)
-    do(viewer, *key("q"))
-    assert viewer.step(1.1)
-    do(viewer, *key("enter"))
-    assert not viewer.step(1.2)
 
 
 def test_a_call_is_recorded_and_a_frame_saved(tmp_path: Path) -> None:
