@@ -19,8 +19,8 @@ from pica_client.bench.harness import check_names
 from pica_client.bench.relay.bench import RelayBenchConfig, Target, measure, relay_target
 from pica_client.bench.relay.processes import START_TIMEOUT_S, Workers, share_cores
 from pica_client.local_call.processes import Children
-from pica_client.signals import terminate_as_interrupt
 from pica_client.stats import describe_machine
+from pica_client.system import terminate_as_interrupt
 
 RIVALS: Final = ("naive", "naive-uvloop", "echo")
 HERE: Final = Path(__file__).parent

@@ -25,8 +25,8 @@ import httpx
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.errors import RelayError
+from pica_client.system import cache_folder, make_private
 from pica_client.transport.connect import SOFTWARE, is_loopback
-from pica_client.user_folders import cache_folder, make_private
 from pica_core.avatar.file import MAX_FILE_BYTES, Avatar, avatar_id, load_avatar
 from pica_core.avatar.shipped import SUFFIX
 from pica_core.errors import AvatarFileError

@@ -33,7 +33,7 @@ from pica_client.decode.decoder import OnnxDecoder
 from pica_client.endpoint.endpoint import Receiver
 from pica_client.errors import CallProcessError, OptionError
 from pica_client.local_call import local_call
-from pica_client.local_call.latency import FrameTimes, latency_summary
+from pica_client.local_call.local_call import FrameTimes, latency_summary
 from pica_client.local_call.processes import Children
 from pica_client.output import say
 from pica_client.stats import describe_machine

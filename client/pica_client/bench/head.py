@@ -12,11 +12,11 @@ import moderngl
 import numpy as np
 import numpy.typing as npt
 
-from pica_client.closing import Closing
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.errors import OptionError
 from pica_client.render.drawing import HEAD, Drawing, HeadRenderer
 from pica_client.render.scene import head_matrix, view_direction
+from pica_client.system import Closing
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.manifest import Manifest
 from pica_core.avatar.static import NAME as STATIC_PARTS

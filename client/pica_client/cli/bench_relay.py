@@ -3,7 +3,7 @@
 from typing import Any
 
 from pica_client.bench.relay.bench import RelayBenchConfig, run_relay_bench
-from pica_client.signals import terminate_as_interrupt
+from pica_client.system import terminate_as_interrupt
 
 
 def bench_relay(options: RelayBenchConfig) -> dict[str, Any]:

@@ -1,43 +1,23 @@
 """What this machine can do, and the fix for each lack. Runs on the base install."""
 
 import importlib
-import os
-import shlex
 import sys
-from collections.abc import Callable, Collection
-from dataclasses import asdict, dataclass, field
-from functools import partial
-from pathlib import Path
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
 from typing import Any, Final, Literal
 
 from pica_client.output import say
-from pica_client.ui.display import has_display
-from pica_client.user_folders import open_to_others
+from pica_client.system import has_display
 from pica_command.extras import install_line, modules_by_extra
-from pica_command.table import COMMANDS, refuse
 from pica_core.avatar.shipped import shipped_avatar_files
 from pica_core.errors import GraphicsError
 
-Level = Literal["ready", "missing"]
-
-NEEDS: Final = {
-    "view": ("OpenGL", "ONNX Runtime", "display", "avatars"),
-    "demo": ("OpenGL", "ONNX Runtime", "video", "avatars"),
-    "send": ("avatars",),
-    "capture person": ("OpenGL",),
-    "capture rig": ("OpenGL",),
-    "bench": ("OpenGL", "ONNX Runtime", "avatars"),
-}
-"""What commands, or families of them, need besides their extras."""
+SOFTWARE_RENDERERS: Final = ("llvmpipe", "softpipe", "swiftshader")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DoctorOptions:
-    """Options of `pica doctor`."""
-
-    command: tuple[str, ...] = field(default=(), kw_only=False)
-    """A command, such as view or capture rig: only what it needs is examined, and the exit status
-    is 1 if it cannot work."""
+    """Options of `pica doctor`; there are none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,35 +25,23 @@ class Finding:
     """One line of the examination."""
 
     subject: str
-    level: Level
+    level: Literal["ready", "missing"]
     detail: str
     fix: str = ""
 
     @property
     def line(self) -> str:
         """The finding as people read it."""
-        fix = f"; to mend it: {self.fix}" if self.fix else ""
+        fix = f"; to fix it: {self.fix}" if self.fix else ""
         return f"{self.level:8} {self.subject}: {self.detail}{fix}"
 
 
 def doctor(options: DoctorOptions) -> dict[str, Any]:
-    """Say what this machine can do, and how to mend what it lacks.
-
-    With the name of a command, say whether that one can work here.
-    """
-    asked = " ".join(options.command)
-    findings = examine(wanted=_wanted(asked) if asked else None, has_display=has_display)
+    """Report what this machine can do, and how to fix what it lacks."""
+    findings = examine(has_display=has_display())
     for finding in findings:
         say(finding.line)
-    lacking = [finding.subject for finding in findings if finding.level == "missing"]
-    if asked and lacking:
-        say(f"pica {asked} cannot work here: {', '.join(lacking)} missing")
-    elif asked:
-        say(f"pica {asked} can work here")
-    return {
-        "ok": not (asked and lacking),
-        "findings": [asdict(finding) for finding in findings],
-    }
+    return {"findings": [asdict(finding) for finding in findings]}
 
 
 def load_module(name: str) -> Any:
@@ -83,99 +51,56 @@ def load_module(name: str) -> Any:
     return importlib.import_module(name)
 
 
-def examine(
-    load: Callable[[str], Any] = load_module,
-    *,
-    has_display: Callable[[], bool],
-    wanted: Collection[str] | None = None,
-) -> list[Finding]:
+def examine(load: Callable[[str], Any] = load_module, *, has_display: bool) -> list[Finding]:
     """Look at every extra, every device and the avatars.
 
     Args:
-        has_display: Whether a window can be expected to open.
-        wanted: Subjects to look at; None is all of them.
+        has_display: A window can be expected to open.
     """
-    looks: dict[str, Callable[[], Finding]] = {
-        f"extra {extra}": partial(_extra, extra, modules, load)
-        for extra, modules in modules_by_extra().items()
-        if modules and extra != "all"
-    }
-    looks |= {
-        "OpenGL": lambda: _graphics(load),
-        "ONNX Runtime": lambda: _inference(load),
-        "CUDA": lambda: _training_device(load),
-        "video": lambda: _video(load),
-        "display": lambda: _display(has_display()),
-        "avatars": _avatars,
-        "privacy": _privacy,
-    }
-    return [look() for subject, look in looks.items() if wanted is None or subject in wanted]
-
-
-def _wanted(asked: str) -> set[str]:
-    """Subjects that a command, or a family of them, needs.
-
-    Raises:
-        UsageError: There is none of that name.
-    """
-    chosen = [name for name in COMMANDS if name == asked or name.startswith(f"{asked} ")]
-    if not chosen:
-        refuse(asked.split())
-    wanted = {f"extra {extra}" for name in chosen for extra in COMMANDS[name].extras}
-    for name in chosen:
-        wanted.update(NEEDS.get(name, NEEDS.get(name.partition(" ")[0], ())))
-    return wanted
-
-
-def _privacy() -> Finding:
-    """Look whether others on this machine can read what is this user's alone."""
-    secret = ("_KEYS", "TOKEN_FILE", "SECRET_FILE", "TLS_KEY")
-    named = [Path(v) for k, v in os.environ.items() if k.startswith("PICA_") and k.endswith(secret)]
-    found = [shlex.quote(str(path)) for path in open_to_others(named)]
-    if found:
-        detail = f"others on this machine can look into {', '.join(found)}"
-        return Finding("privacy", "missing", detail, f"chmod go= {' '.join(found)}")
-    return Finding("privacy", "ready", "cache, preferences and secrets are for you alone")
+    extras = {name: found for name, found in modules_by_extra().items() if found and name != "all"}
+    return [
+        *(_extra(name, modules, load) for name, modules in extras.items()),
+        _graphics(load),
+        _inference(load),
+        _training_device(load),
+        _video(load),
+        _display(has_display),
+        _avatars(),
+    ]
 
 
 def _extra(extra: str, modules: tuple[str, ...], load: Callable[[str], Any]) -> Finding:
-    lacking, is_silent = [], False
+    subject, lacking, is_silent = f"extra {extra}", [], False
     for module in modules:
         try:
             load(module)
+        except ModuleNotFoundError:
+            lacking.append(module)
         except Exception as error:  # a broken install fails in ways of its own
-            is_absent = isinstance(error, ModuleNotFoundError)
-            if module == "soundcard" and not is_absent:  # it connects when it is imported
+            if module == "soundcard":  # it connects when it is imported
                 is_silent = True
             else:
-                lacking.append(module if is_absent else f"{module} ({error})")
+                lacking.append(f"{module} ({error})")
     if lacking:
-        return Finding(f"extra {extra}", "missing", f"no {', '.join(lacking)}", install_line(extra))
+        return Finding(subject, "missing", f"no {', '.join(lacking)}", install_line(extra))
     if is_silent:
         detail = "installed, but no sound system answers"
-        return Finding(f"extra {extra}", "missing", detail, "start PulseAudio or PipeWire")
-    return Finding(f"extra {extra}", "ready", "installed")
+        return Finding(subject, "missing", detail, "start PulseAudio or PipeWire")
+    return Finding(subject, "ready", "installed")
 
 
 def _graphics(load: Callable[[str], Any]) -> Finding:
     try:
-        gl = load("pica_core.gl")
-        context = gl.create_context()
+        context = load("pica_core.gl").create_context()
     except ModuleNotFoundError:
         return Finding("OpenGL", "missing", "moderngl is not installed", install_line("view"))
     except GraphicsError as error:
         return Finding("OpenGL", "missing", str(error))
-    try:
-        info = context.info
-        renderer, version = info["GL_RENDERER"], context.version_code
-        can_decode = load("pica_client.render.gpu_decoder").draws_floats(context)
-    finally:
-        context.release()
+    renderer, version = context.info["GL_RENDERER"], context.version_code
+    context.release()
     detail = f"{renderer}, GL {version / 100:.1f}"
-    if gl.is_software(renderer):
+    if any(word in renderer.lower() for word in SOFTWARE_RENDERERS):
         detail += ", in software: a graphics driver would draw faster"
-    elif not can_decode:
-        detail += ", without 32-bit float targets: faces are decoded on the processor"
     return Finding("OpenGL", "ready", detail)
 
 

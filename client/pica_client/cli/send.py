@@ -18,8 +18,8 @@ from pica_client.output import Outputs, check_writable, say
 from pica_client.publish.face_desk import FaceDesk
 from pica_client.publish.own_face import DEFAULT_SOURCE
 from pica_client.publish.publisher import SenderConfig
-from pica_client.signals import on_stop_signal
 from pica_client.sources import open_source
+from pica_client.system import on_stop_signal
 from pica_client.tracks import FaceMode
 from pica_client.transport.config import LinkConfig, guest_name
 from pica_client.ui.options import check_voice, connect_timeout_s

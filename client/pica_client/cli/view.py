@@ -5,8 +5,7 @@ from typing import Any
 
 from pica_client.errors import OptionError
 from pica_client.output import say
-from pica_client.signals import on_stop_signal
-from pica_client.ui.display import has_display
+from pica_client.system import has_display, on_stop_signal
 from pica_client.ui.options import ViewOptions
 
 

@@ -16,9 +16,9 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from pica_client.closing import Closing
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.request import DecodeRequest, DecodeResult, Parts
+from pica_client.system import Closing
 from pica_core.avatar.file import Avatar
 
 MAX_WORKERS = 4

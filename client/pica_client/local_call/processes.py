@@ -1,12 +1,20 @@
 """The processes of a demo or bench: started together, watched, and ended together in bounded
-time."""
+time.
+
+Each reads its standard input, a pipe that the parent holds open and never writes to: when the
+parent ends, in whatever way, the pipe ends too, and `main` ends the command. That is portable, and
+holds even for a parent that was killed.
+"""
 
 import contextlib
 import json
 import os
+import runpy
+import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -14,11 +22,13 @@ from typing import Any, Self
 
 from pica_client.errors import CallProcessError
 
-PARENT_WATCHDOG = "pica_client.local_call.parent_watchdog"
+MODULE = "pica_client.local_call.processes"
+GRACE_S = 3.0
+"""Time between being asked to end and being ended; no command needs longer."""
 START_TIMEOUT_S = 20.0
 """Longest wait for a relay to say where it listens; importing numpy can take seconds."""
 STOP_TIMEOUT_S = 6.0
-"""For all processes together to end when asked; more than `parent_watchdog.GRACE_S`. Then they are
+"""For all processes together to end when asked; more than `GRACE_S`. Then they are
 killed."""
 
 
@@ -78,7 +88,7 @@ class Child(ChildProcess):
 
     def __init__(self, name: str, arguments: Sequence[str], folder: Path) -> None:
         self._out, self._err = folder / f"{name}.out", folder / f"{name}.err"
-        words = ("-P", "-m", PARENT_WATCHDOG, *arguments, "--json")
+        words = ("-P", "-m", MODULE, *arguments, "--json")
         # Without what our user set for commands of their own.
         bare = {name: value for name, value in os.environ.items() if not name.startswith("PICA_")}
         bare["PICA_CONFIG"] = os.devnull
@@ -170,3 +180,23 @@ class Children:
     def __exit__(self, *_: object) -> None:
         end_all(self._children, STOP_TIMEOUT_S)
         self._temporary.cleanup()
+
+
+def main() -> None:
+    """Run a `pica` command that ends with its parent, as ``python -m … COMMAND``."""
+    threading.Thread(target=_follow_parent, name="parent-watchdog", daemon=True).start()
+    sys.argv[0] = "pica"
+    runpy.run_module("pica_command", run_name="__main__", alter_sys=False)
+
+
+def _follow_parent() -> None:
+    with contextlib.suppress(OSError):
+        while os.read(0, 4096):
+            pass
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(GRACE_S)
+    os._exit(1)
+
+
+if __name__ == "__main__":
+    main()

@@ -25,7 +25,6 @@ from typing import Any
 import moderngl
 import numpy as np
 
-from pica_client.closing import Closing
 from pica_client.decode.request import DecodeChoice, DecodedMaps, DecodeRequest, DecodeResult, Parts
 from pica_client.errors import OptionError
 from pica_client.render.draw_clock import DrawClock
@@ -43,6 +42,7 @@ from pica_client.render.gpu_tables import (
 )
 from pica_client.render.renderer import Renderer
 from pica_client.render.shader_source import compose
+from pica_client.system import Closing
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.linear import RANK
 from pica_core.gl import freeing, is_software

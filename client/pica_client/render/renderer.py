@@ -30,7 +30,6 @@ import moderngl
 import numpy as np
 import numpy.typing as npt
 
-from pica_client.closing import Closing
 from pica_client.decode.request import Parts
 from pica_client.errors import OptionError
 from pica_client.render.draw_list import (
@@ -51,6 +50,7 @@ from pica_client.render.passes import DrawPasses, RenderTargets
 from pica_client.render.redraw import HeadKey, PixelRect, parts_to_draw
 from pica_client.render.room import EMPTY_ROOM, STILL, Room, lens_of
 from pica_client.render.scene import Placement
+from pica_client.system import Closing
 from pica_core.avatar.baseline import BaselineAvatar
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import POSITION_CHANNELS

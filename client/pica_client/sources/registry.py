@@ -36,7 +36,7 @@ from pica_client.sources.live.tracker import (
 from pica_client.sources.livelink_csv import load_livelink_csv
 from pica_client.sources.performances import PERFORMANCES, make_performance
 from pica_client.sources.source import Source, Unseen
-from pica_client.user_folders import preferences_folder
+from pica_client.system import preferences_folder
 
 LIVE_HELP: Final = (
     "livelink[:lan][:PORT][/SUBJECT], vmc[:lan][:PORT], ifacialmocap:PHONE_IP, "

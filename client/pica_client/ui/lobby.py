@@ -11,9 +11,9 @@ from PIL import Image as PillowImage
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.avatars.upload import avatar_by_name
-from pica_client.closing import Closing
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.room import STILL
+from pica_client.system import Closing
 from pica_client.ui.join_form import JoinForm, JoinRequest
 from pica_client.ui.panels.join import JoinView, connecting_panel, join_panel
 from pica_client.ui.panels.settings import MICROPHONE

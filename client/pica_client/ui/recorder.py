@@ -15,10 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from pica_client.closing import Closing
 from pica_client.errors import OptionError
 from pica_client.output import make_folder, writing, writing_whole
-from pica_client.user_folders import pictures_folder, videos_folder
+from pica_client.system import Closing, pictures_folder, videos_folder
 from pica_client.voice.packet import SAMPLE_RATE_HZ
 from pica_client.voice.sound.soundtrack import LATE_S, Soundtrack
 from pica_core.types import Image

@@ -1,8 +1,8 @@
 """What the user wants: the preferences, which one small file keeps, and the state of this call.
 
-Panels and keys write into one `ViewState`; the rest of the viewer follows it. A damaged file is no
-reason not to start: it is reported once, and defaults are taken. No secret is ever in the file: the
-last address is kept without user, password or query, tokens are not kept at all.
+Panels and keys write into one `ViewState`; the rest of the viewer follows it. A damaged file is
+reported once, and defaults are taken. No secret is in the file: the last address is kept without
+user, password or query, tokens are not kept at all.
 """
 
 import json
@@ -17,8 +17,8 @@ from pica_client.output import say
 from pica_client.render.seats import LAYOUTS, Layout
 from pica_client.render.views import OrbitLimits
 from pica_client.render.views import ViewState as Orbit
+from pica_client.system import make_private, preferences_folder
 from pica_client.ui.surface.style import Mode
-from pica_client.user_folders import make_private, preferences_folder
 from pica_client.voice.sound.settings import SoundSettings
 from pica_core.files import replacing
 
@@ -37,6 +37,13 @@ MAX_FILE_BYTES: Final = 65_536
 MAX_TEXT: Final = 1024
 """Characters of an address, a name or a folder."""
 MIN_SIDE, MAX_SIDE = 160, 8192
+CHOICES: Final[dict[str, tuple[Any, ...]]] = {
+    "layout": LAYOUTS,
+    "mode": get_args(Mode),
+    "scale": SCALES,
+}
+SHOWN: Final = ("url", "room", "name")
+"""Texts that must hold no control characters."""
 LAYOUT_TITLES: Final[dict[Layout, str]] = {
     "line": "Line",
     "arc": "Arc",
@@ -184,14 +191,14 @@ class PreferencesFile:
                 raise ValueError(f"it is larger than {MAX_FILE_BYTES} bytes")
             values = _known(Preferences, json.loads(content))
             values["sound"] = SoundSettings(**_known(SoundSettings, values.get("sound", {})))
-            if isinstance(values.get("window_size"), list):
-                values["window_size"] = tuple(values["window_size"])
+            sides = values.get("window_size", [960, 540])
+            values["window_size"] = tuple(sides) if isinstance(sides, list) else sides
             state = ViewState(**values)
             _check(state)
         except FileNotFoundError:
             return ViewState()
         except (OSError, ValueError, RecursionError, OptionError) as error:
-            reason = error.strerror if isinstance(error, OSError) else str(error)
+            reason = getattr(error, "strerror", None) or error
             self._warn(f"{self.path}: preferences cannot be used, taking defaults: {reason}")
             return ViewState()
         return state
@@ -226,29 +233,23 @@ def _check(state: Preferences) -> None:
     Raises:
         ValueError: Names the first that is out of its range.
     """
-    choices: dict[str, tuple[Any, ...]] = {"layout": LAYOUTS, "mode": get_args(Mode)}
-    choices |= {"scale": SCALES}
-    for name, allowed in choices.items():
-        if getattr(state, name) not in allowed:
-            raise ValueError(f"{name} is {getattr(state, name)!r}; one of {allowed}")
-    for name in ("show_statistics", "shows_self", "has_seen_hint"):
-        if not isinstance(getattr(state, name), bool):
-            raise ValueError(f"{name} is {getattr(state, name)!r}; true or false")
-    if type(state.detail) not in (int, float) or not MIN_DETAIL <= state.detail <= 1:
-        raise ValueError(f"detail is {state.detail!r}; {MIN_DETAIL:g} to 1")
-    sides = state.window_size
-    if not (isinstance(sides, tuple) and len(sides) == 2) or not all(
-        type(side) is int and MIN_SIDE <= side <= MAX_SIDE for side in sides
-    ):
-        raise ValueError(f"window_size is {sides!r}; two of {MIN_SIDE} to {MAX_SIDE}")
+    usual = Preferences()
     for each in fields(Preferences):
-        value = getattr(state, each.name)
-        if "str" not in str(each.type) or (value is None and "None" in str(each.type)):
-            continue
-        if not isinstance(value, str) or len(value) > MAX_TEXT:
-            raise ValueError(f"{each.name} is no text of up to {MAX_TEXT} characters")
-        if each.name in ("url", "room", "name") and not value.isprintable():
-            raise ValueError(f"{each.name} holds signs that cannot be shown")
+        name, value, like = each.name, getattr(state, each.name), getattr(usual, each.name)
+        if name in CHOICES:
+            is_fit = value in CHOICES[name]
+        elif name == "window_size":
+            is_fit = isinstance(value, tuple) and list(map(type, value)) == [int, int]
+            is_fit = is_fit and all(MIN_SIDE <= side <= MAX_SIDE for side in value)
+        elif name == "detail":
+            is_fit = type(value) in (int, float) and MIN_DETAIL <= value <= 1
+        elif like is None or isinstance(like, str):
+            is_fit = (isinstance(value, str) and len(value) <= MAX_TEXT) or value is like is None
+            is_fit = is_fit and (name not in SHOWN or value.isprintable())
+        else:
+            is_fit = type(value) is type(like)
+        if not is_fit:
+            raise ValueError(f"{name} is {value!r:.50}, which cannot be used")
 
 
 def fit_side(side: int) -> int:

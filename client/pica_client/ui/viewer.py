@@ -23,7 +23,6 @@ from imgui_bundle import imgui
 
 from pica_client.call.faces import FaceSource
 from pica_client.call.reflection import Reflection
-from pica_client.closing import Closing
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.pool import DecodePool, num_workers
 from pica_client.decode.request import DecodeResult
@@ -39,6 +38,7 @@ from pica_client.render.scene import pick_head
 from pica_client.render.views import EYE_DISTANCE_M, stereo_cameras
 from pica_client.schedule.frame_planner import FramePlanner
 from pica_client.schedule.scheduler import Plan, Scheduler, SchedulerOptions
+from pica_client.system import Closing
 from pica_client.ui.actions import Action, Request, apply, keyboard, mouse
 from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter
 from pica_client.ui.call_sound import CallSound

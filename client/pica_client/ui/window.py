@@ -20,8 +20,7 @@ import moderngl
 # isort: split
 import glfw
 
-from pica_client.closing import Closing
-from pica_client.ui.display import has_display
+from pica_client.system import Closing, has_display
 from pica_client.ui.surface.style import Mode
 from pica_client.ui.surface.surface import Surface
 from pica_core.errors import GraphicsError

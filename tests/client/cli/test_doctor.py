@@ -10,9 +10,8 @@ from typing import Any
 
 import pytest
 
-from pica_client.cli.doctor import NEEDS, examine
+from pica_client.cli.doctor import examine
 from pica_command.extras import install_line, modules_by_extra
-from pica_command.main import main
 from pica_command.table import COMMANDS
 from pica_core.avatar.shipped import shipped_avatar_files
 from pica_core.errors import GraphicsError
@@ -51,15 +50,13 @@ def run_on_the_base_install(*commands: list[str]) -> tuple[list[str], str]:
 
 
 def test_the_doctor_runs_on_the_base_install_and_names_every_extra() -> None:
-    out, said = run_on_the_base_install(["doctor"], ["doctor", "view"], ["doctor", "relay"])
-    assert out == ["status 0", "status 1", "status 0"]
+    out, said = run_on_the_base_install(["doctor"])
+    assert out == ["status 0"]
     for extra in EXTRAS:
         assert f"missing  extra {extra}: no " in said
-        assert f"; to mend it: {install_line(extra)}\n" in said
+        assert f"; to fix it: {install_line(extra)}\n" in said
     assert "missing  OpenGL: moderngl is not installed" in said
     assert f"ready    avatars: {', '.join(path.stem for path in shipped_avatar_files())}" in said
-    assert "pica view cannot work here: extra view, OpenGL, ONNX Runtime" in said
-    assert "pica relay can work here" in said
 
 
 def test_on_the_base_install_every_command_names_the_extra_that_it_needs() -> None:
@@ -80,26 +77,9 @@ def test_every_module_of_an_extra_is_called_as_we_think() -> None:
         assert importlib.util.find_spec(module) is not None, module
 
 
-def test_every_extra_of_a_command_exists_and_every_need_is_of_a_command() -> None:
-    families = {name.partition(" ")[0] for name in COMMANDS}
-    assert set(NEEDS) <= COMMANDS.keys() | families
+def test_every_extra_of_a_command_exists() -> None:
     for row in COMMANDS.values():
         assert set(row.extras) <= EXTRAS
-
-
-@pytest.mark.parametrize(
-    ("words", "status", "verdict"),
-    [
-        (["doctor", "send"], 0, "pica send can work here"),
-        (["doctor", "bench"], 0, "pica bench can work here"),
-        (["doctor", "capture", "rgi"], 2, "did you mean `pica capture rig`?"),
-    ],
-)
-def test_the_doctor_says_whether_a_command_can_work(
-    words: list[str], status: int, verdict: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(words) == status
-    assert verdict in capsys.readouterr().err
 
 
 def load_core_alone(name: str) -> Any:
@@ -122,7 +102,7 @@ def load_without_sound(name: str) -> Any:
 
 
 def test_a_sound_server_that_is_away_is_not_a_missing_extra() -> None:
-    found = examine(load_without_sound, has_display=lambda: False)
+    found = examine(load_without_sound, has_display=False)
     voice = next(finding for finding in found if finding.subject == "extra voice")
     assert voice.detail == "installed, but no sound system answers"
     assert voice.fix == "start PulseAudio or PipeWire"
@@ -137,7 +117,7 @@ class BrokenGraphics:
 
 
 def test_the_doctor_names_the_fix_for_each_lack() -> None:
-    found = examine(load_core_alone, has_display=lambda: False)
+    found = examine(load_core_alone, has_display=False)
     findings = {finding.subject: finding for finding in found}
     assert findings["extra send"].level == "ready"
     assert findings["extra view"].fix == install_line("view")
@@ -145,4 +125,4 @@ def test_the_doctor_names_the_fix_for_each_lack() -> None:
     assert findings["OpenGL"].detail == "no context; install libegl1"
     assert findings["display"].level == "missing"
     assert findings["CUDA"].fix == install_line("train")
-    assert findings["video"].line.startswith("missing  video: no recordings to MP4; to mend it: ")
+    assert findings["video"].line.startswith("missing  video: no recordings to MP4; to fix it: ")

@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from pica_client.errors import SourceError
-from pica_client.user_folders import make_private
+from pica_client.system import make_private
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES, NUM_ARKIT
 from pica_core.files import replacing
 from pica_core.types import BoolArray, FloatArray

@@ -22,7 +22,7 @@ import numpy as np
 from PIL import Image
 
 from pica_client.errors import SourceError
-from pica_client.user_folders import models_folder
+from pica_client.system import models_folder
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.files import replacing
 from pica_core.types import Float64Array, FloatArray

@@ -25,7 +25,7 @@ import moderngl
 import numpy as np
 from imgui_bundle import imgui
 
-from pica_client.closing import Closing
+from pica_client.system import Closing
 from pica_client.ui.surface.style import TEXT_PT, Metrics, Mode, apply_style, metrics_for
 from pica_core.gl import GL_VERSION
 from pica_core.types import Image

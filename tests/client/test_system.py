@@ -10,9 +10,8 @@ from platformdirs.macos import MacOS
 from platformdirs.unix import Unix
 
 from pica_client.avatars.fetch import AvatarCache
-from pica_client.cli.doctor import Finding, examine
+from pica_client.system import cache_folder, preferences_folder
 from pica_client.ui.state import PreferencesFile, ViewState
-from pica_client.user_folders import cache_folder, open_to_others, preferences_folder
 
 pytestmark = pytest.mark.unit
 
@@ -71,21 +70,14 @@ def test_what_is_kept_of_a_user_is_for_their_eyes_alone(
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
-    assert list(open_to_others()) == []
     for folder in (cache_folder(), preferences_folder()):
         folder.mkdir(parents=True)
         folder.chmod(0o755)
-    token = tmp_path / "token"
-    token.touch(0o644)
-    assert list(open_to_others([token])) == [cache_folder(), preferences_folder(), token]
-    assert examined()["privacy"].fix == f"chmod go= {cache_folder()} {preferences_folder()}"
     AvatarCache()
     PreferencesFile().save(ViewState(name="Ada"))
-    assert list(open_to_others()) == []
-    assert stat.S_IMODE((preferences_folder() / "preferences.json").stat().st_mode) == 0o600
-    monkeypatch.setenv("PICA_SEND_TOKEN_FILE", str(token))
-    assert examined()["privacy"].fix == f"chmod go= {token}"
-
-
-def examined() -> dict[str, Finding]:
-    return {each.subject: each for each in examine(has_display=lambda: False, wanted=["privacy"])}
+    for path, mode in (
+        (cache_folder(), 0o700),
+        (preferences_folder(), 0o700),
+        (preferences_folder() / "preferences.json", 0o600),
+    ):
+        assert stat.S_IMODE(path.stat().st_mode) == mode
