@@ -1,7 +1,8 @@
 """How good a connection is, for people who do not read numbers: good, fair, poor. Pure.
 
-A hiccup causes no warning, and no warning flickers: a level must be wrong for a while
-before it changes, and longer for the better than for the worse.
+It is rated by what arrives, and not by what a display made of it: a machine that draws seldom, or
+late, does not blame the network. A hiccup causes no warning, and no warning flickers: a level must
+be wrong for a while before it changes, and longer for the better than for the worse.
 
     meter = QualityMeter()
     quality = meter.receive(health, now)        # twice a second, say
@@ -39,35 +40,26 @@ class QualityLimits(NamedTuple):
     """Figures from which on a connection is not good any more."""
 
     lost_ratio: float
-    """Frames that were lost or late, of all."""
-    concealed_ratio: float
-    """Display times without a fresh face, of all."""
-    age_s: float
+    """Frames that were lost, of all."""
+    missed_ratio: float
+    """Share of the time in which a face stood still because a frame was late."""
 
 
-FAIR = QualityLimits(lost_ratio=0.03, concealed_ratio=0.05, age_s=0.25)
-"""Seen by those who look for it (chosen: the delay beyond which G.114 calls talk affected is 0.15 s
-one way, and the face is a part of it)."""
-POOR = QualityLimits(lost_ratio=0.12, concealed_ratio=0.2, age_s=0.5)
-"""Seen by everybody: the face stands still a fifth of the time (chosen)."""
-
-MIN_SHOWN = 16
-"""Display times in a window from which on it says something of the connection, and not of a machine
-that draws less than four times a second: there, frames are late, and dropped, for want of a
-display."""
+FAIR = QualityLimits(lost_ratio=0.03, missed_ratio=0.05)
+"""Visible to an attentive viewer (chosen)."""
+POOR = QualityLimits(lost_ratio=0.12, missed_ratio=0.2)
+"""Visible to everybody: the face stands still a fifth of the time (chosen)."""
 
 _RANK: dict[Quality, int] = {"unknown": 0, "good": 1, "fair": 2, "poor": 3}
 
 
-def quality_between(before: StreamHealth, after: StreamHealth) -> Quality:
-    """What a stream was like between two moments; unknown when nothing came or too little was
-    shown."""
-    received, shown = after.received - before.received, after.shown - before.shown
-    lost = max(after.lost - before.lost, 0) + max(after.late - before.late, 0)
-    if received + lost <= 0 or shown < MIN_SHOWN:
+def quality_between(before: StreamHealth, after: StreamHealth, seconds: float) -> Quality:
+    """What a stream was like between two moments so far apart; unknown when nothing came."""
+    received, lost = after.received - before.received, max(after.lost - before.lost, 0)
+    if received + lost <= 0 or seconds <= 0:
         return "unknown"
-    concealed = max(after.concealed - before.concealed, 0)
-    figures = (lost / (received + lost), concealed / shown, after.age_s)
+    missed_s = max(after.missed_s - before.missed_s, 0.0)
+    figures = (lost / (received + lost), missed_s / seconds)
     if any(map(ge, figures, POOR)):
         return "poor"
     return "fair" if any(map(ge, figures, FAIR)) else "good"
@@ -83,8 +75,15 @@ class QualityMeter:
         self._differs_since_s: float | None = None
         self._is_worse = False
 
+    def skip(self) -> Quality:
+        """Forget the window, and show what was shown: this machine was too busy to take frames as
+        they came."""
+        self._samples.clear()
+        self._differs_since_s = None
+        return self.level
+
     def receive(self, health: StreamHealth, now: float) -> Quality:
-        """Take how the stream stands at `now`, seconds, and say what to show."""
+        """Take how the stream stands at `now`, seconds, and return what to show."""
         if health.is_paused:
             self._samples.clear()
             self.level, self._differs_since_s = "unknown", None
@@ -94,7 +93,8 @@ class QualityMeter:
         self._samples.append((now, health))
         while len(self._samples) > 2 and now - self._samples[1][0] >= WINDOW_S:
             self._samples.popleft()
-        found = quality_between(self._samples[0][1], health)
+        begin_s, before = self._samples[0]
+        found = quality_between(before, health, now - begin_s)
         if found == "unknown" or found == self.level:
             self._differs_since_s = None  # a stream that is silent is as good as it was
             return self.level

@@ -29,6 +29,8 @@ from pica_protocol.session import ClientEvent, Closed
 
 REPORT_INTERVAL_S: Final = 5.0
 """Time between two reports to the relay."""
+CHECK_INTERVAL_S: Final = 0.25
+"""Time between two timers that tell whether this machine is too busy."""
 JOIN_TIMEOUT_S: Final = 5.0
 """Longest wait for the thread; a link that leaves is gone within its close timeouts."""
 
@@ -221,6 +223,7 @@ class Receiver(Endpoint):
     Attributes:
         arrived: Set by every event; for those who wait on the same loop.
         is_recording: Whether the others are told that what is seen here is kept.
+        late_s: By how much timers of the network's thread were late in all, seconds.
     """
 
     def __init__(
@@ -245,6 +248,7 @@ class Receiver(Endpoint):
         self.voices = VoiceReceiver(on_voice)
         self.arrived = asyncio.Event()
         self.is_recording = False
+        self.late_s = 0.0
         self._takes_faces = takes_faces
         self._subscribed = asyncio.Event()
         self._started = threading.Event()
@@ -351,6 +355,10 @@ class Receiver(Endpoint):
             now = await wait_until(self._subscribed, timer)
 
     async def _report(self) -> None:
+        loop = asyncio.get_running_loop()
         while True:
-            await asyncio.sleep(REPORT_INTERVAL_S)
+            for _ in range(round(REPORT_INTERVAL_S / CHECK_INTERVAL_S)):
+                due_s = loop.time() + CHECK_INTERVAL_S
+                await asyncio.sleep(CHECK_INTERVAL_S)
+                self.late_s += max(loop.time() - due_s, 0.0)
             self.link.report(self.call.take_report())

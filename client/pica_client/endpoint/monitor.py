@@ -8,6 +8,10 @@ from pica_client.call.status import CallStatus, PeerStatus
 from pica_client.endpoint.endpoint import Receiver
 from pica_protocol.invite import Invite, make_link
 
+BUSY_RATIO = 0.1
+"""Share of the time by which the timers of the network's thread are late on a machine that is too
+busy to take frames as they come (chosen: 25 ms each; a calm machine has 1)."""
+
 
 class CallMonitor:
     """Watches a receiver; keeps a quality meter for each peer."""
@@ -17,6 +21,7 @@ class CallMonitor:
         self._meters: dict[str, QualityMeter] = {}
         self._before: tuple[float, dict[str, StreamHealth]] | None = None
         self._uplink_before = (0, 0)
+        self._late_before_s = 0.0
         self._away_since_s: float | None = None
 
     def status(self, now: float) -> CallStatus:
@@ -26,12 +31,16 @@ class CallMonitor:
             self._away_since_s = None
         elif self._away_since_s is None:
             self._away_since_s = now
-        health = receiver.call.health()
+        health, is_busy = receiver.call.health(), self._is_busy(now)
         self._meters = {peer_id: self._meters.get(peer_id) or QualityMeter() for peer_id in health}
+        quality = {
+            peer_id: meter.skip() if is_busy else meter.receive(health[peer_id], now)
+            for peer_id, meter in self._meters.items()
+        }
         before_s, before = self._before or (now, {})
         peers = {
             peer_id: PeerStatus(
-                quality=self._meters[peer_id].receive(found, now),
+                quality=quality[peer_id],
                 payload_bps=_bits_per_s(before.get(peer_id), found, now - before_s),
                 health=found,
             )
@@ -40,7 +49,6 @@ class CallMonitor:
         if self._before is None or now > before_s:
             self._before = (now, health)
         room, guard = receiver.call.room(now), receiver.link.guard
-        quality = {peer_id: peer.quality for peer_id, peer in peers.items()}
         return CallStatus(
             participants=list_participants(self._own(room.own_name), room, quality),
             news=room.news,
@@ -58,6 +66,12 @@ class CallMonitor:
             peers=peers,
             summary=self._summary(now, peers),
         )
+
+    def _is_busy(self, now: float) -> bool:
+        """Return True if this machine was too busy, since the last look, to say how frames come."""
+        late_s, before_s = self._receiver.late_s, self._before[0] if self._before else now
+        late_before_s, self._late_before_s = self._late_before_s, late_s
+        return late_s - late_before_s > BUSY_RATIO * (now - before_s)
 
     def _own(self, name: str) -> Participant:
         """Ourselves, as the others see us."""

@@ -77,8 +77,8 @@ class PlayoutReport:
 
     received: int = 0
     lost: int = 0
-    """Frames known to be lost on their way, or dropped here because too many waited. A hole that
-    thinning leaves is no loss; which it was is known eight frames later."""
+    """Frames known to be lost on their way. A hole that thinning leaves is no loss; which it was is
+    known eight frames later."""
     late: int = 0
     """Frames that came after a newer one was shown."""
     duplicates: int = 0
@@ -90,6 +90,9 @@ class PlayoutReport:
     """How often sender or its clock began anew."""
     shown: int = 0
     """Display times with a face, or frames released."""
+    missed_s: float = 0.0
+    """Time by which frames came after the moment that they are waited for: what the network, and
+    not the display, let a face stand still."""
     concealed: int = 0
     """Display times, or holes in the released frames, without a fresh face."""
     leaps: int = 0
@@ -136,6 +139,7 @@ class Playout:
         self.config = config = config or PlayoutConfig()
         self._received = self._late = self._duplicates = self._misplaced = 0
         self._num_shown = self._concealed = 0
+        self._missed_s = self._last_transit_s = 0.0
         self.sender, self._num_jumps = SenderClock(), 0
         self._timeline = Timeline(config.extrapolate_s)
         self._interval = FrameInterval()
@@ -165,6 +169,11 @@ class Playout:
                 self._misplaced += 1
                 return
         assert self.sender.transit is not None
+        transit_s = frame.arrived_s - frame.media_s
+        late_s = transit_s - self.sender.transit.fastest_s - self._wait_s
+        # Frames that a stall held back come in one burst: only the first says how long it was.
+        self._missed_s += max(min(late_s, transit_s - self._last_transit_s), 0.0)
+        self._last_transit_s = transit_s
         self.sender.transit.receive(frame.media_s, frame.arrived_s)
         self._interval.receive(frame)
 
@@ -252,13 +261,14 @@ class Playout:
             + sender.num_duplicates
             + sender.num_refused
             + sender.num_held_back,
-            lost=self._interval.num_lost + self._timeline.num_dropped,
+            lost=self._interval.num_lost,
             late=self._late,
             duplicates=self._duplicates + sender.num_duplicates,
             refused=self._misplaced + sender.num_refused,
             future=sender.num_future,
             restarts=sender.num_jumps,
             shown=self._num_shown,
+            missed_s=self._missed_s,
             concealed=self._concealed,
             leaps=self._media.num_leaps,
             delay_s=target_s if self._delay_s is None else self._delay_s,
@@ -276,13 +286,21 @@ class Playout:
         slack_s = self._media.step_s - interval_s
         return slack_s if interval_s > 0 and slack_s > MIN_SLACK_S else 0.0
 
+    @property
+    def _wait_s(self) -> float:
+        """What frames are waited for beyond the fastest transit by a display that is as fast."""
+        config, transit = self.config, self.sender.transit
+        assert transit is not None
+        smooth_s = config.floor_intervals * self._interval.interval_s
+        return min(max(config.floor_s, smooth_s) + transit.jitter_s, config.ceiling_s)
+
     def _target_s(self, *, is_displayed: bool) -> float:
         """What should be waited beyond the fastest transit."""
         config, transit = self.config, self.sender.transit
         assert transit is not None
-        smooth_s = config.floor_intervals * self._interval.interval_s if is_displayed else 0.0
-        delay_s = min(max(config.floor_s, smooth_s) + transit.jitter_s, config.ceiling_s)
-        return max(delay_s - (self._slack_s if is_displayed else 0.0), config.floor_s)
+        if is_displayed:
+            return max(self._wait_s - self._slack_s, config.floor_s)
+        return min(config.floor_s + transit.jitter_s, config.ceiling_s)
 
     def _local_s(self, media_s: float) -> float:
         """Our clock when a frame captured then comes the fastest way."""

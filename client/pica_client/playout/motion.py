@@ -140,13 +140,9 @@ class Timeline:
     Args:
         coast_s: Time after which a face without a next frame rests.
 
-    Attributes:
-        num_dropped: Frames that were dropped, because too many waited or a new beginning said
-            otherwise.
     """
 
     def __init__(self, coast_s: float) -> None:
-        self.num_dropped = 0
         self._coast_s = coast_s
         self._frames: list[DecodedFrame] = []  # shown ones first; both bounded
         self._num_shown = 0
@@ -186,13 +182,11 @@ class Timeline:
         frames.insert(place, frame)
         if self.num_waiting > MAX_FRAMES:
             del frames[self._num_shown]
-            self.num_dropped += 1
         return "new"
 
     def cut(self, media_s: float) -> None:
         """Drop waiting frames captured then or later, for a new beginning says otherwise."""
         place = max(bisect_left(self._frames, media_s, key=_media_s), self._num_shown)
-        self.num_dropped += len(self._frames) - place
         del self._frames[place:]
 
     def release(self, media_s: float) -> None:

@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import asyncio
+import queue
+import threading
+import time
 
 import pytest
 
 from helpers.senders import LoadedAvatars
+from helpers.sound_trial import until
 from helpers.toy import make_toy_avatar
 from pica_client.call.call import Call
+from pica_client.call.connection_quality import StreamHealth
 from pica_client.endpoint.endpoint import Receiver
+from pica_client.endpoint.monitor import CallMonitor
 from pica_client.publish.publisher import Publisher, SenderConfig
 from pica_client.sources.source import Unseen
 from pica_client.transport.config import LinkConfig
+from pica_client.transport.link import Link
 from pica_core.avatar.arkit import ExpressionFrame
 from pica_protocol.messages import Track
 from pica_server.config.relay import RelayConfig
@@ -72,6 +79,46 @@ def test_a_receiver_says_that_it_is_good_for_one_call() -> None:
         pass
     with pytest.raises(RuntimeError, match="one call"):
         asyncio.run(receiver.run())
+
+
+def test_what_the_drawing_thread_wants_is_told_by_the_networks_thread() -> None:
+    told: queue.Queue[tuple[str, int]] = queue.Queue()
+
+    def subscribe(stream: int, every: int) -> bool:
+        told.put((threading.current_thread().name, every))
+        return True
+
+    async def call() -> None:
+        async with asyncio.timeout(PATIENCE_S), Relay(RelayConfig(port=0)) as relay:
+            bob = Link(LinkConfig(url=relay.url, name="Bob"), (FACE,))
+            talking = asyncio.create_task(bob.run())
+            receiver = make_receiver(relay.url)
+            receiver.link.subscribe = subscribe  # type: ignore[method-assign]
+            with receiver:
+                await asyncio.to_thread(until, receiver.call.names)
+                (peer_id,) = receiver.call.names()
+                for every in (4, 1):  # nothing else wakes the network's thread
+                    receiver.call.subscribe(peer_id, every, time.monotonic())
+                    found = await asyncio.to_thread(told.get, timeout=PATIENCE_S)
+                    assert found == ("receiver", every)
+            bob.leave()
+            await talking
+
+    asyncio.run(call())
+
+
+def test_a_machine_too_busy_to_take_frames_as_they_come_blames_no_connection() -> None:
+    receiver = make_receiver("ws://127.0.0.1:9")
+    monitor, health = CallMonitor(receiver), StreamHealth()
+    receiver.call.health = lambda: {"p1": health}  # type: ignore[method-assign]
+    shown = []
+    for second in range(60):
+        is_busy, is_bad = 20 <= second < 30, second >= 20
+        receiver.late_s += 0.3 * is_busy
+        health = StreamHealth(received=30 * second, missed_s=health.missed_s + 0.5 * is_bad)
+        shown.append(monitor.status(float(second)).peers["p1"].quality)
+    assert set(shown[2:31]) == {"good"}
+    assert shown[-1] == "poor"
 
 
 @in_virtual_time

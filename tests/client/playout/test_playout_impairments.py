@@ -129,6 +129,14 @@ def test_jitter_is_answered_within_a_second() -> None:
     assert min(tick.report.delay_s for tick in between(ticks, 7.5, 13.0)) >= INTERVAL_S + 0.06
 
 
+def test_what_is_missed_is_the_networks_doing_and_not_the_displays() -> None:
+    stalled = arrivals(Trouble(stalls=stalls(0.3)))
+    missed_s = [play(Playout(), stalled, display_hz=hz)[-1].report.missed_s for hz in (90, 3)]
+    assert missed_s == pytest.approx([4 * 0.26] * 2, abs=0.1)
+    seldom = play(Playout(), arrivals(), display_hz=3)
+    assert seldom[-1].report.missed_s == 0
+
+
 def test_the_delay_changes_by_playing_a_little_faster_or_slower() -> None:
     playout = Playout()
     ticks = play(playout, arrivals(Trouble(jitter_s=0.2)))
