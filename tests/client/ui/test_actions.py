@@ -75,10 +75,6 @@ def test_every_key_has_one_meaning() -> None:
     assert not {imgui.Key(KEY._0 + number) for number in range(1, 10)} & set(keys)  # these pin
 
 
-def test_every_button_of_the_bar_has_a_key_that_does_the_same() -> None:
-    assert all(row.keys for row in ACTIONS.values() if row.off is not None)
-
-
 def test_the_help_shows_every_titled_key_with_its_title(controls: Controls) -> None:
     shown = dict(help_lines(ViewState(own_face="sent")))
     for row in ACTIONS.values():

@@ -1,20 +1,29 @@
-"""The form that asks where to: what was typed, what cannot be right, no token in sight."""
+"""The form that asks where to: what was typed, what cannot be right, errors in plain words."""
 
 from __future__ import annotations
 
+import errno
+import socket
+import ssl
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import pytest
 
-from pica_client.errors import OptionError, RelayUnreachableError
+from pica_client.errors import (
+    AvatarLookupError,
+    OptionError,
+    RelayRefusedError,
+    RelayUnreachableError,
+    SourceError,
+)
 from pica_client.sources import open_source
-from pica_client.transport.config import LinkConfig
-from pica_client.ui.join_form import SOURCES, JoinForm
+from pica_client.ui.join_form import REFUSALS, SOURCES, JoinForm, explain
 from pica_client.ui.options import ViewOptions
 from pica_client.ui.session import face_of, first_state, link_of
 from pica_client.ui.state import PreferencesFile, ViewState
+from pica_protocol.errors import CloseCode, is_worth_retrying
 
 pytestmark = pytest.mark.unit
 
@@ -72,8 +81,6 @@ def test_a_typed_token_takes_the_place_of_a_token_file(tmp_path: Path) -> None:
     options = ViewOptions(token_file=tmp_path / "token")
     assert link_of(options, FILLED).token_file == tmp_path / "token"
     assert link_of(options, replace(FILLED, token="t")).token_file is None
-    with pytest.raises(OptionError, match="give one of them"):
-        LinkConfig(token="t", token_file=tmp_path / "token")
 
 
 @pytest.mark.parametrize(
@@ -140,7 +147,71 @@ def test_an_invite_link_in_the_first_field_fills_the_form() -> None:
     assert "names no room" in form.trouble.what
 
 
-def test_one_can_leave() -> None:
-    form = form_of()
-    form.obey("leave")
-    assert form.outcome == "leave"
+# What a client cannot cause by joining, or what is tried again without a word.
+NEVER_AT_THE_FORM = {
+    CloseCode.NORMAL,
+    CloseCode.PROTOCOL_ERROR,
+    CloseCode.INVALID_TEXT,
+    CloseCode.MESSAGE_TOO_BIG,
+    CloseCode.MALFORMED,
+    CloseCode.UNEXPECTED_MESSAGE,
+    CloseCode.FOREIGN_STREAM,
+    CloseCode.UNFIT_FILE,
+    CloseCode.STORE_FULL,
+}
+
+
+def caused(error: Exception, cause: BaseException) -> Exception:
+    error.__cause__ = cause
+    return error
+
+
+def test_every_close_code_that_ends_a_join_has_words_and_a_remedy() -> None:
+    final = {code for code in CloseCode if not is_worth_retrying(code)} - NEVER_AT_THE_FORM
+    assert final <= REFUSALS.keys()
+    for what, remedy in REFUSALS.values():
+        assert what.endswith(".")
+        assert remedy.endswith(".")
+
+
+@pytest.mark.parametrize(
+    ("cause", "said"),
+    [
+        (ConnectionRefusedError(errno.ECONNREFUSED, "Connect call failed"), "Nothing runs"),
+        (OSError("Multiple exceptions: [Errno 111] a, [Errno 111] b"), "Nothing runs"),
+        (PermissionError(errno.EPERM, "Operation not permitted"), "does not allow"),
+        (OSError(errno.ENETUNREACH, "Network is unreachable"), "does not lead"),
+        (socket.gaierror(-2, "Name or service not known"), "no computer of that name"),
+        (ssl.SSLCertVerificationError("self-signed"), "certificate is not trusted"),
+        (ssl.SSLError("wrong version number"), "does not encrypt"),
+        (EOFError("stream ended"), "not a PiCA relay"),
+        (TimeoutError(), "No relay answers"),
+    ],
+)
+def test_what_the_network_says_is_put_into_words(cause: Exception, said: str) -> None:
+    middle = caused(RelayUnreachableError("inner"), cause)
+    trouble = explain(caused(RelayUnreachableError("no relay answers at ws://x"), middle))
+    assert said in trouble.what
+    assert trouble.remedy
+    assert trouble.details == "no relay answers at ws://x"
+    assert "Errno" not in trouble.what + trouble.remedy
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (RelayRefusedError("said no (code 4011)", code=4011), "valid token"),
+        (RelayRefusedError("said no (code 4999)", code=4999), "The relay said no"),
+        (RelayRefusedError("answers HTTP 404, not as a relay"), "not a PiCA relay"),
+        (SourceError("take.csv: no such file"), "cannot be read"),
+        (AvatarLookupError("avatar 'x' is unknown"), "not on this computer"),
+        (OptionError("name must not be empty"), "enter your name"),
+        (OptionError("ca-file x: No such file"), "CA file cannot be used"),
+        (RuntimeError("boom"), "did not work"),
+    ],
+)
+def test_errors_of_joining_are_put_into_words(error: Exception, said: str) -> None:
+    trouble = explain(error)
+    assert said in trouble.what
+    assert trouble.remedy
+    assert trouble.details == str(error)

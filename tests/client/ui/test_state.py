@@ -51,18 +51,6 @@ def test_what_is_saved_is_loaded(kept: Kept) -> None:
     assert kept.warnings == []
 
 
-def test_a_folder_may_have_any_name(kept: Kept) -> None:
-    for name in ("/home/ada/Bilder\u3000 2024", "/home/ada/M\udcfcller"):
-        kept.file.save(replace(KEPT, keep_in=name))
-        assert kept.file.load().keep_in == name
-    assert kept.warnings == []
-
-
-def test_before_the_first_call_there_are_defaults_and_no_warning(kept: Kept) -> None:
-    assert kept.file.load() == ViewState()
-    assert kept.warnings == []
-
-
 @pytest.mark.parametrize(
     "content",
     [
@@ -142,10 +130,3 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(
     assert "No space left" in kept.warnings[0]
     assert kept.file.load() == KEPT
     assert [path.name for path in kept.file.path.parent.iterdir()] == [kept.file.path.name]
-
-
-def test_a_folder_that_cannot_be_made_is_a_warning(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    kept = Kept(tmp_path / "file")
-    kept.file.save(KEPT)
-    assert len(kept.warnings) == 1

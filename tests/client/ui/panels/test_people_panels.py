@@ -21,13 +21,11 @@ from pica_client.ui.actions import Action, Request
 from pica_client.ui.call_view import CallView, Notice, OwnFaceView, Panel, PersonView
 from pica_client.ui.panels.bar import first_hint
 from pica_client.ui.panels.overlay import (
-    NO_FACE,
     call_signs,
     compact_sign,
     free_shares,
     own_face,
     own_face_height,
-    own_signs,
     signs,
     statistics,
 )
@@ -95,13 +93,6 @@ def test_the_menu_of_a_person_pins_shows_statistics_and_resets_the_view(hand: Ha
     assert state.pinned == 1
 
 
-def test_who_watches_cannot_be_pinned_and_oneself_has_no_menu(hand: Hand) -> None:
-    clicking(hand, participants_panel, STATE, VIEW, "More on Ben")
-    assert not any("Pin" in label for label in hand.places)
-    assert any("Statistics" in label for label in hand.places)
-    assert not any("More on Me" in label for label in hand.places)
-
-
 def test_everybody_is_listed_with_what_is_said_of_them(hand: Hand) -> None:
     warned = replace(ADA, warning="looks like your name", note="face is off")
     status = replace(STATUS, participants=(ME, warned, BEN))
@@ -155,21 +146,6 @@ def test_who_is_alone_reads_where_and_who_only_watches(hand: Hand) -> None:
     assert "One person watches without showing a face." in texts(hand, waiting_page, watched)
 
 
-@pytest.mark.parametrize(
-    "view",
-    [
-        replace(ALONE, people=VIEW.people),
-        replace(ALONE, status=CallStatus()),
-        replace(ALONE, status=replace(STATUS, is_connected=False)),
-    ],
-    ids=["not alone", "no call", "connection lost"],
-)
-def test_the_page_of_who_waits_is_away_when_it_has_nothing_to_say(
-    hand: Hand, view: CallView
-) -> None:
-    assert texts(hand, waiting_page, view) == ""
-
-
 def test_each_setting_is_one_click(hand: Hand) -> None:
     state = replace(SETTINGS)
     for label in ("View", "Grid", "Statistics", "My own face", "Light", "125%", "##detail"):
@@ -193,15 +169,6 @@ def test_source_avatar_and_name_are_chosen_during_the_call(hand: Hand) -> None:
         clicking(hand, settings_panel, state, call, label)
     assert state.avatar == "nora"
     assert clicking(hand, settings_panel, state, call, "Join again") == [Action.REJOIN]
-
-
-def test_a_tracker_without_a_face_is_a_sign() -> None:
-    assert own_signs(STATE, replace(VIEW, own=OwnFaceView(seen=Seen(False, (), None)))) == [NO_FACE]
-
-
-def test_who_sends_no_face_is_not_asked_whether_to_show_it(hand: Hand) -> None:
-    hand.frame(lambda metrics: settings_panel(ViewState(side="settings"), VIEW, metrics))
-    assert "My own face" not in hand.places
 
 
 def test_the_first_hint_is_dismissed_by_a_button(hand: Hand) -> None:
@@ -230,15 +197,6 @@ def test_a_small_picture_has_one_line_for_what_matters_most() -> None:
     with open_hand((320, 240)) as small:
         clicking(small, first_hint, hinted := ViewState(), VIEW, "Got it")
         assert hinted.has_seen_hint
-
-
-def test_on_a_small_picture_that_is_recorded_no_sign_stands_on_names() -> None:
-    call, state = replace(ALONE, shows_bar=False), ViewState(has_seen_hint=True, is_recording=True)
-    with open_hand((320, 240)) as small:
-        small.frame(lambda metrics: signs(state, call, metrics))
-        (shapes,) = imgui.get_draw_data().cmd_lists
-        lowest = max(vertex.pos.y for vertex in shapes.vtx_buffer)
-        assert lowest <= free_shares(state, call, small.surface.metrics).top * 240
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
@@ -290,17 +248,6 @@ def test_ones_own_face_is_shown_where_there_is_room(hand: Hand) -> None:
         own = OwnFaceView(texture=1, seen=Seen(has_face, (("Jaw", 2.0),), None))
         shown = replace(VIEW, own=own)
         assert hand.frame(lambda metrics, s=state, c=shown: own_face(s, c, metrics)) == []  # type: ignore[misc]
-
-
-def test_the_statistics_begin_below_the_signs_of_the_call(hand: Hand) -> None:
-    state = ViewState(show_statistics=True)
-    tops = []
-    for participants in ((ME, ADA), (ME, ADA, BEN)):
-        view = replace(VIEW, status=replace(STATUS, participants=participants))
-        hand.frame(lambda metrics, view=view: statistics(state, view, metrics))  # type: ignore[misc]
-        window = imgui.internal.find_window_by_name("statistics")
-        tops.append(window.pos.y)
-    assert tops[1] > tops[0] > 36
 
 
 def test_a_long_notice_stands_below_the_signs_at_the_left() -> None:
@@ -415,16 +362,6 @@ def test_an_admin_bars_a_person_and_lifts_the_bar_once_they_are_gone(hand: Hand)
     asked = clicking(hand, participants_panel, state, gone, "Let Ada rejoin")
     assert asked == [BarIdentity(identity="ada-1", is_barred=False)]
     assert state.barred == {}
-
-
-def test_an_admin_lets_go_on_what_is_muted_and_bars_nobody_without_an_identity(hand: Hand) -> None:
-    eve = replace(ADA, has_voice=True, muted_kinds=frozenset({"voice"}))
-    call = replace(VIEW, status=replace(STATUS, participants=(ME, eve), is_admin=True))
-    clicking(hand, participants_panel, STATE, call, "More on Ada")
-    assert not any("Bar until" in label for label in hand.places)
-    assert clicking(hand, participants_panel, STATE, call, "Unmute voice") == [
-        MutePeer(peer_id="p1", kind="voice", is_muted=False)
-    ]
 
 
 def test_who_is_no_admin_finds_nothing_to_moderate_with(hand: Hand) -> None:
