@@ -10,6 +10,7 @@ docs_words          words of all Markdown files
 largest_folder      source files in the fullest folder of the packages, ``__init__.py`` included
 longest_file        lines of the longest Python file, of tests and scripts, too
 import_circles      groups of modules that import each other in a loop, however far around
+dialect             lines with words that the field does not use; ``--words`` prints them
 
 Imports under ``if TYPE_CHECKING`` and inside functions count for circles: a loop that is only
 broken by being late is still a loop.
@@ -20,7 +21,9 @@ from __future__ import annotations
 import argparse
 import ast
 import json
+import re
 import subprocess
+import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -62,6 +65,13 @@ ROOMS: dict[str, tuple[int, tuple[str, ...]]] = {
     "client, rest": (600, (CLIENT,)),
 }
 """Lines allowed, and beginnings of the paths that count; the first room that fits takes a file."""
+DIALECT = re.compile(
+    r"\b([Nn]obody|[Ss]omebody|[Ww]hoever|anew|one's own|lookout|[Rr]ulings?|[Ss]ays? whether)\b"
+    r"|not worth a word"
+)
+"""Words for which the field has others: participant, peer, user or operator for people, again for
+anew, "Return True if" for "Say whether"."""
+READ = (*PACKAGES, "scripts", "examples", "docs", "README.md", "CONTRIBUTING.md", "SECURITY.md")
 
 
 def tracked(pattern: str) -> list[str]:
@@ -124,6 +134,18 @@ def circles(graph: dict[str, set[str]]) -> list[list[str]]:
     return found
 
 
+def dialect() -> list[str]:
+    """Return the lines with private words, results left out, as ``path:number: line``."""
+    paths = [path for pattern in ("*.py", "*.md") for path in tracked(pattern)]
+    return [
+        f"{path}:{number}: {line.strip()}"
+        for path in paths
+        if path.startswith(READ) and not path.startswith(("docs/results", "scripts/house.py"))
+        for number, line in enumerate((ROOT / path).read_text().splitlines(), 1)
+        if DIALECT.search(line)
+    ]
+
+
 def measure() -> dict[str, Any]:
     """Return all counts, the lines of each room, and the circles."""
     lines = {path: len((ROOT / path).read_text().splitlines()) for path in tracked("*.py")}
@@ -142,6 +164,7 @@ def measure() -> dict[str, Any]:
         "largest_folder": max(Counter(str(Path(path).parent) for path in production).values()),
         "longest_file": max(lines.values()),
         "import_circles": len(circles(graph)),
+        "dialect": len(dialect()),
         "rooms": {room: [rooms[room], budget] for room, (budget, _) in ROOMS.items()},
         "circles": circles(graph),
     }
@@ -151,6 +174,11 @@ def main() -> None:
     """Print the counts, as a table or as one JSON object."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--words", action="store_true", help="print private words; fail on any")
+    if parser.parse_args().words:
+        found = dialect()
+        print("\n".join(found), end="\n" if found else "")
+        sys.exit(bool(found))
     counts = measure()
     if parser.parse_args().json:
         print(json.dumps(counts))

@@ -119,7 +119,7 @@ def _view_arguments(config: DemoConfig, stage: local_call.LocalCall, log: Path) 
     if config.call.avatar is not None:
         arguments += ["--avatar", config.call.avatar]
     if config.headless:
-        # Nobody listens: the voices are played, and measured, without a sound.
+        # There is no listener: the voices are played, and measured, without a sound.
         return [*arguments, "--speaker", "none", "--headless"]
     return [*arguments, "--statistics", "--no-preferences"]
 

@@ -77,7 +77,7 @@ class SendOptions:
     """File with the room secret, from pica secret: encrypts end to end, see docs/privacy.md."""
     give_avatar: GiveAvatar = "auto"
     """Give the avatar's file to the relay, for those who do not have it; auto does, unless it ships
-    with this package or there is a secret: whoever runs the relay can look at the file."""
+    with this package or there is a secret: the relay's operator can look at the file."""
 
 
 def send(options: SendOptions) -> dict[str, Any]:

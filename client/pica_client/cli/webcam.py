@@ -1,4 +1,4 @@
-"""`pica webcam setup`: fetches the networks that a webcam needs, when somebody asks for it."""
+"""`pica webcam setup`: fetches the networks that a webcam needs, on request."""
 
 from dataclasses import dataclass
 from typing import Annotated, Any

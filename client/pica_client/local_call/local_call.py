@@ -235,7 +235,7 @@ def frame_times(
 ) -> list[FrameTimes]:
     """The way of each decoded face, from what a viewer logs.
 
-    A face between two frames is a moment that nobody sent; its way is that of the newer frame,
+    A face between two frames is a moment that was not sent; its way is that of the newer frame,
     moved to the moment shown. Both logs are bounded and drop their oldest: a decode whose face is
     no longer known is left out.
 

@@ -49,7 +49,7 @@ FADE_S = 0.5
 GLOW_STEPS = 4
 """Between no glow around a speaker and a bright one."""
 SETTLE_S = 0.15
-"""In which seats and camera go most of the way to where they should be when somebody comes, goes or
+"""In which seats and camera go most of the way to where they should be when a person comes, goes or
 is pinned (chosen: seen as a movement, and over soon)."""
 AUDIBLE_LEVEL = 45
 """Decibels below full scale: a louder voice speaks (chosen: a quiet room is below 60)."""
@@ -154,7 +154,7 @@ class _Peer:
         return now - self.heard_s < VOICE_HOLD_S
 
     def glow(self, now: float, step: float) -> float:
-        """How bright the glow around it is, in a few steps: each draws the room anew."""
+        """How bright the glow around it is, in a few steps: each draws the room again."""
         goal = float(self.is_speaking(now))
         self.glow_share = _towards(goal, self.glow_share, step)
         return math.ceil(GLOW_STEPS * self.glow_share) / GLOW_STEPS

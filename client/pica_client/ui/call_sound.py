@@ -1,4 +1,4 @@
-"""The voices of a call as the window needs them: one's own, those of the others, the devices."""
+"""The voices of a call as the window needs them: the user's, those of others, the devices."""
 
 from collections.abc import Iterable, Mapping
 
@@ -11,7 +11,8 @@ from pica_client.voice.sound.soundtrack import Soundtrack
 from pica_core.types import FloatArray
 
 TAIL_S = 0.2
-"""How long one is heard after the key to talk was let go: it goes with the last word (chosen)."""
+"""How long the user is heard after letting go of the key to talk: a key goes up with the last word
+(chosen)."""
 
 
 class CallSound:
@@ -19,7 +20,7 @@ class CallSound:
 
     Args:
         own: Sends the user's own voice; None: none is sent.
-        sound: Plays those of the others, and captures; None: nobody is heard.
+        sound: Plays those of the others, and captures; None: the others are not heard.
     """
 
     def __init__(
@@ -80,7 +81,7 @@ class CallSound:
             self._sound.play_test()
 
     def begin_track(self) -> Soundtrack | None:
-        """Begin to keep all that is heard, and what is sent of one's own voice; None where there
+        """Begin to keep all that is heard, and what is sent of the own voice; None where there
         is neither."""
         if self._sound is None and self._own is None:
             return None

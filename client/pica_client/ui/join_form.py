@@ -66,14 +66,17 @@ class Trouble:
 REFUSALS: dict[int, tuple[str, str]] = {
     CloseCode.WRONG_VERSION: (
         "The relay runs another version of PiCA.",
-        "Update PiCA on this computer, or ask whoever runs the relay to update it.",
+        "Update PiCA on this computer, or ask the relay's operator to update it.",
     ),
-    CloseCode.ROOM_FULL: ("The room is full.", "Wait until somebody leaves, or use another room."),
+    CloseCode.ROOM_FULL: (
+        "The room is full.",
+        "Wait until a participant leaves, or use another room.",
+    ),
     CloseCode.RELAY_FULL: ("The relay is full.", "Try again in a few minutes."),
     CloseCode.BUSY: ("The relay is busy.", "Try again in a moment."),
     CloseCode.TOO_MANY: (
         "Too many people from your network are on this relay.",
-        "Close other PiCA windows, or ask whoever runs the relay for a higher limit.",
+        "Close other PiCA windows, or ask the relay's operator for a higher limit.",
     ),
     CloseCode.UNAUTHORIZED: (
         "You need a valid token for this room.",
@@ -102,7 +105,7 @@ FIELDS: dict[str, tuple[str, str]] = {
         "Please enter your name.",
         "It may have up to 64 letters, fewer in some scripts.",
     ),
-    "token": ("This cannot be a token.", "Copy it anew, or ask your host for an invite link."),
+    "token": ("This cannot be a token.", "Copy it again, or ask your host for an invite link."),
     "ca-file": ("The CA file cannot be used.", "Check the path under More."),
     "secret-file": ("The room secret cannot be read.", "Check the path under More."),
 }

@@ -100,11 +100,11 @@ class ViewOptions:
     name: str | None = None
     """Our own name."""
     send: str | None = None
-    """Send one's own face as well: a source as in pica send; none only watches, the default with
+    """Send your own face as well: a source as in pica send; none only watches, the default with
     --url. Who joins by the form is seen, by performance:talk if nothing else is named here. M mutes
     the face, F freezes it."""
     own_avatar: str | None = None
-    """Avatar of one's own face: a shipped one by its name, or a .pica file; by default a shipped
+    """Avatar of your own face: a shipped one by its name, or a .pica file; by default a shipped
     one that goes by the name."""
     give_avatar: GiveAvatar = "auto"
     """Give that avatar's file to the relay, for those who do not have it; as in pica send."""
@@ -114,7 +114,7 @@ class ViewOptions:
     """Whose voice is sent: mic, the system's microphone; mic:NAME; or what pica send takes;
     none by default, but mic where a form asks, which can be changed there."""
     speaker: str = ""
-    """Loudspeaker by its name; none plays without a sound, off hears nobody; by default the
+    """Loudspeaker by its name; none plays without a sound, off receives no voices; by default the
     system's."""
     clean: bool | None = None
     """Take echo and noise out of the microphone, and even out how loud it is, where the extra echo
@@ -144,7 +144,7 @@ class ViewOptions:
     ca_file: Path | None = None
     """Trust the certificates of this PEM file instead of the system's, at a wss:// address."""
     secret_file: Path | None = None
-    """File with the room secret of those who encrypt: shows them, and nobody else."""
+    """File with the room secret of an encrypted call: shows its participants alone."""
     fetch: bool = True
     """Get avatars that are not on this machine from the relay, and keep them."""
 

@@ -192,7 +192,7 @@ def _fitted(image: Image, size: tuple[int, int]) -> Image:
     from PIL import ImageOps
 
     whole = PillowImage.fromarray(image)
-    # Twice as fast as the default, and in a recording nobody sees a difference.
+    # Twice as fast as the default, and no difference is seen in a recording.
     return np.asarray(ImageOps.pad(whole, size, PillowImage.Resampling.BILINEAR))
 
 

@@ -90,12 +90,12 @@ class Preferences:
     scale: float = 1.0
     """Size of type and buttons, one of `SCALES`."""
     shows_self: bool = True
-    """Whether one's own face is shown in a corner, while one is sent."""
+    """Show the own face in a corner, while one is sent."""
     detail: float = 1.0
     """Part of the time for a frame that decoding and drawing may take, `MIN_DETAIL` to 1."""
     sound: SoundSettings = field(default_factory=SoundSettings)
     has_seen_hint: bool = False
-    """Whether what one needs to know in the first call was dismissed."""
+    """The hint of the first call was dismissed."""
     window_size: tuple[int, int] = (960, 540)
     """Columns and rows, in the screen's units."""
 
@@ -142,7 +142,7 @@ class ViewState(Preferences):
 
     @property
     def is_heard(self) -> bool:
-        """Whether one's own voice is to be sent now."""
+        """Return True if the own voice is to be sent now."""
         return self.own_voice == "sent" and (self.is_talking or not self.sound.push_to_talk)
 
     def enter(self, avatars: tuple[str, ...]) -> None:

@@ -199,8 +199,8 @@ class Viewer(Closing):
     def prepare(self, timeout_s: float = PREPARE_TIMEOUT_S) -> None:
         """Get everybody ready who has a face by now: decoders, shaders, first maps.
 
-        What this costs belongs to no frame: nothing of it is shown, recorded or measured. Whoever
-        is not ready in time sits there as a placeholder until then.
+        What this costs belongs to no frame: nothing of it is shown, recorded or measured. A peer
+        that is not ready in time is a placeholder until then.
         """
         deadline_s = self._clock() + timeout_s
         while (now := self._clock()) < deadline_s:
