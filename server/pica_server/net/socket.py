@@ -21,11 +21,13 @@ It relies on details of the library that its documentation does not promise: ``p
 import asyncio
 import socket
 import ssl
+from asyncio import sslproto
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any, Final
 
 from websockets.asyncio.server import ServerConnection
+from websockets.datastructures import Headers
 from websockets.frames import Frame, Opcode
 from websockets.http11 import Request
 from websockets.protocol import Event, State
@@ -52,6 +54,12 @@ _LONGEST_BYTES: Final = 1024
 """Messages up to it come the short way (chosen: whole in one read)."""
 _NO_MASK: Final = bytes(4)
 _DATA = (Opcode.BINARY, Opcode.TEXT, Opcode.CONT)
+
+_TLS_READ_BYTES: Final = 32_768
+"""What TLS reads at once (chosen: a record has 16 KiB at most; asyncio's own 256 KiB are held by
+every connection)."""
+_READ: Final = Request("", Headers())
+"""Stands for a request that was answered."""
 
 MAX_REQUEST_BYTES: Final = 16_384
 """Until it is a websocket (chosen: twice what common servers read). The library would keep 128
@@ -161,6 +169,7 @@ class RelaySocket(ServerConnection):
 
     async def _begin_tls(self, plain: asyncio.Transport, tls: ssl.SSLContext) -> None:
         """Go on when TLS is there; or give up, and free the place."""
+        sslproto.SSLProtocol.max_size = _TLS_READ_BYTES
         try:
             transport = await self.loop.start_tls(
                 plain,
@@ -256,6 +265,7 @@ class RelaySocket(ServerConnection):
         if self._deadline is not None:
             self._deadline.cancel()
         self._is_opened = True
+        self.request, self.response = _READ, None  # three kilobytes that are read no more
         self._is_open = self.protocol.state is State.OPEN
         self.guard.opened()
 
