@@ -4,20 +4,20 @@ Every frame stands alone, so little needs to wait: of a stream of the policy ``l
 frame, of an ``ordered`` one the last `MAX_WAITING` frames that are within their deadline. So the
 memory for a reader is bounded by the number of its streams, and what it reads is fresh.
 
-What is taken is shared fairly by senders, so that no sender can use up the line of a receiver:
-ordered frames first, by deficit round robin (Shreedhar and Varghese 1995), and beside them
-`LATEST_BYTES` of the others in turn, as a voice must not come late because of faces. Used on both
-ways: by a publisher for its own uplink, and by the relay for every receiver that does not keep up.
+Deficit round robin (Shreedhar and Varghese 1995) shares what is taken fairly by senders, so that
+none can use up the line of a receiver: ordered frames first, and beside them `LATEST_BYTES` of the
+others, as a voice must not come late because of faces. Used on both ways: by a publisher for its
+own uplink, and by the relay for every receiver that does not keep up.
 """
 
 from collections import Counter, deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Final
 
 MAX_WAITING: Final = 10
 """Frames of an ordered stream that may wait (chosen: 0.4 s of a voice in packets of 40 ms)."""
 QUANTUM_BYTES: Final = 256
-"""What each sender may take of ordered frames in one round (chosen: a packet of voice fits)."""
+"""What each sender may take in one round (chosen: a packet of voice fits)."""
 LATEST_BYTES: Final = 160
 """What frames of ``latest`` streams take beside ordered ones (chosen: two sealed faces)."""
 
@@ -44,13 +44,17 @@ class QueuedFrame:
         self.framed = b""
 
 
-class _Sender:
-    __slots__ = ("credit", "latest", "ordered")
+class _Line:
+    """What waits of one sender."""
+
+    __slots__ = ("credit", "frames")
 
     def __init__(self) -> None:
-        self.latest: dict[int, QueuedFrame] = {}
-        self.ordered: deque[QueuedFrame] = deque()
+        self.frames: deque[QueuedFrame] = deque()
         self.credit = 0
+
+
+_Lines = dict[str, _Line]
 
 
 class FrameQueue:
@@ -64,105 +68,80 @@ class FrameQueue:
                 stream, ``overflow`` of an ordered stream, ``expired`` after its deadline.
         """
         self._drops = drops
-        # In the order in which they were served: who was served last stands last.
-        self._senders: dict[str, _Sender] = {}
+        # By sender, in the order in which they have their turn.
+        self._ordered: _Lines = {}
+        self._latest: _Lines = {}
         self._saved_bytes = 0  # what latest frames were left while the next did not fit
 
     def __len__(self) -> int:
-        return sum(len(each.latest) + len(each.ordered) for each in self._senders.values())
+        lines = (*self._ordered.values(), *self._latest.values())
+        return sum(len(line.frames) for line in lines)
 
     @property
     def has_ordered(self) -> bool:
         """Whether a frame of an ordered stream waits."""
-        return any(sender.ordered for sender in self._senders.values())
+        return bool(self._ordered)
 
     def put(self, frame: QueuedFrame) -> None:
         """Take the next frame of a stream."""
-        sender = self._senders.get(frame.sender)
-        if sender is None:
-            sender = self._senders[frame.sender] = _Sender()
-        if frame.deadline_s is None:
-            if sender.latest.pop(frame.stream, None) is not None:
-                self._drops["replaced"] += 1
-            sender.latest[frame.stream] = frame
-            return
-        sender.ordered.append(frame)
-        if sum(each.stream == frame.stream for each in sender.ordered) > MAX_WAITING:
-            oldest = next(each for each in sender.ordered if each.stream == frame.stream)
-            sender.ordered.remove(oldest)
-            self._drops["overflow"] += 1
+        is_latest = frame.deadline_s is None
+        lines = self._latest if is_latest else self._ordered
+        frames = lines.setdefault(frame.sender, _Line()).frames
+        waiting = [each for each in frames if each.stream == frame.stream]
+        if len(waiting) >= (1 if is_latest else MAX_WAITING):
+            frames.remove(waiting[0])
+            self._drops["replaced" if is_latest else "overflow"] += 1
+        frames.append(frame)
 
     def take(self, max_bytes: int, now: float) -> list[QueuedFrame]:
         """Take the frames that go out next, as many as ``max_bytes`` hold; at least one if any
         waits, whatever its size."""
-        self._expire(now)
-        ordered = list(self._take_ordered(max_bytes - LATEST_BYTES))
+        if num_expired := self._filter(
+            self._ordered, lambda frame: now - frame.received_s <= (frame.deadline_s or 0.0)
+        ):
+            self._drops["expired"] += num_expired
+        ordered = list(_take(self._ordered, max_bytes - LATEST_BYTES, must_take=True))
         room_left = max_bytes - sum(len(frame.data) for frame in ordered)
         if ordered:
             room_left = min(room_left, LATEST_BYTES + self._saved_bytes)
-        latest = list(self._take_latest(room_left, must_take=not ordered))
-        is_waiting = bool(self._senders)
+        latest = list(_take(self._latest, room_left, must_take=not ordered))
         unused = room_left - sum(len(frame.data) for frame in latest)
+        is_waiting = bool(self._ordered or self._latest)
         self._saved_bytes = min(max(unused, 0), max_bytes) if ordered and is_waiting else 0
         return ordered + latest
 
-    def drop(self, stream: int) -> int:
-        """Drop what waits of a stream; return how many frames that is."""
+    def drop(self, sender: str, stream: int | None = None) -> int:
+        """Drop what waits of a sender, or of one of its streams; return how many frames that is."""
+
+        def is_kept(frame: QueuedFrame) -> bool:
+            return frame.sender != sender or stream not in (None, frame.stream)
+
+        return self._filter(self._ordered, is_kept) + self._filter(self._latest, is_kept)
+
+    def _filter(self, lines: _Lines, is_kept: Callable[[QueuedFrame], bool]) -> int:
+        """Drop all other frames; return how many."""
         before = len(self)
-        for name, sender in list(self._senders.items()):
-            sender.latest.pop(stream, None)
-            sender.ordered = deque(frame for frame in sender.ordered if frame.stream != stream)
-            self._forget_if_empty(name, sender)
+        for name, line in list(lines.items()):
+            line.frames = deque(filter(is_kept, line.frames))
+            if not line.frames:
+                del lines[name]
         return before - len(self)
 
-    def _expire(self, now: float) -> None:
-        for name, sender in list(self._senders.items()):
-            kept = [f for f in sender.ordered if now - f.received_s <= (f.deadline_s or 0.0)]
-            if len(kept) < len(sender.ordered):
-                self._drops["expired"] += len(sender.ordered) - len(kept)
-                sender.ordered = deque(kept)
-                self._forget_if_empty(name, sender)
 
-    def _take_ordered(self, room_left: int) -> Iterator[QueuedFrame]:
-        """Take ordered frames round by round, until none waits or the next does not fit."""
-        talking = [(name, each) for name, each in self._senders.items() if each.ordered]
-        is_first = True
-        while talking:
-            name, sender = talking.pop(0)
-            sender.credit += QUANTUM_BYTES
-            while sender.ordered and len(sender.ordered[0].data) <= sender.credit:
-                size = len(sender.ordered[0].data)
-                if size > room_left and not is_first:
-                    sender.credit -= QUANTUM_BYTES
-                    return
-                is_first = False
-                room_left -= size
-                sender.credit -= size
-                self._serve(name, sender)
-                yield sender.ordered.popleft()
-            if sender.ordered:
-                talking.append((name, sender))
-            else:
-                sender.credit = 0
-                self._forget_if_empty(name, sender)
-
-    def _take_latest(self, room_left: int, *, must_take: bool) -> Iterator[QueuedFrame]:
-        """Take latest frames of one sender after the other, those served longest ago first."""
-        for name, sender in list(self._senders.items()):
-            for stream, frame in list(sender.latest.items()):
-                if len(frame.data) > room_left and not must_take:
+def _take(lines: _Lines, room_left: int, *, must_take: bool) -> Iterator[QueuedFrame]:
+    """Take frames round by round, until none waits or the next does not fit."""
+    while lines:
+        for name, line in list(lines.items()):
+            line.credit += QUANTUM_BYTES
+            while line.frames and len(line.frames[0].data) <= line.credit:
+                size = len(line.frames[0].data)
+                if size > room_left and not must_take:
+                    line.credit -= QUANTUM_BYTES
                     return
                 must_take = False
-                room_left -= len(frame.data)
-                del sender.latest[stream]
-                self._serve(name, sender)
-                yield frame
-            self._forget_if_empty(name, sender)
-
-    def _serve(self, name: str, sender: _Sender) -> None:
-        del self._senders[name]
-        self._senders[name] = sender
-
-    def _forget_if_empty(self, name: str, sender: _Sender) -> None:
-        if not (sender.latest or sender.ordered):
-            del self._senders[name]
+                room_left -= size
+                line.credit -= size
+                yield line.frames.popleft()
+            del lines[name]
+            if line.frames:
+                lines[name] = line

@@ -1,4 +1,4 @@
-"""More to throw damaged messages at: the relay without its sockets, and its tokens."""
+"""More to throw damaged messages at: the tokens of a relay."""
 
 from __future__ import annotations
 
@@ -9,16 +9,11 @@ from typing import Any, Final
 
 import jwt
 
-from fuzzing.corpus import CORPUS, FACE, VOICE, media, to_relay
 from fuzzing.meter import Meter
 from fuzzing.mutator import INTEGERS, TEXTS, Mutator
 from fuzzing.targets import expect, refusal
-from pica_protocol.client_session import ClientSession
-from pica_protocol.codec import encode_message
 from pica_protocol.errors import CloseCode
-from pica_protocol.frames import Frame
-from pica_protocol.messages import Hello, Join, Track
-from pica_protocol.session import State
+from pica_protocol.messages import Join, Track
 from pica_server.auth.tokens import (
     ALGORITHM,
     ANY_AVATAR,
@@ -28,166 +23,12 @@ from pica_server.auth.tokens import (
     admit,
     mint,
 )
-from pica_server.config.relay import LimitsConfig, RelayConfig
 from pica_server.errors import AdmissionError
-from pica_server.room.connection import Connection
-from pica_server.room.hub import Hub
 
 SECRET: Final = bytes(range(32))
 KEYS: Final = KeyRing({"old": SECRET[::-1], "new": SECRET})
 NOW_UNIX: Final = 1_800_000_000.0
 AVATAR: Final = "0f" * 32
-
-_CONFIG: Final = RelayConfig(
-    room_capacity=4,
-    max_connections=9,
-    handshake_timeout_s=5.0,
-    limits=LimitsConfig(
-        messages_per_s=8.0,
-        bytes_per_s=8000.0,
-        joins_per_s=1.0,
-        joins_burst=12.0,
-        connections_per_address=2,
-    ),
-)
-
-
-class _Healthy:
-    """A peer that behaves, and notices whatever it should not be told."""
-
-    def __init__(self, hub: Hub, name: str, token: str, now: float) -> None:
-        self.hub = hub
-        self.connection = hub.connect(now)
-        self.session = ClientSession(room="lobby", name=name, tracks=(FACE,), now=now, token=token)
-        self.frames: list[Frame] = []
-        self.speak(now)
-        self.listen(now)
-        expect(self.session.state is State.JOINED, "a healthy peer cannot join:", name)
-
-    def speak(self, now: float) -> None:
-        for data in self.session.messages_to_send(now):
-            self.hub.receive(self.connection, data, now)
-
-    def listen(self, now: float) -> None:
-        while (message := self.hub.take(self.connection, now)) is not None:
-            self.hub.sent(self.connection, message, now)
-            events = self.session.receive_data(message.data, now)
-            self.frames += [event for event in events if isinstance(event, Frame)]
-        expect(self.connection.closed is None, "a healthy peer was closed:", self.connection.closed)
-        expect(self.session.closed is None, "a healthy peer had to go:", self.session.closed)
-
-
-def hub(rng: random.Random, meter: Meter) -> None:
-    """Hostile connections in the room of two healthy peers, and beside it."""
-    has_keys = rng.random() < 0.5
-    secrets: list[str] = []
-
-    def new_secret() -> str:
-        secrets.append(f"{rng.getrandbits(128):032x}")
-        return secrets[-1]
-
-    relay = Hub(
-        _CONFIG,
-        (lambda join: admit(KEYS, join, now=NOW_UNIX)) if has_keys else None,
-        new_secret=new_secret,
-    )
-    now = 100.0
-    ada, bob = (_Healthy(relay, name, _token(name), now) for name in ("ada", "bob"))
-    ada.listen(now)
-    mutator = Mutator(rng, CORPUS)
-    hostile: list[Connection] = []
-    plans: dict[Connection, list[bytes]] = {}
-    for step in range(120):
-        now += rng.choice((0.0, 0.0, 0.001, 0.02, 0.3))
-        if len(hostile) < 8 and rng.random() < 0.3:
-            connection = meter.call(relay.connect, now, rng.choice(("", "192.0.2.7")))
-            _note(connection, meter, was_open=True, is_damaged=False)
-            hostile.append(connection)
-            plans[connection] = _plan(rng, has_keys, secrets, stream=rng.randrange(1, 9))
-        if hostile:
-            connection = rng.choice(hostile)
-            plan = plans[connection]
-            data = plan.pop(0) if plan else media(rng, rng.randrange(1, 9))
-            # Whoever is not let in is not looked at for long: let half of them be.
-            is_damaged = rng.random() < (0.15 if plan else 0.6)
-            if is_damaged:
-                data = mutator.mutate(data)
-            was_open = connection.closed is None
-            meter.call(relay.receive, connection, data, now)
-            _note(connection, meter, was_open=was_open, is_damaged=is_damaged)
-            if rng.random() < 0.03 or connection.closed is not None:
-                relay.disconnect(connection, rng.randrange(5000), "\x00", now)
-                hostile.remove(connection)
-            elif rng.random() < 0.3:
-                while (message := relay.take(connection, now)) is not None:
-                    relay.sent(connection, message, now)
-        if rng.random() < 0.05:
-            _administer(rng, relay, now)
-        if step % 8 == 0:
-            for healthy in (ada, bob):
-                healthy.session.send_frame(bytes([step]), captured_us=step)
-                healthy.speak(now)
-                num = len(bob.frames)
-                for listener in (ada, bob):
-                    listener.listen(now)
-                if healthy is ada:
-                    own = [f for f in bob.frames[num:] if f.stream == ada.session.tracks[0].stream]
-                    expect(len(own) == 1, "a frame was lost between healthy peers:", step)
-        for listener in (ada, bob):
-            listener.listen(now)
-        when = relay.next_timer()
-        if when is not None and when <= now:
-            relay.handle_timer(now)
-        relay.take_ready()
-        waiting = relay.num_waiting_control_bytes
-        expect(waiting <= 12 * _CONFIG.max_control_bytes, "control without a bound:", waiting)
-    for healthy in (ada, bob):
-        relay.disconnect(healthy.connection, CloseCode.NORMAL, "", now)
-    for connection in hostile:
-        relay.disconnect(connection, CloseCode.CONNECTION_LOST, "", now)
-    expect(relay.num_connections == 0, "connections that nobody has:", relay.num_connections)
-    relay.handle_timer(now + _CONFIG.resume_grace_s + 1)
-    left = (relay.num_connections, relay.num_rooms, relay.num_waiting_frames)
-    expect(left == (0, 0, 0), "not everything was cleared up:", left)
-
-
-def _administer(rng: random.Random, relay: Hub, now: float) -> None:
-    """Do to the room of strangers alone what an admin may do."""
-    attic = relay.room("attic")
-    peers = [] if attic is None else [peer.peer_id for peer in attic.peers]
-    if attic is None:
-        return
-    match rng.randrange(4):
-        case 0:
-            relay.moderation.remove(attic, rng.choice([*peers, "p1"]), now)
-        case 1:
-            who = f"eve{rng.randrange(3)}"
-            relay.moderation.bar(attic, who, is_barred=rng.random() < 0.5, now=now)
-        case _:
-            relay.moderation.mute(attic, rng.randrange(1, 9), is_muted=rng.random() < 0.5, now=now)
-
-
-def _plan(rng: random.Random, has_keys: bool, secrets: list[str], stream: int) -> list[bytes]:
-    room = rng.choice(("lobby", "lobby", "attic"))
-    # Its own, one that was good once, or somebody else's.
-    resume = rng.choice(secrets) if secrets and rng.random() < 0.5 else ""
-    token = _token(f"eve{rng.randrange(3)}", room) if has_keys and rng.random() < 0.9 else ""
-    join = Join(
-        room=room,
-        name="Eve",
-        tracks=rng.choice(((), (FACE,), (FACE,), (FACE, VOICE), (VOICE,) * 4)),
-        token=token,
-        resumable=rng.random() < 0.7,
-        resume=resume,
-    )
-    plan = [encode_message(Hello()), encode_message(join)]
-    return plan + to_relay(rng, room=room, stream=stream)[2:]
-
-
-def _note(connection: Connection, meter: Meter, *, was_open: bool, is_damaged: bool) -> None:
-    closed = connection.closed
-    outcome = "accepted" if closed is None or closed.is_remote else refusal(closed.code)
-    meter.note(outcome if was_open else "ignored after the end", is_damaged=is_damaged)
 
 
 def _token(identity: str, room: str = "lobby", **grants: Any) -> str:

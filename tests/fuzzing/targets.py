@@ -8,7 +8,6 @@ is a defect too.
 from __future__ import annotations
 
 import random
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
@@ -19,7 +18,6 @@ from fuzzing.mutator import Mutator
 from pica_protocol.client_session import MAX_QUEUED_MESSAGES, ClientSession
 from pica_protocol.codec import decode_message, encode_message
 from pica_protocol.errors import CloseCode, RemoteProtocolError
-from pica_protocol.frame_queue import MAX_WAITING, FrameQueue, QueuedFrame
 from pica_protocol.frames import HEADER_BYTES, decode_media, encode_frame, scan_frames
 from pica_protocol.limits import (
     MAX_CLIENT_MESSAGE_BYTES,
@@ -158,36 +156,6 @@ def crowded_client(rng: random.Random, meter: Meter) -> None:
         _note_session(session, meter, before, is_damaged=False)
         many = max(len(session.peers), len(session.away))
         expect(many <= MAX_PEERS, "more peers than a room holds:", number)
-
-
-def frame_queue(rng: random.Random, meter: Meter) -> None:
-    """The queue of one reader: bounded, nothing in it for long, and counting right."""
-    drops: Counter[str] = Counter()
-    queue = FrameQueue(drops)
-    now, given, got = 0.0, 0, 0
-    for _ in range(200):
-        now += rng.choice((0.0, 0.0, 0.033, 0.6))
-        stream = rng.randrange(1, 9)
-        match rng.randrange(12):
-            case 0:
-                got += queue.drop(stream)
-            case 1 | 2:
-                budget = rng.choice((1, 100, 1200, 16_383))
-                taken = meter.call(queue.take, budget, now)
-                got += len(taken)
-                total = sum(len(frame.data) for frame in taken)
-                expect(len(taken) <= 1 or total <= budget, "more than fits:", total, budget)
-                is_late = any(now - f.received_s > f.deadline_s for f in taken if f.deadline_s)
-                expect(not is_late, "later than its deadline:", now)
-            case _:
-                deadline_s = (0.001, 0.1)[stream % 2] if stream > 4 else None
-                data = bytes(rng.choice((12, 40, 1196)))
-                meter.call(queue.put, QueuedFrame(f"p{stream % 3}", stream, data, now, deadline_s))
-                given += 1
-                meter.note("accepted", is_damaged=False)
-        expect(len(queue) <= 4 + 4 * MAX_WAITING, "too many frames wait:", len(queue))
-    got += len(queue)
-    expect(given == got + drops.total(), "frames are lost count of:", given, drops)
 
 
 def _note_session(

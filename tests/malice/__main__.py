@@ -1,9 +1,9 @@
-"""Let people call each other on a relay that forges, replays, reorders, withholds and relabels.
+"""Let people call each other on a relay, or beside members of the room, who mean harm.
 
-    PYTHONPATH=tests python -m malice --runs 10000             some fifteen minutes
-    PYTHONPATH=tests python -m malice --seed 1234 --runs 1     one run again
+    PYTHONPATH=tests python -m malice --who relay --runs 10000             some fifteen minutes
+    PYTHONPATH=tests python -m malice --who members --seed 1234 --runs 1   one run again
 
-Each run is a seed; what must not happen is listed in `malice.relay`. Prints
+Each run is a seed; what must not happen is listed in `malice.relay` and `malice.members`. Prints
 what was tried as JSON, or the seeds that broke a promise, and then exits with 1.
 """
 
@@ -15,16 +15,18 @@ import sys
 import time
 from collections import Counter
 
+from malice import members, relay
 from malice.people import BrokenPromiseError
-from malice.relay import run
 
 
 def main() -> None:
     """Read the command line, run, print the figures."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--who", choices=("relay", "members"), default="relay")
     parser.add_argument("--runs", type=int, default=10_000)
     parser.add_argument("--seed", type=int, default=0, help="of the first run; the others count up")
     options = parser.parse_args()
+    run = {"relay": relay.run, "members": members.run}[options.who]
     began_s = time.monotonic()
     counts, broken = Counter[str](), list[str]()
     done = 0

@@ -110,6 +110,6 @@ def test_nothing_is_lost_count_of_and_no_more_is_taken_than_fits(
             queue.put(QueuedFrame(sender, stream, bytes(size), 0.0, deadline_s))
             given_frames += 1
             if drop == 0:
-                drops["stream"] += queue.drop(stream)
+                drops["stream"] += queue.drop(sender, stream)
         assert len(queue) <= 9 * (MAX_WAITING + 1)
     assert given_frames == taken_frames + drops.total() + len(queue)

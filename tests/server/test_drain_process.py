@@ -86,7 +86,7 @@ def test_no_control_message_is_lost_in_a_drain() -> None:
     stats = json.loads(stdout.splitlines()[-1])
     assert stats["closed"] == {"1001": 50}
     heard = sum(len(peer.told(Whisper)) for peer in peers)
-    assert heard == stats["whispers"] > 1000
+    assert heard == stats["whispers"] - sum(stats["dropped"].values()) > 1000
     # Everybody has seen each of the others of the room, once.
     for peer in peers:
         assert len(peer.told(Joined)[0].peers) + len(peer.told(PeerJoined)) == 4

@@ -73,8 +73,8 @@ class RelayStats:
     whispers: int = 0
     """Private messages (``Whisper``) passed on."""
     whispers_dropped: Counter[str] = field(default_factory=Counter)
-    """Private messages that were not: the sender's ``rate`` was too high, the receiver is not in
-    the room (``nobody``), or reads too slowly (``backlog``)."""
+    """Private messages that were not: the sender's ``rate`` was too high, or the receiver is not
+    in the room (``nobody``). A whisper that a slow receiver does not get counts as a frame."""
     limits_hit: Counter[str] = field(default_factory=Counter)
     """How often a limit was reached: ``messages``, ``bytes`` or ``metadata`` updates of a client,
     ``joins``, ``connections`` in all, ``address``, ``room``, ``control`` left unread; ``late``,

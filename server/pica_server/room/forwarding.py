@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
+from pica_protocol.codec import encode_message
 from pica_protocol.errors import CloseCode
 from pica_protocol.frame_queue import QueuedFrame
 from pica_protocol.frames import HEADER_BYTES, LENGTH_MASK, MEDIA_KIND, FrameSpan
@@ -127,8 +128,8 @@ class Forwarding:
         stream = room.stream(number)
         if room.subscribe(connection.peer_id, number, every) and stream is not None:
             self._send_newest(connection, stream)
-        elif every == 0:
-            self._stats.unwanted += connection.outbox.drop_stream(number)
+        elif every == 0 and stream is not None:
+            self._stats.unwanted += connection.outbox.drop(stream.publisher, number)
 
     def catch_up(self, connection: Connection, room: Room) -> None:
         """Give a receiver who comes, or comes back, the newest frame of every stream."""
@@ -146,13 +147,14 @@ class Forwarding:
         stream.is_muted, stream.newest = is_muted, None
         for receiver in self._connections.connected(room):
             if is_muted:
-                self._connections.note_dropped(receiver.outbox.drop_stream(number), "muted")
+                num_dropped = receiver.outbox.drop(stream.publisher, number)
+                self._connections.note_dropped(num_dropped, "muted")
             self._connections.send(receiver, StreamMuted(stream=number, is_muted=is_muted), now)
 
-    def forget_stream(self, room: Room, number: int) -> None:
-        """Drop what waits of a stream that has ended."""
+    def forget_peer(self, room: Room, peer_id: str) -> None:
+        """Drop what waits of a peer that has left."""
         for receiver in self._connections.connected(room):
-            self._connections.note_dropped(receiver.outbox.drop_stream(number), "departed")
+            self._connections.note_dropped(receiver.outbox.drop(peer_id), "departed")
 
     def whisper(self, connection: Connection, whisper: Whisper, now: float) -> None:
         """Pass a whisper on, under its sender's name, or drop it."""
@@ -166,9 +168,7 @@ class Forwarding:
         if receiver is None or receiver is connection or receiver.room is not room:
             stats.whispers_dropped["nobody"] += 1
             return
-        # Whispers of many must not fill the queue that closes a peer for reading too slowly.
-        if receiver.outbox.waiting_control_bytes > connections.config.max_control_bytes // 4:
-            stats.whispers_dropped["backlog"] += 1
-            return
-        connections.send(receiver, replace(whisper, peer_id=connection.peer_id), now)
+        message = encode_message(replace(whisper, peer_id=connection.peer_id))
+        receiver.outbox.put_whisper(connection.peer_id, message, now)
+        connections.ready[receiver] = None
         stats.whispers += 1

@@ -233,9 +233,8 @@ class Hub:
 
     def sent(self, connection: Connection, message: OutboundMessage, now: float) -> None:
         """Take note that the socket took a message."""
-        if connection.sending_since is not None:
-            connection.outbox.note_taken(len(message.data), now - connection.sending_since)
         connection.sending_since = None
+        connection.outbox.note_taken(len(message.data), now)
         self.stats.note_sent([message.data], message.received_s, now)
 
     def next_timer(self) -> float | None:

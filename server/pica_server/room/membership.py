@@ -79,9 +79,9 @@ class Membership:
         except AdmissionError as error:
             refuse(connection, "admission", error.code, str(error), now)
             return
-        # Who comes back to a place that is still there costs nobody else theirs.
-        is_back = self._tickets.place_of(join.room, join.resume) is not None
-        if not is_back and not self._may_join(admission.identity or connection.address, now):
+        place = self._tickets.place_of(join.room, join.resume)
+        payer = admission.identity or place or connection.address
+        if not self._may_join(payer, now, is_back=place is not None):
             reason = "too many join at once, try again"
             refuse(connection, "joins", CloseCode.BUSY, reason, now)
             return
@@ -92,9 +92,9 @@ class Membership:
         self.placement.ask(join.room, now)
         self.follow(self.placement.take_events(), now)
 
-    def _may_join(self, payer: str, now: float) -> bool:
-        """Return True if there is room for one more join, of this identity or address and in
-        all."""
+    def _may_join(self, payer: str, now: float, *, is_back: bool) -> bool:
+        """Return True if there is room for one more join, of this identity, place or address, and
+        in all; coming back to a place costs nobody else a join."""
         limits = self._connections.config.limits
         if self._joins is None:
             self._joins = TokenBucket(limits.joins_per_s, limits.joins_burst, now)
@@ -105,7 +105,7 @@ class Membership:
             self._own_joins[payer] = own
             if len(self._own_joins) > MOST_REMEMBERED:
                 del self._own_joins[next(iter(self._own_joins))]
-        return own.take(now) and self._joins.take(now)
+        return own.take(now) and (is_back or self._joins.take(now))
 
     def follow(self, events: Sequence[Placed], now: float) -> None:
         """Admit joins for rooms that are placed here, and redirect those for other rooms."""
@@ -323,14 +323,13 @@ class Membership:
 
     def _forget(self, room: Room, peer_id: str, reason: str, now: float) -> None:
         """Clear up after a member of a room, and tell the others."""
-        peer = room.leave(peer_id)
+        room.leave(peer_id)
         if len(room) == 0:
             del self.rooms[room.name]
             if self.placement is not None:
                 self.placement.note_ended(room.name, now)
             return
-        for track in peer.tracks:
-            self._forwarding.forget_stream(room, track.stream)
+        self._forwarding.forget_peer(room, peer_id)
         news = PeerLeft(peer_id=peer_id, reason=reason)
         self._connections.tell_others(room, peer_id, news, now)
 

@@ -7,6 +7,7 @@ and shares the line fairly by senders. It gives out no more at once than the lin
 `SLOW_MESSAGE_S`, since what is on its way cannot be replaced by newer frames.
 
 Control messages are never thinned: there is a limit in bytes, and who lets it overflow is closed.
+Whispers are no such messages: they wait and are dropped as ordered frames of their senders.
 """
 
 import math
@@ -23,8 +24,14 @@ SLOW_S: Final = 5.0
 """How long a receiver counts as slow after its socket was full (chosen)."""
 SLOW_MESSAGE_S: Final = 0.1
 """Time that a message to a slow receiver takes on its line (chosen: three faces of each sender)."""
-SLOW_MESSAGE_BYTES: Final = (LATEST_BYTES, MAX_FRAME_BYTES)
-"""Bounds of such a message (chosen: two sealed faces, one datagram)."""
+SLOW_MESSAGE_BYTES: Final = (2 * LATEST_BYTES, MAX_FRAME_BYTES)
+"""Bounds of such a message (chosen: a packet of a voice and two sealed faces, one datagram)."""
+RATE_S: Final = 1.0
+"""Time over which the rate of a slow receiver's line is averaged (chosen: ten messages)."""
+WHISPERS: Final = 0
+"""Stands for whispers among the streams of a sender."""
+WHISPER_S: Final = 10.0
+"""How long a whisper may wait (chosen: keys of an encryption are repeated by then)."""
 MAX_FRESH: Final = 13
 """Frames that wait unsorted: as many as fit one message; one more, and they are sorted as for a
 slow receiver."""
@@ -55,6 +62,7 @@ class Outbox:
         "_max_control_bytes",
         "_queue",
         "_slow_until_s",
+        "_taken_s",
         "fresh",
         "is_quick",
         "waiting_control_bytes",
@@ -69,13 +77,13 @@ class Outbox:
         """
         self._max_control_bytes = max_control_bytes
         self._drops = drops
-        self._control: deque[bytes] | None = None
+        self._control: deque[OutboundMessage] | None = None
         self.waiting_control_bytes = 0
         self.fresh: list[QueuedFrame] = []
         self.is_quick = True
         self._queue: FrameQueue | None = None
         self._slow_until_s = -math.inf
-        self._bytes_per_s = 0.0
+        self._bytes_per_s, self._taken_s = 0.0, -math.inf
 
     @property
     def waiting_frames(self) -> int:
@@ -102,11 +110,11 @@ class Outbox:
         self._slow_until_s = now + SLOW_S
         self.is_quick = False
 
-    def note_taken(self, num_bytes: int, elapsed_s: float) -> None:
-        """Note that the socket took a message that it had not taken at once, after so long."""
-        rate = num_bytes / max(elapsed_s, 1e-3)
-        before = self._bytes_per_s or rate
-        self._bytes_per_s = before + (rate - before) / 4
+    def note_taken(self, num_bytes: int, now: float) -> None:
+        """Note that the socket of a slow receiver took a message."""
+        self._bytes_per_s *= math.exp((self._taken_s - now) / RATE_S)
+        self._bytes_per_s += num_bytes / RATE_S
+        self._taken_s = now
 
     def put_control(self, data: bytes) -> None:
         """Queue a control message.
@@ -118,7 +126,7 @@ class Outbox:
             raise OutboxFullError(
                 f"{self.waiting_control_bytes} bytes of control messages wait unread"
             )
-        self._queue_control([data])
+        self._append(OutboundMessage(data, ()))
 
     def put(self, frame: QueuedFrame) -> None:
         """Queue a frame."""
@@ -126,28 +134,38 @@ class Outbox:
         if len(self.fresh) > MAX_FRESH:
             self.sort()
 
-    def drop_stream(self, stream: int) -> int:
-        """Drop what waits of a stream that has stopped; return how many frames that is."""
+    def put_whisper(self, sender: str, message: bytes, now: float) -> None:
+        """Queue a whisper, which shares the line with the frames of its sender."""
+        self.sort()
+        assert self._queue is not None
+        self._queue.put(QueuedFrame(sender, WHISPERS, message, now, WHISPER_S))
+
+    def drop(self, sender: str, stream: int | None = None) -> int:
+        """Drop what waits of a sender, or of one of its streams; return how many frames that is."""
         before = self.waiting_frames
-        self.fresh = [frame for frame in self.fresh if frame.stream != stream]
+        self.fresh = [f for f in self.fresh if f.sender != sender or stream not in (None, f.stream)]
         if self._queue is not None:
-            self._queue.drop(stream)
+            self._queue.drop(sender, stream)
         return before - self.waiting_frames
 
     def finish(self, last_words: list[bytes]) -> int:
-        """Drop the waiting frames, return how many, and queue the last messages whatever the
-        limit."""
-        dropped = self.waiting_frames
+        """Drop the waiting frames, return how many, and queue whispers and the last messages
+        whatever the limit."""
+        waiting = [] if self._queue is None else self._queue.take(1 << 30, -math.inf)
+        whispers = [frame.data for frame in waiting if frame.stream == WHISPERS]
+        dropped = len(self.fresh) + len(waiting) - len(whispers)
         self.fresh, self._queue = [], None
-        self._queue_control(last_words)
+        self._append(*(OutboundMessage(data, ()) for data in [*whispers, *last_words]))
         return dropped
 
     def take(self, now: float) -> OutboundMessage | None:
         """Take the next message: control first, then as many frames as one message holds."""
         if self._control:
-            data = self._control.popleft()
-            self.waiting_control_bytes -= len(data)
-            return OutboundMessage(data, ())
+            message = self._control.popleft()
+            self.waiting_control_bytes -= len(message.data)
+            if not self._control:
+                self._control = None  # an empty deque takes 760 bytes
+            return message
         is_slow = now < self._slow_until_s
         frames: Sequence[QueuedFrame] = self.fresh
         if (is_slow or self._queue is not None) and frames:
@@ -165,10 +183,16 @@ class Outbox:
         self.is_quick = not is_slow and self._queue is None
         if not frames:
             return None
-        return OutboundMessage(
-            media_message([frame.data for frame in frames]),
-            tuple([frame.received_s for frame in frames]),
-        )
+        whispers = [frame.data for frame in frames if frame.stream == WHISPERS]
+        frames = [frame for frame in frames if frame.stream != WHISPERS] if whispers else frames
+        received_s = tuple([frame.received_s for frame in frames])
+        message = OutboundMessage(media_message([frame.data for frame in frames]), received_s)
+        if not whispers:
+            return message
+        self._append(*(OutboundMessage(data, ()) for data in whispers))
+        if frames:
+            self._append(message)
+        return self.take(now)
 
     def sort(self) -> None:
         """Move the fresh frames into the queue, where newer ones replace older ones."""
@@ -178,9 +202,10 @@ class Outbox:
             self._queue.put(frame)
         self.fresh, self.is_quick = [], False
 
-    def _queue_control(self, messages: list[bytes]) -> None:
+    def _append(self, *messages: OutboundMessage) -> None:
+        """Let messages go out as they are, before all that comes from now on."""
         if self._control is None:
             self._control = deque()
         self._control.extend(messages)
-        self.waiting_control_bytes += sum(map(len, messages))
+        self.waiting_control_bytes += sum(len(message.data) for message in messages)
         self.is_quick = False

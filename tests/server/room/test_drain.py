@@ -9,7 +9,16 @@ from hypothesis import strategies as st
 from pica_protocol.client_session import ClientSession
 from pica_protocol.codec import decode_message
 from pica_protocol.errors import CloseCode
-from pica_protocol.messages import Bye, Message, PeerJoined, PeerLeft, Track, Whisper
+from pica_protocol.messages import (
+    Bye,
+    Message,
+    PeerJoined,
+    PeerLeft,
+    PeerUpdated,
+    Track,
+    UpdateMetadata,
+    Whisper,
+)
 from pica_protocol.session import Closed
 from pica_server.config.relay import LimitsConfig, RelayConfig
 from pica_server.errors import ConfigurationError
@@ -94,12 +103,12 @@ def test_what_waits_for_somebody_goes_out_before_their_goodbye() -> None:
     hub = draining_hub()
     ada, bob = Guest(hub, "tea"), Guest(hub, "tea")
     ada.hear(0.0)
-    bob.session.tell(Whisper(peer_id=str(ada.session.peer_id), data=b"wait"))
+    bob.session.tell(UpdateMetadata(metadata=(("hand", "up"),)))
     bob.speak(1.0)
     bob.session.leave(1.0)
     bob.speak(1.0)
     hub.drain(now=1.0)
-    assert [type(message) for message in ada.hear(1.0)] == [Whisper, PeerLeft, Bye]
+    assert [type(message) for message in ada.hear(1.0)] == [PeerUpdated, PeerLeft, Bye]
 
 
 def test_rooms_follow_one_after_the_other_and_talk_on_until_then() -> None:
