@@ -8,7 +8,6 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,11 +19,8 @@ from helpers.hand import Event, hold, point, press
 from helpers.toy import make_toy_avatar, with_toy_levels
 from pica_client.call.faces import FaceState, FaceStatus
 from pica_client.call.status import CallStatus
-from pica_client.decode.request import DecodeResult
-from pica_client.errors import OptionError
 from pica_client.publish.face_desk import FaceDesk
 from pica_client.publish.publisher import Publisher, SenderConfig
-from pica_client.schedule.scheduler import SchedulerOptions
 from pica_client.sources import open_source
 from pica_client.ui.options import ViewerOptions
 from pica_client.ui.state import ViewState
@@ -142,13 +138,6 @@ def test_latency_is_counted_once_per_sample_on_the_shared_clock(two: tuple[Faces
     assert viewer.report()["decodes"] == {"ada": 2, "grace": 2}
 
 
-def test_a_latent_that_stands_still_is_not_decoded_again(two: tuple[Faces, Viewer]) -> None:
-    _, viewer = two
-    for step in range(3):
-        step_until_decoded(viewer, 1.0 + step)
-    assert viewer.report()["decodes"] == {"ada": 1, "grace": 1}
-
-
 def test_a_peer_who_leaves_is_forgotten(two: tuple[Faces, Viewer]) -> None:
     source, viewer = two
     step_until_decoded(viewer)
@@ -190,14 +179,6 @@ def test_a_decoder_that_fails_breaks_its_own_peer(two: tuple[Faces, Viewer]) -> 
     step_until_decoded(viewer)
     assert set(viewer.problems) == {"ada", "grace"}
     assert viewer.step(9.0)
-
-
-def test_whoever_asks_is_told_of_each_decode() -> None:
-    told: list[DecodeResult] = []
-    with Viewer(Faces("ada"), SMALL, on_decoded=told.append) as viewer:
-        step_until_decoded(viewer)
-    assert [result.slot for result in told] == ["ada"]
-    assert told[0].captured_us == 1
 
 
 def test_how_the_call_stands_is_asked_for_twice_a_second_and_not_per_frame(
@@ -367,12 +348,6 @@ def test_a_call_is_recorded_and_a_frame_saved(tmp_path: Path) -> None:
         assert image.size == (160, 90)
 
 
-def test_run_stops_when_told_to(two: tuple[Faces, Viewer]) -> None:
-    _, viewer = two
-    viewer.run(should_stop=lambda: viewer.report()["frames_rendered"] >= 1)
-    assert viewer.report()["frames_rendered"] == 1
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere there is always a display")
 def test_without_a_display_a_window_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
@@ -419,24 +394,3 @@ def test_a_viewer_short_of_time_gives_up_detail_and_says_which() -> None:
             (head,) = viewer.last_draw.heads
             levels.append(head.level)
     assert levels == [64, 128]
-
-
-def test_the_call_is_told_what_is_worth_having_of_each_stream() -> None:
-    source = Faces("ada", "grace")
-    with Viewer(source, SMALL, scheduler=SchedulerOptions(share_px=(8.0, 200.0))) as viewer:
-        for frame in range(4):
-            step_until_decoded(viewer, now=1.0 + 0.1 * frame)
-    assert source.subscribed == {("ada", 2), ("grace", 2)}
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"max_fps": 0}, "max_fps is 0"),
-        ({"frame_budget_ms": -1.0}, "frame_budget_ms"),
-        ({"size": "wide"}, "size is 'wide'"),
-    ],
-)
-def test_options_out_of_range_are_refused_by_name(options: dict[str, Any], message: str) -> None:
-    with pytest.raises(OptionError, match=message):
-        ViewerOptions(**options)

@@ -1,0 +1,243 @@
+"""The panels beside a call: participants with their menus, settings, help, and the waiting page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import pytest
+from imgui_bundle import icons_fontawesome_6 as icons
+from imgui_bundle import imgui
+
+from helpers.hand import Hand, open_hand
+from pica_client.call.participants import Participant
+from pica_client.call.status import CallStatus
+from pica_client.publish.face_desk import Seen
+from pica_client.ui.actions import Action, Request
+from pica_client.ui.call_view import CallView, Notice, OwnFaceView, Panel, PersonView
+from pica_client.ui.panels.overlay import own_face, signs
+from pica_client.ui.panels.side import (
+    help_panel,
+    participants_panel,
+    settings_panel,
+    signs_of,
+    waiting_page,
+)
+from pica_client.ui.state import Identity, ViewState
+from pica_client.voice.sound.settings import DeviceState, SoundSettings, SoundState
+from pica_protocol.messages import BarIdentity, MutePeer, RemovePeer
+
+pytestmark = pytest.mark.unit
+
+INVITATION = "pica://relay.example/standup"
+ME = Participant(peer_id="", name="Me", is_self=True)
+ADA = Participant(peer_id="p1", place=3, name="Ada", has_voice=True, identity="ada-1")
+BEN = Participant(peer_id="p2", name="Ben", is_watching=True, is_recording=True)
+STATUS = CallStatus(
+    participants=(ME, ADA, BEN), room="standup", invitation=INVITATION, duration_s=247.0
+)
+STATE = ViewState(own_face="sent", side="participants")
+SETTINGS = ViewState(own_face="sent", side="settings")
+CALL = CallView(people=(PersonView(peer_id="p1", name="Ada", is_speaking=True),), status=STATUS)
+AS_ADMIN = replace(CALL, status=replace(STATUS, is_admin=True))
+ALONE = CallView(status=replace(STATUS, participants=(ME,)))
+
+
+@pytest.fixture
+def hand() -> Iterator[Hand]:
+    with open_hand() as found:
+        yield found
+
+
+def texts(hand: Hand, panel: Panel, call: CallView, state: ViewState = STATE) -> str:
+    """All that a panel writes."""
+    written: list[str] = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(imgui, "text_unformatted", written.append)
+        hand.frame(lambda metrics: panel(replace(state), call, metrics))
+    return "\n".join(written)
+
+
+def clicking(
+    hand: Hand, panel: Panel, state: ViewState, call: CallView, *labels: str
+) -> list[Request]:
+    """Click on widgets of a panel, which may write into the state; give what the last one asks."""
+    for label in labels:
+        asked = hand.click(label, lambda metrics: panel(state, call, metrics))
+    return asked
+
+
+def test_the_menu_of_a_person_pins_shows_statistics_and_resets_the_view(hand: Hand) -> None:
+    state = replace(STATE)
+    for item, asked in (
+        ("Pin", []),
+        ("Statistics", [Action.STATISTICS]),
+        ("Reset the view", [Action.RESET_VIEW]),
+    ):
+        assert clicking(hand, participants_panel, state, CALL, "More on Ada", item) == asked
+    assert state.pinned == 3
+    clicking(hand, participants_panel, state, CALL, "More on Ben")
+    assert not any("Pin" in label or "More on Me" in label for label in hand.places)
+
+
+def test_the_menu_of_a_person_makes_them_softer_or_silent_and_the_list_shows_it(hand: Hand) -> None:
+    state = replace(STATE, volumes={})
+    for label, volume in (("Mute for me", 0.0), ("##volume", 1.0), ("Mute for me", 0.0)):
+        clicking(hand, participants_panel, state, CALL, "More on Ada", label)
+        hand.press(imgui.Key.escape, lambda metrics: participants_panel(state, CALL, metrics))
+        assert state.volumes == {3: pytest.approx(volume, abs=0.05)}
+    clicking(hand, participants_panel, state, CALL, "More on Ada", "Hear again")
+    assert state.volumes == {3: 1.0}
+
+
+def test_all_participants_are_listed_with_what_is_said_of_them(hand: Hand) -> None:
+    warned = replace(ADA, warning="looks like your name", note="face is off")
+    said = texts(
+        hand, participants_panel, replace(CALL, status=replace(STATUS, participants=(ME, warned)))
+    )
+    for text in ("2 in standup, 4:07", "Me (you)", "Ada", "looks like your name", "face is off"):
+        assert text in said
+    assert "Not encrypted end to end" in said
+    assert INVITATION in said
+
+
+def test_the_code_to_read_aloud_stands_in_groups(hand: Hand) -> None:
+    code = "12345 23456 34567 45678 56789 67890"
+    status = replace(STATUS, is_encrypted=True, code=code)
+    said = texts(hand, participants_panel, replace(CALL, status=status)).splitlines()
+    assert {"12345   23456   34567", "45678   56789   67890"} <= set(said)
+    waiting = replace(CALL, status=replace(STATUS, is_encrypted=True))
+    assert "No other participant is verified yet" in texts(hand, participants_panel, waiting)
+
+
+@pytest.mark.parametrize(
+    ("person", "volume", "is_encrypted", "signs"),
+    [
+        (BEN, 1, False, ["CIRCLE", "EYE"]),
+        (
+            replace(ADA, face="muted", is_assured=True),
+            1,
+            True,
+            ["EYE_SLASH", "TRIANGLE_EXCLAMATION", "CHECK"],
+        ),
+        (replace(ADA, is_verified=True), 0.5, True, ["VOLUME_HIGH", "LOCK"]),
+        (replace(ADA, is_voice_muted=True), 0, False, ["MICROPHONE_SLASH", "VOLUME_XMARK"]),
+        (ME, 1, True, []),
+    ],
+)
+def test_signs_beside_a_name(
+    person: Participant, volume: float, is_encrypted: bool, signs: list[str]
+) -> None:
+    found = signs_of(person, is_encrypted=is_encrypted, volume=volume)
+    assert [icon for icon, _, _ in found] == [getattr(icons, f"ICON_FA_{sign}") for sign in signs]
+
+
+@pytest.mark.parametrize(
+    ("panel", "call"), [(participants_panel, CALL), (waiting_page, ALONE)], ids=["list", "page"]
+)
+def test_the_invitation_can_be_copied(hand: Hand, panel: Panel, call: CallView) -> None:
+    assert clicking(hand, panel, STATE, call, "Copy the invitation") == [Action.COPY_INVITATION]
+
+
+def test_the_waiting_page_says_where_and_who_only_watches(hand: Hand) -> None:
+    said = texts(hand, waiting_page, ALONE)
+    assert "You are in the room standup." in said
+    assert "watch" not in said
+    watched = replace(ALONE, status=replace(STATUS, participants=(ME, BEN)))
+    assert "One person watches without showing a face." in texts(hand, waiting_page, watched)
+    assert texts(hand, waiting_page, CALL) == ""
+    lost = replace(ALONE, status=replace(STATUS, is_connected=False))
+    assert texts(hand, waiting_page, lost) == ""
+
+
+def test_each_setting_is_one_click(hand: Hand) -> None:
+    state = replace(SETTINGS)
+    labels = ("View", "Grid", "Statistics", "My own face", "Light", "125%", "##detail")
+    clicking(hand, settings_panel, state, CALL, *labels)
+    assert (state.layout, state.show_statistics, state.shows_self) == ("grid", True, False)
+    assert (state.mode, state.scale) == ("light", 1.25)
+    assert state.detail == pytest.approx(0.55, abs=0.1)  # the middle of 10 to 100 %
+    state.side = "help"
+    assert clicking(hand, help_panel, state, CALL, "Close") == [Action.CLOSE]
+
+
+def test_source_avatar_and_name_are_chosen_during_the_call(hand: Hand) -> None:
+    me = Identity("Me", "", "livelink", "none")
+    state = replace(SETTINGS, entered=me, avatars=("amara", "nora"))
+    state.identity = me
+    call = replace(CALL, own=OwnFaceView(source="livelink", seen=Seen(True, (), None)))
+    clicking(hand, settings_panel, state, call, "##source", "VTuber")
+    assert state.source == "vmc"
+    assert clicking(hand, settings_panel, state, call, "Calibrate") == [Action.CALIBRATE]
+    assert not any("Join again" in label for label in hand.places)
+    clicking(hand, settings_panel, state, call, "##avatar", "Nora")
+    assert state.avatar == "nora"
+    assert clicking(hand, settings_panel, state, call, "Join again") == [Action.REJOIN]
+    state.name = " "
+    hand.frame(lambda metrics: settings_panel(state, call, metrics))
+    assert not any("Join again" in label for label in hand.places)
+
+
+def test_devices_are_changed_during_a_call_and_another_voice_needs_rejoining(hand: Hand) -> None:
+    sound = SoundState(
+        microphones=("Desk",),
+        speakers=("Horn",),
+        speaker=DeviceState("Horn", "no loudspeaker 'Old'; 'Horn' is used"),
+        cleaning="echo cancellation is missing: pip install 'pica-telepresence[echo]'",
+    )
+    mine = Identity("Me", "", "performance:talk", "mic")
+    state = ViewState(side="settings", own_face="sent", own_voice="sent", avatars=("nora",))
+    state.identity = state.entered = mine
+    call = CallView(sound=sound)
+    clicking(hand, settings_panel, state, call, "Sound")
+    assert "no loudspeaker 'Old'" in texts(hand, settings_panel, call, state)
+    labels = ("##microphone", "Desk", "Voices come from their seats")
+    clicking(hand, settings_panel, state, call, *labels)
+    assert state.sound == SoundSettings(microphone="Desk", is_stereo=False)
+    assert clicking(hand, settings_panel, state, call, "Play a test") == [Action.TEST_SOUND]
+    clicking(hand, settings_panel, state, call, "##microphone", "Off: only listen")
+    assert state.voice == "none"
+    assert clicking(hand, settings_panel, state, call, "Join again as this") == [Action.REJOIN]
+
+
+@pytest.mark.parametrize(
+    ("item", "asked"),
+    [
+        ("Mute voice", MutePeer(peer_id="p1", kind="voice", is_muted=True)),
+        ("Mute face", MutePeer(peer_id="p1", kind="face", is_muted=True)),
+        ("Remove", RemovePeer(peer_id="p1")),
+        ("Bar until the room is empty", BarIdentity(identity="ada-1", is_barred=True)),
+    ],
+)
+def test_an_admins_menu_of_a_person_moderates(hand: Hand, item: str, asked: Request) -> None:
+    state = replace(STATE, barred={})
+    clicking(hand, participants_panel, state, CALL, "More on Ada")
+    assert not any(item in label for label in hand.places)  # for admins alone
+    hand.press(imgui.Key.escape, lambda metrics: participants_panel(state, CALL, metrics))
+    assert clicking(hand, participants_panel, state, AS_ADMIN, "More on Ada", item) == [asked]
+
+
+def test_an_admin_lets_a_barred_person_rejoin_and_unmutes_another(hand: Hand) -> None:
+    state = replace(STATE, barred={"eve-1": "Eve"})
+    eve = replace(ADA, muted_kinds=frozenset({"voice"}))
+    call = replace(AS_ADMIN, status=replace(AS_ADMIN.status, participants=(ME, eve)))
+    asked = clicking(hand, participants_panel, state, call, "Let Eve rejoin")
+    assert asked == [BarIdentity(identity="eve-1", is_barred=False)]
+    assert state.barred == {}
+    asked = clicking(hand, participants_panel, state, call, "More on Ada", "Unmute voice")
+    assert asked == [MutePeer(peer_id="p1", kind="voice", is_muted=False)]
+
+
+@pytest.mark.parametrize("size", [(320, 240), (640, 360), (1280, 720), (3840, 2160)])
+def test_panels_keep_to_the_picture(size: tuple[int, int]) -> None:
+    many = tuple(replace(ADA, peer_id=f"p{n}", name="W" * 64, note="x" * 80) for n in range(63))
+    call = replace(
+        CALL,
+        status=replace(STATUS, participants=(ME, *many), code="12345 " * 6, is_encrypted=True),
+        notices=tuple(Notice("n" * 200, "alert") for _ in range(3)),
+    )
+    with open_hand(size) as hand:
+        for panel in (participants_panel, signs, settings_panel, waiting_page, own_face):
+            for _ in range(2):
+                hand.frame(lambda metrics, panel=panel: panel(STATE, call, metrics))  # type: ignore[misc]
+                assert all(right <= size[0] for _, _, right, _ in hand.places.values())
