@@ -32,8 +32,8 @@ from pica_protocol.frames import HEADER_BYTES
 
 FPS = 30
 VIEWS = ("front", "left")
-THINNED = (2, 4)
-"""Every how many frames a thinned stream has one."""
+THINNED, THINNED_QUALITY = (2, 4), 3
+"""Every how many frames a thinned stream has one, and its quality."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -48,8 +48,6 @@ class CodecConfig:
     """Moments of each source that are drawn."""
     image_size: int = 256
     """Rows and columns of each drawing, pixels."""
-    thinned_quality: int = 3
-    """Quality of which every second and every fourth frame are measured too."""
 
     def __post_init__(self) -> None:
         check_ranges(self, seconds=(1, 600), moments=(1, 2000), image_size=(16, 2048))
@@ -83,7 +81,7 @@ def run_codec_bench(config: CodecConfig, avatar: Avatar) -> dict[str, Any]:
     profile = avatar.stream_profile()
     takes = {source: _read(source, config.seconds, avatar) for source in config.sources}
     rows: list[dict[str, Any]] = []
-    coders = _coders(profile, config)
+    coders = _coders(profile)
     for source, samples in takes.items():
         places = np.linspace(FPS / 2, len(samples) - 2, config.moments).astype(int)
         moments = np.unique(places).tolist()
@@ -152,15 +150,15 @@ class _Comparison:
 Coder = Callable[[Sequence[LatentSample]], Coded]
 
 
-def _coders(profile: StreamProfile, config: CodecConfig) -> dict[str, Coder]:
+def _coders(profile: StreamProfile) -> dict[str, Coder]:
     """What is compared, by name."""
 
     def stream(quality: int, every: int = 1) -> Coder:
         return partial(code_stream, profile, StreamConfig(fps=FPS, quality=quality), every=every)
 
     coders = {f"quality-{quality}": stream(quality) for quality in range(profile.num_qualities)}
-    thinned = min(config.thinned_quality, profile.num_qualities - 1)
-    coders |= {f"quality-{thinned}-every-{every}": stream(thinned, every) for every in THINNED}
+    quality = min(THINNED_QUALITY, profile.num_qualities - 1)
+    coders |= {f"quality-{quality}-every-{every}": stream(quality, every) for every in THINNED}
     return coders | {"float-16": _code_halves}
 
 

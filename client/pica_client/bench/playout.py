@@ -11,7 +11,7 @@ performances and avatars are synthetic.
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Annotated, Any
 
@@ -176,7 +176,7 @@ class _Comparison:
 
 def _network(delivery: Delivery, schedule: Schedule) -> dict[str, Any]:
     return {
-        **asdict(delivery.counters),
+        **delivery.counts,
         "decoded": len(delivery.arrivals),
         "payload_bps": round(delivery.payload_bytes * 8 / schedule.seconds),
         "wire_bps": round(delivery.wire_bytes * 8 / schedule.seconds),

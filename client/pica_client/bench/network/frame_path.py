@@ -17,7 +17,6 @@ stream only, where a relay puts those of several senders together.
 import heapq
 import math
 from collections import Counter, deque
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -36,19 +35,6 @@ VOICE_DEADLINE_S = 0.2
 """Age beyond which the relay drops a voice packet."""
 
 
-@dataclass(frozen=True, slots=True)
-class PathCounters:
-    """What became of the frames of one stream."""
-
-    sent: int = 0
-    thinned: int = 0
-    """Dropped to reach `thin_ratio`."""
-    dropped: int = 0
-    """Dropped by the relay because the way is too slow."""
-    lost: int = 0
-    """Datagrams that never came, by frames."""
-
-
 class _Message(NamedTuple):
     data: bytes
     num_frames: int
@@ -61,15 +47,18 @@ class FramePath:
 
     Attributes:
         wire_bytes: What left the relay, with all headers.
+        counts: Frames that were ``sent``, ``thinned`` to reach `thin_ratio`, or ``lost`` as
+            datagrams.
+        drops: Frames that the relay dropped because the way is too slow, by reason.
     """
 
     def __init__(self, impairment: Impairment, rng: np.random.Generator) -> None:
         self.wire_bytes = 0
-        self._sent = self._thinned = self._lost = 0
-        self._drops: Counter[str] = Counter()
+        self.counts: Counter[str] = Counter()
+        self.drops: Counter[str] = Counter()
         self._way = Way(impairment, rng)
         self._rng = rng
-        self._relay = FrameQueue(self._drops)
+        self._relay = FrameQueue(self.drops)
         self._newest_us = 0
         self._queue: deque[_Message] = deque()  # behind the relay; bounded by `queue_bytes`
         self._queue_bytes = 0
@@ -86,9 +75,9 @@ class FramePath:
     def send(self, frame: Frame, now: float) -> None:
         """Offer a frame to the relay."""
         self._advance(now)
-        self._sent += 1
+        self.counts["sent"] += 1
         if self._rng.random() < self._way.impairment.thin_ratio:
-            self._thinned += 1
+            self.counts["thinned"] += 1
         else:
             self._offer(frame, None, now)
 
@@ -112,11 +101,6 @@ class FramePath:
                 (arrival_s, frame) for frame in decode_media(data, lambda _: self._newest_us)
             ]
         return arrived
-
-    @property
-    def counters(self) -> PathCounters:
-        """What became of the frames so far."""
-        return PathCounters(self._sent, self._thinned, sum(self._drops.values()), self._lost)
 
     def _advance(self, now: float) -> None:
         """Move what can move up to now: relay -> queue -> way."""
@@ -153,7 +137,7 @@ class FramePath:
         for _ in range(1 + doubles):
             arrival_s = self._way.transmit(message.num_bytes, now)
             if arrival_s is None or len(self._under_way) >= MAX_UNDER_WAY:
-                self._lost += message.num_frames
+                self.counts["lost"] += message.num_frames
                 continue
             self._order += 1
             heapq.heappush(self._under_way, (arrival_s, self._order, message.data))

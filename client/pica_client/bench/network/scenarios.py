@@ -38,9 +38,6 @@ class Scenario:
     """One row: a name, and the way while the trouble lasts."""
 
     name: str
-    level: float
-    """The number in which rows of one family differ, in `unit`."""
-    unit: str
     trouble: Impairment
     note: str
     """What happens, for a reader of the table."""
@@ -52,17 +49,11 @@ class Scenario:
 
 
 def _family(
-    family: str, unit: str, note: str, make: Callable[[float], Impairment], *levels: int
+    family: str, note: str, make: Callable[[float], Impairment], *levels: int
 ) -> Iterator[Scenario]:
     """One row a level; the note says what happens at `{}`."""
     for level in levels:
-        yield Scenario(
-            name=f"{family}-{level}",
-            level=level,
-            unit=unit,
-            trouble=make(level),
-            note=note.format(level),
-        )
+        yield Scenario(name=f"{family}-{level}", trouble=make(level), note=note.format(level))
 
 
 def _datagrams(loss: float = 0.0, reorder: float = 0.0, duplicate: float = 0.0) -> Impairment:
@@ -77,39 +68,37 @@ def _datagrams(loss: float = 0.0, reorder: float = 0.0, duplicate: float = 0.0) 
 
 SCENARIOS: Final[tuple[Scenario, ...]] = (
     *_family(
-        *("jitter", "ms", "95 % of frames at most {} ms late, in order"),
+        *("jitter", "95 % of frames at most {} ms late, in order"),
         lambda ms: Impairment(jitter_s=ms / 1e3),
         *(0, 20, 80, 200),
     ),
     *_family(
-        *("stall", "ms", "every 2.5 s nothing comes for {} ms, then all at once"),
+        *("stall", "every 2.5 s nothing comes for {} ms, then all at once"),
         lambda ms: Impairment(stall_s=ms / 1e3),
         *(100, 300, 1000),
     ),
     *_family(
-        *("thin", "%", "the relay drops {} % of the frames"),
+        *("thin", "the relay drops {} % of the frames"),
         lambda percent: Impairment(thin_ratio=percent / 100),
         *(1, 5, 10, 30),
     ),
     *_family(
-        *("retransmit", "%"),
-        "TCP loses {} % of the segments: each costs 200 ms, for all behind it too",
+        *("retransmit", "TCP loses {} % of the segments: each costs 200 ms, also behind it"),
         lambda percent: Impairment(loss_ratio=percent / 100),
         *(1, 5),
     ),
     *_family(
-        *("rate", "kbit/s", "the way to the receiver carries {} kbit/s, headers included"),
+        *("rate", "the way to the receiver carries {} kbit/s, headers included"),
         lambda kbps: Impairment(rate_bps=kbps * 1e3),
         *(64, 32, 16),
     ),
     *_family(
-        *("loss", "%", "datagrams: {} % of the frames never come"),
+        *("loss", "datagrams: {} % of the frames never come"),
         lambda percent: _datagrams(loss=percent / 100),
         *(1, 5, 10, 30),
     ),
     *_family(
-        *("reorder", "%"),
-        "datagrams: {} % of the frames come 50 ms late, overtaken; 5 % come twice",
+        *("reorder", "datagrams: {} % of the frames come 50 ms late; 5 % come twice"),
         lambda percent: _datagrams(reorder=percent / 100, duplicate=0.05),
         *(10, 30),
     ),

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pica_client.bench.network.frame_path import FramePath, PathCounters
+from pica_client.bench.network.frame_path import FramePath
 from pica_client.bench.network.scenarios import Scenario
 from pica_client.errors import check_ranges
 from pica_client.playout.buffer import PlayedFace, Playout, PlayoutReport
@@ -68,7 +68,8 @@ class Delivery:
 
     arrivals: tuple[DecodedFrame, ...]
     """What could be decoded, in the order of arrival."""
-    counters: PathCounters
+    counts: Mapping[str, int]
+    """Frames that were sent, thinned, dropped and lost."""
     payload_bytes: int
     """What was sent."""
     wire_bytes: int
@@ -161,7 +162,10 @@ def deliver(
     receive(schedule.seconds)
     return Delivery(
         arrivals=tuple(arrivals),
-        counters=path.counters,
+        counts={
+            **{name: path.counts[name] for name in ("sent", "thinned", "lost")},
+            "dropped": path.drops.total(),
+        },
         payload_bytes=payload_bytes,
         wire_bytes=path.wire_bytes,
         base_delay_s=scenario.calm.delay_s,
