@@ -255,7 +255,6 @@ def chart_codec() -> None:
         "payload, kbit/s": lambda row: f"{row['payload_bps'] / 1e3:.2f}",
         "wire, kbit/s": lambda row: f"{row['wire_bps'] / 1e3:.1f}",
         "MSE": "{mse:.2f}",
-        "of changes": "{change_mse:.2f}",
         "encode + decode, µs": lambda row: f"{row['encode_us']:.0f}+{row['decode_us']:.0f}",
     }
     left_out = [f"quality-{number}" for number in (1, 2, 4, 5, 6)]
@@ -285,7 +284,6 @@ def chart_voice() -> None:
     line = read_lines("voice")[-1]
     columns: dict[str, Column] = {
         "condition": "condition",
-        "wire, kbit/s": lambda row: f"{row['wire_bps'] / 1e3:.1f}",
         "PESQ": lambda row: None if row["pesq"] is None else f"{row['pesq']:.2f}",
         "STOI": "{stoi:.3f}",
         "mouth to ear p50/p95, ms": lambda row: joined(row["mouth_to_ear_ms"], ("p50", "p95"), 0),
