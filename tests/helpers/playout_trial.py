@@ -135,9 +135,9 @@ def arrive(
     """Let a frame with a face of `face` come off the wire."""
     payload = FACE.pack(sample.latent[0, 0, 0], sample.rotation[1], sample.is_still)
     frame = Frame(stream=1, sequence=number % 65536, captured_us=captured_us, payload=payload)
-    for received in playout.sender.receive(frame, now):
-        value, yaw, is_still = FACE.unpack(received.payload)
-        playout.receive_frame(received.decoded(face(value, yaw=yaw, is_still=is_still)))
+    received = playout.sender.receive(frame, now)
+    value, yaw, is_still = FACE.unpack(received.payload)
+    playout.receive_frame(received.decoded(face(value, yaw=yaw, is_still=is_still)))
 
 
 def steps(ticks: Sequence[Tick]) -> list[float]:

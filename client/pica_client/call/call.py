@@ -163,9 +163,8 @@ class Call:
                 streams.append(
                     messages.StreamReport(
                         stream=stream,
-                        # Those held back count no more if they turn out to be of no use.
-                        received=max(report.received - before.received, 0),
-                        lost=max(report.lost - before.lost, 0),
+                        received=report.received - before.received,
+                        lost=report.lost - before.lost,
                         concealed=report.concealed - before.concealed,
                     )
                 )
@@ -342,7 +341,7 @@ class Call:
         if self._lacks_secret(seat):
             return  # it could be read as a latent all the same, and would be a heap of triangles
         if seat.has_decoder or self._open_decoder(seat):
-            self.errors += seat.receive_frame(frame, now)
+            self.errors += not seat.receive_frame(frame, now)
 
     def _open_decoder(self, seat: Participant) -> bool:
         """Make the decoder of a stream, if its avatar is there and of the sender's version."""

@@ -217,32 +217,25 @@ class Participant:
         """Whether frames can be taken."""
         return self._decoder is not None
 
-    def receive_frame(self, frame: Frame, now: float) -> int:
-        """Take a frame off the wire; there must be a decoder. Return how many payloads could not be
-        read."""
+    def receive_frame(self, frame: Frame, now: float) -> bool:
+        """Take a frame off the wire; there must be a decoder. Return whether it could be read."""
         assert self._decoder is not None
-        num_unreadable = 0
-        for received in self.playout.sender.receive(frame, now):
-            try:
-                sample = self._decoder.decode(received.payload)
-            except LatentError:
-                num_unreadable += 1
-                continue
-            if self.state is StreamState.PAUSED:
-                continue  # it was on its way when nothing more was wanted
-            self.playout.receive_frame(received.decoded(sample))
-            if self.state is StreamState.JOINING:
-                if self.last_arrival_s is not None:
-                    self.playout.pause()  # what the relay had kept: the hole behind it is no loss
-                self.state = StreamState.LIVE
-        if num_unreadable:
-            return num_unreadable
+        try:
+            sample = self._decoder.decode(frame.payload)
+        except LatentError:
+            return False
+        if self.state is not StreamState.PAUSED:  # else it was under way when it was unsubscribed
+            self.playout.receive_frame(self.playout.sender.receive(frame, now).decoded(sample))
+        if self.state is StreamState.JOINING:
+            if self.last_arrival_s is not None:
+                self.playout.pause()  # what the relay had kept: the hole behind it is no loss
+            self.state = StreamState.LIVE
         self.last_arrival_s = now
         self._note_gap(now, is_expected=self._expects_frames)
         self.window.received += 1
         self.window.payload_bytes += len(frame.payload)
         self._payload_bytes += len(frame.payload)
-        return 0
+        return True
 
     def play(self, now: float, heard_us: int | None = None) -> tuple[PlayedFace | None, bool]:
         """The face to show now, None before the first one; and whether the stream is stopped on
@@ -280,7 +273,7 @@ class Participant:
         if self.state is not StreamState.GONE and window.silent_since_s is not None:
             gap_s = max(gap_s, now - window.silent_since_s)
         report = self.playout.report().since(window.before)
-        counted = ("lost", "late", "concealed", "duplicates", "refused", "future", "restarts")
+        counted = ("lost", "late", "concealed", "duplicates", "refused", "restarts")
         return {
             "name": self.member.peer.name,
             "received": window.received,

@@ -1,6 +1,6 @@
 """From frames as the network delivers them to a face at display time. Pure: `now` is an argument.
 
-    sender.receive(frame, now)   a frame arrived; returns those to be decoded now
+    sender.receive(frame, now)   a frame arrived; returns it with its place in time, to be decoded
     receive_frame(decoded)       a frame was decoded
     sample_at(now)               the face now, for a display of any rate
     due_frames(now)              or instead: every frame once, when it is due (benches decode each)
@@ -10,7 +10,7 @@
 Theory of operation. Every part has its module:
 
     sender_clock     a frame's sequence and capture time -> its place on one even time line,
-                     whatever the sender's clock does; frames that fit nowhere are refused
+                     whatever the sender's clock does
     transit          that time line -> our clock: the transit of the fastest frames, how much longer
                      the others take, how often they come, which were lost
     motion           the frames in order, the face's path through them, and back to it
@@ -84,8 +84,6 @@ class PlayoutReport:
     duplicates: int = 0
     refused: int = 0
     """Frames that fit nowhere on the time line."""
-    future: int = 0
-    """Refused frames that came from the future."""
     restarts: int = 0
     """How often sender or its clock began anew."""
     shown: int = 0
@@ -152,7 +150,7 @@ class Playout:
         self._age_s = 0.0
 
     def receive_frame(self, frame: DecodedFrame) -> None:
-        """Take a frame that `sender` let pass and that could be decoded just now."""
+        """Take a frame that `sender` has placed and that could be decoded just now."""
         self._received += 1
         if self.sender.num_jumps > self._num_jumps:
             self._num_jumps = self.sender.num_jumps
@@ -257,15 +255,11 @@ class Playout:
         sender, transit = self.sender, self.sender.transit
         target_s = 0.0 if transit is None else self._target_s(is_displayed=self._shown is not None)
         return PlayoutReport(
-            received=self._received
-            + sender.num_duplicates
-            + sender.num_refused
-            + sender.num_held_back,
+            received=self._received,
             lost=self._interval.num_lost,
             late=self._late,
-            duplicates=self._duplicates + sender.num_duplicates,
-            refused=self._misplaced + sender.num_refused,
-            future=sender.num_future,
+            duplicates=self._duplicates,
+            refused=self._misplaced,
             restarts=sender.num_jumps,
             shown=self._num_shown,
             missed_s=self._missed_s,

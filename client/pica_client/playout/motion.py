@@ -185,9 +185,8 @@ class Timeline:
         return "new"
 
     def cut(self, media_s: float) -> None:
-        """Drop waiting frames captured then or later, for a new beginning says otherwise."""
-        place = max(bisect_left(self._frames, media_s, key=_media_s), self._num_shown)
-        del self._frames[place:]
+        """Drop waiting frames captured then or later: a new beginning says otherwise."""
+        del self._frames[max(bisect_left(self._frames, media_s, key=_media_s), self._num_shown) :]
 
     def release(self, media_s: float) -> None:
         """Count all frames captured up to then as shown."""

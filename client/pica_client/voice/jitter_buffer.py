@@ -125,7 +125,7 @@ class JitterBufferReport:
     late: int = 0
     """Packets that came after their moment."""
     refused: int = 0
-    """Packets that fit nowhere in time, or that the codec does not take."""
+    """Packets that the codec does not take."""
     played: int = 0
     """Frames decoded from packets."""
     concealed: int = 0
@@ -188,8 +188,7 @@ class JitterBuffer:
         """Take a packet that arrived at `now`."""
         self._report.received += 1
         self._last_arrival_s = now
-        for received in self._sender.receive(packet, now):
-            self._place(received)
+        self._place(self._sender.receive(packet, now))
 
     def restart(self) -> None:
         """Forget what waits: the voice was muted, and begins anew with its next packet."""
@@ -239,7 +238,7 @@ class JitterBuffer:
     def report(self) -> JitterBufferReport:
         """Counters since the voice began, and how it stands; do not change it."""
         report = self._report
-        report.refused = self._num_broken + self._sender.num_refused
+        report.refused = self._num_broken
         if (transit := self._sender.transit) is not None and self._wait_s is not None:
             report.target_s = self._wait_s - transit.fastest_s
             report.jitter_s = transit.jitter_s

@@ -133,8 +133,8 @@ def deliver(
             if frame.stream == VOICE_STREAM:
                 voices.append((arrived_s, frame))
                 continue
-            for received in sender.receive(frame, arrived_s):
-                arrivals.append(received.decoded(decoder.decode(received.payload)))
+            received = sender.receive(frame, arrived_s)
+            arrivals.append(received.decoded(decoder.decode(received.payload)))
 
     for index in range(round(schedule.seconds * schedule.fps)):
         now = index / schedule.fps
@@ -198,12 +198,12 @@ def play(delivery: Delivery, playout: Playout, schedule: Schedule) -> list[Tick]
 def receive_arrival(
     playout: Playout, arrival: DecodedFrame, samples: Mapping[int, LatentSample]
 ) -> None:
-    """Give a face that came to a playout, and those that it had held back, if any.
+    """Give a face that came to a playout.
 
     Args:
         samples: As from `Delivery.samples`.
     """
     sequence = arrival.number % SEQUENCE_MODULUS
     frame = Frame(stream=1, sequence=sequence, captured_us=arrival.captured_us, payload=b"")
-    for received in playout.sender.receive(frame, arrival.arrived_s):
-        playout.receive_frame(received.decoded(samples[received.captured_us]))
+    received = playout.sender.receive(frame, arrival.arrived_s)
+    playout.receive_frame(received.decoded(samples[received.captured_us]))
