@@ -247,8 +247,29 @@ def source_of(text: str) -> str:
 
 
 def chart_codec() -> None:
-    """Fill in what bits buy, for some qualities."""
-    line = read_lines("codec")[-1]
+    """Draw and fill in what bits buy, beside the first line: a codec whose frames referred to
+    earlier ones, on a head of another kind."""
+    before, *_, line = read_lines("codec")
+    figure, axes = plt.subplots(1, 2, figsize=(7.2, 3.2), sharey=True)
+    for axis, source in zip(axes, ("talk", "real recording"), strict=True):
+        for drawn, style in (
+            (before, {"color": GREY, "marker": "x", "label": "frames refer to others"}),
+            (line, {"color": BLUE, "marker": "o", "label": "every frame alone"}),
+        ):
+            chosen = [
+                row
+                for row in drawn["result"]["rows"]
+                if source_of(row["source"]) == source and row["profile"][:-1] == "quality-"
+            ]
+            rates = [row["wire_bps"] / 1e3 for row in chosen]
+            axis.plot(rates, [row["mse"] for row in chosen], **style)
+        axis.set_title(source, fontsize=9)
+        axis.set_xlim(left=0)
+        axis.set_xlabel("on the wire, kbit/s")
+    axes[0].set_ylim(0, 5)
+    axes[0].set_ylabel("MSE of the picture, 0–255")
+    axes[0].legend(fontsize=8)
+    save(figure, "codec", line)
     columns: dict[str, Column] = {
         "source": lambda row: source_of(row["source"]),
         "profile": "profile",

@@ -6,6 +6,7 @@ bench playout`), and people: the avatars are synthetic, and only the recording i
 error of 8 bits and of the pixels that change owner at edges is in every `mse`: about 0.2.
 """
 
+import random
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -34,6 +35,8 @@ FPS = 30
 VIEWS = ("front", "left")
 THINNED, THINNED_QUALITY = (2, 4), 3
 """Every how many frames a thinned stream has one, and its quality."""
+LOST_RATIO = 0.3
+"""Share of its frames that one more row loses at random."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -153,12 +156,16 @@ Coder = Callable[[Sequence[LatentSample]], Coded]
 def _coders(profile: StreamProfile) -> dict[str, Coder]:
     """What is compared, by name."""
 
-    def stream(quality: int, every: int = 1) -> Coder:
-        return partial(code_stream, profile, StreamConfig(fps=FPS, quality=quality), every=every)
+    def stream(quality: int, *, every: int = 1, lost_ratio: float = 0.0) -> Coder:
+        config = StreamConfig(fps=FPS, quality=quality)
+        return partial(code_stream, profile, config, every=every, lost_ratio=lost_ratio)
 
     coders = {f"quality-{quality}": stream(quality) for quality in range(profile.num_qualities)}
     quality = min(THINNED_QUALITY, profile.num_qualities - 1)
-    coders |= {f"quality-{quality}-every-{every}": stream(quality, every) for every in THINNED}
+    coders |= {
+        f"quality-{quality}-every-{every}": stream(quality, every=every) for every in THINNED
+    }
+    coders[f"quality-{quality}-lost-30"] = stream(quality, lost_ratio=LOST_RATIO)
     return coders | {"float-16": _code_halves}
 
 
@@ -168,12 +175,13 @@ def code_stream(
     samples: Sequence[LatentSample],
     *,
     every: int = 1,
+    lost_ratio: float = 0.0,
 ) -> Coded:
-    """Our stream, or every so many of its frames."""
+    """Our stream, or every so many of its frames, of which a share is lost at random."""
     encoder, decoder = LatentEncoder(profile, config), LatentDecoder(profile)
     found: dict[int, LatentSample] = {}
     coded = Coded()
-    sequence = 0
+    sequence, rng = 0, random.Random(0)
     for index, sample in enumerate(samples):
         now_us = index * 1_000_000 // FPS
         face = sample.latent, sample.rotation, sample.translation_m
@@ -182,7 +190,7 @@ def code_stream(
         if frame is None:
             continue
         sequence += -sequence % frame.multiple
-        if sequence % every == 0:
+        if sequence % every == 0 and rng.random() >= lost_ratio:
             took, found[index] = timed(decoder.decode, frame.payload)
             coded.decode_s.append(took.wall_s)
             coded.sizes.append(len(frame.payload))
@@ -193,7 +201,7 @@ def code_stream(
 
 def _shown_at(found: dict[int, LatentSample], index: int) -> LatentSample:
     """The face at a frame time, interpolated where that frame was not sent: as playout does."""
-    before = max(place for place in found if place <= index)
+    before = max((place for place in found if place <= index), default=min(found))
     after = min((place for place in found if place > index), default=None)
     if before == index or after is None or found[before].is_still:
         return found[before]
