@@ -58,7 +58,7 @@ class CloseCode(IntEnum):
     REPLACED = 4013
     """The same identity has joined again from elsewhere; the newer one stays."""
     UNFIT_FILE = 4014
-    """An uploaded file is not the one that was offered, or no avatar that a receiver would take."""
+    """An uploaded file is not the one that was offered."""
     STORE_FULL = 4015
     """The avatar store has no room for this file, or takes none as large."""
     REMOVED = 4016

@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
-from fuzzing import relay_targets, seal_targets, store_targets, targets, voice_targets
+from fuzzing import relay_targets, seal_targets, targets, voice_targets
 from fuzzing.meter import Meter
 from fuzzing.targets import Target
 
@@ -24,9 +24,6 @@ TARGETS: Final[Mapping[str, Target]] = {
     "sealed frames": seal_targets.sealed_frames,
     "key messages": seal_targets.key_messages,
     "guard": seal_targets.guard,
-    "store messages": store_targets.store_messages,
-    "store file": store_targets.structure,
-    "store ranges": store_targets.ranges,
     "voice": voice_targets.voice,
 }
 
@@ -37,7 +34,6 @@ WEIGHTS: Final[Mapping[str, int]] = {
     "client session": 64,
     "tokens": 4,
     "guard": 2,
-    "store messages": 4,
 }
 """How often a target has its turn; a session is over after a few messages, so many are needed."""
 

@@ -1,7 +1,7 @@
 """The avatar store: files by the SHA-256 of their bytes, so that a stranger can be seen by all.
 
-Whoever gets a file hashes it, and so need not trust the relay. The store only has to take care of
-what it takes: who may upload, how much in all, and that it is laid out as an avatar file.
+Receivers hash and check what they get, and so need not trust the relay. The store takes care of how
+much it takes; what is inside of a file is not looked at.
 
 What blocks (disk and network) happens in threads of the store. It knows no websocket; `downloads`
 and `uploads` are the ways out and in.
@@ -14,12 +14,10 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Final, TypeVar
 
 from pica_server.config.relay import StoreConfig
 from pica_server.errors import BusyError, StoreFullError, UnfitFileError
-from pica_server.store.check import StructureCheck
 from pica_server.store.folder import AvatarFolder
 
 NUM_THREADS: Final = 4
@@ -119,8 +117,8 @@ class AvatarStore:
         await asyncio.sleep(begin_s - now)
 
     @contextmanager
-    def upload(self, identity: str, size: int) -> Iterator["Upload"]:
-        """Make room for a file while the block runs.
+    def reserved(self, size: int) -> Iterator[None]:
+        """Hold room for a file while the block runs.
 
         Raises:
             StoreFullError: There is none.
@@ -135,7 +133,7 @@ class AvatarStore:
         self._reserved_bytes += size
         self._num_reserved += 1
         try:
-            yield Upload(self, identity, size)
+            yield
         finally:
             self._reserved_bytes -= size
             self._num_reserved -= 1
@@ -169,42 +167,3 @@ class AvatarStore:
 
     async def _in_thread(self, action: Callable[[], _T]) -> _T:
         return await asyncio.get_running_loop().run_in_executor(self._threads, action)
-
-
-@dataclass(eq=False)
-class Upload:
-    """One file on its way in, in memory until it is whole."""
-
-    _store: AvatarStore
-    _identity: str
-    _size: int
-
-    def __post_init__(self) -> None:
-        self._structure = StructureCheck(self._size)
-        self._data = bytearray()  # bounded by the size that was offered
-
-    @property
-    def num_missing(self) -> int:
-        """Bytes that have still to come."""
-        return self._size - len(self._data)
-
-    def write(self, data: bytes | memoryview) -> None:
-        """Take the next bytes.
-
-        Raises:
-            UnfitFileError: They are too many, or no avatar file begins like this.
-        """
-        if len(data) > self.num_missing:
-            raise UnfitFileError("more bytes than were offered")
-        self._structure.receive(data)
-        self._data += data
-
-    async def finish(self) -> None:
-        """Check the whole file, and keep it.
-
-        Raises:
-            StoreError: It is not the file that was offered, no avatar, or the disk is full.
-            OSError: It cannot be written.
-        """
-        self._structure.finish()
-        await self._store.keep(self._identity, self._data)

@@ -15,7 +15,13 @@ from pica_protocol.errors import CloseCode, RemoteProtocolError
 from pica_protocol.limits import clipped_reason
 from pica_protocol.messages import Bye
 from pica_protocol.store import Offer, Ready, Stored, decode_chunk
-from pica_server.errors import AdmissionError, StoreError, StoreRefusalError, TooLateError
+from pica_server.errors import (
+    AdmissionError,
+    StoreError,
+    StoreRefusalError,
+    TooLateError,
+    UnfitFileError,
+)
 from pica_server.net.socket import RelaySocket, bound_receive_buffer
 from pica_server.store.store import AvatarStore, Slots
 
@@ -101,15 +107,18 @@ class Uploads:
             self._stats["uploads_known"] += 1
             return Stored()
         late = TooLateError("the file came too slowly", CloseCode.TOO_SLOW)
-        with store.upload(offer.sha256, offer.size) as upload:
+        data = bytearray()
+        with store.reserved(offer.size):
             async with _within(store.config.longest_s(offer.size), late):
                 await websocket.send(encode_message(Ready()))
-                while upload.num_missing:
+                while len(data) < offer.size:
                     chunk = decode_chunk(await _binary(websocket))
                     self._stats["upload_bytes"] += len(chunk)
-                    upload.write(chunk)
+                    data += chunk
                     await store.wait_for_turn(len(chunk))
-            await upload.finish()
+            if len(data) > offer.size:
+                raise UnfitFileError("more bytes than were offered")
+            await store.keep(offer.sha256, data)
         self._stats["uploads_kept"] += 1
         return Stored(is_new=True)
 

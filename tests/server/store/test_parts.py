@@ -1,12 +1,9 @@
 """The store's pure parts: the layout of a file, ranges of it, turns and slots."""
 
-import json
-import struct
 import sys
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from http import HTTPStatus
-from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -14,11 +11,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from pica_core.avatar import file as avatar_file
-from pica_core.avatar.shipped import shipped_avatar_files
 from pica_server.config.relay import StoreConfig
-from pica_server.errors import BusyError, ConfigurationError, UnfitFileError
-from pica_server.store import check as store_check
-from pica_server.store.check import StructureCheck
+from pica_server.errors import BusyError, ConfigurationError
 from pica_server.store.downloads import answer_for
 from pica_server.store.folder import AvatarFolder
 from pica_server.store.store import Slots
@@ -28,97 +22,7 @@ pytestmark = pytest.mark.unit
 ID = "ab" * 32
 
 
-def file_of(header: object, data: bytes = b"") -> bytes:
-    text = header if isinstance(header, bytes) else json.dumps(header).encode()
-    return struct.pack("<Q", len(text)) + text + data
-
-
-def tensor(begin: int, end: int, shape: list[int], dtype: str = "U8") -> dict[str, object]:
-    return {"dtype": dtype, "shape": shape, "data_offsets": [begin, end]}
-
-
-def header(**tensors: object) -> dict[str, object]:
-    return {"__metadata__": {"pica": "{}"}, **tensors}
-
-
-def check(data: bytes, size: int | None = None) -> None:
-    structure = StructureCheck(len(data) if size is None else size)
-    structure.receive(data)
-    structure.finish()
-
-
-GOOD = file_of(header(a=tensor(0, 6, [2, 3]), b=tensor(6, 14, [2], "F32")), bytes(14))
-
-
-@given(st.lists(st.integers(0, len(GOOD)), max_size=5))
-def test_a_good_layout_is_found_good_in_whatever_pieces_it_comes(cuts: list[int]) -> None:
-    structure = StructureCheck(len(GOOD))
-    edges = [0, *sorted(cuts), len(GOOD)]
-    for begin, end in pairwise(edges):
-        structure.receive(GOOD[begin:end])
-    structure.finish()
-    assert structure.is_done
-
-
-@pytest.mark.parametrize(
-    ("data", "words"),
-    [
-        (b"", "ends within its header"),
-        (GOOD[:30], "header would have"),
-        (b"\xff" * 100, "header would have"),
-        (struct.pack("<Q", 2**18 + 1) + bytes(2**19), "header would have 262145 bytes"),
-        (b"\x80\x04\x95" + b"pickle" * 100, "header would have"),
-        (file_of(b"[" * 100_000), "not valid JSON"),
-        (file_of(b'{"a": NaN}'), "not valid JSON"),
-        (file_of(b'{"a": 1, "a": 2}'), "not valid JSON"),
-        (file_of(b"\xff\xfe{}"), "not valid JSON"),
-        (file_of([1]), "no JSON object"),
-        (file_of({}), "no manifest"),
-        (file_of({"a": tensor(0, 1, [1])}, b"x"), "no manifest"),
-        (file_of(header()), "0 tensors"),
-        (file_of(header(a=1)), "no JSON object"),
-        (file_of(header(a=tensor(0, 8, [1], "F64")), bytes(8)), "is of type 'F64'"),
-        (file_of(header(a=tensor(0, 4, [-4])), bytes(4)), "no proper shape"),
-        (file_of(header(a=tensor(0, 1, [True])), bytes(1)), "no proper shape"),
-        (file_of(header(a=tensor(0, 1, [1] * 9)), bytes(1)), "no proper shape"),
-        (file_of(header(a=tensor(0, 1, [2**63])), bytes(1)), "no proper shape"),
-        (file_of(header(a=tensor(-1, 0, [1])), bytes(1)), "no proper place"),
-        (file_of(header(a=tensor(0, 4, [5])), bytes(4)), "size of its shape"),
-        (file_of(header(a=tensor(0, 4, [4]), b=tensor(2, 6, [4])), bytes(6)), "overlap"),
-        (file_of(header(a=tensor(0, 4, [4]), b=tensor(5, 6, [1])), bytes(6)), "leave a hole"),
-        (file_of(header(a=tensor(0, 4, [4])), bytes(5)), "take 4 bytes, 5 are there"),
-        (file_of(header(a=tensor(0, 4, [4])), bytes(3)), "take 4 bytes, 3 are there"),
-        (file_of(header(**{f"t{i}": tensor(i, i + 1, [1]) for i in range(1025)})), "1025 tensors"),
-    ],
-)
-def test_what_is_no_avatar_file_is_refused_with_a_reason(data: bytes, words: str) -> None:
-    with pytest.raises(UnfitFileError, match=words):
-        check(data)
-
-
-def test_a_file_is_refused_as_soon_as_its_header_is_there() -> None:
-    data = file_of(header(a=tensor(0, 10**7, [10**7])))
-    check(data, size=len(data) + 10**7)
-    with pytest.raises(UnfitFileError, match="are there"):
-        check(data, size=len(data) + 10**7 + 1)
-
-
-@given(st.binary(max_size=400))
-@example(GOOD)
-def test_any_bytes_pass_or_are_refused(data: bytes) -> None:
-    try:
-        check(data)
-    except UnfitFileError:
-        assert data != GOOD
-
-
-@pytest.mark.parametrize("path", shipped_avatar_files(), ids=lambda path: path.stem)
-def test_the_avatars_that_ship_pass(path: Path) -> None:
-    check(path.read_bytes())
-
-
-def test_the_limits_are_those_of_receivers() -> None:
-    assert store_check.MAX_HEADER_BYTES == avatar_file.MAX_HEADER_BYTES
+def test_no_file_is_taken_that_receivers_would_not() -> None:
     assert StoreConfig(largest_bytes=avatar_file.MAX_FILE_BYTES)
     with pytest.raises(ConfigurationError, match=r"--store\.largest-bytes"):
         StoreConfig(largest_bytes=avatar_file.MAX_FILE_BYTES + 1)
