@@ -18,9 +18,8 @@ Everything belongs to the thread of the context.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import moderngl
 import numpy as np
@@ -30,21 +29,19 @@ from pica_client.errors import OptionError
 from pica_client.render.draw_clock import DrawClock
 from pica_client.render.gpu_program import build_program, clamp, set_values
 from pica_client.render.gpu_tables import (
+    LAST_SHADERS,
     TABLE_COLUMNS,
     VECTOR,
     Pass,
     Plan,
-    Tables,
     basis_of,
     lay_out,
     sheet_of,
-    vectors,
 )
 from pica_client.render.renderer import Renderer
 from pica_client.render.shader_source import compose
 from pica_client.system import Closing
 from pica_core.avatar.file import Avatar
-from pica_core.avatar.linear import RANK
 from pica_core.gl import freeing, is_software
 from pica_core.latent import LATENT_SHAPE, NUM_LATENT
 from pica_core.types import Array
@@ -53,15 +50,14 @@ HEAD_TEXELS = NUM_LATENT // VECTOR + 1
 """What goes to the GPU for each head and frame, texels of 16 bytes."""
 MAX_BATCH = 32
 """Heads that are decoded together; more are decoded in several turns."""
-UNIT_HEADS, UNIT_TABLE, UNIT_ROWS, UNIT_PLACES, UNIT_MEAN, UNIT_BASIS = 4, 5, 6, 7, 8, 9
+UNIT_ROWS, UNIT_HEADS, UNIT_TABLE, UNIT_PLACES, UNIT_MEAN, UNIT_BASIS = 0, 4, 5, 6, 7, 8
 _UNITS = {
-    **{f"phase{number}": number for number in range(VECTOR)},
-    **{"heads": UNIT_HEADS, "table": UNIT_TABLE, "rows": UNIT_ROWS},
+    **{f"phase{number}": number for number in range(4)},
+    **{"rows": UNIT_ROWS, "heads": UNIT_HEADS, "table": UNIT_TABLE},
     **{"places": UNIT_PLACES, "mean": UNIT_MEAN, "basis": UNIT_BASIS},
 }
 RGB8_SNORM = 0x8F96
 """What GL calls three signed bytes from -1 to 1; moderngl would take unsigned ones."""
-_WHOLE_TARGET = (-1.0, -1.0, 1.0, 1.0)
 
 Targets = tuple[moderngl.Framebuffer | None, moderngl.Framebuffer]
 """Where a head's vertices and its expression map are drawn; None for maps that stay."""
@@ -73,7 +69,7 @@ def draws_floats(context: moderngl.Context) -> bool:
     """Return True if the driver draws into four textures of 32-bit floats at once, which decoding
     in shaders needs."""
     with freeing(context):
-        images = [_image(context, 4, 4) for _ in range(VECTOR)]
+        images = [_image(context, 4, 4) for _ in range(4)]
         try:
             context.framebuffer(images)
         except moderngl.Error:
@@ -201,7 +197,7 @@ class GpuDecoder(Closing):
             level = request.level or entry.avatar.spec.map_size
             if problem := _problem(entry.avatar, request, level):
                 results.append(DecodeResult(slot, None, problem))
-                del self._slots[slot]
+                self.remove(slot)
                 continue
             targets = self._find_targets(slot, level, request.parts)
             if targets is not None:
@@ -247,14 +243,14 @@ def _problem(avatar: Avatar, request: DecodeRequest, level: int) -> str:
     return ""
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class _Entry:
     """What the GPU holds of one avatar."""
 
     layer: int
-    tables: Tables
+    tables: tuple[Array, Array]
     basis: moderngl.Texture
-    sheets: dict[int, tuple[moderngl.Texture, moderngl.Texture]] = field(default_factory=dict)
+    sheets: dict[int, tuple[moderngl.Texture, moderngl.Texture]]
     """Places and mean of each level."""
 
 
@@ -270,38 +266,31 @@ class _Bank:
         self._context = context
         self._entries: dict[Avatar, _Entry] = {}
         self._tables: list[moderngl.TextureArray] = []
-        self._capacity = self._columns = 0
+        self._capacity = 0
         self._numbers = np.zeros((MAX_BATCH, HEAD_TEXELS, VECTOR), np.float32)
-        self._screens = {name: _screen(context, *shader) for name, shader in plan.shaders.items()}
-        self._trunk = [
-            _Step(context, step, self._screens[f"trunk {number}"])
-            for number, step in enumerate(plan.trunk)
-        ]
-        self._exits = {
-            level: _Step(context, step, self._screens[f"exit {level}"])
-            for level, step in plan.exits.items()
-        }
+        self._trunk = [_Step(context, step) for step in plan.trunk]
+        self._exits = {level: _Step(context, last) for level, (_, last) in plan.exits.items()}
+        self._vertices = [_Step(context, step) for step in plan.vertices]
+        self._gather, self._sheet = (_screen(context, name, {}) for name in LAST_SHADERS)
 
     def __contains__(self, avatar: Avatar) -> bool:
         return avatar in self._entries
 
-    def add(self, avatar: Avatar, tables: Tables) -> None:
+    def add(self, avatar: Avatar, tables: tuple[Array, Array]) -> None:
         """Put an avatar's numbers on the GPU."""
         used = {entry.layer for entry in self._entries.values()}
         layer = next(number for number in range(len(used) + 1) if number not in used)
         basis = basis_of(avatar)
-        is_coarse = basis.itemsize == 1
-        stored = ("ni1", RGB8_SNORM) if is_coarse else ("f4", None)
-        entry = _Entry(layer, tables, self._texture(basis, *stored))
+        stored = ("ni1", RGB8_SNORM) if basis.itemsize == 1 else ("f4", None)
+        sheets = {}
         for level in avatar.levels:
-            sheet = sheet_of(avatar, level)
-            places = self._texture(sheet.places, "u2")
-            entry.sheets[level] = places, self._texture(sheet.mean_m, "f4")
+            places, mean = sheet_of(avatar, level)
+            sheets[level] = self._texture(places, "u2"), self._texture(mean, "f4")
+        entry = _Entry(layer, tables, self._texture(basis, *stored), sheets)
         self._entries[avatar] = entry
-        both = (tables.half, tables.exact)
         if not self._tables or any(
             layer >= texture.layers or len(table) > texture.height
-            for texture, table in zip(self._tables, both, strict=True)
+            for texture, table in zip(self._tables, tables, strict=True)
         ):
             self._make_tables()
         else:
@@ -319,60 +308,38 @@ class _Bank:
             row[:-1] = job.request.latent.reshape(-1, VECTOR)
             row[-1] = (*job.request.view_direction, self._entries[job.avatar].layer)
         self._heads.write(numbers, viewport=(0, 0, HEAD_TEXELS, len(jobs)))
-        half, exact = self._tables
         self._heads.use(UNIT_HEADS)
-        self._decode_codes(jobs, half, exact)
+        self._decode_codes(jobs)
         if any(job.targets[0] for job in jobs):
-            self._decode_vertices(jobs, half, exact)
+            self._decode_vertices(jobs)
         return numbers.nbytes
 
-    def _decode_codes(
-        self, jobs: Sequence[_Job], half: moderngl.TextureArray, exact: moderngl.TextureArray
-    ) -> None:
+    def _decode_codes(self, jobs: Sequence[_Job]) -> None:
+        """Go through the trunk with those who are still in it; others leave at their level."""
         lengths = [self.plan.trunk_length(job.level) for job in jobs]
-        before: _Step | None = None
         for number, step in enumerate(self._trunk):
-            left = [place for place, length in enumerate(lengths) if length == number]
-            if left and before is not None:
-                last = self._exits[jobs[left[0]].level]
-                exact.use(UNIT_TABLE)
-                last.draw(before, left[-1] + 1)
-                self._gather(jobs, left, last)
-            count = sum(length > number for length in lengths)
-            if not count:
+            step.draw(sum(length > number for length in lengths), self._tables)
+            step.bind()
+            left = [place for place, length in enumerate(lengths) if length == number + 1]
+            if not left:
+                continue
+            if (last := self._exits.get(jobs[left[0]].level)) is not None:
+                last.draw(left[-1] + 1, self._tables)
+                last.bind()
+            for place in left:
+                job = jobs[place]
+                job.targets[1].use()
+                set_values(self._gather.program, head=place, tile=job.level // 2)
+                self._gather.render(moderngl.TRIANGLE_STRIP, vertices=4)
+            if left[0] == 0:
                 return
-            half.use(UNIT_TABLE)
-            step.draw(before, count)
-            before = step
-        whole = [place for place, length in enumerate(lengths) if length == len(self._trunk)]
-        if before is not None:
-            self._gather(jobs, whole, before)
+            step.bind()
 
-    def _gather(self, jobs: Sequence[_Job], places: Sequence[int], step: _Step) -> None:
-        """Put what a step made of these heads into their own textures."""
-        step.bind()
-        for place in places:
-            job = jobs[place]
-            gather = self._screens[f"gather {job.level}"]
-            job.targets[1].use()
-            set_values(gather.program, head=place)
-            gather.render(moderngl.TRIANGLE_STRIP, vertices=4)
-
-    def _decode_vertices(
-        self, jobs: Sequence[_Job], half: moderngl.TextureArray, exact: moderngl.TextureArray
-    ) -> None:
-        for inputs, matrix, table, target in (
-            (self._heads, "bases", exact, self._weights),
-            (self._weights, "mix", half, self._directions),
-        ):
-            inputs.use(UNIT_ROWS)
-            table.use(UNIT_TABLE)
-            framebuffer = self._framebuffers[target]
-            framebuffer.viewport = (0, 0, target.width, len(jobs))
-            framebuffer.use()
-            self._screens[matrix].render(moderngl.TRIANGLE_STRIP, vertices=4)
-        self._directions.use(UNIT_ROWS)
-        sheet = self._screens["sheet"]
+    def _decode_vertices(self, jobs: Sequence[_Job]) -> None:
+        self._heads.use(UNIT_ROWS)
+        for step in self._vertices:
+            step.draw(len(jobs), self._tables)
+            step.bind()
         for place, job in enumerate(jobs):
             if job.targets[0] is None:
                 continue
@@ -382,101 +349,84 @@ class _Bank:
             mean.use(UNIT_MEAN)
             entry.basis.use(UNIT_BASIS)
             scale_m = job.avatar.manifest.position_scale_m
-            set_values(sheet.program, head=place, scale_m=scale_m)
+            set_values(self._sheet.program, head=place, scale_m=scale_m)
             job.targets[0].use()
-            sheet.render(moderngl.TRIANGLE_STRIP, vertices=4)
+            self._sheet.render(moderngl.TRIANGLE_STRIP, vertices=4)
 
-    def _texture(
-        self, array: Array, dtype: str, internal_format: int | None = None
-    ) -> moderngl.Texture:
+    def _texture(self, array: Array, dtype: str, form: int | None = None) -> moderngl.Texture:
         rows, columns, components = array.shape
+        size, data = (columns, rows), np.ascontiguousarray(array).tobytes()
         made = self._context.texture(
-            (columns, rows),
-            components,
-            array.tobytes(),
-            dtype=dtype,
-            alignment=1,
-            internal_format=internal_format,
+            size, components, data, dtype=dtype, alignment=1, internal_format=form
         )
         return clamp(made, moderngl.NEAREST)
 
     def _make_tables(self) -> None:
-        """Make room for all avatars and as many again, and write them."""
-        layers = 2 * max(len(self._entries), 1 + max(e.layer for e in self._entries.values()))
-        tables = [(entry.tables.half, entry.tables.exact) for entry in self._entries.values()]
-        made = []
-        for number, dtype in enumerate(("f2", "f4")):
-            rows = max(len(both[number]) for both in tables)
-            size = (TABLE_COLUMNS, rows, layers)
-            texture = self._context.texture_array(size, VECTOR, dtype=dtype)
-            texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
-            made.append(texture)
+        """Make room for twice as many avatars, and write those that are there."""
+        layers = 2 * (1 + max(entry.layer for entry in self._entries.values()))
         with freeing(self._context):
-            self._tables = made
+            self._tables = []
+            for number, dtype in enumerate(("f2", "f4")):
+                rows = max(len(entry.tables[number]) for entry in self._entries.values())
+                size = (TABLE_COLUMNS, rows, layers)
+                texture = self._context.texture_array(size, VECTOR, dtype=dtype)
+                texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
+                self._tables.append(texture)
         for entry in self._entries.values():
             self._write(entry)
 
     def _write(self, entry: _Entry) -> None:
-        for texture, table in zip(
-            self._tables, (entry.tables.half, entry.tables.exact), strict=True
-        ):
+        for texture, table in zip(self._tables, entry.tables, strict=True):
             texture.write(table, viewport=(0, 0, entry.layer, TABLE_COLUMNS, len(table), 1))
 
     def _reserve(self, count: int) -> None:
-        """Make the images between for so many heads, and the directions of all avatars."""
-        columns = vectors(max(int(avatar.tensors[RANK].sum()) for avatar in self._entries))
-        if count <= self._capacity and columns <= self._columns:
+        """Make the images between for so many heads."""
+        if count <= self._capacity:
             return
-        context = self._context
-        self._columns = max(columns, self._columns)
-        self._capacity = max(1 << (count - 1).bit_length(), self._capacity)
-        with freeing(context):
-            context.detect_framebuffer(0).use()  # freeing one that is bound is an error to moderngl
-            for step in (*self._trunk, *self._exits.values()):
+        self._capacity = 1 << (count - 1).bit_length()
+        with freeing(self._context):
+            # Freeing a framebuffer that is bound is an error to moderngl.
+            self._context.detect_framebuffer(0).use()
+            self._heads = _image(self._context, HEAD_TEXELS, self._capacity)
+            for step in (*self._trunk, *self._exits.values(), *self._vertices):
                 step.make_images(self._capacity)
-            self._heads = _image(context, HEAD_TEXELS, self._capacity)
-            self._weights = _image(context, vectors(self.plan.num_bases), self._capacity)
-            self._directions = _image(context, self._columns, self._capacity)
-            self._framebuffers = {
-                image: context.framebuffer([image]) for image in (self._weights, self._directions)
-            }
 
 
 class _Step:
-    """One pass over all heads, and the four phases of what it makes."""
+    """One pass over all heads, and the images that it draws."""
 
-    def __init__(self, context: moderngl.Context, step: Pass, screen: moderngl.VertexArray) -> None:
-        self._context, self._pass, self._screen = context, step, screen
-        self._phases: list[moderngl.Texture] = []
+    def __init__(self, context: moderngl.Context, step: Pass) -> None:
+        self._context, self._pass = context, step
+        self._screen = _screen(context, step.shader, step.defines)
+        self._images: list[moderngl.Texture] = []
 
     def make_images(self, capacity: int) -> None:
         """Make what it draws into, for so many heads."""
-        columns, rows = self._pass.out_vectors * self._pass.tile, capacity * self._pass.tile
-        self._phases = [_image(self._context, columns, rows) for _ in range(VECTOR)]
-        self._target = self._context.framebuffer(self._phases)
+        size = self._pass.columns, capacity * self._pass.rows
+        self._images = [_image(self._context, *size) for _ in range(self._pass.num_images)]
+        self._target = self._context.framebuffer(self._images)
 
     def bind(self) -> None:
-        """Make what it drew what is read."""
-        for unit, image in enumerate(self._phases):
+        """Let others read what it drew."""
+        for unit, image in enumerate(self._images):
             image.use(unit)
 
-    def draw(self, before: _Step | None, count: int) -> None:
-        """Draw the first heads, from what the step before it has made."""
-        if before is not None:
-            before.bind()
-        self._target.viewport = (0, 0, self._target.width, count * self._pass.tile)
+    def draw(self, count: int, tables: Sequence[moderngl.TextureArray]) -> None:
+        """Draw the first heads, from what is bound."""
+        tables[self._pass.table].use(UNIT_TABLE)
+        self._target.viewport = (0, 0, self._pass.columns, count * self._pass.rows)
         self._target.use()
         self._screen.render(moderngl.TRIANGLE_STRIP, vertices=4)
 
 
-def _screen(context: moderngl.Context, name: str, defines: dict[str, str]) -> moderngl.VertexArray:
+def _screen(
+    context: moderngl.Context, name: str, defines: Mapping[str, int]
+) -> moderngl.VertexArray:
     """A rectangle over a whole target, drawn by a program of its own."""
-    program = build_program(context, compose("rect.vert"), compose(name, defines=defines))
-    set_values(program, rect=_WHOLE_TARGET)
-    for sampler, unit in _UNITS.items():
-        if sampler in program:
-            member: Any = program[sampler]
-            member.value = unit
+    texts = {key: str(value) for key, value in defines.items()}
+    program = build_program(context, compose("rect.vert"), compose(name, defines=texts))
+    set_values(program, rect=(-1.0, -1.0, 1.0, 1.0))
+    set_values(program, **{name: unit for name, unit in _UNITS.items() if name in program})
     return context.vertex_array(program, [])
 
 

@@ -43,7 +43,7 @@ vec4 read_or_zero(int odd, ivec2 at, int group, int head) {
 }
 
 vec4 leaky(vec4 value) {
-    return max(value, LEAK * value);
+    return IS_LEAKY == 1 ? max(value, 0.2 * value) : value;
 }
 
 void main() {

@@ -1,6 +1,7 @@
 // One head's expression map, out of the four phases of all heads' maps.
 
 uniform int head;
+uniform int tile; // rows of a head in each phase
 
 layout(location = 0) out vec4 value;
 
@@ -9,5 +10,5 @@ layout(location = 0) out vec4 value;
 
 void main() {
     ivec2 texel = ivec2(gl_FragCoord.xy);
-    value = read_texel(texel, ivec2(0, SIZE / 2 * head));
+    value = read_texel(texel, ivec2(0, tile * head));
 }
