@@ -72,7 +72,7 @@ def errors(context: Any, avatar: Avatar) -> dict[str, Any]:
     found: dict[str, Any] = {"avatar": avatar.manifest.name}
     latent, onnx = faces_of(avatar, 1)[0], OnnxDecoder(avatar)
     with Renderer(context, (64, 64)) as renderer:
-        decoder = GpuDecoder(context, renderer.map_targets)
+        decoder = GpuDecoder(context, renderer.show_maps)
         renderer.add_avatar("head", avatar)
         decoder.add("head", avatar)
         for level in avatar.levels:
@@ -96,7 +96,7 @@ class Scene:
     def __init__(self, context: Any, size: Size, num_eyes: int, avatars: list[Avatar]) -> None:
         self._context, self._avatars = context, avatars
         self._renderer = Renderer(context, size, RenderOptions(fade_busts=True))
-        self._shaders = GpuDecoder(context, self._renderer.map_targets)
+        self._shaders = GpuDecoder(context, self._renderer.show_maps)
         self._size = (size[0] // num_eyes, size[1])
         plan = plan_seats("grid", count=len(avatars), aspect=self._size[0] / size[1])
         camera = plan_camera(plan, ViewState(), *self._size)

@@ -5,10 +5,8 @@ take, and from there to counts.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from moderngl import Texture
-
 from pica_client.render.gpu_avatar import Body
-from pica_client.render.gpu_maps import MapSeries
+from pica_client.render.gpu_maps import MapSeries, MapView, whole_map
 from pica_client.render.gpu_program import UNIT_POSITION
 from pica_client.render.gpu_textured import TexturedHead
 from pica_client.render.passes import (
@@ -131,7 +129,7 @@ def keys_of(listed: DrawList, slots: Mapping[str, RenderSlot]) -> list[HeadKey]:
         if isinstance(head, DecodedHead):
             mark = head.mark
             vertices = head.mesh.vertices[0].glo
-            maps = head.position.glo, head.expression and head.expression.glo
+            maps = head.position.key, head.expression and head.expression.key
             look = (*look, head.share, vertices, maps)
         keys.append(HeadKey((head.slot, head.number, mark, place.view), look, place.rect))
     return keys
@@ -204,7 +202,7 @@ def count_draws(
     )
 
 
-_Shown = tuple[int, Texture, Texture | None]
+_Shown = tuple[int, MapView, MapView | None]
 """A level, its positions and its expressions."""
 
 
@@ -233,7 +231,7 @@ def _arrange(
     newest: _Shown
     before: _Shown
     if maps is None:
-        newest = before = (0, body.textures[UNIT_POSITION], None)
+        newest = before = (0, whole_map(body.textures[UNIT_POSITION]), None)
         blend = 1.0
     else:
         position, expression = maps

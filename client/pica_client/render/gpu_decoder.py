@@ -1,16 +1,15 @@
-"""Latents to maps by shaders: all heads of a frame at once, into the textures that they are drawn
-with.
+"""Latents to maps by shaders: all heads of a frame at once, into textures that they share.
 
-    decoder = GpuDecoder(context, renderer.map_targets)
+    decoder = GpuDecoder(context, renderer.show_maps)
     if decoder.add("peer-1", avatar): ...               # else such avatars are decoded elsewhere
     decoder.submit("peer-1", request)
-    results = decoder.take_results()                    # draws: the maps are there afterwards
+    results = decoder.take_results()                    # draws: the maps are shown afterwards
 
-Each step of the expression decoder is one draw, whoever is decoded: heads lie one below the other
-in its images, and an avatar's numbers are a layer of a table (`gpu_tables`). A level below the
-full one leaves the steps that all share at its size. Vertices are sums over the directions of their
-regions. Only the last step, into a head's own textures, is one draw a head and map. A head and
-frame take one kilobyte of upload.
+Each step is one draw, whoever is decoded: heads lie one below the other in its images, and an
+avatar's numbers are a layer of each array (`gpu_tables`). A level below the full one leaves the
+steps that all share at its size. Vertices are sums over the directions of their regions. The last
+step puts the maps into pages of `NUM_TILES` heads, where they stay. A head and frame take one
+kilobyte of upload.
 
 Everything belongs to the thread of the context.
 """
@@ -18,26 +17,20 @@ Everything belongs to the thread of the context.
 from __future__ import annotations
 
 import time
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import moderngl
 import numpy as np
 
-from pica_client.decode.request import DecodeChoice, DecodedMaps, DecodeRequest, DecodeResult, Parts
+from pica_client.decode.request import DecodeChoice, DecodedMaps, DecodeRequest, DecodeResult
 from pica_client.errors import OptionError
 from pica_client.render.draw_clock import DrawClock
+from pica_client.render.gpu_maps import MapView
 from pica_client.render.gpu_program import build_program, clamp, set_values
-from pica_client.render.gpu_tables import (
-    LAST_SHADERS,
-    TABLE_COLUMNS,
-    VECTOR,
-    Pass,
-    Plan,
-    basis_of,
-    lay_out,
-    sheet_of,
-)
+from pica_client.render.gpu_tables import LAST_SHADERS, VECTOR, Pass, Plan, lay_out
 from pica_client.render.renderer import Renderer
 from pica_client.render.shader_source import compose
 from pica_client.system import Closing
@@ -46,23 +39,22 @@ from pica_core.gl import freeing, is_software
 from pica_core.latent import LATENT_SHAPE, NUM_LATENT
 from pica_core.types import Array
 
-HEAD_TEXELS = NUM_LATENT // VECTOR + 1
+HEAD_TEXELS = NUM_LATENT // VECTOR + 2
 """What goes to the GPU for each head and frame, texels of 16 bytes."""
 MAX_BATCH = 32
 """Heads that are decoded together; more are decoded in several turns."""
+NUM_TILES = 8
+"""Heads whose maps share a texture: full ones fill the least that GL ES promises, 2048 rows."""
 UNIT_ROWS, UNIT_HEADS, UNIT_TABLE, UNIT_PLACES, UNIT_MEAN, UNIT_BASIS = 0, 4, 5, 6, 7, 8
 _UNITS = {
     **{f"phase{number}": number for number in range(4)},
     **{"rows": UNIT_ROWS, "heads": UNIT_HEADS, "table": UNIT_TABLE},
     **{"places": UNIT_PLACES, "mean": UNIT_MEAN, "basis": UNIT_BASIS},
 }
-RGB8_SNORM = 0x8F96
-"""What GL calls three signed bytes from -1 to 1; moderngl would take unsigned ones."""
+_DTYPES = {"float16": "f2", "float32": "f4", "uint16": "u2", "uint8": "f1"}
 
-Targets = tuple[moderngl.Framebuffer | None, moderngl.Framebuffer]
-"""Where a head's vertices and its expression map are drawn; None for maps that stay."""
-FindTargets = Callable[[str, int, Parts], Targets | None]
-"""The targets of a slot, a level and parts; None of a slot that is gone."""
+ShowMaps = Callable[[str, int, MapView | None, MapView], bool]
+"""Has a slot drawn with maps of a level; see `Renderer.show_maps`."""
 
 
 def draws_floats(context: moderngl.Context) -> bool:
@@ -96,7 +88,47 @@ def choose_decoder(
         )
     if choice == "cpu" or not can or (choice == "auto" and is_software(renderer.gl_renderer)):
         return None
-    return GpuDecoder(context, renderer.map_targets, clock)
+    return GpuDecoder(context, renderer.show_maps, clock)
+
+
+class _Page:
+    """A texture with the maps of several heads.
+
+    Attributes:
+        free: Tiles that are nobody's.
+    """
+
+    def __init__(self, context: moderngl.Context, columns: int, rows: int) -> None:
+        # Vertices are looked up by texelFetch, which takes no notice of the filter.
+        size = columns, NUM_TILES * rows
+        self._texture = clamp(context.texture(size, VECTOR, dtype="f4"))
+        self._target = context.framebuffer([self._texture])
+        self._rows = rows
+        self.free = list(reversed(range(NUM_TILES)))
+
+    def view(self, tile: int, num_rows: int) -> MapView:
+        """What a head's map is drawn with."""
+        return MapView(self._texture, tile * self._rows, num_rows)
+
+    def draw(self, screen: moderngl.VertexArray, heads: Mapping[int, int]) -> None:
+        """Draw the tiles of some heads of a batch."""
+        low, high = min(heads), max(heads) + 1
+        self._target.viewport = (
+            *(0, low * self._rows),
+            *(self._texture.width, (high - low) * self._rows),
+        )
+        self._target.use()
+        of_tiles = tuple(heads.get(tile, -1) for tile in range(NUM_TILES))
+        set_values(screen.program, tile_heads=of_tiles, tile_rows=self._rows)
+        screen.render(moderngl.TRIANGLE_STRIP, vertices=4)
+
+
+class _Tile(NamedTuple):
+    """Where one of a head's maps is."""
+
+    page: _Page
+    number: int
+    view: MapView
 
 
 @dataclass(slots=True, eq=False)
@@ -105,27 +137,28 @@ class _Slot:
 
     avatar: Avatar
     bank: _Bank
+    tiles: dict[tuple[int, bool], _Tile] = field(default_factory=dict)
+    """By level, of codes or of vertices."""
     request: DecodeRequest | None = None
     submitted_s: float = 0.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Job:
+class _Job(NamedTuple):
     """One head of a batch."""
 
     slot: str
-    avatar: Avatar
+    entry: _Slot
     request: DecodeRequest
-    submitted_s: float
     level: int
-    targets: Targets
+    codes: _Tile
+    vertices: _Tile | None
 
 
 class GpuDecoder(Closing):
     """Decodes the newest latent of every head by shaders.
 
     Args:
-        find_targets: See `Renderer.map_targets`.
+        show_maps: Told which maps a slot is to be drawn with.
         clock: Seconds, monotonic.
 
     Attributes:
@@ -135,12 +168,12 @@ class GpuDecoder(Closing):
     def __init__(
         self,
         context: moderngl.Context,
-        find_targets: FindTargets,
+        show_maps: ShowMaps,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.bytes_uploaded = 0
         self._context = context
-        self._find_targets = find_targets
+        self._show_maps = show_maps
         self._clock = clock
         self._slots: dict[str, _Slot] = {}
         self._banks: list[_Bank] = []
@@ -159,21 +192,24 @@ class GpuDecoder(Closing):
             laid_out = lay_out(avatar)
             if laid_out is None:
                 return False
-            plan, tables = laid_out
+            plan, arrays = laid_out
             bank = next((each for each in self._banks if each.plan == plan), None)
             if bank is None:
                 bank = _Bank(self._context, plan)
                 self._banks.append(bank)
-            bank.add(avatar, tables)
+            bank.add(avatar, arrays)
         self._slots[slot] = _Slot(avatar, bank)
         return True
 
     def remove(self, slot: str) -> None:
         """Forget a slot; an unknown one is no error."""
         gone = self._slots.pop(slot, None)
-        if gone and all(entry.avatar is not gone.avatar for entry in self._slots.values()):
-            with freeing(self._context):
-                gone.bank.remove(gone.avatar)
+        if gone is None:
+            return
+        for tile in gone.tiles.values():
+            tile.page.free.append(tile.number)
+        if all(entry.avatar is not gone.avatar for entry in self._slots.values()):
+            gone.bank.remove(gone.avatar)
 
     def submit(self, slot: str, request: DecodeRequest) -> None:
         """Ask for a decode; takes the place of one that still waits, and widens to its parts.
@@ -186,10 +222,10 @@ class GpuDecoder(Closing):
     def take_results(self) -> list[DecodeResult]:
         """Decode what was asked for since the last call.
 
-        What GL state moderngl can set it sets itself; afterwards the framebuffer is one of the
-        heads' maps, and flags and texture units 0 to 9 are as it used them.
+        What GL state moderngl can set it sets itself; afterwards the framebuffer is one of its own,
+        and flags and texture units 0 to 8 are as it used them.
         """
-        results, jobs, work = [], [], 0
+        results, jobs = [], []
         for slot, entry in list(self._slots.items()):
             request, entry.request = entry.request, None
             if request is None:
@@ -199,37 +235,48 @@ class GpuDecoder(Closing):
                 results.append(DecodeResult(slot, None, problem))
                 self.remove(slot)
                 continue
-            targets = self._find_targets(slot, level, request.parts)
-            if targets is not None:
-                work += entry.bank.plan.multiply_adds(level)
-                job = _Job(slot, entry.avatar, request, entry.submitted_s, level, targets)
-                jobs.append((entry.bank, job))
-        if not jobs:
-            return results
+            codes = entry.bank.tile(entry, level, is_codes=True)
+            both = request.parts == "both"
+            vertices = entry.bank.tile(entry, level, is_codes=False) if both else None
+            if self._show_maps(slot, level, vertices and vertices.view, codes.view):
+                jobs.append(_Job(slot, entry, request, level, codes, vertices))
+        if jobs:
+            results += self._decode(jobs)
+        return results
+
+    def _decode(self, jobs: list[_Job]) -> list[DecodeResult]:
         started_s = self._clock()
         self._context.enable_only(moderngl.NOTHING)
         self._context.clear_samplers(0, UNIT_BASIS + 1)
-        with self._gpu_clock.around(work):
+        jobs.sort(key=lambda job: -job.level)
+        work = [job.entry.bank.plan.multiply_adds(job.level) for job in jobs]
+        with self._gpu_clock.around(sum(work)):
             for bank in self._banks:
-                own = [job for other, job in jobs if other is bank]
-                own.sort(key=lambda job: -job.level)
+                own = [job for job in jobs if job.entry.bank is bank]
                 for start in range(0, len(own), MAX_BATCH):
                     self.bytes_uploaded += bank.decode(own[start : start + MAX_BATCH])
         for done, seconds in self._gpu_clock.take():
             self._s_per_multiply_add = seconds / done
-        for bank, job in jobs:
-            decode_s = self._s_per_multiply_add * bank.plan.multiply_adds(job.level)
-            maps = DecodedMaps(None, None, job.level)
-            times_s = (job.submitted_s, started_s, started_s + decode_s)
-            captured_us, parts = job.request.captured_us, job.request.parts
-            results.append(
-                DecodeResult(job.slot, maps, None, captured_us, *times_s, job.level, parts)
+        results = []
+        for job, share in zip(jobs, work, strict=True):
+            result = DecodeResult(
+                job.slot,
+                DecodedMaps(None, None, job.level),
+                None,
+                captured_us=job.request.captured_us,
+                submitted_s=job.entry.submitted_s,
+                started_s=started_s,
+                finished_s=started_s + self._s_per_multiply_add * share,
+                level=job.level,
+                parts=job.request.parts,
             )
+            results.append(result)
         return results
 
     def close(self) -> None:
         """Forget all slots and programs."""
         with freeing(self._context):
+            self._context.detect_framebuffer(0).use()  # freeing one that is bound is an error
             self._slots.clear()
             self._banks.clear()
 
@@ -243,17 +290,6 @@ def _problem(avatar: Avatar, request: DecodeRequest, level: int) -> str:
     return ""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Entry:
-    """What the GPU holds of one avatar."""
-
-    layer: int
-    tables: tuple[Array, Array]
-    basis: moderngl.Texture
-    sheets: dict[int, tuple[moderngl.Texture, moderngl.Texture]]
-    """Places and mean of each level."""
-
-
 class _Bank:
     """Avatars of one plan: their numbers, the programs that use them, and the images between.
 
@@ -264,53 +300,70 @@ class _Bank:
     def __init__(self, context: moderngl.Context, plan: Plan) -> None:
         self.plan = plan
         self._context = context
-        self._entries: dict[Avatar, _Entry] = {}
-        self._tables: list[moderngl.TextureArray] = []
+        self._arrays: dict[Avatar, dict[str, Array]] = {}
+        self._layers: dict[Avatar, int] = {}
+        self._textures: dict[str, moderngl.TextureArray] = {}
         self._capacity = 0
         self._numbers = np.zeros((MAX_BATCH, HEAD_TEXELS, VECTOR), np.float32)
         self._trunk = [_Step(context, step) for step in plan.trunk]
         self._exits = {level: _Step(context, last) for level, (_, last) in plan.exits.items()}
         self._vertices = [_Step(context, step) for step in plan.vertices]
         self._gather, self._sheet = (_screen(context, name, {}) for name in LAST_SHADERS)
+        self._pages: dict[tuple[int, bool], list[_Page]] = defaultdict(list)
 
     def __contains__(self, avatar: Avatar) -> bool:
-        return avatar in self._entries
+        return avatar in self._layers
 
-    def add(self, avatar: Avatar, tables: tuple[Array, Array]) -> None:
-        """Put an avatar's numbers on the GPU."""
-        used = {entry.layer for entry in self._entries.values()}
+    def add(self, avatar: Avatar, arrays: dict[str, Array]) -> None:
+        """Put an avatar's numbers on the GPU; makes room for twice as many if there is none."""
+        used = set(self._layers.values())
         layer = next(number for number in range(len(used) + 1) if number not in used)
-        basis = basis_of(avatar)
-        stored = ("ni1", RGB8_SNORM) if basis.itemsize == 1 else ("f4", None)
-        sheets = {}
-        for level in avatar.levels:
-            places, mean = sheet_of(avatar, level)
-            sheets[level] = self._texture(places, "u2"), self._texture(mean, "f4")
-        entry = _Entry(layer, tables, self._texture(basis, *stored), sheets)
-        self._entries[avatar] = entry
-        if not self._tables or any(
-            layer >= texture.layers or len(table) > texture.height
-            for texture, table in zip(self._tables, tables, strict=True)
-        ):
-            self._make_tables()
-        else:
-            self._write(entry)
+        self._arrays[avatar], self._layers[avatar] = arrays, layer
+        wanted = [avatar]
+        if not self._textures or layer >= self._textures["half"].layers:
+            wanted = list(self._layers)
+            with freeing(self._context):
+                self._textures = {
+                    name: self._layered(array, 2 * (layer + 1)) for name, array in arrays.items()
+                }
+        for each in wanted:
+            for name, array in self._arrays[each].items():
+                texture, place = self._textures[name], (0, 0, self._layers[each])
+                viewport = (*place, texture.width, texture.height, 1)
+                texture.write(np.ascontiguousarray(array), viewport=viewport)
 
     def remove(self, avatar: Avatar) -> None:
         """Forget an avatar; its layer is for the next one."""
-        self._entries.pop(avatar, None)
+        del self._arrays[avatar], self._layers[avatar]
+
+    def tile(self, entry: _Slot, level: int, *, is_codes: bool) -> _Tile:
+        """The place of one of a head's maps."""
+        key = level, is_codes
+        if key not in entry.tiles:
+            pages = self._pages[key]
+            page = next((each for each in pages if each.free), None)
+            if page is None:
+                rows = level if is_codes else self.plan.sheet_rows[level]
+                page = _Page(self._context, level, rows)
+                pages.append(page)
+            number = page.free.pop()
+            view = page.view(number, level if is_codes else entry.avatar.position_rows(level))
+            entry.tiles[key] = _Tile(page, number, view)
+        return entry.tiles[key]
 
     def decode(self, jobs: Sequence[_Job]) -> int:
         """Decode a batch, those of the full level first; how many bytes were uploaded."""
         self._reserve(len(jobs))
         numbers = self._numbers[: len(jobs)]
         for row, job in zip(numbers, jobs, strict=True):
-            row[:-1] = job.request.latent.reshape(-1, VECTOR)
-            row[-1] = (*job.request.view_direction, self._entries[job.avatar].layer)
+            avatar = job.entry.avatar
+            row[:-2] = job.request.latent.reshape(-1, VECTOR)
+            row[-2] = (*job.request.view_direction, self._layers[avatar])
+            row[-1, 0] = avatar.manifest.position_scale_m
         self._heads.write(numbers, viewport=(0, 0, HEAD_TEXELS, len(jobs)))
         self._heads.use(UNIT_HEADS)
         self._decode_codes(jobs)
-        if any(job.targets[0] for job in jobs):
+        if any(job.vertices for job in jobs):
             self._decode_vertices(jobs)
         return numbers.nbytes
 
@@ -318,19 +371,15 @@ class _Bank:
         """Go through the trunk with those who are still in it; others leave at their level."""
         lengths = [self.plan.trunk_length(job.level) for job in jobs]
         for number, step in enumerate(self._trunk):
-            step.draw(sum(length > number for length in lengths), self._tables)
+            step.draw(sum(length > number for length in lengths), self._textures)
             step.bind()
             left = [place for place, length in enumerate(lengths) if length == number + 1]
             if not left:
                 continue
             if (last := self._exits.get(jobs[left[0]].level)) is not None:
-                last.draw(left[-1] + 1, self._tables)
+                last.draw(left[-1] + 1, self._textures)
                 last.bind()
-            for place in left:
-                job = jobs[place]
-                job.targets[1].use()
-                set_values(self._gather.program, head=place, tile=job.level // 2)
-                self._gather.render(moderngl.TRIANGLE_STRIP, vertices=4)
+            _draw_tiles(self._gather, {place: jobs[place].codes for place in left})
             if left[0] == 0:
                 return
             step.bind()
@@ -338,46 +387,21 @@ class _Bank:
     def _decode_vertices(self, jobs: Sequence[_Job]) -> None:
         self._heads.use(UNIT_ROWS)
         for step in self._vertices:
-            step.draw(len(jobs), self._tables)
+            step.draw(len(jobs), self._textures)
             step.bind()
-        for place, job in enumerate(jobs):
-            if job.targets[0] is None:
-                continue
-            entry = self._entries[job.avatar]
-            places, mean = entry.sheets[job.level]
-            places.use(UNIT_PLACES)
-            mean.use(UNIT_MEAN)
-            entry.basis.use(UNIT_BASIS)
-            scale_m = job.avatar.manifest.position_scale_m
-            set_values(self._sheet.program, head=place, scale_m=scale_m)
-            job.targets[0].use()
-            self._sheet.render(moderngl.TRIANGLE_STRIP, vertices=4)
+        self._textures["basis"].use(UNIT_BASIS)
+        for level in self.plan.sheet_rows:
+            tiles = {n: job.vertices for n, job in enumerate(jobs) if job.level == level}
+            self._textures[f"places {level}"].use(UNIT_PLACES)
+            self._textures[f"mean {level}"].use(UNIT_MEAN)
+            _draw_tiles(self._sheet, {n: tile for n, tile in tiles.items() if tile is not None})
 
-    def _texture(self, array: Array, dtype: str, form: int | None = None) -> moderngl.Texture:
+    def _layered(self, array: Array, layers: int) -> moderngl.TextureArray:
         rows, columns, components = array.shape
-        size, data = (columns, rows), np.ascontiguousarray(array).tobytes()
-        made = self._context.texture(
-            size, components, data, dtype=dtype, alignment=1, internal_format=form
-        )
-        return clamp(made, moderngl.NEAREST)
-
-    def _make_tables(self) -> None:
-        """Make room for twice as many avatars, and write those that are there."""
-        layers = 2 * (1 + max(entry.layer for entry in self._entries.values()))
-        with freeing(self._context):
-            self._tables = []
-            for number, dtype in enumerate(("f2", "f4")):
-                rows = max(len(entry.tables[number]) for entry in self._entries.values())
-                size = (TABLE_COLUMNS, rows, layers)
-                texture = self._context.texture_array(size, VECTOR, dtype=dtype)
-                texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
-                self._tables.append(texture)
-        for entry in self._entries.values():
-            self._write(entry)
-
-    def _write(self, entry: _Entry) -> None:
-        for texture, table in zip(self._tables, entry.tables, strict=True):
-            texture.write(table, viewport=(0, 0, entry.layer, TABLE_COLUMNS, len(table), 1))
+        size, dtype = (columns, rows, layers), _DTYPES[array.dtype.name]
+        texture = self._context.texture_array(size, components, dtype=dtype)
+        texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
+        return texture
 
     def _reserve(self, count: int) -> None:
         """Make the images between for so many heads."""
@@ -385,8 +409,7 @@ class _Bank:
             return
         self._capacity = 1 << (count - 1).bit_length()
         with freeing(self._context):
-            # Freeing a framebuffer that is bound is an error to moderngl.
-            self._context.detect_framebuffer(0).use()
+            self._context.detect_framebuffer(0).use()  # freeing one that is bound is an error
             self._heads = _image(self._context, HEAD_TEXELS, self._capacity)
             for step in (*self._trunk, *self._exits.values(), *self._vertices):
                 step.make_images(self._capacity)
@@ -411,12 +434,21 @@ class _Step:
         for unit, image in enumerate(self._images):
             image.use(unit)
 
-    def draw(self, count: int, tables: Sequence[moderngl.TextureArray]) -> None:
+    def draw(self, count: int, arrays: Mapping[str, moderngl.TextureArray]) -> None:
         """Draw the first heads, from what is bound."""
-        tables[self._pass.table].use(UNIT_TABLE)
+        arrays[self._pass.table].use(UNIT_TABLE)
         self._target.viewport = (0, 0, self._pass.columns, count * self._pass.rows)
         self._target.use()
         self._screen.render(moderngl.TRIANGLE_STRIP, vertices=4)
+
+
+def _draw_tiles(screen: moderngl.VertexArray, tiles: Mapping[int, _Tile]) -> None:
+    """Draw maps of some heads of a batch, page after page."""
+    pages: dict[_Page, dict[int, int]] = defaultdict(dict)
+    for head, tile in tiles.items():
+        pages[tile.page][tile.number] = head
+    for page, heads in pages.items():
+        page.draw(screen, heads)
 
 
 def _screen(

@@ -1,11 +1,12 @@
-"""The decoded maps of one slot on the GPU: a texture for each level and each kind of map, made when
-its first map comes. Maps are uploaded, or drawn by a decoder in shaders.
+"""The decoded maps of one slot on the GPU, by kind and level: uploaded into textures of their own,
+or drawn by a decoder in shaders into textures that many heads share.
 
 A kind remembers which level came last and which one before it, so that a change of level can fade
 in: `Placement.blend` mixes the two.
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import moderngl
 import numpy as np
@@ -13,6 +14,31 @@ import numpy as np
 from pica_client.render.gpu_program import clamp
 from pica_core.errors import ShapeError
 from pica_core.types import FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapView:
+    """A map: so many rows of a texture, in all its columns."""
+
+    texture: moderngl.Texture
+    first_row: int
+    num_rows: int
+
+    @property
+    def key(self) -> tuple[int, int]:
+        """The same for the same part of the same texture."""
+        return self.texture.glo, self.first_row
+
+    def read(self) -> FloatArray:
+        """What is there, ``[rows, columns, channels]``; for tests."""
+        size = self.texture.height, self.texture.width, self.texture.components
+        values = np.frombuffer(self.texture.read(), np.float32).reshape(size)
+        return values[self.first_row : self.first_row + self.num_rows]
+
+
+def whole_map(texture: moderngl.Texture) -> MapView:
+    """A texture as a map."""
+    return MapView(texture, 0, texture.height)
 
 
 class MapSeries:
@@ -32,8 +58,7 @@ class MapSeries:
     ) -> None:
         self._context, self._rows = context, rows
         self._components, self._filtering = components, filtering
-        self._textures: dict[int, moderngl.Texture] = {}
-        self._targets: dict[int, moderngl.Framebuffer] = {}
+        self._views: dict[int, MapView] = {}
         self.level = self.level_before = 0
         """Level of the map that came last, 0 if none came; and of the last map of another level
         before, or the same where there is none."""
@@ -41,14 +66,14 @@ class MapSeries:
         """What `write` has uploaded so far."""
 
     @property
-    def newest(self) -> moderngl.Texture:
+    def newest(self) -> MapView:
         """What came last. Not to be asked before the first map."""
-        return self._textures[self.level]
+        return self._views[self.level]
 
     @property
-    def before(self) -> moderngl.Texture:
+    def before(self) -> MapView:
         """The last map of the level before; the newest where there is none."""
-        return self._textures[self.level_before]
+        return self._views[self.level_before]
 
     def check(self, array: FloatArray) -> None:
         """Raise a ShapeError for what is not float32, or of no level's shape."""
@@ -60,28 +85,17 @@ class MapSeries:
     def write(self, array: FloatArray) -> None:
         """Upload a map that `check` has passed."""
         level = array.shape[1]
-        self._begin(level, self._components)
-        self._textures[level].write(np.ascontiguousarray(array))
+        view = self._views.get(level)
+        if view is None:
+            size = (level, self._rows[level])
+            texture = self._context.texture(size, self._components, dtype="f4")
+            view = whole_map(clamp(texture, self._filtering))
+        view.texture.write(np.ascontiguousarray(array))
         self.bytes_written += array.nbytes
+        self.show(level, view)
 
-    def target(self, level: int) -> moderngl.Framebuffer:
-        """Where a map of a level is to be drawn, which counts as the newest. Four channels: GL does
-        not draw into three floats."""
-        self._begin(level, 4)
-        if level not in self._targets:
-            self._targets[level] = self._context.framebuffer([self._textures[level]])
-        return self._targets[level]
-
-    def read(self) -> FloatArray:
-        """The newest map, for tests."""
-        newest = self.newest
-        values = np.frombuffer(newest.read(), np.float32)
-        return values.reshape(newest.height, newest.width, newest.components)
-
-    def _begin(self, level: int, components: int) -> None:
+    def show(self, level: int, view: MapView) -> None:
+        """Take what is there as the newest map."""
+        self._views[level] = view
         if level != self.level:
             self.level, self.level_before = level, self.level or level
-        if level not in self._textures:
-            size = (level, self._rows[level])
-            texture = self._context.texture(size, components, dtype="f4")
-            self._textures[level] = clamp(texture, self._filtering)

@@ -2,12 +2,19 @@
 
 Shaders compute four channels at once, so weights are 4x4 blocks of four texels: the texel of an
 input channel holds what it adds to each of four outputs. Channels are padded with zeros to
-multiples of four. Avatars of one `Plan` have their numbers at the same places, in two tables: one
-of 16-bit floats, for what avatar files store with no more, and one of 32-bit floats.
+multiples of four. Avatars of one `Plan` have their numbers at the same places of arrays of the same
+shapes:
+
+    half, exact    tables of the decoder's numbers: in 16-bit floats what files store with no more
+    basis          directions of all regions, signed bytes: code 128 is 0, 127 steps are 1
+    places S       of each vertex of level S: its column in the basis, and the first and the one
+                   after the last of its rows there
+    mean S         where it is at rest, metres
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -21,13 +28,10 @@ from pica_core.types import Array, FloatArray
 VECTOR = 4
 TABLE_COLUMNS = 1024
 """Texels in a row of a table: a power of two that every driver has."""
-DIRECTIONS_STEP = 512
-"""Room for the directions of all regions comes in multiples of this (chosen: the shipped avatars
-have from 1,418 to 1,489)."""
-HALF, EXACT = 0, 1
-"""Which table is which."""
-SNORM = 127
-"""Bases of avatar files are multiples of one part in so many: they fit signed bytes."""
+DIRECTIONS_STEP, SHEET_STEP = 512, 32
+"""Room for the directions of all regions and for the rows of a sheet comes in multiples of these
+(chosen: the shipped avatars have 1,418 to 1,489, and 77 to 113)."""
+TableName = Literal["half", "exact"]
 CONVOLVE, EXPAND, DENSE = (f"decode_{name}.frag" for name in ("convolve", "expand", "dense"))
 LAST_SHADERS = "decode_gather.frag", "decode_sheet.frag"
 """What draws a head's own maps."""
@@ -44,7 +48,7 @@ class Pass:
     columns: int
     rows: int
     """Texels that a head takes of each image that it draws."""
-    table: int
+    table: TableName
     multiply_adds: int = 0
 
     @property
@@ -63,6 +67,8 @@ class Plan:
     """To that of a level below: so many steps of the trunk, and the one after them."""
     vertices: tuple[Pass, ...]
     """From latents to weights of bases, and to the directions of all regions."""
+    sheet_rows: Mapping[int, int]
+    """Room for the vertices of each level, rows of so many columns."""
 
     @property
     def passes(self) -> tuple[Pass, ...]:
@@ -106,8 +112,8 @@ def vectors(channels: int) -> int:
     return -(-channels // VECTOR)
 
 
-def lay_out(avatar: Avatar) -> tuple[Plan, tuple[Array, Array]] | None:
-    """An avatar's steps, and its tables ``[rows, TABLE_COLUMNS, 4]``, float16 and float32.
+def lay_out(avatar: Avatar) -> tuple[Plan, dict[str, Array]] | None:
+    """An avatar's steps, and its arrays ``[rows, columns, channels]``.
 
     Returns:
         None if shaders do not evaluate such avatars: those of another block, those without bases,
@@ -116,16 +122,15 @@ def lay_out(avatar: Avatar) -> tuple[Plan, tuple[Array, Array]] | None:
     spec, tensors = avatar.spec, avatar.tensors
     if spec.block != "G" or spec.geometry != "bases":
         return None
-    tables = half, exact = _Table(), _Table()
+    half, exact = _Table(), _Table()
     trunk: list[Pass] = []
     for layer in decoder_layers(spec, "expression"):
-        ins, outs, size = vectors(layer.in_channels), vectors(layer.out_channels), layer.size
-        weight = tensors.get(f"{layer.name}.weight")
+        ins, size = vectors(layer.in_channels), layer.size
         if layer.kind == "conv3":
-            bias = tensors[f"{layer.name}_bias.weight"]
-            trunk.append(_convolution(weight, bias, tables, HALF, is_first=not trunk))
+            weight, bias = (tensors[f"{layer.name}{part}.weight"] for part in ("", "_bias"))
+            trunk.append(_convolution(weight, bias, half, "half", is_first=not trunk))
         elif layer.kind == "conv1":
-            outs = vectors(layer.out_channels // VECTOR)
+            outs, weight = vectors(layer.out_channels // VECTOR), tensors[f"{layer.name}.weight"]
             defines = {"SIZE": size, "IN_VECTORS": ins, "WEIGHTS": half.add(_phases(weight))}
             defines["BIAS"] = half.add(_phase_biases(tensors[f"{layer.name}.bias"]))
             defines["IS_LEAKY"] = int(2 * size < spec.map_size)
@@ -135,7 +140,7 @@ def lay_out(avatar: Avatar) -> tuple[Plan, tuple[Array, Array]] | None:
                     defines=defines,
                     columns=outs * size,
                     rows=size,
-                    table=HALF,
+                    table="half",
                     multiply_adds=layer.multiply_adds,
                 )
             )
@@ -144,50 +149,52 @@ def lay_out(avatar: Avatar) -> tuple[Plan, tuple[Array, Array]] | None:
         name, own = f"level.{level}.expression", tensors.get(local_name(level))
         steps = next(n for n, step in enumerate(trunk) if step.defines["SIZE"] == level)
         weight, bias = tensors[f"{name}.weight"], tensors[f"{name}.bias"]
-        exits[level] = steps, _convolution(weight, bias, tables, EXACT, local=own)
+        exits[level] = steps, _convolution(weight, bias, exact, "exact", local=own)
     weight, mix = tensors[f"{PREFIX}weight"], tensors[f"{PREFIX}mix"]
     bases = {"IN_VECTORS": NUM_LATENT // VECTOR, "WEIGHTS": exact.add(_blocks(weight))}
     bases["BIAS"] = exact.add(_padded(tensors[f"{PREFIX}bias"], 0))
-    # Last: only these differ in number between avatars of one plan.
+    mix = _padded(mix, 0, DIRECTIONS_STEP)
     directions = {"IN_VECTORS": vectors(len(weight)), "WEIGHTS": half.add(_blocks(mix))}
-    columns = -(-len(mix) // DIRECTIONS_STEP) * DIRECTIONS_STEP // VECTOR
-    vertices = (
-        Pass(shader=DENSE, defines=bases, columns=vectors(len(weight)), rows=1, table=EXACT),
-        Pass(shader=DENSE, defines=directions, columns=columns, rows=1, table=HALF),
+    columns = (vectors(len(weight)), vectors(len(mix)))
+    sheets = {level: _sheet(avatar, level) for level in avatar.levels}
+    plan = Plan(
+        trunk=tuple(trunk),
+        exits=exits,
+        vertices=(
+            Pass(shader=DENSE, defines=bases, columns=columns[0], rows=1, table="exact"),
+            Pass(shader=DENSE, defines=directions, columns=columns[1], rows=1, table="half"),
+        ),
+        sheet_rows={level: len(mean) for level, (_, mean) in sheets.items()},
     )
-    small = half.rows().astype(np.float16)
-    if not np.array_equal(small, half.rows()):
+    numbers, scaled = half.rows(), tensors[f"{PREFIX}basis"] * np.float32(127)
+    small, codes = numbers.astype(np.float16), np.rint(scaled)
+    if not np.array_equal(small, numbers) or np.abs(codes - scaled).max() > 1e-3:
         return None
-    return Plan(trunk=tuple(trunk), exits=exits, vertices=vertices), (small, exact.rows())
+    arrays: dict[str, Array] = {"half": small, "exact": exact.rows()}
+    arrays["basis"] = _padded((codes + 128).astype(np.uint8), 0, DIRECTIONS_STEP)
+    for level, (places, mean) in sheets.items():
+        arrays |= {f"places {level}": places, f"mean {level}": mean}
+    return plan, arrays
 
 
-def sheet_of(avatar: Avatar, level: int) -> tuple[Array, FloatArray]:
-    """What a level's vertices are made of: uint16 ``[R, S, 3]``, the column of each in `basis_of`,
-    and the first and the one after the last of its rows there; and float32 ``[R, S, 3]``, the mean
-    in metres."""
+def _sheet(avatar: Avatar, level: int) -> tuple[Array, Array]:
+    """Places and means of a level's vertices."""
     vertex = avatar.sheet_places(level)
     ends = np.cumsum(avatar.tensors[RANK])
     starts = ends - avatar.tensors[RANK]
     region = vertex // REGION
     places = np.stack([vertex % REGION, starts[region], ends[region]], axis=1).astype(np.uint16)
     mean = avatar.tensors[f"{PREFIX}mean"].reshape(-1, 3)[vertex]
-    return places.reshape(-1, level, 3), mean.reshape(-1, level, 3)
-
-
-def basis_of(avatar: Avatar) -> Array:
-    """The directions of all regions ``[L, REGION, 3]``: signed bytes where those hold them, else
-    float32."""
-    basis: FloatArray = avatar.tensors[f"{PREFIX}basis"]
-    scaled = basis * np.float32(SNORM)
-    codes = np.rint(scaled)
-    return codes.astype(np.int8) if np.abs(scaled - codes).max() < 1e-3 else basis
+    both = (array.reshape(-1, level, 3) for array in (places, mean))
+    places, mean = (_padded(array, 0, SHEET_STEP) for array in both)
+    return places, mean
 
 
 def _convolution(
     weight: Array,
     bias: Array,
-    tables: tuple[_Table, _Table],
-    table: int,
+    table: _Table,
+    table_name: TableName,
     *,
     is_first: bool = False,
     local: Array | None = None,
@@ -195,29 +202,29 @@ def _convolution(
     """A 3x3 convolution with a bias for each texel, and a LeakyReLU; an exit has none, and may have
     weights of its own for each block of 2 x 2 texels."""
     (num_out, num_in), size = weight.shape[:2], bias.shape[-1]
-    defines = {"SIZE": size, "IN_VECTORS": vectors(num_in), "IS_LEAKY": int(table == HALF)}
-    defines["WEIGHTS"] = tables[table].add(_kernels(weight))
-    defines["BIAS"] = tables[table].add(_texels(bias))
+    defines = {"SIZE": size, "IN_VECTORS": vectors(num_in), "IS_LEAKY": int(table_name == "half")}
+    defines["WEIGHTS"] = table.add(_kernels(weight))
+    defines["BIAS"] = table.add(_texels(bias))
     if is_first:
         defines["FIRST"] = 1
     if local is not None:
         spread = _padded(_padded(local.reshape(*local.shape[:2], num_out, num_in), 2), 3)
         spread = spread.reshape(*local.shape[:2], vectors(num_out), VECTOR, -1, VECTOR)
-        defines["LOCAL"] = tables[table].add(spread.transpose(2, 0, 1, 4, 5, 3))
+        defines["LOCAL"] = table.add(spread.transpose(2, 0, 1, 4, 5, 3))
     return Pass(
         shader=CONVOLVE,
         defines=defines,
         columns=vectors(num_out) * size // 2,
         rows=size // 2,
-        table=table,
+        table=table_name,
         multiply_adds=(9 + (local is not None)) * num_in * num_out * size * size,
     )
 
 
-def _padded(array: Array, axis: int) -> Array:
-    """With zeros up to the next multiple of `VECTOR` along an axis."""
+def _padded(array: Array, axis: int, step: int = VECTOR) -> Array:
+    """With zeros up to the next multiple of a step along an axis."""
     edges = [(0, 0)] * array.ndim
-    edges[axis] = (0, -array.shape[axis] % VECTOR)
+    edges[axis] = (0, -array.shape[axis] % step)
     return np.pad(array, edges)
 
 

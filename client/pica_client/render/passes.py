@@ -14,6 +14,7 @@ import moderngl
 import numpy as np
 
 from pica_client.render.gpu_avatar import Body, Mesh, MeshPrograms, upload_placeholder
+from pica_client.render.gpu_maps import MapView
 from pica_client.render.gpu_program import (
     UNIT_EXPRESSION,
     UNIT_POSITION,
@@ -112,8 +113,8 @@ class DecodedHead:
     """The part of its pixels that it draws, from and to; (0, 1) is all."""
     body: Body
     mesh: Mesh
-    position: moderngl.Texture
-    expression: moderngl.Texture | None
+    position: MapView
+    expression: MapView | None
     """None for a placeholder."""
 
 
@@ -226,11 +227,12 @@ class DrawPasses:
             programs = self.mesh_programs
             program = programs.sharing if is_shared else programs.whole
             targets.surface.viewport = viewport(head.place.view)
-            head.position.use(UNIT_POSITION)
+            head.position.texture.use(UNIT_POSITION)
             set_matrix(program, "clip_from_head", head.place.matrix)
             set_values(
                 program,
                 slot=float(head.number),
+                position_rows=(head.position.first_row, head.position.num_rows),
                 shown=head.place.shown,
                 low_m=head.body.low_m,
                 high_m=head.body.high_m,
@@ -350,9 +352,11 @@ class DrawPasses:
         body = head.body
         body.bind()
         if head.expression is not None:
-            head.expression.use(UNIT_EXPRESSION)
-            is_change = head.expression.width < body.still_size
-            set_values(body.shade.program, is_change=is_change)
+            codes = head.expression.texture
+            codes.use(UNIT_EXPRESSION)
+            rows = head.expression.first_row, head.expression.num_rows, codes.height
+            is_change = codes.width < body.still_size
+            set_values(body.shade.program, expression_rows=(*rows, is_change))
         targets.textured.use()
         self._context.depth_func = ">"
         set_values(

@@ -18,7 +18,7 @@ which a head has changed since the frame before (`redraw`).
 
 Colours of avatars are sRGB values already and are stored as they come. The renderer belongs to the
 thread of its context. Nothing is allocated on the GPU but for a new size, a new avatar, or a level
-of it that is drawn for the first time.
+of it that comes for the first time.
 """
 
 from collections.abc import Sequence
@@ -30,7 +30,6 @@ import moderngl
 import numpy as np
 import numpy.typing as npt
 
-from pica_client.decode.request import Parts
 from pica_client.errors import OptionError
 from pica_client.render.draw_list import (
     DrawList,
@@ -43,7 +42,7 @@ from pica_client.render.draw_list import (
     list_heads,
 )
 from pica_client.render.gpu_avatar import WeightsPlace, upload_avatar
-from pica_client.render.gpu_maps import MapSeries
+from pica_client.render.gpu_maps import MapSeries, MapView
 from pica_client.render.gpu_program import UNIT_VISIBLE_UV, UNIT_VISIBLE_XYZ
 from pica_client.render.gpu_textured import TexturedHead
 from pica_client.render.passes import DrawPasses, RenderTargets
@@ -226,18 +225,25 @@ class Renderer(Closing):
                 series.write(array)
         entry.version = self._next_version()
 
-    def map_targets(
-        self, slot: str, level: int, parts: Parts
-    ) -> tuple[moderngl.Framebuffer | None, moderngl.Framebuffer] | None:
-        """Where a decoder in shaders is to draw a slot's maps: positions, unless they stay, and
-        expressions. They count as drawn. None where there is no avatar."""
+    def show_maps(
+        self, slot: str, level: int, positions: MapView | None, expressions: MapView
+    ) -> bool:
+        """Draw a slot with maps that are on the GPU already, and change there at will.
+
+        Args:
+            positions: None keeps those that are shown.
+
+        Returns:
+            False for a slot without an avatar.
+        """
         entry = self._slots.get(slot)
         if entry is None or entry.maps is None:
-            return None
+            return False
+        for series, view in zip(entry.maps, (positions, expressions), strict=True):
+            if view is not None:
+                series.show(level, view)
         entry.version = self._next_version()
-        positions, expressions = entry.maps
-        target = positions.target(level) if parts == "both" else None
-        return target, expressions.target(level)
+        return True
 
     def bytes_uploaded(self, slot: str) -> int:
         """Bytes of maps that went to the GPU for a slot; 0 where there is no avatar."""
@@ -371,7 +377,7 @@ class Renderer(Closing):
         """The newest maps of an avatar, positions and expressions; for tests."""
         maps = self._slots[slot].maps
         assert maps is not None  # of an avatar
-        position, expression = (series.read() for series in maps)
+        position, expression = (series.newest.read() for series in maps)
         return position[..., :POSITION_CHANNELS], expression
 
     def read_texture(self, slot: str) -> Image | None:

@@ -36,7 +36,7 @@ power of two: the shader takes remainders by its bits."""
 _INCLUDE = re.compile(r'\s*#include\s+(?:"(?P<file>[^"]*)"|(?P<name>\w+))\s*(?://.*)?$')
 _PRECISION = "".join(
     f"precision highp {kind};\n"
-    for kind in ("float", "int", "sampler2D", "sampler2DArray", "usampler2D")
+    for kind in ("float", "int", "sampler2D", "sampler2DArray", "usampler2DArray")
 )
 _NOTHING: Mapping[str, str] = MappingProxyType({})
 _CODES: Mapping[str, str] = MappingProxyType(

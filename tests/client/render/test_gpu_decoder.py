@@ -40,7 +40,7 @@ class Scene:
 
     def __init__(self, context: moderngl.Context) -> None:
         self.renderer = Renderer(context, (16, 16))
-        self.decoder = GpuDecoder(context, self.renderer.map_targets)
+        self.decoder = GpuDecoder(context, self.renderer.show_maps)
         self.avatars: dict[str, Avatar] = {}
         self._rng = np.random.default_rng(3)
 

@@ -1,14 +1,15 @@
-// One head's expression map, out of the four phases of all heads' maps.
-
-uniform int head;
-uniform int tile; // rows of a head in each phase
+// The expression maps of some heads, out of the four phases of all heads' maps.
 
 layout(location = 0) out vec4 value;
 
+#include "decode_tiles.glsl"
 #include "decode_phases.glsl"
 #include "decode_texel.glsl"
 
 void main() {
-    ivec2 texel = ivec2(gl_FragCoord.xy);
-    value = read_texel(texel, ivec2(0, tile * head));
+    ivec3 place = head_and_texel();
+    if (place.x < 0) {
+        discard;
+    }
+    value = read_texel(place.yz, ivec2(0, tile_rows / 2 * place.x));
 }

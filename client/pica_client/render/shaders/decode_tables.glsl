@@ -1,10 +1,11 @@
 // What all passes of the decoder share: the heads of a batch, and the numbers of their avatars.
 
 uniform sampler2D heads; // a row for each head: 64 texels of its latent, its view direction with the
-                         // layer of its avatar
+                         // layer of its avatar, and how far a direction of 1 moves vertices
 uniform sampler2DArray table; // a layer for each avatar
 
 const int VIEW = 64;
+const int SCALE = 65;
 
 vec4 number(int place, int avatar) {
     return texelFetch(table, ivec3(place & 1023, place >> 10, avatar), 0);
