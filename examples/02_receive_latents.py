@@ -1,4 +1,4 @@
-"""Receive the latents of somebody in a room, each when it is due.
+"""Receive the latents of a sender in a room, each when it is due.
 
 You learn the receiving half without any graphics: a `Call` knows who is there and holds their
 playout buffers, a `Receiver` runs the network for it. A latent is 8 x 8 x 4 numbers; the pose of

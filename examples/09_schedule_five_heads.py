@@ -1,4 +1,4 @@
-"""Schedule five heads within a budget: who gets which level of detail, and who is decoded anew.
+"""Schedule five heads within a budget: who gets which level of detail, and who is decoded again.
 
 You learn what a receiver decides for each drawn frame. The scheduler is pure: heads as they
 stand before the camera go in, choices come out. The less there is to spend, the smaller every

@@ -51,8 +51,8 @@ with tempfile.TemporaryDirectory() as folder:
         trainer.run(show)
         assert isinstance(trainer.model, PixelCodecAvatar)
         avatar = make_avatar(
-            trainer.model, data, name="Nobody", identity="P7", licence="Apache-2.0", model_card={}
+            trainer.model, data, name="Toy", identity="P7", licence="Apache-2.0", model_card={}
         )
-file = OUT / "nobody.pica"
+file = OUT / "toy.pica"
 save_avatar(file, avatar)
 print(f"{file.name}: {file.stat().st_size / 1e6:.2f} MB, {avatar_id(file)[:8]}")

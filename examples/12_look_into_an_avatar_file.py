@@ -1,7 +1,7 @@
 """Look into an avatar file, change its name and write it again.
 
 You learn what travels to those who see you: a manifest, and tensors of weights, maps and a mesh;
-no code. Whoever has the file has the avatar, and its SHA-256 is its name on the wire.
+no code. The file is the avatar, and its SHA-256 is its name on the wire.
 """
 
 import sys
@@ -25,8 +25,8 @@ for name, tensor in avatar.tensors.items():
 for part, size in sorted(sizes.items(), key=lambda item: -item[1]):
     print(f"{part:12} {size:9,d} numbers")
 
-renamed = replace(avatar, manifest=replace(avatar.manifest, name="Somebody"))
-copy = OUT / "somebody.pica"
+renamed = replace(avatar, manifest=replace(avatar.manifest, name="Renamed"))
+copy = OUT / "renamed.pica"
 save_avatar(copy, renamed)
 print(f"{file.name} is {avatar_id(file)[:8]}, {copy.name} is {avatar_id(copy)[:8]}")
-assert load_avatar(copy).manifest.name == "Somebody"
+assert load_avatar(copy).manifest.name == "Renamed"

@@ -1,4 +1,4 @@
-"""Write a source of one's own: a face that nods and blinks, and send it.
+"""Write your own source: a face that nods and blinks, and send it.
 
 You learn that a source is one method, `frame_at`: the face at a moment of the source's time. It
 knows no clock and never waits; the sender does the pacing. A tracker or a file is a source in

@@ -24,7 +24,7 @@ from pica_server.relay import Relay
 
 
 def datagram(frame: int) -> bytes:
-    """What Live Link Face sends at 60 a second: somebody says "aah" and shakes the head."""
+    """What Live Link Face sends at 60 a second: a person says "aah" and shakes the head."""
     values = [0.0] * 61
     values[ARKIT_INDEX["jawOpen"]] = 0.4 + 0.4 * math.sin(frame / 8)
     values[52] = 0.2 * math.sin(frame / 30)  # yaw, radians

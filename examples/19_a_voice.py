@@ -27,7 +27,7 @@ def main() -> None:
         frame = speech[index * FRAME_SAMPLES : (index + 1) * FRAME_SAMPLES]
         payload = encoder.encode(frame)
         if payload is None:
-            continue  # nobody speaks: nothing is sent
+            continue  # silence: nothing is sent
         packet = Frame(
             stream=1,
             sequence=len(arrivals),

@@ -1,7 +1,7 @@
-"""Speak and be heard: a relay, somebody with face and voice, and somebody who only listens.
+"""Speak and be heard: a relay, a sender with face and voice, and a listener.
 
 You learn how a voice travels beside a face: packets of 40 ms with the time of their capture, and
-nothing while nobody speaks.
+nothing in silence.
 """
 
 import asyncio

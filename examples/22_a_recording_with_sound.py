@@ -32,7 +32,7 @@ with Recorder(path, (64, 64), lambda: track) as recorder:
             leaves_s = BEGIN_S + 0.02 * part
             times = leaves_s + np.arange(FRAME_SAMPLES) / SAMPLE_RATE_HZ
             tone = 0.3 * np.sin(2 * np.pi * 440 * times) * (times >= TONE_S)
-            track.add("somebody", tone.astype(np.float32), leaves_s)
+            track.add("Ada", tone.astype(np.float32), leaves_s)
 
 with av.open(str(path)) as container:
     shades = [

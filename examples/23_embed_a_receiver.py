@@ -1,4 +1,4 @@
-"""Show a call in a program of one's own: its own GL context and loop, a picture for two eyes.
+"""Show a call in your own program: its own GL context and loop, a picture for two eyes.
 
 You learn which parts a program puts together, and what it does each frame. The receiver runs on a
 thread of its own and the decoders on theirs; all that touches the GPU is called by the program, on
