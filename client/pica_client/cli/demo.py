@@ -12,8 +12,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import Parameter
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.errors import CallProcessError, check_ranges
@@ -125,25 +123,19 @@ def _view_arguments(config: DemoConfig, stage: local_call.LocalCall, log: Path) 
 
 
 def _watch(config: DemoConfig, stage: local_call.LocalCall, viewer: Child) -> None:
-    """Wait for the viewer to end, looking after everybody meanwhile."""
-    begin_s = time.monotonic()
+    """Wait for the viewer to end, looking after all processes meanwhile."""
+    end_s = time.monotonic() + config.seconds + END_TIMEOUT_S
     reported: list[str] = []
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-    with Progress(
-        *columns, console=console, transient=True, disable=not console.is_terminal
-    ) as bar:
-        task = bar.add_task(f"a call of {len(stage.names)}", total=config.seconds + 4)
-        while viewer.exit_code is None:
-            stage.check()
-            for failure in stage.failures():
-                if failure not in reported:
-                    reported.append(failure)
-                    console.print(failure, style="red", highlight=False)
-            if time.monotonic() - begin_s > config.seconds + END_TIMEOUT_S:
-                raise CallProcessError(f"the viewer did not end in time: {viewer.last_words()}")
-            bar.update(task, completed=time.monotonic() - begin_s)
-            time.sleep(local_call.CHECK_INTERVAL_S)
+    say(f"a call of {len(stage.names)} for {config.seconds:g} s")
+    while viewer.exit_code is None:
+        stage.check()
+        for failure in stage.failures():
+            if failure not in reported:
+                reported.append(failure)
+                say(failure)
+        if time.monotonic() > end_s:
+            raise CallProcessError(f"the viewer did not end in time: {viewer.last_words()}")
+        time.sleep(local_call.CHECK_INTERVAL_S)
 
 
 def _stats(

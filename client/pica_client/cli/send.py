@@ -33,8 +33,8 @@ except ImportError:  # Windows
     termios = tty = None  # type: ignore[assignment]
 
 HELP: Final = "keys: M mutes the face, F freezes it, T mutes the voice, K calibrates, Q leaves"
-_LOOK_S: Final = 0.1
-"""How often news of the desk are looked for."""
+NOTICE_PERIOD_S: Final = 0.1
+"""How often notices of the desk are looked for."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -124,11 +124,9 @@ def send(options: SendOptions) -> dict[str, Any]:
         )
         loop = asyncio.get_running_loop()
         desk = FaceDesk(sender.publisher, link.name, options.source)
-        keys = SendKeys(desk, publisher, say, sender.stop)
+        keys = SendKeys(desk, publisher, sender.stop)
         with on_stop_signal(lambda: loop.call_soon_threadsafe(sender.stop)), closing(desk):
-            async with read_keys(keys, 0) as has_keys:
-                if has_keys:
-                    say(HELP)
+            async with keys.read(0):
                 result = await sender.run()
         return result, list(sender.publisher.frame_log)
 
@@ -143,19 +141,12 @@ def send(options: SendOptions) -> dict[str, Any]:
 
 
 class SendKeys:
-    """What each key does, as in the viewer: mute, freeze, calibrate, leave."""
+    """The keys of a terminal, as in the viewer: mute, freeze, calibrate, leave."""
 
     def __init__(
-        self,
-        desk: FaceDesk,
-        voice: VoicePublisher | None,
-        say: Callable[[str], None],
-        leave: Callable[[], None],
+        self, desk: FaceDesk, voice: VoicePublisher | None, leave: Callable[[], None]
     ) -> None:
-        self._desk = desk
-        self._voice = voice
-        self._say = say
-        self._leave = leave
+        self._desk, self._voice, self._leave = desk, voice, leave
 
     def press(self, key: str, now: float) -> None:
         """Do what a key means at `now`, seconds; others mean nothing."""
@@ -164,68 +155,62 @@ class SendKeys:
             case "m" | "f" as letter:
                 wanted: FaceMode = "muted" if letter == "m" else "frozen"
                 publisher.mode = "sent" if publisher.mode == wanted else wanted
-                self._say(f"your face is {publisher.mode}")
+                say(f"your face is {publisher.mode}")
             case "t" if voice is not None:
                 voice.is_muted = not voice.is_muted
-                self._say("your voice is muted" if voice.is_muted else "your voice is sent")
+                say("your voice is muted" if voice.is_muted else "your voice is sent")
             case "t":
-                self._say("no voice is sent: see --voice")
+                say("no voice is sent: see --voice")
             case "k":
                 self._desk.calibrate(now)
             case "q":
                 self._leave()
             case "?" | "h":
-                self._say(HELP)
+                say(HELP)
 
-    def handle_timer(self, now: float) -> None:
-        """Say what became of a calibration; at any time, as ten times a second."""
-        for notice in self._desk.take_notices(now):
-            self._say(notice)
+    @asynccontextmanager
+    async def read(self, terminal: int) -> AsyncIterator[None]:
+        """Take the keys of a terminal while the block runs, and leave it as it was.
 
+        A terminal that cannot be read key by key (a pipe, a service, Windows), or that belongs to
+        another job of the shell, gives none.
+        """
+        loop = asyncio.get_running_loop()
+        if termios is None or not os.isatty(terminal) or _is_in_background(terminal):
+            yield
+            return
 
-@asynccontextmanager
-async def read_keys(keys: SendKeys, terminal: int) -> AsyncIterator[bool]:
-    """Obey keys while the block runs.
+        def read() -> None:
+            pressed = b""
+            with suppress(OSError):
+                pressed = os.read(terminal, 64)
+            if not pressed:  # the terminal is gone; that alone ends no call
+                loop.remove_reader(terminal)
+            for key in pressed.decode("ascii", "ignore"):
+                self.press(key, loop.time())
 
-    Where the terminal cannot be read key by key (a pipe, a service, Windows), there are none.
+        async def tell() -> None:
+            while True:
+                for notice in self._desk.take_notices(loop.time()):
+                    say(notice)
+                await asyncio.sleep(NOTICE_PERIOD_S)
 
-    Yields:
-        Whether there are keys; the terminal is as before afterwards. Ctrl-C stays what it is.
-    """
-    loop = asyncio.get_running_loop()
-    if termios is None or not os.isatty(terminal) or _is_in_background(terminal):
-        yield False
-        return
-
-    def read() -> None:
-        pressed = b""
-        with suppress(OSError):
-            pressed = os.read(terminal, 64)
-        if not pressed:  # the terminal is gone; that alone ends no call
+        before = termios.tcgetattr(terminal)
+        tty.setcbreak(terminal)
+        loop.add_reader(terminal, read)
+        telling = asyncio.create_task(tell(), name="keys")
+        say(HELP)
+        try:
+            yield
+        finally:
+            telling.cancel()
             loop.remove_reader(terminal)
-        for key in pressed.decode("ascii", "ignore"):
-            keys.press(key, loop.time())
-
-    async def look() -> None:
-        while True:
-            keys.handle_timer(loop.time())
-            await asyncio.sleep(_LOOK_S)
-
-    before = termios.tcgetattr(terminal)
-    tty.setcbreak(terminal)
-    loop.add_reader(terminal, read)
-    looking = asyncio.create_task(look(), name="keys")
-    try:
-        yield True
-    finally:
-        looking.cancel()
-        loop.remove_reader(terminal)
-        with suppress(termios.error):
-            termios.tcsetattr(terminal, termios.TCSADRAIN, before)
+            with suppress(termios.error):
+                termios.tcsetattr(terminal, termios.TCSADRAIN, before)
 
 
 def _is_in_background(terminal: int) -> bool:
-    """Whether the system would stop us if we changed the terminal: a shell's job behind an &."""
+    """Return True if the system would stop us for changing the terminal: a job behind an &."""
     with suppress(OSError):  # it does not steer our process group
         return os.tcgetpgrp(terminal) != os.getpgrp()
     return False

@@ -16,7 +16,7 @@ from imgui_bundle import imgui
 
 from pica_client.render.seats import LAYOUTS
 from pica_client.render.views import ViewState as Orbit
-from pica_client.ui.state import OwnFace, Side, ViewState
+from pica_client.ui.state import ViewState
 from pica_client.ui.surface.style import Tone
 from pica_protocol.messages import Moderation
 
@@ -78,6 +78,10 @@ class Row:
     """What the help says of it; empty is not shown there."""
     change: Callable[[ViewState], str | None] | None = None
     """Changes the state, and may tell the user something; None: the viewer carries it out."""
+    toggle: tuple[str, object, object] | None = None
+    """A field of the state with its values while this is on, and while it is off."""
+    is_request: bool = False
+    """The viewer carries it out, and its toggle only follows."""
     repeats: bool = False
     """Holding the key does it again."""
     needs: Literal["", "face", "voice"] = ""
@@ -87,8 +91,7 @@ class Row:
     off: Look | None = None
     """Its button in the control bar; None: it has none."""
     on: Look | None = None
-    """The button while what it does is on."""
-    is_on: Callable[[ViewState], bool] = lambda state: False
+    """The button while the toggle is on; None: as before, in the accent's colour."""
 
     def is_possible(self, state: ViewState) -> bool:
         """Return True if what the action needs is being sent."""
@@ -97,7 +100,9 @@ class Row:
     def look(self, state: ViewState) -> Look:
         """Return how its button looks now."""
         assert self.off is not None
-        return self.on if self.on is not None and self.is_on(state) else self.off
+        if self.toggle is None or getattr(state, self.toggle[0]) != self.toggle[1]:
+            return self.off
+        return self.on or (*self.off[:2], "accent")
 
     @property
     def key_names(self) -> tuple[str, ...]:
@@ -115,24 +120,6 @@ KEY_NAMES = {
 """Keys that ImGui calls otherwise than people do."""
 
 
-def _own_face(wanted: OwnFace) -> Callable[[ViewState], None]:
-    """Change between this and sending the face."""
-
-    def change(state: ViewState) -> None:
-        state.own_face = "sent" if state.own_face == wanted else wanted
-
-    return change
-
-
-def _side(wanted: Side) -> Callable[[ViewState], None]:
-    """Open a panel at the right, or close it."""
-
-    def change(state: ViewState) -> None:
-        state.side = "none" if state.side == wanted else wanted
-
-    return change
-
-
 def _orbit(right: float, down: float) -> Callable[[ViewState], None]:
     def change(state: ViewState) -> None:
         state.orbit = state.orbit.orbited(right * KEY_ORBIT_PX, down * KEY_ORBIT_PX, state.limits)
@@ -145,14 +132,6 @@ def _zoom(steps: float) -> Callable[[ViewState], None]:
         state.orbit = state.orbit.zoomed(steps)
 
     return change
-
-
-def _mute_voice(state: ViewState) -> None:
-    state.own_voice = "sent" if state.own_voice == "muted" else "muted"
-
-
-def _toggle_statistics(state: ViewState) -> None:
-    state.show_statistics = not state.show_statistics
 
 
 def _unpin(state: ViewState) -> None:
@@ -208,41 +187,38 @@ ACTIONS: Final[dict[Action, Row]] = {
     Action.MUTE_VOICE: Row(
         keys=(_KEY.t,),
         title="mute own voice",
-        change=_mute_voice,
+        toggle=("own_voice", "muted", "sent"),
         needs="voice",
         off=(icons.ICON_FA_MICROPHONE, "Mute your voice", "plain"),
         on=(icons.ICON_FA_MICROPHONE_SLASH, "Let yourself be heard", "alert"),
-        is_on=lambda state: state.own_voice == "muted",
     ),
     Action.MUTE_FACE: Row(
         keys=(_KEY.m,),
         title="mute own face",
-        change=_own_face("muted"),
+        toggle=("own_face", "muted", "sent"),
         needs="face",
         off=(icons.ICON_FA_FACE_SMILE, "Hide your face", "plain"),
         on=(icons.ICON_FA_EYE_SLASH, "Show your face", "alert"),
-        is_on=lambda state: state.own_face == "muted",
     ),
     Action.FREEZE_FACE: Row(
         keys=(_KEY.f,),
         title="freeze own face",
-        change=_own_face("frozen"),
+        toggle=("own_face", "frozen", "sent"),
         needs="face",
         off=(icons.ICON_FA_SNOWFLAKE, "Freeze your face", "plain"),
         on=(icons.ICON_FA_SNOWFLAKE, "Let your face move", "accent"),
-        is_on=lambda state: state.own_face == "frozen",
     ),
     Action.CALIBRATE: Row(keys=(_KEY.k,), title="calibrate the tracker", needs="face"),
     Action.PARTICIPANTS: Row(
         keys=(_KEY.u,),
         title="participants",
-        change=_side("participants"),
+        toggle=("side", "participants", "none"),
         group=2,
         off=(icons.ICON_FA_USER_GROUP, "Participants", "plain"),
-        on=(icons.ICON_FA_USER_GROUP, "Participants", "accent"),
-        is_on=lambda state: state.side == "participants",
     ),
-    Action.STATISTICS: Row(keys=(_KEY.s,), title="statistics", change=_toggle_statistics),
+    Action.STATISTICS: Row(
+        keys=(_KEY.s,), title="statistics", toggle=("show_statistics", True, False)
+    ),
     Action.SCREENSHOT: Row(
         keys=(_KEY.p,),
         title="picture into a file",
@@ -252,29 +228,26 @@ ACTIONS: Final[dict[Action, Row]] = {
     Action.RECORD: Row(
         keys=(_KEY.v,),
         title="start or stop recording",
+        toggle=("is_recording", True, False),
+        is_request=True,
         group=1,
         off=(icons.ICON_FA_CIRCLE, "Record", "plain"),
         on=(icons.ICON_FA_SQUARE, "Stop recording", "alert"),
-        is_on=lambda state: state.is_recording,
     ),
     Action.FULL_SCREEN: Row(keys=(_KEY.f11,), title="full screen"),
     Action.SETTINGS: Row(
         keys=(_KEY.o,),
         title="settings",
-        change=_side("settings"),
+        toggle=("side", "settings", "none"),
         group=2,
         off=(icons.ICON_FA_GEAR, "Settings", "plain"),
-        on=(icons.ICON_FA_GEAR, "Settings", "accent"),
-        is_on=lambda state: state.side == "settings",
     ),
     Action.HELP: Row(
         keys=(_KEY.h, _KEY.f1),
         title="this help",
-        change=_side("help"),
+        toggle=("side", "help", "none"),
         group=2,
         off=(icons.ICON_FA_CIRCLE_QUESTION, "Help", "plain"),
-        on=(icons.ICON_FA_CIRCLE_QUESTION, "Help", "accent"),
-        is_on=lambda state: state.side == "help",
     ),
     Action.CLOSE: Row(
         keys=(_KEY.escape, _KEY.q),
@@ -295,6 +268,10 @@ def apply(request: Request, state: ViewState) -> Request | None:
         return request
     if not row.is_possible(state):
         return NO_FACE if row.needs == "face" else NO_VOICE
+    if row.toggle is not None and not row.is_request:
+        name, on, off = row.toggle
+        setattr(state, name, off if getattr(state, name) == on else on)
+        return None
     return request if row.change is None else row.change(state)
 
 

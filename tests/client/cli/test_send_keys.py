@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from helpers.toy import make_toy_avatar
-from pica_client.cli.send import SendKeys, read_keys
+from pica_client.cli.send import SendKeys
 from pica_client.publish.face_desk import FaceDesk
 from pica_client.publish.publisher import Publisher, SenderConfig
 from pica_client.sources import open_source
@@ -41,34 +41,27 @@ def terminal() -> Iterator[tuple[int, int]]:
     os.close(program)
 
 
-def test_each_key_does_what_the_help_says(desk: FaceDesk) -> None:
-    said: list[str] = []
+def test_each_key_does_what_the_help_says(
+    desk: FaceDesk, capsys: pytest.CaptureFixture[str]
+) -> None:
     source = open_voice("speech")
     assert source is not None
     voice = VoicePublisher(source)
     left: list[bool] = []
-    keys = SendKeys(desk, voice, said.append, lambda: left.append(True))
+    keys = SendKeys(desk, voice, lambda: left.append(True))
     modes = []
-    for key in "mMffm":
+    for key in "mMffmtkx":
         keys.press(key, 0.0)
         modes.append(desk.publisher.mode)
-    assert modes == ["muted", "sent", "frozen", "sent", "muted"]
-    keys.press("t", 0.0)
+    assert modes[:5] == ["muted", "sent", "frozen", "sent", "muted"]
     assert voice.is_muted
-    assert said[-1] == "your voice is muted"
-    keys.press("k", 0.0)
-    keys.handle_timer(0.1)
-    assert said[-1] == "Only a tracker is calibrated: choose one in the settings"
-    keys.press("x", 0.0)
+    assert capsys.readouterr().err.splitlines()[-1] == "your voice is muted"
+    assert desk.take_notices(0.1) == ["Only a tracker is calibrated: choose one in the settings"]
     assert not left
     keys.press("q", 0.0)
     assert left
-
-
-def test_a_mute_without_a_voice_says_how_to_send_one(desk: FaceDesk) -> None:
-    said: list[str] = []
-    SendKeys(desk, None, said.append, lambda: None).press("t", 0.0)
-    assert said == ["no voice is sent: see --voice"]
+    SendKeys(desk, None, left.clear).press("t", 0.0)
+    assert capsys.readouterr().err == "no voice is sent: see --voice\n"
 
 
 def test_keys_of_a_terminal_work_at_once_and_it_is_left_as_it_was(
@@ -77,27 +70,26 @@ def test_keys_of_a_terminal_work_at_once_and_it_is_left_as_it_was(
     user, program = terminal
     before = termios.tcgetattr(program)
 
-    async def press() -> bool:
-        heard = asyncio.Event()
-        keys = SendKeys(desk, None, lambda line: heard.set(), lambda: None)
-        async with read_keys(keys, program) as has_keys:
-            os.write(user, b"m")  # without Enter
+    async def press() -> None:
+        left = asyncio.Event()
+        async with SendKeys(desk, None, left.set).read(program):
+            os.write(user, b"mq")  # without Enter
             async with asyncio.timeout(10):
-                await heard.wait()
-        return has_keys
+                await left.wait()
 
-    assert asyncio.run(press())
+    asyncio.run(press())
     assert desk.publisher.mode == "muted"
     assert termios.tcgetattr(program) == before
 
 
-def test_a_pipe_has_no_keys(desk: FaceDesk) -> None:
+def test_a_pipe_has_no_keys(desk: FaceDesk, capsys: pytest.CaptureFixture[str]) -> None:
     reader, writer = os.pipe()
 
-    async def has_keys() -> bool:
-        async with read_keys(SendKeys(desk, None, print, lambda: None), reader) as found:
-            return found
+    async def read() -> None:
+        async with SendKeys(desk, None, lambda: None).read(reader):
+            pass
 
-    assert not asyncio.run(has_keys())
+    asyncio.run(read())
     os.close(reader)
     os.close(writer)
+    assert capsys.readouterr().err == ""
