@@ -21,7 +21,7 @@ over or handing it over raises the term, so a relay that was cut off meanwhile g
 import hashlib
 import json
 from collections.abc import Callable, Container, Iterable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from typing import Final, NamedTuple, TypeVar
 
 from pica_protocol.limits import check_url
@@ -34,6 +34,9 @@ LATE_S: Final = 0.7
 LEASE_S: Final = 2.0
 """A relay that has been silent for so long is dead (chosen: participants are to be back in their
 rooms within five seconds)."""
+FRESH_S: Final = 2.0
+"""A room that was placed on a relay counts as one of its connections for so long, beside those of
+its beats: its participants are on their way (chosen)."""
 RESERVED_S: Final = 10.0
 """A claim without participants is kept for so long: they are being redirected (chosen)."""
 REWRITE_S: Final = 200.0
@@ -96,8 +99,13 @@ _Record = TypeVar("_Record", Beat, Claim)
 class _Relay:
     beat: Beat
     heard_s: float
-    num_placed: int = 0
-    """Rooms that this relay has claimed for it since that beat."""
+    placed_s: list[float] = field(default_factory=list)
+    """When this relay placed rooms on it lately."""
+
+    def load(self, now: float) -> int:
+        """Return how many connections it has, or will have soon."""
+        self.placed_s = [at_s for at_s in self.placed_s if now - at_s < FRESH_S]
+        return self.beat.num_connections + len(self.placed_s)
 
 
 @dataclass(slots=True)
@@ -112,7 +120,6 @@ class _Place:
     """The claim of this relay while the room is here."""
     known: tuple[Claim | None, int] | None = None
     """The claim in the bucket and its revision; None: it must be read."""
-    first_known_s: float | None = None
     reserved_until_s: float = 0.0
     written_s: float = 0.0
     retry_s: float = 0.0
@@ -198,15 +205,20 @@ class Placement:
         target = self._choose(self._relays.keys() - {self._me}, now)
         if place is None or target is None or not self.is_up:
             return False
-        place.leaves_to, target.num_placed = target.beat.relay, target.num_placed + 1
+        target.placed_s.append(now)
+        place.leaves_to = target.beat.relay
         self._advance(place, now)
         return True
 
     def beat(self, url: str, num_connections: int, *, is_open: bool, now: float) -> bytes:
         """Return the beat of this relay."""
         beat = Beat(self._me, url, num_connections, is_open)
-        self._relays[self._me] = _Relay(beat, now)
+        self._hear(beat, now)
         return _encode(beat)
+
+    def _hear(self, beat: Beat, now: float) -> None:
+        relay = self._relays.setdefault(beat.relay, _Relay(beat, now))
+        relay.beat, relay.heard_s = beat, now
 
     def receive_renewed(self, now: float) -> None:
         """Note that a beat was written; if the bucket was away, read all keys again."""
@@ -233,8 +245,8 @@ class Placement:
         """Take the data that was just written to a key."""
         if key.startswith("relay."):
             beat, relay = self._decode(Beat, data), key.removeprefix("relay.")
-            if beat is not None:
-                self._relays[relay] = _Relay(beat, now)
+            if beat is not None and beat.relay == relay:
+                self._hear(beat, now)
             elif not data and relay != self._me:  # it has stopped
                 self._relays.pop(relay, None)
             return
@@ -262,11 +274,13 @@ class Placement:
         if found is None:
             place.retry_s = now + RETRY_S
         elif not place.is_overtaken:
-            place.known = self._decode(Claim, found[0]), found[1]
-            if request.data or place.first_known_s is None:
+            claim = self._decode(Claim, found[0])
+            place.known = claim, found[1]
+            if claim is not None:  # a relay that was never heard is dead some time from now
+                unknown = Beat(claim.relay, "", 0, is_open=False)
+                self._relays.setdefault(claim.relay, _Relay(unknown, now - LATE_S))
+            if request.data or not place.written_s:
                 place.written_s = now
-            if place.first_known_s is None:
-                place.first_known_s = now
             self._counts["claimed"] += bool(request.data)
         self._advance(place, now)
 
@@ -320,7 +334,7 @@ class Placement:
             self._request(place, place.own)
         elif place.has_joins:
             target = self._choose(self._relays, now) or self._relays[self._me]
-            target.num_placed += 1
+            target.placed_s.append(now)
             self._request(place, self._new_claim(target.beat.relay, 0))
 
     def _hold(self, place: _Place, claim: Claim, *, is_here: bool, now: float) -> None:
@@ -340,9 +354,8 @@ class Placement:
 
     def _follow(self, place: _Place, claim: Claim, *, is_here: bool, now: float) -> None:
         """Follow the claim of another relay, or contest it."""
-        relay = self._relays.get(claim.relay)
-        heard_s = place.first_known_s if relay is None else relay.heard_s
-        silent_s = 0.0 if heard_s is None else now - heard_s
+        relay = self._relays.get(claim.relay)  # None: it has stopped
+        silent_s = LEASE_S if relay is None else now - relay.heard_s
         if not (is_here or place.has_joins):
             return
         if silent_s >= LEASE_S:
@@ -351,14 +364,14 @@ class Placement:
         elif is_here and place.own is not None and place.own.rank < claim.rank:
             self._counts["contested"] += 1
             self._request(place, place.own)
-        elif silent_s < LATE_S and relay is not None:
+        elif relay is not None and silent_s < LATE_S:
             self._send_to(place, relay.beat.url)
 
     def _choose(self, names: Iterable[str], now: float) -> _Relay | None:
         """Return the live relay with the fewest connections that takes rooms, or None."""
         relays = [self._relays[name] for name in sorted(names, key=lambda n: (n != self._me, n))]
         takers = [r for r in relays if r.beat.is_open and now - r.heard_s < LATE_S]
-        return min(takers, key=lambda r: r.beat.num_connections + r.num_placed, default=None)
+        return min(takers, key=lambda relay: relay.load(now), default=None)
 
     def _let_in(self, place: _Place, now: float) -> None:
         place.has_joins, place.reserved_until_s = False, now + RESERVED_S
