@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import pytest
 
 from pica_client.bench.harness import Took, ratio, take_turns, times_ms
-from pica_client.errors import OptionError, check_ranges
 
 pytestmark = pytest.mark.unit
 
@@ -33,12 +30,3 @@ def test_times_are_told_in_milliseconds_and_their_spread_as_a_share() -> None:
 def test_a_ratio_compares_times_of_the_same_round() -> None:
     over, under = [Took(4.0, 0), Took(20.0, 0), Took(3.0, 0)], [Took(2.0, 0)] * 3
     assert ratio(over, under) == 2
-
-
-def test_a_setting_out_of_range_is_named_with_the_range() -> None:
-    @dataclass
-    class Config:
-        rounds: int = 0
-
-    with pytest.raises(OptionError, match="rounds is 0; 1 to 10 is allowed"):
-        check_ranges(Config(), rounds=(1, 10))

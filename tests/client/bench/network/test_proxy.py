@@ -90,14 +90,3 @@ def test_a_low_rate_makes_the_sender_wait() -> None:
     # 4 MB would take half an hour; the server is held back by the buffers between.
     asyncio.run(through(Impairment(rate_bps=160_000, delay_s=0), pour, use))
     assert written < 4_000_000
-
-
-def test_a_server_that_is_not_there_ends_the_connection() -> None:
-    async def main() -> None:
-        async with ImpairedProxy("ws://127.0.0.1:1/", Impairment()) as proxy:
-            parts = urlsplit(proxy.url)
-            reader, writer = await asyncio.open_connection(parts.hostname, parts.port)
-            assert await reader.read() == b""
-            writer.close()
-
-    asyncio.run(main())
