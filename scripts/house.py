@@ -9,7 +9,7 @@ test_lines          lines of Python in tests/
 docs_words          words of all Markdown files
 largest_folder      source files in the fullest folder of the packages, ``__init__.py`` included
 longest_file        lines of the longest Python file, of tests and scripts, too
-import_circles      groups of modules that import each other in a loop, however far around
+circle              modules that import each other in a loop, however far around
 dialect             lines with words that the field does not use; ``--words`` prints them
 
 Imports under ``if TYPE_CHECKING`` and inside functions count for circles: a loop that is only
@@ -26,6 +26,7 @@ import subprocess
 import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import Any
 
@@ -105,33 +106,13 @@ def imports_of(tree: ast.Module, modules: Iterable[str]) -> Iterator[str]:
                     yield node.module
 
 
-def circles(graph: dict[str, set[str]]) -> list[list[str]]:
-    """Return the strongly connected parts of more than one module (Tarjan 1972)."""
-    index: dict[str, int] = {}
-    low: dict[str, int] = {}
-    stack: list[str] = []
-    found = []
-
-    def visit(node: str) -> None:
-        index[node] = low[node] = len(index)
-        stack.append(node)
-        for other in sorted(graph[node]):
-            if other not in index:
-                visit(other)
-                low[node] = min(low[node], low[other])
-            elif other in stack:
-                low[node] = min(low[node], index[other])
-        if low[node] == index[node]:
-            group: list[str] = []
-            while not group or group[-1] != node:
-                group.append(stack.pop())
-            if len(group) > 1:
-                found.append(sorted(group))
-
-    for node in sorted(graph):
-        if node not in index:
-            visit(node)
-    return found
+def circle(graph: dict[str, set[str]]) -> list[str]:
+    """Return modules that import each other in a circle, if there are any."""
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        return list(error.args[1])
+    return []
 
 
 def dialect() -> list[str]:
@@ -163,10 +144,9 @@ def measure() -> dict[str, Any]:
         "docs_words": sum(len((ROOT / path).read_text().split()) for path in tracked("*.md")),
         "largest_folder": max(Counter(str(Path(path).parent) for path in production).values()),
         "longest_file": max(lines.values()),
-        "import_circles": len(circles(graph)),
         "dialect": len(dialect()),
         "rooms": {room: [rooms[room], budget] for room, (budget, _) in ROOMS.items()},
-        "circles": circles(graph),
+        "circle": circle(graph),
     }
 
 
@@ -183,7 +163,7 @@ def main() -> None:
     if parser.parse_args().json:
         print(json.dumps(counts))
         return
-    rooms, loops = counts.pop("rooms"), counts.pop("circles")
+    rooms, loop = counts.pop("rooms"), counts.pop("circle")
     rooms["sum"] = [sum(each) for each in zip(*rooms.values(), strict=True)]
     print(f"{'room':40}{'lines':>8}{'budget':>8}{'over':>8}")
     for room, (num_lines, budget) in rooms.items():
@@ -192,8 +172,7 @@ def main() -> None:
     print()
     for name, count in counts.items():
         print(f"{name:40}{count:8}")
-    for loop in loops:
-        print("circle:", ", ".join(loop))
+    print("circle:", ", ".join(loop) or "none")
 
 
 if __name__ == "__main__":

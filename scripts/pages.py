@@ -136,12 +136,19 @@ def stop(running: list[subprocess.Popen[bytes]]) -> None:
 def command_line_page() -> str:
     """Return the page: its head as it is, and the options as the code has them."""
     lines = [COMMAND_LINE.read_text().partition(MARK)[0] + MARK, ""]
+    shown: set[str] = set()
     for heading, rows in GROUPS.items():
         lines += [f"## {heading}", ""]
         for name, row in rows.items():
             lines += [f"### `pica {name}`", "", f"{row.summary()}.", ""]
             if heading != MEASUREMENTS and (options := list(_options(name))):
-                lines += [*options, ""]
+                again = [line.split()[1].strip("`") for line in options if line in shown]
+                lines += [line for line in options if line not in shown]
+                if again:
+                    also = "- As above: " + ", ".join(f"`{option}`" for option in again)
+                    lines.append(textwrap.fill(also, COLUMNS, subsequent_indent="  "))
+                lines.append("")
+                shown.update(options)
     return "\n".join(lines)
 
 

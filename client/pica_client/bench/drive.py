@@ -95,7 +95,7 @@ def run_drive_bench(config: DriveBenchConfig, avatars: Sequence[Avatar]) -> dict
     """Measure avatars, one after the other.
 
     Raises:
-        OptionError: An avatar whose head nobody can draw.
+        OptionError: An avatar whose head is not named, or not its own.
         SourceError: A source that cannot be opened.
         GraphicsError: No GL context.
     """
@@ -141,7 +141,7 @@ def _subject(config: DriveBenchConfig, avatar: Avatar) -> Subject:
     """Who can draw the truth.
 
     Raises:
-        OptionError: Nobody, or somebody with another mesh than the avatar's.
+        OptionError: None is named, or it has another mesh than the avatar.
     """
     identity = avatar.manifest.identity
     subject: Subject

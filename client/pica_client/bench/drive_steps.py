@@ -10,7 +10,7 @@
 
 A live face is looked at for the moment at which it was seen, so what is left is what smoothing does
 to it; how much later it is shown is no error here, but for the least way of a sample, 4 ms, which
-nobody can know. The tracker itself is perfect but for the offset, which is added to what the face
+is not observable. The tracker itself is perfect but for the offset, which is added to what the face
 does.
 """
 

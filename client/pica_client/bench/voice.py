@@ -47,9 +47,9 @@ from pica_core.types import Array, FloatArray
 from pica_protocol.frames import SEQUENCE_MODULUS, Frame
 
 ROOM_RMS = 0.001
-"""Noise of the room that somebody speaks in: -60 dB of full scale."""
+"""Noise of the speaker's room: -60 dB of full scale."""
 SPOKEN_RMS = 0.005
-"""Above it somebody speaks."""
+"""Above it there is speech."""
 SCORE_HZ = 16_000
 """What PESQ and STOI take."""
 FILL_S = 0.015

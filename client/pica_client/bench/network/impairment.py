@@ -14,7 +14,7 @@ Streams and datagrams. On a stream (`is_ordered`, TCP) nothing is lost and nothi
 means that a piece arrives one retransmission timeout later, and that all behind it waits. Datagrams
 are lost, doubled and overtaken.
 
-Rate. Pieces leave one after the other. What has not left yet waits with whoever sends, up to
+Rate. Pieces leave one after the other. What has not left yet waits with the sender, up to
 `queue_bytes` of it where it cannot be taken back: in socket buffers and routers.
 
 Unrealistic: no congestion control, so loss does not shrink a window and a rate is a fixed figure;

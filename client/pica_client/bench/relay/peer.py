@@ -258,7 +258,7 @@ def _connect(url: str) -> socket.socket:
             sock = ssl.create_default_context().wrap_socket(sock, server_hostname=uri.host)
     except OSError as error:
         raise RelayUnreachableError(
-            f"nobody answers at {url}: {error.strerror or error}; start one with: pica relay"
+            f"no relay answers at {url}: {error.strerror or error}; start one with: pica relay"
         ) from error
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     if hasattr(socket, "TCP_NOTSENT_LOWAT"):  # as a client does: what waits there is stale
