@@ -291,5 +291,5 @@ def test_a_token_file_that_is_not_for_the_relay_of_a_link_is_said_to_stay(
     link = relay_url.replace("ws://", "pica://") + "/fun?plain=1"
     options = replace(HEADLESS, link=link, token_file=tmp_path / "not there")
     view_calls(options, first_state(options, None, asks=False), library, without_signals)
-    line = f"token-file is not sent where the invite link leads; --url '{relay_url}' would send it"
+    line = f"token-file is not sent to {relay_url}; --url {relay_url} would send it"
     assert capsys.readouterr().err.count(line) == 1

@@ -240,5 +240,4 @@ def follow_invite(state: ViewState, link: str) -> None:
         ValueError: It is no good link.
     """
     invite = parse_link(link)
-    state.url = state.invited_url = invite.url
-    state.room, state.token = invite.room, invite.token
+    state.url, state.room, state.token = invite.url, invite.room, invite.token

@@ -140,7 +140,7 @@ class ViewOptions:
     """Write the times of every frame into this file at the end. Those of capture are on the clocks
     of the senders: less ours, they are latencies on this machine only."""
     token_file: Path | None = None
-    """File with the join token that the relay wants, see pica token."""
+    """File with the join token that the relay of --url wants, see pica token."""
     ca_file: Path | None = None
     """Trust the certificates of this PEM file instead of the system's, at a wss:// address."""
     secret_file: Path | None = None

@@ -16,7 +16,6 @@ from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
 
 from pica_client.avatars.fetch import AvatarFetcher
 from pica_client.avatars.library import AvatarLibrary
@@ -78,7 +77,7 @@ def first_state(
     """
     state = ViewState(has_seen_hint=True) if kept is None else kept.load()
     if not asks:
-        for name in ("url", "invited_url", "room", "name", "avatar", "ca_file", "secret_file"):
+        for name in ("url", "room", "name", "avatar", "ca_file", "secret_file"):
             setattr(state, name, "")
         state.source = state.voice = None
     given = {"url": options.url, "room": options.room, "name": options.name}
@@ -130,13 +129,13 @@ def _choose_sound(options: ViewOptions, state: ViewState, *, asks: bool) -> None
 def link_of(options: ViewOptions, state: ViewState) -> LinkConfig:
     """Return the connection that is asked for.
 
-    A token file is for the relay of ``--url``, or for one that the user has typed: an invite link
-    must not take its token to another relay.
+    A token file is for the relay of ``--url`` alone: an invite link must not take it to another.
 
     Raises:
         OptionError: A part of it cannot be right; names it.
     """
     url, token = state.url.strip(), state.token.strip()
+    takes_file = not token and url == (options.url or DEFAULT_URL)
     needs_ca = options.ca_file is not None or "wss://" in url
     return LinkConfig(
         url=url,
@@ -145,7 +144,7 @@ def link_of(options: ViewOptions, state: ViewState) -> LinkConfig:
         connect_timeout_s=connect_timeout_s(wait=options.wait, seconds=options.seconds),
         secret_file=_path(state.secret_file),
         token=token,
-        token_file=None if token or _withholds_token(options, state) else options.token_file,
+        token_file=options.token_file if takes_file else None,
         ca_file=_path(state.ca_file) if needs_ca else None,
         redirect_hosts=options.redirect_hosts,
     )
@@ -191,7 +190,8 @@ def view_calls(
         pool = stack.enter_context(ThreadPoolExecutor(1, thread_name_prefix="own-face"))
         while lobby is None or lobby.ask(form):
             link, face = link_of(options, state), face_of(options, state)
-            _say_token_withheld(options, state)
+            if options.token_file is not None and not link.token and link.token_file is None:
+                say(f"token-file is not sent to {link.url}; --url {link.url} would send it")
             opening = pool.submit(open_own_face, face, link, library, say)
             try:
                 if lobby is not None and not lobby.wait("Getting your avatar …", opening.done):
@@ -401,30 +401,6 @@ class Stay:
             if result.captured_us >= (begin_s + DRAIN_S) * 1e6
         ]
         return json.dumps({"shown": self._call.take_shown(), "decodes": decodes})
-
-
-def _withholds_token(options: ViewOptions, state: ViewState) -> bool:
-    """Return True if the token file is for another relay than the one that an invite link named."""
-    wanted = _origin(state.url)
-    is_invited = wanted == _origin(state.invited_url)
-    return is_invited and wanted != _origin(options.url or DEFAULT_URL)
-
-
-def _say_token_withheld(options: ViewOptions, state: ViewState) -> None:
-    if options.token_file is not None and not state.token and _withholds_token(options, state):
-        url = state.url.strip()
-        say(f"token-file is not sent where the invite link leads; --url {url!r} would send it")
-
-
-def _origin(url: str) -> tuple[str, str | None, int | None]:
-    """Return the scheme, host and port of an address, which credentials belong to; nothing of one
-    that cannot be read, which `LinkConfig` refuses."""
-    ports = {"ws": 80, "wss": 443}
-    try:
-        parts = urlsplit(url.strip())
-        return parts.scheme, parts.hostname, parts.port or ports.get(parts.scheme)
-    except ValueError:
-        return "", None, None
 
 
 def _let_go(opening: Future[OutgoingFace | None]) -> None:

@@ -67,8 +67,6 @@ class Preferences:
 
     url: str = ""
     """The relay of the last call; empty before the first."""
-    invited_url: str = ""
-    """The relay that the last invite link named: it gets no token of another's."""
     room: str = ""
     name: str = ""
     """The user's name in the call."""

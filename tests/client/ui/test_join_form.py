@@ -22,7 +22,7 @@ from pica_client.sources import open_source
 from pica_client.ui.join_form import REFUSALS, SOURCES, JoinForm, explain
 from pica_client.ui.options import ViewOptions
 from pica_client.ui.session import face_of, first_state, link_of
-from pica_client.ui.state import PreferencesFile, ViewState
+from pica_client.ui.state import ViewState
 from pica_protocol.errors import CloseCode, is_worth_retrying
 
 pytestmark = pytest.mark.unit
@@ -88,7 +88,6 @@ def test_a_typed_token_takes_the_place_of_a_token_file(tmp_path: Path) -> None:
     [
         ("wss://relay.example", "pica://evil.example/fun", False),
         ("wss://relay.example", "pica://relay.example/fun", True),
-        ("wss://relay.example", "pica://relay.example:443/fun", True),
         ("wss://relay.example", "pica://relay.example/fun?plain=1", False),
         ("wss://relay.example", "pica://relay.example:8443/fun", False),
         (None, "pica://evil.example/fun", False),
@@ -99,19 +98,6 @@ def test_an_invite_link_takes_a_token_file_to_no_other_relay(
 ) -> None:
     options = ViewOptions(url=relay, link=link, token_file=tmp_path / "token")
     assert (link_of(options, first_state(options, None, asks=False)).token_file is None) != is_sent
-
-
-def test_a_relay_that_a_link_once_named_gets_no_token_file_until_another_is_typed(
-    tmp_path: Path,
-) -> None:
-    kept = PreferencesFile(tmp_path)
-    kept.save(first_state(ViewOptions(link="pica://evil.example/fun"), kept, asks=True))
-    options = ViewOptions(token_file=tmp_path / "token")
-    state = first_state(options, kept, asks=True)
-    state.name = "Ada"
-    assert link_of(options, state).token_file is None
-    state.url = "wss://relay.example"
-    assert link_of(options, state).token_file is not None
 
 
 def test_a_certificate_file_is_for_addresses_that_use_one(tmp_path: Path) -> None:
@@ -136,7 +122,6 @@ def test_an_invite_link_in_the_first_field_fills_the_form() -> None:
     assert form.state == replace(
         FILLED,
         url="wss://relay.example",
-        invited_url="wss://relay.example",
         room="standup",
         token="abc",
         name="Ada",
