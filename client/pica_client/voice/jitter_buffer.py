@@ -10,7 +10,7 @@ there. What was captured at t should be played at
 
     t + fastest transit + delay               delay = one frame + jitter, 30 to 200 ms
 
-A delay that is no longer needed is given up slowly, in `release_s`: one that goes down in each
+A delay that is no longer needed is given up slowly, in `RELEASE_S`: one that goes down in each
 pause, and up again with the next late packet, tears more words than it saves time.
 
     what is there                            what is played                        its time
@@ -25,7 +25,7 @@ pause, and up again with the next late packet, tears more words than it saves ti
 
 In silence time is free: there the delay changes at once and by any amount. In speech it changes by
 periods of the pitch (`stretch`), and only once it is clearly wrong. After a stall speech goes on
-where it stopped and is then spoken faster, as long as it is not `leap_s` behind.
+where it stopped and is then spoken faster, as long as it is not `LEAP_S` behind.
 """
 
 import math
@@ -47,7 +47,6 @@ from pica_client.voice.packet import FRAME_SAMPLES as FRAME
 from pica_client.voice.packet import SAMPLE_RATE_HZ as RATE_HZ
 from pica_client.voice.sound.settings import Moment
 from pica_core.codec.latent_sample import ReceivedFrame
-from pica_core.errors import check_ranges
 from pica_core.types import Array, Float64Array, FloatArray
 from pica_protocol.frames import Frame
 
@@ -68,6 +67,19 @@ FLOOR_RISE = 1.01
 """How much the noise floor may rise with each frame: threefold in two seconds."""
 LOUDEST = 0.01
 """Root mean square above which no frame is quiet: -40 dB of full scale (chosen)."""
+CEILING_S = 0.2
+"""Longest delay, one frame included."""
+LEAST_JITTER_S = 0.01
+"""Jitter that is always waited for (chosen: docs/results/voice.md)."""
+JITTER_QUANTILE = 0.97
+"""Share of delays that are waited for."""
+RELEASE_S = 5.0
+"""Time in which two thirds of a delay that is no longer needed are given up."""
+LEAP_S = 0.35
+"""Speech this far behind is left out (chosen: 0.3 s are caught up in about a second)."""
+QUIET_ERROR_S, VOICED_ERROR_S = 0.003, 0.012
+"""Wrong delay that is changed in silence, and in the middle of speech (chosen: a frame of 20 ms is
+less often missed, and lips do not show it)."""
 HISTORY = 64
 """Ticks whose moment is known: 1.3 s, more than a loudspeaker's latency."""
 
@@ -87,32 +99,6 @@ class Decoder(Protocol):
 
     def decode(self, payload: bytes | None) -> FloatArray:
         """The sound of a packet; without a payload `FRAME` samples that conceal a loss."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class JitterBufferConfig:
-    """How patient a jitter buffer is."""
-
-    ceiling_s: float = 0.2
-    """Longest delay, one frame included."""
-    least_jitter_s: float = 0.01
-    """Jitter that is always waited for (chosen: docs/results.md)."""
-    jitter_quantile: float = 0.97
-    """Share of delays that are waited for."""
-    release_s: float = 5.0
-    """Time in which two thirds of a delay that is no longer needed are given up."""
-    leap_s: float = 0.35
-    """Speech this far behind is left out (chosen: 0.3 s are caught up in about a second)."""
-    quiet_error_s: float = 0.003
-    """Wrong delay that is changed in silence."""
-    voiced_error_s: float = 0.012
-    """Wrong delay that is changed in the middle of speech (chosen: a frame of 20 ms is less often
-    missed, and lips do not show it)."""
-
-    def __post_init__(self) -> None:
-        check_ranges(self, ceiling_s=(FRAME_S, 2), least_jitter_s=(0, 0.2), leap_s=(0.1, 10))
-        check_ranges(self, jitter_quantile=(0.5, 1), release_s=(0.01, 60))
-        check_ranges(self, quiet_error_s=(0.001, 1), voiced_error_s=(0.001, 1))
 
 
 @dataclass(kw_only=True, slots=True)
@@ -161,10 +147,9 @@ class JitterBuffer:
         moments_us: When each sample of the last tick was captured, sender's clock. ``[FRAME]``.
     """
 
-    def __init__(self, decoder: Decoder, config: JitterBufferConfig | None = None) -> None:
-        self.config = config = config or JitterBufferConfig()
+    def __init__(self, decoder: Decoder) -> None:
         self._decoder = decoder
-        self._sender = SenderClock(quantile=config.jitter_quantile)
+        self._sender = SenderClock(quantile=JITTER_QUANTILE)
         self._wait_s: float | None = None  # from capture to sound; the clocks' offset included
         self._report = JitterBufferReport()
         self._waiting: list[ReceivedFrame] = []  # by number; at most MAX_PACKETS
@@ -255,16 +240,15 @@ class JitterBuffer:
         What is released is the whole wait: when the fastest packets of calmer times are forgotten,
         `fastest_s` rises and `jitter_s` falls by as much, and the sound goes on unchanged.
         """
-        config = self.config
         elapsed_s, self._aimed_s = max(now - self._aimed_s, 0.0), now
-        room_s = config.ceiling_s - FRAME_S
+        room_s = CEILING_S - FRAME_S
         begin_s = transit.fastest_s + FRAME_S
         needed_s = begin_s + min(transit.jitter_s, room_s)
-        enough_s = begin_s + min(max(transit.jitter_s, config.least_jitter_s), room_s)
+        enough_s = begin_s + min(max(transit.jitter_s, LEAST_JITTER_S), room_s)
         if self._wait_s is None:
             self._wait_s = enough_s
         excess_s = max(self._wait_s - enough_s, 0.0)
-        released_s = excess_s * (1 - math.exp(-elapsed_s / config.release_s))
+        released_s = excess_s * (1 - math.exp(-elapsed_s / RELEASE_S))
         self._wait_s = max(self._wait_s - released_s, needed_s)
 
     def _place(self, received: ReceivedFrame) -> None:
@@ -288,7 +272,7 @@ class JitterBuffer:
 
     def _leap(self, should_s: float) -> None:
         """Leave out what is far too old, if there is something newer."""
-        if not self._waiting or self._behind(should_s) <= self.config.leap_s:
+        if not self._waiting or self._behind(should_s) <= LEAP_S:
             return
         while len(self._waiting) > 1 and self._waiting[0].media_s + self._packet_s <= should_s:
             self._report.lost += 1
@@ -405,8 +389,7 @@ class JitterBuffer:
         sound = self._fifo[0, : stretch.NEEDED]
         is_quiet = self._sounds_quiet(float(np.sqrt(np.mean(np.square(sound)))))
         self._rest_ticks -= 1
-        config = self.config
-        least_s = config.quiet_error_s if is_quiet else config.voiced_error_s
+        least_s = QUIET_ERROR_S if is_quiet else VOICED_ERROR_S
         if abs(behind_s) < least_s or (self._rest_ticks > 0 and not is_quiet):
             return
         if behind_s > 0 and self._fifo.shape[1] < FRAME + stretch.MIN_LAG:
