@@ -52,7 +52,6 @@ class CallSound:
             if wanted.is_heard:
                 self._talked_s = now
             ends_softly = wanted.own_voice == "sent" and now - self._talked_s < TAIL_S
-            self._own.keeps_preroll = wanted.own_voice == "sent" and wanted.sound.push_to_talk
             self._own.is_muted = not (wanted.is_heard or ends_softly)
         if self._sound is None:
             return ""

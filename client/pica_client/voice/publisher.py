@@ -3,12 +3,10 @@ each.
 
 While it is muted, or its speaker silent, nothing is sent. A mute lets the frame that was begun go
 out, and then one of nothing, which brings out what the encoder held back; nothing that was captured
-later leaves this machine or is kept on it. Push-to-talk differs: there the last `PREROLL_FRAMES`
-are held while the key is up, and go out, in front of what follows, once it is pressed.
+later leaves this machine or is kept on it.
 """
 
 import asyncio
-from collections import deque
 from collections.abc import AsyncIterator, Callable
 from typing import Any, Final, Protocol
 
@@ -29,8 +27,6 @@ from pica_protocol.session import ClientEvent
 
 BITRATE_BPS: Final = 24_000
 """Bits a second while somebody speaks."""
-PREROLL_FRAMES: Final = 6
-"""What is sent of the time before a key was pressed to talk: 120 ms (chosen: three pictures)."""
 _NOTHING: Final = np.zeros(FRAME_SAMPLES, np.float32)
 _GAP_US: Final = FRAME_US // 2
 """Between the end of a packet and the beginning of the next; more is a silence."""
@@ -55,7 +51,6 @@ class VoicePublisher:
         is_muted_by_admin: Whether an admin has stopped the stream.
         level: Of the last frame that was captured for sending, see `level_of`; None: muted.
         listeners: Take what is captured and not muted: samples, and when the first was captured.
-        keeps_preroll: Whether a mute is the key of push-to-talk, which was not pressed yet.
     """
 
     def __init__(self, source: VoiceSource, *, is_sealed: bool = False) -> None:
@@ -72,8 +67,6 @@ class VoicePublisher:
         self.is_muted = self.is_muted_by_admin = False
         self.level: int | None = None
         self.listeners: list[Callable[[FloatArray, int], None]] = []
-        self.keeps_preroll = False
-        self._preroll: deque[tuple[FloatArray, int]] = deque(maxlen=PREROLL_FRAMES)
         self._source = source
         self._encoder = OpusEncoder(BITRATE_BPS, is_constant=is_sealed)
         self._stream = 0
@@ -108,21 +101,13 @@ class VoicePublisher:
             link.describe(VOICE_KEY, reason)
         if is_muted and self._was_muted:
             self.level = None
-            if self.keeps_preroll:
-                self._preroll.append((pcm, captured_us))
-            else:
-                self._preroll.clear()
             return
-        frames = [(_NOTHING if is_muted else pcm, captured_us)]
         if not is_muted and self._was_muted:
             self._encoder.reset()
-            frames = [*self._preroll, *frames]
-            self._preroll.clear()
         self._was_muted = is_muted
-        for frame in frames:
-            for listen in () if is_muted else tuple(self.listeners):
-                listen(*frame)
-            self._send(link, *frame, is_last=is_muted)
+        for listen in () if is_muted else tuple(self.listeners):
+            listen(pcm, captured_us)
+        self._send(link, _NOTHING if is_muted else pcm, captured_us, is_last=is_muted)
 
     def _send(self, link: Link, pcm: FloatArray, captured_us: int, *, is_last: bool) -> None:
         if not link.is_joined:
