@@ -10,7 +10,7 @@ import random
 from pica_client.voice.mixer import VoiceMixer
 from pica_client.voice.opus import OpusDecoder, OpusEncoder, available
 from pica_client.voice.packet import FRAME_S, FRAME_SAMPLES
-from pica_client.voice.wav import shipped_speech
+from pica_client.voice.source import shipped_speech
 from pica_protocol.frames import Frame
 
 SECONDS = 7

@@ -17,8 +17,7 @@ from pica_client.transport.config import LinkConfig
 from pica_client.voice.opus import OpusDecoder
 from pica_client.voice.packet import level_of
 from pica_client.voice.publisher import VoicePublisher
-from pica_client.voice.source import SoundSource
-from pica_client.voice.wav import shipped_speech
+from pica_client.voice.source import SoundSource, shipped_speech
 from pica_core.avatar.file import avatar_id, load_avatar
 from pica_core.avatar.shipped import shipped_avatar_files
 from pica_protocol.frames import Frame

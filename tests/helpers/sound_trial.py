@@ -9,7 +9,7 @@ from pica_client.voice.opus import OpusEncoder
 from pica_client.voice.packet import FRAME_S, FRAME_SAMPLES, MAX_LEVEL
 from pica_client.voice.sound.process import SoundProcess
 from pica_client.voice.sound.settings import SoundSettings
-from pica_client.voice.wav import shipped_speech
+from pica_client.voice.source import shipped_speech
 from pica_core.types import FloatArray
 from pica_protocol.frames import Frame
 

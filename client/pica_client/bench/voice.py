@@ -41,7 +41,7 @@ from pica_client.voice.packet import (
 )
 from pica_client.voice.packet import FRAME_SAMPLES as FRAME
 from pica_client.voice.packet import SAMPLE_RATE_HZ as RATE_HZ
-from pica_client.voice.wav import resampled, shipped_speech
+from pica_client.voice.source import resampled, shipped_speech
 from pica_core.avatar.file import Avatar
 from pica_core.types import Array, FloatArray
 from pica_protocol.frames import SEQUENCE_MODULUS, Frame

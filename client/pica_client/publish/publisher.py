@@ -22,8 +22,8 @@ from pica_client.stats import Samples
 from pica_client.tracks import FACE_KEY, FACE_LOST, FACE_TRACK, FaceMode
 from pica_client.transport.link import Link
 from pica_client.transport.timers import wait_until
+from pica_client.voice.mouth import SpokenFace
 from pica_client.voice.publisher import VoicePublisher
-from pica_client.voice.spoken_face import SpokenFace
 from pica_core.avatar.arkit import ExpressionFrame
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar

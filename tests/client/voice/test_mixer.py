@@ -2,9 +2,8 @@ import numpy as np
 import pytest
 
 from helpers.spoken import SpokenDecoder, hum, packet, usual_arrival_s
-from pica_client.voice.mixer import MAX_VOICES, VoiceMixer, limit
+from pica_client.voice.mixer import FARTHER_SAMPLES, MAX_VOICES, VoiceMixer, limit
 from pica_client.voice.packet import FRAME_SAMPLES, SAMPLE_RATE_HZ
-from pica_client.voice.spatial import Placed, delay_s, ear_taps
 from pica_core.types import FloatArray
 
 pytestmark = pytest.mark.unit
@@ -25,33 +24,24 @@ def mixer_of(sound: FloatArray) -> VoiceMixer:
     return VoiceMixer(lambda: SpokenDecoder(sound))
 
 
-def test_the_farther_ear_hears_later_by_what_woodworth_says():
-    assert delay_s(np.pi / 2) == pytest.approx(0.00066, abs=2e-5)
-    sound = np.random.default_rng(0).standard_normal(FRAME_SAMPLES)
-    both = Placed().place(sound, np.pi / 4)
-    lags = np.correlate(both[:, 0], both[:, 1], "full")
-    late = int(np.argmax(lags)) - (FRAME_SAMPLES - 1)
-    assert late == pytest.approx(delay_s(np.pi / 4) * SAMPLE_RATE_HZ, abs=2)
-
-
-def test_the_farther_ear_hears_high_tones_less_than_low_ones():
-    left, right = ear_taps(np.pi / 2)
-    gains = np.abs(np.fft.rfft(left, 4096)) / np.abs(np.fft.rfft(right, 4096))
-    bins = np.array([300, 8000]) * 4096 // SAMPLE_RATE_HZ
-    assert 0.5 < gains[bins[0]] < 0.8
-    assert gains[bins[1]] < 0.4
-
-
-def test_a_voice_in_front_sounds_the_same_in_both_ears():
-    left, right = ear_taps(0.0)
-    assert np.abs(left - right).max() < 0.1
+def test_the_farther_ear_hears_later_and_softer():
+    mixer = mixer_of(np.random.default_rng(0).standard_normal(3 * SAMPLE_RATE_HZ) / 10)
+    mixer.seat({"ann": -np.pi / 4})
+    left, right = heard(mixer, ["ann"])[:FRAME_SAMPLES].T
+    lags = np.correlate(right, left, "full")
+    assert int(np.argmax(lags)) - (FRAME_SAMPLES - 1) == round(FARTHER_SAMPLES * np.sqrt(0.5))
+    assert np.std(right) == pytest.approx(0.65 * np.std(left), rel=0.05)
 
 
 def test_a_voice_that_moves_makes_no_click():
-    sound, placed = hum(0.1), Placed()
-    frames = sound[: 4 * FRAME_SAMPLES].reshape(4, -1)
-    both = [placed.place(each, where) for each, where in zip(frames, (0, 0, 1.2, 1.2), strict=True)]
-    steps = np.abs(np.diff(np.concatenate(both), axis=0))
+    sound = hum(3)
+    mixer = mixer_of(sound)
+    sounds = []
+    for index in range(100):
+        mixer.receive("ann", packet(index), usual_arrival_s(index))
+        mixer.seat({"ann": 1.2 * (index >= 50)})
+        sounds.append(mixer.mix(usual_arrival_s(index) + 0.001))
+    steps = np.abs(np.diff(np.concatenate(sounds[30:]), axis=0))
     assert steps.max() < 1.5 * np.abs(np.diff(sound)).max()
 
 
@@ -108,7 +98,7 @@ def test_the_mix_is_handed_on_as_it_leaves_the_loudspeaker():
 def test_an_echo_of_what_is_played_is_taken_out_of_the_microphone():
     pytest.importorskip("livekit", reason="extra echo")
     from pica_client.voice.sound.echo import EchoCanceller
-    from pica_client.voice.wav import shipped_speech
+    from pica_client.voice.source import shipped_speech
 
     speech = shipped_speech()[: 4 * SAMPLE_RATE_HZ]
     echo = np.zeros_like(speech)

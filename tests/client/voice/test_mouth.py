@@ -15,10 +15,12 @@ from pica_client.voice.mouth import (
     MOUTH,
     NUM_BANDS,
     SAMPLE_RATE,
+    SEAM_S,
+    SILENT_AFTER_S,
     MouthFromVoice,
     SpeechFeatures,
+    SpokenFace,
 )
-from pica_client.voice.spoken_face import SEAM_S, SILENT_AFTER_S, SpokenFace
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES, ExpressionFrame
 from pica_core.types import FloatArray
 

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from pica_client.errors import SourceError
-from pica_client.voice.source import open_voice
-from pica_client.voice.wav import MAX_SECONDS, read_wav
+from pica_client.voice.source import MAX_SECONDS, open_voice, read_wav
 
 pytestmark = pytest.mark.unit
 

@@ -19,7 +19,7 @@ from pica_client.voice.mixer import VoiceMixer
 from pica_client.voice.opus import OpusDecoder
 from pica_client.voice.packet import SAMPLE_RATE_HZ
 from pica_client.voice.sound.devices import Loudspeaker, Microphone, speakers
-from pica_client.voice.wav import shipped_speech
+from pica_client.voice.source import shipped_speech
 
 
 async def captured(name: str, seconds: float) -> tuple[np.ndarray, list[int], str]:
