@@ -3,18 +3,17 @@ baseline.
 
 The layout of the drawings is that of the paper's Table 3: one head before a square eye buffer. A
 drawing is all that the viewer draws but texts; reading the image back is not in it. What it does
-not show: several heads (`pica bench scene`), other execution providers than the one chosen.
+not show: several heads (`pica bench scene`), decoding in shaders.
 """
 
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import moderngl
 import numpy as np
-from cyclopts import Parameter
 
 from pica_client.bench.harness import (
     Floats,
@@ -27,7 +26,7 @@ from pica_client.bench.harness import (
     times_ms,
 )
 from pica_client.bench.head import check_distances, front_camera, gl_context
-from pica_client.decode.decoder import BaselineDecoder, OnnxDecoder, OnnxOptions
+from pica_client.decode.decoder import BaselineDecoder, OnnxDecoder
 from pica_client.decode.onnx_runtime import onnxruntime
 from pica_client.decode.request import Parts
 from pica_client.errors import OptionError, check_ranges
@@ -48,18 +47,6 @@ SOURCE, SOURCE_S = "performance:talk", 30.0
 WARM_UP_ROUNDS = 3
 AHEAD = np.array([0, 0, 1], np.float32)
 
-Provider = Annotated[
-    OnnxOptions,
-    Parameter(
-        name="provider",
-        converter=lambda _, tokens: OnnxOptions.for_provider(tokens[0].value),
-        n_tokens=1,
-        accepts_keys=False,
-        metavar="NAME",
-        show_default=lambda options: options.provider,
-    ),
-]
-
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DecodeBenchConfig:
@@ -75,8 +62,6 @@ class DecodeBenchConfig:
     """Rows and columns of the image, pixels."""
     seed: int = 0
     """Seed of the baseline's random weights."""
-    onnx: Provider = field(default_factory=OnnxOptions)
-    """ONNX Runtime execution provider, as NAME or NAME:key=value,key=value."""
 
     def __post_init__(self) -> None:
         check_ranges(self, rounds=(1, 10_000), seed=(0, 2**32))
@@ -105,7 +90,6 @@ def run_decode_bench(config: DecodeBenchConfig, avatar: Avatar) -> dict[str, Any
     """Measure an avatar's decoders and the drawing of its head.
 
     Raises:
-        OptionError: The provider is not available.
         GraphicsError: No GL context.
     """
     with gl_context() as context:
@@ -148,9 +132,8 @@ class _Bench:
         baseline: BaselineDecoder | None = None
         decoder: OnnxDecoder | None = None
         for threads in self._config.threads:
-            onnx = replace(self._config.onnx, threads=threads)
-            decoder = OnnxDecoder(self._avatar, onnx)
-            baseline = BaselineDecoder(self._baseline, onnx)
+            decoder = OnnxDecoder(self._avatar, threads)
+            baseline = BaselineDecoder(self._baseline, threads)
             for level in self._avatar.levels:
                 for parts in all_parts:
                     decoder.prepare(level, parts)

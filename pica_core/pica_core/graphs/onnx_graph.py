@@ -5,15 +5,14 @@
                                                    expression_map [S, S, 4]
     decoder_graph(avatar, level=64)             the same, left at an early exit; its position map is
                                                 the sheet of its vertices, [R, S, 3]
-    decoder_graph(avatar, parts="expression")   one map alone; "geometry" needs no view_direction
+    decoder_graph(avatar, positions=False)      the expression map alone
 
-The decoders are the layers of `decoder_layers`, one chain each, in one graph at opset 17.
-`plain=True` writes them as they stand. The default graph computes the same function, rearranged for
-ONNX Runtime's CPU kernels. One thread of AVX-512, both maps, in one run on a busy machine
-(`docs/architecture.md` has more; H2 gains nothing):
+The decoders are the layers of `decoder_layers`, one chain each, in one graph at opset 17,
+rearranged for ONNX Runtime's CPU kernels. One thread of AVX-512, both maps, in one run on a busy
+machine (`docs/architecture.md` has more; H2 gains nothing):
 
     level                                    64      128     256
-    plain                                    1.21    3.55    6.08 ms
+    layers as they stand                     1.21    3.55    6.08 ms
     expansions as transposed convolutions    0.72    2.11    3.13 ms
     and 3x3 convolutions turned round        0.59    1.63    2.23 ms
 
@@ -30,33 +29,43 @@ ONNX Runtime's CPU kernels. One thread of AVX-512, both maps, in one run on a bu
 - A map is reshaped before its last transpose, not after: a reshape that makes an output is a copy.
 """
 
-from typing import Literal
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
-from pica_core.avatar.decoder_layers import Layer, decoder_layers, trunk_layers
+from pica_core.avatar.decoder_layers import Layer, LayerKind, decoder_layers, trunk_layers
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.level_tensors import local_name, spread_local
+from pica_core.avatar.linear import PREFIX as LINEAR_PREFIX
+from pica_core.avatar.linear import RANK, REGION, components_of
 from pica_core.avatar.spec import LEAKY_SLOPE, POSITION_CHANNELS, VIEW_CHANNELS
-from pica_core.graphs.bases_graph import bases_graph
 from pica_core.graphs.graph_builder import GraphBuilder, Shape
-from pica_core.latent import LATENT_SHAPE, LATENT_SIZE
+from pica_core.latent import LATENT_SHAPE, LATENT_SIZE, NUM_LATENT
 from pica_core.types import Array
 
 TURN_CONVOLUTION_SIZE = 64
 """Rows from which on a narrowing 3x3 convolution is written as a transposed one."""
 
-Parts = Literal["both", "expression", "geometry"]
+RANK_STEP = 4
+"""Regions of about one rank are multiplied together, ranks filled up to multiples of this with
+directions that are 0: a product of its own for each of a hundred regions would cost more in calls
+than in arithmetic."""
+
+_OPERATORS: dict[LayerKind, tuple[str, dict[str, Any]]] = {
+    "conv3": ("Conv", {"pads": [1] * 4}),
+    "deconv4": ("ConvTranspose", {"strides": [2, 2], "pads": [1] * 4}),
+    "untied_bias": ("Add", {}),
+    "untied_gain": ("Mul", {}),
+}
 
 
-def decoder_graph(
-    avatar: Avatar, *, level: int | None = None, parts: Parts = "both", plain: bool = False
-) -> bytes:
+def decoder_graph(avatar: Avatar, *, level: int | None = None, positions: bool = True) -> bytes:
     """The per-object decoders as one ONNX model.
 
     Args:
         level: One of `avatar.levels`; None for the full one.
-        plain: Write the layers as they stand, one operator each; the judge of the rearranged graph.
+        positions: Make the position map, too.
 
     Returns:
         Serialised model; inputs and outputs as in the module's text, float32, channel-last.
@@ -70,50 +79,41 @@ def decoder_graph(
         raise ValueError(f"level is {size}; this avatar has {known}")
     graph = GraphBuilder()
     grid = graph.add("Transpose", "latent", perm=[0, 3, 1, 2])
-    inputs: dict[str, Shape] = {"latent": [1, *LATENT_SHAPE]}
+    inputs: dict[str, Shape] = {"latent": [1, *LATENT_SHAPE], "view_direction": [1, VIEW_CHANNELS]}
     outputs: dict[str, Shape] = {}
-    arrange = _plain if plain else _fast
-    if parts != "expression":
-        if avatar.spec.geometry == "bases":
-            bases_graph(graph, avatar, size, plain=plain)
-        else:
-            _position_map(graph, avatar, size, grid, plain=plain)
+    if positions:
+        add = _bases if avatar.spec.geometry == "bases" else _position_map
+        add(graph, avatar, size, grid)
         outputs["position_map"] = [avatar.position_rows(size), size, POSITION_CHANNELS]
-    if parts != "geometry":
-        inputs["view_direction"] = [1, VIEW_CHANNELS]
-        view = graph.add("Reshape", "view_direction", graph.sizes(1, VIEW_CHANNELS, 1, 1))
-        tiled = graph.add("Expand", view, graph.sizes(1, VIEW_CHANNELS, LATENT_SIZE, LATENT_SIZE))
-        trunk, last, tensors = _expression(avatar, size)
-        found = arrange(graph, trunk, tensors, graph.add("Concat", grid, tiled, axis=1))
-        value = arrange(graph, last, tensors, found)
-        channels = avatar.spec.expression_channels
-        if local_name(size) in tensors:  # what each block of texels adds by weights of its own
-            own = graph.floats(spread_local(tensors[local_name(size)], channels))
-            weighed = graph.add("Mul", found, own)
-            added = graph.add("ReduceSum", weighed, graph.sizes(1), keepdims=0)
-            value = graph.add("Add", value, added)
-        _channel_last(graph, value, size, channels, output="expression_map")
-        outputs["expression_map"] = [size, size, channels]
+    view = graph.add("Reshape", "view_direction", graph.sizes(1, VIEW_CHANNELS, 1, 1))
+    tiled = graph.add("Expand", view, graph.sizes(1, VIEW_CHANNELS, LATENT_SIZE, LATENT_SIZE))
+    trunk, last, tensors = _expression(avatar, size)
+    found = _chain(graph, trunk, tensors, graph.add("Concat", grid, tiled, axis=1))
+    value = _chain(graph, last, tensors, found)
+    channels = avatar.spec.expression_channels
+    if local_name(size) in tensors:  # what each block of texels adds by weights of its own
+        own = graph.floats(spread_local(tensors[local_name(size)], channels))
+        weighed = graph.add("Mul", found, own)
+        added = graph.add("ReduceSum", weighed, graph.sizes(1), keepdims=0)
+        value = graph.add("Add", value, added)
+    _channel_last(graph, value, size, channels, output="expression_map")
+    outputs["expression_map"] = [size, size, channels]
     return graph.serialise(inputs, outputs)
 
 
-def _position_map(
-    graph: GraphBuilder, avatar: Avatar, size: int, grid: str, *, plain: bool
-) -> None:
-    """The geometry decoder, plain or with the scale in its last weights and, at the full level,
-    the bias of its last layer in the mean."""
-    arrange = _plain if plain else _fast
+def _position_map(graph: GraphBuilder, avatar: Avatar, size: int, grid: str) -> None:
+    """The geometry decoder with the scale in its last weights and, at the full level, the bias of
+    its last layer in the mean."""
     tensors, scale = dict(avatar.tensors), np.float64(avatar.manifest.position_scale_m)
     if size != avatar.spec.map_size:
         mean = tensors[f"level.{size}.geometry.mean"]
-        value = arrange(graph, trunk_layers(avatar.spec, "geometry", size), tensors, grid)
-        value = _weigh_per_vertex(graph, avatar, size, value, fold=not plain)
+        value = _chain(graph, trunk_layers(avatar.spec, "geometry", size), tensors, grid)
+        value = _weigh_per_vertex(graph, avatar, size, value)
     else:
         mean, layers = tensors["geometry.mean"], decoder_layers(avatar.spec, "geometry")
         last = [layer for layer in layers if layer.tensor_shapes()][-1]
-        if not plain:
-            tensors[f"{last.name}.weight"] = tensors[f"{last.name}.weight"] * scale
-        if not plain and last.has_bias:
+        tensors[f"{last.name}.weight"] = tensors[f"{last.name}.weight"] * scale
+        if last.has_bias:
             bias = f"{last.name}.bias"
             offset = tensors[bias] * scale
             tensors[bias] = np.zeros_like(tensors[bias])
@@ -121,9 +121,7 @@ def _position_map(
                 phases = offset.reshape(-1, 2, 2).transpose(1, 2, 0)
                 offset = np.tile(phases, (size // 2, size // 2, 1))
             mean = mean.astype(np.float64) + offset
-        value = _channel_last(graph, arrange(graph, layers, tensors, grid), size, POSITION_CHANNELS)
-    if plain:
-        value = graph.add("Mul", value, graph.floats(scale))
+        value = _channel_last(graph, _chain(graph, layers, tensors, grid), size, POSITION_CHANNELS)
     graph.add("Add", value, graph.floats(mean), output="position_map")
 
 
@@ -140,17 +138,14 @@ def _expression(avatar: Avatar, size: int) -> tuple[list[Layer], list[Layer], di
     return trunk_layers(avatar.spec, "expression", size), [last, bias], tensors
 
 
-def _weigh_per_vertex(
-    graph: GraphBuilder, avatar: Avatar, size: int, value: str, *, fold: bool
-) -> str:
+def _weigh_per_vertex(graph: GraphBuilder, avatar: Avatar, size: int, value: str) -> str:
     """The geometry's exit: for every vertex its own product of weights and trunk, ``[R, S, 3]``."""
     prefix = f"level.{size}.geometry"
     texel, weight = avatar.tensors[f"{prefix}.texel"], avatar.tensors[f"{prefix}.weight"]
     rows, num_slots, num_texels = len(texel), texel.shape[0] * size, texel.shape[2]
     weight = weight.reshape(num_slots, POSITION_CHANNELS, -1, num_texels).transpose(1, 3, 2, 0)
     weight = weight.reshape(POSITION_CHANNELS, -1, num_slots)
-    if fold:
-        weight = weight * np.float64(avatar.manifest.position_scale_m)
+    weight = weight * np.float64(avatar.manifest.position_scale_m)
     inputs = weight.shape[1]
     # A lookup copies all channels of a texel at once; products and sums run along the vertices.
     planes = graph.add("Reshape", value, graph.sizes(inputs // num_texels, size * size))
@@ -172,42 +167,25 @@ def _channel_last(
     return graph.add("Transpose", planes, perm=[1, 2, 0], output=output)
 
 
-def _plain(graph: GraphBuilder, layers: list[Layer], tensors: dict[str, Array], value: str) -> str:
+def _chain(graph: GraphBuilder, layers: list[Layer], tensors: dict[str, Array], value: str) -> str:
     for layer in layers:
-        weights = [graph.floats(tensors[name]) for name in layer.tensor_shapes()]
-        match layer.kind:
-            case "conv3" | "conv1":
-                edge = 1 if layer.kind == "conv3" else 0
-                value = graph.add("Conv", value, *weights, pads=[edge] * 4)
-            case "deconv4":
-                value = graph.add("ConvTranspose", value, *weights, strides=[2, 2], pads=[1] * 4)
-            case "untied_bias":
-                value = graph.add("Add", value, *weights)
-            case "untied_gain":
-                value = graph.add("Mul", value, *weights)
-            case "leaky_relu":
-                value = graph.add("LeakyRelu", value, alpha=LEAKY_SLOPE)
-            case "pixel_shuffle":
-                value = graph.add("DepthToSpace", value, blocksize=2, mode="CRD")
-    return value
-
-
-def _fast(graph: GraphBuilder, layers: list[Layer], tensors: dict[str, Array], value: str) -> str:
-    for layer, following in zip(layers, [*layers, None][1:], strict=True):
         weights = [tensors[name] for name in layer.tensor_shapes()]
+        is_narrowing = layer.out_channels < layer.in_channels
         match layer.kind:
-            case "conv3" if (
-                layer.size >= TURN_CONVOLUTION_SIZE and layer.out_channels < layer.in_channels
-            ):
+            case "conv3" if is_narrowing and layer.size >= TURN_CONVOLUTION_SIZE:
                 turned = weights[0][:, :, ::-1, ::-1].transpose(1, 0, 2, 3)
-                bias = [graph.floats(array) for array in weights[1:]]
-                value = graph.add("ConvTranspose", value, graph.floats(turned), *bias, pads=[1] * 4)
-            case "conv1" if following is not None and following.kind == "pixel_shuffle":
+                constants = [graph.floats(array) for array in (turned, *weights[1:])]
+                value = graph.add("ConvTranspose", value, *constants, pads=[1] * 4)
+            case "conv1":  # a pixel shuffle follows
                 value = _expand_and_shuffle(graph, layer, weights, value)
             case "pixel_shuffle":
                 pass
+            case "leaky_relu":
+                value = graph.add("LeakyRelu", value, alpha=LEAKY_SLOPE)
             case _:
-                value = _plain(graph, [layer], tensors, value)
+                operator, attributes = _OPERATORS[layer.kind]
+                constants = [graph.floats(array) for array in weights]
+                value = graph.add(operator, value, *constants, **attributes)
     return value
 
 
@@ -222,3 +200,55 @@ def _expand_and_shuffle(graph: GraphBuilder, layer: Layer, weights: list[Array],
         value = graph.add("Concat", value, ones, axis=1)
         kernel = np.concatenate([kernel, bias])
     return graph.add("ConvTranspose", value, graph.floats(kernel), strides=[2, 2])
+
+
+def _bases(graph: GraphBuilder, avatar: Avatar, size: int, _: str) -> None:
+    """Vertices by a few products of matrices."""
+    tensors, scale_m = avatar.tensors, avatar.manifest.position_scale_m
+    flat = graph.add("Reshape", "latent", graph.sizes(1, NUM_LATENT))
+    weight, bias = (graph.floats(tensors[f"{LINEAR_PREFIX}{part}"]) for part in ("weight", "bias"))
+    weights = graph.add("Gemm", flat, weight, bias, transB=1)
+    rows = avatar.position_rows(size)
+    if size == avatar.spec.map_size:
+        moved = _by_regions(graph, tensors, scale_m, weights)
+        mean = tensors[f"{LINEAR_PREFIX}mean"]
+    else:
+        places = avatar.sheet_places(size)
+        whole = components_of(tensors, scale_m, places)
+        mean = tensors[f"{LINEAR_PREFIX}mean"].reshape(-1, POSITION_CHANNELS)[places]
+        moved = graph.add("MatMul", weights, graph.floats(whole.reshape(len(whole), -1)))
+    moved = graph.add("Reshape", moved, graph.sizes(rows, size, POSITION_CHANNELS))
+    mean = mean.reshape(rows, size, POSITION_CHANNELS)
+    graph.add("Add", moved, graph.floats(mean), output="position_map")
+
+
+def _by_regions(
+    graph: GraphBuilder, tensors: Mapping[str, Array], scale_m: float, weights: str
+) -> str:
+    rank, mix, basis = (
+        tensors[RANK],
+        tensors[f"{LINEAR_PREFIX}mix"],
+        tensors[f"{LINEAR_PREFIX}basis"],
+    )
+    starts = np.cumsum(rank) - rank
+    filled = -(-rank // RANK_STEP) * RANK_STEP
+    pieces = []
+    first = 0
+    for last in [*(np.flatnonzero(np.diff(filled)) + 1).tolist(), len(filled)]:
+        count, most = last - first, int(filled[first])
+        columns = REGION * POSITION_CHANNELS
+        if most:
+            local = np.zeros((count, most, mix.shape[1]), np.float32)
+            offsets = np.zeros((count, most, columns), np.float32)
+            for row in range(count):
+                part = slice(starts[first + row], starts[first + row] + rank[first + row])
+                local[row, : rank[first + row]] = scale_m * mix[part]
+                offsets[row, : rank[first + row]] = basis[part].reshape(-1, columns)
+            value = graph.add("MatMul", weights, graph.floats(local.reshape(-1, mix.shape[1]).T))
+            value = graph.add("Reshape", value, graph.sizes(count, 1, most))
+            value = graph.add("MatMul", value, graph.floats(offsets))
+            pieces.append(graph.add("Reshape", value, graph.sizes(1, count * columns)))
+        else:
+            pieces.append(graph.floats(np.zeros((1, count * columns))))
+        first = last
+    return graph.add("Concat", *pieces, axis=1)

@@ -9,13 +9,7 @@ import numpy as np
 import pytest
 
 from helpers.toy import make_toy_avatar, with_toy_levels
-from pica_client.decode.decoder import (
-    CPU_PROVIDER,
-    BaselineDecoder,
-    OnnxDecoder,
-    OnnxOptions,
-)
-from pica_client.decode.onnx_runtime import onnxruntime
+from pica_client.decode.decoder import BaselineDecoder, OnnxDecoder
 from pica_client.decode.pool import DecodePool, num_workers
 from pica_client.decode.request import DecodedMaps, DecodeRequest, Parts
 from pica_client.errors import OptionError
@@ -80,14 +74,6 @@ class Broken(Echo):
         raise RuntimeError("the driver\nwent away")
 
 
-def test_a_decoder_turns_a_latent_into_two_maps() -> None:
-    maps = OnnxDecoder(TOY).decode(np.zeros((8, 8, 4), np.float32), AHEAD)
-    assert maps.position_map.shape == (256, 256, 3)
-    assert maps.expression_map.shape == (256, 256, 4)
-    assert maps.position_map.flags.c_contiguous
-    assert maps.expression_map.dtype == np.float32
-
-
 @pytest.mark.parametrize("level", LEVELS)
 def test_every_level_is_decoded_to_maps_of_its_size(level: int) -> None:
     decoder = OnnxDecoder(LEVELLED)
@@ -96,6 +82,7 @@ def test_every_level_is_decoded_to_maps_of_its_size(level: int) -> None:
     assert maps.position_map is not None
     assert maps.position_map.shape == (LEVELLED.position_rows(level), level, 3)
     assert maps.expression_map.shape == (level, level, 4)
+    assert maps.position_map.flags.c_contiguous
     assert maps.level == level
     alone = decoder.decode(latent, AHEAD, level, "expression")
     assert alone.position_map is None
@@ -113,47 +100,6 @@ def test_a_decoder_follows_the_reference_that_judges_all_others() -> None:
     reference = decode_expression_map(TOY, latent, (0.0, 0.0, 1.0))
     scale = float(np.abs(reference).max())
     np.testing.assert_allclose(maps.expression_map, reference, atol=1e-4 * scale)
-
-
-def test_a_provider_that_is_not_there_is_named_with_those_that_are() -> None:
-    with pytest.raises(OptionError, match=r"NoSuchProvider is not .* available are .*CPU"):
-        OnnxDecoder(TOY, OnnxOptions(provider="NoSuchProvider"))
-
-
-def test_a_provider_that_does_not_load_is_an_error_and_no_other_takes_its_place(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    listed = [*onnxruntime.get_available_providers(), "CUDAExecutionProvider"]
-    monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: listed)
-    options = OnnxOptions(provider="CUDAExecutionProvider")
-    with pytest.raises(OptionError, match=r"CUDAExecutionProvider does not (load|start)"):
-        OnnxDecoder(TOY, options)
-
-
-def test_options_go_to_the_provider_as_they_are() -> None:
-    maps = OnnxDecoder(TOY, OnnxOptions(provider_options={"use_arena": "1"})).decode(
-        np.zeros((8, 8, 4), np.float32), AHEAD
-    )
-    assert maps.level == 256
-
-
-def test_a_provider_is_read_as_people_write_it() -> None:
-    options = OnnxOptions.for_provider("CUDAExecutionProvider:device_id=1,arena=x=y", threads=2)
-    assert options.provider == "CUDAExecutionProvider"
-    assert options.provider_options == {"device_id": "1", "arena": "x=y"}
-    assert options.threads == 2
-    assert OnnxOptions.for_provider(CPU_PROVIDER) == OnnxOptions()
-
-
-@pytest.mark.parametrize("text", ["", ":a=1", "X:a", "X:=1"])
-def test_a_provider_written_otherwise_is_refused(text: str) -> None:
-    with pytest.raises(OptionError, match="write NAME or NAME:key=value"):
-        OnnxOptions.for_provider(text)
-
-
-def test_no_threads_are_refused() -> None:
-    with pytest.raises(OptionError, match="threads is 0; 1 to 64 is allowed"):
-        OnnxOptions(threads=0)
 
 
 def test_a_pool_decodes_every_avatar_and_hands_the_capture_time_through() -> None:
@@ -287,7 +233,7 @@ def test_a_level_that_cannot_be_had_breaks_its_avatar_alone() -> None:
     class Coarseless(Echo):
         def prepare(self, level: int | None = None, parts: Parts = "both") -> None:
             if level == 64:
-                raise OptionError("provider X does not take level 64")
+                raise OptionError("no level 64 here")
 
     decoders = iter([Coarseless(), Echo()])
     with DecodePool(lambda avatar: next(decoders)) as pool:
@@ -300,7 +246,7 @@ def test_a_level_that_cannot_be_had_breaks_its_avatar_alone() -> None:
         pool.submit("good", request(1))
         assert pool.wait_idle(PATIENCE_S)
         (result,) = pool.take_results()
-    assert errors == ["provider X does not take level 64"]
+    assert errors == ["no level 64 here"]
     assert result.error is None
 
 
@@ -355,13 +301,13 @@ def test_a_broken_avatar_is_reported_and_the_others_decode_on() -> None:
 
 def test_an_avatar_whose_decoder_cannot_be_built_is_reported_without_a_request() -> None:
     def refuse(avatar: Avatar) -> Echo:
-        raise OptionError("provider X does not start")
+        raise OptionError("does not start")
 
     with DecodePool(refuse) as pool:
         pool.add("a", TOY)
         assert pool.wait_idle(PATIENCE_S)
         (result,) = pool.take_results()
-    assert result.error == "provider X does not start"
+    assert result.error == "does not start"
 
 
 def test_a_removed_avatar_leaves_nothing_behind() -> None:

@@ -1,4 +1,4 @@
-"""Vertices by bases: torch, numpy and both ONNX graphs say the same, and a file says it again."""
+"""Vertices by bases: torch, numpy and the ONNX graph say the same, and a file says it again."""
 
 import random
 from dataclasses import replace
@@ -68,16 +68,15 @@ def latent() -> Array:
     return np.random.default_rng(2).standard_normal((8, 8, 4)).astype(np.float32)
 
 
-def test_torch_numpy_and_both_graphs_make_the_same_vertices(
+def test_torch_numpy_and_the_graph_make_the_same_vertices(
     model: PixelCodecAvatar, avatar: Avatar, latent: Array
 ) -> None:
     wanted = decode_position_map(avatar, latent)
     assert wanted.shape == (3, 256, 3)
     moved = avatar.vertices_of(wanted, 256) - avatar.mean_vertices_m
     assert np.abs(moved).max() > 1e-3, "the test would not notice bases that do nothing"
-    for plain in (True, False):
-        position, _ = run(decoder_graph(avatar, plain=plain), latent)
-        assert np.abs(position - wanted).max() <= AGREEMENT_M
+    position, _ = run(decoder_graph(avatar), latent)
+    assert np.abs(position - wanted).max() <= AGREEMENT_M
     with torch.no_grad():
         mesh = model.decode_mesh(torch.from_numpy(latent).permute(2, 0, 1)[None])
     order = model.geometry.order.numpy()  # type: ignore[union-attr]
@@ -91,11 +90,10 @@ def test_a_coarser_level_has_exactly_the_full_levels_vertices(
 ) -> None:
     used = np.unique(avatar.level_faces(level))
     full = decode_position_map(avatar, latent).reshape(-1, 3)[used]
-    for plain in (True, False):
-        position, _ = run(decoder_graph(avatar, level=level, plain=plain), latent)
-        assert position.shape == (avatar.position_rows(level), level, 3)
-        assert np.abs(avatar.vertices_of(position, level) - full).max() <= AGREEMENT_M
-        assert np.abs(position - decode_position_map(avatar, latent, level)).max() <= AGREEMENT_M
+    position, _ = run(decoder_graph(avatar, level=level), latent)
+    assert position.shape == (avatar.position_rows(level), level, 3)
+    assert np.abs(avatar.vertices_of(position, level) - full).max() <= AGREEMENT_M
+    assert np.abs(position - decode_position_map(avatar, latent, level)).max() <= AGREEMENT_M
 
 
 def test_a_file_holds_the_bases_to_the_last_bit(

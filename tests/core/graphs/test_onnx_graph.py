@@ -14,7 +14,7 @@ from helpers.toy import make_toy_avatar, with_toy_levels
 from pica_client.decode.onnx_runtime import onnxruntime
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import BLOCKS, AvatarSpec
-from pica_core.graphs.onnx_graph import Parts, decoder_graph
+from pica_core.graphs.onnx_graph import decoder_graph
 from pica_core.reference.decoders import decode_expression_map, decode_position_map
 from pica_core.reference.pixel import decode_pixels
 from pica_core.types import Array
@@ -54,11 +54,10 @@ def decode_in_numpy(
     return position_map, decode_expression_map(avatar, latent[0], view_direction[0], level)
 
 
-@pytest.mark.parametrize("plain", [True, False], ids=["plain", "rearranged"])
 @pytest.mark.parametrize("block", BLOCKS)
-def test_the_decoder_graph_agrees_with_its_layers_run_in_numpy(block: str, plain: bool) -> None:
+def test_the_decoder_graph_agrees_with_its_layers_run_in_numpy(block: str) -> None:
     avatar, inputs = toy(block), some_inputs()
-    position_map, expression_map = run(decoder_graph(avatar, plain=plain), **inputs)
+    position_map, expression_map = run(decoder_graph(avatar), **inputs)
     positions, expressions = decode_in_numpy(avatar, **inputs)
     assert position_map.shape == (256, 256, 3)
     assert expression_map.shape == (256, 256, 4)
@@ -66,14 +65,11 @@ def test_the_decoder_graph_agrees_with_its_layers_run_in_numpy(block: str, plain
     assert np.abs(expression_map - expressions).max() < tolerances.EXPRESSION_ONNX
 
 
-@pytest.mark.parametrize("plain", [True, False], ids=["plain", "rearranged"])
 @pytest.mark.parametrize("level", [64, 128])
 @pytest.mark.parametrize("block", BLOCKS)
-def test_an_early_exit_agrees_with_its_layers_run_in_numpy(
-    block: str, level: int, plain: bool
-) -> None:
+def test_an_early_exit_agrees_with_its_layers_run_in_numpy(block: str, level: int) -> None:
     avatar, inputs = toy(block), some_inputs()
-    position_map, expression_map = run(decoder_graph(avatar, level=level, plain=plain), **inputs)
+    position_map, expression_map = run(decoder_graph(avatar, level=level), **inputs)
     positions, expressions = decode_in_numpy(avatar, **inputs, level=level)
     assert position_map.shape == (1, level, 3)
     assert expression_map.shape == (level, level, 4)
@@ -81,18 +77,13 @@ def test_an_early_exit_agrees_with_its_layers_run_in_numpy(
     assert np.abs(expression_map - expressions).max() < tolerances.EXPRESSION_ONNX
 
 
-@pytest.mark.parametrize("plain", [True, False], ids=["plain", "rearranged"])
 @pytest.mark.parametrize("level", [64, 128, 256])
 @pytest.mark.parametrize("block", BLOCKS)
-def test_one_map_alone_is_nearly_the_one_of_both(block: str, level: int, plain: bool) -> None:
+def test_the_expression_map_alone_is_nearly_the_one_of_both(block: str, level: int) -> None:
     avatar, inputs = toy(block), some_inputs()
-    both = run(decoder_graph(avatar, level=level, plain=plain), **inputs)
-    alone: dict[Parts, Array] = {}
-    for parts, names in (("geometry", ["latent"]), ("expression", [*inputs])):
-        graph = decoder_graph(avatar, level=level, parts=parts, plain=plain)
-        (alone[parts],) = run(graph, **{name: inputs[name] for name in names})
-    assert np.abs(alone["geometry"] - both[0]).max() < tolerances.MAP_ONNX_M
-    assert np.abs(alone["expression"] - both[1]).max() < tolerances.EXPRESSION_ONNX
+    _, expressions = run(decoder_graph(avatar, level=level), **inputs)
+    (alone,) = run(decoder_graph(avatar, level=level, positions=False), **inputs)
+    assert np.abs(alone - expressions).max() < tolerances.EXPRESSION_ONNX
 
 
 def test_a_level_that_the_avatar_lacks_has_no_graph() -> None:
