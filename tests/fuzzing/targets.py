@@ -1,182 +1,133 @@
-"""What damaged messages are thrown at, and what may come of it.
+"""All that reads bytes of strangers, as functions of bytes, and good inputs to damage for each.
 
-Each target takes a source of chance and a meter, throws some dozens of messages, and raises
-`Violation` when something happens that is not documented. Any other exception that leaves a target
-is a defect too.
+Each target accepts its bytes or refuses them with a documented error; what else it raises is a
+defect. A media message is a bundle of frames. What lies behind a code that nobody can forge (a
+seal, a key message) is read as far as the code.
 """
 
 from __future__ import annotations
 
+import json
 import random
-from collections.abc import Callable
-from dataclasses import replace
+import tempfile
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
 from typing import Final
 
-from fuzzing.corpus import CORPUS, FACE, media, shuffled, to_client, to_relay
-from fuzzing.meter import Meter, Violation
 from fuzzing.mutator import Mutator
-from pica_protocol.client_session import MAX_QUEUED_MESSAGES, ClientSession
-from pica_protocol.codec import decode_message, encode_message
-from pica_protocol.errors import CloseCode, RemoteProtocolError
-from pica_protocol.frames import HEADER_BYTES, decode_media, encode_frame, scan_frames
-from pica_protocol.limits import (
-    MAX_CLIENT_MESSAGE_BYTES,
-    MAX_CONTROL_BYTES,
-    MAX_PEERS,
-)
-from pica_protocol.messages import Bye, Join, Joined, Peer, PeerAway, PeerJoined, Subscribe, Track
-from pica_protocol.server_session import ServerSession
-from pica_protocol.session import Closed, State
+from golden.wire_samples import GOLDEN
+from helpers.stream_toy import perform, toy_profile
+from helpers.toy import make_toy_avatar
+from pica_client.e2ee.errors import OpenError
+from pica_client.e2ee.frames import decode_header, derive_key, metadata_of, open_, seal
+from pica_client.e2ee.key_messages import KeyMessage, decode, encode, room_key
+from pica_client.e2ee.secret import RoomSecret
+from pica_core.avatar.file import load_avatar, save_avatar
+from pica_core.avatar.spec import AvatarSpec
+from pica_core.codec.latent_stream import LatentDecoder
+from pica_core.errors import AvatarFileError, LatentError
+from pica_protocol.codec import decode_message, decode_store_message, encode_message
+from pica_protocol.errors import RemoteProtocolError
+from pica_protocol.frames import Frame, decode_media, encode_frame, media_message, scan_frames
 
-Target = Callable[[random.Random, Meter], None]
-
-OUR_CODES: Final = frozenset(map(int, CloseCode))
-
-
-def expect(condition: bool, what: str, *details: object) -> None:
-    """Raise a violation unless something holds."""
-    if not condition:
-        raise Violation(" ".join([what, *map(repr, details)]))
+WAY: Final = ("p1", "p2")
+CODE_KEY: Final = room_key(RoomSecret(bytes(range(32))), "lobby", b"code")
+METADATA: Final = metadata_of(Frame(stream=1, sequence=2, captured_us=3, payload=b""))
 
 
-def refusal(code: int) -> str:
-    """Name a close code, which must be a documented one."""
-    expect(code in OUR_CODES, "closed with a code that nobody documents:", code)
-    return f"refused {CloseCode(code).name}"
+GOLDEN_BYTES: Final[dict[str, bytes]] = {
+    f"{group} {name}": bytes.fromhex(text)
+    for group, vectors in json.loads(GOLDEN.read_text()).items()
+    for name, text in vectors.items()
+}
+"""Every vector of the golden file: valid and invalid ones."""
+CORPUS: Final = [data for name, data in GOLDEN_BYTES.items() if not name.startswith("invalid")]
 
 
-def codec(rng: random.Random, meter: Meter) -> None:
-    """Control messages: read and written again they are the same."""
-    mutator = Mutator(rng, CORPUS)
-    for _ in range(50):
-        data = mutator.mutate(rng.choice(CORPUS))
-        limit = rng.choice((MAX_CLIENT_MESSAGE_BYTES, MAX_CONTROL_BYTES))
-        try:
-            message = meter.call(decode_message, data, limit)
-        except RemoteProtocolError as error:
-            meter.note(refusal(error.code))
-            continue
-        again = decode_message(encode_message(message))
-        expect(again == message, "written and read again it differs:", data, message)
-        meter.note("accepted")
+def expect(is_so: bool, *what: object) -> None:
+    """Raise AssertionError unless something is so."""
+    if not is_so:
+        raise AssertionError(" ".join(map(str, what)))
 
 
-def frames(rng: random.Random, meter: Meter) -> None:
-    """Media messages: the frames found fill the message, and are the same to relay and client."""
-    mutator = Mutator(rng, CORPUS)
-    for _ in range(50):
-        data = mutator.mutate(media(rng, 1, num_frames=rng.choice((1, 2, 9))))
-        try:
-            spans = meter.call(scan_frames, data)
-        except RemoteProtocolError as error:
-            meter.note(refusal(error.code))
-            continue
-        decoded = meter.call(decode_media, data)
-        expect(len(spans) == len(decoded) > 0, "relay and client disagree:", data)
-        at = 1
-        for (_, _, start, end), frame in zip(spans, decoded, strict=True):
-            expect(start == at and end - at >= HEADER_BYTES, "a gap:", data)
-            at = end
-            expect(encode_frame(frame) == data[start:end], "written again it differs:", data)
-        expect(at == len(data), "bytes left over:", data)
-        meter.note("accepted")
+def message(data: bytes) -> None:
+    """Read a control message; what was read says the same when it is written and read again."""
+    with suppress(RemoteProtocolError):
+        found = decode_message(data)
+        expect(decode_message(encode_message(found)) == found, "not what was read:", found)
+    with suppress(RemoteProtocolError):
+        decode_store_message(data)
 
 
-def server_session(rng: random.Random, meter: Meter) -> None:
-    """The relay's end of a connection, in every state."""
-    mutator = Mutator(rng, CORPUS)
-    session = ServerSession(now=0.0, timeout_s=5.0)
-    now = 0.0
-    for data in shuffled(rng, to_relay(rng) + [rng.choice(CORPUS) for _ in range(4)]):
-        now += rng.choice((0.0, 0.0, 0.01, 1.0))
-        # Few of them: after the first that is refused there is nothing left to see.
-        is_damaged = rng.random() < 0.2
-        sent: bytes | str = mutator.mutate(data) if is_damaged else data
-        if is_damaged and rng.random() < 0.05:
-            sent = data.decode("latin-1")
-        before = session.state
-        events = meter.call(session.receive_data, sent, now)
-        _note_session(session, meter, before, is_damaged=is_damaged)
-        if before is State.CLOSED:
-            expect(not events, "events after the end:", events)
-            break
-        if session.state is State.DECIDING and rng.random() < 0.8:
-            join = next(event for event in events if isinstance(event, Join))
-            own = tuple(replace(track, stream=7 + i) for i, track in enumerate(join.tracks))
-            session.accept(Joined(room=join.room, peer_id="p2", tracks=own))
-        if rng.random() < 0.05:
-            session.handle_timer(now)
-        if rng.random() < 0.02:
-            session.receive_close(rng.randrange(5000), "\x00gone", now)
-    _check_last_words(session, session.messages_to_send(now))
-
-
-def client_session(rng: random.Random, meter: Meter) -> None:
-    """The client's end of a connection, in every state, while it speaks itself."""
-    mutator = Mutator(rng, CORPUS)
-    tracks = (FACE,) * rng.randrange(3)
-    session = ClientSession(room="lobby", name="Ada", tracks=tracks, now=0.0)
-    now = 0.0
-    said: list[bytes] = []
-    for data in shuffled(rng, to_client(rng, tracks) + [rng.choice(CORPUS) for _ in range(4)]):
-        now += rng.choice((0.0, 0.0, 0.01, 1.0))
-        before = session.state
-        is_damaged = rng.random() < 0.2
-        sent = mutator.mutate(data) if is_damaged else data
-        events = meter.call(session.receive_data, sent, now)
-        _note_session(session, meter, before, is_damaged=is_damaged)
-        if before is State.CLOSED:
-            expect(not events, "events after the end:", events)
-            break
-        expect(len(session.peers) <= MAX_PEERS, "more peers than a room holds:", session.peers)
-        expect(len(session.away) <= MAX_PEERS, "more are away than were there:", session.away)
-        if session.can_queue and tracks and rng.random() < 0.3:
-            session.send_frame(rng.randbytes(30), captured_us=int(now * 1e6))
-            session.tell(Subscribe(stream=3, every=2))
-        if rng.random() < 0.03:
-            session.leave(now)
-        if rng.random() < 0.05:
-            session.handle_timer(now)
-        if rng.random() < 0.2:
-            said += session.messages_to_send(now)
-        expect(len(said) <= MAX_QUEUED_MESSAGES, "it talks too much")
-    _check_last_words(session, said + session.messages_to_send(now))
-
-
-def crowded_client(rng: random.Random, meter: Meter) -> None:
-    """A client whose relay tells it of peers without end."""
-    session = ClientSession(room="lobby", name="Ada", now=0.0)
-    for data in to_client(rng, ())[:2]:
-        session.receive_data(data, 0.0)
-    for number in range(MAX_PEERS + 2):
-        before = session.state
-        meter.call(session.receive_data, encode_message(PeerAway(peer_id=f"y{number}")), 0.0)
-        peer = Peer(peer_id=f"x{number}", name="X", tracks=(Track(kind="face", stream=number + 1),))
-        meter.call(session.receive_data, encode_message(PeerJoined(peer=peer)), 0.0)
-        _note_session(session, meter, before, is_damaged=False)
-        many = max(len(session.peers), len(session.away))
-        expect(many <= MAX_PEERS, "more peers than a room holds:", number)
-
-
-def _note_session(
-    session: ClientSession | ServerSession, meter: Meter, before: State, *, is_damaged: bool
-) -> None:
-    closed = session.closed
-    outcome = "accepted" if closed is None or closed.is_remote else refusal(closed.code)
-    meter.note(
-        "ignored after the end" if before is State.CLOSED else outcome, is_damaged=is_damaged
+def media(data: bytes) -> None:
+    """Read a bundle of frames, as a receiver and as the relay do: they must agree."""
+    try:
+        frames = decode_media(data)
+    except RemoteProtocolError:
+        with suppress(RemoteProtocolError):
+            expect(not scan_frames(data), "the relay forwards what nobody reads")
+        return
+    spans = scan_frames(data)
+    expect(
+        [stream for stream, *_ in spans] == [f.stream for f in frames], "frames of other streams"
     )
+    written = media_message(map(encode_frame, frames))
+    expect(decode_media(written) == frames, "not what was read:", frames)
 
 
-def _check_last_words(session: ClientSession | ServerSession, said: list[bytes]) -> None:
-    """Check that what goes out can be read, and that a goodbye is the last of it."""
-    messages = [decode_message(data) for data in said if data[0] == 1]
-    for data in said:
-        if data[0] == 2:
-            decode_media(data)
-    goodbyes = sum(isinstance(message, Bye) for message in messages)
-    closed: Closed | None = session.closed
-    if closed is not None and not closed.is_remote:
-        expect(isinstance(messages[-1], Bye), "closed without a goodbye:", messages)
-    expect(goodbyes <= 1, "two goodbyes:", messages)
-    expect((session.state is State.CLOSED) == (closed is not None), "closed and not closed")
+def sealed(data: bytes) -> None:
+    """Read a sealed payload."""
+    with suppress(OpenError):
+        decode_header(data)
+        open_(data, METADATA, derive_key(bytes(16), 7))
+
+
+def key_message(data: bytes) -> None:
+    """Read a message about keys."""
+    decode(data, CODE_KEY, WAY)
+
+
+def avatar_file(data: bytes) -> None:
+    """Read an avatar file with all of its checks."""
+    with suppress(AvatarFileError):
+        load_avatar(data)
+
+
+def bitstream(data: bytes) -> None:
+    """Read a frame of a latent stream."""
+    with suppress(LatentError):
+        LatentDecoder(toy_profile()).decode(data)
+
+
+TARGETS: Final[Mapping[str, Callable[[bytes], None]]] = {
+    each.__name__: each for each in (message, media, sealed, key_message, avatar_file, bitstream)
+}
+
+
+def damaged(name: str, good: list[bytes], rng: random.Random) -> bytes:
+    """Return a damaged input of a target."""
+    mutator, data = Mutator(rng, good), rng.choice(good)
+    return mutator.mutate(data) if name in ("message", "media") else mutator.mutate_bytes(data)
+
+
+def seeds() -> dict[str, list[bytes]]:
+    """Return good inputs of each target, made by the code as it is now.
+
+    They are the golden bytes of the wire, a sealed frame, a key message, a stream, an avatar.
+    """
+    told = KeyMessage(False, bytes(32), bytes(8), bytes(8), 0, 1, 0, bytes(32))
+    spec = AvatarSpec(map_size=32, hidden_channels=(2,), uv_encoding_size=4, axis_encoding_size=4)
+    with tempfile.TemporaryDirectory() as folder:
+        avatar = Path(folder, "toy.pica")
+        save_avatar(avatar, make_toy_avatar(grid=3, spec=spec))
+        avatar_bytes = avatar.read_bytes()
+    wire = list(GOLDEN_BYTES.values())
+    return {
+        "message": [data for data in wire if data[:1] != b"\x02"],
+        "media": [data for data in wire if data[:1] == b"\x02"],
+        "sealed": [seal(b"face", METADATA, derive_key(bytes(16), 7), 4)],
+        "key_message": [encode(told, CODE_KEY, WAY, bytes(32), bytes(16))],
+        "avatar_file": [avatar_bytes],
+        "bitstream": [sent.payload for sent in perform(num_frames=40)],
+    }

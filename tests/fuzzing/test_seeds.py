@@ -4,8 +4,7 @@ import random
 
 import pytest
 
-from fuzzing.byte_targets import TARGETS, seeds
-from fuzzing.mutator import Mutator
+from fuzzing.targets import TARGETS, damaged, seeds
 
 pytestmark = pytest.mark.unit
 
@@ -22,6 +21,5 @@ def test_a_seed_is_accepted_or_refused_as_documented(name: str) -> None:
 @pytest.mark.parametrize("name", TARGETS)
 def test_damaged_seeds_are_accepted_or_refused_as_documented(name: str) -> None:
     rng = random.Random(name)
-    mutator = Mutator(rng, SEEDS[name])
     for _ in range(100):
-        TARGETS[name](mutator.mutate_bytes(rng.choice(SEEDS[name])))
+        TARGETS[name](damaged(name, SEEDS[name], rng))

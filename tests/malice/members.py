@@ -16,8 +16,8 @@ import random
 from collections import Counter, defaultdict
 from collections.abc import Callable
 
-from fuzzing.corpus import CORPUS
 from fuzzing.mutator import Mutator
+from fuzzing.targets import CORPUS
 from helpers.members import FACE, VOICE
 from malice.people import BrokenPromiseError
 from pica_protocol.client_session import ClientSession, Ticket

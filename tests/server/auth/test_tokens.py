@@ -188,6 +188,22 @@ def test_any_text_is_a_token_or_an_admission_error(text: str) -> None:
         admit(KEYS, join(text), now=NOW)
 
 
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=3), inner),
+    max_leaves=5,
+)
+
+
+@given(st.sampled_from([*CLAIMS, "name", "admin", "iat"]), JSON)
+@settings(max_examples=300)
+def test_a_good_signature_under_wild_claims_lets_in_nobody_without_an_identity(
+    claim: str, value: object
+) -> None:
+    with contextlib.suppress(AdmissionError):
+        assert admit(KEYS, join(signed({**CLAIMS, claim: value})), now=NOW).identity
+
+
 def test_a_token_is_not_shown_when_its_join_is_printed() -> None:
     assert minted() not in repr(join(minted()))
 
