@@ -161,7 +161,7 @@ class _Bench:
             self.renderer.forget_frame()
             camera = self._camera(case.distance_cm)
             stats = self.renderer.draw([_placed(_slot(case.level))], camera, count_pixels=True)
-            found["pixels"] = sum(head.shaded_pixels or 0 for head in stats.heads)
+            found["pixels"] = stats.shaded_pixels or stats.textured_pixels
             found["triangles"] = stats.num_triangles
             baseline = case._replace(model="baseline", level=None)
             found["over_baseline"] = ratio(took[case], took[baseline])

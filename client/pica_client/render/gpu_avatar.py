@@ -21,7 +21,14 @@ from pica_client.render.gpu_program import (
 from pica_client.render.gpu_static import bake_texture, static_vertices
 from pica_client.render.shader_source import AXIS_ROW, axis_levels, compose
 from pica_client.render.shader_weights import pack_weights, siren_source
-from pica_core.avatar.bust import WHOLE_M, bust_of, fade_heights_m, seen_faces
+from pica_core.avatar.bust import (
+    WHOLE_M,
+    box_corners,
+    bust_of,
+    fade_heights_m,
+    outline_of,
+    seen_faces,
+)
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.level_tensors import sheet_uv
 from pica_core.avatar.static import SEAM, parts_of
@@ -48,6 +55,9 @@ WeightsPlace = Literal["block", "constants", "turns"]
 
 BOUNDS_MARGIN_M = 0.01
 """Positions may leave the bounds of the file by this much; the rest is cut off."""
+SLACK_M = 0.025
+"""Expressions widen the outline of a head by no more: what they move far, as a chin, lies before
+what does not move (measured: 12 mm beyond the mean face at most, over a range of motion)."""
 
 PLACEHOLDER_GRID = 64
 """Rows and columns of the placeholder's position map."""
@@ -102,6 +112,8 @@ class Body:
     """What its static parts look like; None where it has none."""
     low_m: tuple[float, ...]
     high_m: tuple[float, ...]
+    outline_m: FloatArray
+    """Points that hold all that is drawn of it between them, ``[K, 3]``."""
     still_size: int = 0
     """Expression maps with fewer columns are added to its still map; 0 where it has none."""
     fade_m: tuple[float, float] = WHOLE_M
@@ -169,14 +181,16 @@ def upload_avatar(
     if weights_place == "block":
         weights = context.buffer(pack_weights(avatar.spec, tensors))
     fade_m = fade_heights_m(bust_of(avatar).lower_m) if fades else WHOLE_M
+    low_m, high_m = np.array([manifest.bounds_min_m, manifest.bounds_max_m])
     body = Body(
         meshes=_level_meshes(context, mesh_programs, avatar, fade_m[0]),
         shade=context.vertex_array(program, []),
         textures=textures,
         weights=weights,
         skin=None,
-        low_m=tuple(value - BOUNDS_MARGIN_M for value in manifest.bounds_min_m),
-        high_m=tuple(value + BOUNDS_MARGIN_M for value in manifest.bounds_max_m),
+        low_m=tuple((low_m - BOUNDS_MARGIN_M).tolist()),
+        high_m=tuple((high_m + BOUNDS_MARGIN_M).tolist()),
+        outline_m=_outline_m(avatar, fade_m[0]),
         still_size=0 if still is None else len(still),
         fade_m=fade_m,
     )
@@ -211,6 +225,7 @@ def upload_placeholder(context: moderngl.Context, mesh_programs: MeshPrograms) -
         skin=None,
         low_m=tuple(low_m.tolist()),
         high_m=tuple(high_m.tolist()),
+        outline_m=outline_of(bust.reshape(-1, 3)),
         fade_m=fade_heights_m(float(low_m[1])),
     )
 
@@ -250,6 +265,23 @@ def _level_meshes(
                 context, programs, level, faces, uv, places, static, len(own)
             )
     return meshes
+
+
+def _outline_m(avatar: Avatar, gone_m: float) -> FloatArray:
+    """Points that hold what is seen of an avatar between them: the box that it has promised to stay
+    in, or, where parts of it do not change, those as they are and the others wherever expressions
+    take them."""
+    rest_m, full, manifest = avatar.mean_vertices_m, avatar.levels[-1], avatar.manifest
+    low_m, high_m = np.array([manifest.bounds_min_m, manifest.bounds_max_m])
+    still, moving = (
+        rest_m[np.unique(seen_faces(faces, rest_m, gone_m))]
+        for faces in (avatar.textured_faces(full), avatar.decoded_faces(full))
+    )
+    if not len(still):
+        return outline_of(box_corners(low_m - BOUNDS_MARGIN_M, high_m + BOUNDS_MARGIN_M))
+    outline_m = outline_of(np.concatenate([still, outline_of(moving, SLACK_M)]))
+    outline_m[:, 1] = np.maximum(outline_m[:, 1], gone_m)
+    return np.clip(outline_m, low_m, high_m).astype(np.float32)
 
 
 def upload_mesh(

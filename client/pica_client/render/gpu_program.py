@@ -12,12 +12,23 @@ from pica_core.types import FloatArray
 
 UNIT_VISIBLE_XYZ, UNIT_VISIBLE_UV, UNIT_POSITION, UNIT_EXPRESSION = 0, 1, 2, 3
 UNIT_UV_ENCODING, UNIT_U_ENCODING, UNIT_V_ENCODING = 4, 5, 6
-UNIT_SKIN, UNIT_ROOM, UNIT_STILL = 7, 8, 9
-_SAMPLERS = (
-    *("visible_xyz", "visible_uv", "position_map", "expression_map"),
-    *("uv_encoding", "u_encoding", "v_encoding", "skin", "room", "still_map"),
-)
-"""What shaders call these units, in the order of their numbers."""
+UNIT_SKIN, UNIT_STILL = 7, 8
+UNIT_ROOM, UNIT_LAYER, UNIT_LAYER_DEPTH = 0, 1, 2
+_SAMPLERS = {
+    "visible_xyz": UNIT_VISIBLE_XYZ,
+    "visible_uv": UNIT_VISIBLE_UV,
+    "position_map": UNIT_POSITION,
+    "expression_map": UNIT_EXPRESSION,
+    "uv_encoding": UNIT_UV_ENCODING,
+    "u_encoding": UNIT_U_ENCODING,
+    "v_encoding": UNIT_V_ENCODING,
+    "skin": UNIT_SKIN,
+    "still_map": UNIT_STILL,
+    "room": UNIT_ROOM,
+    "layer": UNIT_LAYER,
+    "layer_depth": UNIT_LAYER_DEPTH,
+}
+"""What shaders call these units."""
 
 
 def build_program(
@@ -33,7 +44,7 @@ def build_program(
     except moderngl.Error as error:
         at_fault = vertex if "vertex_shader" in str(error) else fragment
         raise ShaderError(f"the driver refuses a shader: {at_fault.explain(str(error))}") from error
-    for unit, name in enumerate(_SAMPLERS):
+    for name, unit in _SAMPLERS.items():
         if name in program:
             program[name] = unit
     return program

@@ -68,10 +68,9 @@ def bake_texture(
     coloured.use()
     coloured.depth_mask = False
     context.depth_func = ">"
-    shown = (*WHOLE_M, 1.0)
     rows = avatar.spec.map_size
     set_values(shade.program, expression_rows=(0, rows, rows, False))
-    set_values(shade.program, slot=1.0, mark=1.0, shown=shown, rect=_WHOLE_SCREEN)
+    set_values(shade.program, slot=1.0, shown=WHOLE_M, rect=_WHOLE_SCREEN)
     shade.render(moderngl.TRIANGLE_STRIP, vertices=4)
     context.depth_func = "<"
     context.detect_framebuffer(0).use()  # those of here are freed

@@ -9,7 +9,7 @@ import numpy as np
 
 from pica_client.render.gpu_program import clamp
 from pica_core.avatar.baseline import BaselineAvatar
-from pica_core.avatar.bust import WHOLE_M, fade_heights_m
+from pica_core.avatar.bust import WHOLE_M, box_corners, fade_heights_m, outline_of
 from pica_core.errors import ShapeError
 from pica_core.reference.mesh import order_faces
 from pica_core.types import FloatArray
@@ -27,6 +27,7 @@ class TexturedHead:
         fades: bool = False,
     ) -> None:
         self.low_m, self.high_m = avatar.bounds_min_m, avatar.bounds_max_m
+        self.outline_m = outline_of(box_corners(self.low_m, self.high_m))
         self.fade_m = fade_heights_m(self.low_m[1]) if fades else WHOLE_M
         self.level, self.num_triangles = 0, len(avatar.faces)
         self._num_vertices = len(avatar.vertex_uv)

@@ -7,21 +7,22 @@ pixels.
     stats = renderer.draw([Placement(slot="peer-1", world_from_head=matrix)], camera)
     image = renderer.read_image()                       # uint8 [H, W, 3], top row first
 
-A frame is: (1) the surface pass draws all meshes and keeps, per pixel, the head-frame position, the
-UV, whose it is and how much of the texture it reaches over; (2) a shade pass per avatar covers the
-rectangle of its head, and runs the pixel decoder where the first pass says the pixel is its own;
-(3) what does not change with the face is drawn with a texture; (4) edges are smoothed. So a hidden
-pixel costs no decoding, and the pixel decoder runs on whole blocks of pixels: drawn triangle by
-triangle, a mesh whose triangles are as small as pixels would run it several times over (llvmpipe
-and GPUs shade in blocks of 2x2 or 4x4 per triangle). A frame draws only the parts of the image in
-which a head has changed since the frame before (`redraw`).
+Each head that has changed since the frame before is drawn into a layer of its own: (1) the surface
+pass draws its mesh and keeps, per pixel, the head-frame position, the UV and how much of the
+texture it reaches over; (2) the pixel decoder runs where the first pass has found something; (3)
+what does not change with the face is drawn with a texture. So what a head hides of itself costs no
+decoding, and the pixel decoder runs on whole blocks of pixels: drawn triangle by triangle, a mesh
+whose triangles are as small as pixels would run it several times over (llvmpipe and GPUs shade in
+blocks of 2x2 or 4x4 per triangle). Then the parts of the image in which a layer has changed are put
+together, and edges are smoothed there (`layers`).
 
 Colours of avatars are sRGB values already and are stored as they come. The renderer belongs to the
-thread of its context. Nothing is allocated on the GPU but for a new size, a new avatar, or a level
-of it that comes for the first time.
+thread of its context. Nothing is allocated on the GPU but for a new size of the image or of a head,
+a new avatar, or a level of it that is drawn for the first time.
 """
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal
@@ -32,22 +33,31 @@ import numpy.typing as npt
 
 from pica_client.errors import OptionError
 from pica_client.render.draw_list import (
-    DrawList,
     DrawStats,
-    HeadCounts,
     RenderSlot,
+    ShownHead,
+    View,
     count_draws,
-    heads_within,
-    keys_of,
     list_heads,
+    rect_in_view,
 )
 from pica_client.render.gpu_avatar import WeightsPlace, upload_avatar
 from pica_client.render.gpu_maps import MapSeries, MapView
 from pica_client.render.gpu_program import UNIT_VISIBLE_UV, UNIT_VISIBLE_XYZ
 from pica_client.render.gpu_textured import TexturedHead
-from pica_client.render.passes import DrawPasses, RenderTargets
-from pica_client.render.redraw import HeadKey, PixelRect, parts_to_draw
-from pica_client.render.room import EMPTY_ROOM, STILL, Room, lens_of
+from pica_client.render.layers import (
+    HeadKey,
+    Images,
+    Layer,
+    PixelRect,
+    area_px,
+    common_part,
+    layer_size,
+    parts_to_draw,
+    viewport,
+)
+from pica_client.render.passes import DrawPasses, LayeredHead
+from pica_client.render.room import EMPTY_ROOM, STILL, Room, changed_glows, lens_of
 from pica_client.render.scene import Placement
 from pica_client.system import Closing
 from pica_core.avatar.baseline import BaselineAvatar
@@ -115,7 +125,9 @@ class Renderer(Closing):
         self.weights = self._choose_weights()
         self._passes = DrawPasses(context)
         self._slots: dict[str, RenderSlot] = {}
-        self._num_decoded = self._num_versions = 0
+        self._layers: dict[tuple[str, int], Layer] = {}
+        self._shown: list[LayeredHead] = []
+        self._num_versions = 0
         self.size = (0, 0)
         self.resize(size)
 
@@ -128,13 +140,15 @@ class Renderer(Closing):
         self.size = size
         with freeing(self._context):
             self._unbind()
-            self._targets = RenderTargets(self._context, size)
-        self._drawn_room: object = None
+            self._images = Images(self._context, size)
+        self._drawn_room: tuple[Room, list[object]] | None = None
         self.forget_frame()
 
     def forget_frame(self) -> None:
         """Draw the next frame as a whole, whatever stayed the same: for measuring."""
         self._drawn: list[HeadKey] | None = None
+        for layer in self._layers.values():
+            layer.look = None
 
     def add_avatar(self, slot: str, avatar: Avatar) -> None:
         """Put an avatar on the GPU; replaces what was in the slot. Slots with the same avatar
@@ -187,13 +201,16 @@ class Renderer(Closing):
         """Forget a slot and free what nobody else uses; an unknown one is no error."""
         with freeing(self._context):
             self._slots.pop(slot, None)
+            self._shown = [each for each in self._shown if each[0].slot != slot]
 
     def close(self) -> None:
         """Free all that it holds on the GPU; only `remove` is allowed afterwards."""
         with freeing(self._context):
             self._unbind()
             self._slots.clear()
-            for name in ("_passes", "_targets"):
+            self._layers.clear()
+            self._shown.clear()
+            for name in ("_passes", "_images"):
                 vars(self).pop(name, None)
 
     def update_maps(
@@ -276,7 +293,7 @@ class Renderer(Closing):
                 all see the same maps: one decode serves them.
             count_pixels: Count shaded pixels; waits for the GPU.
         """
-        passes, targets = self._passes, self._targets
+        passes, images = self._passes, self._images
         passes.begin()
         (width, height), count = self.size, len(cameras)
         edges = [width * number // count for number in range(count + 1)]
@@ -284,58 +301,67 @@ class Renderer(Closing):
             (camera, (left, 0, right, height))
             for camera, (left, right) in zip(cameras, pairwise(edges), strict=True)
         ]
+        new_room = self._draw_room(room, views)
+        heads = list_heads(self._slots, placements, views, passes.placeholder)
+        self._shown = shown = self._with_layers(heads)
+        old = [place for place, (head, layer) in enumerate(shown) if layer.look != head.look]
+        before, self._drawn = self._drawn, None  # should drawing fail
+        passes.surfaces([shown[place] for place in old])
+        counts = passes.colour([shown[place] for place in old], count=count_pixels)
+        for place in old:
+            head, layer = shown[place]
+            layer.look, layer.version = head.look, self._next_version()
+        keys = [
+            HeadKey((head.slot, head.view), (layer.version, head.opacity), head.rect)
+            for head, layer in shown
+        ]
+        parts = parts_to_draw(before, keys, self.size)
+        for part in parts + new_room:
+            passes.place(images, part, shown)
+        is_smooth = self._options.smooth_edges
+        for part in parts if is_smooth else ():
+            passes.mark_edges(images, part, shown)
+        passes.finish(images, shown, is_smooth=is_smooth)
+        self._drawn = keys
+        counted = dict(zip(old, counts, strict=True))
+        return count_draws(heads, counted, is_counted=count_pixels)
+
+    def _draw_room(self, room: Room, views: Sequence[View]) -> list[PixelRect]:
+        """Draw the room where it looks different, and say where that is."""
         seen = [(camera if room != EMPTY_ROOM else STILL, rect) for camera, rect in views]
-        eyes = [
+        eyes: list[object] = [
             (lens_of(eye), eye.rotation.tobytes(), eye.translation_m.tobytes(), rect)
             for eye, rect in seen
         ]
-        drawn = (room, eyes)
-        is_new_room = drawn != self._drawn_room
-        if is_new_room:  # only when it looks different; else it is copied
-            self._drawn_room = drawn
-            passes.draw_room(targets, seen, room)
-        listed = list_heads(self._slots, placements, views, passes.placeholder)
-        self._num_decoded = len(listed.decoded)
-        keys = keys_of(listed, self._slots)
-        parts = parts_to_draw(None if is_new_room else self._drawn, keys, self.size)
-        self.forget_frame()  # should drawing fail
-        counts = {head.number: HeadCounts() for head in listed.heads}
-        for part in parts:
-            self._draw_part(part, listed, counts, count_pixels)
-        self._drawn = keys
-        is_smooth = self._options.smooth_edges
-        targets.final.use()
-        self._context.copy_framebuffer(
-            targets.final, targets.smoothed if is_smooth else targets.shaded
-        )
-        return count_draws(
-            listed,
-            list(counts.values()),
-            parts,
-            is_smooth=is_smooth,
-            is_counted=count_pixels,
-        )
+        before, self._drawn_room = self._drawn_room, (room, eyes)
+        if (room, eyes) == before:
+            return []
+        parts = []
+        for camera, view in seen:
+            is_same_view = before is not None and before[1] == eyes
+            glows = changed_glows(before[0], room, camera) if before and is_same_view else None
+            for left, bottom, right, top in [(0.0, 0.0, 1.0, 1.0)] if glows is None else glows:
+                clip = 2 * left - 1, 2 * bottom - 1, 2 * right - 1, 2 * top - 1
+                part = common_part(rect_in_view(clip, view), view)
+                parts += [part] if area_px(part) else []
+        self._passes.draw_room(self._images, seen, room, parts)
+        return parts
 
-    def _draw_part(
-        self, part: PixelRect, listed: DrawList, counts: dict[int, HeadCounts], count_pixels: bool
-    ) -> None:
-        """Draw a part of the image, and add to the counts of the heads in it, by number."""
-        passes, targets = self._passes, self._targets
-        targets.draw_only(part)
-        within = heads_within(listed, part)
-        # With both kinds of heads depth does not tell whose a pixel is.
-        has_both = bool(within.decoded and within.painted)
-        passes.surfaces(targets, within.decoded, clear=has_both)
-        shaded = passes.shade(targets, within.decoded, count=count_pixels)
-        textured = passes.statics(targets, within.decoded, count=count_pixels)
-        shaded += passes.texture(targets, within.painted, count=count_pixels)
-        if self._options.smooth_edges:
-            passes.smooth(targets, [head.place for head in within.heads])
-        for place, head in enumerate(within.heads):
-            count = counts[head.number]
-            count.num_drawn += 1
-            count.shaded += shaded[place] or 0
-            count.textured += (textured[place] or 0) if place < len(textured) else 0
+    def _with_layers(self, heads: Sequence[ShownHead]) -> list[LayeredHead]:
+        """Heads with the layers that they are drawn into; what no head needs any more is freed."""
+        kept: dict[tuple[str, int], Layer] = {}
+        for head in heads:
+            layer = self._layers.get((head.slot, head.view[0]))
+            if layer is not None and layer.serves(head.size):
+                kept[head.slot, head.view[0]] = layer
+        with freeing(self._context) if len(kept) < len(self._layers) else nullcontext():
+            self._unbind()
+            self._shown = []
+            self._layers = kept
+        for head in heads:
+            if (head.slot, head.view[0]) not in kept:
+                kept[head.slot, head.view[0]] = Layer(self._context, layer_size(head.size))
+        return [(head, kept[head.slot, head.view[0]]) for head in heads]
 
     def read_image(self) -> Image:
         """The last frame, uint8 ``[H, W, 3]``, top row first. Waits for the GPU.
@@ -350,28 +376,36 @@ class Renderer(Closing):
         wait_for_gpu(self._context)
         self.check()
         # Four components are read as they lie in memory; three would be repacked pixel by pixel.
-        data = self._targets.final.read(components=4)
+        data = self._images.final.read(components=4)
         image: Image = np.frombuffer(data, np.uint8).reshape(height, width, 4)
         return image[::-1, :, :3]
 
     def read_surface(self) -> tuple[FloatArray, FloatArray, npt.NDArray[np.int32]]:
-        """What the last frame's surface pass saw, top row first; for tests and picking.
+        """What the last frame shows, top row first; for tests and picking.
 
         Returns:
             Head-frame positions in metres ``[H, W, 3]``, UVs ``[H, W, 2]``, and the index of the
-            head among the drawn ones, -1 where there is none, ``[H, W]``. Positions and UVs are of
-            decoded pixels; where a head is static they are anything.
+            head among the shown ones, -1 where there is none, ``[H, W]``. Positions and UVs are of
+            decoded pixels; elsewhere they are anything.
         """
         width, height = self.size
-        visible = self._targets.visible
-        xyz = np.frombuffer(visible[UNIT_VISIBLE_XYZ].read(), np.float32)
-        steps = np.frombuffer(visible[UNIT_VISIBLE_UV].read(), np.uint16)
-        uv = steps.astype(np.float32) / np.float32(65535)
-        xyz = xyz.reshape(height, width, 4)[::-1]
-        marks = np.frombuffer(self._targets.shaded.read(components=4), np.uint8)
-        numbers = 255 - marks.reshape(height, width, 4)[::-1, :, 3].astype(np.int32)
-        heads = np.where(numbers <= self._num_decoded, numbers - 1, -1).astype(np.int32)
-        return xyz[..., :3], uv.reshape(height, width, 2)[::-1], heads
+        marks = np.frombuffer(self._images.layered.read(components=4), np.uint8)
+        heads = 254 - marks.reshape(height, width, 4)[..., 3].astype(np.int32)
+        xyz_m = np.zeros((height, width, 3), np.float32)
+        uv = np.zeros((height, width, 2), np.float32)
+        for number, (head, layer) in enumerate(self._shown):
+            left, bottom, columns, rows = viewport(head.rect)
+            image = np.s_[bottom : bottom + rows, left : left + columns]
+            own = heads[image] == number
+            for found, unit, kind in (
+                (xyz_m, UNIT_VISIBLE_XYZ, np.float32),
+                (uv, UNIT_VISIBLE_UV, np.uint16),
+            ):
+                texture = layer.visible[unit]
+                values = np.frombuffer(texture.read(), kind)
+                values = values.reshape(*layer.size[::-1], texture.components)
+                found[image][own] = values[:rows, :columns, : found.shape[2]][own]
+        return xyz_m[::-1], uv[::-1] / np.float32(65535), heads[::-1]
 
     def read_maps(self, slot: str) -> tuple[FloatArray, FloatArray]:
         """The newest maps of an avatar, positions and expressions; for tests."""
@@ -393,11 +427,11 @@ class Renderer(Closing):
     @property
     def image(self) -> moderngl.Framebuffer:
         """The last frame, for whoever draws over it."""
-        return self._targets.final
+        return self._images.final
 
     def present(self, target: moderngl.Framebuffer) -> None:
         """Copy the last frame to a window's framebuffer of the same size."""
-        self._context.copy_framebuffer(target, self._targets.final)
+        self._context.copy_framebuffer(target, self._images.final)
 
     def check(self) -> None:
         """Ask the driver whether all is well; costs as much as waiting for the GPU.

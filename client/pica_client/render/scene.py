@@ -89,24 +89,31 @@ def clip_from_head(camera: Camera, world_from_head: FloatArray) -> FloatArray:
     return matrix
 
 
-def screen_rect(matrix: FloatArray, low_m: npt.ArrayLike, high_m: npt.ArrayLike) -> Rect | None:
-    """Left, bottom, right, top of what a box may cover in clip space, within [-1, 1]; None if
-    nothing is on the screen. A box that reaches behind the near plane may cover everything."""
-    low, high = np.asarray(low_m, np.float64), np.asarray(high_m, np.float64)
-    picks = (np.arange(8)[:, None] >> np.arange(3)) & 1
-    corners = np.where(picks == 1, high, low)
-    clip = np.matmul(corners, matrix[:, :3].T.astype(np.float64)) + matrix[:, 3]
-    w = clip[:, 3]
-    if not np.isfinite(clip).all() or (w <= NEAR_M).all():
-        return None
-    if (w <= NEAR_M).any():
-        return (-1.0, -1.0, 1.0, 1.0)
-    places = clip[:, :2] / w[:, None]
-    left, bottom = np.clip(places.min(axis=0), -1, 1).tolist()
-    right, top = np.clip(places.max(axis=0), -1, 1).tolist()
-    if left >= right or bottom >= top:
-        return None
-    return (left, bottom, right, top)
+def screen_rects(matrices: FloatArray, outlines_m: FloatArray) -> list[Rect | None]:
+    """Left, bottom, right, top of what convex bodies cover in clip space, within [-1, 1]; None of
+    one of which nothing is on the screen. One that reaches behind the near plane may cover
+    everything.
+
+    Args:
+        matrices: To clip space, ``[N, 4, 4]`` for column vectors.
+        outlines_m: Points that hold each between them, ``[N, K, 3]``.
+    """
+    clip = np.matmul(outlines_m, matrices[:, :, :3].transpose(0, 2, 1).astype(np.float64))
+    clip += matrices[:, None, :, 3]
+    w = clip[..., 3]
+    is_behind = w <= NEAR_M
+    nearest, farthest = is_behind.any(axis=1), is_behind.all(axis=1)
+    places = clip[..., :2] / np.where(is_behind, 1.0, w)[..., None]
+    low, high = np.clip(places.min(axis=1), -1, 1), np.clip(places.max(axis=1), -1, 1)
+    is_seen = np.isfinite(clip).all(axis=(1, 2)) & ~farthest
+    is_seen &= nearest | (low < high).all(axis=1)
+    low[nearest], high[nearest] = -1, 1
+    rects: list[Rect | None] = []
+    for seen, (left, bottom), (right, top) in zip(
+        is_seen.tolist(), low.tolist(), high.tolist(), strict=True
+    ):
+        rects.append((left, bottom, right, top) if seen else None)
+    return rects
 
 
 def head_rect_px(camera: Camera, world_from_head: npt.ArrayLike) -> Rect | None:

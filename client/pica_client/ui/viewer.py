@@ -341,7 +341,6 @@ class Viewer(Closing):
             "errors": self._presenter.num_errors,
             "gl_renderer": self._renderer.gl_renderer,
             "triangles": self.last_draw.num_triangles if self.last_draw else 0,
-            "draw_calls": self.last_draw.num_draw_calls if self.last_draw else 0,
             **self._meter.summaries(),
         }
 

@@ -3,9 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from pica_core.avatar.file import Avatar
-from pica_core.types import Array
+from pica_core.types import Array, FloatArray
 
 WHOLE_M = (-1e6, -1e6 + 1.0)
 """Heights of what does not fade."""
@@ -17,6 +18,11 @@ LOWEST_M = -0.31
 """Longer busts end here, too: in a call all are of one size."""
 CHIN_M = -0.12
 """Nothing above fades, however short a bust is."""
+
+NUM_OUTLINE = 96
+"""Points of an outline: neighbours of them see directions that are 18 degrees apart."""
+OUTLINE_MARGIN_M = 0.004
+"""An outline is so much wider than what it holds: shoulders bulge so far between its directions."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -50,3 +56,25 @@ def fade_heights_m(lower_m: float) -> tuple[float, float]:
     and from which all is there."""
     gone = max(lower_m + BORDER_M, LOWEST_M)
     return gone, max(min(gone + FADE_M, CHIN_M), gone + 0.005)
+
+
+def outline_of(vertices_m: FloatArray, slack_m: float = 0.0) -> FloatArray:
+    """Points that hold vertices ``[V, 3]`` between them wherever these go within a distance: the
+    outermost in each of many directions, moved outwards. float32 ``[NUM_OUTLINE, 3]``."""
+    index = np.arange(NUM_OUTLINE)
+    height, turn = 1 - (2 * index + 1) / NUM_OUTLINE, index * np.pi * (3 - 5**0.5)
+    level = np.sqrt(1 - height**2)
+    directions = np.stack([level * np.cos(turn), height, level * np.sin(turn)], axis=1)
+    sound_m = vertices_m[np.isfinite(vertices_m).all(axis=1)]
+    if not len(sound_m):
+        sound_m = np.zeros((1, 3), np.float32)
+    outermost_m = sound_m[np.matmul(directions, sound_m.T).argmax(axis=1)]
+    outline_m: FloatArray = outermost_m + (slack_m + OUTLINE_MARGIN_M) * directions
+    return outline_m.astype(np.float32)
+
+
+def box_corners(low_m: npt.ArrayLike, high_m: npt.ArrayLike) -> FloatArray:
+    """The corners of a box between two opposite ones. ``[8, 3]``."""
+    picks = (np.arange(8)[:, None] >> np.arange(3)) & 1
+    corners: FloatArray = np.where(picks == 1, high_m, low_m).astype(np.float32)
+    return corners

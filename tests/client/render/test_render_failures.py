@@ -119,20 +119,6 @@ def test_from_behind_below_and_above_the_visible_side_is_shaded_once(
     assert stats.shaded_pixels == (renderer.read_surface()[2] == 0).sum()
 
 
-def test_of_five_heads_behind_each_other_every_pixel_is_shaded_once(
-    context: moderngl.Context,
-) -> None:
-    renderer = renderer_with(context, 5)
-    stack = [placed(f"p{index}", 0.01 * index, 0, -0.12 * index) for index in range(5)]
-    for order in (stack, stack[::-1]):
-        stats = renderer.draw(order, camera_at(0, 0, 1.0), count_pixels=True)
-        heads = renderer.read_surface()[2]
-        assert stats.shaded_pixels == (heads >= 0).sum()
-        by_slot = {head.slot: head.shaded_pixels for head in stats.heads}
-        assert by_slot["p0"] == max(count or 0 for count in by_slot.values())
-        assert len(by_slot) == 5
-
-
 def test_a_head_that_fills_the_screen_shades_each_pixel_once(context: moderngl.Context) -> None:
     renderer = renderer_with(context, 1)
     stats = renderer.draw([placed("p0")], camera_at(0, 0, 0.25, fov=0.2), count_pixels=True)

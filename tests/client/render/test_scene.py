@@ -17,7 +17,7 @@ from pica_client.render.scene import (
     head_rect_px,
     pick_head,
     rotation_matrix,
-    screen_rect,
+    screen_rects,
     view_direction,
 )
 from pica_client.render.seats import (
@@ -31,6 +31,7 @@ from pica_client.render.views import (
     ViewState,
     plan_camera,
 )
+from pica_core.avatar.bust import box_corners
 from pica_core.camera import Camera
 from pica_core.types import Float64Array
 
@@ -170,9 +171,14 @@ def test_dragging_to_the_right_turns_the_scene_with_the_hand() -> None:
     assert nose[0] > middle[0]
 
 
+def box_rect(matrix: np.ndarray) -> tuple[float, ...] | None:
+    (rect,) = screen_rects(matrix[None], box_corners(BOX_LOW, BOX_HIGH)[None])
+    return rect
+
+
 def test_a_box_in_view_covers_the_rectangle_of_its_corners() -> None:
     camera = view_camera(ViewState(), 1, 960, 540)
-    rect = screen_rect(clip_from_head(camera, np.eye(4, dtype=np.float32)), BOX_LOW, BOX_HIGH)
+    rect = box_rect(clip_from_head(camera, np.eye(4, dtype=np.float32)))
     assert rect is not None
     left, bottom, right, top = rect
     pixels, _ = camera.project([[-0.1, 0.15, 0.1], [0.1, -0.15, 0.1]])
@@ -192,18 +198,18 @@ def test_a_box_in_view_covers_the_rectangle_of_its_corners() -> None:
 def test_a_box_out_of_view_covers_nothing(offset: tuple[float, float, float]) -> None:
     camera = view_camera(ViewState(), 1, 960, 540)
     world_from_head = head_matrix(np.eye(4), [0, 0, 0], offset)
-    assert screen_rect(clip_from_head(camera, world_from_head), BOX_LOW, BOX_HIGH) is None
+    assert box_rect(clip_from_head(camera, world_from_head)) is None
 
 
 def test_a_box_around_the_camera_may_cover_everything() -> None:
     camera = view_camera(ViewState(), 1, 960, 540)
     world_from_head = head_matrix(np.eye(4), [0, 0, 0], camera.centre_m)
-    rect = screen_rect(clip_from_head(camera, world_from_head), BOX_LOW, BOX_HIGH)
+    rect = box_rect(clip_from_head(camera, world_from_head))
     assert rect == (-1, -1, 1, 1)
 
 
 def test_a_matrix_that_is_not_finite_covers_nothing() -> None:
-    assert screen_rect(np.full((4, 4), np.nan, np.float32), BOX_LOW, BOX_HIGH) is None
+    assert box_rect(np.full((4, 4), np.nan, np.float32)) is None
 
 
 def test_a_click_finds_the_head_under_it_and_the_nearer_of_two() -> None:

@@ -17,6 +17,7 @@ layout(location = 0) out vec4 colour;
 const vec3 SHADE = vec3(0.178, 0.175, 0.172), LIT = vec3(0.550, 0.538, 0.522); // of the dark wall
 const vec3 LIGHT_SHADE = vec3(0.520, 0.515, 0.510), LIGHT_LIT = vec3(0.870, 0.858, 0.840);
 const vec3 GLOW = vec3(0.36, 0.74, 0.55);
+const float GLOW_END = 0.0475; // exp(-28 r^2) where a glow ends, 0.33 m from the head
 const vec3 LAMP = normalize(vec3(-0.55, 0.40, -1.0));
 
 void main() {
@@ -29,7 +30,7 @@ void main() {
         vec3 past = ray * dot(away, ray) - away; // from the head to where the ray passes it
         float nearness = dot(past, past);
         unlit *= 1.0 - 0.6 * exp(-10.0 * nearness);
-        glow = max(glow, seats[index].w * exp(-28.0 * nearness));
+        glow = max(glow, seats[index].w * (exp(-28.0 * nearness) - GLOW_END) / (1.0 - GLOW_END));
         vec3 under = (past + vec3(0.0, 0.31, 0.0)) / vec3(0.33, 0.06, 0.33);
         shadow = max(shadow, exp(-dot(under, under)));
     }

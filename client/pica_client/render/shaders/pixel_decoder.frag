@@ -8,12 +8,10 @@ uniform vec4 expression_rows; // of this head: the first, and how many; of all i
                               // whether the map is what is added to the still one
 uniform sampler2D still_map;
 uniform float slot;
-uniform float mark; // whose the pixel is, for the passes after this one
 
 layout(location = 0) out vec4 colour;
 
 #include "owner.glsl"
-#include "mark.glsl"
 #include "bust.glsl"
 #include "footprint.glsl"
 #include "surface_joint.glsl"
@@ -35,5 +33,5 @@ void main() {
     }
     vec2 reach = unpack_footprint(surface.w);
     vec3 rgb = decode_pixel(expression, encode_xyz(surface.xyz) SURFACE_CODES);
-    colour = vec4(before_room(clamp(rgb, 0.0, 1.0), surface.xyz), mark_of(mark));
+    colour = vec4(clamp(rgb, 0.0, 1.0), presence(surface.xyz));
 }

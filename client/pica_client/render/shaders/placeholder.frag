@@ -4,12 +4,10 @@ uniform sampler2D visible_xyz;
 uniform sampler2D visible_uv;
 uniform sampler2D position_map;
 uniform float slot;
-uniform float mark;
 
 layout(location = 0) out vec4 colour;
 
 #include "owner.glsl"
-#include "mark.glsl"
 #include "bust.glsl"
 
 void main() {
@@ -27,5 +25,5 @@ void main() {
     vec3 normal = normalize(cross(below, along) + vec3(0.0, 1e-9, 0.0));
     float light = 0.5 + 0.5 * dot(normal, normalize(vec3(0.30, 0.75, 0.60)));
     vec3 rgb = mix(vec3(0.205, 0.225, 0.250), vec3(0.520, 0.545, 0.570), light * light);
-    colour = vec4(before_room(rgb, surface.xyz), mark_of(mark));
+    colour = vec4(rgb, presence(surface.xyz));
 }

@@ -7,16 +7,16 @@ in float surface_opacity;
 #endif
 
 uniform sampler2D skin; // row 0 is v = 0
-uniform float slot;
 #ifdef STATIC
 uniform vec2 share; // the part of the pixels that this level of a head gets, from and to
 #endif
 
 layout(location = 0) out vec4 colour;
 
-#include "mark.glsl"
 #include "bust.glsl"
+#ifdef STATIC
 #include "turns.glsl"
+#endif
 
 #ifdef STATIC
 // As surface_joint.glsl looks its map up, so that both sides of a seam are as sharp.
@@ -34,5 +34,5 @@ void main() {
         discard;
     }
 #endif
-    colour = vec4(before_room(texture(skin, surface_uv, LOD_BIAS).rgb, surface_xyz_m), mark_of(slot));
+    colour = vec4(texture(skin, surface_uv, LOD_BIAS).rgb, presence(surface_xyz_m));
 }

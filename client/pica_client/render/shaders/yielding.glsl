@@ -1,7 +1,7 @@
 // Where a bust fades it yields to whoever is behind it: the lower, the further away it counts, without
 // a step. Done at vertices, for a program that discards pixels has its depth tested late.
 
-uniform vec3 shown; // height at which nothing is left, height from which all is there, opacity
+uniform vec2 shown; // height at which nothing is left, height from which all is there
 
 // Times the height: with more, neighbours in a row change places, one being a little behind.
 const float RECEDING = 2.0;
