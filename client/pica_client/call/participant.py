@@ -285,7 +285,6 @@ class Participant:
             "playout_delay_ms": round(report.delay_s * 1e3, 2),
             "jitter_ms": round(report.jitter_s * 1e3, 2),
             "age_ms": round(report.age_s * 1e3, 2),
-            "clock_offset_ms": round(report.offset_s * 1e3, 1),
         }
 
     @property

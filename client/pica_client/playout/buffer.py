@@ -93,8 +93,6 @@ class PlayoutReport:
     not the display, let a face stand still."""
     concealed: int = 0
     """Display times, or holes in the released frames, without a fresh face."""
-    leaps: int = 0
-    """How often the display leapt forwards because it was too far behind."""
     delay_s: float = 0.0
     """What the face waits beyond the fastest transit; follows `target_s` smoothly."""
     target_s: float = 0.0
@@ -103,9 +101,6 @@ class PlayoutReport:
     """Lateness that is waited for."""
     interval_s: float = 0.0
     """Time between two frames that arrive; 0 until two have come."""
-    offset_s: float = 0.0
-    """Our clock minus the sender's, with what the fastest frame took, which cannot be told apart:
-    between two machines it may be anything, and so may be what somebody calls a latency."""
     age_s: float = 0.0
     """`PlayedFace.age_s` of the last face."""
 
@@ -264,12 +259,10 @@ class Playout:
             shown=self._num_shown,
             missed_s=self._missed_s,
             concealed=self._concealed,
-            leaps=self._media.num_leaps,
             delay_s=target_s if self._delay_s is None else self._delay_s,
             target_s=target_s,
             jitter_s=0.0 if transit is None else transit.jitter_s,
             interval_s=self._interval.interval_s,
-            offset_s=sender.offset_s,
             age_s=self._age_s,
         )
 

@@ -29,10 +29,6 @@ still moved evenly)."""
 MIN_BASE_S = 0.025
 """Shortest time that a speed is measured over: two frames 4 ms apart mostly tell the noise of the
 tracker (chosen: one frame of the usual stream and less)."""
-CORRECTION_LIMITS = (10.0, 3.0, 0.5)
-"""Fastest correction a second of latent (root mean square), head's turn (radians) and head's place
-(metres): slower than faces move by themselves. The latents of the shipped avatars move by up to 12
-a second (99th percentile of performances; measured), a head that is shaken turns by 5 (chosen)."""
 UNSEEN = 1e-5
 """A difference below this, in any unit, is none."""
 
@@ -72,17 +68,13 @@ class _Offset(NamedTuple):
     turn: FloatArray
     move_m: FloatArray
 
-    def sizes(self) -> tuple[float, float, float]:
-        """How large it is, as `CORRECTION_LIMITS` counts."""
-        return (
-            float(np.sqrt(np.mean(np.square(self.latent)))),
-            float(np.linalg.norm(self.turn)),
-            float(np.linalg.norm(self.move_m)),
-        )
+    def size(self) -> float:
+        """The largest of its parts, in their own units."""
+        return max(float(np.abs(part).max()) for part in self)
 
 
 class Correction:
-    """Takes what is shown back to where it should be, within `seconds` or at `CORRECTION_LIMITS`.
+    """Takes what is shown back to where it should be, within `seconds`.
 
     What is shown is the true face plus an offset, which shrinks evenly to nothing; the true face
     moves on undamped below it.
@@ -105,27 +97,18 @@ class Correction:
         )
         if self._offset is not None:
             change = _Offset(*(new - old for new, old in zip(offset, self._offset, strict=True)))
-            if max(change.sizes()) < UNSEEN:
+            if change.size() < UNSEEN:
                 return  # nothing new: what is under way goes on
-        is_seen = max(offset.sizes()) >= UNSEEN
-        self._offset, self._left_s = (offset if is_seen else None), self._seconds
+        self._offset, self._left_s = (offset if offset.size() >= UNSEEN else None), self._seconds
 
     def corrected(self, true: LatentSample, elapsed_s: float) -> LatentSample:
         """The face to show instead of the true one, some time after the last."""
-        offset = self._offset
-        if offset is None:
-            return true
-        even = elapsed_s / self._left_s if self._left_s > elapsed_s else 1.0
-        self._left_s -= elapsed_s
-        shares = [
-            min(even, most * elapsed_s / size) if size > 0 else 1.0
-            for size, most in zip(offset.sizes(), CORRECTION_LIMITS, strict=True)
-        ]
-        if min(shares) >= 1:
+        if self._offset is None or self._left_s <= elapsed_s:
             self._offset = None
             return true
-        left = [np.float32(1 - share) for share in shares]
-        self._offset = _Offset(*(rest * part for rest, part in zip(left, offset, strict=True)))
+        share = np.float32(1 - elapsed_s / self._left_s)
+        self._left_s -= elapsed_s
+        self._offset = _Offset(*(share * part for part in self._offset))
         return LatentSample(
             latent=true.latent + self._offset.latent,
             rotation=true.rotation + self._offset.turn,

@@ -39,14 +39,12 @@ class Playhead:
 
     Attributes:
         position_s: The moment shown, on the stream's time line; minus infinity before the first.
-        num_leaps: How often the display leapt forwards.
         step_s: Mean time between two display times.
     """
 
     def __init__(self, leap_s: float) -> None:
         """A display this far behind leaps."""
         self.position_s = -math.inf
-        self.num_leaps = 0
         self.step_s = 0.0
         self._leap_s = leap_s
         self._now = -math.inf
@@ -72,7 +70,6 @@ class Playhead:
         behind_s = target_s - before_s - elapsed_s
         faster, slower = (LED_RATE, LED_RATE) if is_led else (FASTER, SLOWER)
         if behind_s > max(LED_LEAP_S if is_led else self._leap_s, UNSEEN_S):
-            self.num_leaps += 1
             self.position_s = target_s
             return Step(elapsed_s, elapsed_s, is_leap=True)
         rate = min(max(behind_s, -slower * elapsed_s), faster * elapsed_s)

@@ -52,13 +52,6 @@ class SenderClock:
         self._transit_s = 0.0
         self._origin_us, self._origin_s = 0, 0.0
 
-    @property
-    def offset_s(self) -> float:
-        """Our clock minus the sender's for the newest frame, had it come the fastest way."""
-        if self.transit is None:
-            return 0.0
-        return self.media_s(self._captured_us) + self.transit.fastest_s - self._captured_us / 1e6
-
     def media_s(self, captured_us: int) -> float:
         """The place of a capture time on the time line, as the newest frames have it."""
         # Subtracted as integers: a float of microseconds since 1970 has no room for fractions.

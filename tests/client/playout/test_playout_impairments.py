@@ -20,7 +20,7 @@ from helpers.playout_trial import (
     play,
     steps,
 )
-from pica_client.bench.network.scenarios import ADAPTIVE, FIXED, UNBUFFERED
+from pica_client.bench.network.scenarios import ADAPTIVE, UNBUFFERED
 from pica_client.playout.buffer import Playout
 
 pytestmark = [pytest.mark.unit, pytest.mark.slow]
@@ -45,19 +45,13 @@ def stalls(length_s: float) -> tuple[tuple[float, float], ...]:
 TABLE = {
     # trouble: (what, most concealed, most delay in trouble, largest step at all)
     "calm": (Trouble(), 0.0, 0.034, 0.055),
-    "jitter 20 ms": (Trouble(jitter_s=0.02), 0.005, 0.056, 0.058),
     "jitter 80 ms": (Trouble(jitter_s=0.08), 0.04, 0.12, 0.065),
     "jitter 200 ms": (Trouble(jitter_s=0.2), 0.07, 0.24, 0.085),
-    "datagrams, jitter 80 ms": (Trouble(jitter_s=0.08, is_reordered=True), 0.03, 0.115, 0.065),
     "datagrams, jitter 200 ms": (Trouble(jitter_s=0.2, is_reordered=True), 0.045, 0.21, 0.08),
-    "stalls of 100 ms": (Trouble(stalls=stalls(0.1)), 0.055, 0.034, 0.085),
     "stalls of 300 ms": (Trouble(stalls=stalls(0.3)), 0.2, 0.034, 0.14),
     "stalls of 1000 ms": (Trouble(stalls=stalls(1.0)), 0.65, 0.034, 0.145),
-    "one stall of 300 ms": (Trouble(stalls=((9.0, 0.3),)), 0.05, 0.034, 0.11),
     "one stall of 1000 ms": (Trouble(stalls=((9.0, 1.0),)), 0.17, 0.034, 0.115),
-    "1 % dropped": (Trouble(dropped_ratio=0.01), 0.02, 0.034, 0.055),
     "10 % dropped": (Trouble(dropped_ratio=0.1), 0.12, 0.034, 0.075),
-    "30 % dropped": (Trouble(dropped_ratio=0.3), 0.3, 0.034, 0.085),
     "datagrams, both": (
         Trouble(jitter_s=0.08, dropped_ratio=0.1, is_reordered=True),
         0.065,
@@ -67,11 +61,10 @@ TABLE = {
 }
 
 
-@pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("name", TABLE)
-def test_a_troubled_stream_plays_within_its_bounds_and_recovers(name: str, seed: int) -> None:
+def test_a_troubled_stream_plays_within_its_bounds_and_recovers(name: str) -> None:
     trouble, most_concealed, most_delay_s, largest_step = TABLE[name]
-    ticks = play(Playout(ADAPTIVE), arrivals(trouble, seed=seed))
+    ticks = play(Playout(), arrivals(trouble))
     troubled = between(ticks, trouble.begin_s, trouble.end_s)
     report = ticks[-1].report
     assert concealed_ratio(troubled) <= most_concealed
@@ -83,29 +76,6 @@ def test_a_troubled_stream_plays_within_its_bounds_and_recovers(name: str, seed:
     assert (report.restarts, report.refused, report.duplicates) == (0, 0, 0)
     moments = [tick.played.captured_us for tick in ticks if tick.played is not None]
     assert moments == sorted(moments)
-
-
-@pytest.mark.parametrize("name", ["jitter 200 ms", "stalls of 300 ms", "30 % dropped"])
-def test_a_fixed_buffer_keeps_its_delay_whatever_happens(name: str) -> None:
-    ticks = play(Playout(FIXED), arrivals(TABLE[name][0]))
-    targets_s = [tick.report.target_s for tick in ticks[90:]]
-    assert min(targets_s) == pytest.approx(0.1, abs=0.001)
-    # Where every frame of six seconds is late, this much is the way itself.
-    assert max(targets_s) <= 0.14
-    assert ticks[-1].report.delay_s == pytest.approx(0.1, abs=0.001)
-
-
-def test_without_a_buffer_each_frame_is_shown_when_it_comes() -> None:
-    frames = arrivals(Trouble(jitter_s=0.2))
-    ticks = play(Playout(UNBUFFERED), frames)
-    for tick in between(ticks, 1.0, 22.0):
-        newest = max(
-            (frame for frame in frames if frame.arrived_s <= tick.now),
-            key=lambda frame: frame.number,
-        )
-        assert tick.played is not None
-        # A single frame faster than all others is believed only in part.
-        assert tick.played.captured_us == pytest.approx(newest.captured_us, abs=20_000)
 
 
 def test_what_the_buffer_gains_is_calm_and_what_it_costs_is_age() -> None:
@@ -140,7 +110,6 @@ def test_what_is_missed_is_the_networks_doing_and_not_the_displays() -> None:
 def test_the_delay_changes_by_playing_a_little_faster_or_slower() -> None:
     playout = Playout()
     ticks = play(playout, arrivals(Trouble(jitter_s=0.2)))
-    assert playout.report().leaps == 0
     speeds = [
         (after.played.captured_us - before.played.captured_us) / 1e6 * DISPLAY_HZ
         for before, after in pairwise(ticks)
@@ -151,9 +120,8 @@ def test_the_delay_changes_by_playing_a_little_faster_or_slower() -> None:
 
 
 @pytest.mark.parametrize("ppm", [-200, 200])
-@pytest.mark.parametrize("jitter_s", [0.0, 0.08])
-def test_a_drifting_clock_neither_adds_delay_nor_conceals(ppm: float, jitter_s: float) -> None:
-    trouble = Trouble(jitter_s=jitter_s, begin_s=0.0, end_s=120.0)
+def test_a_drifting_clock_neither_adds_delay_nor_conceals(ppm: float) -> None:
+    trouble = Trouble(jitter_s=0.08, begin_s=0.0, end_s=120.0)
     playout = Playout()
     ticks = play(
         playout,
@@ -162,11 +130,11 @@ def test_a_drifting_clock_neither_adds_delay_nor_conceals(ppm: float, jitter_s: 
         display_hz=30,
     )
     later = between(ticks, 20.0, 120.0)
-    assert max(tick.report.delay_s for tick in later) <= INTERVAL_S + jitter_s + 0.002
+    assert max(tick.report.delay_s for tick in later) <= INTERVAL_S + 0.082
     assert concealed_ratio(later) <= 0.01
 
 
-@pytest.mark.parametrize("fps", [1, 5, 7.5, 15, 60, 240])
+@pytest.mark.parametrize("fps", [1, 7.5, 60, 240])
 def test_a_stream_of_any_rate_waits_one_of_its_intervals_at_most_the_ceiling(fps: float) -> None:
     playout = Playout()
     ticks = play(playout, arrivals(seconds=20, fps=fps), seconds=20)
@@ -176,12 +144,3 @@ def test_a_stream_of_any_rate_waits_one_of_its_intervals_at_most_the_ceiling(fps
     assert concealed_ratio(between(ticks, 5, 20)) == 0
     assert max(steps(ticks)) <= 0.08
     assert (report.lost, report.late, report.refused) == (0, 0, 0)
-
-
-def test_a_reordered_stream_at_60_fps_loses_nothing() -> None:
-    playout = Playout()
-    trouble = Trouble(jitter_s=0.2, is_reordered=True, begin_s=2, end_s=6)
-    play(playout, arrivals(trouble, seconds=10, fps=60), seconds=10)
-    report = playout.report()
-    assert (report.lost, report.refused, report.restarts) == (0, 0, 0)
-    assert report.late < 0.05 * report.received
