@@ -1,20 +1,20 @@
 """Measure decoding by ONNX Runtime and in shaders in turns, with one JSON line for each case.
 
-    PYTHONPATH=client:pica_core:protocol python scripts/gpu_table.py              three minutes
+    PYTHONPATH=client:pica_core:protocol python scripts/gpu_table.py              two minutes
     PYTHONPATH=client:pica_core:protocol python scripts/gpu_table.py --quick      small images
 
-Every head is its own person, changes in every image and is drawn whole. In milliseconds an image:
+Every head is its own person, changes in every image and is drawn whole, as in a call: ONNX Runtime
+decodes in worker threads beside the drawing. In milliseconds an image, everybody decoded anew:
 
-    decode    ONNX Runtime on one thread; in shaders, by the GPU's clock
-    python    the same on this thread: all of it, or submitting alone
-    upload    of maps, by this thread; nothing in shaders (`upload_kb` is what goes to the GPU)
+    decode    on one thread by ONNX Runtime; in shaders, by the GPU's clock
+    python    submitting decodes, this thread
+    upload    of maps, this thread; nothing in shaders (`upload_kb` is what goes to the GPU)
     submit    drawing until it is handed to the driver
     draw      by the GPU's clock
-    thread    processor time of this thread in a call: plan, decode, upload, submit
+    thread    processor time of this thread: plan, decode, upload, submit
 
-``images_s`` is what a call reaches, with ONNX Runtime in worker threads beside the drawing. The
-first lines are the largest differences from numpy. Needs moderngl, numpy, safetensors, onnx and
-onnxruntime.
+The first lines are the largest differences from numpy. Needs moderngl, numpy, safetensors, onnx,
+onnxruntime and platformdirs.
 """
 
 import argparse
@@ -114,106 +114,84 @@ class Scene:
         self._shaders.close()
         self._renderer.close()
 
-    def row(self, mode: str, seconds: float, decoders: list[OnnxDecoder]) -> dict[str, Any]:
+    def row(self, mode: str, seconds: float) -> dict[str, Any]:
         """All figures of one way to decode."""
-        took: dict[str, list[float]] = defaultdict(list)
-        clock: DrawClock[str] = DrawClock(self._context)
-        before = self._uploaded(mode)
-        count = self._repeat(seconds, lambda: self._image(mode, decoders, took, clock), ahead=1)
-        row = {f"{name}_ms": round(median(times) * 1e3, 3) for name, times in took.items() if times}
-        row["upload_kb"] = round((self._uploaded(mode) - before) / count / 1e3, 1)
-        return {"mode": mode, **row, **self._call(mode, seconds)}
+        with DecodePool(OnnxDecoder, workers=num_workers(os.cpu_count())) as pool:
+            heads = {}
+            for index, (avatar, matrix) in enumerate(
+                zip(self._avatars, self._matrices, strict=True)
+            ):
+                slot = f"{mode} {index}"
+                heads[slot] = Head(slot=slot, avatar=avatar, world_from_head=matrix)
+                if mode == "cpu":
+                    pool.add(slot, avatar)
+            decoder = self._shaders if mode == "gpu" else pool
+            planner = FramePlanner(Scheduler(SchedulerOptions(mesh_px=(0.0, 0.0), full_px=0.0)))
+            clock: DrawClock[str] = DrawClock(self._context)
+            took: dict[str, list[float]] = defaultdict(list)
 
-    def _repeat(self, seconds: float, image: Callable[[], object], ahead: int = AHEAD) -> int:
+            def image() -> None:
+                self._turn += 1
+                begin_s = time.perf_counter()
+                for head, faces in zip(heads.values(), self._faces, strict=True):
+                    head.latent = faces[self._turn % NUM_FACES]
+                planner.plan(list(heads.values()), self._eyes, self._size, 1.0, begin_s)
+                asked = planner.requests(list(heads.values()), begin_s)
+                decode_s = time.perf_counter()
+                for head, request in asked:
+                    decoder.submit(head.slot, request)
+                results = decoder.take_results()
+                took["python"].append(time.perf_counter() - decode_s)
+                for result in results:
+                    assert result.maps is not None, result.error
+                    maps, upload_s = result.maps, time.perf_counter()
+                    self._renderer.update_maps(result.slot, maps.position_map, maps.expression_map)
+                    took["upload"].append(len(heads) * (time.perf_counter() - upload_s))
+                    took["decode"].append(len(heads) * result.decode_s)
+                    planner.note_decoded(heads[result.slot], result, 0.0, begin_s)
+                draw_s = time.perf_counter()
+                with clock.around(mode):
+                    self._draw(list(heads.values()))
+                took["submit"].append(time.perf_counter() - draw_s)
+                took["draw"] += [drawn_s for _, drawn_s in clock.take()]
+
+            self._repeat(0.0, image)
+            pool.wait_idle(30.0)
+            took.clear()
+            before, begin_s, thread_s = (
+                self._uploaded(mode),
+                time.perf_counter(),
+                time.thread_time(),
+            )
+            count = self._repeat(seconds, image)
+            per_s = count / (time.perf_counter() - begin_s)
+            thread_ms = 1e3 * (time.thread_time() - thread_s) / count
+        num_decodes = len(took["decode"])
+        row = {f"{name}_ms": round(median(times) * 1e3, 3) for name, times in took.items()}
+        upload_kb = (self._uploaded(mode) - before) * len(heads) / num_decodes / 1e3
+        return {
+            "mode": mode,
+            **row,
+            "thread_ms": round(thread_ms, 3),
+            "upload_kb": round(upload_kb, 1),
+            "images_s": round(per_s, 1),
+            "decodes_an_image": round(num_decodes / count, 2),
+        }
+
+    def _repeat(self, seconds: float, image: Callable[[], object]) -> int:
         """Make images for so long; how many they were."""
         end_s, count = time.perf_counter() + seconds, 0
         while time.perf_counter() < end_s or count < LEAST_IMAGES:
             image()
             count += 1
-            if count % ahead == 0:
+            if count % AHEAD == 0:
                 wait_for_gpu(self._context)
         return count
 
-    def _image(
-        self,
-        mode: str,
-        decoders: list[OnnxDecoder],
-        took: dict[str, list[float]],
-        clock: DrawClock[str],
-    ) -> None:
-        """Decode everybody, one after the other, and draw."""
-        self._turn += 1
-        begin_s, upload_s, decode_s = time.perf_counter(), 0.0, 0.0
-        for index, faces in enumerate(self._faces):
-            latent = faces[self._turn % NUM_FACES]
-            if mode == "gpu":
-                self._shaders.submit(f"gpu {index}", DecodeRequest(latent, FRONT, 0))
-                continue
-            maps = decoders[index].decode(latent, FRONT)
-            done_s = time.perf_counter()
-            self._renderer.update_maps(f"cpu {index}", maps.position_map, maps.expression_map)
-            upload_s += time.perf_counter() - done_s
-        if mode == "gpu":
-            decode_s = sum(result.decode_s for result in self._shaders.take_results())
-        python_s = time.perf_counter() - begin_s - upload_s
-        begin_s = time.perf_counter()
-        with clock.around(mode):
-            self._draw(mode)
-        took["submit"].append(time.perf_counter() - begin_s)
-        took["decode"].append(decode_s or python_s)
-        took["python"].append(python_s)
-        took["upload"].append(upload_s)
-        took["draw"] += [drawn_s for _, drawn_s in clock.take()]
-
-    def _draw(self, mode: str) -> None:
+    def _draw(self, heads: list[Head]) -> None:
         self._renderer.forget_frame()
-        heads = [
-            Placement(slot=f"{mode} {index}", world_from_head=matrix)
-            for index, matrix in enumerate(self._matrices)
-        ]
-        self._renderer.draw(heads, *self._eyes)
-
-    def _call(self, mode: str, seconds: float) -> dict[str, Any]:
-        """As a call does it: planned, and decoded beside drawing by ONNX Runtime."""
-        planner = FramePlanner(Scheduler(SchedulerOptions(mesh_px=(0.0, 0.0), full_px=0.0)))
-        places = enumerate(zip(self._avatars, self._matrices, strict=True))
-        heads = {
-            f"{mode} {index}": Head(slot=f"{mode} {index}", avatar=avatar, world_from_head=matrix)
-            for index, (avatar, matrix) in places
-        }
-        with DecodePool(OnnxDecoder, workers=num_workers(os.cpu_count())) as pool:
-            decoder = self._shaders if mode == "gpu" else pool
-            for slot, head in heads.items() if mode == "cpu" else ():
-                pool.add(slot, head.avatar)
-
-            def image() -> int:
-                self._turn += 1
-                now = time.perf_counter()
-                for head, faces in zip(heads.values(), self._faces, strict=True):
-                    head.latent = faces[self._turn % NUM_FACES]
-                planner.plan(list(heads.values()), self._eyes, self._size, 1.0, now)
-                for head, request in planner.requests(list(heads.values()), now):
-                    decoder.submit(head.slot, request)
-                for result in (results := decoder.take_results()):
-                    assert result.maps is not None, result.error
-                    maps = result.maps
-                    self._renderer.update_maps(result.slot, maps.position_map, maps.expression_map)
-                    planner.note_decoded(heads[result.slot], result, 0.0, now)
-                self._draw(mode)
-                return len(results)
-
-            self._repeat(0.0, image)
-            pool.wait_idle(30.0)
-            decodes: list[int] = []
-            begin_s, thread_s = time.perf_counter(), time.thread_time()
-            count = self._repeat(seconds, lambda: decodes.append(image()))
-            thread_ms = 1e3 * (time.thread_time() - thread_s) / count
-            images_s = count / (time.perf_counter() - begin_s)
-        return {
-            "images_s": round(images_s, 1),
-            "decodes_an_image": round(sum(decodes) / count, 2),
-            "thread_ms": round(thread_ms, 3),
-        }
+        places = [Placement(slot=each.slot, world_from_head=each.world_from_head) for each in heads]
+        self._renderer.draw(places, *self._eyes)
 
     def _uploaded(self, mode: str) -> int:
         slots = [f"cpu {index}" for index in range(len(self._avatars))]
@@ -225,7 +203,7 @@ def main() -> None:
     """Print all lines."""
     parser = argparse.ArgumentParser(description="Measure both ways to decode in turns.")
     parser.add_argument("--quick", action="store_true", help="small images, few of them")
-    parser.add_argument("--seconds", type=float, default=1.5, help="of each measurement")
+    parser.add_argument("--seconds", type=float, default=2.0, help="of each measurement")
     options = parser.parse_args()
     begin_s, seconds = time.monotonic(), 0.1 if options.quick else options.seconds
     context, files = create_context(), shipped_avatar_files()
@@ -236,12 +214,11 @@ def main() -> None:
     avatars = [load_avatar(files[index % len(files)]) for index in range(most)]
     for avatar in avatars[: 1 if options.quick else len(files)]:
         print_line(**errors(context, avatar))
-    decoders = [OnnxDecoder(avatar) for avatar in avatars]
     for size, num_eyes, counts in cases:
         for count in counts:
             scene = Scene(context, size, num_eyes, avatars[:count])
             for mode in ("cpu", "gpu") * ROUNDS:
-                row = scene.row(mode, seconds, decoders)
+                row = scene.row(mode, seconds)
                 print_line(size=size, eyes=num_eyes, heads=count, **row)
             scene.close()
     print_line(seconds=round(time.monotonic() - begin_s, 1))
