@@ -34,8 +34,6 @@ def avatar(tmp_path: Path) -> str:
         (["view", "--url", "ws://x", "--send", "voice"], "source voice needs --voice mic"),
         (["send", "--avatar", "nobody"], "avatar 'nobody' is unknown"),
         (["send", "--avatar", "none.pica"], "none.pica: cannot be read"),
-        (["view", "--url", "http://x"], "url 'http://x' is no relay address"),
-        (["view", "--url", "ws://x", "--send", "camera"], "source 'camera' is unknown"),
         (
             ["view", "--url", "ws://x", "--send", "performance:talk", "--own-avatar", "nobody"],
             "avatar 'nobody' is unknown",
@@ -44,31 +42,20 @@ def avatar(tmp_path: Path) -> str:
             ["view", "--headless", "--own-avatar", "nora"],
             "own-avatar is the look of your own face; to send one, add --send performance:talk",
         ),
-        (
-            ["view", "--url", "ws://x", "--send", "none", "--own-avatar", "nora"],
-            "own-avatar is the look of your own face",
-        ),
         (["view", "--size", "big"], "size is 'big'; write COLUMNSxROWS"),
         (["view", "--size", "9x9"], "size is 9x9; 16 to 8192"),
         (["view", "--avatar", "none.pica"], "none.pica: cannot be read"),
         (["view", "--expect", "-1"], "expect is -1; 0 to 63 is allowed"),
-        (["view", "--png", "nowhere/a.png"], "nowhere/a.png: cannot be written: No such folder"),
         (["view", "--record", "nowhere/a.mp4"], "nowhere/a.mp4: cannot be written"),
         (["view", "--png", "x.jpg"], "x.jpg: would hold PNG all the same; name it x.png"),
-        (["view", "--record", "a.avi"], "a.avi: would hold MP4 all the same; name it a.mp4"),
         (["view", "--frame-log", "."], ".: cannot be written: Is a directory"),
-        (["send", "--frame-log", "nowhere/a.json"], "nowhere/a.json: cannot be written"),
         (["demo", "--out", __file__], "test_commands.py: cannot be made: File exists"),
         (["demo", "--peers", "0"], "peers is 0; 1 to 15 fit the room"),
         (["demo", "--seconds", "0"], "seconds is 0; 1 to 3600 is allowed"),
         (["bench", "call", "--seconds", "-1"], "seconds is -1; above 0"),
         (["bench", "call", "--source", "performance:sing"], "performance 'sing' is unknown"),
         (["bench", "call", "--loss", "1"], "loss_ratio is 1; 0 to 0.9 is allowed"),
-        (["bench", "call", "--rate", "5"], "rate_bps is 5; 1000 to"),
-        (["bench", "call", "--jitter", "nan"], "jitter_s is nan; 0 to 10"),
         (["bench", "playout", "--scenarios", "storm"], "scenario 'storm' is unknown; known are"),
-        (["bench", "playout", "--seconds", "1"], "seconds is 1; 3 to 600 is allowed"),
-        (["bench", "playout", "--renders-per-s", "0"], "renders_per_s is 0; 0.5 to 60"),
     ],
 )
 def test_bad_input_is_one_line_with_the_fix_and_exit_status_two(
@@ -129,19 +116,3 @@ def test_a_face_between_two_frames_has_the_way_of_the_newer_one() -> None:
     (frame,) = frame_times(shown, [("Ada", 990_000, 1.020, 1.023)])
     assert (frame.captured_us, frame.arrived_s) == (1_000_000, 1.004)
     assert (frame.released_s, frame.decoded_s) == pytest.approx((1.030, 1.033))
-
-
-def test_a_decode_whose_face_has_dropped_out_of_the_log_is_left_out() -> None:
-    shown = [("Ada", 2_000_000, 2_000_000, 2_004_000)]
-    decodes = [("Ada", 1_000_000, 1.01, 1.02), ("Ada", 2_000_000, 2.01, 2.02)]
-    assert [frame.captured_us for frame in frame_times(shown, decodes)] == [2_000_000]
-
-
-def test_a_frame_whose_sender_crashed_still_counts() -> None:
-    frame = FrameTimes(
-        name="Ada", captured_us=1_000_000, arrived_s=1.004, released_s=1.010, decoded_s=1.013
-    )
-    summary = latency_summary([frame], {})
-    assert summary["p50"] == pytest.approx(13)
-    assert summary["parts"]["encode"]["p50"] is None
-    assert summary["parts"]["relay"]["p50"] == pytest.approx(4)
