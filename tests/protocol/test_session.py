@@ -74,15 +74,6 @@ def test_a_client_greets_and_joins_in_one_go() -> None:
     assert client.messages_to_send(now=0.0) == []
 
 
-def test_a_client_knows_its_place_once_joined() -> None:
-    client = joined_client()
-    assert client.state is State.JOINED
-    assert client.peer_id == "p1"
-    assert client.tracks == (OWN,)
-    assert client.peers == {"p2": BOB}
-    assert client.next_timer() is None
-
-
 def test_a_client_keeps_the_list_of_peers_up_to_date() -> None:
     client = joined_client()
     cyd = Peer(peer_id="p3", name="Cyd")
@@ -101,15 +92,6 @@ def test_a_server_welcomes_and_asks_for_a_decision() -> None:
     server.accept(JOINED)
     assert sent(server) == [JOINED]
     assert server.state is State.JOINED
-
-
-def test_a_server_may_refuse_a_join_with_code_and_reason() -> None:
-    server = ServerSession(now=0.0)
-    server.receive_data(encode_message(Hello()), now=0.1)
-    server.receive_data(encode_message(Join(room="lobby", name="Ada")), now=0.2)
-    server.close(CloseCode.ROOM_FULL, "room lobby is full")
-    assert sent(server)[-1] == Bye(code=4004, reason="room lobby is full")
-    assert server.closed == Closed(code=4004, reason="room lobby is full", is_remote=False)
 
 
 def test_frames_pass_from_client_to_server_unchanged() -> None:
@@ -215,11 +197,6 @@ def test_wishes_requests_and_reports_reach_the_server_as_events() -> None:
     ]
 
 
-def test_a_whisper_reaches_the_client_as_an_event() -> None:
-    whisper = Whisper(peer_id="p2", data=bytes(512))
-    assert joined_client().receive_data(encode_message(whisper), now=1.0) == [whisper]
-
-
 def test_leaving_is_answered_and_ends_both_sides() -> None:
     client, server = joined_client(), joined_server()
     client.leave(now=5.0)
@@ -236,14 +213,6 @@ def test_what_was_under_way_when_a_client_left_is_ignored() -> None:
     assert client.receive_data(frame, now=5.1) == []
     assert client.receive_data(encode_message(PeerLeft(peer_id="p2")), now=5.1) == []
     assert client.state is State.LEAVING
-
-
-def test_a_client_waits_for_the_goodbye_no_longer_than_told() -> None:
-    client = joined_client()
-    client.leave(now=5.0, timeout_s=1.0)
-    assert client.next_timer() == 6.0
-    assert client.handle_timer(now=5.9) == []
-    assert client.handle_timer(now=6.0) == [Closed(code=1000, reason="left", is_remote=False)]
 
 
 def test_a_client_gives_up_on_a_silent_relay_at_the_deadline() -> None:
@@ -288,43 +257,6 @@ def test_a_relay_that_answers_for_other_tracks_is_refused() -> None:
     (closed,) = client.receive_data(encode_message(JOINED), now=0.2)
     assert isinstance(closed, Closed)
     assert closed.reason == "joined with other tracks than ours"
-
-
-def test_a_goodbye_is_remembered_when_the_socket_ends_after_it() -> None:
-    client = joined_client()
-    (closed,) = client.receive_data(encode_message(Bye(code=4005, reason="too slow")), now=1.0)
-    assert closed == Closed(code=4005, reason="too slow", is_remote=True)
-    assert client.receive_close(1006, "", now=1.1) == []
-    assert client.closed == closed
-
-
-def test_a_goodbye_may_name_another_relay() -> None:
-    client, server = joined_client(), ServerSession(now=0.0)
-    server.close(CloseCode.GOING_AWAY, "stopping", url="wss://b.example.org")
-    (bye,) = server.messages_to_send(now=0.0)
-    (closed,) = client.receive_data(bye, now=1.0)
-    assert closed == Closed(code=1001, reason="stopping", is_remote=True, url="wss://b.example.org")
-
-
-def test_a_socket_that_dies_without_a_word_ends_the_session() -> None:
-    client = joined_client()
-    assert client.receive_close(1006, "", now=1.0) == [Closed(code=1006, reason="", is_remote=True)]
-
-
-def test_a_closed_session_hears_and_says_nothing_more() -> None:
-    client = joined_client()
-    client.close(CloseCode.GOING_AWAY, "bye")
-    assert sent(client) == [Bye(code=1001, reason="bye")]
-    assert client.receive_data(b"garbage", now=1.0) == []
-    client.close(CloseCode.NORMAL, "again")
-    assert client.messages_to_send(now=1.0) == []
-
-
-def test_a_frame_that_waits_when_the_session_ends_is_not_sent() -> None:
-    client = joined_client()
-    client.send_frame(b"late", captured_us=0)
-    client.close(CloseCode.GOING_AWAY, "bye")
-    assert sent(client) == [Bye(code=1001, reason="bye")]
 
 
 def test_what_a_client_must_not_do_is_its_own_error() -> None:

@@ -11,14 +11,10 @@ from websockets.typing import Origin, Subprotocol
 
 from pica_protocol import SUBPROTOCOL
 from pica_protocol.client_session import ClientSession
-from pica_protocol.codec import encode_message
 from pica_protocol.errors import CloseCode
-from pica_protocol.frames import Frame
 from pica_protocol.messages import (
-    Hello,
     PeerAway,
     PeerBack,
-    PeerJoined,
     PeerLeft,
     RemovePeer,
     Subscribe,
@@ -51,16 +47,6 @@ async def test_a_frame_reaches_everybody_in_the_room_but_its_sender() -> None:
         assert [frame.payload for _, frame in bob.arrivals] == [b"hello"]
         assert [frame.payload for _, frame in cyd.arrivals] == [b"hello"]
         assert ada.arrivals == dot.arrivals == []
-
-
-@in_virtual_time
-async def test_a_peer_learns_who_is_there_who_comes_and_who_goes() -> None:
-    async with Relay(RelayConfig()), peer_in_room(URL, "Ada") as ada:
-        async with peer_in_room(URL, "Bob") as bob:
-            assert [peer.name for peer in bob.session.peers.values()] == ["Ada"]
-            assert (await ada.until(PeerJoined)).peer.name == "Bob"
-        assert (await ada.until(PeerLeft)).reason == "left"
-        assert ada.session.peers == {}
 
 
 @in_virtual_time
@@ -122,39 +108,6 @@ async def test_a_reader_that_stops_is_closed_and_nobody_else_notices() -> None:
         assert relay.stats()["closed"] == {"4005": 1}
 
 
-@pytest.mark.parametrize(
-    ("garbage", "code"),
-    [
-        (b"garbage", CloseCode.MALFORMED),
-        (b"", CloseCode.MALFORMED),
-        ("text", CloseCode.MALFORMED),
-        (b"\x01" + b"\x91" * 10_000, CloseCode.MALFORMED),
-        (b"\x02" + bytes(7), CloseCode.MALFORMED),
-        (bytes(20_000), CloseCode.MESSAGE_TOO_BIG),
-        (encode_message(Hello()), CloseCode.UNEXPECTED_MESSAGE),
-        (b"\x02\xff\xff" + bytes(6), CloseCode.FOREIGN_STREAM),
-    ],
-)
-def test_who_sends_garbage_is_closed_with_a_code_and_the_others_carry_on(
-    garbage: bytes | str, code: CloseCode
-) -> None:
-    @in_virtual_time
-    async def scenario() -> None:
-        async with (
-            Relay(RelayConfig()),
-            peer_in_room(URL, "Ada") as ada,
-            peer_in_room(URL, "Bob") as bob,
-            peer_in_room(URL, "Mallory") as mallory,
-        ):
-            await mallory.websocket.send(garbage)
-            closed = await mallory.until(Closed)
-            assert (closed.code, closed.is_remote) == (code, True)
-            await ada.send_frame(b"still here")
-            assert (await bob.until(Frame)).payload == b"still here"
-
-    scenario()
-
-
 @in_virtual_time
 async def test_a_full_relay_refuses_one_more_connection() -> None:
     async with (
@@ -166,47 +119,11 @@ async def test_a_full_relay_refuses_one_more_connection() -> None:
 
 
 @in_virtual_time
-async def test_another_protocol_version_is_refused_with_code_and_reason() -> None:
-    async with Relay(RelayConfig()), open_websocket(URL) as websocket:
-        await websocket.send(encode_message(Hello(version=1)))
-        await websocket.recv()
-        with pytest.raises(ConnectionClosed):
-            await websocket.recv()
-        assert websocket.close_code == CloseCode.WRONG_VERSION
-        assert websocket.close_reason == "this side speaks pica.2, the other version 1"
-
-
-@in_virtual_time
 async def test_a_client_of_another_sub_protocol_is_refused_with_code_and_reason() -> None:
     async with Relay(RelayConfig()), connect(URL, proxy=None) as websocket:
         await websocket.wait_closed()
         assert websocket.close_code == CloseCode.WRONG_VERSION
         assert websocket.close_reason == "this relay speaks pica.2"
-
-
-@in_virtual_time
-async def test_a_client_that_vanishes_in_the_middle_of_its_handshake_leaves_nothing() -> None:
-    async with Relay(RelayConfig()) as relay, open_websocket(URL) as websocket:
-        await websocket.send(encode_message(Hello()))
-        await websocket.recv()
-        assert relay.stats()["open_connections"] == 1
-        websocket.transport.abort()
-        await asyncio.sleep(0.001)
-        assert relay.stats()["open_connections"] == 0
-
-
-@in_virtual_time
-async def test_a_socket_that_never_speaks_http_is_dropped_at_the_deadline() -> None:
-    async with Relay(RelayConfig(handshake_timeout_s=3)):
-        lost = asyncio.get_running_loop().create_future()
-
-        class Mute(asyncio.Protocol):
-            def connection_lost(self, exc: Exception | None) -> None:
-                lost.set_result(None)
-
-        await asyncio.get_running_loop().create_connection(Mute, "relay", 8765)
-        await lost
-        assert now() == pytest.approx(3, abs=0.001)
 
 
 @in_virtual_time

@@ -15,27 +15,6 @@ def returns(grace_s: float = GRACE_S) -> ResumeTickets:
     return ResumeTickets(grace_s, counting_secrets())
 
 
-def test_a_secret_opens_its_place_once() -> None:
-    places = returns()
-    secret = places.issue("lobby", "p1")
-    assert places.redeem("lobby", secret) == "p1"
-    assert places.redeem("lobby", secret) is None
-
-
-def test_a_secret_opens_no_place_in_another_room_and_still_opens_its_own() -> None:
-    places = returns()
-    secret = places.issue("lobby", "p1")
-    assert places.redeem("elsewhere", secret) is None
-    assert places.redeem("lobby", secret) == "p1"
-
-
-def test_a_new_secret_replaces_the_one_before() -> None:
-    places = returns()
-    old, new = places.issue("lobby", "p1"), places.issue("lobby", "p1")
-    assert places.redeem("lobby", old) is None
-    assert places.redeem("lobby", new) == "p1"
-
-
 def test_places_are_given_up_in_the_order_of_going_when_the_grace_is_over() -> None:
     places = returns()
     for peer_id in ("p1", "p2", "p3"):

@@ -3,7 +3,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from pica_protocol.messages import SHARES, Join, Joined, Peer, Track
+from pica_protocol.messages import SHARES, Join, Joined, Track
 from pica_server.auth.tokens import Admission
 from pica_server.errors import RoomFullError
 from pica_server.room.room import Room
@@ -23,23 +23,6 @@ def room_of(*names: str) -> Room:
     for name in names:
         join(room, name, name, (FACE,))
     return room
-
-
-def test_a_newcomer_is_told_who_is_here_and_which_streams_are_its_own() -> None:
-    room = room_of("ada")
-    joined = join(room, "bob", "Bob", (FACE, FACE))
-    assert joined.peers == (
-        Peer(peer_id="ada", name="ada", tracks=(Track(kind="face", stream=1),)),
-    )
-    assert [track.stream for track in joined.tracks] == [2, 3]
-
-
-def test_a_room_takes_no_more_than_its_capacity() -> None:
-    room = Room("lobby", capacity=1)
-    join(room, "ada", "Ada", ())
-    with pytest.raises(RoomFullError, match="room lobby is full: 1 peers"):
-        join(room, "bob", "Bob", ())
-    assert len(room) == 1
 
 
 def test_a_stream_is_not_used_again_right_after_its_owner_left() -> None:

@@ -92,16 +92,6 @@ def test_slots_are_limited_in_all_and_for_each_address_and_come_back() -> None:
         pass
 
 
-@pytest.mark.parametrize(
-    "field",
-    ["quota_bytes", "largest_bytes", "max_avatars", "bytes_per_s", "uploads", "downloads"],
-)
-def test_a_limit_out_of_range_is_refused_by_name(field: str) -> None:
-    option = "--store." + field.replace("_", "-")
-    with pytest.raises(ConfigurationError, match=f"{option} must be in .*, got 0"):
-        StoreConfig(**{field: 0})
-
-
 def test_first_uploads_at_once_share_the_folder_that_goes_with_the_relay(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

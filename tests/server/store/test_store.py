@@ -1,6 +1,5 @@
 """The avatar store of a real relay on loopback: what it is for, who may, what cannot work."""
 
-import asyncio
 import os
 import sys
 import tempfile
@@ -23,7 +22,7 @@ from pica_protocol.errors import CloseCode
 from pica_protocol.store import Offer
 from pica_server.auth.tokens import Admission, KeyRing, mint
 from pica_server.config.relay import RelayConfig, StoreConfig
-from pica_server.errors import ConfigurationError, StoreError
+from pica_server.errors import StoreError
 from pica_server.relay import Relay
 from pica_server.store import folder
 from pica_server.store.folder import AvatarFolder
@@ -82,17 +81,6 @@ async def test_what_is_there_already_is_not_sent_again(tmp_path: Path) -> None:
         assert outcome.code == CloseCode.NORMAL
         assert outcome.stored is not None
         assert not outcome.stored.is_new
-
-
-@pytest.mark.asyncio
-async def test_many_who_give_the_same_file_at_once_all_succeed(tmp_path: Path) -> None:
-    async with store_relay(tmp_path) as relay:
-        outcomes = await asyncio.gather(*(upload(relay, FILE) for _ in range(6)))
-        assert {outcome.code for outcome in outcomes} == {CloseCode.NORMAL}
-        assert (await ask(relay, f"/avatars/{ID}")).body == FILE
-        assert relay.store is not None
-        assert relay.store.used_bytes == len(FILE)
-    assert left_in(tmp_path) == {f"{ID}.pica"}
 
 
 @pytest.mark.asyncio
@@ -229,8 +217,3 @@ def test_a_password_in_a_url_is_not_quoted() -> None:
         Relay(RelayConfig(avatar_store="nothing://ada:hunter2@host/x?key=abc"))
     assert "hunter2" not in str(caught.value)
     assert "abc" not in str(caught.value)
-
-
-def test_an_empty_name_is_no_store() -> None:
-    with pytest.raises(ConfigurationError, match="--avatar-store is empty"):
-        RelayConfig(avatar_store="")
