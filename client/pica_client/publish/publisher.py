@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from pica_client.errors import OptionError, check_ranges
-from pica_client.publish.pacer import Pacer
 from pica_client.sources import Source, Tracker
 from pica_client.sources.source import Unseen
 from pica_client.stats import Samples
@@ -67,6 +66,37 @@ class SenderConfig:
             return StreamConfig(fps=self.fps, quality=self.quality)
         except ValueError as error:
             raise OptionError(str(error)) from error
+
+
+class Pacer:
+    """An absolute schedule: frame k is due k / fps after the first, so small delays never add up.
+
+    A sender that is late by more than a frame skips to the newest one that is due: it sends the
+    face of now, not those it has missed.
+
+    Attributes:
+        num_skipped: Frames that were never due in time.
+    """
+
+    def __init__(self, fps: float, now: float) -> None:
+        """Start; the first frame is due at once."""
+        self._fps = fps
+        self._begin_s = now
+        self._index = 0
+        self.num_skipped = 0
+
+    @property
+    def due_s(self) -> float:
+        """When the next frame is due."""
+        return self._begin_s + self._index / self._fps
+
+    def advance(self, now: float) -> None:
+        """The frame that was due is done; go on to the next."""
+        following = self._index + 1
+        # The tolerance keeps a frame that ends exactly on the next one's time from being skipped.
+        newest_due = math.floor((now - self._begin_s) * self._fps + 1e-6)
+        self._index = max(following, newest_due)
+        self.num_skipped += self._index - following
 
 
 class Publisher:

@@ -15,8 +15,6 @@ MAX_LAG = 720
 """Longest: 15 ms, the period of 67 Hz."""
 FADE = 240
 """Samples of a cross-fade: 5 ms, and what two places are compared over."""
-COARSE = 4
-"""Every so many samples are compared first: 12 kHz is enough to find a pitch."""
 MIN_LIKENESS = 0.55
 """Normalised correlation that two places of speech need to be joined (chosen: below it a join of
 the shipped sentence is heard as a click or a warble)."""
@@ -39,14 +37,9 @@ def find_lag(sound: Array, *, is_quiet: bool) -> int:
         return 0
     if is_quiet:
         return longest
-    coarse = sound[: longest + FADE : COARSE]
-    size = FADE // COARSE
-    scores = _likeness(coarse, size, MIN_LAG // COARSE, len(coarse) - size)
-    middle = (int(np.argmax(scores)) + MIN_LAG // COARSE) * COARSE
-    low, high = max(middle - COARSE, MIN_LAG), min(middle + COARSE, longest)
-    scores = _likeness(sound, FADE, low, high)
+    scores = _likeness(sound[: longest + FADE])
     best = int(np.argmax(scores))
-    return low + best if scores[best] >= MIN_LIKENESS else 0
+    return MIN_LAG + best if scores[best] >= MIN_LIKENESS else 0
 
 
 def shorten(sound: Array, lag: int) -> Array:
@@ -71,12 +64,11 @@ def _joined(head: Array, leaving: Array, rest: Array) -> Array:
     return np.concatenate([head, faded, rest[..., FADE:]], axis=-1)
 
 
-def _likeness(sound: Array, size: int, low: int, high: int) -> Array:
-    """Normalised correlation of the first `size` samples with those after each lag."""
-    first, others = sound[:size], sound[low : high + size]
-    products = np.correlate(others, first, "valid")
+def _likeness(sound: Array) -> Array:
+    """Normalised correlation of the first `FADE` samples with those after each lag."""
+    first, others = sound[:FADE], sound[MIN_LAG:]
     squares = np.concatenate([[0.0], np.cumsum(np.square(others, dtype=np.float64))])
-    energies = squares[size:] - squares[:-size]
+    energies = squares[FADE:] - squares[:-FADE]
     scale = np.sqrt(np.maximum(energies * np.dot(first, first), 1e-20))
-    likeness: Array = products / scale
+    likeness: Array = np.correlate(others, first, "valid") / scale
     return likeness

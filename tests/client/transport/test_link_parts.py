@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from pica_client.errors import OptionError
 from pica_client.local_call.local_call import peer_sources
-from pica_client.publish.pacer import Pacer
-from pica_client.publish.publisher import SenderConfig
+from pica_client.publish.publisher import Pacer, SenderConfig
 from pica_client.stats import Samples, summarise_ms, wire_bytes
 from pica_client.transport.config import LinkConfig, shown_name
 
