@@ -181,33 +181,38 @@ def view_calls(
     """
     form = JoinForm(state, partial(link_of, options))
     with ExitStack() as stack:
-        window = sound = lobby = waiting = None
+        window = sound = lobby = None
         if asks:
             window = stack.enter_context(Window(state.window_size))
             sound = None if available() else stack.enter_context(closing(SoundProcess()))
             lobby = stack.enter_context(Lobby(window, library, sound))
-            waiting = partial(lobby.show_waiting, "Connecting …")
         pool = stack.enter_context(ThreadPoolExecutor(1, thread_name_prefix="own-face"))
-        while lobby is None or lobby.ask(form):
-            link, face = link_of(options, state), face_of(options, state)
+
+        def stay_once() -> dict[str, Any] | None:
+            """Stay in one room; None when the user did not want to wait for it."""
+            link = link_of(options, state)
             if options.token_file is not None and not link.token and link.token_file is None:
                 say(f"token-file is not sent to {link.url}; --url {link.url} would send it")
-            opening = pool.submit(open_own_face, face, link, library, say)
+            opening = pool.submit(open_own_face, face_of(options, state), link, library, say)
             try:
                 if lobby is not None and not lobby.wait("Getting your avatar …", opening.done):
-                    form.ask_again()
-                    continue
+                    return None
+                waiting = None if lobby is None else partial(lobby.show_waiting, "Connecting …")
                 stay = Stay(options, state, link, library, opening.result(), window, sound, waiting)
                 with stopping(stay.stop):
-                    result = stay.run()
+                    return stay.run()
+            finally:
+                opening.add_done_callback(_let_go)
+
+        while lobby is None or lobby.ask(form):
+            try:
+                result = stay_once()
             except (ClientError, AvatarFileError) as error:
                 if lobby is None:
                     raise
                 form.refuse(error)
                 continue
-            finally:
-                opening.add_done_callback(_let_go)
-            if stay.was_cancelled:
+            if result is None:
                 form.ask_again()
                 continue
             if kept is not None:
@@ -226,9 +231,6 @@ class Stay:
         window: To show it in, which stays open; None opens a new one.
         sound: Plays and captures, and goes on afterwards; None takes a new one.
         waiting: Called again and again until we are in the room; False gives up.
-
-    Attributes:
-        was_cancelled: The user did not want to wait for the room.
 
     Raises:
         OptionError: A file or folder that is to be written cannot be.
@@ -284,7 +286,7 @@ class Stay:
             giver=None if face is None else face.giver,
             news=LinkNews(f"{doing} room {link.room} at {link.url}", say),
         )
-        self.was_cancelled = self._is_stopping = False
+        self._is_stopping = False
         self._trouble = ""
         # Drops its oldest when full.
         self._decodes: deque[tuple[str, DecodeResult]] = deque(maxlen=MAX_LOGGED_DECODES)
@@ -293,11 +295,12 @@ class Stay:
         """Make `run` end."""
         self._is_stopping = True
 
-    def run(self) -> dict[str, Any]:
+    def run(self) -> dict[str, Any] | None:
         """Show the call.
 
         Returns:
-            What was drawn (`Viewer.report`) and what was received (`Receiver.stats`).
+            What was drawn (`Viewer.report`) and what was received (`Receiver.stats`); None when
+            `waiting` gave up.
 
         Raises:
             RelayError: The relay is not there, or will not have us.
@@ -313,9 +316,8 @@ class Stay:
             stack.enter_context(self._receiver)
             if self._own_sound is not None:
                 stack.callback(self._own_sound.close)
-            self._wait_for_peers()
-            if self.was_cancelled:
-                return dict(NOTHING_SHOWN)
+            if not self._wait_for_peers():
+                return None
             desk = None
             if self._publisher is not None:
                 desk = FaceDesk(self._publisher, self._link.name, state.entered.source)
@@ -362,23 +364,24 @@ class Stay:
             "avatars_fetched": 0 if self._fetcher is None else self._fetcher.num_fetched,
         }
 
-    def _wait_for_peers(self) -> None:
+    def _wait_for_peers(self) -> bool:
+        """Wait until we are in the room with those expected; False when `waiting` gave up."""
         expect = self._options.expect
         deadline = time.monotonic() + EXPECT_TIMEOUT_S
         while not self._is_stopping:
             self._receiver.check()
             if self._receiver.is_connected and self._call.num_live >= expect:
-                return
-            if self._waiting is not None and not self._waiting():
-                self.was_cancelled = True
-                return
+                return True
+            if self._waiting is None:
+                time.sleep(POLL_S)
+            elif not self._waiting():
+                return False
             if expect and time.monotonic() > deadline:
                 raise RelayUnreachableError(
                     f"{self._call.num_live} of {expect} expected peers were seen within "
                     f"{EXPECT_TIMEOUT_S:g} s"
                 )
-            if self._waiting is None:
-                time.sleep(POLL_S)
+        return True
 
     def _should_stop(self) -> bool:
         """Return True once the stay is to end; raise what ended the network."""
