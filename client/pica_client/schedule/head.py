@@ -64,6 +64,8 @@ class Head:
     """What it should show. float32 ``[8, 8, 4]``."""
     captured_us: int = 0
     """Sender's clock at the newest sample in the latent; handed through to the decode."""
+    is_listening: bool = False
+    """Whether others speak: its face is not looked at most."""
 
     sight: Sight = NOTHING
     """What can be seen of it in the planned frame."""

@@ -2,9 +2,10 @@
 
 Theory of operation. The taller a head is, the more it gets: the coarsest level, the middle one, the
 full maps on the middle mesh, and on their own. A face that has changed is
-decoded anew when its maps are old enough, at once unless the head is tiny. When a frame is expected
-to cost more than its budget (`cost_model`), heads count as smaller, one after the other and the
-lowest first, until it fits. What the tests hold it to:
+decoded anew, and drawn, when its maps are old enough: at once unless the head is tiny. When a frame
+is expected to cost more than its budget (`cost_model`), first those who only listen are drawn less
+often, then heads count as smaller, one after the other and the lowest first, until it fits. What
+the tests hold it to:
 
 - The budget is kept whenever the least of everybody fits, but for the one oldest head that is
   decoded in any case, so that nobody's maps grow older than `max_age_s`.
@@ -56,6 +57,9 @@ class SchedulerOptions:
     """Root mean square over the latent; what changed less is decoded when it is old."""
     max_age_s: float = 0.25
     """Maps of a face that moves are not kept longer, whatever the budget; plus one frame."""
+    listener_s: float = 1 / 8
+    """How long a listener keeps a face while not everybody can be drawn at every face (chosen: nods
+    and smiles are still movements, and speech has the time that this leaves)."""
     stream_hold_s: float = 1.0
     """How long the stream of a head that left the screen is still wanted."""
     share_px: tuple[float, float] = (12.0, 32.0)
@@ -65,7 +69,7 @@ class SchedulerOptions:
 
     def __post_init__(self) -> None:
         check_ranges(self, full_px=(0, 1e4), refresh_px=(0, 1e4), least_change=(0, 10))
-        check_ranges(self, max_age_s=(0.001, 60), stream_hold_s=(0, 600))
+        check_ranges(self, max_age_s=(0.001, 60), stream_hold_s=(0, 600), listener_s=(0.01, 1))
         for name, most in (("mesh_px", 8), ("share_px", 2)):
             values = getattr(self, name)
             if list(values) != sorted(values) or len(values) > most:
@@ -82,8 +86,8 @@ class Plan:
     """Seconds that decodes, uploads and drawing are expected to take."""
     floor_s: float
     """Seconds that the least for everybody takes; above the budget it is all there is."""
-    draw_s: float
-    """Seconds that drawing everybody takes, were nothing of the image before kept."""
+    is_short: bool
+    """Whether listeners are to be drawn less often: everybody at every face would cost too much."""
     shaded_px: float
     """Pixels that the pixel decoder runs on, as far as one can tell without counting them."""
 
@@ -95,6 +99,8 @@ class Scheduler:
         self.options = options or SchedulerOptions()
         self.costs = CostModel()
         self._turns = 0
+        self._is_short = False
+        self._since_s = 0.0
         self._now = -math.inf
 
     def plan(self, heads: Sequence[Head], budget_s: float, now: float) -> Plan:
@@ -104,11 +110,10 @@ class Scheduler:
             heads: Everybody in the call, in any order; slots are unique.
             budget_s: What decodes, uploads and drawing of this frame may take, seconds.
         """
-        frame_s = min(now - self._now, FACE_S)
-        self._now = now
+        self._since_s, self._now = min(now - self._now, self.options.listener_s), now
         seen = sorted((head for head in heads if head.sight.is_visible), key=_lowest_first)
-        shrinks = self._fit(seen, budget_s, frame_s)
-        draw_s = spent_s = self._draw_s(seen, shrinks)
+        shrinks = self._fit(seen, budget_s)
+        spent_s = self._draw_s(seen, shrinks)
         floor_s = self._draw_s(seen, _shrinks(len(seen), len(seen) * MOST_TURNS))
         has_decoded = False
         for head, shrink in sorted(zip(seen, shrinks, strict=True), key=_oldest_first):
@@ -144,7 +149,7 @@ class Scheduler:
             choices={head.slot: head.choice for head in heads if head.choice is not None},
             cost_s=spent_s,
             floor_s=floor_s,
-            draw_s=draw_s,
+            is_short=self._is_short,
             shaded_px=sum(head.sight.visible_px for head in seen),
         )
 
@@ -152,17 +157,19 @@ class Scheduler:
         """The level of the maps that a head gets while there is time."""
         return head.avatar.levels[self._places(head, 1.0)[0]]
 
-    def _fit(self, seen: Sequence[Head], budget_s: float, frame_s: float) -> list[float]:
+    def _fit(self, seen: Sequence[Head], budget_s: float) -> list[float]:
         """How many times smaller each head must count, the lowest first."""
 
         def cost_s(turns: int) -> float:
             shrinks = _shrinks(len(seen), turns)
             return self._draw_s(seen, shrinks) + sum(
                 self._decode_s(head, self._places(head, shrink)[0], "both")
-                * min(frame_s / max(self._interval_s(head, shrink), FACE_S), 1.0)
+                * min(self._share(head), self._since_s / self._interval_s(head, shrink), 1.0)
                 for head, shrink in zip(seen, shrinks, strict=True)
             )
 
+        was_short, self._is_short = self._is_short, False
+        self._is_short = cost_s(0) > budget_s * (RAISE_RATIO if was_short else 1.0)
         most = len(seen) * MOST_TURNS
         self._turns = min(self._turns, most)
         while self._turns > 0 and cost_s(self._turns - 1) < RAISE_RATIO * budget_s:
@@ -170,6 +177,11 @@ class Scheduler:
         while self._turns < most and cost_s(self._turns) > budget_s:
             self._turns += 1
         return _shrinks(len(seen), self._turns)
+
+    def _share(self, head: Head) -> float:
+        """The share of images in which a head is drawn: the others keep what was drawn."""
+        is_resting = self._is_short and head.is_listening
+        return min(self._since_s / (self.options.listener_s if is_resting else FACE_S), 1.0)
 
     def _places(self, head: Head, shrink: float) -> tuple[int, int]:
         """Places, among the avatar's levels, of the maps and of the mesh."""
@@ -226,9 +238,11 @@ class Scheduler:
         return self.costs.decode_s(head.model, head.avatar.levels[level], decode)
 
     def _head_s(self, head: Head, mesh: int) -> float:
+        """Seconds an image, on average, that drawing a head takes."""
         draw, sight = self.costs.draw, head.sight
         triangles = sight.num_views * head.num_triangles[mesh]
-        return draw.pixel_s * sight.visible_px + draw.triangle_s * triangles
+        drawn_s = draw.pixel_s * sight.visible_px + draw.triangle_s * triangles
+        return self._share(head) * drawn_s
 
     def _draw_s(self, seen: Sequence[Head], shrinks: Sequence[float]) -> float:
         return (self.costs.draw.frame_s if seen else 0.0) + sum(

@@ -60,9 +60,6 @@ AHEAD_SMOOTHING, MAX_IMAGE_S = 0.05, 0.5
 believed of an image."""
 RECENT_SAMPLES = 60
 """What the figures of one avatar, and of the panel, are made of."""
-LISTENER_S = 1 / 8
-"""How long a listener keeps a face while not everybody can be drawn at every face (chosen: nods and
-smiles are still movements, and speech has the time that this leaves)."""
 MEASURED = ("decode", "decode_wait", "upload", "draw", "latency")
 
 
@@ -248,7 +245,9 @@ class AvatarPresenter:
                 is_loud = levels[face.peer_id] < AUDIBLE_LEVEL
                 entry.heard_s = now if is_loud else entry.heard_s or -math.inf
             # Listeners take turns, so that images cost alike.
-            turn = math.floor(now / LISTENER_S + number / len(faces))
+            turn = math.floor(
+                now / self._planner.scheduler.options.listener_s + number / len(faces)
+            )
             face = self._taken(entry, face, turn, now)
             shown.append(face)
             placements.append(
@@ -290,10 +289,11 @@ class AvatarPresenter:
             head = peer.head
             head.world_from_head, head.latent = placement.world_from_head, face.latent
             head.captured_us = face.captured_us
+            head.is_listening = not peer.is_speaking(scene.now)
             heads.append(head)
         size = (cameras[0].width, cameras[0].height)
         plan = self._planner.plan(heads, cameras, size, budget_s, scene.now)
-        self._is_short = plan.draw_s > budget_s
+        self._is_short = plan.is_short
         for head, request in self._planner.requests(heads, scene.now):
             self._decoder_of(self._peers[head.slot]).submit(head.slot, request)
             self._peers[head.slot].is_awaited = True

@@ -80,6 +80,19 @@ def test_without_a_budget_a_resting_head_is_drawn_as_coarsely_as_can_be() -> Non
     assert choose(view(head_px=600, latent_change=0.0, view_turn_rad=0.0)).mesh_level == 256
 
 
+def test_where_time_is_short_listeners_are_drawn_less_often_before_anybody_is_coarser() -> None:
+    people = [view(f"h{i}", head_px=400, latent_change=0.0, view_turn_rad=0.0) for i in range(5)]
+    for head in people[1:]:
+        head.is_listening = True
+    scheduler = Scheduler()
+    scheduler.plan(people, AMPLE_S, NOW_S - FRAME_S)
+    free = scheduler.plan(people, AMPLE_S, NOW_S)
+    short = scheduler.plan(people, 0.6 * free.cost_s, NOW_S + FRAME_S)
+    assert (free.is_short, short.is_short) == (False, True)
+    assert [detail(choice) for choice in short.choices.values()] == [(256, 128)] * 5
+    assert short.cost_s < 0.6 * free.cost_s
+
+
 # Time
 
 
