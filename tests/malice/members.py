@@ -44,8 +44,8 @@ from pica_server.room.hub import Hub
 from pica_server.room.outbox import OutboundMessage
 
 STEP_S = 1 / 50
-SECONDS = 3.0
-GRACE_S = 1.0
+SECONDS = 2.0
+GRACE_S = 0.5
 MESSAGE_BYTES = 44
 """What surrounds a message on its line."""
 LINES_BYTES_PER_S = {"ada": 1e9, "ben": 1e9, "cho": 20_000}
