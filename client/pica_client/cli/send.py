@@ -15,7 +15,7 @@ from pica_client.avatars.library import AvatarLibrary
 from pica_client.avatars.upload import GiveAvatar, choose_own_avatar
 from pica_client.endpoint.endpoint import LinkNews, Sender
 from pica_client.output import Outputs, check_writable, say
-from pica_client.publish.face_desk import FaceDesk
+from pica_client.publish.face_controls import FaceControls
 from pica_client.publish.own_face import DEFAULT_SOURCE
 from pica_client.publish.publisher import SenderConfig
 from pica_client.sources import open_source
@@ -34,7 +34,7 @@ except ImportError:  # Windows
 
 HELP: Final = "keys: M mutes the face, F freezes it, T mutes the voice, K calibrates, Q leaves"
 NOTICE_PERIOD_S: Final = 0.1
-"""How often notices of the desk are looked for."""
+"""How often notices of the controls are looked for."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -123,9 +123,9 @@ def send(options: SendOptions) -> dict[str, Any]:
             voice=publisher,
         )
         loop = asyncio.get_running_loop()
-        desk = FaceDesk(sender.publisher, link.name, options.source)
-        keys = SendKeys(desk, publisher, sender.stop)
-        with on_stop_signal(lambda: loop.call_soon_threadsafe(sender.stop)), closing(desk):
+        controls = FaceControls(sender.publisher, link.name, options.source)
+        keys = SendKeys(controls, publisher, sender.stop)
+        with on_stop_signal(lambda: loop.call_soon_threadsafe(sender.stop)), closing(controls):
             async with keys.read(0):
                 result = await sender.run()
         return result, list(sender.publisher.frame_log)
@@ -144,13 +144,13 @@ class SendKeys:
     """The keys of a terminal, as in the viewer: mute, freeze, calibrate, leave."""
 
     def __init__(
-        self, desk: FaceDesk, voice: VoicePublisher | None, leave: Callable[[], None]
+        self, controls: FaceControls, voice: VoicePublisher | None, leave: Callable[[], None]
     ) -> None:
-        self._desk, self._voice, self._leave = desk, voice, leave
+        self._controls, self._voice, self._leave = controls, voice, leave
 
     def press(self, key: str, now: float) -> None:
         """Do what a key means at `now`, seconds; others mean nothing."""
-        publisher, voice = self._desk.publisher, self._voice
+        publisher, voice = self._controls.publisher, self._voice
         match key.lower():
             case "m" | "f" as letter:
                 wanted: FaceMode = "muted" if letter == "m" else "frozen"
@@ -162,7 +162,7 @@ class SendKeys:
             case "t":
                 say("no voice is sent: see --voice")
             case "k":
-                self._desk.calibrate(now)
+                self._controls.calibrate(now)
             case "q":
                 self._leave()
             case "?" | "h":
@@ -191,7 +191,7 @@ class SendKeys:
 
         async def tell() -> None:
             while True:
-                for notice in self._desk.take_notices(loop.time()):
+                for notice in self._controls.take_notices(loop.time()):
                     say(notice)
                 await asyncio.sleep(NOTICE_PERIOD_S)
 

@@ -85,7 +85,7 @@ class PlayoutReport:
     refused: int = 0
     """Frames that fit nowhere on the time line."""
     restarts: int = 0
-    """How often sender or its clock began anew."""
+    """How often the sender or its clock began again."""
     shown: int = 0
     """Display times with a face, or frames released."""
     missed_s: float = 0.0
@@ -110,7 +110,7 @@ class PlayoutReport:
         return self.concealed / self.shown if self.shown else 0.0
 
     def since(self, before: PlayoutReport) -> PlayoutReport:
-        """This report with all counters begun anew at an earlier one."""
+        """This report with all counters counted from an earlier one."""
         counted = {
             each.name: getattr(self, each.name) - getattr(before, each.name)
             for each in fields(self)
@@ -297,7 +297,7 @@ class Playout:
     def _played(
         self, face: LatentSample, position_s: float, due_s: float, now: float
     ) -> PlayedFace:
-        """Say of a face how fresh it is, and remember where it stands.
+        """Describe how fresh a face is, and remember where it stands.
 
         Args:
             due_s: Frames captured before it should have come by now.

@@ -1,4 +1,4 @@
-"""One's own face in a call: what plays it, what it looks like, and what sends it."""
+"""The own face in a call: what plays it, what it looks like, and what sends it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from pica_client.sources import open_source
 from pica_client.transport.config import LinkConfig
 
 DEFAULT_SOURCE: Final = "performance:talk"
-"""Plays the face of who has named no source: everybody has it."""
+"""Default source."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -19,7 +19,7 @@ class FaceChoice:
     """Which face to send."""
 
     source: str = DEFAULT_SOURCE
-    """What plays it, as `sources.open_source` takes it; empty sends nothing: one only watches."""
+    """What plays it, as `sources.open_source` takes it; empty sends nothing: a watcher."""
     avatar: str | None = None
     """A shipped avatar by its name, or a .pica file; None takes one by the wearer's name."""
     give: GiveAvatar = "auto"
@@ -41,7 +41,7 @@ def open_own_face(
     library: AvatarLibrary,
     say: Callable[[str], None],
 ) -> OutgoingFace | None:
-    """Make ready what was chosen; None for who only watches.
+    """Make ready what was chosen; None for a watcher.
 
     Raises:
         SourceError: The source cannot be opened.

@@ -146,7 +146,7 @@ class Publisher:
         self._told = ""
 
     def listen_to(self, voice: VoicePublisher | None) -> None:
-        """Let the voice of the face's owner move the mouth while nobody is seen, if it may."""
+        """Let the owner's voice move the mouth while the tracker sees no face, if that is set."""
         if voice is not None and self.config.mouth_by_voice:
             spoken = self._spoken = SpokenFace()
             voice.listeners.append(
@@ -179,7 +179,7 @@ class Publisher:
     def receive_event(self, event: ClientEvent) -> None:
         """Take an event of the link's session."""
         match event:
-            case Joined(tracks=tracks):  # nobody here has seen anything of us, or of the last of it
+            case Joined(tracks=tracks):  # the room has seen nothing of us, or of the last of it
                 self._stream.restart()
                 self._own_streams = tuple(t.stream for t in tracks if t.kind == FACE_TRACK)
                 self.is_muted_by_admin = False  # we are told again if it is so

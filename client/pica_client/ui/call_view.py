@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 
 from pica_client.call.faces import FaceStatus
 from pica_client.call.status import AvatarFigures, CallStatus, PeerStatus
-from pica_client.publish.face_desk import Seen
+from pica_client.publish.face_controls import TrackerPreview
 from pica_client.render.scene import Rect
 from pica_client.ui.actions import Request
 from pica_client.ui.state import ViewState
@@ -86,7 +86,7 @@ class OwnFaceView:
     """What the others see, as a number of the surface; None before there is a picture."""
     source: str = ""
     """What plays it."""
-    seen: Seen | None = None
+    seen: TrackerPreview | None = None
     """What its tracker sees; None without a tracker."""
     camera: int | None = None
     """What its camera sees, as a number of the surface."""

@@ -6,7 +6,7 @@ import moderngl
 from pica_client.call.reflection import SELF_ID, Reflection
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.pool import DecodePool
-from pica_client.publish.face_desk import FaceDesk
+from pica_client.publish.face_controls import FaceControls
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.schedule.frame_planner import FramePlanner
 from pica_client.schedule.scheduler import Scheduler
@@ -60,15 +60,17 @@ class SelfView:
         assert isinstance(texture, moderngl.Texture)
         return texture
 
-    def look(self, now: float, height_px: int, desk: FaceDesk, surface: Surface) -> OwnFaceView:
+    def look(
+        self, now: float, height_px: int, controls: FaceControls, surface: Surface
+    ) -> OwnFaceView:
         """Return what there is to see on a picture so many pixels high, renewed each `PERIOD_S`."""
         if height_px and now - self._looked_s >= PERIOD_S:
             self._looked_s = now
-            texture, seen = self.draw(now, height_px), desk.seen()
+            texture, seen = self.draw(now, height_px), controls.preview()
             picture = None if seen is None else seen.picture
             self._shown = OwnFaceView(
                 texture=None if texture is None else surface.adopt("own face", texture),
-                source=desk.source,
+                source=controls.source,
                 seen=seen,
                 camera=None if picture is None else surface.show("camera", picture),
             )

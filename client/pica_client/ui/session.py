@@ -25,7 +25,7 @@ from pica_client.endpoint.endpoint import LinkNews, Receiver
 from pica_client.endpoint.hearing import Hearing
 from pica_client.errors import ClientError, OptionError, RelayUnreachableError
 from pica_client.output import check_writable, say
-from pica_client.publish.face_desk import FaceDesk
+from pica_client.publish.face_controls import FaceControls
 from pica_client.publish.own_face import DEFAULT_SOURCE, FaceChoice, OutgoingFace, open_own_face
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.connect import trusting
@@ -318,17 +318,17 @@ class Stay:
                 stack.callback(self._own_sound.close)
             if not self._wait_for_peers():
                 return None
-            desk = None
+            controls = None
             if self._publisher is not None:
-                desk = FaceDesk(self._publisher, self._link.name, state.entered.source)
-                stack.callback(desk.close)
+                controls = FaceControls(self._publisher, self._link.name, state.entered.source)
+                stack.callback(controls.close)
             with Viewer(
                 self._call,
                 options.viewer,
                 state=state,
                 receiver=self._receiver,
                 on_decoded=self._note_decode if options.frame_log is not None else None,
-                desk=desk,
+                controls=controls,
                 sound=CallSound(self._receiver.voice, self._sound),
                 window=self._window,
             ) as viewer:
@@ -347,7 +347,7 @@ class Stay:
                 if size := viewer.windowed_size:
                     state.window_size = fit_side(size[0]), fit_side(size[1])
                 if not state.wants_rejoin:  # what was chosen for rejoining alone is forgotten
-                    source = desk.source if desk is not None else state.entered.source
+                    source = controls.source if controls is not None else state.entered.source
                     state.identity = state.entered._replace(source=source)
         for problem in problems:
             print(problem, file=sys.stderr)

@@ -30,7 +30,7 @@ from pica_client.endpoint.endpoint import Receiver
 from pica_client.endpoint.monitor import CallMonitor
 from pica_client.errors import ClientError
 from pica_client.output import Outputs, say
-from pica_client.publish.face_desk import FaceDesk
+from pica_client.publish.face_controls import FaceControls
 from pica_client.render.draw_clock import DrawClock
 from pica_client.render.gpu_decoder import choose_decoder
 from pica_client.render.renderer import DrawStats, Renderer, RenderOptions
@@ -77,7 +77,7 @@ class Viewer(Closing):
             alone are shown.
         on_decoded: Told of every decode that reached the GPU, on the drawing thread; its slot is
             the peer id.
-        desk: What steers the user's own face; None while none is sent.
+        controls: What steers the user's own face; None while none is sent.
         sound: The voices of the call; None: there are none.
         state: What the user wants at first; keys and panels write into it.
         window: To show it in, which stays open afterwards; by default a new one.
@@ -103,18 +103,18 @@ class Viewer(Closing):
         scheduler: SchedulerOptions | None = None,
         receiver: Receiver | None = None,
         on_decoded: Callable[[DecodeResult], None] | None = None,
-        desk: FaceDesk | None = None,
+        controls: FaceControls | None = None,
         sound: CallSound | None = None,
         window: Window | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         options = self.options = options or ViewerOptions()
         self._clock = clock
-        self._desk = desk
+        self._controls = controls
         self._sound = sound or CallSound()
         self._receiver = receiver
         self.state = state = state or ViewState(has_seen_hint=True)
-        state.own_face = "none" if desk is None else "sent"
+        state.own_face = "none" if controls is None else "sent"
         state.own_voice = self._sound.own_voice
         self._source = state.source
         self._meter = Meter()
@@ -165,8 +165,8 @@ class Viewer(Closing):
                 clock=clock,
             )
             self._self_view = None
-            if desk is not None:
-                publisher = desk.publisher
+            if controls is not None:
+                publisher = controls.publisher
                 reflection = Reflection(publisher.avatar, publisher.track)
                 publisher.watch(reflection.receive)
                 self._self_view = SelfView(context, reflection, RENDER)
@@ -291,12 +291,12 @@ class Viewer(Closing):
 
     def _follow_face(self) -> None:
         """Do to the user's own face what the state says."""
-        state, desk = self.state, self._desk
-        if desk is None or state.own_face == "none":
+        state, controls = self.state, self._controls
+        if controls is None or state.own_face == "none":
             return
-        desk.publisher.mode = state.own_face
+        controls.publisher.mode = state.own_face
         if state.source and state.source != self._source:
-            desk.choose(state.source)
+            controls.choose(state.source)
         self._source = state.source
 
     def _end_recordings(self) -> None:
@@ -381,13 +381,13 @@ class Viewer(Closing):
 
     def _draw_own(self, now: float) -> OwnFaceView:
         """Return the own face; its picture if there is room for it."""
-        if self._desk is None or self._self_view is None:
+        if self._controls is None or self._self_view is None:
             return OwnFaceView()
-        for notice in self._desk.take_notices(now):
+        for notice in self._controls.take_notices(now):
             self._panels.notice(notice, now)
         height = 0 if self.options.stereo else own_face_height(self.state, self.surface.metrics)
         height_px = round(height * self._pixels_a_unit)
-        return self._self_view.look(now, height_px, self._desk, self.surface)
+        return self._self_view.look(now, height_px, self._controls, self.surface)
 
     @property
     def _pixels_a_unit(self) -> float:
@@ -412,8 +412,8 @@ class Viewer(Closing):
                 self._sound.play_test()
             case Action.REJOIN:
                 self.state.wants_rejoin = self.state.wants_close = True
-            case Action.CALIBRATE if self._desk is not None:
-                self._desk.calibrate(now)
+            case Action.CALIBRATE if self._controls is not None:
+                self._controls.calibrate(now)
             case Action.COPY_INVITATION:
                 imgui.set_clipboard_text(self._panels.status.invitation)
                 self._panels.notice("Invitation copied", now)

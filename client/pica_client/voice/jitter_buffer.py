@@ -176,7 +176,7 @@ class JitterBuffer:
         self._place(self._sender.receive(packet, now))
 
     def restart(self) -> None:
-        """Forget what waits: the voice was muted, and begins anew with its next packet."""
+        """Forget what waits: the voice was muted, and begins again with its next packet."""
         self._waiting.clear()
         self._is_quiet, self._is_starved, self._num_concealed = True, False, 0
 

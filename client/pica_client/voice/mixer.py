@@ -19,7 +19,7 @@ from pica_core.types import Array, FloatArray
 from pica_protocol.frames import Frame
 
 MAX_VOICES = 64
-"""People who are heard at most."""
+"""Voices that are mixed at most."""
 LIMIT_FROM = 0.7
 """Above it the sum is bent rather than cut."""
 
@@ -87,7 +87,7 @@ class VoiceMixer:
         self._azimuths: dict[str, float] = {}
 
     def receive(self, peer_id: str, packet: Frame, arrived_s: float) -> None:
-        """Take a packet of somebody's voice."""
+        """Take a packet of a peer's voice."""
         with self._lock:
             voice = self._voices.get(peer_id)
             if voice is None:
@@ -105,8 +105,8 @@ class VoiceMixer:
             self._volumes |= volumes
 
     def seat(self, azimuths_rad: Mapping[str, float]) -> None:
-        """Say who is there and from where each voice comes, by peer id; positive is to the right.
-        Others have left, and are forgotten."""
+        """Set the peers that are there and where each voice comes from, by peer id; positive is to
+        the right. Others have left, and are forgotten."""
         with self._lock:
             self._azimuths = dict(azimuths_rad)
             for homes in (self._voices, self._volumes):
@@ -135,7 +135,7 @@ class VoiceMixer:
         return limited
 
     def heard_us(self, peer_id: str, now: float) -> int | None:
-        """The moment of somebody's voice that leaves the loudspeaker; see `JitterBuffer`."""
+        """The moment of a peer's voice that leaves the loudspeaker; see `JitterBuffer`."""
         with self._lock:
             voice = self._voices.get(peer_id)
             return None if voice is None else voice.buffer.heard_us(now)

@@ -187,7 +187,7 @@ class SpokenMouth:
 class SpokenFace:
     """Fills in the losses of a source by the voice of the same person.
 
-    The mouth is the voice's; eyes, brows and head are those of somebody who listens. The seam is
+    The mouth is the voice's; eyes, brows and head are those of a listener. The seam is
     blended.
     """
 
@@ -210,7 +210,7 @@ class SpokenFace:
 
         Returns:
             The source's face, or one that speaks, or something between in the seam; none while
-            nobody is seen or heard.
+            no face is seen and no voice heard.
         """
         fills = not frame.has_face and time_s - self._mouth.spoke_s < SILENT_AFTER_S
         step = min(max(time_s - self._weight_s, 0.0), SEAM_S) / SEAM_S

@@ -39,7 +39,7 @@ _BAD_PACKETS = {-1: "the packet does not hold what it says", -2: "a frame that i
 
 
 def available() -> str | None:
-    """Say why there is no Opus on this machine; None: there is."""
+    """Return why there is no Opus on this machine; None: there is."""
     if _library() is not None:
         return None
     return "libopus is missing: install libopus0 (Debian) or pip install 'pica-telepresence[video]'"
@@ -49,7 +49,7 @@ class OpusEncoder:
     """Turns frames of 20 ms, or two of them, into packets.
 
     Args:
-        bitrate: Bits a second while somebody speaks.
+        bitrate: Bits a second during speech.
         dtx: Whether it falls silent with the speaker.
         is_constant: Whether all packets of speech have the same size.
 

@@ -26,7 +26,7 @@ from pica_protocol.messages import Joined, StreamMuted
 from pica_protocol.session import ClientEvent
 
 BITRATE_BPS: Final = 24_000
-"""Bits a second while somebody speaks."""
+"""Bits a second during speech."""
 _NOTHING: Final = np.zeros(FRAME_SAMPLES, np.float32)
 _GAP_US: Final = FRAME_US // 2
 """Between the end of a packet and the beginning of the next; more is a silence."""
@@ -44,7 +44,7 @@ class VoiceSource(Protocol):
 
 
 class VoicePublisher:
-    """Sends one voice over a link, which somebody else runs.
+    """Sends one voice over a link, which the caller runs.
 
     Attributes:
         is_muted: Whether its owner has muted it, from the next frame on; any thread may set it.
@@ -93,7 +93,7 @@ class VoicePublisher:
             self.send(link, pcm, captured_us)
 
     def send(self, link: Link, pcm: FloatArray, captured_us: int) -> None:
-        """Send the next 20 ms, unless there is nothing to say, or nobody to say it to."""
+        """Send the next 20 ms, unless it is silent or there is no room to send it to."""
         is_muted = self.is_muted  # another thread may change it meanwhile
         reason = VOICE_MUTED if is_muted else ""
         if reason != self._told:

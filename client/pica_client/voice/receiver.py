@@ -35,7 +35,7 @@ class VoiceReceiver:
         self.received = 0
 
     def receive_event(self, event: ClientEvent, now: float) -> bool:
-        """Take an event of the link's session; say whether it was a voice's, and no one else's."""
+        """Take an event of the link's session; return True if it was a voice's alone."""
         match event:
             case Frame(stream=stream) if stream in self._peers:
                 peer_id = self._peers[stream]

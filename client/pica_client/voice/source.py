@@ -1,4 +1,4 @@
-"""Where a voice comes from: a sound that plays over and over as if somebody spoke it."""
+"""Where a voice comes from: a microphone, or a sound that is looped."""
 
 import asyncio
 import math
@@ -25,7 +25,7 @@ from pica_core.types import FloatArray
 TURN_S: Final = 4.0
 """How long each speaks where several take turns (chosen: a sentence or two)."""
 _LATEST_S: Final = 0.2
-"""Who is later than this leaves out what it has missed: a microphone does not wait."""
+"""A source that is later than this leaves out what it has missed: a microphone does not wait."""
 
 MAX_SECONDS = 600
 MIN_RATE_HZ, MAX_RATE_HZ = 8000, 192_000

@@ -1,7 +1,7 @@
 """A sound made a little shorter or longer, unheard (WSOLA; Verhelst and Roelands, 1993). Pure.
 
 Speech repeats itself with its pitch. Where one period is left out, or said twice, with a cross-fade
-from one place to another that looks like it, nothing is heard but that somebody speaks a little
+from one place to another that looks like it, the voice is only heard to speak a little
 faster or slower. In silence any two places look alike.
 """
 

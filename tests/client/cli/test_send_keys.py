@@ -11,7 +11,7 @@ import pytest
 
 from helpers.toy import make_toy_avatar
 from pica_client.cli.send import SendKeys
-from pica_client.publish.face_desk import FaceDesk
+from pica_client.publish.face_controls import FaceControls
 from pica_client.publish.publisher import Publisher, SenderConfig
 from pica_client.sources import open_source
 from pica_client.sources.live.calibration import CalibrationStore
@@ -24,12 +24,12 @@ pytestmark = pytest.mark.unit
 
 
 @pytest.fixture
-def desk(tmp_path: Path) -> Iterator[FaceDesk]:
+def controls(tmp_path: Path) -> Iterator[FaceControls]:
     source = "performance:talk"
     publisher = Publisher(SenderConfig(), open_source(source), make_toy_avatar(), "5" * 64)
-    desk = FaceDesk(publisher, "Ada", source, CalibrationStore(tmp_path))
-    yield desk
-    desk.close()
+    controls = FaceControls(publisher, "Ada", source, CalibrationStore(tmp_path))
+    yield controls
+    controls.close()
 
 
 @pytest.fixture
@@ -42,51 +42,53 @@ def terminal() -> Iterator[tuple[int, int]]:
 
 
 def test_each_key_does_what_the_help_says(
-    desk: FaceDesk, capsys: pytest.CaptureFixture[str]
+    controls: FaceControls, capsys: pytest.CaptureFixture[str]
 ) -> None:
     source = open_voice("speech")
     assert source is not None
     voice = VoicePublisher(source)
     left: list[bool] = []
-    keys = SendKeys(desk, voice, lambda: left.append(True))
+    keys = SendKeys(controls, voice, lambda: left.append(True))
     modes = []
     for key in "mMffmtkx":
         keys.press(key, 0.0)
-        modes.append(desk.publisher.mode)
+        modes.append(controls.publisher.mode)
     assert modes[:5] == ["muted", "sent", "frozen", "sent", "muted"]
     assert voice.is_muted
     assert capsys.readouterr().err.splitlines()[-1] == "your voice is muted"
-    assert desk.take_notices(0.1) == ["Only a tracker is calibrated: choose one in the settings"]
+    assert controls.take_notices(0.1) == [
+        "Only a tracker is calibrated: choose one in the settings"
+    ]
     assert not left
     keys.press("q", 0.0)
     assert left
-    SendKeys(desk, None, left.clear).press("t", 0.0)
+    SendKeys(controls, None, left.clear).press("t", 0.0)
     assert capsys.readouterr().err == "no voice is sent: see --voice\n"
 
 
 def test_keys_of_a_terminal_work_at_once_and_it_is_left_as_it_was(
-    desk: FaceDesk, terminal: tuple[int, int]
+    controls: FaceControls, terminal: tuple[int, int]
 ) -> None:
     user, program = terminal
     before = termios.tcgetattr(program)
 
     async def press() -> None:
         left = asyncio.Event()
-        async with SendKeys(desk, None, left.set).read(program):
+        async with SendKeys(controls, None, left.set).read(program):
             os.write(user, b"mq")  # without Enter
             async with asyncio.timeout(10):
                 await left.wait()
 
     asyncio.run(press())
-    assert desk.publisher.mode == "muted"
+    assert controls.publisher.mode == "muted"
     assert termios.tcgetattr(program) == before
 
 
-def test_a_pipe_has_no_keys(desk: FaceDesk, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_pipe_has_no_keys(controls: FaceControls, capsys: pytest.CaptureFixture[str]) -> None:
     reader, writer = os.pipe()
 
     async def read() -> None:
-        async with SendKeys(desk, None, lambda: None).read(reader):
+        async with SendKeys(controls, None, lambda: None).read(reader):
             pass
 
     asyncio.run(read())

@@ -19,7 +19,7 @@ from helpers.hand import Event, hold, point, press
 from helpers.toy import make_toy_avatar, with_toy_levels
 from pica_client.call.faces import FaceState, FaceStatus
 from pica_client.call.status import CallStatus
-from pica_client.publish.face_desk import FaceDesk
+from pica_client.publish.face_controls import FaceControls
 from pica_client.publish.publisher import Publisher, SenderConfig
 from pica_client.sources import open_source
 from pica_client.ui.options import ViewerOptions
@@ -301,9 +301,9 @@ def test_a_face_that_goes_stale_fades_and_does_not_blink(two: tuple[Faces, Viewe
 
 def test_muting_ones_own_face_is_told_and_shown() -> None:
     publisher = Publisher(SenderConfig(), open_source("performance:talk"), TOY, "5" * 64)
-    desk = FaceDesk(publisher, "Ada", "performance:talk")
+    controls = FaceControls(publisher, "Ada", "performance:talk")
     options = replace(SMALL, size="640x360")
-    with Viewer(Faces(), options, desk=desk, clock=lambda: 5.0) as viewer:
+    with Viewer(Faces(), options, controls=controls, clock=lambda: 5.0) as viewer:
         viewer.step(1.0)
         before = read(viewer)
         do(viewer, *key("m"))
@@ -314,7 +314,7 @@ def test_muting_ones_own_face_is_told_and_shown() -> None:
         do(viewer, *key("m"))
         viewer.step(1.3)
         assert publisher.mode == "sent"
-    desk.close()
+    controls.close()
 
 
 def test_two_eyes_see_the_same_people_from_two_places_with_one_decode() -> None:

@@ -11,7 +11,7 @@ from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
 
 from pica_client.call.participants import duration_text, joined_names, recorders
-from pica_client.publish.face_desk import Seen
+from pica_client.publish.face_controls import TrackerPreview
 from pica_client.render.scene import Rect
 from pica_client.render.seats import MAX_FREE, FreeShares
 from pica_client.ui.actions import TALK_KEY, Request
@@ -300,7 +300,7 @@ def own_face(state: ViewState, call: CallView, metrics: Metrics) -> list[Request
     return []
 
 
-def _tracked(seen: Seen, height: float, metrics: Metrics) -> None:
+def _tracked(seen: TrackerPreview, height: float, metrics: Metrics) -> None:
     """Some values of the tracker; without a face it says so."""
     palette, px = metrics.palette, metrics.px
     imgui.push_style_color(imgui.Col_.child_bg, palette.plate)

@@ -103,7 +103,7 @@ class _Device(ABC):
             self._is_changed.set()
 
     def offer(self, names: Sequence[str]) -> None:
-        """Say which devices there are: a wanted one that was missing is gone back to, and one that
+        """Take the list of devices: a wanted one that was missing is gone back to, and one that
         is gone, from which the system has moved us away, is left."""
         name = self.state.name
         is_back = self.state.note and self._wanted in names and self._wanted != name
@@ -292,7 +292,7 @@ class Microphone(_Device):
         self._ask_latency(stream)
         if self._num_frames < LATENCY_FRAMES[0]:
             self._captured_s = None
-            return  # nobody can say yet when it was captured
+            return  # when it was captured is not known yet
         seen_s = time.monotonic() - FRAME_S - self.state.latency_s
         due_s = seen_s if self._captured_s is None else self._captured_s + FRAME_S
         error_s = seen_s - due_s
@@ -315,7 +315,7 @@ async def captured_frames(
     """What another thread captures, as `VoiceSource.frames` has it.
 
     Args:
-        listen: Is told who takes the frames, and at the end that nobody does.
+        listen: Is given the callback that takes the frames, and at the end None.
     """
     loop = asyncio.get_running_loop()
     frames: asyncio.Queue[tuple[FloatArray, int] | None] = asyncio.Queue(MAX_CAPTURED)

@@ -42,7 +42,7 @@ class EchoCanceller:
         self._lock = threading.Lock()
 
     def set_delay(self, seconds: float) -> None:
-        """Say how long sound takes from `play` to the loudspeaker and from the air to `clean`."""
+        """Set how long sound takes from `play` to the loudspeaker and from the air to `clean`."""
         with self._lock:
             self._apm.set_stream_delay_ms(min(max(round(seconds * 1e3), 0), MAX_DELAY_MS))
 

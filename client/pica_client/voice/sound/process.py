@@ -12,9 +12,9 @@ from collections.abc import AsyncIterator, Callable, Mapping
 from typing import Any, Final
 
 from pica_client.voice.jitter_buffer import HISTORY, SILENT_S, moment_at
-from pica_client.voice.sound.desk import Outbox
 from pica_client.voice.sound.devices import OnFrame, captured_frames
 from pica_client.voice.sound.settings import DeviceState, Moment, SoundSettings, SoundState
+from pica_client.voice.sound.worker import Outbox
 from pica_core.types import FloatArray
 from pica_protocol.frames import Frame
 
@@ -45,7 +45,7 @@ class SoundProcess:
         self._is_closed = False
         self._begin_s = 0.0
         self._settings, self._users = settings or SoundSettings(), 0
-        # What holds until it is said anew, for a process that has to begin again.
+        # What holds until it is set again, for a process that has to begin again.
         self._lasting: dict[str, tuple[Any, ...]] = {}
         self.on_frame: OnFrame | None = None
         self._arrived_s: dict[str, float] = {}
@@ -59,12 +59,12 @@ class SoundProcess:
             self._last("follow", *wanted)
 
     def use_microphone(self, is_used: bool) -> None:
-        """Open the microphone, or close it once nobody uses it any more."""
+        """Open the microphone, or close it after its last user."""
         self._users += 1 if is_used else -1
         self.follow(self._settings)
 
     def seat(self, azimuths_rad: Mapping[str, float]) -> None:
-        """Say who is there and from where each voice comes; others are forgotten."""
+        """Set the peers that are there and where each voice comes from; forget others."""
         for gone in self._arrived_s.keys() - azimuths_rad.keys():
             self._arrived_s.pop(gone, None)
             self._moments.pop(gone, None)
@@ -79,7 +79,7 @@ class SoundProcess:
         self._last("hand_on", is_wanted)
 
     def receive(self, peer_id: str, packet: Frame, arrived_s: float) -> None:
-        """Take a packet of somebody's voice."""
+        """Take a packet of a peer's voice."""
         self._arrived_s[peer_id] = arrived_s
         self._tell("receive", peer_id, packet, arrived_s)
 
@@ -97,7 +97,7 @@ class SoundProcess:
             self.use_microphone(False)
 
     def heard_us(self, peer_id: str, now: float) -> int | None:
-        """The moment of somebody's voice that leaves the loudspeaker; see `JitterBuffer`."""
+        """The moment of a peer's voice that leaves the loudspeaker; see `JitterBuffer`."""
         if now - self._arrived_s.get(peer_id, -SILENT_S) > SILENT_S:
             return None
         return moment_at(tuple(self._moments.get(peer_id, ())), now)
@@ -140,7 +140,7 @@ class SoundProcess:
 
     def _begin(self) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "pica_client.voice.sound.desk"],
+            [sys.executable, "-P", "-m", "pica_client.voice.sound.worker"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
         )

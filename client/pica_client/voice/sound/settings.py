@@ -8,7 +8,7 @@ from pica_client.errors import OptionError
 from pica_client.voice.packet import MAX_LEVEL
 
 MAX_VOLUME: Final = 4.0
-"""Loudest that somebody, or everybody, can be made: 12 dB."""
+"""Largest volume of one voice or of all: 12 dB."""
 MAX_DEVICE_NAME: Final = 256
 
 
@@ -28,7 +28,7 @@ class SoundSettings:
     """Whether echo and noise are taken out of the microphone, and its loudness is evened out, where
     the extra ``echo`` is installed."""
     push_to_talk: bool = False
-    """Whether one is heard only while a key is held."""
+    """Whether the own voice is sent only while a key is held."""
 
     def __post_init__(self) -> None:
         for name in ("microphone", "speaker"):

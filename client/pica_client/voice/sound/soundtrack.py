@@ -16,7 +16,7 @@ or late."""
 LATE_S = 0.5
 """Sound that is younger than this may not have come yet."""
 MAX_SECONDS = 30.0
-"""Sound that waits to be taken at most; nobody has drawn for so long."""
+"""Sound that waits to be taken at most; more is dropped, as the recording has stopped drawing."""
 
 
 class Soundtrack:
@@ -35,12 +35,12 @@ class Soundtrack:
         self._ends: dict[str, tuple[int, float]] = {}  # number of the next sample, mean error
 
     def begin(self, now: float) -> None:
-        """Say when the recording begins; sound of before is left out."""
+        """Set when the recording begins; earlier sound is left out."""
         with self._lock:
             self._begin_s = now
 
     def add(self, who: str, sound: FloatArray, time_s: float) -> None:
-        """Take the next sound of somebody, float32 ``[n]`` or ``[n, 2]``, and when it begins."""
+        """Take the next sound of a source, float32 ``[n]`` or ``[n, 2]``, and when it begins."""
         with self._lock:
             if self._begin_s is None:
                 return
@@ -64,7 +64,7 @@ class Soundtrack:
 
     def take(self, until_s: float) -> tuple[FloatArray, int]:
         """All up to a time after the beginning that was not given yet, float32 ``[n, 2]`` within
-        [-1, 1], and the number of its first sample. What nobody said is silence."""
+        [-1, 1], and the number of its first sample. Gaps are silence."""
         with self._lock:
             count = max(round(until_s * SAMPLE_RATE_HZ) - self._at, 0)
             taken = np.zeros((count, 2), np.float32)
@@ -75,5 +75,5 @@ class Soundtrack:
         return taken, first
 
     def close(self) -> None:
-        """Say that nothing more is wanted."""
+        """Note that nothing more is wanted."""
         self._on_close(self)

@@ -14,7 +14,7 @@ from helpers.hand import Hand, open_hand, point
 from pica_client.call.connection_quality import StreamHealth
 from pica_client.call.participants import Participant
 from pica_client.call.status import AvatarFigures, CallStatus, PeerStatus
-from pica_client.publish.face_desk import Seen
+from pica_client.publish.face_controls import TrackerPreview
 from pica_client.render.scene import head_rect_px
 from pica_client.render.seats import LAYOUTS, Layout, plan_seats
 from pica_client.render.views import ViewState as Orbit
@@ -146,7 +146,7 @@ def test_one_line_at_the_top_says_what_matters_most(status: CallStatus, said: st
 
 def test_signs_say_how_the_own_face_is_sent() -> None:
     lost = replace(CALL, status=replace(STATUS, is_connected=False))
-    unseen = replace(CALL, own=OwnFaceView(seen=Seen(False, (), None)))
+    unseen = replace(CALL, own=OwnFaceView(seen=TrackerPreview(False, (), None)))
     assert own_signs(STATE, CALL) == [("Your face is sent", "good")]
     assert own_signs(STATE, lost) == [("Your face is not sent", "alert")]
     assert own_signs(STATE, unseen) == [NO_FACE]
@@ -239,7 +239,9 @@ def test_the_own_face_is_shown_where_there_is_room(hand: Hand, mode: str) -> Non
     state = replace(STATE, own_face=mode)  # type: ignore[arg-type]
     assert own_face_height(state, metrics_for((320, 240))) == 0
     assert own_face_height(state, metrics_for((1280, 720))) > 80
-    call = replace(CALL, own=OwnFaceView(texture=1, seen=Seen(True, (("Jaw", 2.0),), None)))
+    call = replace(
+        CALL, own=OwnFaceView(texture=1, seen=TrackerPreview(True, (("Jaw", 2.0),), None))
+    )
     assert hand.frame(lambda metrics: own_face(state, call, metrics)) == []
 
 

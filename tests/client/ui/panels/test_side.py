@@ -12,7 +12,7 @@ from imgui_bundle import imgui
 from helpers.hand import Hand, open_hand
 from pica_client.call.participants import Participant
 from pica_client.call.status import CallStatus
-from pica_client.publish.face_desk import Seen
+from pica_client.publish.face_controls import TrackerPreview
 from pica_client.ui.actions import Action, Request
 from pica_client.ui.call_view import CallView, Notice, OwnFaceView, Panel, PersonView
 from pica_client.ui.panels.overlay import own_face, signs
@@ -165,7 +165,7 @@ def test_source_avatar_and_name_are_chosen_during_the_call(hand: Hand) -> None:
     me = Identity("Me", "", "livelink", "none")
     state = replace(SETTINGS, entered=me, avatars=("amara", "nora"))
     state.identity = me
-    call = replace(CALL, own=OwnFaceView(source="livelink", seen=Seen(True, (), None)))
+    call = replace(CALL, own=OwnFaceView(source="livelink", seen=TrackerPreview(True, (), None)))
     clicking(hand, settings_panel, state, call, "##source", "VTuber")
     assert state.source == "vmc"
     assert clicking(hand, settings_panel, state, call, "Calibrate") == [Action.CALIBRATE]

@@ -34,11 +34,11 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SoundProcess]:
         process.close()
 
 
-def desks() -> list[int]:
+def workers() -> list[int]:
     """The processes of ours that sound lives in."""
     children = Path("/proc/self/task").glob("*/children")
     pids = {int(pid) for each in children for pid in each.read_text().split()}
-    return [p for p in pids if b"sound.desk" in Path(f"/proc/{p}/cmdline").read_bytes()]
+    return [p for p in pids if b"sound.worker" in Path(f"/proc/{p}/cmdline").read_bytes()]
 
 
 def test_another_loudspeaker_takes_over_without_a_gap_and_one_unplugged_is_replaced(
@@ -89,9 +89,9 @@ def test_what_others_say_is_taken_out_of_the_microphone(sound: SoundProcess) -> 
 def test_sound_that_ends_by_itself_begins_again_as_it_was(sound: SoundProcess) -> None:
     sound.follow(SoundSettings(speaker="none"))
     assert until(lambda: sound.state.speaker.name == "none")
-    (pid,) = desks()
+    (pid,) = workers()
     os.kill(pid, signal.SIGKILL)
     assert until(lambda: "begins again" in sound.state.trouble)
     assert until(lambda: sound.state.speaker.name == "none")
     sound.close()
-    assert not desks()
+    assert not workers()

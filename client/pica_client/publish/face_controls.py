@@ -1,10 +1,10 @@
-"""What one does with one's own face while it is sent: hide it, take another source, calibrate the
-tracker, look at what it sees.
+"""Controls of the own face while it is sent: choose another source, calibrate the tracker, see what
+it sees.
 
-    desk = FaceDesk(publisher, person="Ada", source="livelink")
-    desk.choose("vmc")
-    desk.calibrate(now)
-    desk.take_notices(now)              # what became of it, for people
+    controls = FaceControls(publisher, person="Ada", source="livelink")
+    controls.choose("vmc")
+    controls.calibrate(now)
+    controls.take_notices(now)              # what became of it, for people
 """
 
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -34,11 +34,11 @@ BARS: Final[tuple[tuple[str, tuple[str, ...]], ...]] = (
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class TrackerPreview:
     """What the tracker sees, for its owner alone.
 
     Attributes:
-        has_face: Whether it sees somebody.
+        has_face: Whether it sees a face.
         bars: Name and value, 0 to 1, of some movements.
         picture: A camera's, uint8 ``[H, W, 3]``; None of other trackers.
     """
@@ -48,7 +48,7 @@ class Seen:
     picture: Image | None
 
 
-class FaceDesk:
+class FaceControls:
     """Steers one publisher. All methods are for one thread, which need not be the publisher's.
 
     Args:
@@ -109,7 +109,7 @@ class FaceDesk:
         notices, self._notices = self._notices, []
         return notices
 
-    def seen(self) -> Seen | None:
+    def preview(self) -> TrackerPreview | None:
         """What the tracker sees; None where no tracker plays the face."""
         source, frame = self.publisher.source, self.publisher.seen
         if not isinstance(source, Tracker) or frame is None:
@@ -118,7 +118,7 @@ class FaceDesk:
             (name, float(sum(frame.arkit[ARKIT_INDEX[each]] for each in shapes)) / len(shapes))
             for name, shapes in BARS
         )
-        return Seen(frame.has_face, bars, source.preview())
+        return TrackerPreview(frame.has_face, bars, source.preview())
 
     def _learn(self) -> str:
         source = self.publisher.source

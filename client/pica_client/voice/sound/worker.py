@@ -1,11 +1,11 @@
 """All that makes and takes sound: mixer, loudspeaker, microphone, echo canceller.
 
-It runs in a process of its own (`python -m pica_client.voice.sound.desk`, begun by
+It runs in a process of its own (`python -m pica_client.voice.sound.worker`, begun by
 `process.SoundProcess`): there a picture that is being drawn holds up no sound, and a sound library
 that crashes takes nothing else with it. Both ends send each other pickles, through the standard
 input and output:
 
-    in     (method of `SoundDesk`, arguments)
+    in     (method of `SoundWorker`, arguments)
     out    SoundState, 50 times a second
            ("captured", samples, captured_us)       while the microphone is open
            ("mixed", samples, leaves_s)             while that is wanted
@@ -40,7 +40,7 @@ NICENESS = -10
 
 
 class Outbox:
-    """Writes messages on a thread of its own, so that nobody waits for the other end."""
+    """Writes messages on a thread of its own, so that callers do not wait for the other end."""
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
@@ -65,7 +65,7 @@ class Outbox:
                 self._file.flush()
 
 
-class SoundDesk:
+class SoundWorker:
     """The sound of one call; its methods are for one thread. What is said of voices goes straight
     to the mixer: `receive`, `seat`, `set_volumes`."""
 
@@ -171,10 +171,10 @@ def main() -> None:
     file = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints is no message
     outbox = Outbox(file)
-    with SoundDesk(outbox) as desk, suppress(EOFError, OSError):
+    with SoundWorker(outbox) as worker, suppress(EOFError, OSError):
         while True:
             name, arguments = pickle.load(sys.stdin.buffer)
-            getattr(desk, name)(*arguments)
+            getattr(worker, name)(*arguments)
     outbox.close()
 
 
