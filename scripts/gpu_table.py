@@ -3,17 +3,11 @@
     PYTHONPATH=client:pica_core:protocol python scripts/gpu_table.py              two minutes
     PYTHONPATH=client:pica_core:protocol python scripts/gpu_table.py --quick      small images
 
-Every head is its own person, changes in every image and is drawn whole, as in a call: ONNX Runtime
-decodes in worker threads beside the drawing. In milliseconds an image, everybody decoded anew:
-
-    decode    on one thread by ONNX Runtime; in shaders, by the GPU's clock
-    python    submitting decodes, this thread
-    upload    of maps, this thread; nothing in shaders (`upload_kb` is what goes to the GPU)
-    submit    drawing until it is handed to the driver
-    draw      by the GPU's clock
-    thread    processor time of this thread: plan, decode, upload, submit
-
-The first lines are the largest differences from numpy. Needs moderngl, numpy, safetensors, onnx,
+Every head is its own person, changes in every image and is drawn whole, as in a call. In
+milliseconds an image with everybody decoded anew: ``decode`` by ONNX Runtime on one thread (a call
+has several) or in shaders by the GPU's clock, ``draw`` by that clock; and of this thread ``python``
+to submit decodes, ``upload`` of maps, ``submit`` of the drawing, ``thread`` all processor time. The
+first lines are the largest differences from numpy. Needs moderngl, numpy, safetensors, onnx,
 onnxruntime and platformdirs.
 """
 
@@ -90,18 +84,30 @@ def errors(context: Any, avatar: Avatar) -> dict[str, Any]:
     return found
 
 
+def repeat(context: Any, seconds: float, image: Callable[[], object]) -> int:
+    """Make images for so long; how many they were."""
+    end_s, count = time.perf_counter() + seconds, 0
+    while time.perf_counter() < end_s or count < LEAST_IMAGES:
+        image()
+        count += 1
+        if count % AHEAD == 0:
+            wait_for_gpu(context)
+    return count
+
+
 class Scene:
     """Heads on a grid before one or two eyes, each of them in two slots: one a decoder."""
 
-    def __init__(self, context: Any, size: Size, num_eyes: int, avatars: list[Avatar]) -> None:
-        self._context, self._avatars = context, avatars
-        self._renderer = Renderer(context, size, RenderOptions(fade_busts=True))
-        self._shaders = GpuDecoder(context, self._renderer.show_maps)
+    def __init__(
+        self, renderer: Renderer, shaders: GpuDecoder, num_eyes: int, avatars: list[Avatar]
+    ) -> None:
+        self._renderer, self._shaders, size = renderer, shaders, renderer.size
         self._size = (size[0] // num_eyes, size[1])
         plan = plan_seats("grid", count=len(avatars), aspect=self._size[0] / size[1])
         camera = plan_camera(plan, ViewState(), *self._size)
         self._eyes = stereo_cameras(camera, EYE_DISTANCE_M, 1.0) if num_eyes == 2 else (camera,)
-        self._matrices = [head_matrix(seat, [0, 0, 0], [0, 0, 0]) for seat in plan.seats]
+        matrices = [head_matrix(seat, [0, 0, 0], [0, 0, 0]) for seat in plan.seats]
+        self._seated = list(zip(avatars, matrices, strict=True))
         self._faces = [faces_of(avatar, NUM_FACES) for avatar in avatars]
         for index, avatar in enumerate(avatars):
             self._renderer.add_avatar(f"cpu {index}", avatar)
@@ -109,34 +115,28 @@ class Scene:
             self._shaders.add(f"gpu {index}", avatar)
         self._turn = 0
 
-    def close(self) -> None:
-        """Free all that it holds on the GPU."""
-        self._shaders.close()
-        self._renderer.close()
-
-    def row(self, mode: str, seconds: float) -> dict[str, Any]:
+    def row(self, context: Any, mode: str, seconds: float) -> dict[str, Any]:
         """All figures of one way to decode."""
         with DecodePool(OnnxDecoder, workers=num_workers(os.cpu_count())) as pool:
-            heads = {}
-            for index, (avatar, matrix) in enumerate(
-                zip(self._avatars, self._matrices, strict=True)
-            ):
-                slot = f"{mode} {index}"
-                heads[slot] = Head(slot=slot, avatar=avatar, world_from_head=matrix)
-                if mode == "cpu":
-                    pool.add(slot, avatar)
+            heads = [
+                Head(slot=f"{mode} {index}", avatar=avatar, world_from_head=matrix)
+                for index, (avatar, matrix) in enumerate(self._seated)
+            ]
+            for head in heads if mode == "cpu" else ():
+                pool.add(head.slot, head.avatar)
+            by_slot = {head.slot: head for head in heads}
             decoder = self._shaders if mode == "gpu" else pool
             planner = FramePlanner(Scheduler(SchedulerOptions(mesh_px=(0.0, 0.0), full_px=0.0)))
-            clock: DrawClock[str] = DrawClock(self._context)
+            clock: DrawClock[str] = DrawClock(context)
             took: dict[str, list[float]] = defaultdict(list)
 
             def image() -> None:
                 self._turn += 1
                 begin_s = time.perf_counter()
-                for head, faces in zip(heads.values(), self._faces, strict=True):
+                for head, faces in zip(heads, self._faces, strict=True):
                     head.latent = faces[self._turn % NUM_FACES]
-                planner.plan(list(heads.values()), self._eyes, self._size, 1.0, begin_s)
-                asked = planner.requests(list(heads.values()), begin_s)
+                planner.plan(heads, self._eyes, self._size, 1.0, begin_s)
+                asked = planner.requests(heads, begin_s)
                 decode_s = time.perf_counter()
                 for head, request in asked:
                     decoder.submit(head.slot, request)
@@ -148,45 +148,28 @@ class Scene:
                     self._renderer.update_maps(result.slot, maps.position_map, maps.expression_map)
                     took["upload"].append(len(heads) * (time.perf_counter() - upload_s))
                     took["decode"].append(len(heads) * result.decode_s)
-                    planner.note_decoded(heads[result.slot], result, 0.0, begin_s)
+                    planner.note_decoded(by_slot[result.slot], result, 0.0, begin_s)
                 draw_s = time.perf_counter()
                 with clock.around(mode):
-                    self._draw(list(heads.values()))
+                    self._draw(heads)
                 took["submit"].append(time.perf_counter() - draw_s)
                 took["draw"] += [drawn_s for _, drawn_s in clock.take()]
 
-            self._repeat(0.0, image)
+            repeat(context, 0.0, image)
             pool.wait_idle(30.0)
             took.clear()
-            before, begin_s, thread_s = (
-                self._uploaded(mode),
-                time.perf_counter(),
-                time.thread_time(),
-            )
-            count = self._repeat(seconds, image)
+            before, thread_s = self._uploaded(mode), time.thread_time()
+            begin_s = time.perf_counter()
+            count = repeat(context, seconds, image)
             per_s = count / (time.perf_counter() - begin_s)
             thread_ms = 1e3 * (time.thread_time() - thread_s) / count
         num_decodes = len(took["decode"])
-        row = {f"{name}_ms": round(median(times) * 1e3, 3) for name, times in took.items()}
+        row: dict[str, Any] = {"mode": mode, "images_s": round(per_s, 1)}
+        row["decodes_an_image"] = round(num_decodes / count, 2)
+        row |= {f"{name}_ms": round(median(times) * 1e3, 3) for name, times in took.items()}
+        row["thread_ms"] = round(thread_ms, 3)
         upload_kb = (self._uploaded(mode) - before) * len(heads) / num_decodes / 1e3
-        return {
-            "mode": mode,
-            **row,
-            "thread_ms": round(thread_ms, 3),
-            "upload_kb": round(upload_kb, 1),
-            "images_s": round(per_s, 1),
-            "decodes_an_image": round(num_decodes / count, 2),
-        }
-
-    def _repeat(self, seconds: float, image: Callable[[], object]) -> int:
-        """Make images for so long; how many they were."""
-        end_s, count = time.perf_counter() + seconds, 0
-        while time.perf_counter() < end_s or count < LEAST_IMAGES:
-            image()
-            count += 1
-            if count % AHEAD == 0:
-                wait_for_gpu(self._context)
-        return count
+        return {**row, "upload_kb": round(upload_kb, 1)}
 
     def _draw(self, heads: list[Head]) -> None:
         self._renderer.forget_frame()
@@ -194,9 +177,10 @@ class Scene:
         self._renderer.draw(places, *self._eyes)
 
     def _uploaded(self, mode: str) -> int:
-        slots = [f"cpu {index}" for index in range(len(self._avatars))]
-        by_maps = sum(map(self._renderer.bytes_uploaded, slots))
-        return self._shaders.bytes_uploaded if mode == "gpu" else by_maps
+        if mode == "gpu":
+            return self._shaders.bytes_uploaded
+        slots = (f"cpu {index}" for index in range(len(self._seated)))
+        return sum(map(self._renderer.bytes_uploaded, slots))
 
 
 def main() -> None:
@@ -216,11 +200,14 @@ def main() -> None:
         print_line(**errors(context, avatar))
     for size, num_eyes, counts in cases:
         for count in counts:
-            scene = Scene(context, size, num_eyes, avatars[:count])
-            for mode in ("cpu", "gpu") * ROUNDS:
-                row = scene.row(mode, seconds)
-                print_line(size=size, eyes=num_eyes, heads=count, **row)
-            scene.close()
+            with (
+                Renderer(context, size, RenderOptions(fade_busts=True)) as drawer,
+                GpuDecoder(context, drawer.show_maps) as shaders,
+            ):
+                scene = Scene(drawer, shaders, num_eyes, avatars[:count])
+                for mode in ("cpu", "gpu") * ROUNDS:
+                    row = scene.row(context, mode, seconds)
+                    print_line(size=size, eyes=num_eyes, heads=count, **row)
     print_line(seconds=round(time.monotonic() - begin_s, 1))
 
 
