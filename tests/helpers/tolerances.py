@@ -45,4 +45,4 @@ llvmpipe)."""
 
 MAP_GLSL_M = 1e-7
 """Vertices in metres, shaders against numpy float64: one rounding at 0.1 m after a sum of at
-most 41 directions of a few millimetres (measured 1e-8)."""
+most 41 directions of a few millimetres (measured 3e-8)."""

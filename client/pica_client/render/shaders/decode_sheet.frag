@@ -20,14 +20,19 @@ void main() {
     ivec3 texel = ivec3(place.yz, avatar);
     ivec3 sum = ivec3(texelFetch(places, texel, 0).xyz);
     vec3 moved = vec3(0.0);
-    vec4 four = texelFetch(rows, ivec2(sum.y >> 2, head), 0);
-    for (int row = sum.y; row < sum.z; ++row) {
-        if ((row & 3) == 0) {
-            four = texelFetch(rows, ivec2(row >> 2, head), 0);
-        }
-        vec3 direction = texelFetch(basis, ivec3(sum.x, row, avatar), 0).xyz;
-        moved += four[row & 3] * ((255.0 * direction - 128.0) / 127.0);
+    float all = 0.0;
+    for (int row = sum.y & ~3; row < sum.z; row += 4) {
+        // Four directions at a time; what belongs to neighbouring regions counts nothing.
+        ivec4 four = row + ivec4(0, 1, 2, 3);
+        vec4 weight = texelFetch(rows, ivec2(row >> 2, head), 0);
+        weight *= vec4(greaterThanEqual(four, ivec4(sum.y))) * vec4(lessThan(four, ivec4(sum.z)));
+        moved += weight.x * texelFetch(basis, ivec3(sum.x, row, avatar), 0).xyz;
+        moved += weight.y * texelFetch(basis, ivec3(sum.x, row + 1, avatar), 0).xyz;
+        moved += weight.z * texelFetch(basis, ivec3(sum.x, row + 2, avatar), 0).xyz;
+        moved += weight.w * texelFetch(basis, ivec3(sum.x, row + 3, avatar), 0).xyz;
+        all += dot(weight, vec4(1.0));
     }
     float scale_m = texelFetch(heads, ivec2(SCALE, head), 0).x;
-    xyz_m = vec4(texelFetch(mean, texel, 0).xyz + scale_m * moved, 1.0);
+    vec3 mean_m = texelFetch(mean, texel, 0).xyz;
+    xyz_m = vec4(mean_m + scale_m * (255.0 * moved - 128.0 * all) / 127.0, 1.0);
 }
