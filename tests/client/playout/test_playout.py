@@ -277,22 +277,7 @@ def test_the_delay_never_exceeds_the_ceiling() -> None:
     assert playout.report().delay_s == pytest.approx(0.1)
 
 
-def test_holes_in_released_frames_are_concealed_unless_they_are_thinned() -> None:
-    playout = Playout()
-    for index in [*range(20), 23, 24, *range(26, 80, 2)]:
-        receive(playout, index, index * FRAME_S)
-        playout.due_frames(index * FRAME_S + 0.01)
-    # Three are missing, and then for seven frames thinning looks like loss.
-    assert playout.report().concealed == 3 + 7
-
-
 # Settings and cost
-
-
-def test_a_stream_that_never_sent_reports_zeros() -> None:
-    report = Playout().report()
-    assert (report.received, report.lost, report.delay_s, report.interval_s) == (0, 0, 0, 0)
-    assert (report.concealed_ratio, report.age_s) == (0, 0)
 
 
 def test_counters_can_be_begun_anew() -> None:
@@ -306,13 +291,6 @@ def test_counters_can_be_begun_anew() -> None:
     assert since.interval_s == pytest.approx(FRAME_S, rel=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [
-        *(("floor_s", 0.3), ("floor_s", -0.1), ("blend_s", -1.0), ("extrapolate_s", 11.0)),
-        ("floor_intervals", float("nan")),
-    ],
-)
-def test_a_setting_out_of_range_is_named(field: str, value: float) -> None:
-    with pytest.raises(ValueError, match=field):
-        PlayoutConfig(**{field: value})  # type: ignore[arg-type]
+def test_a_setting_out_of_range_is_named() -> None:
+    with pytest.raises(ValueError, match="floor_s"):
+        PlayoutConfig(floor_s=0.3)

@@ -70,11 +70,6 @@ def test_two_frames_in_one_packet_come_back_as_40_ms_and_silence_of_both_is_not_
     assert sum(packet is not None for packet in silent[25:]) <= 6
 
 
-def test_without_dtx_silence_is_sent() -> None:
-    encoder = OpusEncoder(dtx=False)
-    assert None not in [encoder.encode(SILENCE) for _ in range(100)]
-
-
 def test_a_lost_packet_is_concealed_with_what_came_before() -> None:
     encoder, decoder = OpusEncoder(), OpusDecoder()
     for frame in vowel(20):

@@ -33,54 +33,6 @@ def test_both_threads_are_told_that_there_is_no_sound_system(
     assert all("no server answers" in str(each) for each in troubles)
 
 
-BUSY_ONCE = """
-import pathlib, time
-import numpy as np
-seen = pathlib.Path(__file__).with_name("asked")
-
-class Card:
-    name, id, channels = "desk", "desk", 1
-    latency = 0.0
-    def recorder(self, *_, **__):
-        if not seen.exists():
-            seen.write_text("")
-            raise RuntimeError("device is busy")
-        return self
-    def __enter__(self):
-        return self
-    def __exit__(self, *_):
-        pass
-    def record(self, count):
-        time.sleep(count / 48_000)
-        return np.zeros((count, 1), np.float32)
-
-def all_microphones(**_): return [Card()]
-def default_microphone(): return Card()
-"""
-
-
-def test_a_busy_microphone_is_said_and_asked_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "soundcard.py").write_text(BUSY_ONCE)
-    monkeypatch.delitem(sys.modules, "soundcard", raising=False)
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(devices, "RETRY_S", 0.2)
-    frames, notes = [], set()
-    microphone = Microphone()
-    microphone.on_frame = lambda frame, _: frames.append(frame)
-    microphone.start()
-    try:
-        deadline = time.monotonic() + 20
-        while not frames and time.monotonic() < deadline:
-            notes.add(microphone.state.note)
-            time.sleep(0.005)
-    finally:
-        microphone.stop()
-    assert "sound lost: device is busy" in notes
-    assert frames
-
-
 class Stream:
     """A microphone that is open, on a clock of its own: each frame takes 20 ms of it."""
 
