@@ -214,7 +214,8 @@ def test_a_call_looks_alike_whoever_decodes(context: moderngl.Context) -> None:
             renderer.draw(presenter.dressed(scene).placements, scene.camera)
             assert presenter.num_decoded() == {"amara": 1, "nora": 1}
             images.append(renderer.read_image().astype(int))
-    assert np.abs(images[0] - images[1]).max() <= 1
+    # Vertices a few nanometres apart move some edges by a pixel.
+    assert (np.abs(images[0] - images[1]) > 1).mean() < 1e-3
 
 
 def test_a_driver_of_gl_es_takes_the_decoders_text() -> None:
