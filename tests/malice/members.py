@@ -39,7 +39,7 @@ from pica_protocol.session import Closed, State
 from pica_server.auth.tokens import Admission
 from pica_server.config.relay import RelayConfig
 from pica_server.errors import AdmissionError
-from pica_server.room.connection import Connection
+from pica_server.room.connections import Connection
 from pica_server.room.hub import Hub
 from pica_server.room.outbox import OutboundMessage
 

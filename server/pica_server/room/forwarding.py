@@ -13,8 +13,7 @@ from pica_protocol.errors import CloseCode
 from pica_protocol.frame_queue import QueuedFrame
 from pica_protocol.frames import HEADER_BYTES, LENGTH_MASK, MEDIA_KIND, FrameSpan
 from pica_protocol.messages import StreamMuted, Whisper
-from pica_server.room.connection import Connection
-from pica_server.room.connections import Connections
+from pica_server.room.connections import Connection, Connections
 from pica_server.room.outbox import MAX_FRESH
 from pica_server.room.room import Room, Stream
 

@@ -25,8 +25,7 @@ from pica_server.auth.tokens import Admission
 from pica_server.errors import AdmissionError, RoomFullError
 from pica_server.net.limits import MOST_REMEMBERED, TokenBucket
 from pica_server.placement.placement import Placed, Placement
-from pica_server.room.connection import Connection
-from pica_server.room.connections import Connections
+from pica_server.room.connections import Connection, Connections
 from pica_server.room.forwarding import CALM_S, Forwarding, Overload
 from pica_server.room.resume_tickets import ResumeTickets
 from pica_server.room.room import Room

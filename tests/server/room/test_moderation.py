@@ -15,7 +15,7 @@ from pica_protocol.messages import (
 )
 from pica_server.auth.tokens import Admission
 from pica_server.config.relay import RelayConfig
-from pica_server.room.connection import MODERATIONS_BURST
+from pica_server.room.connections import MODERATIONS_BURST
 from pica_server.room.hub import Hub
 from pica_server.room.room import MAX_DECISIONS, Room
 
