@@ -213,8 +213,9 @@ def chart_relay() -> None:
 def chart_scene() -> None:
     """Draw what one to five heads cost over one that fills the screen, and the error it leaves."""
     line = read_lines("scene")[-1]
-    summary = line["result"]["summary"]
-    rows = [row for row in line["result"]["rows"] if row.get("view", "front") == "front"]
+    rows = line["result"]["rows"]
+    full_ms = rows[0]["cpu_ms"]  # one head that fills the screen, decoded whole
+    rows = [row for row in rows[2:] if not row.get("budget_ms")]
     figure, (cost, error) = plt.subplots(1, 2, figsize=(7.2, 3.4))
     for distance, colour in zip(sorted({r["distance_cm"] for r in rows}), COLOURS, strict=False):
         for is_scheduled, style in ((True, "-o"), (False, "--x")):
@@ -222,15 +223,14 @@ def chart_scene() -> None:
                 row
                 for row in rows
                 if (row["distance_cm"], row["scheduler"]) == (distance, is_scheduled)
-                and not row.get("budget_ms")
             ]
             counts = [row["avatars"] for row in chosen]
-            ratios = [row["total_ms"] / summary["full_screen_ms"] for row in chosen]
+            ratios = [row["cpu_ms"] / full_ms for row in chosen]
             label = f"{distance:g} cm" if is_scheduled else None
             cost.plot(counts, ratios, style, color=colour, label=label)
             if is_scheduled:
                 error.plot(counts, [row["error"] for row in chosen], style, color=colour)
-    cost.set_ylabel("cost over one head that fills the screen")
+    cost.set_ylabel("processor time over one head that fills the screen")
     cost.set_xlabel("talking heads, 25 cm apart\n(dashed: without the scheduler)")
     cost.legend(fontsize=8)
     error.set_ylabel("MSE against full levels, 0–255")
