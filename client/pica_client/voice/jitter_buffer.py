@@ -150,7 +150,7 @@ class JitterBuffer:
     def __init__(self, decoder: Decoder) -> None:
         self._decoder = decoder
         self._sender = SenderClock(quantile=JITTER_QUANTILE)
-        self._wait_s: float | None = None  # from capture to sound; the clocks' offset included
+        self._wait_s = self._fastest_s = math.inf  # to sound, and here, with the clocks' offset
         self._report = JitterBufferReport()
         self._waiting: list[ReceivedFrame] = []  # by number; at most MAX_PACKETS
         self._last_number: int | None = None
@@ -192,7 +192,6 @@ class JitterBuffer:
         transit = self._sender.transit
         if transit is None:
             return np.zeros(FRAME, np.float32)
-        assert self._wait_s is not None
         should_s = now - self._wait_s
         self._leap(should_s)
         self._fill(FRAME, should_s)
@@ -224,7 +223,7 @@ class JitterBuffer:
         """Counters since the voice began, and how it stands; do not change it."""
         report = self._report
         report.refused = self._num_broken
-        if (transit := self._sender.transit) is not None and self._wait_s is not None:
+        if (transit := self._sender.transit) is not None:
             report.target_s = self._wait_s - transit.fastest_s
             report.jitter_s = transit.jitter_s
         return report
@@ -238,15 +237,19 @@ class JitterBuffer:
         """Wait longer at once, and less slowly.
 
         What is released is the whole wait: when the fastest packets of calmer times are forgotten,
-        `fastest_s` rises and `jitter_s` falls by as much, and the sound goes on unchanged.
+        `fastest_s` rises and `jitter_s` falls by as much, and the sound goes on unchanged. A way
+        that becomes shorter is followed at once.
         """
         elapsed_s, self._aimed_s = max(now - self._aimed_s, 0.0), now
         room_s = CEILING_S - FRAME_S
         begin_s = transit.fastest_s + FRAME_S
         needed_s = begin_s + min(transit.jitter_s, room_s)
         enough_s = begin_s + min(max(transit.jitter_s, LEAST_JITTER_S), room_s)
-        if self._wait_s is None:
+        if self._wait_s == math.inf:
             self._wait_s = enough_s
+        else:
+            self._wait_s += min(transit.fastest_s - self._fastest_s, 0.0)
+        self._fastest_s = transit.fastest_s
         excess_s = max(self._wait_s - enough_s, 0.0)
         released_s = excess_s * (1 - math.exp(-elapsed_s / RELEASE_S))
         self._wait_s = max(self._wait_s - released_s, needed_s)

@@ -16,6 +16,7 @@ from helpers.spoken import (
     usual_arrival_s,
 )
 from pica_client.voice.jitter_buffer import (
+    CEILING_S,
     CODEC_DELAY_S,
     LEAST_JITTER_S,
     MAX_PACKETS,
@@ -121,6 +122,14 @@ def test_a_way_that_is_longer_for_good_is_waited_for_no_longer_than_it_is():
     at_first_s, later_s = delays_s[400], delays_s[550:700]
     assert at_first_s > delays_s[150] + 0.02
     assert max(later_s) == pytest.approx(at_first_s, abs=0.004)
+
+
+def test_a_voice_that_begins_in_a_stall_waits_no_longer_than_the_ceiling_after_it():
+    arrivals = [(max(usual_arrival_s(i), 1.5), packet(i)) for i in range(290)]
+
+    _, delays_s = play(JitterBuffer(SpokenDecoder(with_pauses(hum(6)))), arrivals, 5.5)
+
+    assert max(delays_s[-150:]) < FRAME_S + NETWORK_S + CEILING_S + CODEC_DELAY_S
 
 
 def test_a_delay_that_changes_is_changed_in_silence_where_there_is_one():
