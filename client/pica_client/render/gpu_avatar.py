@@ -51,7 +51,7 @@ class MeshPrograms:
     """Lays a mesh out flat by its UVs."""
 
 
-WeightsPlace = Literal["block", "constants", "turns"]
+WeightsPlace = Literal["block", "turns"]
 
 BOUNDS_MARGIN_M = 0.01
 """Positions may leave the bounds of the file by this much; the rest is cut off."""
@@ -157,7 +157,7 @@ def upload_avatar(
     tensors, manifest = avatar.tensors, avatar.manifest
     if program is None:
         baked = None if weights_place == "block" else tensors
-        siren = siren_source(avatar.spec, baked, in_turns=weights_place == "turns")
+        siren = siren_source(avatar.spec, baked)
         fragment = compose(
             "pixel_decoder.frag",
             avatar.spec,

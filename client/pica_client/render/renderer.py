@@ -77,10 +77,10 @@ MAX_SIDE_PX = 8192
 class RenderOptions:
     """How avatars are drawn."""
 
-    weights: Literal["auto", "block", "constants", "turns"] = "auto"
-    """Where the pixel decoder's weights stand: in a uniform block (one program for all avatars), as
-    constants (one program each), or as constants in turns, for sines by polynomial. "auto" takes
-    the last on software rasterisers and the block elsewhere (docs/results.md)."""
+    weights: Literal["auto", "block", "turns"] = "auto"
+    """Where the pixel decoder's weights stand: in a uniform block (one program for all avatars), or
+    as constants in turns (one program each), for sines by polynomial. "auto" takes the last on
+    software rasterisers and the block elsewhere (docs/results.md)."""
     smooth_edges: bool = True
     """Blur stair-steps after shading."""
     filter_encodings: bool = True

@@ -114,9 +114,7 @@ def pack_weights(spec: AvatarSpec, tensors: Mapping[str, Array]) -> bytes:
     return matrices.tobytes() + biases.tobytes()
 
 
-def siren_source(
-    spec: AvatarSpec, tensors: Mapping[str, Array] | None = None, *, in_turns: bool = False
-) -> str:
+def siren_source(spec: AvatarSpec, tensors: Mapping[str, Array] | None = None) -> str:
     """GLSL of both networks, layer by layer, without loops or arrays.
 
     Straight-line code, because software rasterisers neither unroll loops over arrays nor fold
@@ -124,17 +122,11 @@ def siren_source(
     with constants 29).
 
     Args:
-        tensors: An avatar's weights, to write them as constants: a program for this avatar alone.
-            Numbers have nine digits, which names a float32 exactly. None reads them from the block
-            that `pack_weights` fills.
-        in_turns: Computes sines from a triangle wave and four coefficients, for machines without a
-            circuit for them; the weights, which must be constants, are written in turns instead of
-            radians. Error 6e-7.
+        tensors: An avatar's weights, to write them as constants: a program for this avatar alone,
+            for machines without a circuit for sines. It computes them from a triangle wave and four
+            coefficients (error 6e-7), so weights are in turns instead of radians. None reads
+            weights from the block that `pack_weights` fills.
     """
-    if in_turns:
-        if tensors is None:
-            raise ShaderError("weights in a block are in radians; write them as constants")
-        tensors = _in_turns(spec, tensors)
     num_matrices, num_biases = block_sizes(spec)
     if tensors is None:
         lines = [
@@ -145,16 +137,14 @@ def siren_source(
         ]
         matrices = [f"matrices[{index}]" for index in range(num_matrices)]
         biases = [f"biases[{index}]" for index in range(num_biases)]
+        sine = "sin"
     else:
-        lines = []
-        floats = np.frombuffer(pack_weights(spec, tensors), np.float32)
+        sine = "sine_of_turns"
+        lines = _sine_lines(sine)
+        floats = np.frombuffer(pack_weights(spec, _in_turns(spec, tensors)), np.float32)
         split = num_matrices * VECTOR * VECTOR
         matrices = [_constant("mat4", row) for row in floats[:split].reshape(-1, VECTOR * VECTOR)]
         biases = [_constant("vec4", row) for row in floats[split:].reshape(-1, VECTOR)]
-    sine = "sin"
-    if in_turns:
-        sine = "sine_of_turns"
-        lines += _sine_lines(sine)
     blocks = layer_blocks(spec)
     inputs = [f"p{index}" for index in range(pixel_input_vectors(spec))]
     for prefix, head, values in (

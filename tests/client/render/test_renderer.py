@@ -35,8 +35,6 @@ from pica_core.camera import Camera, look_at
 from pica_core.errors import ShapeError
 from pica_core.gl import create_context
 from pica_core.reference.mesh import sample_vertices
-from pica_core.reference.pixel import decode_pixels
-from pica_core.reference.sampling import sample_bilinear
 
 pytestmark = pytest.mark.render
 
@@ -88,34 +86,6 @@ def renderer_with(
         renderer.add_avatar(f"p{index}", avatar)
         renderer.update_maps(f"p{index}", *some_maps(avatar))
     return renderer
-
-
-def colours_by_numpy(renderer: Renderer, avatar: Avatar) -> tuple[np.ndarray, np.ndarray]:
-    """RGB 0..255 of the pixels that the first head covers, and which these are."""
-    xyz_m, uv, heads = renderer.read_surface()
-    covered = heads == 0
-    expression = sample_bilinear(some_maps(avatar)[1], uv[covered], np.float64)
-    rgb = decode_pixels(
-        avatar.spec, avatar.tensors, expression, xyz_m[covered], uv[covered], np.float64
-    )
-    return np.clip(rgb, 0, 1) * 255, covered
-
-
-@pytest.mark.parametrize("weights", ["block", "constants", "turns"])
-def test_every_pixel_has_the_colour_that_numpy_computes(
-    context: moderngl.Context, weights: str
-) -> None:
-    options = RenderOptions(
-        weights=weights,  # type: ignore[arg-type]
-        smooth_edges=False,
-        filter_encodings=False,
-    )
-    renderer = renderer_with(context, TOY, options=options)
-    renderer.draw([still("p0")], camera_at(0.1, 0.05, 0.7))
-    wanted, covered = colours_by_numpy(renderer, TOY)
-    assert covered.sum() > 2000
-    error = np.abs(renderer.read_image()[covered] - wanted) / 255
-    assert error.max() < tolerances.PIXEL_GLSL
 
 
 def test_positions_under_the_pixels_lie_where_their_camera_rays_meet_the_mesh(
@@ -276,7 +246,7 @@ def test_after_the_first_frame_no_gpu_object_is_made(context: moderngl.Context) 
     assert gpu_objects() == before
 
 
-@pytest.mark.parametrize(("weights", "programs"), [("block", 0), ("constants", 1)])
+@pytest.mark.parametrize(("weights", "programs"), [("block", 0), ("turns", 1)])
 def test_weights_in_a_block_let_avatars_of_a_spec_share_a_program(
     context: moderngl.Context, weights: str, programs: int
 ) -> None:
