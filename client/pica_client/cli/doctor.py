@@ -4,15 +4,13 @@ import importlib
 import sys
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from typing import Any, Final, Literal
+from typing import Any, Literal
 
 from pica_client.output import say
 from pica_client.system import has_display
 from pica_command.extras import install_line, modules_by_extra
 from pica_core.avatar.shipped import shipped_avatar_files
 from pica_core.errors import GraphicsError
-
-SOFTWARE_RENDERERS: Final = ("llvmpipe", "softpipe", "swiftshader")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -91,16 +89,20 @@ def _extra(extra: str, modules: tuple[str, ...], load: Callable[[str], Any]) -> 
 
 def _graphics(load: Callable[[str], Any]) -> Finding:
     try:
-        context = load("pica_core.gl").create_context()
+        gl = load("pica_core.gl")
+        context = gl.create_context()
     except ModuleNotFoundError:
         return Finding("OpenGL", "missing", "moderngl is not installed", install_line("view"))
     except GraphicsError as error:
         return Finding("OpenGL", "missing", str(error))
     renderer, version = context.info["GL_RENDERER"], context.version_code
+    draws_floats = load("pica_client.render.gpu_decoder").draws_floats(context)
     context.release()
     detail = f"{renderer}, GL {version / 100:.1f}"
-    if any(word in renderer.lower() for word in SOFTWARE_RENDERERS):
+    if gl.is_software(renderer):
         detail += ", in software: a graphics driver would draw faster"
+    elif not draws_floats:
+        detail += ", no 32-bit float targets: the processor decodes faces"
     return Finding("OpenGL", "ready", detail)
 
 
@@ -109,8 +111,7 @@ def _inference(load: Callable[[str], Any]) -> Finding:
         onnxruntime = load("onnxruntime")
     except Exception:
         return Finding("ONNX Runtime", "missing", "not installed", install_line("view"))
-    providers = ", ".join(onnxruntime.get_available_providers())
-    return Finding("ONNX Runtime", "ready", f"{onnxruntime.__version__}, {providers}")
+    return Finding("ONNX Runtime", "ready", str(onnxruntime.__version__))
 
 
 def _training_device(load: Callable[[str], Any]) -> Finding:
