@@ -18,9 +18,7 @@ from pica_core.capture.stage.synth import RenderOptions, render_subject
 
 OUT = Path(sys.argv[1] if len(sys.argv) > 1 else "out")
 OUT.mkdir(parents=True, exist_ok=True)
-OPTIONS = RenderOptions(
-    frames=6, cameras=2, width=128, height=128, texture_size=64, tracked_vertices=1000
-)
+OPTIONS = RenderOptions(frames=6, cameras=2, size="128x128", texture_size=64, tracked_vertices=1000)
 
 
 def make_subject() -> PersonSubject:

@@ -24,9 +24,7 @@ from pica_core.train.loop import Losses, open_trainer
 
 OUT = Path(sys.argv[1] if len(sys.argv) > 1 else "out")
 OUT.mkdir(parents=True, exist_ok=True)
-STAGE = RenderOptions(
-    frames=6, cameras=2, width=64, height=64, texture_size=64, tracked_vertices=1000
-)
+STAGE = RenderOptions(frames=6, cameras=2, size="64x64", texture_size=64, tracked_vertices=1000)
 CONFIG = PRESETS["tiny"].changed(
     schedule={"geometry_steps": 3, "joint_steps": 3, "driver_steps": 3}
 )

@@ -81,7 +81,7 @@ with tempfile.TemporaryDirectory() as temporary:
     print(f"mapped: {', '.join(about['mapped'])}")
     print(f"left out: {', '.join(about['ignored'])}; {len(about['missing'])} shapes are missing")
     options = RenderOptions(
-        frames=4, cameras=2, width=128, height=128, texture_size=64, tracked_vertices=600
+        frames=4, cameras=2, size="128x128", texture_size=64, tracked_vertices=600
     )
     counts = render_subject(lambda: subject, options, capture)
     print(f"{counts['images']} images")

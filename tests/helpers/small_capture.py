@@ -35,8 +35,6 @@ def render_capture(
 
 def render_small(folder: Path, *, frames: int = 6, cameras: int = 2, size: int = 64) -> Path:
     """Render square images of `size` pixels."""
-    options = RenderOptions(
-        frames=frames, cameras=cameras, width=size, height=size, texture_size=64
-    )
+    options = RenderOptions(frames=frames, cameras=cameras, size=f"{size}x{size}", texture_size=64)
     render_capture(options, folder)
     return folder

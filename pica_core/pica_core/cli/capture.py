@@ -1,9 +1,7 @@
-"""`pica capture check` and `pica capture sheet`, and the options of both renders."""
+"""`pica capture`: render people and rigs into captures, check captures and draw their sheets."""
 
-import re
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,83 +13,38 @@ from rich.progress import Progress as ProgressBar
 from pica_core.capture.dataset.check import PIXEL_FRAMES, check_capture
 from pica_core.capture.dataset.multiface import write_aside
 from pica_core.capture.dataset.sheet import write_sheet
-from pica_core.capture.person.choices import (
-    NAMED,
-    Person,
-    draw_person,
-    read_person,
-)
+from pica_core.capture.person.choices import NAMED, Person, draw_person, read_person
 from pica_core.capture.person.subject import PersonSubject
-from pica_core.capture.stage.subject import RigSubject
-from pica_core.capture.stage.synth import Progress, RenderOptions, render_subject
+from pica_core.capture.stage.subject import RigSubject, Subject
+from pica_core.capture.stage.synth import RenderOptions, render_subject
 from pica_core.errors import CaptureError
-
-
-@contextmanager
-def rendering_bar(console: Console, frames: int) -> Iterator[Callable[[int, int], None]]:
-    """Show how many frames are done and how long the others will take; nothing without a terminal.
-
-    Yields what to call with frames done and frames in all.
-    """
-    columns = (
-        TextColumn("rendering"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("frames"),
-        TimeRemainingColumn(),
-    )
-    with ProgressBar(*columns, console=console, disable=not console.is_terminal) as bar:
-        task = bar.add_task("render", total=frames)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
-
 
 SHOWN_PROBLEMS = 20
 """Problems that are shown; all are in the result."""
 TEXELS_PER_PIXEL = 4
 """Side of the baked appearance against the longer side of the images: close-ups show a third of a
 head, and its face covers half of the chart."""
+FILE = "person.json"
+"""Who was rendered, in the capture of a person."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class RenderArguments:
-    """What both renders take: how many pictures, of what size, and where they go."""
-
-    out: Path
-    """Directory to fill; an interrupted render of the same subject and options is continued."""
-    frames: int = 64
-    """Frames in all."""
-    cameras: int = 8
-    """Cameras; the first five are the evaluation views front, left, right, up, down."""
-    size: str = "512x384"
-    """Image size, columns x rows, pixels."""
-    texture_size: int = 256
-    """Side of the average textures, texels."""
-    seed: int = 0
-    """Fixes performance, head motion and the errors of tracking and depth."""
-    take: Path | None = None
-    """Your own recording (a CSV of Live Link Face, or a take of `pica track`): a fifth of the
-    frames are its moments that differ most."""
-
-    def values(self) -> dict[str, Any]:
-        """The arguments as `RenderOptions` names them."""
-        found = re.fullmatch(r"(\d{1,5})x(\d{1,5})", self.size)
-        if found is None:
-            raise CaptureError(f"size is {self.size!r}; columns x rows such as 512x384 is needed")
-        names = ("frames", "cameras", "texture_size", "seed")
-        width, height = (int(number) for number in found.groups())
-        more = {"width": width, "height": height, "take": str(self.take or "")}
-        return {name: getattr(self, name) for name in names} | more
-
-    def render(
-        self, console: Console, work: Callable[[Progress], dict[str, Any]]
-    ) -> dict[str, Any]:
-        """Show how far a render is, and what it made; returns its counts and how long it took."""
-        started = time.monotonic()
-        with rendering_bar(console, self.frames) as show:
-            counts = work(show)
-        seconds = time.monotonic() - started
-        console.print(f"{counts['images']} images in {self.out}, {seconds:.1f} s")
-        return {"out": str(self.out), "seconds": round(seconds, 3), **counts}
+def _render(
+    console: Console, make: Callable[[int], Subject], options: RenderOptions, out: Path
+) -> dict[str, Any]:
+    """Render what `make` returns for a side of its baked appearance; show how far it is."""
+    side = 1 << (TEXELS_PER_PIXEL * max(options.size_px) - 1).bit_length()
+    side = min(max(side, 512), 4096)
+    columns = TextColumn("rendering"), BarColumn(), MofNCompleteColumn(), TextColumn("frames")
+    shown = console.is_terminal
+    started = time.monotonic()
+    with ProgressBar(*columns, TimeRemainingColumn(), console=console, disable=not shown) as bar:
+        task = bar.add_task("render", total=options.frames)
+        counts = render_subject(
+            lambda: make(side), options, out, lambda done, _: bar.update(task, completed=done)
+        )
+    seconds = time.monotonic() - started
+    console.print(f"{counts['images']} images in {out}, {seconds:.1f} s")
+    return {"out": str(out), "seconds": round(seconds, 3), **counts}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -113,12 +66,6 @@ class SheetOptions:
     """Capture directory to look at."""
     out: Path
     """PNG to write."""
-
-
-def baked_side(stage: RenderOptions) -> int:
-    """Side of the baked appearance of a rig for images of this size, texels."""
-    side = 1 << (TEXELS_PER_PIXEL * max(stage.width, stage.height) - 1).bit_length()
-    return min(max(side, 512), 4096)
 
 
 def check(options: CheckOptions) -> dict[str, Any]:
@@ -147,16 +94,12 @@ def sheet(options: SheetOptions) -> dict[str, Any]:
     return result
 
 
-FILE = "person.json"
-
-
 @dataclass(frozen=True, kw_only=True, slots=True)
-class PersonOptions(RenderArguments):
+class PersonOptions(RenderOptions):
     """Options of `pica capture person`. What is not named is drawn from the seed."""
 
-    lenses: str = "mixed"
-    """mixed: some cameras look at mouth and eyes from near; one: all have one lens and look at the
-    head, as in the paper's dome."""
+    out: Path
+    """Directory to fill; an interrupted render of the same subject and options is continued."""
     person: Path | None = None
     """A person.json: makes that person again."""
     sex: str | None = None
@@ -192,7 +135,6 @@ class PersonOptions(RenderArguments):
 
 def person(options: PersonOptions) -> dict[str, Any]:
     """Render a person of the face model into a capture directory."""
-    stage = RenderOptions(lenses=options.lenses, **options.values())
     console = Console(stderr=True, highlight=False)
     who = options.choose()
     console.print(
@@ -201,25 +143,24 @@ def person(options: PersonOptions) -> dict[str, Any]:
     )
     notes: list[str] = []
 
-    def make() -> PersonSubject:
-        subject = PersonSubject(who, bake_size=baked_side(stage))
+    def make(side: int) -> PersonSubject:
+        subject = PersonSubject(who, bake_size=side)
         for note in subject.notes:
             console.print(note)
         notes.extend(subject.notes)
         return subject
 
-    made = options.render(console, lambda show: render_subject(make, stage, options.out, show))
+    made = _render(console, make, options, options.out)
     write_aside(options.out / FILE, who.as_json().encode())
-    return made | {
-        "notes": notes,
-        "person": str(options.out / FILE),
-    }
+    return made | {"notes": notes, "person": str(options.out / FILE)}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class RigOptions(RenderArguments):
+class RigOptions(RenderOptions):
     """Options of `pica capture rig`."""
 
+    out: Path
+    """Directory to fill; an interrupted render of the same subject and options is continued."""
     rig: Path
     """A .glb, .vrm or .gltf file with morph targets, or a folder of OBJ files of one topology."""
     map: Path | None = None
@@ -231,18 +172,16 @@ class RigOptions(RenderArguments):
 
 def rig(options: RigOptions) -> dict[str, Any]:
     """Render a head of your own, one with blendshapes, into a capture directory."""
-    stage = RenderOptions(**options.values())
     console = Console(stderr=True)
     about: dict[str, Any] = {}
 
-    def make() -> RigSubject:
-        subject = RigSubject(options.rig, options.map, options.albedo, bake_size=baked_side(stage))
+    def make(side: int) -> RigSubject:
+        subject = RigSubject(options.rig, options.map, options.albedo, bake_size=side)
         about.update(subject.describe()["rig"])
         _tell(console, about)
         return subject
 
-    made = options.render(console, lambda show: render_subject(make, stage, options.out, show))
-    return made | about
+    return _render(console, make, options, options.out) | about
 
 
 def _tell(console: Console, about: dict[str, Any]) -> None:

@@ -22,8 +22,7 @@ STEPS = dict.fromkeys(("geometry_steps", "joint_steps", "driver_steps"), 3)
 STAGE = RenderOptions(
     frames=20,
     cameras=2,
-    width=64,
-    height=64,
+    size="64x64",
     texture_size=64,
     tracked_vertices=400,
 )

@@ -113,7 +113,7 @@ def test_a_damaged_file_of_poses_is_named(tmp_path: Path) -> None:
 @pytest.fixture(scope="module")
 def captured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("live") / "capture"
-    options = RenderOptions(frames=12, cameras=2, width=96, height=96, texture_size=64)
+    options = RenderOptions(frames=12, cameras=2, size="96x96", texture_size=64)
     render_capture(options, folder)
     return folder
 

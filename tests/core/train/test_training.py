@@ -43,7 +43,7 @@ shows the mean texture already)."""
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> TrainingData:
     folder = tmp_path_factory.mktemp("capture")
-    options = RenderOptions(frames=12, cameras=2, width=128, height=128, texture_size=64)
+    options = RenderOptions(frames=12, cameras=2, size="128x128", texture_size=64)
     render_capture(options, folder)
     return TrainingData(Capture.open(folder))
 

@@ -7,6 +7,7 @@ driver.
 """
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -141,14 +142,12 @@ class RenderOptions:
     frames: int = 64
     """Frames in all."""
     cameras: int = 8
-    """Cameras; the first five are the evaluation views."""
+    """Cameras; the first five are the evaluation views front, left, right, up, down."""
     lenses: str = "mixed"
-    """``mixed``: some cameras look at mouth and eyes from near; ``one``: all have one lens and look
-    at the head."""
-    width: int = 512
-    """Image columns, pixels."""
-    height: int = 384
-    """Image rows, pixels."""
+    """mixed: some cameras look at mouth and eyes from near; one: all have one lens and look at the
+    head, as in the paper's dome."""
+    size: str = "512x384"
+    """Image size, columns x rows, pixels."""
     texture_size: int = 256
     """Side of the average textures, texels."""
     seed: int = 0
@@ -157,18 +156,27 @@ class RenderOptions:
     """Depth as a method finds it for every so many frames of a take; exact depth for all."""
     tracked_vertices: int = NUM_VERTICES
     """Vertices that the tracked mesh aims at."""
-
-    take: str = ""
-    """Recording of a user's own face; a fifth of the frames are its most different moments."""
+    take: Path | None = None
+    """Your own recording (a CSV of Live Link Face, or a take of `pica track`): a fifth of the
+    frames are its moments that differ most."""
 
     def __post_init__(self) -> None:
-        many, size = 100_000, (16, 8192)
+        many = 100_000
         check_ranges(self, CaptureError, frames=(5 if self.take else 4, many), cameras=(1, 100))
-        check_ranges(self, CaptureError, width=size, height=size, texture_size=(16, 4096))
-        check_ranges(self, CaptureError, seed=(0, 2**31), depth_every=(1, many))
-        check_ranges(self, CaptureError, tracked_vertices=(100, many))
+        check_ranges(self, CaptureError, texture_size=(16, 4096), seed=(0, 2**31))
+        check_ranges(self, CaptureError, depth_every=(1, many), tracked_vertices=(100, many))
         if self.lenses not in LENSES:
             raise CaptureError(f"lenses is {self.lenses!r}; there are {', '.join(LENSES)}")
+        if not all(16 <= side <= 8192 for side in self.size_px):
+            raise CaptureError(f"size is {self.size}; sides of 16 to 8192 pixels are allowed")
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Image columns and rows."""
+        found = re.fullmatch(r"(\d{1,5})x(\d{1,5})", self.size)
+        if found is None:
+            raise CaptureError(f"size is {self.size!r}; columns x rows such as 512x384 is needed")
+        return int(found[1]), int(found[2])
 
 
 def render_subject(
@@ -200,7 +208,7 @@ def render_subject(
     subject = make_subject()
     try:
         whole = {"options": asdict(options), "subject": subject.describe()}
-        fingerprint = json.dumps(whole, sort_keys=True)
+        fingerprint = json.dumps(whole, sort_keys=True, default=str)
         if used and multiface.read_text(marker) != fingerprint:
             raise CaptureError(f"{out}: {_USED}")
         multiface.write_aside(marker, fingerprint.encode())
@@ -219,7 +227,7 @@ class _Rendering:
         self, subject: Subject, options: RenderOptions, out: Path, writer: BackgroundWriter
     ) -> None:
         self.subject, self.options, self.out, self.writer = subject, options, out, writer
-        self.cameras = dome_cameras(options.cameras, options.width, options.height, options.lenses)
+        self.cameras = dome_cameras(options.cameras, *options.size_px, options.lenses)
         self.materials = {int(k): name for k, name in subject.describe()["mask"].items()}
         shapes = np.stack([subject.pose(arkit) for arkit in OPENING])
         self.tracked_topology, self.tracked = track_topology(
@@ -294,7 +302,7 @@ def _plan(options: RenderOptions) -> list[Take]:
     """What the subject does: takes from the seed, and of the user's own."""
     if not options.take:
         return sample_takes(options.frames, options.seed)
-    own = own_take(read_own_take(Path(options.take)), options.frames // 5)
+    own = own_take(read_own_take(options.take), options.frames // 5)
     return [*sample_takes(options.frames - len(own.arkit), options.seed), own]
 
 
@@ -327,7 +335,7 @@ def _render(
 
 def _pose(subject: Subject, options: RenderOptions, out: Path) -> None:
     """Write poses beside the frames, with a picture of each from some camera."""
-    cameras = dome_cameras(options.cameras, options.width, options.height, options.lenses)
+    cameras = dome_cameras(options.cameras, *options.size_px, options.lenses)
     arkit = pose_expressions(POSES_PER_FRAME * options.frames, options.seed)
     random = np.random.default_rng([options.seed, 0x905E])
     views = [cameras[place] for place in random.integers(len(cameras), size=len(arkit))]
@@ -365,8 +373,8 @@ def _describe(subject: Subject, options: RenderOptions, tracked: Topology) -> di
             "noise_mm": NOISE_M * multiface.MILLIMETRES,
             "outlier_ratio": OUTLIER_RATIO,
         },
-        "width": options.width,
-        "height": options.height,
+        "width": options.size_px[0],
+        "height": options.size_px[1],
         "texture_size": options.texture_size,
         "topology": multiface.TOPOLOGY,
         "tracked_topology": multiface.TRACKED_TOPOLOGY,

@@ -28,8 +28,7 @@ def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
     options = RenderOptions(
         frames=5,
         cameras=2,
-        width=64,
-        height=64,
+        size="64x64",
         texture_size=64,
         seed=5,
         tracked_vertices=900,

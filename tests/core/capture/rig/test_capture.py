@@ -23,7 +23,7 @@ from pica_core.errors import CaptureError
 pytestmark = pytest.mark.render
 
 OPTIONS = RenderOptions(
-    frames=4, cameras=2, width=48, height=48, texture_size=64, seed=2, tracked_vertices=600
+    frames=4, cameras=2, size="48x48", texture_size=64, seed=2, tracked_vertices=600
 )
 
 
@@ -47,7 +47,7 @@ def test_a_rig_becomes_a_capture_that_the_reader_takes(glb: Path, tmp_path: Path
     take = tmp_path / "me.take"
     with take.open("wb") as file:
         np.savez(file, arkit=np.full((2, 52), 0.613, np.float32), has_face=np.ones(2, np.bool_))
-    options = replace(OPTIONS, frames=5, take=str(take))
+    options = replace(OPTIONS, frames=5, take=take)
 
     counts = render_subject(lambda: subject(glb), options, tmp_path / "out")
     capture = Capture.open(tmp_path / "out")
@@ -96,7 +96,7 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, 
     ("options", "words"),
     [
         (["--size", "48"], "size is '48'"),
-        (["--size", "9x9"], "width is 9"),
+        (["--size", "9x9"], "size is 9x9"),
         (["--frames", "0"], "frames is 0"),
         (["--texture-size", "99999"], "texture_size is 99999"),
         (["--albedo", "nowhere.png"], "nowhere.png: the file is missing"),

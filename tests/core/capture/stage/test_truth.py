@@ -90,8 +90,7 @@ def looks(tmp_path_factory: pytest.TempPathFactory) -> list[Look]:
     options = RenderOptions(
         frames=4,
         cameras=3,
-        width=320,
-        height=240,
+        size="320x240",
         texture_size=64,
         tracked_vertices=900,
     )

@@ -52,8 +52,7 @@ VARIANTS_HERE = ("full", "baseline", "coarse")
 STAGE = RenderOptions(
     frames=20,
     cameras=1,
-    width=80,
-    height=80,
+    size="80x80",
     texture_size=64,
     tracked_vertices=400,
 )

@@ -31,8 +31,7 @@ pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
 STAGE = RenderOptions(
     frames=20,
     cameras=2,
-    width=64,
-    height=64,
+    size="64x64",
     texture_size=64,
     tracked_vertices=400,
 )
