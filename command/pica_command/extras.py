@@ -16,7 +16,6 @@ from urllib.request import url2pathname
 from pica_command.table import DISTRIBUTION
 
 _MODULES: Final = {
-    "dracopy": "DracoPy",
     "pillow": "PIL",
     "nats-py": "nats",
     "prometheus-client": "prometheus_client",

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import io
 import json
-import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import DracoPy
-import meshopt
 import numpy as np
 from PIL import Image
 
@@ -37,25 +34,6 @@ def png(pixels: Array) -> bytes:
     return out.getvalue()
 
 
-def ktx2(pixels: Array) -> bytes:
-    """A KTX 2 file of UASTC blocks, each of one colour (mode 8: 5 bits, then R, G, B, A)."""
-    height, width = pixels.shape[:2]
-    blocks = bytearray()
-    for red, green, blue in pixels[::4, ::4].reshape(-1, 3).astype(int).tolist():
-        bits = 0b10111 | red << 5 | green << 13 | blue << 21 | 255 << 29
-        blocks += bits.to_bytes(16, "little")
-    sample = struct.pack("<HBBIII", 0, 127, 0, 0, 0, 0xFFFFFFFF)
-    block = struct.pack("<IHH", 0, 2, 24 + len(sample))
-    block += bytes([166, 1, 2, 0, 3, 3, 0, 0, 16, 0, 0, 0, 0, 0, 0, 0]) + sample
-    about = struct.pack("<I", 4 + len(block)) + block
-    level_at = 12 + 36 + 32 + 24
-    start = -(-(level_at + len(about)) // 16) * 16
-    head = b"\xabKTX 20\xbb\r\n\x1a\n" + struct.pack("<9I", 0, 1, width, height, 0, 0, 1, 1, 0)
-    head += struct.pack("<IIIIQQ", level_at, len(about), 0, 0, 0, 0)
-    head += struct.pack("<QQQ", start, len(blocks), len(blocks)) + about
-    return head + b"\0" * (start - len(head)) + bytes(blocks)
-
-
 @dataclass
 class WildRig:
     """A document whose accessors are arrays; `save` makes the rest."""
@@ -65,7 +43,6 @@ class WildRig:
     image: bytes
     normalized: set[int] = field(default_factory=set)
     sparse: set[int] = field(default_factory=set)
-    packed: bool = False
 
     @property
     def primitives(self) -> list[dict[str, Any]]:
@@ -103,21 +80,6 @@ class WildRig:
             binary += data
             return len(views) - 1
 
-        def stored(values: Array) -> int:
-            if not self.packed:
-                return view(values.tobytes())
-            mode = "TRIANGLES" if values.shape[1] == 1 else "ATTRIBUTES"
-            if mode == "ATTRIBUTES":  # rows are whole words
-                values = np.pad(values, ((0, 0), (0, -values.shape[1] % 2)))
-            stride = values.strides[0]
-            index = view(meshopt.encode_gltf_buffer(values, mode))
-            about = {**views[index], "byteStride": stride, "count": len(values), "mode": mode}
-            views[index] = {
-                "buffer": 1, "byteLength": values.nbytes,
-                "extensions": {"EXT_meshopt_compression": about},
-            } | ({"byteStride": stride} if mode == "ATTRIBUTES" else {})  # fmt: skip
-            return index
-
         accessors = []
         for number, values in enumerate(self.arrays):
             entry = {
@@ -133,18 +95,12 @@ class WildRig:
                     "values": {"bufferView": view(values[moved].tobytes())},
                 }  # fmt: skip
             else:
-                entry["bufferView"] = stored(values)
+                entry["bufferView"] = view(values.tobytes())
             accessors.append(entry)
-        for primitive in self.primitives:
-            draco = primitive.get("extensions", {}).get("KHR_draco_mesh_compression")
-            if draco and "data" in draco:
-                draco["bufferView"] = view(draco.pop("data"))
         if image:
             document["images"] = [{"bufferView": view(self.image)}]
         document |= {"accessors": accessors, "bufferViews": views}
-        document["buffers"] = [{"byteLength": len(binary)}] + [
-            {"byteLength": 1 << 20}
-        ] * self.packed
+        document["buffers"] = [{"byteLength": len(binary)}]
         return document, binary
 
     def save(self, path: Path) -> Path:
@@ -223,32 +179,6 @@ def skinned(rig: WildRig) -> None:
     rig.document["skins"] = [{"joints": [1], "inverseBindMatrices": matrices}]
 
 
-def draco(rig: WildRig) -> None:
-    rig.needs("KHR_draco_mesh_compression")
-    for primitive in rig.primitives:
-        at = primitive["attributes"]
-        data = DracoPy.encode(
-            rig.arrays[at["POSITION"]],
-            rig.arrays[primitive["indices"]].reshape(-1, 3).astype("u4"),
-            quantization_bits=14, preserve_order=True,
-            tex_coord=rig.arrays[at["TEXCOORD_0"]].astype("f8"),
-        )  # fmt: skip
-        ids = {a["attribute_type"]: a["unique_id"] for a in DracoPy.decode(data).attributes}
-        content = {"data": data, "attributes": {"POSITION": ids[0], "TEXCOORD_0": ids[3]}}
-        primitive["extensions"] = {"KHR_draco_mesh_compression": content}
-
-
-def meshopt_packed(rig: WildRig) -> None:
-    rig.needs("EXT_meshopt_compression")
-    rig.packed = True
-
-
-def basis(rig: WildRig) -> None:
-    rig.needs("KHR_texture_basisu")
-    rig.image = ktx2(picture())
-    rig.document["textures"] = [{"extensions": {"KHR_texture_basisu": {"source": 0}}}]
-
-
 def many_meshes(rig: WildRig) -> None:
     mesh = rig.document["meshes"][0]
     rig.document["meshes"] = [{**mesh, "primitives": [p]} for p in mesh["primitives"]]
@@ -284,8 +214,8 @@ def glasses(rig: WildRig) -> None:
 FORMS: dict[str, Callable[[WildRig], None]] = {
     form.__name__: form
     for form in (
-        repeated, mirrored, clamped, transformed, second_uv, quantized, skinned, draco,
-        meshopt_packed, basis, many_meshes, sparse, glasses,
+        repeated, mirrored, clamped, transformed, second_uv, quantized, skinned, many_meshes,
+        sparse, glasses,
     )
 }  # fmt: skip
 

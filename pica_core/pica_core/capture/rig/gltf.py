@@ -1,6 +1,6 @@
 """Read a rig from glTF (.glb, .vrm, .gltf): every mesh of the scene with its morph targets.
 
-Understood are triangles, plain or packed by Draco, node transforms, base colour images with their
+Understood are triangles, node transforms, base colour images with their
 samplers and texture transforms, materials that one sees through, and the expressions of VRM. Skins
 are taken in the pose that the vertices are stored in.
 """
@@ -14,14 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from pica_core.capture.rig.gltf_file import (
-    DRACO,
-    MAX_ELEMENTS,
-    GltfFile,
-    count_of,
-    extension,
-    missing_wheel,
-)
+from pica_core.capture.rig.gltf_file import MAX_ELEMENTS, GltfFile, count_of, extension
 from pica_core.capture.rig.source import (
     RigImage,
     RigSource,
@@ -31,7 +24,7 @@ from pica_core.capture.rig.source import (
     see_through,
 )
 from pica_core.errors import CaptureError
-from pica_core.types import Array, BoolArray, Float64Array, FloatArray, IntArray
+from pica_core.types import BoolArray, Float64Array, FloatArray, IntArray
 
 TRIANGLES = 4
 MAX_NODE_DEPTH = 64
@@ -41,7 +34,7 @@ WRAP = {10497: "repeat", 33648: "mirror", 33071: "clamp"}
 CLEAR = 0.5
 """Where a blended material is less opaque than this, it hides nothing."""
 MALFORMED = (
-    AttributeError, IndexError, KeyError, OverflowError, RecursionError, RuntimeError, StructError,
+    AttributeError, IndexError, KeyError, OverflowError, RecursionError, StructError,
     TypeError, ValueError,
 )  # fmt: skip
 """What entries raise that are missing or of another kind than they should be."""
@@ -189,7 +182,7 @@ def _material(file: GltfFile, index: int) -> _Material:
 
 def _image(file: GltfFile, index: Any) -> RigImage | None:
     texture = file.item("textures", index)
-    _, other = extension(texture, "KHR_texture_basisu", "EXT_texture_webp")
+    _, other = extension(texture, "EXT_texture_webp")
     sampler = file.item("samplers", texture["sampler"]) if "sampler" in texture else {}
     wrap = WRAP[sampler.get("wrapS", 10497)], WRAP[sampler.get("wrapT", 10497)]
     image = file.item("images", other.get("source", texture.get("source")))
@@ -237,19 +230,16 @@ class _Builder:
         names = _target_names(file, mesh, primitive, len(targets))
         at = [target.get("POSITION") for target in targets]
         coordinates = attributes.get(look.uv)
-        packed = _unpack(file, primitive)
         move = placed.place.tobytes(), look.transform.tobytes()
-        key = (attributes["POSITION"], coordinates, *at, *move, id(packed))
-        if packed is not None or key not in self.shared:
+        key = (attributes["POSITION"], coordinates, *at, *move)
+        if key not in self.shared:
             self.shared[key] = self._add_vertices(
-                attributes, coordinates, dict(zip(names, at, strict=True)), placed, look, packed
+                attributes["POSITION"], coordinates, dict(zip(names, at, strict=True)), placed, look
             )
         span = self.shared[key]
         count = span.stop - span.start
         index = np.arange(count)
-        if packed is not None:
-            index = packed.faces.ravel().astype(np.int64)
-        elif "indices" in primitive:
+        if "indices" in primitive:
             index = file.accessor(primitive["indices"], 1, 3 * MAX_ELEMENTS)[:, 0].astype(np.int64)
         if len(index) % 3 or not len(index) or index.min() < 0 or index.max() >= count:
             raise CaptureError(
@@ -262,33 +252,26 @@ class _Builder:
 
     def _add_vertices(
         self,
-        attributes: dict[str, Any],
+        position: int,
         coordinates: int | None,
         targets: dict[str, Any],
         placed: _Placed,
         look: _Material,
-        packed: Any,
     ) -> slice:
         file, linear = self.file, placed.place[:3, :3].T
-
-        def read(attribute: str, index: int, width: int) -> Array:
-            unpacked = None
-            if packed is not None and attribute in packed.ids:
-                unpacked = packed.get_attribute_by_unique_id(packed.ids[attribute])["data"]
-            return file.accessor(index, width, unpacked=unpacked)
 
         def same_count(what: str, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
             if len(values) != len(points):
                 raise CaptureError(f"{file.path}: {len(points)} vertices, {len(values)} {what}")
             return values
 
-        points = read("POSITION", attributes["POSITION"], 3).astype(np.float64)
+        points = file.accessor(position, 3).astype(np.float64)
         span = slice(self.count, self.count + len(points))
         check_counts(str(file.path), vertices=span.stop, faces=1, shapes=max(len(targets), 1))
         self.positions.append(points @ linear + placed.place[:3, 3])
         uv: Float64Array | None = None
         if coordinates is not None:
-            uv = same_count("texture coordinates", read(look.uv, coordinates, 2).astype(np.float64))
+            uv = same_count("texture coordinates", file.accessor(coordinates, 2).astype(np.float64))
             uv = uv @ look.transform[:2] + look.transform[2]
         self.uv.append(uv)
         self.count = span.stop
@@ -298,23 +281,6 @@ class _Builder:
                 moved = (delta.astype(np.float32) @ linear).astype(np.float32)
                 self.targets.append(_Target(span, name, moved, placed, number))
         return span
-
-
-def _unpack(file: GltfFile, primitive: dict[str, Any]) -> Any:
-    """The mesh that Draco packed, or None."""
-    _, entry = extension(primitive, DRACO)
-    if not entry:
-        return None
-    try:
-        import DracoPy
-    except ImportError:
-        raise missing_wheel(str(file.path), DRACO) from None
-    try:
-        mesh = DracoPy.decode(bytes(file.view(count_of(entry, "bufferView"))[0]))
-    except DracoPy.FileTypeException as error:
-        raise CaptureError(f"{file.path}: a mesh cannot be unpacked by Draco ({error})") from error
-    mesh.ids = entry["attributes"]
-    return mesh if len(mesh.faces) else None
 
 
 def _expressions(file: GltfFile, targets: list[_Target]) -> dict[str, list[tuple[_Target, float]]]:

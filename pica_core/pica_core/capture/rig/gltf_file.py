@@ -6,13 +6,13 @@ stranger: sizes are limited before anything is allocated, and numpy checks that 
 buffers. An entry that is missing or of another kind is the `KeyError`, `TypeError` ... of its use,
 which `gltf.read_glb` turns into a `CaptureError`.
 
-    buffers -> views (plain, or EXT/KHR_meshopt_compression) -> accessors (sparse, normalised)
+    buffers -> views -> accessors (sparse, normalised)
 """
 
 import base64
 import json
 import struct
-from functools import cache, lru_cache
+from functools import cache
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -27,20 +27,9 @@ MAGIC, JSON_CHUNK, BINARY_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
 COMPONENT = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTH = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 MAX_ELEMENTS = 1_000_000
-MAX_UNPACKED_BYTES = 64 * MAX_ELEMENTS
-MESHOPT = ("KHR_meshopt_compression", "EXT_meshopt_compression")
-DRACO = "KHR_draco_mesh_compression"
-UNDERSTOOD = (
-    *MESHOPT, DRACO, "KHR_mesh_quantization", "KHR_texture_transform", "KHR_texture_basisu",
-    "EXT_texture_webp", "VRM",
-)  # fmt: skip
+UNDERSTOOD = ("KHR_mesh_quantization", "KHR_texture_transform", "EXT_texture_webp", "VRM")
 """Required extensions that are read; those that say how light meets a surface change nothing."""
 HARMLESS = ("KHR_materials_", "VRMC_")
-
-
-def missing_wheel(where: str, extension: str) -> CaptureError:
-    """What to install for a compressed file."""
-    return CaptureError(f"{where}: {extension} needs pip install 'pica-telepresence[rigs]'")
 
 
 def extension(owner: dict[str, Any], *names: str) -> tuple[str, dict[str, Any]]:
@@ -79,7 +68,6 @@ class GltfFile:
         self.buffer = cache(self._buffer)
         self._beside = cache(read_bytes)
         self._beside_bytes = 0
-        self.view = lru_cache(maxsize=8)(self._view)
 
     def _glb(self, data: bytes) -> bytes:
         """The JSON document of a binary file, whose buffer is kept."""
@@ -133,35 +121,17 @@ class GltfFile:
             raise CaptureError(f"{self.path}: buffers {index} has no data")
         return self._binary
 
-    def _span(self, owner: dict[str, Any]) -> memoryview:
-        """The bytes of its buffer that a view, or its compressed form, names."""
-        data = self.buffer(owner["buffer"])
-        start = count_of(owner, "byteOffset", 0)
-        end = start + count_of(owner, "byteLength")
-        if end > len(data):
-            raise CaptureError(f"{self.path}: a buffer view ends at byte {end} of {len(data)}")
-        return memoryview(data)[start:end]
-
-    def _view(self, index: int) -> tuple[memoryview, int]:
+    def view(self, index: int) -> tuple[memoryview, int]:
         """Content and stride of a buffer view; stride 0: one element after the other."""
         view = self.item("bufferViews", index)
-        name, packed = extension(view, *MESHOPT)
-        if not packed:
-            return self._span(view), count_of(view, "byteStride", 0)
-        data = self._span(packed)
-        count, stride = count_of(packed, "count"), count_of(packed, "byteStride")
-        if count * stride > MAX_UNPACKED_BYTES:
+        data = self.buffer(view["buffer"])
+        start = count_of(view, "byteOffset", 0)
+        end = start + count_of(view, "byteLength")
+        if end > len(data):
             raise CaptureError(
-                f"{self.path}: bufferViews {index} unpacks to {count * stride} bytes; at most "
-                f"{MAX_UNPACKED_BYTES} are allowed"
+                f"{self.path}: bufferViews {index} ends at byte {end} of {len(data)}"
             )
-        try:
-            from meshopt import decode_gltf_buffer
-        except ImportError:
-            raise missing_wheel(str(self.path), name) from None
-        mode = packed.get("mode")
-        rows = decode_gltf_buffer(data, count, stride, mode, packed.get("filter", "NONE"))
-        return memoryview(rows.tobytes()), stride if mode == "ATTRIBUTES" else 0
+        return memoryview(data)[start:end], count_of(view, "byteStride", 0)
 
     def elements(self, index: int, offset: int, dtype: str, count: int, width: int) -> Array:
         """Numbers of a buffer view as they are stored. ``[count, width]``."""
@@ -169,13 +139,8 @@ class GltfFile:
         item = np.dtype(dtype).itemsize
         return np.ndarray((count, width), dtype, data, offset, (stride or item * width, item))
 
-    def accessor(
-        self, index: Any, width: int, limit: int = MAX_ELEMENTS, unpacked: Array | None = None
-    ) -> Array:
-        """An accessor's numbers, ``[count, width]``; integers that are normalised become floats.
-
-        `unpacked` are the numbers where they do not lie in a buffer view (Draco).
-        """
+    def accessor(self, index: Any, width: int, limit: int = MAX_ELEMENTS) -> Array:
+        """An accessor's numbers, ``[count, width]``; integers that are normalised become floats."""
         entry = self.item("accessors", index)
         dtype, count = COMPONENT[entry["componentType"]], count_of(entry, "count")
         if WIDTH.get(entry["type"]) != width:
@@ -187,9 +152,7 @@ class GltfFile:
             raise CaptureError(
                 f"{self.path}: accessors {index} has {count} elements; 1 to {limit} are allowed"
             )
-        if unpacked is not None:
-            values = unpacked.reshape(count, width)
-        elif "bufferView" in entry:
+        if "bufferView" in entry:
             offset = count_of(entry, "byteOffset", 0)
             values = self.elements(entry["bufferView"], offset, dtype, count, width).copy()
         else:

@@ -14,7 +14,6 @@ from PIL import Image
 
 from pica_core.capture.dataset.files import IMAGE_FORMATS
 from pica_core.capture.dataset.obj import read_obj
-from pica_core.capture.rig.gltf_file import missing_wheel
 from pica_core.errors import CaptureError
 from pica_core.types import BoolArray, ByteArray, Float64Array, FloatArray, IntArray
 
@@ -113,19 +112,17 @@ def check_source(source: RigSource) -> RigSource:
 
 MAX_ALBEDO_SIDE = 8192
 ALBEDO_MODES = ("RGB", "RGBA", "L", "LA", "P", "PA")
-KTX2 = b"\xabKTX 20\xbb\r\n\x1a\n"
 
 
 def open_image(where: str, data: bytes) -> ByteArray:
-    """An image as sRGB with alpha, row 0 on top. uint8 ``[H, W, 4]``.
-
-    PNG, JPEG, WebP, or KTX 2 with a Basis Universal payload.
-    """
-    if data.startswith(KTX2):
-        return _open_ktx2(where, data)
+    """A PNG, JPEG or WebP image as sRGB with alpha, row 0 on top. uint8 ``[H, W, 4]``."""
     try:
         with Image.open(io.BytesIO(data), formats=IMAGE_FORMATS) as image:
-            _check_side(where, image.width, image.height)
+            if max(image.size) > MAX_ALBEDO_SIDE:
+                raise CaptureError(
+                    f"{where}: {image.width}x{image.height} pixels; sides up to {MAX_ALBEDO_SIDE} "
+                    "are allowed"
+                )
             if image.mode not in ALBEDO_MODES:
                 raise CaptureError(
                     f"{where}: pixels are {image.mode}; an 8-bit colour image is needed"
@@ -133,26 +130,6 @@ def open_image(where: str, data: bytes) -> ByteArray:
             return np.asarray(image.convert("RGBA"))
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise CaptureError(f"{where}: not a complete image ({error})") from error
-
-
-def _check_side(where: str, width: int, height: int) -> None:
-    if max(width, height) > MAX_ALBEDO_SIDE:
-        raise CaptureError(
-            f"{where}: {width}x{height} pixels; sides up to {MAX_ALBEDO_SIDE} are allowed"
-        )
-
-
-def _open_ktx2(where: str, data: bytes) -> ByteArray:
-    try:
-        import opengl_basisu
-    except ImportError:
-        raise missing_wheel(where, "KHR_texture_basisu") from None
-    try:
-        texture = opengl_basisu.open(data)
-        _check_side(where, texture.width, texture.height)
-        return np.asarray(texture.transcode("rgba8").data, np.uint8)
-    except ValueError as error:
-        raise CaptureError(f"{where}: not a complete KTX 2 image ({error})") from error
 
 
 def wrapped(uv: Float64Array, wrap: tuple[str, str]) -> Float64Array:

@@ -141,25 +141,3 @@ def test_a_file_beside_a_gltf_stays_beside_it(tmp_path: Path, uri: object, words
 
     with pytest.raises(CaptureError, match=words):
         read_glb(path)
-
-
-@pytest.mark.parametrize("form", ["draco", "meshopt_packed", "basis"])
-def test_what_is_packed_and_damaged_is_refused(tmp_path: Path, form: str) -> None:
-    random = np.random.default_rng(3)
-    rig = wild_rig()
-    FORMS[form](rig)
-    data = bytearray(rig.save(tmp_path / "toy.glb").read_bytes())
-    start = 20 + int.from_bytes(data[12:16], "little") + 8
-    refused = 0
-    for _ in range(12):
-        bad = data.copy()
-        for at in random.integers(start, len(data), 40):
-            bad[at] = random.integers(256)
-        bad[start : start + 8] = bytes(8)
-        (tmp_path / "bad.glb").write_bytes(bad)
-        try:
-            source = read_glb(tmp_path / "bad.glb")
-            assert np.isfinite(source.positions).all()
-        except CaptureError:
-            refused += 1
-    assert refused > 0 or form == "basis"
