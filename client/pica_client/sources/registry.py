@@ -133,11 +133,17 @@ def open_source(text: str, person: str = "") -> Source:
     kind, rest = split_source(text)
     if kind in TRACKER_KINDS:
         return open_live(kind, rest, calibration_of(person, kind))
-    opener = OPENERS.get(kind)
-    if opener is None or not rest:
-        raise SourceError(f"source {text!r} is unknown; write {SOURCE_HELP}")
     name, start_s = _split_start(rest, text)
-    return opener(name, start_s)
+    if not rest or kind not in ("csv", "take", "performance"):
+        raise SourceError(f"source {text!r} is unknown; write {SOURCE_HELP}")
+    if kind == "csv":
+        return load_livelink_csv(Path(name).expanduser(), start_s=start_s)
+    if kind == "take":
+        return load_take(Path(name).expanduser(), start_s)
+    name, mark, seed = name.partition("#")
+    if mark and not seed.isdecimal():
+        raise SourceError(f"performance seed {seed!r} is not a number; write performance:NAME#7")
+    return make_performance(name, seed=int(seed) if mark else 0, start_s=start_s)
 
 
 def split_source(text: str) -> tuple[str, str]:
@@ -175,22 +181,3 @@ def _split_start(rest: str, text: str) -> tuple[str, float]:
     if not 0 <= start_s < math.inf:
         raise SourceError(f"source {text!r}: the start is {tail} s; 0 or more is allowed")
     return name, start_s
-
-
-def _open_csv(name: str, start_s: float) -> Source:
-    return load_livelink_csv(Path(name).expanduser(), start_s=start_s)
-
-
-def _open_performance(name: str, start_s: float) -> Source:
-    name, mark, seed = name.partition("#")
-    if mark and not seed.isdecimal():
-        raise SourceError(f"performance seed {seed!r} is not a number; write performance:NAME#7")
-    return make_performance(name, seed=int(seed) if mark else 0, start_s=start_s)
-
-
-OPENERS: dict[str, Callable[[str, float], Source]] = {
-    "csv": _open_csv,
-    "take": lambda name, start_s: load_take(Path(name).expanduser(), start_s),
-    "performance": _open_performance,
-}
-"""Each kind of source by the word before the colon."""

@@ -1,4 +1,4 @@
-"""Rotation vectors: made from trackers' head angles, and blended along the shortest way."""
+"""Rotation vectors, made from trackers' head angles and quaternions."""
 
 import math
 from collections.abc import Sequence
@@ -25,31 +25,6 @@ def rotation_vector_from_yaw_pitch_roll(yaw_pitch_roll: Float64Array) -> FloatAr
         rolled = _product(tilted, (math.cos(roll), 0.0, 0.0, math.sin(roll)))
         turns.append(rotation_vector_from_quaternion(rolled))
     return np.array(turns, np.float32).reshape(-1, 3)
-
-
-def blend_rotations(before: FloatArray, after: FloatArray, weight: float) -> FloatArray:
-    """Turn from one rotation vector towards another at constant speed, the shorter way (slerp).
-
-    Args:
-        before: Where the turn begins, radians. float32 ``[3]``.
-        after: Where it ends. float32 ``[3]``.
-        weight: 0 gives `before`, 1 gives `after`; beyond 1 the turn goes on.
-
-    Returns:
-        A rotation vector. float32 ``[3]``.
-    """
-    first, second = _quaternion(before), _quaternion(after)
-    cosine = sum(a * b for a, b in zip(first, second, strict=True))
-    if cosine < 0:
-        cosine, second = -cosine, (-second[0], -second[1], -second[2], -second[3])
-    angle = math.acos(min(cosine, 1.0))
-    if angle < 1e-4:  # below this a straight line is exact in float32, and sin(angle) is not safe
-        share, rest = weight, 1 - weight
-    else:
-        share = math.sin(weight * angle) / math.sin(angle)
-        rest = math.sin((1 - weight) * angle) / math.sin(angle)
-    real, *imaginary = (rest * a + share * b for a, b in zip(first, second, strict=True))
-    return rotation_vector_from_quaternion((real, *imaginary))
 
 
 def turned(rotation: FloatArray, turn: FloatArray) -> FloatArray:

@@ -14,7 +14,6 @@ from typing import Final
 import numpy as np
 
 from pica_client.sources.live.calibration import BLINKS, GAZE, Calibration
-from pica_client.sources.rotation import blend_rotations
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES, NUM_ARKIT, ExpressionFrame
 from pica_core.types import Float64Array, FloatArray
 
@@ -41,7 +40,7 @@ _CUTOFF_HZ, _SPEED_FACTOR = np.array([*map(_of_shape, ARKIT_NAMES), *[HEAD] * 3,
 
 
 class Smoother:
-    """The filter's state, for the 52 shapes and the head's rotation vector and offset."""
+    """The filter's state for poses: 52 shapes, the head's rotation vector and offset. ``[58]``."""
 
     def __init__(self) -> None:
         self._value: Float64Array | None = None
@@ -52,16 +51,13 @@ class Smoother:
         """Forget the past: the next sample comes through as it is."""
         self._value = None
 
-    def smooth(
-        self, arkit: FloatArray, rotation: FloatArray, offset_m: FloatArray, step_s: float
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Filter the next sample, `step_s` > 0 after the one before; the gaze rests while both eyes
-        are closed. Finite, float32 ``[52]``, ``[3]`` and ``[3]``."""
-        raw = np.concatenate((arkit, rotation, offset_m)).astype(np.float64)
-        count = len(arkit)
+    def smooth(self, pose: FloatArray, step_s: float) -> FloatArray:
+        """Filter the next pose, `step_s` > 0 after the one before; the gaze rests while both eyes
+        are closed."""
+        raw = pose.astype(np.float64)
         if self._value is None:
             self._value, self._speed = raw, np.zeros_like(raw)
-            self._gaze = raw[:count][GAZE]
+            self._gaze = raw[:NUM_ARKIT][GAZE]
         else:
             speed = (raw - self._value) / step_s
             self._speed += _share(DERIVATIVE_CUTOFF_HZ, step_s) * (speed - self._speed)
@@ -69,10 +65,10 @@ class Smoother:
             self._value = self._value + _share(cutoff_hz, step_s) * (raw - self._value)
         smoothed = self._value.astype(np.float32)
         if min(smoothed[BLINKS[0]], smoothed[BLINKS[1]]) > CLOSED:
-            smoothed[:count][GAZE] = self._gaze
+            smoothed[:NUM_ARKIT][GAZE] = self._gaze
         else:
-            self._gaze = self._value[:count][GAZE]
-        return smoothed[:count], smoothed[count : count + 3], smoothed[count + 3 :]
+            self._gaze = self._value[:NUM_ARKIT][GAZE]
+        return smoothed
 
 
 def _share(cutoff_hz: Float64Array | float, step_s: float) -> Float64Array | float:
@@ -185,19 +181,14 @@ USUAL_SHARE: Final = 0.9
 """Share of the samples that is waited for."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Pose:
-    arkit: FloatArray
-    rotation: FloatArray
-    offset_m: FloatArray
-
-    def towards(self, other: "_Pose", weight: float) -> "_Pose":
-        mixed = self.arkit + np.float32(weight) * (other.arkit - self.arkit)
-        offset_m = self.offset_m + np.float32(weight) * (other.offset_m - self.offset_m)
-        return _Pose(mixed, blend_rotations(self.rotation, other.rotation, weight), offset_m)
+_REST: Final[FloatArray] = np.zeros(NUM_ARKIT + 6, np.float32)
 
 
-_REST = _Pose(*(np.zeros(count, np.float32) for count in (NUM_ARKIT, 3, 3)))
+def _towards(pose: FloatArray, other: FloatArray, weight: float) -> FloatArray:
+    """A pose on the way to another. Rotation vectors go straight, too: exactly so to rest, and
+    between samples that are near each other with an error below the trackers' noise."""
+    mixed: FloatArray = pose + np.float32(weight) * (other - pose)
+    return mixed
 
 
 class LiveFace:
@@ -216,7 +207,7 @@ class LiveFace:
         self.recent: deque[FloatArray] = deque(maxlen=RECENT_SAMPLES)
         self._smoother, self._seat = Smoother(), Seat()
         self._times_s: deque[float] = deque(maxlen=KEPT_SAMPLES)
-        self._poses: deque[_Pose] = deque(maxlen=KEPT_SAMPLES)
+        self._poses: deque[FloatArray] = deque(maxlen=KEPT_SAMPLES)
         self._ways_s: deque[float] = deque(maxlen=4 * KEPT_SAMPLES)
         self._waits_s: deque[float] = deque(maxlen=KEPT_SAMPLES)
         self._lost_s: float | None = None
@@ -251,8 +242,8 @@ class LiveFace:
         arkit = self.calibration.apply(raw)
         step_s = min(gap_s, HOLD_S)
         offset_m = self._seat.offset_m(sample.place_m, step_s)
-        pose = self._smoother.smooth(arkit, sample.rotation, offset_m, step_s)
-        self._poses.append(_Pose(*pose))
+        pose = np.concatenate((arkit, sample.rotation, offset_m))
+        self._poses.append(self._smoother.smooth(pose, step_s))
         self._times_s.append(seen_s)
         # Shown by the time that the next one is there, a moment has waited for so long.
         self._waits_s.append(min(arrived_s - seen_s + gap_s, MAX_DELAY_S))
@@ -278,20 +269,20 @@ class LiveFace:
             self._shown = pose
         return ExpressionFrame(
             captured_us=round((shown_s - self.calibration.sound_offset_s) * 1e6),
-            arkit=self._shown.arkit,
-            rotation=self._shown.rotation,
-            translation_m=self._shown.offset_m,
+            arkit=self._shown[:NUM_ARKIT],
+            rotation=self._shown[NUM_ARKIT : NUM_ARKIT + 3],
+            translation_m=self._shown[NUM_ARKIT + 3 :],
             has_face=pose is not None,
         )
 
-    def _pose_at(self, time_s: float) -> _Pose | None:
+    def _pose_at(self, time_s: float) -> FloatArray | None:
         after = bisect_right(self._times_s, time_s)
         if not self._times_s or after == 0:
             return self._shown if self._times_s else None
         if after < len(self._times_s):
             begin_s, end_s = self._times_s[after - 1], self._times_s[after]
             weight = (time_s - begin_s) / (end_s - begin_s)
-            pose = self._poses[after - 1].towards(self._poses[after], weight)
+            pose = _towards(self._poses[after - 1], self._poses[after], weight)
         else:
             pose = self._poses[-1]
         last_s = self._times_s[-1] if self._lost_s is None else min(self._lost_s, time_s)
@@ -300,13 +291,13 @@ class LiveFace:
             self._left = _REST
             return None
         if lost_for_s > 0:
-            pose = pose.towards(_REST, _eased(lost_for_s / EASE_S))
+            pose = _towards(pose, _REST, _eased(lost_for_s / EASE_S))
             self._left = pose
             return pose
         if self._returned_s is not None:
             since_s = time_s - self._returned_s
             if since_s < EASE_S:
-                return self._left.towards(pose, _eased(max(since_s, 0.0) / EASE_S))
+                return _towards(self._left, pose, _eased(max(since_s, 0.0) / EASE_S))
             self._returned_s = None
         self._left = pose
         return pose
