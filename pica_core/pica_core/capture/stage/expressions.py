@@ -6,9 +6,6 @@ for testing, so no test frame has a neighbour in the training set.
 A recording of the user may be read for a take of its own.
 """
 
-import csv
-import io
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,9 +13,10 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES, NUM_ARKIT
-from pica_core.capture.dataset.files import Take, read_bytes
+from pica_core.capture.dataset.files import Take, read_arrays, read_bytes
 from pica_core.errors import CaptureError
-from pica_core.types import Array, Float64Array, FloatArray
+from pica_core.livelink import read_livelink_csv
+from pica_core.types import Float64Array, FloatArray
 
 Generator = np.random.Generator
 
@@ -305,7 +303,6 @@ def _takes(
     return takes
 
 
-MAX_ROWS = 1_000_000
 HIGHEST = 1.05
 """Largest value in seven real recordings; more is cut off."""
 
@@ -318,51 +315,19 @@ def read_own_take(path: Path) -> FloatArray:
     Raises:
         CaptureError: Neither of the two, names of another tracker, or no face in it.
     """
-    data = read_bytes(path)
-    values = _archive(path, data) if data[:2] == b"PK" else _table(path, data)
+    if read_bytes(path)[:2] == b"PK":
+        arrays = read_arrays(path)
+        arkit, seen = (arrays.get(name, np.zeros(0)) for name in ("arkit", "has_face"))
+        if arkit.shape != (len(seen), NUM_ARKIT) or seen.dtype != np.bool_:
+            raise CaptureError(f"{path}: is no take; `pica track SOURCE --record` makes one")
+        values = np.asarray(arkit[seen], np.float64)
+    else:
+        take = read_livelink_csv(path)
+        values = take.arkit[take.has_face]
     values = values[np.isfinite(values).all(1)]
     if not len(values):
         raise CaptureError(f"{path}: no moment with a face and numbers alone")
     return np.clip(values, 0.0, HIGHEST).astype(np.float32)
-
-
-def _archive(path: Path, data: bytes) -> Array:
-    try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-            values, seen = archive["arkit"], archive["has_face"]
-    except (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
-        raise CaptureError(f"{path}: is no take; `pica track SOURCE --record` makes one") from error
-    if values.shape != (len(seen), NUM_ARKIT) or seen.dtype != np.bool_ or len(seen) > MAX_ROWS:
-        raise CaptureError(f"{path}: arkit is {values.dtype} {values.shape}; the file is no take")
-    return np.asarray(values[seen], np.float64)
-
-
-def _table(path: Path, data: bytes) -> Array:
-    try:
-        rows = list(csv.reader(io.StringIO(data.decode("utf-8-sig"))))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise CaptureError(f"{path}: neither a CSV file nor a take ({error})") from error
-    at = {name.strip().lower(): column for column, name in enumerate(rows[0] if rows else [])}
-    missing = [name for name in ARKIT_NAMES if name.lower() not in at]
-    if missing:
-        raise CaptureError(
-            f"{path}: lacks {len(missing)} of {NUM_ARKIT} columns ({', '.join(missing[:3])}, ...); "
-            "a Live Link Face CSV in ARKit mode, or a take of `pica track`, is needed"
-        )
-    columns = [at[name.lower()] for name in ARKIT_NAMES]
-    count = at.get("blendshapecount")
-    values = []
-    for line, row in enumerate(rows[1 : MAX_ROWS + 1], start=2):
-        if len(row) != len(rows[0]):
-            if not row:
-                continue
-            raise CaptureError(f"{path}, line {line}: {len(row)} of {len(rows[0])} values")
-        if count is None or row[count].strip() != "0":
-            try:
-                values.append([float(row[column]) for column in columns])
-            except ValueError as error:
-                raise CaptureError(f"{path}, line {line}: {error}") from error
-    return np.array(values).reshape(-1, NUM_ARKIT)
 
 
 def own_take(values: FloatArray, count: int) -> Take:

@@ -146,7 +146,7 @@ def video(tmp_path: Path, astronaut: Image.Image) -> Path:
 @pytest.mark.slow
 def test_a_video_stands_in_for_a_camera(networks: FaceNetworks, video: Path) -> None:
     seen: list[TrackerSample] = []
-    camera = Webcam(str(video), networks, tap=lambda sample, arrived, process: seen.append(sample))
+    camera = Webcam(str(video), networks, tap=lambda sample, arrived: seen.append(sample))
     with closing(camera):
         assert camera.trouble
         deadline_s = time.monotonic() + 20

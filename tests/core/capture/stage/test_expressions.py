@@ -73,12 +73,12 @@ def test_a_take_of_pica_track_is_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (csv_of(np.zeros((2, 51), np.float32), ARKIT_NAMES[1:]), r"lacks 1 of 52 columns \(eyeB"),
-        ("time,AU01_r,AU02_r\n0,1,2\n", "lacks 52 of 52 columns"),
+        (csv_of(np.zeros((2, 51), np.float32), ARKIT_NAMES[1:]), r"lacks 1 of 54 columns \(eyeB"),
+        ("time,AU01_r,AU02_r\n0,1,2\n", "lacks 54 of 54 columns"),
         (csv_of(np.full((2, 52), np.nan, np.float32)), "no moment with a face"),
-        (csv_of(np.zeros((2, 52), np.float32)) + ",7", "line 3: 55 of 54 values"),
-        ("", "lacks 52"),
-        ("PK\x03\x04nothing", "is no take"),
+        (csv_of(np.zeros((2, 52), np.float32)) + ",7", "line 3: has 55 of 54 values"),
+        ("", "lacks 54"),
+        ("PK\x03\x04nothing", "not a complete archive"),
     ],
 )
 def test_a_take_of_another_tracker_is_refused_and_nothing_is_written(
