@@ -344,6 +344,23 @@ def chart_drive() -> None:
     fill_in("drive", table(rows, columns), source_line(lines[-1]))
 
 
+def chart_gpu() -> None:
+    """Fill in what decoding on the CPU and in shaders takes beside drawing by a GPU."""
+    line = read_lines("gpu")[-1]
+    columns: dict[str, Column] = {
+        "size": lambda row: " × ".join(map(str, row["size"])),
+        "heads": "heads",
+        "decoded": lambda row: {"cpu": "ONNX Runtime", "gpu": "in shaders"}[row["mode"]],
+        "decode, ms": "{decode_ms:.1f}",
+        "upload, kB": "{upload_kb:,.0f}",
+        "draw, ms": "{draw_ms:.1f}",
+        "drawing thread, ms": "{thread_ms:.1f}",
+        "images/s": "{images_s:.0f}",
+        "faces decoded an image": "{decodes_an_image:.1f}",
+    }
+    fill_in("gpu", table(line["result"]["rows"], columns), source_line(line))
+
+
 def chart_tables() -> None:
     """Fill in the paper's tables: means over seeds and views."""
     lines = read_lines("tables")
