@@ -12,10 +12,6 @@ PIXEL_FLOAT32 = 1e-3
 exact to 5e-4 of an entry in float32, and neighbouring entries may differ by 2; the rest is rounding
 through four sine layers (measured 3e-4; 1e-5 with tables of 200)."""
 
-PIXEL_ONNX = 2e-3
-"""RGB 0..1, ONNX float32 against numpy float64. As above; besides, GridSample computes places from
-[-1, 1], which loses one more bit (measured 7e-4)."""
-
 PIXEL_GLSL = 1.0 / 255
 """RGB 0..1, GLSL under llvmpipe against numpy float64 on the positions and UVs that the first pass
 stored, read back in 8 bits. Half a step is the rounding of the target; the other half leaves room

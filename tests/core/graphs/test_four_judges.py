@@ -1,7 +1,7 @@
 """One model, several implementations: torch and ONNX against the numpy reference.
 
-The fourth, GLSL, is judged on the same footing in `tests/client/test_renderer.py`, where there is a
-GL context. Tolerances and their reasons stand in `tests/tolerances.py`.
+The fourth, GLSL, is judged on the same footing in `tests/client/render`, where there is a GL
+context. Tolerances and their reasons stand in `tests/helpers/tolerances.py`.
 """
 
 from __future__ import annotations
@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from helpers.pixel_graph import pixel_decoder_graph
-from helpers.tolerances import EXPRESSION_ONNX, MAP_TORCH_M, PIXEL_FLOAT32, PIXEL_ONNX
+from helpers.tolerances import EXPRESSION_ONNX, MAP_TORCH_M, PIXEL_FLOAT32
 from helpers.toy import grid_faces, with_toy_levels
 from helpers.trainable import grid_uv, toy_prior
 from pica_client.decode.onnx_runtime import onnxruntime
@@ -144,9 +143,7 @@ def test_torch_and_onnx_leave_by_the_same_exit(block: str, level: int) -> None:
     assert np.abs(expression - told).max() <= EXPRESSION_ONNX
 
 
-@pytest.fixture(scope="module")
-def judged() -> tuple[Avatar, dict[str, np.ndarray], np.ndarray, np.ndarray]:
-    """An avatar, pixel inputs, torch's colours and the float64 reference's."""
+def test_torch_colours_pixels_as_the_reference_does() -> None:
     model = trained_looking_model("G")
     *_, expression_map = decoded(model)
     generator = torch.Generator().manual_seed(5)
@@ -157,29 +154,9 @@ def judged() -> tuple[Avatar, dict[str, np.ndarray], np.ndarray, np.ndarray]:
         colours = model.shade(expression_map, surface).numpy()
     avatar = exported(model)
     codes = sample_bilinear(expression_map[0].permute(1, 2, 0).numpy(), uv.numpy(), np.float64)
-    inputs = {"expression": codes, "xyz_m": xyz.numpy(), "uv": uv.numpy()}
-    reference = decode_pixels(avatar.spec, avatar.tensors, *inputs.values(), dtype=np.float64)
-    return avatar, inputs, colours, reference
-
-
-Judged = tuple[Avatar, dict[str, np.ndarray], np.ndarray, np.ndarray]
-
-
-def test_torch_colours_pixels_as_the_reference_does(judged: Judged) -> None:
-    _, _, colours, reference = judged
+    pixels = (codes, xyz.numpy(), uv.numpy())
+    reference = decode_pixels(avatar.spec, avatar.tensors, *pixels, dtype=np.float64)
 
     assert np.ptp(reference) > 0.3, "the test would not notice a constant colour"
     assert np.abs(colours - reference).max() <= PIXEL_FLOAT32
-
-
-def test_onnx_colours_pixels_as_the_reference_does(judged: Judged) -> None:
-    avatar, inputs, _, reference = judged
-
-    feed = {name: np.asarray(values, np.float32) for name, values in inputs.items()}
-    (colours,) = session(pixel_decoder_graph(avatar)).run(["rgb"], feed)
-
-    assert np.abs(colours - reference).max() <= PIXEL_ONNX
-
-
-def test_the_exported_pixel_decoder_has_307_parameters(judged: Judged) -> None:
-    assert count_parameters(judged[0].tensors, "pixel") == 307
+    assert count_parameters(avatar.tensors, "pixel") == 307

@@ -9,14 +9,12 @@ import onnx
 import pytest
 
 from helpers import tolerances
-from helpers.pixel_graph import pixel_decoder_graph
 from helpers.toy import make_toy_avatar, with_toy_levels
 from pica_client.decode.onnx_runtime import onnxruntime
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import BLOCKS, AvatarSpec
 from pica_core.graphs.onnx_graph import decoder_graph
 from pica_core.reference.decoders import decode_expression_map, decode_position_map
-from pica_core.reference.pixel import decode_pixels
 from pica_core.types import Array
 
 pytestmark = [pytest.mark.unit, pytest.mark.slow]
@@ -118,17 +116,3 @@ def test_a_hopeless_latent_decodes_to_maps_of_the_right_shape(value: float) -> N
     position_map, expression_map = run(decoder_graph(toy("G")), **inputs)
     assert position_map.shape == (256, 256, 3)
     assert expression_map.shape == (256, 256, 4)
-
-
-def test_the_pixel_decoder_graph_agrees_with_numpy() -> None:
-    avatar = make_toy_avatar(spec=AvatarSpec(uv_encoding_size=64), grid=4)
-    rng = np.random.default_rng(2)
-    pixels = {
-        "expression": rng.standard_normal((5000, 4)),
-        "xyz_m": rng.uniform(-0.1, 0.1, (5000, 3)),
-        "uv": np.concatenate([rng.uniform(0, 1, (4996, 2)), [[0, 0], [1, 1], [0, 1], [1, 0]]]),
-    }
-    pixels = {name: array.astype(np.float32) for name, array in pixels.items()}
-    (rgb,) = run(pixel_decoder_graph(avatar), **pixels)
-    wanted = decode_pixels(avatar.spec, avatar.tensors, *pixels.values(), np.float64)
-    assert np.abs(rgb - wanted).max() < tolerances.PIXEL_ONNX
