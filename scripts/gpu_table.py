@@ -4,7 +4,7 @@
     PYTHONPATH=client:pica_core:protocol python scripts/gpu_table.py --quick      small images
 
 Every head is its own person, changes in every image and is drawn whole, as in a call. In
-milliseconds an image with everybody decoded anew: ``decode`` by ONNX Runtime on one thread (a call
+milliseconds an image with all heads decoded again: ``decode`` by ONNX Runtime on one thread (a call
 has several) or in shaders by the GPU's clock, ``draw`` by that clock; and of this thread ``python``
 to submit decodes, ``upload`` of maps, ``submit`` of the drawing, ``thread`` all processor time. The
 first lines are the largest differences from numpy. Needs moderngl, numpy, safetensors, onnx,

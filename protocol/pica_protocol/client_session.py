@@ -78,7 +78,7 @@ class ClientSession(session.Session):
             timeout_s: For the relay to let us in.
             seal: Makes the payload that travels out of a frame whose header is final.
             resumable: Whether we may come back with the `ticket` of this session.
-            ticket: Of the last session, to come back to its place; if that is gone, we join anew.
+            ticket: Of the last session, to come back to its place; if that is gone, we join again.
 
         Raises:
             ValueError: A name, room, track, token or metadata is out of its limits.
@@ -197,7 +197,7 @@ class ClientSession(session.Session):
         self._waiting.put(QueuedFrame("", stream, data, self._captured_s, deadline_s))
 
     def tell(self, message: messages.FromMember) -> None:
-        """Say something to the relay, or through it: a whisper may be dropped, and nobody is told.
+        """Say something to the relay, or through it: a whisper may be dropped without notice.
 
         Raises:
             LocalProtocolError: Not joined, or too much waits.
@@ -266,7 +266,7 @@ class ClientSession(session.Session):
                     raise RemoteProtocolError(f"more than {MAX_PEERS} peers in a room")
                 others = {**self.peers, peer.peer_id: peer}
                 self._check_peers(self.peer_id, self.tracks, others.values())
-                # One id is one peer: whoever had it has gone.
+                # One id is one peer: the one that had it has gone.
                 is_known, self.peers = peer.peer_id in self.peers, others
                 self._forget_streams(peer.peer_id)
                 self._note_streams(peer)

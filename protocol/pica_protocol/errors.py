@@ -83,13 +83,13 @@ _WORTH_RETRYING = frozenset(
 
 
 def is_worth_retrying(code: int) -> bool:
-    """Say whether the same join may succeed later without anybody changing anything."""
+    """Return True if the same join may succeed later without any change."""
     return code in _WORTH_RETRYING
 
 
 def may_pass(code: int) -> bool:
-    """Say whether a refusal of somebody who was in the room a moment ago may be over in a minute: a
-    ghost holds their place, a clock or a key file is about to be mended."""
+    """Return True if a refusal of a peer that was in the room a moment ago may be over in a minute:
+    a ghost holds its place, a clock or a key file is about to be mended."""
     return code in (CloseCode.ROOM_FULL, CloseCode.TOO_MANY, CloseCode.UNAUTHORIZED)
 
 

@@ -103,7 +103,7 @@ def scan_frames(message: bytes) -> list[FrameSpan]:
         if end > size:
             raise RemoteProtocolError(f"frame payload cut off, {end - size} bytes are missing")
         if stream == 0:
-            raise RemoteProtocolError("frame of stream 0, which nobody owns")
+            raise RemoteProtocolError("frame of stream 0, which has no owner")
         spans.append((stream, sequence, start, end))
         start = end
     return spans

@@ -97,7 +97,7 @@ def check_text(field: str, value: str, max_bytes: int, *, required: bool = False
 
 
 def draws_nothing(character: str) -> bool:
-    """Say whether a character leaves no ink of its own: a space, a mark, a control, a filler."""
+    """Return True if a character leaves no ink of its own: a space, a mark, a control, a filler."""
     return character in _BLANK_LETTERS or unicodedata.category(character)[0] in "MZC"
 
 

@@ -128,7 +128,7 @@ class Track(Checked):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Peer(Checked):
-    """Somebody in the room, as the others see them."""
+    """A peer in the room, as the others see it."""
 
     peer_id: Token
     """Opaque, unique in the room for its lifetime; made by the relay."""
@@ -188,7 +188,7 @@ class Joined(Checked):
     """The others who are here already."""
     resumed: bool = False
     """Whether this is the old place: own id and streams are those of before, and the others have
-    seen nobody come or go."""
+    seen no peer come or go."""
     resume: Pass = field(default="", repr=False)
     """What to come back with, once; empty: the place is not kept. A secret."""
     resume_ms: Count = 0
@@ -201,14 +201,14 @@ class Joined(Checked):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PeerJoined(Checked):
-    """Somebody came in."""
+    """A peer came in."""
 
     peer: Peer
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PeerLeft(Checked):
-    """Somebody went, on purpose or not. Their streams end with it."""
+    """A peer went, on purpose or not. Its streams end with it."""
 
     peer_id: Token
     reason: Reason = ""
@@ -216,21 +216,21 @@ class PeerLeft(Checked):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PeerAway(Checked):
-    """Somebody lost the connection and may come back: their seat and streams are kept."""
+    """A peer lost the connection and may come back: its place and streams are kept."""
 
     peer_id: Token
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PeerBack(Checked):
-    """Somebody has come back on a new connection; also without a ``PeerAway`` before it."""
+    """A peer has come back on a new connection; also without a ``PeerAway`` before it."""
 
     peer_id: Token
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PeerUpdated(Checked):
-    """Somebody says something else of themselves."""
+    """A peer says something else of itself."""
 
     peer_id: Token
     metadata: Said = ()

@@ -59,7 +59,7 @@ class ServerSession(session.Session):
     def accept(self, joined: messages.Joined) -> None:
         """Let the client in; ``close`` is the other answer to a ``Join``."""
         if self.state is not session.State.DECIDING:
-            raise LocalProtocolError(f"nobody asked to join: {self.state.value}")
+            raise LocalProtocolError(f"no join was asked for: {self.state.value}")
         self.state = session.State.JOINED
         self._deadline = None
         self._queue(joined)
@@ -78,4 +78,4 @@ class ServerSession(session.Session):
                 return [self._end(CloseCode.NORMAL, "left", is_remote=True)]
         if isinstance(message, messages.Join | messages.FromMember):
             return [message]
-        raise AssertionError(f"the table admits {message} and nobody handles it")
+        raise AssertionError(f"the table admits {message}, which is not handled")

@@ -168,7 +168,7 @@ def check_version(version: int) -> None:
 
 
 def binary(data: bytes | str) -> bytes:
-    """Refuse a text message, and one of a kind nobody knows."""
+    """Refuse a text message, and one of an unknown kind."""
     if isinstance(data, str):
         raise RemoteProtocolError("text message, all messages are binary")
     if len(data) == 0 or data[0] not in (CONTROL_KIND, MEDIA_KIND):

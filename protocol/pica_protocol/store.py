@@ -59,7 +59,7 @@ class Ready(Checked):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Stored(Checked):
-    """The relay has it, and whoever knows its id can get it."""
+    """The relay has it, and anyone who knows its id can get it."""
 
     is_new: bool = False
     """Whether it has come with this upload; false: it was there already."""
@@ -74,7 +74,7 @@ STORE_MESSAGE_TYPES: Final = cast(
 
 
 def is_avatar_id(text: str) -> bool:
-    """Say whether this names a file of a store: 64 lower-case hexadecimal digits, nothing else."""
+    """Return True if this names a file of a store: 64 lower-case hexadecimal digits."""
     return _ID.fullmatch(text) is not None
 
 

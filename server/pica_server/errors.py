@@ -6,7 +6,7 @@ RelayError
 ├── KeyFileError         the file of signing keys cannot be used
 ├── AdmissionError       a join without a token that allows it; carries the close code
 ├── StoreError           the avatar store cannot be used
-│   └── StoreRefusalError   somebody is told no; carries the close code
+│   └── StoreRefusalError   a peer is refused; carries the close code
 │       ├── UnfitFileError  a file that it does not take
 │       ├── StoreFullError  a file that it has no room for
 │       ├── BusyError       a transfer more than go on at once
@@ -38,7 +38,7 @@ class KeyFileError(RelayError):
 
 
 class AdmissionError(RelayError):
-    """Somebody may not do what their join asks for; ``code`` is what they are told."""
+    """A peer may not do what its join asks for; ``code`` is what it is told."""
 
     def __init__(self, message: str, code: CloseCode) -> None:
         super().__init__(message)
@@ -50,7 +50,7 @@ class StoreError(RelayError):
 
 
 class StoreRefusalError(StoreError):
-    """The store does not do what somebody asks for; ``code`` is what they are told."""
+    """The store refuses a request; ``code`` is what the peer is told."""
 
     code = CloseCode.INTERNAL_ERROR
 
@@ -74,7 +74,7 @@ class BusyError(StoreRefusalError):
 
 
 class TooLateError(StoreRefusalError):
-    """Somebody takes longer than they may."""
+    """A peer takes longer than it may."""
 
     def __init__(self, message: str, code: CloseCode) -> None:
         super().__init__(message)

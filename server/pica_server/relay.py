@@ -151,7 +151,7 @@ class Relay:
             config.port,
             create_connection=self._guarded_connection,  # type: ignore[arg-type]
             process_request=self._answer,
-            # Without an allow-list any web page could join from the browser of somebody nearby.
+            # Without an allow-list any web page could join from the browser of a person nearby.
             origins=[None, *map(Origin, config.origins)],
             subprotocols=[Subprotocol(SUBPROTOCOL), Subprotocol(STORE_SUBPROTOCOL)],
             select_subprotocol=_select_subprotocol,
@@ -187,7 +187,7 @@ class Relay:
     async def __aexit__(self, *_: object) -> None:
         assert self._server is not None
         self._server.close(close_connections=False)
-        # Nobody waits for those until their handshake is late.
+        # Those are not waited for until their handshake is late.
         for websocket in list(self._silent):
             websocket.give_up()
         self.hub.membership.close_all(CloseCode.GOING_AWAY, "the relay is stopping", self._now())
@@ -230,7 +230,7 @@ class Relay:
         return response
 
     def _on_error(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-        """Take what nobody else takes: asyncio says once for each socket that there are too
+        """Take what no other handler takes: asyncio says once for each socket that there are too
         many."""
         if not self._descriptors.note_error(context.get("exception"), loop.time()):
             loop.default_exception_handler(context)
@@ -238,8 +238,8 @@ class Relay:
     async def drain(self) -> None:
         """Send everybody away in good order, and return when they are gone.
 
-        Meanwhile the relay answers on, but lets nobody in. Whoever has not gone after ``drain_s``
-        is cut.
+        Meanwhile the relay answers on, but admits no peers. A peer that has not gone after
+        ``drain_s`` is cut.
         """
         await self._pump.drain(self.config.drain_s)
         self.cut()
@@ -296,7 +296,7 @@ class Relay:
 def _select_subprotocol(
     _websocket: ServerConnection, offered: Sequence[Subprotocol]
 ) -> Subprotocol | None:
-    # Whoever offers none is let in and told so with a close code: clearer than an HTTP 400.
+    # A client that offers none is let in and told so with a close code: clearer than an HTTP 400.
     for known in (SUBPROTOCOL, STORE_SUBPROTOCOL):
         if known in offered:
             return Subprotocol(known)

@@ -20,6 +20,10 @@ def test_every_file_of_the_packages_has_a_room_and_nothing_imports_in_circles() 
     assert counts["largest_folder"] <= 20
 
 
+def test_no_line_says_what_the_field_has_other_words_for() -> None:
+    assert HOUSE.dialect() == []
+
+
 def test_a_circle_is_found_however_far_around() -> None:
     found = HOUSE.circle({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}})
     assert set(found) == {"a", "b", "c"}

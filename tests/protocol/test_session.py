@@ -267,7 +267,7 @@ def test_what_a_client_must_not_do_is_its_own_error() -> None:
         client.tell(Subscribe(stream=1))
     with pytest.raises(LocalProtocolError, match="track 1"):
         joined_client().send_frame(b"", captured_us=0, track=1)
-    with pytest.raises(LocalProtocolError, match="nobody asked"):
+    with pytest.raises(LocalProtocolError, match="no join was asked for"):
         ServerSession(now=0.0).accept(JOINED)
 
 

@@ -146,7 +146,7 @@ async def _store_socket(url: str, ca_file: Path | None) -> AsyncIterator[ClientC
         websocket = await RelayConnect(url, ca_file, subprotocol=store.STORE_SUBPROTOCOL)
     except CONNECT_ERRORS as error:
         why = refusal(error)
-        message = f"{url}: {why or 'nobody answers'}"
+        message = f"{url}: {why or 'no answer'}"
         raise PushError(message, is_worth_retrying=why is None) from error
     try:
         if websocket.subprotocol != store.STORE_SUBPROTOCOL:
@@ -208,7 +208,7 @@ class OwnAvatar:
 
 
 def choose_own_avatar(given: str | None, name: str, library: AvatarLibrary) -> OwnAvatar:
-    """Load the avatar of one's own face.
+    """Load the avatar of the own face.
 
     Args:
         given: A shipped one by its name, or a .pica file; None takes one by the name.

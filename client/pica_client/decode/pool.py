@@ -4,7 +4,7 @@ first. ONNX Runtime releases the interpreter lock while it computes.
 Bounded by construction: a slot holds one waiting request and one finished result. A newer request
 takes the place of one that waits, and the replaced ones are counted; it is widened by what the old
 one asked for, so a request for the expression map alone never cancels one for both. A newer result
-takes the place of one that nobody has taken, and keeps the position map of that if it brings none.
+takes the place of one that was not taken, and keeps the position map of that if it brings none.
 
 Getting ready for a level takes as long as a few frames. A worker with nothing else to do gets ready
 for those that were not asked for yet, one after the other, so that a change of level in the middle

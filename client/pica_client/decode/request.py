@@ -63,7 +63,7 @@ class DecodeResult:
     level: int = 0
     """Level that was decoded; 0 after an error."""
     parts: Parts = "both"
-    """What was decoded. `maps` may hold more: a position map that nobody had taken yet."""
+    """What was decoded. `maps` may hold more: a position map that was not taken yet."""
 
     @property
     def decode_s(self) -> float:
@@ -76,7 +76,7 @@ class DecodeResult:
         return self.started_s - self.submitted_s
 
     def completed_by(self, former: DecodeResult | None) -> DecodeResult:
-        """This result instead of one that nobody has taken, with what only that one has."""
+        """This result instead of one that was not taken, with what only that one has."""
         if former is None or former.maps is None or self.maps is None:
             return self
         if self.maps.position_map is not None or former.maps.position_map is None:

@@ -17,7 +17,7 @@ WARM_UP_FRAMES = 3
 """The first frames of a context are not told of: drivers still compile, and llvmpipe's first query
 answers with the largest number it knows."""
 SATURATED_NS = 2**32 - 1
-"""Answers are read as 32 bits: this, and nothing above, means that nobody knows."""
+"""Answers are read as 32 bits: this, and nothing above, means that it is unknown."""
 
 T = TypeVar("T")
 

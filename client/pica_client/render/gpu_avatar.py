@@ -80,7 +80,7 @@ PLACEHOLDER_PROFILE_M = (
     (-0.230, 0.174, 0.098, -0.028),
     (-0.290, 0.174, 0.098, -0.028),
 )
-"""A bust of nobody, from the crown down (chosen: as large as a person, without a face)."""
+"""A faceless bust, from the crown down (chosen: as large as a person, without a face)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -308,7 +308,7 @@ def upload_mesh(
 
 
 def placeholder_map() -> FloatArray:
-    """The bust of nobody as a position map, columns around +y and rows from the crown down: the
+    """The faceless bust as a position map, columns around +y and rows from the crown down: the
     profile at even steps along itself, its corners rounded. float32 ``[S, S, 3]``."""
     profile = np.array(PLACEHOLDER_PROFILE_M)
     way = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(profile[:, :3], axis=0), axis=1))])

@@ -5,7 +5,7 @@
     decoder.submit("peer-1", request)
     results = decoder.take_results()                    # draws: the maps are shown afterwards
 
-Each step is one draw, whoever is decoded: heads lie one below the other in its images, and an
+Each step is one draw for all who are decoded: heads lie one below the other in its images, and an
 avatar's numbers are a layer of each array (`gpu_tables`). A level below the full one leaves the
 steps that all share at its size. Vertices are sums over the directions of their regions. The last
 step puts the maps into pages of `NUM_TILES` heads, where they stay. A head and frame take one
@@ -98,7 +98,7 @@ class _Page:
     """A texture with the maps of several heads.
 
     Attributes:
-        free: Tiles that are nobody's.
+        free: Tiles that are not in use.
     """
 
     def __init__(self, context: moderngl.Context, columns: int, rows: int) -> None:

@@ -21,7 +21,7 @@ BELOW_CHIN_M = 0.03
 GAP_SHARE = 0.1
 """Part of a name's height that stays free around it."""
 HIDDEN_SHARE = 0.6
-"""Who is hidden by this part has no name: it would stand on whoever is before them."""
+"""Who is hidden by this part has no name: it would stand on the person before them."""
 
 
 _POINTS = np.array(

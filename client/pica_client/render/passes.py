@@ -75,7 +75,7 @@ class DrawPasses:
         self._queries: list[moderngl.Query] = []
 
     def begin(self) -> None:
-        """Set what passes rely on as GL has it at first, whatever somebody else has left (measured:
+        """Set what passes rely on as GL has it at first, whatever other code has left (measured:
         3 microseconds)."""
         context = self._context
         context.enable_only(moderngl.NOTHING)
@@ -125,7 +125,7 @@ class DrawPasses:
     def surfaces(self, heads: Sequence[LayeredHead]) -> None:
         """Keep, per pixel of each layer, what of its head is nearest.
 
-        Only depth is cleared: where no mesh lies before the far plane nobody looks at the rest, and
+        Only depth is cleared: where no mesh lies before the far plane the rest is not read, and
         clearing 20 bytes a pixel takes as long as shading 50,000 (llvmpipe).
         """
         programs = self.mesh_programs

@@ -119,7 +119,7 @@ class Renderer(Closing):
                 f"{GL_VERSION / 100:.1f} is needed: install or update the graphics driver"
             )
         self._context = context
-        _ = context.error  # what somebody else left is not ours to report
+        _ = context.error  # what other code left is not ours to report
         self._options = options or RenderOptions()
         self.gl_renderer = str(context.info["GL_RENDERER"])
         self.weights = self._choose_weights()
@@ -193,12 +193,12 @@ class Renderer(Closing):
         self._slots[slot] = RenderSlot(textured=head, version=self._next_version())
 
     def add_placeholder(self, slot: str) -> None:
-        """Show a stand-in for somebody whose avatar is not there or cannot be used."""
+        """Show a stand-in for a person whose avatar is not there or cannot be used."""
         self.remove(slot)
         self._slots[slot] = RenderSlot(version=self._next_version())
 
     def remove(self, slot: str) -> None:
-        """Forget a slot and free what nobody else uses; an unknown one is no error."""
+        """Forget a slot and free what no other slot uses; an unknown one is no error."""
         with freeing(self._context):
             self._slots.pop(slot, None)
             self._shown = [each for each in self._shown if each[0].slot != slot]
@@ -426,7 +426,7 @@ class Renderer(Closing):
 
     @property
     def image(self) -> moderngl.Framebuffer:
-        """The last frame, for whoever draws over it."""
+        """The last frame, for code that draws over it."""
         return self._images.final
 
     def present(self, target: moderngl.Framebuffer) -> None:

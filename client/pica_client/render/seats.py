@@ -32,7 +32,7 @@ Layout = Literal["line", "arc", "table", "grid"]
 LAYOUTS: tuple[Layout, ...] = get_args(Layout)
 
 SHOULDERS_M = 0.36
-"""Width of the shoulders of whoever has no avatar yet."""
+"""Width of the shoulders of a person without an avatar yet."""
 MIN_SHOULDERS_M, MAX_SHOULDERS_M = 0.22, 0.56
 """A head alone keeps room for its movements, and no file from a stranger pushes everybody aside."""
 SHOULDER_GAP_M = 0.025
@@ -77,15 +77,15 @@ STRIP_PER_LINE = 4
 STRIP_HEAD_SHARE = 0.26
 """Height of their heads, as part of the picture's height, at most."""
 MAX_STRIP_SHARE = 0.4
-"""Part of the picture that the strip takes at most: the rest is for whoever is pinned."""
+"""Part of the picture that the strip takes at most: the rest is for the pinned person."""
 CENTRING_LOSS = 1.35
-"""Whoever is pinned stands in the middle of the picture unless the strip makes the head this many
+"""A pinned person stands in the middle of the picture unless the strip makes the head this many
 times smaller there than in the middle of what it leaves."""
 PINNED_CHEST_M = 0.36
 """How far below the middle of a pinned head nothing of the strip may begin."""
 MAX_FREE = 0.5
 SETTLED_M = 0.002
-"""Who is nearer than this to where they should be, is there: nobody sees a difference."""
+"""Who is nearer than this to where they should be, is there: no difference is seen."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -116,7 +116,7 @@ class SeatPlan:
 
     def nearing(self, goal: SeatPlan, share: float) -> SeatPlan:
         """This plan, moved by a share of the way to another one for the same people; that one,
-        where nobody would see a difference."""
+        where no difference would be seen."""
         start, end = (
             np.array([plan.camera_m, plan.target_m, *plan.places_m]) for plan in (self, goal)
         )
@@ -165,7 +165,7 @@ def plan_seats(
     Args:
         count: Of people; the view for none is that for one.
         aspect: Columns divided by rows of the picture.
-        pinned: Index of the one who fills the picture; beyond `count` nobody is.
+        pinned: Index of the one who fills the picture; beyond `count` no one does.
         shoulders_m: Width of the broadest shoulders, within `MIN_SHOULDERS_M` to
             `MAX_SHOULDERS_M`.
 
@@ -316,7 +316,7 @@ def _plan_pinned(
 def _framing_pinned(
     frame: _Frame, edge: float, *, is_wide: bool, shoulders_m: float
 ) -> tuple[Float64Array, Float64Array]:
-    """The view of whoever is pinned, at the origin, beside a strip that begins at `edge`."""
+    """The view of the pinned person, at the origin, beside a strip that begins at `edge`."""
     origin, half_width = np.zeros((1, 3)), shoulders_m / 2
     if not is_wide:
         above, half_width = replace(frame, bottom=edge), min(HEAD_HALF_WIDTH_M, half_width)

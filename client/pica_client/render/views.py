@@ -79,7 +79,7 @@ class ViewState:
 
 @lru_cache(maxsize=8)
 def orbit_limits(plan: SeatPlan, spans: tuple[ViewSpan, ...]) -> OrbitLimits:
-    """How far the view may turn before somebody is seen from where their avatar was not trained,
+    """How far the view may turn before a person is seen from where their avatar was not trained,
     which is torn there: of each seat `spans` says from where. One that is beyond that already may
     not get further."""
     bounds = np.array([astuple(span) for span in spans], np.float64).reshape(len(spans), 2, 2)

@@ -1,7 +1,7 @@
 """One head of a call: what is seen of it, what was asked of its decoder, how it is drawn. Pure.
 
-A head is kept from frame to frame by whoever draws it, and is forgotten with it. In each frame its
-owner places it, the frame planner looks at it, and the scheduler chooses what it gets.
+A head is kept from frame to frame by the code that draws it, and is forgotten with it. In each
+frame its owner places it, the frame planner looks at it, and the scheduler chooses what it gets.
 
 When maps of another level arrive, or the mesh changes, the new ones fade in over `BLEND_S`: a level
 that comes and goes is never a jump of the picture.

@@ -1,14 +1,13 @@
 """What every head gets in a frame: level, what to decode, mesh, share of its stream. Pure.
 
 Theory of operation. The taller a head is, the more it gets: the coarsest level, the middle one, the
-full maps on the middle mesh, and on their own. A face that has changed is
-decoded anew, and drawn, when its maps are old enough: at once unless the head is tiny. When a frame
-is expected to cost more than its budget (`cost_model`), first those who only listen are drawn less
-often, then heads count as smaller, one after the other and the lowest first, until it fits. What
-the tests hold it to:
+full maps on the middle mesh, and on their own. A face that has changed is decoded again, and drawn,
+when its maps are old enough: at once unless the head is tiny. When a frame is expected to cost more
+than its budget (`cost_model`), first those who only listen are drawn less often, then heads count
+as smaller, one after the other and the lowest first, until it fits. What the tests hold it to:
 
 - The budget is kept whenever the least of everybody fits, but for the one oldest head that is
-  decoded in any case, so that nobody's maps grow older than `max_age_s`.
+  decoded in any case, so that no maps grow older than `max_age_s`.
 - A nearer head never gets less than a farther one with the same past.
 - The order of heads does not matter.
 - Who cannot be seen costs nothing: no decode, no pixel, and after a while no stream.

@@ -7,7 +7,7 @@ that ellipse tell which part of it lies on the screen, and which part nearer hea
 
 Where it ends: an ellipsoid is no head, its outline covers some tenths more or less than the drawn
 pixels. One that reaches through the near plane has no outline: it counts as filling the screen, and
-hides nobody, for we look through it. Hiders are taken a little smaller than they are, so that a
+hides no head, for we look through it. Hiders are taken a little smaller than they are, so that a
 head of which an edge is seen is not given up.
 """
 

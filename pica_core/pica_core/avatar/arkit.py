@@ -41,7 +41,7 @@ class ExpressionFrame:
         rotation: Head rotation as a rotation vector (axis times angle, radians), head to seat.
             float32 ``[3]``.
         translation_m: Head offset from its seat in metres, seat axes. float32 ``[3]``.
-        has_face: False while the tracker sees nobody.
+        has_face: False while the tracker sees no face.
     """
 
     captured_us: int

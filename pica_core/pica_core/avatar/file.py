@@ -1,7 +1,7 @@
 """The avatar file (``.pica``): weights and tables of one person, and a manifest about them.
 
 The file is plain safetensors; the manifest is JSON in its metadata. It holds numbers only: no
-graph, no shader, no pickle. Whoever reads one rebuilds graphs and shaders from `AvatarSpec`, so a
+graph, no shader, no pickle. A reader rebuilds graphs and shaders from `AvatarSpec`, so a
 stranger's file can look ugly but cannot run. Everything is checked here, once; code behind
 `load_avatar` trusts what it gets.
 
@@ -153,7 +153,7 @@ class Avatar:
     @property
     def judged(self) -> FloatArray | None:
         """How its levels look where people look, ``[L, 2, 4]`` as `levels.JUDGED` says; None if
-        nobody judged."""
+        were not judged."""
         found: FloatArray | None = self.tensors.get(level_tensors.JUDGED_NAME)
         return found
 

@@ -25,7 +25,7 @@ def shipped_portraits() -> dict[str, Path]:
 
 
 def avatar_file(named: Path) -> Path:
-    """The file that somebody means by a name: itself, or that of an avatar that ships.
+    """The file that a name means: itself, or that of an avatar that ships.
 
     Raises:
         AvatarFileError: It is neither a file's name nor that of a shipped avatar.

@@ -2,7 +2,7 @@
 
 Every default is the paper's (Ma et al., "Pixel Codec Avatars", CVPR 2021, section 3 and appendix
 A.1) unless its line says otherwise. A spec is data: it is written into avatar files and
-checkpoints, and whoever reads one rebuilds graphs and shaders from these numbers alone.
+checkpoints, and a reader rebuilds graphs and shaders from these numbers alone.
 """
 
 from __future__ import annotations

@@ -229,7 +229,7 @@ class LatentEncoder:
         self.restart()
 
     def restart(self) -> None:
-        """Send the next face, however still it is: nobody has seen what was sent before."""
+        """Send the next face, however still it is: no receiver has seen what was sent before."""
         self._sent: Int64Array | None = None
         self._sent_us = self._phase = 0
         self._quiet_since_us: int | None = None

@@ -59,7 +59,7 @@ class PixelCodecAvatar(interface.AvatarModel):
         self.encoder: interface.LatentEncoder = make_encoder(options.encoder)
         self.geometry: MapDecoder | LinearGeometry
         if spec.geometry == "bases":
-            assert prior.linear is not None  # whoever makes the prior asks the variant
+            assert prior.linear is not None  # the maker of the prior asks the variant
             self.encoder = LinearEncoder(self.encoder, prior.linear)
             self.geometry = LinearGeometry(prior.linear, prior.position_scale_m)
         else:

@@ -1,4 +1,4 @@
-"""A baseline dressed in somebody's mean face, for where no trained one is at hand.
+"""A baseline dressed in a given mean face, for where no trained one is at hand.
 
 It looks right and costs what a trained one costs; its motion means nothing.
 """

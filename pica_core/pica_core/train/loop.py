@@ -114,7 +114,7 @@ class Trainer:
     def run(self, on_step: Callable[[int, str, Losses], bool] | None = None) -> None:
         """Train from the current step to the end, with checkpoints on the way and at the end.
 
-        `on_step` is told each step's number, phase and losses, and says whether to go on.
+        `on_step` is told each step's number, phase and losses, and returns True to go on.
 
         Raises:
             TrainingDivergedError: Losses or weights are not finite. The last checkpoint stays.

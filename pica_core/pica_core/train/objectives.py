@@ -115,7 +115,7 @@ class Objectives:
         return self._poses is not None and bool(self._poses.cameras)
 
     def forget_codes(self) -> None:
-        """The model changed: encode the training frames anew when they are needed."""
+        """The model changed: encode the training frames again when they are needed."""
         self._codes = None
 
     def encode(self, frames: list[int]) -> tuple[Tensor, Tensor]:

@@ -1,8 +1,8 @@
-"""Who may enter: join tokens, signed by whoever runs the place, checked here. Times are arguments.
+"""Who may enter: join tokens, signed by the operator, checked here. Times are arguments.
 
 A token is a JWT (RFC 7519) signed with HMAC-SHA256 under a key that the relay knows by its id, and
 nothing else: the algorithm is pinned, whatever the token says. It names one room and one identity,
-what that identity may do there, and which avatars it may wear, so that nobody puts on another
+what that identity may do there, and which avatars it may wear, so that no peer puts on another
 person's face. It is checked when its owner joins; a connection outlives it. Keys are rotated by
 keeping the old one in the file until its last token has expired.
 """
@@ -30,7 +30,7 @@ ALGORITHM: Final = "HS256"
 AUDIENCE: Final = "pica-relay"
 ANY_AVATAR: Final = "*"
 ANY_ROOM: Final = "*"
-"""Stands for all rooms in an admin's token for ``GET /rooms``; it lets nobody into a room."""
+"""Stands for all rooms in an admin's token for ``GET /rooms``; it opens no room."""
 LEEWAY_S: Final = 10.0
 """How far the clocks of minter and relay may differ (chosen)."""
 MIN_SECRET_BYTES: Final = 32
@@ -46,7 +46,7 @@ _MAX_TIME_S: Final = 2.0**53
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Admission:
-    """What somebody may do in the room they join."""
+    """What a peer may do in the room that it joins."""
 
     identity: str = ""
     """Who it is for sure; empty without tokens."""
@@ -209,7 +209,7 @@ def admit(keys: KeyRing, join: Join, *, now: float) -> Admission:
         if name:
             check_name("name", name)
     except (KeyError, TypeError, AttributeError, ValueError) as error:
-        raise _unauthorized("the token names nobody") from error
+        raise _unauthorized("the token names no identity") from error
     admission = Admission(
         identity=identity,
         name=name,

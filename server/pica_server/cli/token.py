@@ -1,4 +1,4 @@
-"""`pica token`: let somebody into one room of a relay."""
+"""`pica token`: admit a person to one room of a relay."""
 
 import errno
 import os
@@ -49,7 +49,7 @@ class TokenOptions:
 def token(options: TokenOptions) -> dict[str, Any]:
     """Mint a join token for a relay that runs with --keys, and print it; or make a key.
 
-    The token is all that somebody needs to come in: hand it over on a private way.
+    The token is all that is needed to come in: hand it over on a private way.
 
     Raises:
         KeyFileError: The key file cannot be used.

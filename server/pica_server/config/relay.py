@@ -106,7 +106,7 @@ class RelayConfig:
     port: Annotated[int, Range(0, 65_535)] = 8765
     """TCP port; 0 takes a free one."""
     keys: Path | None = None
-    """File of the keys that join tokens are signed with, see `pica token`. With it nobody joins
+    """File of the keys that join tokens are signed with, see `pica token`. With it no one joins
     without a token."""
     max_token_s: Annotated[float, Range(0, 1e9)] = 0.0
     """The longest time that a token may hold, in seconds from its beginning to its end, to be taken

@@ -5,7 +5,7 @@ from collections import Counter
 from typing import Final
 
 MOST_REMEMBERED: Final = 4096
-"""Addresses whose pace is known; one more, and the one that has been known longest begins anew
+"""Addresses whose pace is known; one more, and the one that has been known longest begins again
 (chosen: half a megabyte)."""
 
 
@@ -67,7 +67,7 @@ class SocketGuard:
         self._open: Counter[str] = Counter()  # bounded by the number of open sockets
 
     def admit(self, group: str, now: float) -> bool:
-        """Say whether a new socket may stay; if so, ``opened`` or ``closed`` follows."""
+        """Return True if a new socket may stay; if so, ``opened`` or ``closed`` follows."""
         is_many = bool(group) and self._open[group] >= self._per_address
         if is_many or self._num_handshaking >= self._handshakes:
             return False

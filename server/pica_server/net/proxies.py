@@ -13,9 +13,9 @@ from urllib.parse import urlsplit
 Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 _Address = ipaddress.IPv4Address | ipaddress.IPv6Address
 PROXY_HEADERS: Final = ("X-Forwarded-For", "Forwarded", "X-Real-IP", "Via")
-"""Each tells that somebody asks for another one (RFC 7239; the others are custom)."""
+"""Each tells that a proxy asks for another client (RFC 7239; the others are custom)."""
 _MOST_HOPS = 64
-"""Looked at in one header; nobody has as many proxies (chosen)."""
+"""Looked at in one header; no deployment has as many proxies (chosen)."""
 
 
 def networks(names: Sequence[str]) -> tuple[Network, ...]:
@@ -41,13 +41,13 @@ def client_of(peer: str, headers: Sequence[str], trusted: Sequence[Network]) -> 
 
 
 def is_in(host: str, networks: Sequence[Network]) -> bool:
-    """Say whether an address is in one of the networks."""
+    """Return True if an address is in one of the networks."""
     address = _address(host)
     return address is not None and any(address in network for network in networks)
 
 
 def names_this_machine(host: str) -> bool:
-    """Say whether a ``Host`` header is one that no stranger's name server can have made."""
+    """Return True if a ``Host`` header rules out DNS rebinding."""
     try:
         return is_loopback(urlsplit(f"//{host}").hostname or "")
     except ValueError:
@@ -55,7 +55,7 @@ def names_this_machine(host: str) -> bool:
 
 
 def is_loopback(host: str) -> bool:
-    """Say whether an address is one that only this machine reaches."""
+    """Return True if only this machine reaches an address."""
     try:
         return host == "localhost" or ipaddress.ip_address(host).is_loopback
     except ValueError:

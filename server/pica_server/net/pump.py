@@ -261,7 +261,7 @@ class Pump:
                 if not outbox.is_waiting:
                     await has_more.wait()
                 if not outbox.is_urgent and connection.closed is None:
-                    # While somebody speaks, faces share the messages of the voice.
+                    # During speech, faces share the messages of the voice.
                     pace_s = RIDE_S if self._now() - voice_s < 2 * RIDE_S else _PACE_S
                     with suppress(TimeoutError):
                         async with asyncio.timeout(pace_s):
@@ -291,5 +291,5 @@ class Pump:
         """How long a peer may take to read the rest and to close."""
         if self._drain_ends_s is None:
             return self._config.close_timeout_s
-        # Nobody needs the place, and what waits for a slow reader is to reach it.
+        # The place is not needed, and what waits for a slow reader is to reach it.
         return max(self._drain_ends_s - self._now(), self._config.close_timeout_s)

@@ -72,7 +72,7 @@ EXTRA_FRAMES_BURST: Final = 100.0
 def set_tcp_option(sock: socket.socket | None, level: int, option: int, value: int) -> None:
     """Set an option of a socket, if that is one of TCP."""
     if sock is not None and sock.family in (socket.AF_INET, socket.AF_INET6):
-        with suppress(OSError):  # the peer may be gone already; whoever reads will find out
+        with suppress(OSError):  # the peer may be gone already; the reader will find out
             sock.setsockopt(level, option, value)
 
 
@@ -86,7 +86,7 @@ def bound_receive_buffer(sock: socket.socket | None, num_bytes: int) -> None:
 
 
 class _GoneTransport(asyncio.Transport):
-    """Stands for a transport that has ended. asyncio's own may raise when somebody ends it again,
+    """Stands for a transport that has ended. asyncio's own may raise when it is ended again,
     as the library does when it is late to notice."""
 
     def is_closing(self) -> bool:
@@ -107,7 +107,7 @@ class RelaySocket(ServerConnection):
     """A websocket that is counted from its first moment, and cut at once if it is one too many.
 
     Attributes:
-        descriptors: Says whether there are enough; None: nobody looks.
+        descriptors: Returns True if there are enough; None: not looked at.
         silent: Those of the relay that are admitted and have not asked for anything yet; it keeps
             itself in there.
         proxies: Whose word counts for who is behind them.
@@ -255,7 +255,7 @@ class RelaySocket(ServerConnection):
         self.is_misnamed = not (names_us or is_ours)
         if any(name in headers for name in PROXY_HEADERS):
             self.direct_from = ""
-            self.is_local = False  # somebody else asks through a proxy on this machine
+            self.is_local = False  # a client elsewhere asks through a proxy on this machine
             hops = headers.get_all("X-Forwarded-For")
             if is_ours and hops:
                 self.address = address_group(client_of(peer, hops, self.proxies))
@@ -358,8 +358,8 @@ class RelaySocket(ServerConnection):
         super().process_event(event)
 
     def _awaits_frame(self) -> bool:
-        """Say whether the library holds no part of a frame. Its buffer does not tell: it takes the
-        header out before the rest has come."""
+        """Return True if the library holds no part of a frame. Its buffer does not tell: it takes
+        the header out before the rest has come."""
         step: Any = self.protocol.parser
         while (inner := step.gi_yieldfrom) is not None:
             step = inner

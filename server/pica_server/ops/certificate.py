@@ -34,7 +34,7 @@ class Certificate:
         self.context = _context(cert, key)
 
     def has_changed(self) -> bool:
-        """Say whether the files are others than those that were last read, or tried."""
+        """Return True if the files are others than those that were last read, or tried."""
         return self._look() != self._stamp
 
     def reload(self) -> None:

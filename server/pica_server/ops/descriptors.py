@@ -41,14 +41,14 @@ class Descriptors:
         self._said_s = float("-inf")
 
     def has_room_for(self, number: int, now: float) -> bool:
-        """Say whether a socket with this descriptor may stay: the system gives the lowest one."""
+        """Return True if a socket with this descriptor may stay: the system gives the lowest."""
         if number < self._limit - RESERVED:
             return True
         self._note(now)
         return False
 
     def note_error(self, error: object, now: float) -> bool:
-        """Say whether an error means that there are none left; if so, it is said."""
+        """Return True if an error means that there are none left; if so, it is said."""
         is_short = isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE)
         if is_short:
             self._note(now)

@@ -1,13 +1,13 @@
 """The relay's log: lines of JSON or text, with numbers and ids instead of names and addresses.
 
-Whoever logs gives a message that is always the same and fields: ids that the relay made, codes,
+A logging call gives a message that is always the same and fields: ids that the relay made, codes,
 numbers. Room names, display names, addresses, tokens and payloads are no fields. Two rules hold for
 what others have written: of an error only its type and where it happened is logged, and of other
 libraries only that they said something. The JSON formatter is six lines; a library's would have
 to be told to leave all of this out.
 
 Strangers cause most lines, so there is a limit to how many a second they can cause. A thread writes
-them: whoever reads the log may stop reading, and that stops nothing but the log.
+them: the reader of the log may stop reading, and that stops nothing but the log.
 """
 
 import json
@@ -50,7 +50,7 @@ def logging_to(
     """Send all logs of the process from a level on to a stream for a while.
 
     Args:
-        stream: Where to; nobody waits for it.
+        stream: Where to; no caller waits for it.
         clock: Seconds, for the limit of lines.
 
     Yields:
@@ -108,7 +108,7 @@ class _Writer(logging.Handler):
 
     def _write_all(self) -> None:
         while (line := self._lines.get()) is not None:
-            with suppress(OSError, ValueError):  # nobody reads it any more, or the disk is full
+            with suppress(OSError, ValueError):  # it is not read any more, or the disk is full
                 self._write(line)
 
     def _write(self, line: str) -> None:
@@ -135,7 +135,7 @@ class LineLimit(logging.Filter):
         self._left_out = 0
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Say whether a line may be written."""
+        """Return True if a line may be written."""
         if not hasattr(record, "spoken"):
             if record.levelno < self._least:
                 return False
@@ -160,7 +160,7 @@ class JsonFormatter(logging.Formatter):
 
 
 class TextFormatter(logging.Formatter):
-    """Lines for people; what the command says to whoever started it stands alone."""
+    """Lines for people; what the command says to its user stands alone."""
 
     def format(self, record: logging.LogRecord) -> str:
         """Return the line."""
@@ -172,7 +172,7 @@ class TextFormatter(logging.Formatter):
 
 
 def say(logger: logging.Logger, event: str, spoken: str, **fields: Any) -> None:
-    """Log something for whoever started the command, whatever the level: a sentence, or in JSON an
+    """Log something for the user of the command, whatever the level: a sentence, or in JSON an
     event."""
     logger.info(event, extra={"spoken": spoken, **fields})
 

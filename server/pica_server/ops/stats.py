@@ -65,7 +65,7 @@ class RelayStats:
     much to do: ``late``. Besides: ``departed`` with either end; ``muted``."""
     resumes: Counter[str] = field(default_factory=Counter)
     """Peers who lost their connection and may come back: ``away``. Those who tried: ``resumed``;
-    ``unknown``, the place was not there (any more); ``unfit``, as somebody else."""
+    ``unknown``, the place was not there (any more); ``unfit``, as another peer."""
     unwanted: int = 0
     """Frames that a receiver had asked not to get."""
     frames_resumed: int = 0
@@ -74,7 +74,7 @@ class RelayStats:
     """Private messages (``Whisper``) passed on."""
     whispers_dropped: Counter[str] = field(default_factory=Counter)
     """Private messages that were not: the sender's ``rate`` was too high, or the receiver is not
-    in the room (``nobody``). A whisper that a slow receiver does not get counts as a frame."""
+    in the room (``absent``). A whisper that a slow receiver does not get counts as a frame."""
     limits_hit: Counter[str] = field(default_factory=Counter)
     """How often a limit was reached: ``messages``, ``bytes`` or ``metadata`` updates of a client,
     ``joins``, ``connections`` in all, ``address``, ``room``, ``control`` left unread; ``late``,
@@ -91,7 +91,7 @@ class RelayStats:
     ``upload_bytes``; ``faults`` of its place."""
     log: Counter[str] = field(default_factory=Counter)
     """Lines of the log that were ``taken`` to be written; ``dropped``, as too many waited because
-    nobody reads them."""
+    they are not read."""
     reported_lost: int = 0
     """Frames that receivers reported missing."""
     reported_concealed: int = 0

@@ -88,7 +88,7 @@ class StatusPages:
                 if self._hub.connections.is_draining:
                     return _verdict("draining")
                 if self._hub.overload.refuses(now):
-                    page = _verdict("late, nobody joins anew")
+                    page = _verdict("late, no new peers are admitted")
                     return replace(page, headers={"Retry-After": f"{CALM_S:.0f}"})
                 is_full = self._hub.num_connections >= self._config.max_connections
                 return _verdict("full" if is_full else "", self._placement_trouble)
@@ -103,7 +103,7 @@ class StatusPages:
     def _rooms(self, authorization: str) -> Page:
         """List the rooms that an admin's token is for, and who is in them."""
         if self._admin_room is None:
-            text = "this relay has no keys, so nobody has an admin's token\n"
+            text = "this relay has no keys, so there are no admin tokens\n"
             return Page(HTTPStatus.FORBIDDEN, text)
         scheme, _, token = authorization.partition(" ")
         if scheme.lower() != "bearer":
@@ -148,7 +148,7 @@ class StatusPages:
                 "placement_up": ("1 while NATS places rooms on relays.", float(is_up)),
                 "placement_relays": ("Relays that are alive, with this one.", num_relays),
                 "open_connections": ("Connections that are open now.", hub.num_connections),
-                "rooms": ("Rooms with somebody in them.", hub.num_rooms),
+                "rooms": ("Rooms with peers in them.", hub.num_rooms),
                 "draining": ("1 while everybody is sent away.", float(hub.connections.is_draining)),
                 "waiting_frames": ("Frames that wait for receivers.", hub.num_waiting_frames),
                 "waiting_control_bytes": (
@@ -156,7 +156,7 @@ class StatusPages:
                     hub.num_waiting_control_bytes,
                 ),
                 "overload": (
-                    "1 while the event loop is late and nobody joins anew.",
+                    "1 while the event loop is late and no new peers are admitted.",
                     float(hub.overload.refuses(now)),
                 ),
                 "loop_busy_ratio": ("How much of the time the event loop works.", hub.busy_ratio),

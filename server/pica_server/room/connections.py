@@ -1,6 +1,6 @@
 """Every connection of one relay: how it begins and ends, who is late, what is said to whom. Pure.
 
-What a connection means to others, a place in a room above all, is not known here: whoever knows is
+What a connection means to others, a place in a room above all, is not known here: the owner is
 told by ``on_over`` when one is over. That is when its ``closed`` is set; what it still has to send
 ends with a ``Bye``.
 
@@ -29,7 +29,7 @@ from pica_server.room.room import Room
 WHISPERS_PER_S = 16.0
 WHISPER_BURST = 128.0
 """What one peer may whisper: two rounds to everybody in the largest room at once, and then a round
-in four seconds (chosen: keys change when somebody comes or goes)."""
+in four seconds (chosen: keys change when a peer comes or goes)."""
 
 UPDATES_PER_S = 1.0
 UPDATES_BURST = 10.0
@@ -97,7 +97,7 @@ class Connections:
             only.
         on_over: Told of every connection that is over, once or more, to clear up after it; it
             begins with ``wind_up``.
-        is_draining: Whether everybody is being sent away, and nobody let in.
+        is_draining: All peers are being sent away, and none admitted.
     """
 
     def __init__(self, config: RelayConfig, stats: RelayStats) -> None:

@@ -165,7 +165,7 @@ class Forwarding:
         connections = self._connections
         receiver = connections.by_peer.get(whisper.peer_id)
         if receiver is None or receiver is connection or receiver.room is not room:
-            stats.whispers_dropped["nobody"] += 1
+            stats.whispers_dropped["absent"] += 1
             return
         message = encode_message(replace(whisper, peer_id=connection.peer_id))
         receiver.outbox.put_whisper(connection.peer_id, message, now)

@@ -76,8 +76,8 @@ class Moderation:
     """Does what admins ask for in their rooms: remove a participant, mute a kind of stream, bar an
     identity.
 
-    Only a participant whose token has the grant ``admin`` may ask. Whoever is not in the room any
-    more is left alone: the request and the leaving have crossed.
+    Only a participant whose token has the grant ``admin`` may ask. A participant who is not in the
+    room any more is left alone: the request and the leaving have crossed.
     """
 
     _connections: Connections
@@ -182,7 +182,7 @@ class Hub:
 
     @property
     def num_rooms(self) -> int:
-        """Rooms with somebody in them."""
+        """Rooms with peers in them."""
         return len(self.membership.rooms)
 
     def takes_rooms(self, now: float) -> bool:
@@ -191,7 +191,7 @@ class Hub:
         return not (is_full or self.connections.is_draining or self.overload.refuses(now))
 
     def room(self, name: str) -> Room | None:
-        """Return a room, or None if nobody is in it here."""
+        """Return a room, or None if no peer is in it here."""
         return self.membership.rooms.get(name)
 
     @property
@@ -259,7 +259,7 @@ class Hub:
     def drain(self, now: float) -> None:
         """Begin to send everybody away: who has no room at once, the rooms one after the other.
 
-        All that waits for them goes out before their goodbye. Nobody is let in any more.
+        All that waits for them goes out before their goodbye. No peer is admitted any more.
         """
         config, connections = self._config, self.connections
         connections.is_draining = True

@@ -41,7 +41,7 @@ class Membership:
     """The rooms of one relay and who is in them; it clears up after the connections.
 
     Attributes:
-        rooms: Every room with somebody in it, by name; to be read only.
+        rooms: Every room with a peer in it, by name; to be read only.
         placement: Finds the relay of a room that is not here; None without other relays.
     """
 
@@ -66,7 +66,7 @@ class Membership:
         self._connections.on_over = self.clear_up
 
     def join(self, connection: Connection, join: Join, now: float) -> None:
-        """Let somebody into a room, or close them."""
+        """Let a peer into a room, or close it."""
         limits, refuse = self._connections.config.limits, self._connections.refuse
         if connection.is_crowded and self._tickets.place_of(join.room, join.resume) is None:
             reason = f"{limits.connections_per_address} connections from one address"
@@ -93,7 +93,7 @@ class Membership:
 
     def _may_join(self, payer: str, now: float, *, is_back: bool) -> bool:
         """Return True if there is room for one more join, of this identity, place or address, and
-        in all; coming back to a place costs nobody else a join."""
+        in all; coming back to a place costs no other peer a join."""
         limits = self._connections.config.limits
         if self._joins is None:
             self._joins = TokenBucket(limits.joins_per_s, limits.joins_burst, now)
@@ -127,7 +127,7 @@ class Membership:
             self.give_up_away(room, "lost", now)
 
     def _let_in(self, connection: Connection, join: Join, admission: Admission, now: float) -> None:
-        """Let somebody into a room of this relay, or close them."""
+        """Let a peer into a room of this relay, or close it."""
         refuse = self._connections.refuse
         connection.is_resumable = join.resumable
         if join.resume and self._come_back(connection, join, admission, now):
@@ -154,7 +154,7 @@ class Membership:
         self._enter(connection, room, joined, admission, now)
 
     def update_metadata(self, connection: Connection, update: UpdateMetadata, now: float) -> None:
-        """Note what somebody says of themselves, and tell the others."""
+        """Note what a peer says of itself, and tell the others."""
         room, metadata, connections = connection.room, update.metadata, self._connections
         assert room is not None
         if not connection.updates.take(now):
@@ -187,7 +187,7 @@ class Membership:
             self.give_up(peer_id, "lost", now)
 
     def give_up(self, peer_id: str, reason: str, now: float) -> None:
-        """Take somebody who is away out of the room."""
+        """Take a peer that is away out of the room."""
         self._depart(self._away.pop(peer_id), reason, now)
 
     def give_up_away(self, room: Room, reason: str, now: float) -> None:
@@ -239,7 +239,7 @@ class Membership:
     def _come_back(
         self, connection: Connection, join: Join, admission: Admission, now: float
     ) -> bool:
-        """Let somebody come back to their place, if it is still there and theirs."""
+        """Let a peer come back to its place, if that is still there and its own."""
         peer_id = self._tickets.redeem(join.room, join.resume)
         if peer_id is None:
             self._stats.resumes["unknown"] += 1
@@ -248,13 +248,13 @@ class Membership:
         lost = self._away.get(peer_id)
         former = connections.by_peer[peer_id] if lost is None else lost
         if not room.is_place_of(peer_id, admission.identity, join.tracks):
-            # Whoever has the secret does not come as who they were: nobody else will.
+            # The peer that has the secret does not come as it was: no other will.
             self._stats.resumes["unfit"] += 1
             self.close(former, CloseCode.REPLACED, "your place was given up", now)
             return False
         self._stats.resumes["resumed"] += 1
         self._away.pop(peer_id, None)
-        if lost is None:  # it is dead, and nobody has noticed yet
+        if lost is None:  # it is dead, which was not noticed yet
             former.room = None
             former.session.close(CloseCode.REPLACED, "you have come back on another connection")
             connections.wind_up(former, now)
@@ -272,7 +272,7 @@ class Membership:
     def _accept(
         self, connection: Connection, room: Room, joined: Joined, admission: Admission, now: float
     ) -> None:
-        """Tell somebody that they are in, and what else is so in the room."""
+        """Tell a peer that it is in, and what else is so in the room."""
         connection.room, connection.is_admin = room, admission.may_admin
         joined = replace(joined, is_admin=admission.may_admin)
         if connection.is_resumable:
@@ -290,7 +290,7 @@ class Membership:
 
     def _make_place(self, room_name: str, now: float) -> None:
         """If a room is full, give up the place of who has been away longest in it and has no
-        identity: else whoever comes and drops connections keeps a room full of nobody."""
+        identity: else a peer that comes and drops connections keeps a room full of absent ones."""
         room = self.rooms.get(room_name)
         if room is not None and room.is_full:
             nobodies = [p for p in self._away if p in room and not room.peer(p).identity]
@@ -300,7 +300,7 @@ class Membership:
 
     def _replace(self, connection: Connection, join: Join, identity: str, now: float) -> None:
         """Close who is here under an identity that joins again: the newer one wins. Who has none is
-        known by what they say, and takes the place of nobody but who is away."""
+        known by what they say, and takes the place of an absent peer alone."""
         room = self.rooms.get(join.room)
         if room is None:
             return
@@ -314,7 +314,7 @@ class Membership:
             self.close_peer(peer_id, CloseCode.REPLACED, reason, now)
 
     def _depart(self, connection: Connection, reason: str, now: float) -> None:
-        """Take somebody whose connection is over out of the room, if they are in one."""
+        """Take a peer whose connection is over out of the room, if it is in one."""
         self._tickets.forget(connection.peer_id)
         room, connection.room = connection.room, None
         if room is not None:
@@ -334,13 +334,13 @@ class Membership:
 
 
 def _is_loss(closed: Closed) -> bool:
-    """Say whether somebody is gone whom the network took, and who will try to come back."""
+    """Return True if a peer was lost to the network, and will try to come back."""
     lost = (CloseCode.CONNECTION_LOST, CloseCode.INTERNAL_ERROR)
     return closed.code == CloseCode.TOO_SLOW or (closed.is_remote and closed.code in lost)
 
 
 def _farewell(closed: Closed) -> str:
-    """Say why somebody is gone in a word the others may see."""
+    """Return why a peer is gone in a word that the others may see."""
     if not closed.is_remote:
         return "removed"
     return "left" if closed.code == CloseCode.NORMAL else "lost"

@@ -1,12 +1,12 @@
 """Who may come back to their place in a room, with which secret, and until when. Pure.
 
-    place kept by nobody -- issue --> held -- go_away --> away -- redeem --> (issue again)
+    place not kept       -- issue --> held -- go_away --> away -- redeem --> (issue again)
                                        |                   |
                                        +--- redeem,        +--- grace over: take_expired
                                             forget
 
 A secret is good once. Only its hash is kept, so nothing that is looked at or printed here lets
-anybody in; and since whoever guesses has to find a preimage, comparing needs no constant time.
+anybody in; and since a guess has to find a preimage, comparing needs no constant time.
 """
 
 import hashlib

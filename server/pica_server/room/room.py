@@ -91,7 +91,7 @@ class Room:
         return self._streams.get(number)
 
     def join(self, peer_id: str, join: Join, admission: Admission) -> Joined:
-        """Let somebody in, allot streams to their tracks, and return what to tell them.
+        """Let a peer in, allot streams to its tracks, and return what to tell them.
 
         Raises:
             RoomFullError: The room has no place left.
@@ -130,15 +130,15 @@ class Room:
         member.default_every = 0
 
     def is_place_of(self, peer_id: str, identity: str, tracks: tuple[Track, ...]) -> bool:
-        """Say whether somebody who comes back with these tracks is who had this place."""
+        """Return True if a peer that comes back with these tracks had this place."""
         member = self._members.get(peer_id)
         if member is None or member.peer.identity != identity:
             return False
         return tuple(replace(track, stream=0) for track in member.peer.tracks) == tracks
 
     def is_like(self, peer_id: str, join: Join) -> bool:
-        """Say whether a peer without an identity has the name and the tracks of somebody who joins:
-        who has crashed and begun anew, as far as can be told."""
+        """Return True if a peer without an identity has the name and the tracks of one that joins:
+        one that has crashed and restarted, as far as can be told."""
         name = self._members[peer_id].peer.name
         return name == join.name and self.is_place_of(peer_id, "", join.tracks)
 

@@ -92,7 +92,7 @@ class Uploads:
         return CloseCode.NORMAL, ""
 
     async def _offer(self, websocket: RelaySocket) -> Offer:
-        """Take the offer, from somebody who may make it."""
+        """Take the offer of a peer that may make it."""
         late = TooLateError("no offer came", CloseCode.HANDSHAKE_TIMEOUT)
         async with _within(self._offer_timeout_s, late):
             offer = decode_store_message(await _binary(websocket))

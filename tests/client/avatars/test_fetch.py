@@ -357,19 +357,12 @@ async def test_under_tls_avatars_go_both_ways_for_who_trusts_the_relay(
 
 
 @pytest.mark.asyncio
-async def test_a_refused_avatar_says_why_and_whether_later_will_help(
-    toy: AvatarFile, tmp_path: Path
-) -> None:
-    (tmp_path / "bad.pica").write_bytes(b"x" * 100_000)
-    async with store_relay() as relay:
-        with pytest.raises(PushError, match="no avatar file") as caught:
-            await push(relay.url, tmp_path / "bad.pica")
-        assert not caught.value.is_worth_retrying
+async def test_a_refused_avatar_says_why_and_whether_later_will_help(toy: AvatarFile) -> None:
     async with store_relay("none") as relay:
         with pytest.raises(PushError, match="keeps no avatars") as caught:
             await push(relay.url, toy.path)
         assert not caught.value.is_worth_retrying
-    with pytest.raises(PushError, match="nobody answers") as caught:
+    with pytest.raises(PushError, match="no answer") as caught:
         await push("ws://127.0.0.1:9", toy.path)
     assert caught.value.is_worth_retrying
 

@@ -235,7 +235,7 @@ def test_a_whisper_stays_in_its_room() -> None:
         ada.session.tell(Whisper(peer_id=receiver, data=b"key"))
     ada.speak(now=1.0)
     assert eve.listen(now=1.0) == ada.listen(now=1.0) == []
-    assert hub.stats.whispers_dropped == {"nobody": 3}
+    assert hub.stats.whispers_dropped == {"absent": 3}
 
 
 def test_who_whispers_too_much_is_not_heard_for_a_while() -> None:

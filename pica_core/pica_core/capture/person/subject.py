@@ -63,7 +63,7 @@ class PersonSubject(Subject):
         super().__init__(
             head,
             {
-                "source": "synthetic: a person of ICT-FaceKit Light's modes; nobody's likeness",
+                "source": "synthetic: a person of ICT-FaceKit Light's modes, not a real one",
                 "licence": RIGHTS,
                 "person": asdict(person),
             },

@@ -65,8 +65,8 @@ class CaptureMeshes:
         self._map = lru_cache(MAX_MAPS)(self._map_of)
 
     def use(self, source: MeshSource) -> bool:
-        """Choose what encoder and mesh loss are given: exact meshes or the tracker's. Says whether
-        the capture has them; without exact meshes it stays at the tracked ones."""
+        """Choose what encoder and mesh loss are given: exact meshes or the tracker's. Return True
+        if the capture has them; without exact meshes it stays at the tracked ones."""
         self.source = source if self._capture.has_truth else "tracked"
         return self.source == source
 

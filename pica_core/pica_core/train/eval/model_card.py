@@ -10,7 +10,7 @@ EVALUATION_FILE = "evaluation.json"
 
 
 def model_card(trainer: Trainer, run: Path) -> dict[str, str]:
-    """Entries in words, for `pica avatar info` and whoever gets the file; nothing of errors where
+    """Entries in words, for `pica avatar info` and readers of the file; nothing of errors where
     the run's folder has no evaluation."""
     model, data = trainer.config.model, trainer.data
     camera = data.capture.cameras[0]

@@ -30,7 +30,7 @@ REGIONS = ("mouth", "eyes", "rest")
 _REST = len(REGIONS) - 1
 _NOTHING = 255
 NOT_ASKED = "not asked for"
-"""Why there is no near field, if nobody wanted one."""
+"""Why there is no near field, if none was wanted."""
 NEAR_DISTANCE_M = 0.12
 """Distance of the camera from the lips (chosen: at 18 cm the paper's user sees the face fill the
 screen)."""
@@ -136,8 +136,8 @@ def near_camera(capture: Capture, vertices_m: FloatArray) -> Camera:
 
 
 def near_field(data: TrainingData, frames: list[int]) -> NearField | str:
-    """Draw the truth of some frames close to the mouth, or say why nobody can. Makes and releases a
-    GL context."""
+    """Draw the truth of some frames close to the mouth, or return why that is impossible. Makes
+    and releases a GL context."""
     capture = data.capture
     if not {"lips", "mouth"} & set(capture.topology.regions):
         return "the capture's topology names no lips"
@@ -154,10 +154,10 @@ def near_field(data: TrainingData, frames: list[int]) -> NearField | str:
 
 @contextmanager
 def _on_stage(data: TrainingData, frame: int) -> Iterator[PersonSubject | str]:
-    """The capture's subject, or why nobody can draw it."""
+    """The capture's subject, or why it cannot be drawn."""
     capture = data.capture
     if "person" not in capture.info or not capture.has_truth:
-        yield "nobody can draw this capture's subject from a place without a camera"
+        yield "this capture's subject cannot be drawn from a place without a camera"
         return
     subject = PersonSubject(person_of(capture.info["person"]))
     try:

@@ -66,9 +66,9 @@ IMPORTANCE = (80.0, 6.0)
 """How much errors of a mesh count at eyes and at a mouth, where they count 1 elsewhere (measured on
 three heads: docs/architecture.md)."""
 MENDINGS = 3
-"""How often meshes are made anew because one piece pokes through another."""
+"""How often meshes are made again because one piece pokes through another."""
 GOOD_POKE = 1e-4
-"""Ratio of a picture's pixels that may poke through before a mesh is made anew."""
+"""Ratio of a picture's pixels that may poke through before a mesh is made again."""
 MENDED = (4.0, 300.0)
 """How many times more errors count each time where something pokes through, and at most."""
 POKE_SHAPES = 24
@@ -329,7 +329,7 @@ def _scatter(
 def _simplify(level: _FullLevel, regions: tuple[Array, ...], options: LevelOptions) -> list[Array]:
     """A mesh for each level, the coarsest first; each uses vertices of the next finer one.
 
-    Where something pokes through the coarsest one, errors count more, and all are made anew; those
+    Where something pokes through the coarsest one, errors count more, and all are made again; those
     stay through which least pokes.
     """
     avatar, shapes_m = level.avatar, level.moving_vertices_m[: 1 + STRONG_SHAPES]
