@@ -21,11 +21,12 @@ from pica_core.avatar.file import Avatar
 from pica_core.types import Array
 
 TEXTURE_PX = 1024
-"""Side of the texture (chosen: one size for every head; no other size was compared)."""
+"""Side of the texture (measured on heads at 18 to 200 cm: MSE 0.3 to 0.6 against decoded pixels; at
+512 it is 0.4 to 0.8, for 22 of 169 ms less when an avatar comes). It is looked up bilinearly: three
+mip levels cost 1 ms of an image of 2.4, and leave more error, in stills and in what changes as a
+head moves."""
 MARGIN_PX = 8
 """So far beside its charts a texture has their colours."""
-MIP_LEVELS = 3
-"""Smaller copies of the texture: as many as the margin serves."""
 _WHOLE_SCREEN = (-1.0, -1.0, 1.0, 1.0)
 
 
@@ -74,8 +75,6 @@ def bake_texture(
     shade.render(moderngl.TRIANGLE_STRIP, vertices=4)
     context.depth_func = "<"
     context.detect_framebuffer(0).use()  # those of here are freed
-    texture.build_mipmaps(0, MIP_LEVELS)
-    texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
     return texture
 
 

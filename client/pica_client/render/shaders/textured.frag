@@ -18,13 +18,6 @@ layout(location = 0) out vec4 colour;
 #include "turns.glsl"
 #endif
 
-#ifdef STATIC
-// As surface_joint.glsl looks its map up, so that both sides of a seam are as sharp.
-const float LOD_BIAS = -0.5;
-#else
-const float LOD_BIAS = 0.0;
-#endif
-
 void main() {
 #ifdef STATIC
     // At its seam it takes turns with the decoded surface below, and where two levels are mixed
@@ -34,5 +27,5 @@ void main() {
         discard;
     }
 #endif
-    colour = vec4(texture(skin, surface_uv, LOD_BIAS).rgb, presence(surface_xyz_m));
+    colour = vec4(textureLod(skin, surface_uv, 0.0).rgb, presence(surface_xyz_m));
 }
