@@ -48,8 +48,10 @@ class SchedulerOptions:
     """Height from which a head gets more than the coarsest level: the next to full one, or full
     maps on the coarsest mesh if there is none (all thresholds are tuned on one avatar at 50
     and 130 cm)."""
-    mesh_px: tuple[float, ...] = (250.0, 500.0)
-    """Heights from which it gets full maps on the next finer mesh, on the full one at last."""
+    mesh_px: tuple[float, ...] = (250.0, 900.0)
+    """Heights from which it gets full maps on the next finer mesh, on the full one at last: there,
+    three pixels show a triangle (measured with five at 65 cm: 36 % of the triangles, 79 % of the
+    processor time of an image, at an error of 7.6 in place of 4.2)."""
     refresh_px: float = 20.0
     """Height from which every face is decoded; of heads half as high every second one."""
     least_change: float = 0.05

@@ -147,7 +147,7 @@ def test_a_change_of_mesh_fades_in_too(avatar: Avatar) -> None:
     meshes = []
     for frame in range(60):
         now = frame * FRAME_S
-        ada.world_from_head[2, 3] = 0.4 if frame < 20 else -0.4
+        ada.world_from_head[2, 3] = 0.5 if frame < 20 else -0.4
         for _, request in asked(planner, ada, now=now):
             planner.note_decoded(ada, decoded("ada", request.level or 0), 1e-4, now=now)
         meshes.append(ada.dressed(placement, now))

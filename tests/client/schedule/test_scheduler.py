@@ -45,7 +45,7 @@ def test_a_near_talking_head_gets_everything_while_there_is_time() -> None:
 
 
 def test_detail_follows_the_height_on_the_screen() -> None:
-    heights = (30, 100, 300, 600)
+    heights = (30, 100, 300, 1000)
     found = [detail(choose(view(head_px=px, held_level=None))) for px in heights]
     assert found == [(64, 64), (128, 128), (256, 128), (256, 256)]
 
@@ -73,11 +73,11 @@ def test_a_head_without_maps_is_decoded_at_once_even_without_a_budget() -> None:
 
 
 def test_without_a_budget_a_resting_head_is_drawn_as_coarsely_as_can_be() -> None:
-    resting = view(head_px=600, latent_change=0.0, view_turn_rad=0.0)
+    resting = view(head_px=1000, latent_change=0.0, view_turn_rad=0.0)
     choice = choose(resting, budget_s=0.0)
     assert choice.mesh_level == 64
     assert choice.is_limited
-    assert choose(view(head_px=600, latent_change=0.0, view_turn_rad=0.0)).mesh_level == 256
+    assert choose(view(head_px=1000, latent_change=0.0, view_turn_rad=0.0)).mesh_level == 256
 
 
 def test_where_time_is_short_listeners_are_drawn_less_often_before_anybody_is_coarser() -> None:
@@ -175,8 +175,8 @@ def test_levels_do_not_flap_when_a_head_sways_at_the_edge_of_a_level() -> None:
 
 def test_levels_do_not_flap_when_the_budget_is_on_the_edge() -> None:
     scheduler = Scheduler()
-    head = view(head_px=600)
-    full_s = choose(view(head_px=600)).cost_s + DrawCost().frame_s
+    head = view(head_px=1000)
+    full_s = choose(view(head_px=1000)).cost_s + DrawCost().frame_s
     found = []
     for frame in range(900):
         budget_s = full_s + 1e-4 * (1 if frame % 2 else -1)
@@ -209,7 +209,7 @@ def test_two_heads_that_sway_side_by_side_do_not_take_detail_from_each_other() -
 
 
 def test_detail_that_the_budget_took_comes_back_with_the_budget() -> None:
-    scheduler, head = Scheduler(), view(head_px=600)
+    scheduler, head = Scheduler(), view(head_px=1000)
     assert scheduler.plan([head], 0.0, 1.0).choices["ada"].mesh_level == 64
     assert scheduler.plan([head], AMPLE_S, 2.0).choices["ada"].mesh_level == 256
 
@@ -251,9 +251,9 @@ def test_two_eyes_decode_once_and_draw_twice() -> None:
 
 
 def test_the_plan_says_from_whom_the_budget_kept_something() -> None:
-    made = plan(view("near", head_px=600), view("far", head_px=60), budget_s=0.008)
+    made = plan(view("near", head_px=1000), view("far", head_px=60), budget_s=0.008)
     assert any(choice.is_limited for choice in made.choices.values())
-    free = plan(view("near", head_px=600), view("far", head_px=60))
+    free = plan(view("near", head_px=1000), view("far", head_px=60))
     assert not any(choice.is_limited for choice in free.choices.values())
 
 
