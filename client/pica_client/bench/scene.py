@@ -41,7 +41,8 @@ FPS = 30.0
 WARM_UP_FRAMES = 12
 """Frames of each case that do not count: costs are learned."""
 TURN_FRAMES = 5
-"""Frames of a case before the next one has its turn; the error of the first is measured."""
+"""Frames of a case before the next one has its turn. The error of the last is measured: the maps of
+the first are still those of the case before."""
 FULL_SCREEN_CM = 18.0
 """Where one head fills the screen; the paper's nearest distance."""
 TIMES = ("plan", "decode", "upload", "draw", "total", "cpu")
@@ -144,10 +145,11 @@ class _Bench:
     def turn(self, case: _Case, number: int) -> Turn:
         """Draw some frames of a case; those of a negative number warm up."""
         count = TURN_FRAMES if number >= 0 else WARM_UP_FRAMES
-        frames = [self._frame(case, has_error=number >= 0 and not index) for index in range(count)]
+        frames = [self._frame(case, has_error=False) for _ in range(count - 1)]
+        frames.append(self._frame(case, has_error=number >= 0))
         return {
             name: float(np.mean([frame[name] for frame in frames if name in frame]))
-            for name in frames[0]
+            for name in frames[-1]
         }
 
     def row(self, case: _Case, turns: Sequence[Turn]) -> dict[str, Any]:
