@@ -10,7 +10,7 @@ import ctypes
 import sys
 from typing import Any
 
-from pica_client.render.gpu_tables import LAST_SHADERS, lay_out
+from pica_client.render.gpu_tables import lay_out
 from pica_client.render.shader_source import compose
 from pica_core.avatar.file import load_avatar
 from pica_core.avatar.shipped import shipped_avatar_files
@@ -66,9 +66,7 @@ def main() -> int:
         print("no driver of GL ES 3.0")
         return UNABLE
     texts = [(VERTEX_SHADER, compose("rect.vert", dialect="300 es"))]
-    fragments = [(name, {}) for name in LAST_SHADERS]
-    fragments += [(step.shader, step.defines) for step in laid_out[0].passes]
-    for name, defines in fragments:
+    for name, defines in laid_out[0].shaders:
         sizes = {key: str(value) for key, value in defines.items()}
         texts.append((FRAGMENT_SHADER, compose(name, dialect="300 es", defines=sizes)))
     for kind, source in texts:

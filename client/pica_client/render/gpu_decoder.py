@@ -31,7 +31,7 @@ from pica_client.errors import OptionError
 from pica_client.render.draw_clock import DrawClock
 from pica_client.render.gpu_maps import MapView
 from pica_client.render.gpu_program import build_program, clamp, set_values
-from pica_client.render.gpu_tables import LAST_SHADERS, VECTOR, Pass, Plan, lay_out
+from pica_client.render.gpu_tables import GATHER, SHEET, VECTOR, Pass, Plan, lay_out
 from pica_client.render.renderer import Renderer
 from pica_client.render.shader_source import compose
 from pica_client.system import Closing
@@ -313,7 +313,8 @@ class _Bank:
         self._trunk = [_Step(context, step) for step in plan.trunk]
         self._exits = {level: _Step(context, last) for level, (_, last) in plan.exits.items()}
         self._vertices = [_Step(context, step) for step in plan.vertices]
-        self._gather, self._sheet = (_screen(context, name, {}) for name in LAST_SHADERS)
+        self._full = _screen(context, plan.full.shader, plan.full.defines)
+        self._gather, self._sheet = (_screen(context, name, {}) for name in (GATHER, SHEET))
         self._pages: dict[tuple[int, bool], list[_Page]] = defaultdict(list)
 
     def __contains__(self, avatar: Avatar) -> bool:
@@ -381,10 +382,14 @@ class _Bank:
             left = [place for place, length in enumerate(lengths) if length == number + 1]
             if not left:
                 continue
-            if (last := self._exits.get(jobs[left[0]].level)) is not None:
+            tiles = {place: jobs[place].codes for place in left}
+            last = self._exits.get(jobs[left[0]].level)
+            if last is None:
+                _draw_tiles(self._full, tiles)
+            else:
                 last.draw(left[-1] + 1, self._textures)
                 last.bind()
-            _draw_tiles(self._gather, {place: jobs[place].codes for place in left})
+                _draw_tiles(self._gather, tiles)
             if left[0] == 0:
                 return
             step.bind()

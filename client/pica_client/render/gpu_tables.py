@@ -33,7 +33,7 @@ DIRECTIONS_STEP, SHEET_STEP = 512, 32
 (chosen: the shipped avatars have 1,418 to 1,489, and 77 to 113)."""
 TableName = Literal["half", "exact"]
 CONVOLVE, EXPAND, DENSE = (f"decode_{name}.frag" for name in ("convolve", "expand", "dense"))
-LAST_SHADERS = "decode_gather.frag", "decode_sheet.frag"
+FULL, GATHER, SHEET = (f"decode_{name}.frag" for name in ("full", "gather", "sheet"))
 """What draws a head's own maps."""
 
 
@@ -62,18 +62,21 @@ class Plan:
     """The steps of a decoder."""
 
     trunk: tuple[Pass, ...]
-    """To the full expression map: a convolution and an expansion for each block."""
+    """Towards the full expression map: a convolution and an expansion for each block."""
+    full: Pass
+    """The last expansion, straight into a head's own map."""
     exits: Mapping[int, tuple[int, Pass]]
-    """To that of a level below: so many steps of the trunk, and the one after them."""
+    """To the map of a level below: so many steps of the trunk, and the one after them."""
     vertices: tuple[Pass, ...]
     """From latents to weights of bases, and to the directions of all regions."""
     sheet_rows: Mapping[int, int]
     """Room for the vertices of each level, rows of so many columns."""
 
     @property
-    def passes(self) -> tuple[Pass, ...]:
-        """All of them."""
-        return (*self.trunk, *(last for _, last in self.exits.values()), *self.vertices)
+    def shaders(self) -> list[tuple[str, Mapping[str, int]]]:
+        """Files and defines of all fragment shaders."""
+        steps = (*self.trunk, self.full, *(last for _, last in self.exits.values()), *self.vertices)
+        return [(GATHER, {}), (SHEET, {}), *((step.shader, step.defines) for step in steps)]
 
     def trunk_length(self, level: int) -> int:
         """How many steps of the trunk a level takes."""
@@ -81,9 +84,9 @@ class Plan:
 
     def multiply_adds(self, level: int) -> int:
         """Work of a level's expression map."""
-        steps = self.trunk[: self.trunk_length(level)]
-        last = self.exits[level][1].multiply_adds if level in self.exits else 0
-        return last + sum(step.multiply_adds for step in steps)
+        last = self.exits[level][1] if level in self.exits else self.full
+        steps = (*self.trunk[: self.trunk_length(level)], last)
+        return sum(step.multiply_adds for step in steps)
 
 
 class _Table:
@@ -133,10 +136,9 @@ def lay_out(avatar: Avatar) -> tuple[Plan, dict[str, Array]] | None:
             outs, weight = vectors(layer.out_channels // VECTOR), tensors[f"{layer.name}.weight"]
             defines = {"SIZE": size, "IN_VECTORS": ins, "WEIGHTS": half.add(_phases(weight))}
             defines["BIAS"] = half.add(_phase_biases(tensors[f"{layer.name}.bias"]))
-            defines["IS_LEAKY"] = int(2 * size < spec.map_size)
             trunk.append(
                 Pass(
-                    shader=EXPAND,
+                    shader=EXPAND if 2 * size < spec.map_size else FULL,
                     defines=defines,
                     columns=outs * size,
                     rows=size,
@@ -158,7 +160,8 @@ def lay_out(avatar: Avatar) -> tuple[Plan, dict[str, Array]] | None:
     columns = (vectors(len(weight)), vectors(len(mix)))
     sheets = {level: _sheet(avatar, level) for level in avatar.levels}
     plan = Plan(
-        trunk=tuple(trunk),
+        trunk=tuple(trunk[:-1]),
+        full=trunk[-1],
         exits=exits,
         vertices=(
             Pass(shader=DENSE, defines=bases, columns=columns[0], rows=1, table="exact"),

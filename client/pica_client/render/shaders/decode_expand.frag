@@ -11,7 +11,7 @@ layout(location = 3) out vec4 value3;
 #include "decode_texel.glsl"
 
 vec4 leaky(vec4 value) {
-    return IS_LEAKY == 1 ? max(value, 0.2 * value) : value;
+    return max(value, 0.2 * value);
 }
 
 void main() {

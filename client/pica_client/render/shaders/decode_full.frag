@@ -1,0 +1,24 @@
+// The full expression maps of some heads: the last 1x1 convolution, and the pixel shuffle after it.
+
+layout(location = 0) out vec4 value;
+
+#include "decode_tables.glsl"
+#include "decode_tiles.glsl"
+#include "decode_phases.glsl"
+#include "decode_texel.glsl"
+
+void main() {
+    ivec3 place = head_and_texel();
+    int head = place.x;
+    if (head < 0) {
+        discard;
+    }
+    int avatar = avatar_of(head);
+    ivec2 texel = place.yz;
+    int phase = 2 * (texel.y & 1) + (texel.x & 1);
+    value = number(BIAS + phase, avatar);
+    for (int from = 0; from < IN_VECTORS; ++from) {
+        mat4 weights = block(WEIGHTS + 16 * from + 4 * phase, avatar);
+        value += weights * read_texel(texel >> 1, SIZE / 2 * ivec2(from, head));
+    }
+}
