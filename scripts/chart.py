@@ -279,7 +279,11 @@ def chart_codec() -> None:
         "encode + decode, µs": lambda row: f"{row['encode_us']:.0f}+{row['decode_us']:.0f}",
     }
     left_out = [f"quality-{number}" for number in (1, 2, 4, 5, 6)]
-    rows = [row for row in line["result"]["rows"] if row["profile"] not in left_out]
+    rows = [
+        row
+        for row in line["result"]["rows"]
+        if row["profile"] not in left_out and not row["source"].endswith("range_of_motion")
+    ]
     fill_in("codec", table(rows, columns), source_line(line))
 
 
@@ -319,28 +323,25 @@ def chart_voice() -> None:
 
 
 def chart_drive() -> None:
-    """Fill in each avatar under live drive, its levels side by side."""
+    """Fill in each avatar as a real recording drives it, its levels side by side."""
     lines = read_lines("drive")
-    levels: dict[tuple[str, str], list[Row]] = defaultdict(list)
+    levels: dict[str, list[Row]] = defaultdict(list)
     for line in lines:
         for row in line["result"]["rows"]:
-            levels[row["avatar"], row["source"]].append(row)
+            if row["source"].startswith("csv:"):
+                levels[row["avatar"]].append(row)
 
     def cell(key: str, form: str) -> Column:
         return lambda row: " / ".join(form.format(level[key]) for level in row["levels"])
 
     columns: dict[str, Column] = {
         "avatar": "avatar",
-        "source": "source",
         "MSE at 64 / 128 / 256": cell("mse", "{:.1f}"),
         "lids, mm": lambda row: f"{row['levels'][-1]['lid_mm']:.2f}",
         "lips, mm": lambda row: f"{row['levels'][-1]['lip_mm']:.2f}",
         "poke at 64": lambda row: f"{row['levels'][0]['poke_ratio']:.3%}",
     }
-    rows = [
-        {"avatar": avatar, "source": source_of(source), "levels": each}
-        for (avatar, source), each in levels.items()
-    ]
+    rows = [{"avatar": avatar, "levels": each} for avatar, each in levels.items()]
     fill_in("drive", table(rows, columns), source_line(lines[-1]))
 
 
@@ -352,8 +353,6 @@ def chart_gpu() -> None:
         "heads": "heads",
         "decoded": lambda row: {"cpu": "ONNX Runtime", "gpu": "in shaders"}[row["mode"]],
         "decode, ms": "{decode_ms:.1f}",
-        "upload, kB": "{upload_kb:,.0f}",
-        "draw, ms": "{draw_ms:.1f}",
         "drawing thread, ms": "{thread_ms:.1f}",
         "images/s": "{images_s:.0f}",
         "faces decoded an image": "{decodes_an_image:.1f}",
