@@ -11,11 +11,11 @@ from imgui_bundle import imgui
 
 from pica_client.call.participants import notices
 from pica_client.call.status import CallStatus, PeerStatus
-from pica_client.render.labels import place_labels
 from pica_client.render.seats import FreeShares
 from pica_client.ui.actions import Request
 from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter
 from pica_client.ui.call_view import CallView, Notice, NoticeBoard, OwnFaceView, Panel, PersonView
+from pica_client.ui.labels import place_labels
 from pica_client.ui.panels.bar import control_bar, first_hint, leave_question
 from pica_client.ui.panels.overlay import (
     free_shares,
