@@ -185,19 +185,8 @@ def _candidates() -> list[str]:
 
 
 def _declare(library: Any) -> None:
-    pointer, number = ctypes.c_void_p, ctypes.c_int
-    out = ctypes.POINTER(ctypes.c_int)
-    signatures: dict[str, tuple[Any, list[Any]]] = {
-        "opus_encoder_create": (pointer, [number, number, number, out]),
-        "opus_encoder_destroy": (None, [pointer]),
-        "opus_encode_float": (number, [pointer, pointer, number, ctypes.c_char_p, number]),
-        "opus_packet_unpad": (number, [ctypes.c_char_p, ctypes.c_int32]),
-        "opus_decoder_create": (pointer, [number, number, out]),
-        "opus_decoder_destroy": (None, [pointer]),
-        "opus_decode_float": (number, [pointer, ctypes.c_char_p, number, pointer, number, number]),
-        # Variadic: only what comes first is declared.
-        "opus_encoder_ctl": (number, [pointer, number]),
-    }
-    for name, (result, arguments) in signatures.items():
-        function = getattr(library, name)
-        function.restype, function.argtypes = result, arguments
+    for name in ("opus_encoder_create", "opus_decoder_create"):
+        getattr(library, name).restype = ctypes.c_void_p
+    # Variadic: Apple's processors need to know what comes first.
+    library.opus_encoder_ctl.argtypes = [ctypes.c_void_p, ctypes.c_int]
+    library.opus_packet_unpad.restype = ctypes.c_int  # missing before libopus 1.1
