@@ -24,10 +24,10 @@ from pica_client.playout.transit import RESTART_FRAMES, Transit
 from pica_core.codec.latent_sample import ReceivedFrame
 from pica_protocol.frames import Frame, sequence_distance
 
-FUTURE_S = 0.5
-"""A frame this much faster than the fastest, and than the newest, is of another clock (chosen: more
-than twice the usual ceiling of the delay; smaller steps the transit follows by itself). After a
-stall at the very beginning frames are faster than the fastest one by one."""
+FUTURE_S = 0.2
+"""A frame this much faster than the fastest, and than the newest, is of another clock (chosen: the
+usual ceiling of the delay; smaller steps the transit follows by itself). After a stall at the very
+beginning frames are faster than the fastest one by one."""
 
 LATE_S = 10.0
 """A frame of an earlier sequence that is later than this belongs to another beginning (chosen: a

@@ -30,12 +30,6 @@ CAPACITY = 2048
 """Frames that the window holds; it drops its oldest beyond (chosen: 6 s at 240 fps and some)."""
 MAX_DELAY_S = 1.0
 """A longer delay is not waited for at all: this machine slept, or the network stood."""
-FALL_S = 0.02
-"""Most by which one frame may lower the fastest transit (chosen: less than anybody sees)."""
-NUM_AGREEING = 3
-"""Frames in a row that may lower it by more."""
-NUM_FREE_FRAMES = 8
-"""Frames at the beginning that may lower it by any amount: there is nothing to spoil yet."""
 RESTART_FRAMES = 1000
 """A sequence this far behind is not late, and one this far ahead is no gap but a new beginning
 (chosen: four seconds at 240 fps)."""
@@ -62,17 +56,11 @@ class Transit:
         self.fastest_s, self.jitter_s = transit_s, 0.0
         self._quantile = quantile
         self._arrivals: deque[_Arrival] = deque(maxlen=CAPACITY)
-        self._latest: deque[float] = deque(maxlen=NUM_AGREEING)  # transits as they came
-        self._num_frames = 0
         self._last = (-math.inf, -math.inf)  # arrived_s, media_s
 
     def receive(self, media_s: float, arrived_s: float) -> None:
         """Take a frame into account."""
         transit_s = arrived_s - media_s
-        self._num_frames += 1
-        self._latest.append(transit_s)
-        if self._num_frames > NUM_FREE_FRAMES:
-            transit_s = max(transit_s, min(self.fastest_s - FALL_S, max(self._latest)))
         last_arrived_s, last_media_s = self._last
         is_burst = arrived_s - last_arrived_s < 0.5 * (media_s - last_media_s)
         self._last = (arrived_s, media_s)

@@ -11,7 +11,7 @@ import pytest
 from helpers.playout_trial import face
 from pica_client.playout.motion import Correction, coasted_s
 from pica_client.playout.playhead import Playhead
-from pica_client.playout.transit import FALL_S, FrameInterval, Transit
+from pica_client.playout.transit import FrameInterval, Transit
 from pica_core.codec.latent_sample import DecodedFrame
 
 pytestmark = pytest.mark.unit
@@ -29,17 +29,6 @@ def test_the_fastest_transit_follows_a_drifting_clock_to_some_milliseconds(ppm: 
         media_s = index / 30 * (1 + ppm * 1e-6)
         transit.receive(media_s, 1000.04 + index / 30 + rng.uniform(0, 0.08))
     assert transit.fastest_s == pytest.approx(1000.04 + 120 - 120 * (1 + ppm * 1e-6), abs=0.004)
-
-
-def test_one_frame_alone_lowers_the_fastest_transit_by_little_and_three_by_what_they_say() -> None:
-    transit = Transit(0.2)
-    for index in range(60):
-        transit.receive(index * FRAME_S, index * FRAME_S + 0.2)
-    transit.receive(2.0, 1.8)
-    assert transit.fastest_s == pytest.approx(0.2 - FALL_S)
-    for index in range(61, 64):
-        transit.receive(index * FRAME_S, index * FRAME_S + 0.1)
-    assert transit.fastest_s == pytest.approx(0.1)
 
 
 def test_jitter_is_the_share_of_delays_that_is_asked_for() -> None:
