@@ -250,6 +250,7 @@ class GpuDecoder(Closing):
     def _decode(self, jobs: list[_Job]) -> list[DecodeResult]:
         started_s = self._clock()
         self._context.enable_only(moderngl.NOTHING)
+        self._context.wireframe = False
         self._context.clear_samplers(0, UNIT_BASIS + 1)
         jobs.sort(key=lambda job: -job.level)
         work = [job.entry.bank.plan.multiply_adds(job.level) for job in jobs]

@@ -19,6 +19,7 @@ from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.pool import DecodePool
 from pica_client.decode.request import DecodeRequest, Parts
 from pica_client.errors import OptionError
+from pica_client.render import gpu_decoder
 from pica_client.render.gpu_decoder import GpuDecoder, choose_decoder, draws_floats
 from pica_client.render.renderer import Renderer
 from pica_client.schedule.frame_planner import FramePlanner
@@ -131,6 +132,19 @@ def test_who_comes_after_somebody_left_is_decoded_with_numbers_of_their_own(scen
     scene.renderer.remove("third")  # left while its face was on its way
     assert {result.slot for result in scene.decoder.take_results()} == {"second", "fourth"}
     for slot in ("second", "fourth"):
+        scene.assert_shows(slot, asked[slot])
+
+
+def test_more_heads_than_a_batch_and_a_page_hold_are_decoded_in_turns(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(gpu_decoder, "MAX_BATCH", 4)
+    asked = {}
+    for number in range(gpu_decoder.NUM_TILES + 1):
+        scene.add(str(number), AMARA)
+        asked[str(number)] = scene.ask(str(number), 64)
+    assert len(scene.decoder.take_results()) == len(asked)
+    for slot in ("0", "3", "4", "8"):
         scene.assert_shows(slot, asked[slot])
 
 
