@@ -78,6 +78,18 @@ def write(text: str) -> Event:
     return lambda io: io.add_input_characters_utf8(text)
 
 
+@contextmanager
+def frame(
+    surface: Surface, now: float, size: tuple[int, int], scale: float = 1.0
+) -> Iterator[Metrics]:
+    """A whole frame of a surface; panels are called within."""
+    surface.begin(now, size, content_scale=scale)
+    try:
+        yield surface.metrics
+    finally:
+        surface.end()
+
+
 class Hand:
     """Steers panels on a surface of its own."""
 
@@ -95,7 +107,7 @@ class Hand:
         self.places.clear()
         for event in events:
             event(self.surface.io)
-        with self.surface.frame(self._now, self._size, self._scale) as metrics:
+        with frame(self.surface, self._now, self._size, self._scale) as metrics:
             return show(metrics)
 
     def where(self, label: str) -> Rect:

@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
 from typing import Any
 
 import moderngl
@@ -43,19 +42,16 @@ class Lobby(Closing):
         self._sound, self._listens = sound, False
         self._library = library
         self._wants_close = False
-        with ExitStack() as stack:
-            stack.callback(window.context.gc)
-            self._renderer = Renderer(window.context, window.size_px, RenderOptions())
-            self._portraits: dict[str, int] = {}
-            for name, file in shipped_portraits().items():
-                with PillowImage.open(file) as image:
-                    picture = np.asarray(image.convert("RGB"))
-                self._portraits[name] = window.surface.show(f"avatar {name}", picture)
-            self._resources = stack.pop_all()
+        self._renderer = Renderer(window.context, window.size_px, RenderOptions())
+        self._portraits: dict[str, int] = {}
+        for name, file in shipped_portraits().items():
+            with PillowImage.open(file) as image:
+                picture = np.asarray(image.convert("RGB"))
+            self._portraits[name] = window.surface.show(f"avatar {name}", picture)
 
     def close(self) -> None:
         """Give back what is on the GPU."""
-        self._resources.close()
+        self._window.context.gc()
 
     def ask(self, form: JoinForm) -> bool:
         """Show the form until the user wants to join, True, or to leave."""

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pytest
 from imgui_bundle import imgui
 
-from helpers.hand import Event, hold, point, press
+from helpers.hand import Event, frame, hold, point, press
 from pica_client.render.seats import LAYOUTS
 from pica_client.render.views import ViewState as Orbit
 from pica_client.ui.actions import (
@@ -43,7 +43,7 @@ class Controls:
         for event in events:
             event(self.surface.io)
         self.now += after_s
-        with self.surface.frame(self.now, (640, 360)):
+        with frame(self.surface, self.now, (640, 360)):
             mouse(self.state, lambda x, y: self.place)
             rest = [apply(each, self.state) for each in keyboard(self.state, PLACES)]
         self.requests += [each for each in rest if each is not None]

@@ -16,8 +16,6 @@ fonts of the machine. A glyph is read and set when it is first needed.
 """
 
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import imgui_bundle
@@ -145,17 +143,6 @@ class Surface(Closing):
         """Finish the frame: it can be painted."""
         imgui.set_current_context(self._imgui)
         imgui.render()
-
-    @contextmanager
-    def frame(
-        self, now: float, size: tuple[int, int], content_scale: float = 1.0
-    ) -> Iterator[Metrics]:
-        """A whole frame; panels are called within."""
-        self.begin(now, size, content_scale=content_scale)
-        try:
-            yield self.metrics
-        finally:
-            self.end()
 
     def show(self, name: str, image: Image) -> int:
         """Keep a picture to show in a panel, uint8 ``[H, W, 3]``; see `adopt`."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from imgui_bundle import imgui
 
-from helpers.hand import press
+from helpers.hand import frame, press
 from pica_client.ui.actions import keyboard
 from pica_client.ui.state import ViewState
 from pica_client.ui.surface.style import PALETTES, metrics_for
@@ -19,12 +19,12 @@ pytestmark = pytest.mark.render
 def test_two_surfaces_live_side_by_side() -> None:
     with Surface() as first, Surface() as second:
         for surface, width in ((first, 640), (second, 1280), (first, 640)):
-            with surface.frame(1.0, (width, 360)):
+            with frame(surface, 1.0, (width, 360)):
                 assert imgui.get_io().display_size.x == width
                 imgui.get_background_draw_list().add_text((0, 0), 0xFFFFFFFF, "Ada")
             assert imgui.get_draw_data().total_vtx_count > 0
         first.close()
-        with second.frame(2.0, (640, 360)):
+        with frame(second, 2.0, (640, 360)):
             pass
 
 
@@ -34,7 +34,7 @@ def test_keys_are_a_fields_own_while_a_text_is_typed() -> None:
         for step, key in enumerate((None, None, None, imgui.Key.l, imgui.Key.escape)):
             if key is not None:
                 press(key)(surface.io)
-            with surface.frame(0.1 * step, (640, 360)):
+            with frame(surface, 0.1 * step, (640, 360)):
                 imgui.begin("form")
                 imgui.set_keyboard_focus_here()
                 imgui.input_text("##field", "")
@@ -49,7 +49,7 @@ def test_background_windows_and_pictures_are_painted_where_they_are_wanted() -> 
     with Surface(context) as surface:
         picture = surface.show("red", np.full((4, 4, 3), (255, 0, 0), np.uint8))
         for step in range(2):  # a window is shown from its second frame on
-            with surface.frame(0.1 * step, (100, 50)):
+            with frame(surface, 0.1 * step, (100, 50)):
                 shapes = imgui.get_background_draw_list()
                 shapes.add_rect_filled((0, 0), (20, 50), 0xFF00FF00)
                 imgui.set_next_window_pos((50, 0))
