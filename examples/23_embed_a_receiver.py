@@ -20,6 +20,7 @@ from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.pool import DecodePool
 from pica_client.endpoint.endpoint import Receiver
 from pica_client.local_call.processes import Children
+from pica_client.render.gpu_decoder import choose_decoder
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.views import stereo_cameras
 from pica_client.schedule.frame_planner import FramePlanner
@@ -43,7 +44,9 @@ def watch(context: moderngl.Context, screen: moderngl.Framebuffer, url: str) -> 
         DecodePool(OnnxDecoder) as pool,
         Renderer(context, SIZE, RenderOptions(fade_busts=True)) as renderer,
     ):
-        presenter = AvatarPresenter(call, renderer, pool, FramePlanner(Scheduler()))
+        shaders = choose_decoder("auto", context, renderer)  # with a GPU, instead of the pool
+        planner = FramePlanner(Scheduler())
+        presenter = AvatarPresenter(call, renderer, pool, planner, shaders=shaders)
         num_frames, ready_s = 0, float("inf")
         while (now := time.monotonic()) < ready_s + SETTLE_S:
             receiver.check()  # raises what went wrong on its thread
