@@ -9,8 +9,8 @@ import hashlib
 import random
 import socket
 import unicodedata
-from collections.abc import AsyncIterator, Callable, Sequence
-from contextlib import asynccontextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -36,14 +36,13 @@ up, through which a face goes too; with 50 ms there and back still 2.5 Mbit/s)."
 ANSWER_TIMEOUT_S = 60.0
 """Seconds for the relay to check a file that has come whole; others may be before it."""
 MAX_ATTEMPTS = 6
-
-Progress = Callable[[float], None]
+NO_STORE = "the relay does not answer as a store"
 
 
 class PushError(RelayError):
     """The relay did not take the file; says why."""
 
-    def __init__(self, message: str, *, is_worth_retrying: bool) -> None:
+    def __init__(self, message: str, *, is_worth_retrying: bool = False) -> None:
         super().__init__(message)
         self.is_worth_retrying = is_worth_retrying
 
@@ -53,7 +52,7 @@ async def push_avatar(
     link: LinkConfig,
     path: Path,
     identity: str,
-    progress: Progress = lambda ratio: None,
+    progress: Callable[[float], None] = lambda ratio: None,
 ) -> store.Stored:
     """Give a relay, ws:// or wss://, an avatar's file, unless it has it.
 
@@ -68,27 +67,56 @@ async def push_avatar(
     """
     data = await asyncio.to_thread(read_bytes, path, MAX_FILE_BYTES)
     token = link.token or read_token(link.token_file)
-    async with _store_socket(url, link.ca_file) as websocket:
-        try:
-            offer = store.Offer(sha256=identity, size=len(data), token=token)
-            await websocket.send(encode_message(offer))
+    try:
+        websocket = await RelayConnect(url, link.ca_file, subprotocol=store.STORE_SUBPROTOCOL)
+    except CONNECT_ERRORS as error:
+        why = refusal(error)
+        message = f"{url}: {why or 'no answer'}"
+        raise PushError(message, is_worth_retrying=why is None) from error
+    try:
+        if websocket.subprotocol != store.STORE_SUBPROTOCOL:
+            raise PushError("the relay keeps no avatars")
+        raw = websocket.transport.get_extra_info("socket")
+        if raw is not None and raw.family in (socket.AF_INET, socket.AF_INET6):
+            with suppress(OSError):
+                raw.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
+        offer = store.Offer(sha256=identity, size=len(data), token=token)
+        await websocket.send(encode_message(offer))
+        answer = await _answer(websocket)
+        if isinstance(answer, store.Ready):
+            for begin in range(0, len(data), store.MAX_CHUNK_BYTES):
+                end = min(begin + store.MAX_CHUNK_BYTES, len(data))
+                await websocket.send(store.encode_chunk(data[begin:end]))
+                progress(end / len(data))
             answer = await _answer(websocket)
-            if isinstance(answer, store.Ready):
-                for begin in range(0, len(data), store.MAX_CHUNK_BYTES):
-                    end = min(begin + store.MAX_CHUNK_BYTES, len(data))
-                    await websocket.send(store.encode_chunk(data[begin:end]))
-                    progress(end / len(data))
-                answer = await _answer(websocket)
-            if not isinstance(answer, store.Stored):
-                raise _not_understood()
-            return answer
-        except ConnectionClosed as error:
-            # Why, stands in what it said before it closed.
-            code = websocket.close_code or CloseCode.CONNECTION_LOST
-            reason = websocket.close_reason or "the connection broke"
-            raise PushError(reason, is_worth_retrying=is_worth_retrying(code)) from error
-        except RemoteProtocolError as error:
-            raise _not_understood() from error
+        if not isinstance(answer, store.Stored):
+            raise PushError(NO_STORE)
+        await websocket.close()
+        return answer
+    except ConnectionClosed as error:
+        # Why, stands in what it said before it closed.
+        code = websocket.close_code or CloseCode.CONNECTION_LOST
+        reason = websocket.close_reason or "the connection broke"
+        raise PushError(reason, is_worth_retrying=is_worth_retrying(code)) from error
+    except RemoteProtocolError as error:
+        raise PushError(NO_STORE) from error
+    finally:
+        websocket.transport.abort()  # in case we are cancelled
+
+
+async def _answer(websocket: ClientConnection) -> store.StoreMessage:
+    try:
+        async with asyncio.timeout(ANSWER_TIMEOUT_S):
+            data = await websocket.recv()
+    except TimeoutError as error:
+        raise PushError("the relay does not answer", is_worth_retrying=True) from error
+    if isinstance(data, str):
+        raise PushError(NO_STORE)
+    message = decode_store_message(data)
+    if isinstance(message, Bye):
+        retry = is_worth_retrying(message.code)
+        raise PushError(message.reason or "the relay said no", is_worth_retrying=retry)
+    return message
 
 
 class AvatarGiver:
@@ -138,46 +166,6 @@ class AvatarGiver:
                     self._say("gave the relay this avatar's file, for those who do not have it")
                 self.outcome = "given" if stored.is_new else "known"
             return
-
-
-@asynccontextmanager
-async def _store_socket(url: str, ca_file: Path | None) -> AsyncIterator[ClientConnection]:
-    try:
-        websocket = await RelayConnect(url, ca_file, subprotocol=store.STORE_SUBPROTOCOL)
-    except CONNECT_ERRORS as error:
-        why = refusal(error)
-        message = f"{url}: {why or 'no answer'}"
-        raise PushError(message, is_worth_retrying=why is None) from error
-    try:
-        if websocket.subprotocol != store.STORE_SUBPROTOCOL:
-            raise PushError("the relay keeps no avatars", is_worth_retrying=False)
-        raw = websocket.transport.get_extra_info("socket")
-        if raw is not None and raw.family in (socket.AF_INET, socket.AF_INET6):
-            with suppress(OSError):
-                raw.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
-        yield websocket
-        await websocket.close()
-    finally:
-        websocket.transport.abort()  # in case we are cancelled
-
-
-async def _answer(websocket: ClientConnection) -> store.StoreMessage:
-    try:
-        async with asyncio.timeout(ANSWER_TIMEOUT_S):
-            data = await websocket.recv()
-    except TimeoutError as error:
-        raise PushError("the relay does not answer", is_worth_retrying=True) from error
-    if isinstance(data, str):
-        raise _not_understood()
-    message = decode_store_message(data)
-    if isinstance(message, Bye):
-        retry = is_worth_retrying(message.code)
-        raise PushError(message.reason or "the relay said no", is_worth_retrying=retry)
-    return message
-
-
-def _not_understood() -> PushError:
-    return PushError("the relay does not answer as a store", is_worth_retrying=False)
 
 
 GiveAvatar = Literal["auto", "yes", "no"]
