@@ -287,14 +287,8 @@ def load_networks(path: Path | None = None) -> FaceNetworks:
 
 def _fetch(url: str) -> bytes:
     try:
-        with httpx.stream("GET", url, timeout=TIMEOUT_S, follow_redirects=True) as answer:
-            answer.raise_for_status()
-            data = b""
-            for part in answer.iter_bytes():
-                data += part
-                if len(data) > MAX_BYTES:
-                    raise SourceError(f"{url} has more than {MAX_BYTES} bytes")
-            return data
+        answer = httpx.get(url, timeout=TIMEOUT_S, follow_redirects=True)
+        return answer.raise_for_status().content
     except httpx.HTTPError as error:
         raise SourceError(
             f"{url}: {error}; fetch the file by another way, then: pica webcam setup --from FILE"
@@ -303,8 +297,6 @@ def _fetch(url: str) -> bytes:
 
 def _read(path: Path) -> bytes:
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise SourceError(f"{path} has more than {MAX_BYTES} bytes")
         return path.read_bytes()
     except OSError as error:
         raise SourceError(f"{path}: {error.strerror}") from error
