@@ -6,17 +6,15 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from helpers.paths import SHARED_DATA
 from helpers.rig_toy import toy_rig, write_glb, write_obj_folder
-from pica_core.avatar.arkit import EYE_YAW, NUM_ARKIT
+from pica_core.avatar.arkit import ARKIT_NAMES, EYE_YAW, NUM_ARKIT
+from pica_core.capture.person.model import NUM_MODES, read_model
 from pica_core.capture.rig.chart import add_gutters
 from pica_core.capture.rig.head import RigHead, make_rig, read_rig
+from pica_core.capture.rig.names import map_names
 from pica_core.capture.stage.expressions import blend
 
 pytestmark = [pytest.mark.unit, pytest.mark.slow]
-
-ICT = SHARED_DATA / "ict_facekit_light"
-needs_ict = pytest.mark.skipif(not ICT.is_dir(), reason="the ICT head is not there")
 
 
 @pytest.fixture(scope="module")
@@ -25,8 +23,8 @@ def toy(tmp_path_factory: pytest.TempPathFactory) -> RigHead:
 
 
 @pytest.fixture(scope="module")
-def ict() -> RigHead:
-    return make_rig(read_rig(ICT / "ict_head.glb"))
+def person() -> RigHead:
+    return RigHead(read_model().mesh(np.zeros(NUM_MODES)), map_names(ARKIT_NAMES), "mean")
 
 
 def signed_areas(
@@ -168,26 +166,9 @@ def test_islands_that_hold_no_place_get_new_coordinates(tmp_path: Path) -> None:
     assert_no_overlap(head)
 
 
-@needs_ict
-def test_the_ict_head_is_mapped_placed_and_packed(ict: RigHead) -> None:
-    assert len(ict.names.mapped) == 53
-    assert len(ict.names.drivers) == 51
-    assert ict.names.missing == ("tongueOut",)
-    assert set(ict.names.ignored) == {
-        "PupilDilate_L", "PupilDilate_R", "cheekRaiser_L", "cheekRaiser_R",
-    }  # fmt: skip
-    assert ict.mesh.frame.unit == "m"
-    assert len(ict.mesh.eyes) == ict.eyes_turned_here == 2
-    assert ict.corrective_close
-    assert "M_IrisLeft" in ict.mesh.dropped  # hidden inside the outer ball
-    for name, least in (("lips", 400), ("lids", 300), ("teeth", 4000), ("tongue", 400)):
-        assert ict.topology.regions[name].sum() >= least, name
-
-
-@needs_ict
-def test_neck_scalp_and_ears_of_the_ict_head_lie_where_they_should(ict: RigHead) -> None:
-    regions, rest = ict.features.regions, ict.mesh.rest_m
-    eye_y = float(np.mean([eye.centre_m[1] for eye in ict.mesh.eyes]))
+def test_neck_scalp_and_ears_of_a_person_lie_where_they_should(person: RigHead) -> None:
+    regions, rest = person.features.regions, person.mesh.rest_m
+    eye_y = float(np.mean([eye.centre_m[1] for eye in person.mesh.eyes]))
 
     for side in (1.0, -1.0):  # an ear is about 64 mm high (Farkas 1994) and lies behind the face
         ear = rest[regions["ears"] & (side * rest[:, 0] > 0)]
@@ -202,13 +183,14 @@ def test_neck_scalp_and_ears_of_the_ict_head_lie_where_they_should(ict: RigHead)
         assert not (regions[one] & regions[other]).any(), (one, other)
 
 
-@needs_ict
-def test_a_mouth_of_the_ict_head_closes_no_further_than_it_is_open(ict: RigHead) -> None:
-    rest = ict.vertices(np.zeros(NUM_ARKIT))
-    alone = ict.vertices(blend(mouthClose=1.0))
+def test_a_mouth_of_a_person_closes_no_further_than_it_is_open(person: RigHead) -> None:
+    rest = person.vertices(np.zeros(NUM_ARKIT))
+    alone = person.vertices(blend(mouthClose=1.0))
     np.testing.assert_array_equal(alone, rest)
 
-    lips = ict.topology.regions["lips"]
-    opened = np.linalg.norm((ict.vertices(blend(jawOpen=0.6)) - rest)[lips], axis=1)
-    closed = np.linalg.norm((ict.vertices(blend(jawOpen=0.6, mouthClose=0.6)) - rest)[lips], axis=1)
+    lips = person.topology.regions["lips"]
+    opened = np.linalg.norm((person.vertices(blend(jawOpen=0.6)) - rest)[lips], axis=1)
+    closed = np.linalg.norm(
+        (person.vertices(blend(jawOpen=0.6, mouthClose=0.6)) - rest)[lips], axis=1
+    )
     assert closed.max() < 0.5 * opened.max()
