@@ -37,14 +37,21 @@ class _Slot:
     """One avatar of the pool; guarded by the pool's lock."""
 
     avatar: Avatar
+    waiting_s: float
+    """Since when it has had work."""
     decoder: OnnxDecoder | None = None
-    broken: bool = False
-    busy: bool = False
+    is_broken: bool = False
+    is_busy: bool = False
     request: DecodeRequest | None = None
     submitted_s: float = 0.0
     result: DecodeResult | None = None
     unprepared: list[tuple[int, Parts]] = field(default_factory=list)
     """What to get ready for when there is time; the last first."""
+
+    @property
+    def has_work(self) -> bool:
+        """Whether a decoder is to be built, or a request waits."""
+        return not self.is_broken and (self.decoder is None or self.request is not None)
 
 
 class DecodePool(Closing):
@@ -71,7 +78,6 @@ class DecodePool(Closing):
         self._prepares_ahead = prepares_ahead
         self._clock = clock
         self._slots: dict[str, _Slot] = {}
-        self._order: list[str] = []
         self._closed = False
         self._num_replaced = 0
         self._changed = threading.Condition()
@@ -92,12 +98,12 @@ class DecodePool(Closing):
         """Prepare a slot for an avatar; replaces what was there. Its decoder is built on a
         worker."""
         with self._changed:
-            entry = self._slots[slot] = _Slot(avatar)
+            entry = self._slots[slot] = _Slot(avatar, self._clock())
             if self._prepares_ahead:
                 entry.unprepared = [
                     (level, parts) for level in avatar.levels for parts in ("expression", "both")
                 ]
-            self._enqueue(slot)
+            self._changed.notify()
 
     def remove(self, slot: str) -> None:
         """Forget a slot; an unknown one is no error. A decode under way is dropped when it ends."""
@@ -109,14 +115,16 @@ class DecodePool(Closing):
         Broken or unknown slots ignore it."""
         with self._changed:
             entry = self._slots.get(slot)
-            if entry is None or entry.broken:
+            if entry is None or entry.is_broken:
                 return
+            entry.submitted_s = self._clock()
             if entry.request is not None:
                 self._num_replaced += 1
                 request = request.widened_by(entry.request)
+            elif not entry.has_work:
+                entry.waiting_s = entry.submitted_s
             entry.request = request
-            entry.submitted_s = self._clock()
-            self._enqueue(slot)
+            self._changed.notify()
 
     def take_results(self) -> list[DecodeResult]:
         """The newest result of every slot since the last call."""
@@ -130,7 +138,7 @@ class DecodePool(Closing):
         """Wait until nothing is waiting or under way; False when the time runs out first."""
 
         def idle() -> bool:
-            return not self._order and not any(entry.busy for entry in self._slots.values())
+            return not any(entry.is_busy or entry.has_work for entry in self._slots.values())
 
         with self._changed:
             return self._changed.wait_for(idle, timeout_s)
@@ -143,44 +151,32 @@ class DecodePool(Closing):
         for worker in self._workers:
             worker.join()
 
-    def _enqueue(self, slot: str) -> None:
-        if slot not in self._order:  # at most one entry per slot: this is what bounds the queue
-            self._order.append(slot)
-            self._changed.notify()
-
-    def _next_slot(self) -> str | None:
-        """The longest waiting slot that no other worker is busy with, else one whose decoder is
-        there and can get ready for more; under the lock."""
-        for slot in self._order:
-            if slot not in self._slots or not self._slots[slot].busy:
-                self._order.remove(slot)
-                return slot
-        for slot, entry in self._slots.items():
-            is_free = not entry.busy and not entry.broken and entry.decoder is not None
-            if is_free and entry.unprepared:
-                return slot
-        return None
+    def _next(self) -> tuple[str, _Slot] | None:
+        """The slot whose work has waited longest and that no other worker is busy with, else one
+        that can get ready for more; under the lock."""
+        free = [(slot, entry) for slot, entry in self._slots.items() if not entry.is_busy]
+        waiting = [pair for pair in free if pair[1].has_work]
+        if waiting:
+            return min(waiting, key=lambda pair: pair[1].waiting_s)
+        return next((pair for pair in free if pair[1].unprepared and not pair[1].is_broken), None)
 
     def _work(self) -> None:
         while True:
             with self._changed:
-                slot = None
-                while not self._closed and (slot := self._next_slot()) is None:
+                found = None
+                while not self._closed and (found := self._next()) is None:
                     self._changed.wait()
-                if self._closed or slot is None:
+                if self._closed or found is None:
                     return
-                entry = self._slots.get(slot)
-                if entry is None:
-                    continue
-                entry.busy = True
+                slot, entry = found
+                entry.is_busy = True
                 request, entry.request = entry.request, None
                 submitted_s = entry.submitted_s
-                ahead = None
-                if request is None and entry.decoder is not None and entry.unprepared:
-                    ahead = entry.unprepared.pop()
+                is_ahead = request is None and entry.decoder is not None
+                ahead = entry.unprepared.pop() if is_ahead else None
             result = self._run(slot, entry, request, submitted_s, ahead)
             with self._changed:
-                entry.busy = False
+                entry.is_busy = False
                 if result is not None:
                     entry.result = result.completed_by(entry.result)
                 self._changed.notify_all()
@@ -212,5 +208,5 @@ class DecodePool(Closing):
                 slot, maps, None, request.captured_us, *times_s, maps.level, request.parts
             )
         except Exception as error:  # one avatar's failure must not end the worker of all
-            entry.broken = True
+            entry.is_broken = True
             return DecodeResult(slot, None, " ".join(str(error).split())[:300])
