@@ -16,6 +16,7 @@ from pica_client.render.layers import HeadKey, common_part, parts_to_draw
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.room import Room
 from pica_client.render.scene import Placement, head_matrix
+from pica_core.avatar.bust import outline_of
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.camera import Camera, look_at
 from pica_core.gl import create_context
@@ -182,3 +183,14 @@ def test_parts_hold_what_changed(
     for old, new, is_moved in heads:
         for rect in (old, new) if is_moved else ():
             assert any(common_part(rect, part) == rect for part in parts)
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0, 0.03))
+def test_an_outline_holds_vertices_wherever_they_go(seed: int, slack_m: float) -> None:
+    rng = np.random.default_rng(seed)
+    vertices_m = rng.normal(size=(200, 3)) * (0.1, 0.15, 0.08)
+    aside = rng.normal(size=3)
+    aside /= np.linalg.norm(aside)
+    outline_m = outline_of(vertices_m.astype(np.float32), slack_m)
+    reach_m = float((outline_m @ aside).max() - (vertices_m @ aside).max())
+    assert reach_m > 0.9 * slack_m - 0.001

@@ -32,7 +32,6 @@ from pica_client.render.views import ViewState, plan_camera
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.camera import Camera, look_at
-from pica_core.errors import ShapeError
 from pica_core.gl import create_context
 from pica_core.reference.mesh import sample_vertices
 
@@ -135,35 +134,10 @@ def test_the_inside_of_a_head_is_not_drawn(context: moderngl.Context) -> None:
     assert stats.shaded_pixels == 0
 
 
-@pytest.mark.parametrize("distance_m", [0.09, 0.1, 0.12])
-def test_a_camera_on_the_skin_is_survived(context: moderngl.Context, distance_m: float) -> None:
-    renderer = renderer_with(context, TOY)
-    renderer.draw([still("p0")], camera_at(0, 0, distance_m))
-    renderer.read_image()
-
-
 def test_a_head_behind_the_camera_costs_nothing(context: moderngl.Context) -> None:
     renderer = renderer_with(context, TOY)
     stats = renderer.draw([still("p0", 0, 0, 3)], camera_at(0, 0, 1), count_pixels=True)
     assert (stats.num_avatars, stats.num_triangles, stats.shaded_pixels) == (0, 0, 0)
-
-
-def test_a_head_of_one_pixel_is_drawn(context: moderngl.Context) -> None:
-    renderer = renderer_with(context, TOY)
-    stats = renderer.draw([still("p0")], camera_at(0, 0, 19), count_pixels=True)
-    assert 1 <= (stats.shaded_pixels or 0) < 60
-
-
-def test_maps_that_are_not_finite_draw_without_harm(context: moderngl.Context) -> None:
-    renderer = renderer_with(context, TOY, SISTER)
-    apart = [still("p0", -0.12, 0, 0), still("p1", 0.12, 0, 0)]
-    renderer.draw(apart, camera_at(0, 0, 0.9))
-    _, _, heads = renderer.read_surface()
-    before = renderer.read_image()[heads == 1]
-    broken = np.full((256, 256, 3), np.nan, np.float32)
-    renderer.update_maps("p0", broken, np.full((256, 256, 4), np.inf, np.float32))
-    renderer.draw(apart, camera_at(0, 0, 0.9))
-    np.testing.assert_array_equal(before, renderer.read_image()[heads == 1])
 
 
 def test_until_its_maps_come_an_avatar_is_a_placeholder(context: moderngl.Context) -> None:
@@ -176,44 +150,12 @@ def test_until_its_maps_come_an_avatar_is_a_placeholder(context: moderngl.Contex
     assert (stats.num_avatars, stats.num_placeholders) == (1, 0)
 
 
-def test_an_avatar_that_cannot_be_drawn_becomes_a_placeholder_and_says_why(
-    context: moderngl.Context,
-) -> None:
-    renderer = renderer_with(context, TOY)
-    wide = make_toy_avatar(
-        spec=AvatarSpec(uv_encoding_size=8, axis_encoding_size=8, expression_channels=5), grid=4
-    )
-    with pytest.raises(ShaderError, match="expression_channels is 5"):
-        renderer.add_avatar("p1", wide)
-    both = [still("p0", -0.15, 0, 0), still("p1", 0.15, 0, 0)]
-    stats = renderer.draw(both, camera_at(0, 0, 1.2))
-    assert (stats.num_avatars, stats.num_placeholders) == (1, 1)
-
-
 def test_a_slot_that_left_is_drawn_no_more(context: moderngl.Context) -> None:
     renderer = renderer_with(context, TOY)
     renderer.remove("p0")
     renderer.remove("never-there")
     renderer.update_maps("p0", *some_maps(TOY))
     assert renderer.draw([still("p0")], camera_at(0, 0, 0.9)).num_triangles == 0
-
-
-def test_maps_of_another_size_are_refused(context: moderngl.Context) -> None:
-    renderer = renderer_with(context, TOY)
-    with pytest.raises(ShapeError, match=r"float32 \(256, 256, 3\) is needed"):
-        renderer.update_maps(
-            "p0", np.zeros((128, 128, 3), np.float32), np.zeros((256, 256, 4), np.float32)
-        )
-
-
-def test_a_stale_face_fades_towards_the_room(context: moderngl.Context) -> None:
-    renderer = renderer_with(context, TOY)
-    spread = []
-    for fade in (0.0, 1.0):
-        renderer.draw([still("p0", fade=fade)], camera_at(0, 0, 0.9))
-        _, _, heads = renderer.read_surface()
-        spread.append(renderer.read_image()[heads == 0].astype(float).std(axis=0).mean())
-    assert spread[1] < 0.4 * spread[0]
 
 
 def test_edge_smoothing_changes_edges_and_leaves_the_rest(context: moderngl.Context) -> None:
@@ -232,18 +174,6 @@ def test_edge_smoothing_changes_edges_and_leaves_the_rest(context: moderngl.Cont
     silhouette[1:] |= (heads[1:] >= 0) != (heads[:-1] >= 0)
     assert changed[silhouette].mean() > 0.6
     assert changed.mean() < 0.2
-
-
-def test_after_the_first_frame_no_gpu_object_is_made(context: moderngl.Context) -> None:
-    renderer = renderer_with(context, TOY, options=RenderOptions())
-    maps = some_maps(TOY)
-
-    renderer.draw([still("p0")], camera_at(0, 0, 0.9))
-    before = gpu_objects()
-    for step in range(20):
-        renderer.update_maps("p0", *maps)
-        renderer.draw([still("p0", 0.001 * step, 0, 0)], camera_at(0, 0, 0.9))
-    assert gpu_objects() == before
 
 
 @pytest.mark.parametrize(("weights", "programs"), [("block", 0), ("turns", 1)])

@@ -344,11 +344,6 @@ def test_a_pin_on_nobody_changes_nothing() -> None:
     np.testing.assert_array_equal(plain.camera_m, pinned.camera_m)
 
 
-def test_two_plans_of_the_same_people_are_the_same() -> None:
-    first, second = plan_seats("grid", 5, 1.5), plan_seats("grid", 5, 1.5)
-    np.testing.assert_array_equal(np.array(first.seats), np.array(second.seats))
-
-
 @pytest.mark.parametrize("aspect", [0.0, -1.0, math.nan, math.inf])
 def test_a_picture_without_a_shape_is_refused(aspect: float) -> None:
     with pytest.raises(ValueError, match="cannot be seated"):
