@@ -7,6 +7,7 @@ for longer.
 
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -20,14 +21,12 @@ from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.train.config import PRESETS
 from pica_core.train.data.training import TrainingData
 from pica_core.train.export import make_avatar
-from pica_core.train.loop import Losses, open_trainer
+from pica_core.train.train import Losses, open_trainer
 
 OUT = Path(sys.argv[1] if len(sys.argv) > 1 else "out")
 OUT.mkdir(parents=True, exist_ok=True)
 STAGE = RenderOptions(frames=6, cameras=2, size="64x64", texture_size=64, tracked_vertices=1000)
-CONFIG = PRESETS["tiny"].changed(
-    schedule={"geometry_steps": 3, "joint_steps": 3, "driver_steps": 3}
-)
+CONFIG = replace(PRESETS["tiny"], geometry_steps=3, joint_steps=3, driver_steps=3)
 
 
 def make_subject() -> PersonSubject:

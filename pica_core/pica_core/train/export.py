@@ -1,6 +1,8 @@
 """Checkpoint to avatar file: what the receiver and the sender need, under the file's names."""
 
+import json
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -19,8 +21,10 @@ from pica_core.model.interface import AvatarModel
 from pica_core.model.linear import LinearGeometry
 from pica_core.model.pixel_decoder import XYZ_UNIT_M
 from pica_core.train.data.images import view_direction
+from pica_core.train.data.meshes import rasterise_uv
 from pica_core.train.data.training import TrainingData
-from pica_core.train.data.uv_raster import rasterise_uv
+from pica_core.train.eval.evaluate import mean_mse
+from pica_core.train.train import Trainer
 from pica_core.types import BoolArray, FloatArray, IntArray
 
 MARGIN_M = 0.02
@@ -198,3 +202,34 @@ def fill_unseen(values: FloatArray, is_seen: BoolArray, data: TrainingData) -> F
     result: FloatArray = values.copy()
     result[raster.covered] = filled
     return result
+
+
+EVALUATION_FILE = "evaluation.json"
+
+
+def model_card(trainer: Trainer, run: Path) -> dict[str, str]:
+    """Entries in words, for `pica avatar info` and readers of the file; nothing of errors where
+    the run's folder has no evaluation."""
+    model, data = trainer.config, trainer.data
+    camera = data.capture.cameras[0]
+    seconds = f", {trainer.seconds / 60:.0f} minutes" if trainer.seconds >= 60 else ""
+    card = {
+        "capture": str(data.capture.info["source"]),
+        "frames": f"{len(data.train_frames)} to train on, {len(data.test_frames)} held out, "
+        f"{len(data.capture.cameras)} cameras of {camera.width} x {camera.height}",
+        "training": f"{trainer.step} of {trainer.total_steps} steps, seed {trainer.config.seed}"
+        + seconds,
+        "variant": model.variant,
+        "block": model.block,
+        "encoder": model.encoder,
+    }
+    path = run / EVALUATION_FILE
+    if not path.exists():
+        return card
+    rows = json.loads(path.read_text())
+    views = [f"{row['view']} {row['mse']:.1f}" for row in rows if row["source"] == "encoder"]
+    card["held_out_mse"] = f"{mean_mse(rows):.1f} (0-255, rasterised pixels): {', '.join(views)}"
+    card["vertex_error"] = f"{rows[0]['vertex_error_mm']:.2f} mm on average"
+    if (driven := mean_mse(rows, "driver")) is not None:
+        card["held_out_mse_live"] = f"{driven:.1f}, sent from ARKit values"
+    return card

@@ -1,4 +1,4 @@
-"""The losses of each phase, from frames to weighted numbers.
+"""The losses of each phase, from frames to weighted numbers (`LOSSES`).
 
 geometry    mesh, KL, smoothness
 joint       image, depth, normal, mesh, smoothness, KL
@@ -6,7 +6,7 @@ driver      code, mesh
 live        image, of poses by the live encoder
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -14,47 +14,73 @@ import torch
 from torch import Tensor
 from torch.profiler import record_function
 
+from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.camera import Camera
-from pica_core.capture.stage.synth import read_picture, read_poses
+from pica_core.capture.stage.synth import Poses, read_picture, read_poses
 from pica_core.capture.stage.tracked_topology import COVER
+from pica_core.latent import LATENT_CHANNELS
+from pica_core.model.bases import Bases
 from pica_core.model.encoder import hold_log_variance, reparameterise
-from pica_core.model.interface import AvatarModel, DecodedMesh, flat_latent
+from pica_core.model.interface import AvatarModel, DecodedMesh, ExpressionEncoder, flat_latent
 from pica_core.model.linear import LinearGeometry
 from pica_core.train.config import TrainConfig
 from pica_core.train.data.images import view_direction
 from pica_core.train.data.meshes import important_vertices, vertex_importance
 from pica_core.train.data.training import TrainingData
-from pica_core.train.drawing import DrawnPixels, MeshDrawer, PixelList
-from pica_core.train.laplacian import (
-    MeshLaplacian,
-    follow_mean,
-    laplacian_smoothness,
-    smoothness_weights,
-)
-from pica_core.train.live import GEOMETRY, regress, regress_geometry
 from pica_core.train.losses import (
+    MeshLaplacian,
     depth_loss,
     depth_mask,
     equal_shares,
+    follow_mean,
     gradient_smoothness,
     image_loss,
     kl_loss,
+    laplacian_smoothness,
     mesh_loss,
     normal_loss,
+    smoothness_weights,
 )
-from pica_core.train.rasterise import Rasteriser
-from pica_core.types import Array, Image
+from pica_core.train.raster import DrawnPixels, MeshDrawer, PixelList, Rasteriser
+from pica_core.types import Array, FloatArray, Image
 
-DRIVER_MESHES = 8
-"""A step of the driver phase decodes the mesh of every eighth frame of its batch."""
+IMAGE_WEIGHT, MESH_WEIGHT, KL_WEIGHT = 2.0, 0.1, 0.001
+"""Weights of losses that all presets share (paper 5); those of depth, normal and smoothness, 10, 1
+and 1 in the paper, are the preset's."""
 GRADIENT_WEIGHT, LAPLACIAN_WEIGHT = 1.0, 0.1
 """Parts of smoothness (paper A.2, lambda_g and lambda_l)."""
+GEOMETRY_BATCH = 2
+"""Frames per step of the geometry phase: small batches and many steps learn fastest."""
+DRIVER_BATCH, DRIVER_MESHES = 32, 8
+"""Frames per step of the driver phase; the mesh of every eighth of them is decoded."""
+LIVE_BATCH = 4
+"""Pictures of poses per step, with half of `pixels_per_image` each."""
 MASKED_REGION = "mouth"
 """Where a tracked mesh teaches nothing (paper 5, W_M)."""
 MAX_PICTURES = 1024
 """Pictures of poses that are kept in memory."""
+RIDGE, BEND_RIDGE = 1e-5, 1e-3
+"""Strength of the live encoder's regression in squared tracker values, for them and for what bends
+(chosen on two people, docs/results; a shape that is never shown stays without effect)."""
+GEOMETRY = slice(None, None, LATENT_CHANNELS)
+"""The first channel's entries in a flat latent: weights of bases."""
+CHUNK = 64
+"""Meshes that are projected at a time."""
 Place = tuple[int, str]
 """Frame and camera of an image."""
+
+
+class Draw:
+    """Everything random in a step, from the run's seed and the step's number."""
+
+    def __init__(self, seed: int, step: int) -> None:
+        self._seed = seed, step
+        self.rng = np.random.default_rng(self._seed)
+        self.noise = torch.Generator().manual_seed(seed * 1_000_003 + step)
+
+    def of_images(self, count: int) -> list[np.random.Generator]:
+        """A generator for the choice of pixels in each image."""
+        return [np.random.default_rng([*self._seed, number]) for number in range(count)]
 
 
 class Objectives:
@@ -77,36 +103,32 @@ class Objectives:
         rasteriser: Rasteriser,
         device: torch.device,
     ) -> None:
-        self.data = data
-        self.config = config
-        self.model = model
-        self.device = device
+        self.data, self.config, self.model, self.device = data, config, model, device
         self.notes: list[str] = []
-        losses = config.losses
         if not data.capture.has_expressions:
             self.notes.append("the capture has no expressions: no driver phase")
         if not data.meshes.use(config.mesh_source):
             self.notes.append("the capture has no exact meshes: the tracked ones teach the mesh")
-        self._wants_depth = bool(losses.depth or losses.normal)
+        self._wants_depth = bool(config.depth or config.normal)
         if self._wants_depth and not data.capture.has_depth:
             self._wants_depth = False
             self.notes.append("the capture has no depth: depth and normal losses are off")
         topology = data.meshes.topology(model.topology)
         important_faces = important_vertices(topology)[topology.faces].all(1)
-        face_weights = np.where(important_faces, losses.region_weight, 1.0).astype(np.float32)
+        face_weights = np.where(important_faces, config.region_weight, 1.0).astype(np.float32)
         self.drawer = MeshDrawer(rasteriser, topology, face_weights, device)
         self._vertex_weights = self._mesh_weights().to(device)
         neutral_m = data.meshes.neutral_m(model.topology, data.arkit)
         self.mean_m = torch.tensor(neutral_m, device=device)
         self._laplacian: MeshLaplacian | None = None
-        if losses.smooth:
+        if config.smooth:
             self._laplacian = MeshLaplacian(neutral_m, topology.faces, device=device)
             self._rough = torch.from_numpy(smoothness_weights(topology)).to(device)
         self._codes: tuple[dict[int, Tensor], Tensor] | None = None
-        self._poses = None
-        if isinstance(getattr(model, "geometry", None), LinearGeometry):
-            self._poses = read_poses(data.capture.path, len(data.capture.topology.vertex_uv))
+        self._poses: Poses | None = None
         folder = data.capture.path
+        if isinstance(getattr(model, "geometry", None), LinearGeometry):
+            self._poses = read_poses(folder, len(data.capture.topology.vertex_uv))
         self._picture = lru_cache(MAX_PICTURES)(lambda number: read_picture(folder, number))
 
     @property
@@ -126,44 +148,30 @@ class Objectives:
         mean, log_variance = self.model.encoder(textures, maps)
         return mean, hold_log_variance(log_variance)
 
-    def geometry(self, rng: np.random.Generator, noise: torch.Generator) -> dict[str, Tensor]:
+    def geometry(self, draw: Draw) -> dict[str, Tensor]:
         """Losses of a step without images."""
-        frames = self._draw(self.config.schedule.geometry_batch, rng)
+        frames = self._draw(GEOMETRY_BATCH, draw)
         with record_function("encode"):
-            latent, kl = self._latent(frames, noise)
+            latent, kl = self._latent(frames, draw)
         with record_function("decode"):
             mesh = self.model.decode_mesh(latent)
         with record_function("loss"):
             return {"mesh": self._mesh(mesh, frames), **self._priors(mesh, kl)}
 
-    def joint(
-        self, rng: np.random.Generator, noise: torch.Generator, pixel_seed: list[int]
-    ) -> dict[str, Tensor]:
-        """Losses of a step with images.
-
-        Args:
-            rng: Draws frames and cameras, the same in all processes.
-            noise: Draws latents, the same in all processes.
-            pixel_seed: Seed of the choice of pixels; the image's number in the batch is added.
-        """
-        images = self._draw_images(rng)
-        rngs = [np.random.default_rng([*pixel_seed, n]) for n in range(len(images))]
+    def joint(self, draw: Draw) -> dict[str, Tensor]:
+        """Losses of a step with images (paper 5)."""
+        images = self._draw_images(draw)
+        rngs = draw.of_images(len(images))
         with record_function("data"):
             images = [self._readable(image, rng_) for image, rng_ in zip(images, rngs, strict=True)]
         frames = [frame for frame, _ in images]
         cameras = [self.data.images.camera(frame, name) for frame, name in images]
         with record_function("encode"):
-            latent, kl = self._latent(frames, noise)
+            latent, kl = self._latent(frames, draw)
         with record_function("decode"):
             mesh = self.model.decode_mesh(latent)
-        wants_normals = self.config.losses.normal > 0 and self._wants_depth
-        drawn, colours = self._shaded(
-            latent,
-            mesh,
-            cameras,
-            rngs,
-            normals=wants_normals,
-        )
+        wants_normals = self.config.normal > 0 and self._wants_depth
+        drawn, colours = self._shaded(latent, mesh, cameras, rngs, normals=wants_normals)
         with record_function("data"):
             pictures = [self.data.images.image(frame, name) for frame, name in images]
         with record_function("loss"):
@@ -173,15 +181,11 @@ class Objectives:
             losses |= self._priors(mesh, kl)
         return losses
 
-    def live(self, rng: np.random.Generator, pixel_seed: list[int]) -> dict[str, Tensor]:
-        """Losses of the live encoder and the decoders on pictures of poses; geometry stays.
-
-        Args: as for `joint`.
-        """
+    def live(self, draw: Draw) -> dict[str, Tensor]:
+        """Losses of the live encoder and the decoders on pictures of poses; geometry stays."""
         assert self._poses is not None
-        count = self.config.schedule.live_batch
-        poses = rng.integers(len(self._poses.arkit), size=count).tolist()
-        rngs = [np.random.default_rng([*pixel_seed, n]) for n in range(count)]
+        poses = draw.rng.integers(len(self._poses.arkit), size=LIVE_BATCH).tolist()
+        rngs = draw.of_images(LIVE_BATCH)
         cameras = [self.data.capture.camera(self._poses.cameras[pose]) for pose in poses]
         with record_function("data"):
             pictures = [self._picture(pose) for pose in poses]
@@ -194,14 +198,14 @@ class Objectives:
         with record_function("loss"):
             return {"live": self._image(colours, pictures, drawn)}
 
-    def expect(self, rng: np.random.Generator) -> None:
-        """Have the images decoded that a joint step with this `rng` will need."""
-        self.data.images.expect(self._draw_images(rng), depth=self._wants_depth)
+    def expect(self, draw: Draw) -> None:
+        """Have the images decoded that a joint step with this draw will need."""
+        self.data.images.expect(self._draw_images(draw), depth=self._wants_depth)
 
-    def _draw_images(self, rng: np.random.Generator) -> list[Place]:
+    def _draw_images(self, draw: Draw) -> list[Place]:
         """The images of a joint batch."""
-        frames = self._draw(self.config.schedule.joint_batch, rng)
-        places = rng.random(len(frames)).tolist()
+        frames = self._draw(self.config.joint_batch, draw)
+        places = draw.rng.random(len(frames)).tolist()
         images = []
         for frame, place in zip(frames, places, strict=True):
             names = self.data.images.cameras_of(frame)
@@ -217,10 +221,10 @@ class Objectives:
             name, _ = self.data.images.first_readable(frame, rng.permutation(others).tolist())
         return frame, name
 
-    def driver(self, rng: np.random.Generator) -> dict[str, Tensor]:
+    def driver(self, draw: Draw) -> dict[str, Tensor]:
         """Losses of the live encoder, on the codes of the model's own."""
         codes, spread = self._model_codes()
-        frames = self._draw(self.config.schedule.driver_batch, rng)
+        frames = self._draw(DRIVER_BATCH, draw)
         latent = self.model.expression_encoder(self.data.arkit[frames].to(self.device))
         wanted = torch.stack([codes[frame] for frame in frames])
         few = slice(None, None, DRIVER_MESHES)
@@ -264,7 +268,7 @@ class Objectives:
                 mesh.vertices_m,
                 cameras,
                 rngs,
-                pixels_per_image=self.config.schedule.pixels_per_image // share,
+                pixels_per_image=self.config.pixels_per_image // share,
                 normals=normals,
             )
         with record_function("pixel"):
@@ -272,10 +276,9 @@ class Objectives:
 
     def _image(self, colours: Tensor, pictures: list[Image], drawn: DrawnPixels) -> Tensor:
         """The image loss against one picture for each image of a batch."""
-        weights = self.config.losses
         observed = self._at(pictures, drawn.pixels).to(torch.float32) / 255
         share = equal_shares(drawn.surface.image, len(pictures))
-        return weights.image * image_loss(colours, observed, share, weights.chroma)
+        return IMAGE_WEIGHT * image_loss(colours, observed, share, self.config.chroma)
 
     def _at(self, images: Sequence[Array], pixels: PixelList) -> Tensor:
         """What images ``[H, W, ...]`` hold at pixels, ``[P, ...]``."""
@@ -285,21 +288,21 @@ class Objectives:
         ]
         return torch.from_numpy(np.concatenate(parts)).to(self.device)
 
-    def _draw(self, count: int, rng: np.random.Generator) -> list[int]:
+    def _draw(self, count: int, draw: Draw) -> list[int]:
         """The frames of a batch."""
-        return self.data.draw(count, self.config.schedule.frame_balance, rng)
+        return self.data.draw(count, self.config.frame_balance, draw.rng)
 
-    def _latent(self, frames: list[int], noise: torch.Generator) -> tuple[Tensor, Tensor]:
+    def _latent(self, frames: list[int], draw: Draw) -> tuple[Tensor, Tensor]:
         mean, log_variance = self.encode(frames)
-        drawn = torch.randn(mean.shape, generator=noise)
+        drawn = torch.randn(mean.shape, generator=draw.noise)
         sample = reparameterise(mean, log_variance, drawn.to(self.device))
         return sample, kl_loss(mean, log_variance)
 
     def _mesh_weights(self) -> Tensor:
         """Importance of vertices in the mesh loss."""
-        losses, data = self.config.losses, self.data
+        config, data = self.config, self.data
         topology = data.meshes.topology(self.model.topology)
-        weights = vertex_importance(topology, losses.region_weight, losses.lid_weight)
+        weights = vertex_importance(topology, config.region_weight, config.lid_weight)
         if data.meshes.source == "tracked":
             covered = {COVER: 1.0} if self.model.topology == "tracked" else {}
             tracked = data.meshes.topology("tracked")
@@ -312,12 +315,11 @@ class Objectives:
         else:
             predicted, wanted = mesh.tracked_m, self.data.meshes.tracked(frames)
         loss = mesh_loss(predicted, wanted.to(self.device), self._vertex_weights)
-        return self.config.losses.mesh * loss
+        return MESH_WEIGHT * loss
 
     def _priors(self, mesh: DecodedMesh, kl: Tensor) -> dict[str, Tensor]:
         """KL, and smoothness; V_mu takes its step."""
-        weights = self.config.losses
-        losses = {"kl": weights.kl * kl}
+        losses = {"kl": KL_WEIGHT * kl}
         if self._laplacian is None:
             return losses
         smooth = torch.zeros((), device=self.device)
@@ -327,11 +329,11 @@ class Objectives:
             self._laplacian, mesh.vertices_m, self.mean_m, self._rough
         )
         follow_mean(self.mean_m, mesh.vertices_m.detach().mean(0, keepdim=True))
-        losses["smooth"] = weights.smooth * smooth
+        losses["smooth"] = self.config.smooth * smooth
         return losses
 
     def _depth(self, images: list[Place], drawn: DrawnPixels) -> dict[str, Tensor]:
-        weights = self.config.losses
+        weights = self.config
         if not self._wants_depth:
             return {}
         depths_m = [self.data.images.depth_m(frame, name) for frame, name in images]
@@ -359,3 +361,40 @@ class Objectives:
             by_frame = dict(zip(frames, codes, strict=True))
             self._codes = by_frame, codes.std().clamp_min(1e-6)
         return self._codes
+
+
+LOSSES: dict[str, Callable[[Objectives, Draw], dict[str, Tensor]]] = {
+    "geometry": Objectives.geometry,
+    "joint": Objectives.joint,
+    "live": Objectives.live,
+    "driver": Objectives.driver,
+}
+
+
+def regress(arkit: Tensor, wanted: Tensor) -> tuple[Tensor, Tensor]:
+    """Matrix ``[D, 52 + B]`` and offset ``[D]`` from lifted expressions, of ``[N, 52]``, to values
+    ``[N, D]``, float64."""
+    given, wanted = ExpressionEncoder.lifted(arkit.double()), wanted.double()
+    mean, rest = given.mean(0), wanted.mean(0)
+    offsets = given - mean
+    ridge = torch.full_like(mean, BEND_RIDGE)
+    ridge[:NUM_ARKIT] = RIDGE
+    products = offsets.T @ offsets + len(arkit) * torch.diag(ridge)
+    matrix = torch.linalg.solve(products, offsets.T @ (wanted - rest)).T
+    return matrix, rest - matrix @ mean
+
+
+def regress_geometry(poses: Poses, bases: Bases, weight: FloatArray) -> tuple[Tensor, Tensor]:
+    """`regress` from posed meshes to all entries of the latent's first channel, ``[64, 52 + B]``.
+
+    Args:
+        poses: Their vertices in the order of the bases'.
+        bases: Of an avatar.
+        weight: From latents to their weights, the file's ``linear.weight``.
+    """
+    parts = [
+        bases.weights_of(poses.vertices_m[start : start + CHUNK])
+        for start in range(0, len(poses.arkit), CHUNK)
+    ]
+    codes = np.concatenate(parts) @ np.linalg.pinv(weight[:, GEOMETRY]).T
+    return regress(torch.from_numpy(poses.arkit), torch.from_numpy(codes))

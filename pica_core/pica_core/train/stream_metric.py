@@ -15,7 +15,7 @@ from pica_core.capture.stage.dome import dome_cameras
 from pica_core.capture.stage.expressions import stream_training_performances
 from pica_core.codec.profile import StreamProfile
 from pica_core.latent import LATENT_SHAPE, NUM_LATENT
-from pica_core.train.eval.model_evaluator import ModelEvaluator, Picture
+from pica_core.train.eval.evaluate import ModelEvaluator, Picture
 from pica_core.train.stream_learning import RenderMetric, learn_profile
 from pica_core.types import Float64Array
 

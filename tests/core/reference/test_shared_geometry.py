@@ -12,21 +12,17 @@ from helpers.small_capture import render_small
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.train.config import PRESETS
 from pica_core.train.data.training import TrainingData
-from pica_core.train.loop import open_trainer
+from pica_core.train.train import open_trainer
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
-
-TINY = PRESETS["tiny"]
 
 
 def test_encodings_leave_the_geometry_phase_alone_bit_for_bit(tmp_path: Path) -> None:
     data = TrainingData(Capture.open(render_small(tmp_path / "capture")))
-    schedule = replace(TINY.schedule, geometry_steps=3, joint_steps=0, driver_steps=0)
+    steps = {"geometry_steps": 3, "joint_steps": 0, "driver_steps": 0}
     states = []
     for variant in ("full", "no_uv", "pe_1d", "nerf_pe"):
-        config = replace(
-            TINY, schedule=schedule, model=replace(TINY.model, variant=variant), seed=5
-        )
+        config = replace(PRESETS["tiny"], **steps, variant=variant, seed=5)
         with open_trainer(data, config, tmp_path / variant) as trainer:
             trainer.run()
             states.append(trainer.model.state_dict())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +39,7 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_rows_name_errors_of_each_model_and_view_and_finished_runs_stay(
     capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(PRESETS, "tiny", PRESETS["tiny"].changed(schedule=STEPS))
+    monkeypatch.setitem(PRESETS, "tiny", replace(PRESETS["tiny"], **STEPS))
 
     def options(**changes: Any) -> ClaimOptions:
         given = {"variants": ("linear", "baseline"), "preset": "tiny", "seeds": 1, **changes}

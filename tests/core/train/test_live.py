@@ -1,6 +1,7 @@
 """The live encoder: what bends is found, geometry follows poses, colours their pictures."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -30,8 +31,8 @@ from pica_core.model.bases import Bases
 from pica_core.model.interface import ExpressionEncoder as TrainedEncoder
 from pica_core.train.config import PRESETS
 from pica_core.train.data.training import TrainingData
-from pica_core.train.live import GEOMETRY, regress, regress_geometry
-from pica_core.train.loop import Trainer, open_trainer
+from pica_core.train.objectives import GEOMETRY, Draw, regress, regress_geometry
+from pica_core.train.train import Trainer, open_trainer
 from pica_core.types import FloatArray
 
 pytestmark = pytest.mark.train
@@ -121,10 +122,7 @@ def captured(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def live_loss(trainer: Trainer) -> float:
     """On the same pictures and pixels whenever it is asked for."""
     with torch.no_grad():
-        parts = [
-            trainer.objectives.live(np.random.default_rng(seed), [seed])["live"]
-            for seed in range(8)
-        ]
+        parts = [trainer.objectives.live(Draw(seed, 0))["live"] for seed in range(8)]
     return float(torch.stack(parts).mean())
 
 
@@ -144,9 +142,7 @@ def test_live_colours_are_learned_from_pictures_of_poses_and_geometry_stays(
     captured: Path, tmp_path: Path
 ) -> None:
     data = TrainingData(Capture.open(captured))
-    config = PRESETS["tiny"].changed(
-        model={"variant": "linear"}, schedule={"joint_steps": 80, "live_steps": 60}
-    )
+    config = replace(PRESETS["tiny"], variant="linear", joint_steps=80, live_steps=60)
     with open_trainer(data, config, tmp_path) as trainer:
         trainer.run(lambda step, phase, losses: trainer.total_steps - step > 59)
         at_start, weight = live_loss(trainer), live_weight(trainer)
@@ -174,7 +170,7 @@ def test_without_pictures_the_live_encoder_is_the_regression(
     write_poses(copy, poses._replace(cameras=()))
     with open_trainer(
         TrainingData(Capture.open(copy)),
-        PRESETS["tiny"].changed(model={"variant": "linear"}),
+        replace(PRESETS["tiny"], variant="linear"),
         tmp_path / "run",
     ) as trainer:
         assert trainer.phase_of(trainer.total_steps - 1) == ("driver", 0, 1)

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from pica_core.capture.dataset.dataset import Topology
 from pica_core.train import losses
-from pica_core.train.laplacian import (
+from pica_core.train.losses import (
     MeshLaplacian,
     cotangent_weights,
     follow_mean,

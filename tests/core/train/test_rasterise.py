@@ -14,8 +14,8 @@ import torch
 from pica_core.camera import Camera, look_at
 from pica_core.capture.dataset.dataset import Topology
 from pica_core.errors import ShapeError
-from pica_core.train.drawing import MeshDrawer
-from pica_core.train.rasterise import (
+from pica_core.train.raster import (
+    MeshDrawer,
     Rasteriser,
     Views,
     hit_points,
@@ -256,6 +256,6 @@ def test_many_renders_of_changing_size_leave_no_memory_behind() -> None:
 def test_triton_is_loaded_before_a_driver_can_be(tmp_path: Path) -> None:
     # After Mesa's LLVM it ends the process; the wheel of torch that tests install has none of it.
     (tmp_path / "triton.py").write_text("")
-    program = "import sys, pica_core.train.rasterise; assert 'triton' in sys.modules"
+    program = "import sys, pica_core.train.raster; assert 'triton' in sys.modules"
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
     subprocess.run([sys.executable, "-c", program], env=environment, check=True)

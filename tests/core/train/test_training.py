@@ -14,23 +14,21 @@ import torch
 
 from helpers.small_capture import render_capture
 from pica_core.avatar.expression_encoder import ExpressionEncoder
-from pica_core.avatar.file import load_avatar
+from pica_core.avatar.file import load_avatar, save_avatar
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.dataset.files import Topology
 from pica_core.capture.stage.synth import RenderOptions
 from pica_core.capture.triangles import components
 from pica_core.errors import CheckpointError, TrainingDivergedError, TrainingOptionError
 from pica_core.model.decoders import sample_map
-from pica_core.train.checkpoint import read_checkpoint
 from pica_core.train.config import PRESETS, TrainConfig
 from pica_core.train.data.images import view_direction
+from pica_core.train.data.meshes import rasterise_uv
 from pica_core.train.data.training import TrainingData
-from pica_core.train.data.uv_raster import rasterise_uv
 from pica_core.train.eval.evaluate import evaluate, mean_mse
 from pica_core.train.export import fill_unseen, joint_map, make_avatar
-from pica_core.train.loop import Trainer, open_trainer
 from pica_core.train.losses import DEPTH_LIMIT_M, depth_loss, depth_mask
-from pica_core.train.optimiser import rate_ratio
+from pica_core.train.train import Trainer, open_trainer, rate_ratio, read_checkpoint
 from pica_core.types import FloatArray
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
@@ -49,11 +47,8 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> TrainingData:
 
 
 def short(geometry: int, joint: int, driver: int) -> TrainConfig:
-    tiny = PRESETS["tiny"]
-    schedule = replace(
-        tiny.schedule, geometry_steps=geometry, joint_steps=joint, driver_steps=driver
-    )
-    return replace(tiny, schedule=schedule)
+    steps = {"geometry_steps": geometry, "joint_steps": joint, "driver_steps": driver}
+    return replace(PRESETS["tiny"], **steps)
 
 
 @dataclass
@@ -149,7 +144,7 @@ def test_a_run_that_is_told_to_stop_leaves_a_checkpoint(data: TrainingData, tmp_
     with open_trainer(data, short(5, 0, 0), tmp_path) as trainer:
         trainer.run(lambda step, phase, losses: step < 3)
 
-    assert read_checkpoint(tmp_path / "checkpoint.pt")["step"] == 3
+    assert read_checkpoint(tmp_path)["step"] == 3
 
 
 def test_a_run_with_other_options_is_not_resumed(data: TrainingData, tmp_path: Path) -> None:
@@ -178,8 +173,7 @@ def test_a_run_of_another_capture_is_not_resumed(
 
 
 def test_options_of_another_version_are_refused() -> None:
-    values = PRESETS["tiny"].to_json()
-    values["losses"]["colour_of_the_moon"] = 1.0
+    values = PRESETS["tiny"].to_json() | {"colour_of_the_moon": 1.0}
 
     with pytest.raises(CheckpointError, match="colour_of_the_moon"):
         TrainConfig.from_json(values)
@@ -207,18 +201,18 @@ def test_an_option_out_of_range_is_named(change: dict[str, int], named: str) -> 
 
 
 def test_a_damaged_checkpoint_is_refused_by_name(tmp_path: Path) -> None:
-    path = tmp_path / "checkpoint.pt"
-    path.write_bytes(b"not a checkpoint")
+    (tmp_path / "checkpoint.pt").write_bytes(b"not a checkpoint")
 
     with pytest.raises(CheckpointError, match=r"checkpoint\.pt"):
-        read_checkpoint(path)
+        read_checkpoint(tmp_path)
 
 
 def test_a_loss_that_is_not_finite_stops_the_run_and_keeps_the_checkpoint(
     data: TrainingData, tmp_path: Path
 ) -> None:
     with open_trainer(data, short(2, 0, 0), tmp_path) as trainer:
-        saved = trainer.save().read_bytes()
+        trainer.save()
+        saved = (tmp_path / "checkpoint.pt").read_bytes()
         with torch.no_grad():
             next(trainer.model.geometry.parameters()).fill_(torch.nan)
 
@@ -229,8 +223,6 @@ def test_a_loss_that_is_not_finite_stops_the_run_and_keeps_the_checkpoint(
 
 
 def test_an_exported_avatar_encodes_as_the_model_does(data: TrainingData, tmp_path: Path) -> None:
-    from pica_core.avatar.file import save_avatar
-
     with open_trainer(data, short(1, 1, 1), tmp_path / "run") as trainer:
         trainer.run()
         avatar = make_avatar(
@@ -239,7 +231,6 @@ def test_an_exported_avatar_encodes_as_the_model_does(data: TrainingData, tmp_pa
         with torch.no_grad():
             wanted = trainer.model.expression_encoder(data.arkit[:1])[0].permute(1, 2, 0).numpy()
     span = avatar.manifest.view_span
-    assert span is not None
     seen = [view_direction(data.images.camera(0, name)) for name in data.images.cameras_of(0)]
     yaws = [math.degrees(math.atan2(x, z)) for x, _, z in seen]
     assert span.min_yaw - 5 < min(yaws) < max(yaws) < span.max_yaw + 5

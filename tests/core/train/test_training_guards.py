@@ -15,10 +15,10 @@ from helpers.small_capture import render_small
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.errors import CheckpointError, TrainingDivergedError
 from pica_core.model.encoder import MAX_LOG_VARIANCE, hold_log_variance
-from pica_core.train.checkpoint import read_checkpoint, write_checkpoint
-from pica_core.train.config import PAPER_LOSSES, PRESETS, LossConfig, TrainConfig
+from pica_core.train.config import PAPER, PRESETS, TrainConfig
 from pica_core.train.data.training import TrainingData
-from pica_core.train.loop import open_trainer
+from pica_core.train.objectives import IMAGE_WEIGHT, KL_WEIGHT, MESH_WEIGHT
+from pica_core.train.train import open_trainer, read_checkpoint, write_checkpoint
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
 
@@ -34,11 +34,8 @@ def data(folder: Path) -> TrainingData:
 
 
 def short(geometry: int, joint: int = 0, **changes: Any) -> TrainConfig:
-    tiny = PRESETS["tiny"]
-    schedule = replace(
-        tiny.schedule, geometry_steps=geometry, joint_steps=joint, driver_steps=0, joint_batch=2
-    )
-    return replace(tiny, schedule=schedule, **changes)
+    steps = {"geometry_steps": geometry, "joint_steps": joint, "driver_steps": 0}
+    return replace(PRESETS["tiny"], **steps, **changes)
 
 
 def rows(run: Path, kind: str) -> list[dict[str, Any]]:
@@ -77,7 +74,8 @@ def test_weights_that_are_not_finite_are_never_saved(
     with open_trainer(data, short(4, checkpoint_every=checkpoint_every), tmp_path) as trainer:
         while trainer.step < 3:
             trainer.train_step()
-        saved = trainer.save().read_bytes()
+        trainer.save()
+        saved = (tmp_path / "checkpoint.pt").read_bytes()
         with torch.no_grad():
             unused = trainer.model.parameter_groups()["encoding"][0]  # in this phase
             unused.view(-1)[0] = torch.nan
@@ -90,13 +88,14 @@ def test_weights_that_are_not_finite_are_never_saved(
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs Linux's /dev/full")
 def test_a_full_disk_leaves_the_checkpoint_of_before(tmp_path: Path) -> None:
     path = tmp_path / "checkpoint.pt"
-    write_checkpoint(path, {"step": 1, "weights": torch.zeros(100_000)})
+    config = json.dumps(PRESETS["tiny"].to_json())
+    write_checkpoint(path, {"step": 1, "config": config, "weights": torch.zeros(100_000)})
     path.with_suffix(".part").symlink_to("/dev/full")  # every write there ends in "no space left"
 
     with pytest.raises(CheckpointError, match=r"No space left.*the one before is whole"):
         write_checkpoint(path, {"step": 2, "weights": torch.zeros(100_000)})
 
-    assert read_checkpoint(path)["step"] == 1
+    assert read_checkpoint(tmp_path)["step"] == 1
     assert not path.with_suffix(".part").exists()
 
 
@@ -108,7 +107,7 @@ def test_a_capture_without_depth_switches_its_losses_off_and_says_so_once(
     for entry in folder.iterdir():
         if entry.name != "depth":
             (bare / entry.name).symlink_to(entry)
-    config = short(0, 2, losses=LossConfig(depth=10, normal=1))
+    config = short(0, 2, depth=10.0, normal=1.0)
 
     with open_trainer(TrainingData(Capture.open(bare)), config, tmp_path / "run") as trainer:
         losses = trainer.train_step()
@@ -123,8 +122,8 @@ def test_a_capture_without_depth_switches_its_losses_off_and_says_so_once(
 def test_a_model_takes_a_step_with_all_losses_on_tracked_meshes(
     data: TrainingData, tmp_path: Path, variant: str
 ) -> None:
-    model = replace(PRESETS["tiny"].model, variant=variant)
-    config = short(0, 1, losses=PAPER_LOSSES, model=model, mesh_source="tracked")
+    weights = {"depth": PAPER.depth, "normal": PAPER.normal, "smooth": PAPER.smooth}
+    config = short(0, 1, variant=variant, mesh_source="tracked", **weights)
 
     with open_trainer(data, config, tmp_path) as trainer:
         mean_m = trainer.objectives.mean_m.clone()
@@ -137,21 +136,19 @@ def test_a_model_takes_a_step_with_all_losses_on_tracked_meshes(
 
 
 def test_the_paper_preset_is_the_papers_settings() -> None:
-    paper = PRESETS["paper"]
-
-    assert paper.model.encoder == "paper"
-    assert paper.model.encoding_amplitude == 1.0
-    assert paper.model.uv_encoding_size == 1024
-    assert paper.model.axis_encoding_size == 10_000
-    losses = paper.losses
-    weights = (losses.image, losses.depth, losses.normal, losses.mesh, losses.smooth, losses.kl)
-    assert weights == (2, 10, 1, 0.1, 1, 0.001)
-    assert (losses.region_weight, losses.lid_weight, paper.schedule.frame_balance) == (1, 1, 0)
-    schedule = paper.schedule
-    assert (schedule.geometry_steps, schedule.joint_steps) == (0, 400_000)
-    assert (schedule.joint_batch, schedule.pixels_per_image) == (4, 0)
-    rates = (schedule.joint_rate, schedule.pixel_rate, schedule.encoding_rate)
-    assert rates == (1e-3, 1e-3, 1e-3)
-    assert schedule.constant_rate
-    assert schedule.clip_norm == 0
-    assert paper.mesh_source == "tracked"
+    assert (PAPER.encoder, PAPER.mesh_source) == ("paper", "tracked")
+    assert (PAPER.uv_encoding_size, PAPER.axis_encoding_size) == (1024, 10_000)
+    assert PAPER.encoding_amplitude == 1.0
+    assert (IMAGE_WEIGHT, PAPER.depth, PAPER.normal) == (2, 10, 1)
+    assert (MESH_WEIGHT, PAPER.smooth, KL_WEIGHT) == (0.1, 1, 0.001)
+    assert (PAPER.region_weight, PAPER.lid_weight, PAPER.frame_balance, PAPER.chroma) == (
+        1,
+        1,
+        0,
+        0,
+    )
+    assert (PAPER.geometry_steps, PAPER.joint_steps) == (0, 400_000)
+    assert (PAPER.joint_batch, PAPER.pixels_per_image) == (4, 0)
+    assert {PAPER.joint_rate, PAPER.pixel_rate, PAPER.encoding_rate} == {1e-3}
+    assert PAPER.constant_rate
+    assert PAPER.clip_norm == 0

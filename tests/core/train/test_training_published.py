@@ -19,15 +19,11 @@ from pica_core.train.cli.train import ExportOptions, export
 from pica_core.train.config import PRESETS
 from pica_core.train.data.training import TrainingData
 from pica_core.train.eval.evaluate import evaluate
-from pica_core.train.loop import open_trainer
+from pica_core.train.train import open_trainer
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
 
-TINY = PRESETS["tiny"]
-CONFIG = replace(
-    TINY,
-    schedule=replace(TINY.schedule, geometry_steps=2, joint_steps=6, driver_steps=4, joint_batch=4),
-)
+CONFIG = replace(PRESETS["tiny"], geometry_steps=2, joint_steps=6, driver_steps=4, joint_batch=4)
 
 
 @pytest.fixture
@@ -62,8 +58,7 @@ def test_a_run_with_damaged_images_resumes_to_the_same_numbers(
 ) -> None:
     for path in (original / "images").glob("*/left/*.png"):
         path.write_bytes(b"no image")
-    schedule = replace(CONFIG.schedule, geometry_steps=0, joint_steps=16)
-    config = replace(CONFIG, schedule=schedule)
+    config = replace(CONFIG, geometry_steps=0, joint_steps=16)
     run = tmp_path / "run"
     with open_trainer(TrainingData(Capture.open(original)), config, run) as trainer:
         trainer.run()
@@ -84,7 +79,7 @@ def test_a_frame_without_any_readable_image_is_named(original: Path, tmp_path: P
         if path.name != "000003.png":
             path.write_bytes(b"no image")
     data = TrainingData(Capture.open(original))
-    config = replace(CONFIG, schedule=replace(CONFIG.schedule, geometry_steps=0))
+    config = replace(CONFIG, geometry_steps=0)
     with (
         open_trainer(data, config, tmp_path / "run") as trainer,
         pytest.raises(CaptureError, match="no image of"),
@@ -105,7 +100,7 @@ def test_the_neutral_frame_of_a_capture_without_expressions_is_the_mean_one(
 
 def test_without_expressions_no_avatar_is_exported(original: Path, tmp_path: Path) -> None:
     data = TrainingData(Capture.open(original))
-    config = replace(CONFIG, schedule=replace(CONFIG.schedule, joint_steps=0))
+    config = replace(CONFIG, joint_steps=0)
     with open_trainer(data, config, tmp_path / "run") as trainer:
         trainer.run()
     options = ExportOptions(

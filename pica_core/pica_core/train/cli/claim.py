@@ -10,11 +10,11 @@ from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.rig.head import read_rig
 from pica_core.cli.capture import RigOptions, rig
 from pica_core.errors import CaptureError, CheckpointError, TrainingOptionError, check_ranges
-from pica_core.train.checkpoint import read_checkpoint
 from pica_core.train.cli.train import TrainOptions, VariantName, train
-from pica_core.train.data.sampler import spaced
-from pica_core.train.eval.model_card import EVALUATION_FILE
+from pica_core.train.data.training import spaced
 from pica_core.train.eval.run import RUN_FILE
+from pica_core.train.export import EVALUATION_FILE
+from pica_core.train.train import read_checkpoint
 
 OURS, THEIRS = "linear", "baseline"
 """What is claimed to lie below what."""
@@ -142,7 +142,7 @@ def _run(
             )
         )
         found = trained["rows"]
-    state = read_checkpoint(folder / "checkpoint.pt")
+    state = read_checkpoint(folder)
     live = {row["view"]: row["mse"] for row in found if row["source"] == "driver"}
     return [
         {

@@ -21,17 +21,20 @@ from pica_core.capture.dataset.dataset import Capture
 from pica_core.errors import CaptureError, CheckpointError, TrainingOptionError, check_ranges
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.baseline import DeepAppearanceModel
-from pica_core.train.checkpoint import read_checkpoint
 from pica_core.train.config import PRESETS, TrainConfig
 from pica_core.train.data.training import TrainingData
-from pica_core.train.eval.evaluate import evaluate, mean_mse
-from pica_core.train.eval.model_card import EVALUATION_FILE, model_card
-from pica_core.train.eval.model_evaluator import ModelEvaluator
+from pica_core.train.eval.evaluate import ModelEvaluator, evaluate, mean_mse
 from pica_core.train.eval.run import RUN_FILE
-from pica_core.train.export import joint_map, make_avatar, make_baseline
+from pica_core.train.export import (
+    EVALUATION_FILE,
+    joint_map,
+    make_avatar,
+    make_baseline,
+    model_card,
+)
 from pica_core.train.lod.levels import LevelReport, add_levels
-from pica_core.train.loop import Losses, Trainer, open_trainer
 from pica_core.train.stream_metric import make_stream_profile
+from pica_core.train.train import CHECKPOINT, Losses, Trainer, open_trainer, read_checkpoint
 
 VariantName = Literal[
     "linear", "full", "no_uv", "coarse", "uv_nope", "nerf_pe", "pe_2d", "pe_1d", "baseline"
@@ -110,10 +113,10 @@ def train(options: TrainOptions) -> dict[str, Any]:
         ) from error
     torch.set_num_threads(options.threads)
     data = TrainingData(Capture.open(options.capture))
-    if not options.resume and (options.out / "checkpoint.pt").exists():
+    if not options.resume and (options.out / CHECKPOINT).exists():
         raise CheckpointError(f"{options.out}: a run is there already; --resume goes on with it")
     if options.resume:
-        _check_variant(options.out, config.model.variant)
+        _check_variant(options.out, config.variant)
     with open_trainer(data, config, options.out, device=_device(options.device)) as trainer:
         _note_run(options, config, data.capture.identity)
         if options.resume:
@@ -138,8 +141,7 @@ def train(options: TrainOptions) -> dict[str, Any]:
 
 def export(options: ExportOptions) -> dict[str, Any]:
     """Write the avatar file of a trained run; of a baseline, the file that benches read."""
-    state = read_checkpoint(options.run / "checkpoint.pt")
-    config = TrainConfig.from_json(json.loads(state["config"]))
+    config = read_checkpoint(options.run)["config"]
     torch.set_num_threads(options.threads)
     data = TrainingData(Capture.open(options.capture))
     if not data.capture.has_expressions:
@@ -162,7 +164,7 @@ def export(options: ExportOptions) -> dict[str, Any]:
             identity=str(data.capture.info["head"]),
             licence=options.licence,
             model_card=model_card(trainer, options.run),
-            variant=config.model.variant,
+            variant=config.variant,
             start=start,
         )
         # Neither needs the other; both take about as long, and neither keeps two cores busy.
@@ -229,9 +231,7 @@ def _device(wished: str) -> torch.device:
 
 def _check_variant(run: Path, variant: str) -> None:
     """Refuse to go on from another model."""
-    state = read_checkpoint(run / "checkpoint.pt")
-    config = TrainConfig.from_json(json.loads(state["config"]))
-    if (found := config.model.variant) != variant:
+    if (found := read_checkpoint(run)["config"].variant) != variant:
         raise CheckpointError(
             f"{run}: the checkpoint is of variant {found!r}, not {variant!r}; "
             f"use --variant {found}, or another --out"
@@ -243,7 +243,7 @@ def _note_run(options: TrainOptions, config: TrainConfig, identity: str) -> None
     note = {
         "capture": str(options.capture.resolve()),
         "identity": identity,
-        "variant": config.model.variant,
+        "variant": config.variant,
         "preset": options.preset,
         "seed": options.seed,
     }
@@ -252,10 +252,10 @@ def _note_run(options: TrainOptions, config: TrainConfig, identity: str) -> None
 
 def _config(options: TrainOptions) -> TrainConfig:
     config = replace(PRESETS[options.preset], seed=options.seed)
-    chosen = {"block": options.block, "encoder": options.encoder}
+    chosen: dict[str, Any] = {"block": options.block, "encoder": options.encoder}
     changes = {name: value for name, value in chosen.items() if value is not None}
-    usual = config.model.variant if options.preset == "paper" else "linear"
-    return config.changed(model={"variant": options.variant or usual, **changes})
+    usual = config.variant if options.preset == "paper" else "linear"
+    return replace(config, variant=options.variant or usual, **changes)
 
 
 def _run_with_progress(trainer: Trainer) -> None:

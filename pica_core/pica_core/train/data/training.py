@@ -1,4 +1,6 @@
-"""A capture as tensors: its meshes, its images behind a cache, and which frames are drawn."""
+"""A capture as tensors: its meshes, its images behind a cache, and which frames are drawn: rare
+expressions more often.
+"""
 
 import numpy as np
 import torch
@@ -7,8 +9,36 @@ from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.errors import CaptureError
 from pica_core.train.data.images import ImageCache
-from pica_core.train.data.meshes import CaptureMeshes
-from pica_core.train.data.sampler import rarity
+from pica_core.train.data.meshes import IMPORTANT_REGIONS, CaptureMeshes
+from pica_core.types import BoolArray, Float64Array, FloatArray
+
+MAX_RARITY = 8.0
+"""Limit of a frame's weight against the usual one (chosen: a full blink reaches 7)."""
+
+
+def rarity(offsets_m: FloatArray, regions: dict[str, BoolArray]) -> Float64Array:
+    """How far each frame's eyes or mouth lie from their mean, against the usual.
+
+    Args:
+        offsets_m: Vertices minus mean vertices, metres, ``[T, V, 3]``.
+        regions: Named vertex sets, bool ``[V]`` each.
+
+    Returns:
+        The largest such ratio over `IMPORTANT_REGIONS`, from 1 to `MAX_RARITY`, float64 ``[T]``.
+    """
+    ratios = np.ones(len(offsets_m))
+    for name in IMPORTANT_REGIONS:
+        if name not in regions or not regions[name].any():
+            continue
+        part = offsets_m[:, regions[name]]
+        distance = np.sqrt(np.square(part, dtype=np.float64).sum(2).mean(1))
+        ratios = np.maximum(ratios, distance / max(float(distance.mean()), 1e-9))
+    return np.minimum(ratios, MAX_RARITY)
+
+
+def spaced(frames: list[int], count: int) -> list[int]:
+    """At most `count` of some frames, evenly spaced."""
+    return frames[:: -(-len(frames) // count)] if count else []
 
 
 class TrainingData:

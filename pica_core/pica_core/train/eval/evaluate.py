@@ -3,24 +3,204 @@
 MSE is on 0-255 values over the rasterised pixels of the decoded mesh, on frames that training never
 saw, averaged over frames (paper, section 6). PSNR and SSIM are means over frames of the same
 pixels. `temporal_mse` is the error of the change from a frame to the next one of its take: flicker,
-which a mean over single frames does not show.
-
-Intervals are 95 % bootstrap intervals over test frames.
+which a mean over single frames does not show. Intervals are 95 % bootstrap intervals over frames.
 """
 
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
+import torch
+from scipy.ndimage import gaussian_filter
 from torch import Tensor
 
+from pica_core.camera import Camera
 from pica_core.errors import CaptureError
-from pica_core.train.data.sampler import spaced
-from pica_core.train.data.training import TrainingData
-from pica_core.train.eval.metrics import bootstrap_interval, change_mse, mse, psnr_db, ssim
-from pica_core.train.eval.model_evaluator import ModelEvaluator, Picture
-from pica_core.train.loop import Trainer
-from pica_core.types import FloatArray
+from pica_core.model.interface import AvatarModel, Surface
+from pica_core.train.data.images import view_direction
+from pica_core.train.data.training import TrainingData, spaced
+from pica_core.train.raster import MeshDrawer, Rasteriser
+from pica_core.train.train import Trainer
+from pica_core.types import Array, BoolArray, ByteArray, Float64Array, FloatArray, Int64Array
+
+WHITE = 255.0
+SSIM_SIGMA_PX = 1.5
+SSIM_REACH_PX = 5
+"""Gaussian window of 11 x 11 pixels (Wang et al., "Image Quality Assessment", 2004, section
+III-B)."""
+SSIM_CONSTANTS = ((0.01 * WHITE) ** 2, (0.03 * WHITE) ** 2)
+RESAMPLES = 2000
+"""Draws of the bootstrap: the ends of a 95 % interval are good to a few percent of its width."""
+BEST_PSNR_DB = 100.0
+"""What a picture without any error counts as."""
+
+
+def mse(predicted: Array, observed: Array) -> float:
+    """Mean squared difference over pixels and channels, ``[P, 3]`` both."""
+    return float(np.square(predicted.astype(np.float64) - observed).mean())
+
+
+def psnr_db(error: float) -> float:
+    """Peak signal to noise ratio of a mean squared error on 0-255."""
+    if error <= 0:
+        return BEST_PSNR_DB
+    return min(BEST_PSNR_DB, float(10 * np.log10(WHITE**2 / error)))
+
+
+def ssim(predicted: Array, observed: Array, covered: BoolArray) -> float:
+    """Mean structural similarity of the covered pixels, channel by channel.
+
+    Args:
+        predicted: ``[H, W, 3]``; outside the covered pixels it should hold what `observed` holds,
+            so that windows across the rim compare like with like.
+        observed: ``[H, W, 3]``.
+        covered: Which pixels count, ``[H, W]``; 1 where none does.
+    """
+    if not covered.any():
+        return 1.0
+    rows, columns = (np.flatnonzero(covered.any(axis)) for axis in (1, 0))
+    box = tuple(
+        slice(max(0, index[0] - SSIM_REACH_PX), index[-1] + SSIM_REACH_PX + 1)
+        for index in (rows, columns)
+    )
+    a = predicted[box].astype(np.float64)
+    b = observed[box].astype(np.float64)
+    c1, c2 = SSIM_CONSTANTS
+    mean_a, mean_b = _blur(a), _blur(b)
+    variance_a = _blur(a * a) - mean_a**2
+    variance_b = _blur(b * b) - mean_b**2
+    covariance = _blur(a * b) - mean_a * mean_b
+    similar = (2 * mean_a * mean_b + c1) * (2 * covariance + c2)
+    similar /= (mean_a**2 + mean_b**2 + c1) * (variance_a + variance_b + c2)
+    return float(similar[covered[box]].mean())
+
+
+def change_mse(predicted: tuple[Array, Array], observed: tuple[Array, Array]) -> float:
+    """Error of the change from one frame to the next: what flickers, or moves too late. Colours of
+    the same pixels in two frames, ``[P, 3]`` each, as predicted and as seen."""
+    before, after = (np.asarray(part, np.float64) for part in predicted)
+    seen_before, seen_after = (np.asarray(part, np.float64) for part in observed)
+    return float(np.square((after - before) - (seen_after - seen_before)).mean())
+
+
+def bootstrap_interval(values: npt.ArrayLike) -> tuple[float, float]:
+    """The 95 % percentile interval of the mean, over resamples of the values with repetition.
+
+    Args:
+        values: Of frames ``[T]``, or of several runs on the same frames ``[runs, T]``; then runs
+            and frames are drawn independently of each other.
+
+    Frames are taken as independent; those of one take are not quite, so for them it is a little
+    narrow.
+    """
+    array = np.atleast_2d(np.asarray(values, np.float64))
+    rng = np.random.default_rng(0)
+    runs, frames = array.shape
+    frame = rng.integers(frames, size=(RESAMPLES, frames))
+    run = rng.integers(runs, size=(RESAMPLES, runs))
+    means = array[run[:, :, None], frame[:, None]].mean((1, 2))
+    low, high = np.percentile(means, [2.5, 97.5])
+    return float(low), float(high)
+
+
+def _blur(image: Float64Array) -> Float64Array:
+    """Gaussian means; beyond the border the last pixel goes on."""
+    means: Float64Array = gaussian_filter(
+        image, SSIM_SIGMA_PX, mode="nearest", radius=SSIM_REACH_PX, axes=(0, 1)
+    )
+    return means
+
+
+class Picture(NamedTuple):
+    """The P pixels of an image that a mesh covers, in reading order.
+
+    Attributes:
+        pixels: Flat indices, row * W + column, int64 ``[P]``.
+        colours: 0-255, clamped, float32 ``[P, 3]``.
+        depth_m: Along the camera's axis, float32 ``[P]``.
+    """
+
+    pixels: Int64Array
+    colours: FloatArray
+    depth_m: FloatArray
+
+    def on(self, image: npt.NDArray[np.generic]) -> FloatArray:
+        """The picture laid over an image, ``[H, W, 3]``."""
+        laid: FloatArray = image.astype(np.float32)
+        laid.reshape(-1, 3)[self.pixels] = self.colours
+        return laid
+
+    def within(self, image: ByteArray) -> FloatArray:
+        """What an image ``[H, W, 3]`` holds at these pixels, 0-255, float32 ``[P, 3]``."""
+        return image.reshape(-1, 3)[self.pixels].astype(np.float32)
+
+    def covered(self, camera: Camera) -> BoolArray:
+        """Which pixels of the image these are, ``[H, W]``."""
+        mask = np.zeros(camera.height * camera.width, np.bool_)
+        mask[self.pixels] = True
+        return mask.reshape(camera.height, camera.width)
+
+
+class ModelEvaluator:
+    """Draws a model's pictures of latents and of a capture's frames; the rasteriser, made for the
+    topology that the model draws, stays its owner's."""
+
+    def __init__(self, data: TrainingData, model: AvatarModel, rasteriser: Rasteriser) -> None:
+        topology = data.meshes.topology(model.topology)
+        self.data = data
+        self.model = model
+        self._drawer = MeshDrawer(rasteriser, topology)
+        self._device = next(model.parameters()).device
+
+    @torch.no_grad()
+    def encode(self, frame: int) -> Tensor:
+        """The encoder's mean for a frame, ``[1, 4, 8, 8]``."""
+        texture = self.data.images.textures([frame], self.model.encoder.texture_size)
+        maps = self.data.meshes.position_maps([frame])
+        mean: Tensor = self.model.encoder(texture.to(self._device), maps.to(self._device))[0]
+        return mean
+
+    @torch.no_grad()
+    def drive(self, frame: int) -> Tensor:
+        """What a live sender would send for a frame, ``[1, 4, 8, 8]``."""
+        arkit = self.data.arkit[[frame]].to(self._device)
+        latent: Tensor = self.model.expression_encoder(arkit)
+        return latent
+
+    @torch.no_grad()
+    def vertices_m(self, latent: Tensor) -> FloatArray:
+        """Decoded vertices of one latent, on the topology that the model draws, ``[V, 3]``."""
+        vertices: FloatArray = self.model.vertices(latent)[0].cpu().numpy()
+        return vertices
+
+    @torch.no_grad()
+    def draw(
+        self,
+        latent: Tensor,
+        camera: Camera,
+        *,
+        vertices_m: FloatArray | None = None,
+    ) -> Picture:
+        """The picture of one latent through a camera in head axes.
+
+        Args:
+            latent: ``[1, 4, 8, 8]``.
+            camera: In head axes.
+            vertices_m: What `vertices_m` gives of this latent, if it is known already.
+        """
+        found_m = torch.from_numpy(self.vertices_m(latent) if vertices_m is None else vertices_m)
+        direction = torch.from_numpy(view_direction(camera))[None].to(self._device)
+        appearance = self.model.appearance(latent, direction)
+        drawn = self._drawer.draw(found_m[None], [camera])
+        pixels = drawn.pixels.pixel
+        if not len(pixels):
+            return Picture(pixels, np.zeros((0, 3), np.float32), np.zeros(0, np.float32))
+        surface = Surface(*(values.to(self._device) for values in drawn.surface))
+        colours = self.model.shade(appearance, surface)
+        shown = 255 * colours.clamp(0, 1).cpu().numpy()
+        return Picture(pixels, shown.astype(np.float32), drawn.depth_m.numpy())
+
 
 Source = Literal["encoder", "driver"]
 

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from pica_core.avatar.variants import TABLE_1, TABLE_2
-from pica_core.train.eval.metrics import bootstrap_interval
-from pica_core.train.eval.truth import DEPTH_CAP_MM, NEAR_DISTANCE_M, NOT_ASKED, REGIONS
+from pica_core.train.eval.evaluate import bootstrap_interval
+from pica_core.train.eval.run import DEPTH_CAP_MM, NEAR_DISTANCE_M, NOT_ASKED, REGIONS
 
 Rows = Sequence[Mapping[str, Any]]
 Key = tuple[str, str, str, int]

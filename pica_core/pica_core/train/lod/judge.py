@@ -24,10 +24,9 @@ from pica_core.capture.triangles import components, nearest
 from pica_core.model.decoders import sample_map
 from pica_core.reference.face_errors import poking
 from pica_core.reference.pixel import decode_pixels
-from pica_core.train.drawing import MeshDrawer
 from pica_core.train.lod.exits import FaceSet
 from pica_core.train.lod.simplify import weld
-from pica_core.train.rasterise import Rasteriser
+from pica_core.train.raster import MeshDrawer, Rasteriser
 from pica_core.types import Array, BoolArray, ByteArray, FloatArray, IntArray
 
 SHOWN: tuple[dict[str, float], ...] = (

@@ -19,32 +19,32 @@ from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.person.subject import PersonSubject
 from pica_core.capture.stage.synth import RenderOptions
 from pica_core.errors import CheckpointError, TrainingOptionError
-from pica_core.train.checkpoint import write_checkpoint
 from pica_core.train.cli.eval import EvalOptions, eval_runs
 from pica_core.train.cli.train import TrainOptions, train
 from pica_core.train.config import PRESETS, TrainConfig
+from pica_core.train.data.prior import face_prior
 from pica_core.train.data.training import TrainingData
-from pica_core.train.eval.evaluate import successor
-from pica_core.train.eval.metrics import (
+from pica_core.train.eval.evaluate import (
     BEST_PSNR_DB,
     bootstrap_interval,
     change_mse,
     mse,
     psnr_db,
     ssim,
+    successor,
 )
-from pica_core.train.eval.run import RUN_FILE, open_run
-from pica_core.train.eval.tables import error_table, report
-from pica_core.train.eval.truth import (
+from pica_core.train.eval.run import (
     DEPTH_CAP_MM,
     NEAR_DISTANCE_M,
+    RUN_FILE,
     DepthErrors,
     TrueView,
     near_camera,
     near_field,
+    open_run,
 )
-from pica_core.train.loop import open_trainer
-from pica_core.train.prior import face_prior
+from pica_core.train.eval.tables import error_table, report
+from pica_core.train.train import open_trainer, write_checkpoint
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
 
@@ -71,8 +71,7 @@ def data(capture: Path) -> TrainingData:
 
 
 def config_of(variant: str) -> TrainConfig:
-    tiny = PRESETS["tiny"]
-    return replace(tiny, model=replace(tiny.model, variant=variant, texture_size=64))
+    return replace(PRESETS["tiny"], variant=variant, texture_size=64)
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +87,7 @@ def runs(
         state = {
             "config": json.dumps(config.to_json()),
             "step": 0,
-            "model": config.model.build(face_prior(data)).state_dict(),
+            "model": config.build(face_prior(data)).state_dict(),
         }
         write_checkpoint(folder / "checkpoint.pt", state)
         (folder / RUN_FILE).write_text(json.dumps({"capture": str(capture)}))
@@ -215,7 +214,7 @@ def test_near_field_pictures_are_skipped_where_the_stage_draws_another_picture(
 ) -> None:
     subject = KeptSubject(PERSON, bake_size=256, self_shadow=False, coarse=True)
     frames = data.test_frames[:1]
-    monkeypatch.setattr("pica_core.train.eval.truth.PersonSubject", lambda person: subject)
+    monkeypatch.setattr("pica_core.train.eval.run.PersonSubject", lambda person: subject)
     try:
         same = near_field(data, frames)
         image = data.images.image
@@ -378,9 +377,8 @@ def test_the_command_knows_every_variant_and_preset() -> None:
 def test_other_variants_train_through_all_phases(
     data: TrainingData, variant: str, tmp_path: Path
 ) -> None:
-    config = config_of(variant)
-    schedule = replace(config.schedule, geometry_steps=1, joint_steps=1, driver_steps=1)
-    with open_trainer(data, replace(config, schedule=schedule), tmp_path) as trainer:
+    few = {"geometry_steps": 1, "joint_steps": 1, "driver_steps": 1}
+    with open_trainer(data, replace(config_of(variant), **few), tmp_path) as trainer:
         before = {k: v.clone() for k, v in trainer.model.state_dict().items()}
         trainer.run()
         moved = [k for k, v in trainer.model.state_dict().items() if not v.equal(before[k])]

@@ -17,14 +17,13 @@ from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.dataset.multiface import mesh_path
 from pica_core.capture.stage.synth import RenderOptions
 from pica_core.errors import CaptureError
-from pica_core.train.checkpoint import write_checkpoint
 from pica_core.train.cli.eval import EvalOptions, eval_runs
 from pica_core.train.config import PRESETS
+from pica_core.train.data.prior import face_prior
 from pica_core.train.data.training import TrainingData
 from pica_core.train.eval.evaluate import evaluate, successor
 from pica_core.train.eval.run import RUN_FILE
-from pica_core.train.loop import open_trainer
-from pica_core.train.prior import face_prior
+from pica_core.train.train import open_trainer, write_checkpoint
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
 
@@ -35,8 +34,7 @@ STAGE = RenderOptions(
     texture_size=64,
     tracked_vertices=400,
 )
-TINY = PRESETS["tiny"]
-CONFIG = replace(TINY, model=replace(TINY.model, variant="full", texture_size=64))
+CONFIG = replace(PRESETS["tiny"], texture_size=64)
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +59,7 @@ def evaluated(capture: Path, folder: Path, **limits: int) -> dict[str, Any]:
     """What `pica eval` says of a run that was stopped before its first step."""
     folder.mkdir()
     torch.manual_seed(CONFIG.seed)
-    model = CONFIG.model.build(face_prior(TrainingData(Capture.open(capture))))
+    model = CONFIG.build(face_prior(TrainingData(Capture.open(capture))))
     state = {"config": json.dumps(CONFIG.to_json()), "step": 0, "model": model.state_dict()}
     write_checkpoint(folder / "checkpoint.pt", state)
     (folder / RUN_FILE).write_text(json.dumps({"capture": str(capture)}))
@@ -75,7 +73,7 @@ def test_an_image_that_cannot_be_read_is_left_out_and_counted(
     front = held_out_images(capture, "front")
     front[0].write_bytes(b"no image")
     nothing = dict.fromkeys(("geometry_steps", "joint_steps", "driver_steps"), 0)
-    config = replace(CONFIG, schedule=replace(CONFIG.schedule, **nothing))
+    config = replace(CONFIG, **nothing)
     with open_trainer(TrainingData(Capture.open(capture)), config, tmp_path) as trainer:
         rows = {(row["source"], row["view"]): row for row in evaluate(trainer)}
 
@@ -118,7 +116,7 @@ def test_the_change_does_not_span_a_frame_that_is_left_out(tmp_path: Path) -> No
 def test_a_frame_counts_by_the_views_that_have_it(
     capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pica_core.train.eval.truth.PersonSubject", lambda person: small_subject())
+    monkeypatch.setattr("pica_core.train.eval.run.PersonSubject", lambda person: small_subject())
     front, left = (held_out_images(capture, view) for view in ("front", "left"))
     for path in (front[0], left[1], front[2], left[2]):
         path.unlink()

@@ -10,8 +10,8 @@ from pica_core.capture.dataset.dataset import Capture
 from pica_core.train.config import PRESETS
 from pica_core.train.data.training import TrainingData
 from pica_core.train.eval.evaluate import evaluate
-from pica_core.train.eval.model_card import EVALUATION_FILE, model_card
-from pica_core.train.loop import open_trainer
+from pica_core.train.export import EVALUATION_FILE, model_card
+from pica_core.train.train import open_trainer
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pica_core.train.eval.metrics import bootstrap_interval
+from pica_core.train.eval.evaluate import bootstrap_interval
 from pica_core.train.eval.tables import distribution_table, error_table
 
 pytestmark = pytest.mark.unit

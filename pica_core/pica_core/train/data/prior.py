@@ -8,8 +8,7 @@ from pica_core.model.bases import BENT_M, fit_bases, split_bases, unexplained_m
 from pica_core.model.interface import FacePrior, LinearPrior
 from pica_core.model.linear import CODE_SIZE
 from pica_core.train.data.meshes import vertex_importance
-from pica_core.train.data.sampler import spaced
-from pica_core.train.data.training import TrainingData
+from pica_core.train.data.training import TrainingData, spaced
 from pica_core.types import FloatArray
 
 READ_TEXELS = 8192

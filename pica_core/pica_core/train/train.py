@@ -1,0 +1,345 @@
+"""Joint learning as in the paper's section 5: phases of steps, and checkpoints that resume exactly.
+
+    for each phase: for each step: batch -> losses of the phase -> step of its optimiser -> log
+
+    geometry    encoder and geometry decoder on tracked meshes alone; no rendering (ours)
+    joint       everything on images, meshes and KL, as in the paper
+    driver      the expression encoder (52 ARKit values to the latent) on the model's own codes;
+                of models with bases: a regression, then joint steps in turn with steps on
+                pictures of poses, which teach it and the decoders what other expressions show
+
+The state of a run is its step number, the weights, the optimisers' moments and the mean mesh;
+everything random in step n is drawn from (seed, n). So a run that stops and resumes gives the
+numbers of one that never stopped, on the same machine with the same thread count. A run whose
+losses or weights are not finite stops, and its last checkpoint stays.
+"""
+
+import json
+import logging
+import math
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TextIO
+
+import torch
+from torch import nn
+from torch.profiler import record_function
+
+from pica_core.avatar.variants import VARIANTS
+from pica_core.errors import CheckpointError, TrainingDivergedError
+from pica_core.model.interface import AvatarModel
+from pica_core.train.config import TrainConfig
+from pica_core.train.data.prior import face_prior
+from pica_core.train.data.training import TrainingData
+from pica_core.train.objectives import LOSSES, Draw, Objectives
+from pica_core.train.raster import Rasteriser
+
+PHASES = ("geometry", "joint", "driver")
+JOINT_COST = 4
+"""Steps of the geometry phase that take as long as one joint step (measured: 42 and 11 a second on
+one thread)."""
+LIVE_TURN = 4
+"""One of so many steps on pictures of poses is on frames instead, which keep what they taught."""
+GEOMETRY_RATE, DRIVER_RATE = 4e-3, 2e-3
+"""Peak learning rates of the phases that are ours."""
+LIVE_RATE_RATIO = 0.5
+"""Rates on pictures of poses, when all is learned but for what they add, against the joint ones."""
+WARMUP_RATIO = 0.02
+"""Part of a phase in which the learning rate rises linearly."""
+FINAL_RATE_RATIO = 0.02
+"""Learning rate at the end of a phase, against its peak; between them half a cosine."""
+METRICS, METRICS_EVERY = "metrics.jsonl", 50
+"""File of metrics in a run's folder, and the steps between its lines."""
+CHECKPOINT, CHECKPOINT_VERSION = "checkpoint.pt", 3
+SCALE_TOLERANCE = 1e-5
+"""Relative difference of position scales that two machines' sums may show for one capture."""
+
+Losses = dict[str, float]
+logger = logging.getLogger(__name__)
+
+
+class Trainer:
+    """Trains one avatar on one capture.
+
+    Args:
+        run_dir: Where ``checkpoint.pt`` and ``metrics.jsonl`` go; made if missing.
+        rasteriser: Made for the mesh that the model draws; it stays its owner's.
+
+    Attributes:
+        seconds: Time spent in steps since the run's beginning; checkpoints are not counted.
+    """
+
+    def __init__(
+        self,
+        data: TrainingData,
+        config: TrainConfig,
+        run_dir: Path,
+        rasteriser: Rasteriser,
+        *,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        self.data, self.config, self.run_dir = data, config, run_dir
+        self.device = torch.device(device)
+        run_dir.mkdir(parents=True, exist_ok=True)
+        torch.manual_seed(config.seed)
+        data.meshes.use(config.mesh_source)
+        prior = face_prior(data, config.variant)
+        self.model = config.build(prior).to(self.device)
+        self.step, self.seconds = 0, 0.0
+        self.rasteriser = rasteriser
+        self.objectives = Objectives(data, config, self.model, rasteriser, self.device)
+        if prior.linear is not None:
+            self.objectives.notes += prior.linear.notes
+        geometry, joint = config.geometry_steps, config.joint_steps
+        driver = config.driver_steps if data.capture.has_expressions else 0
+        self._has_live_steps = False
+        if self.model.spec.geometry == "bases":  # nothing to descend: the steps go to colours
+            geometry, joint = 0, joint + geometry // JOINT_COST
+            live = min(config.live_steps, joint)
+            self._has_live_steps = driver * live > 1 and self.objectives.has_pictures_of_poses
+            # Without pictures a regression, which a descent from it only makes worse.
+            driver = live if self._has_live_steps else min(driver, 1)
+            joint -= live if self._has_live_steps else 0
+        self._steps = geometry, joint, driver
+        last = "live" if self._has_live_steps else "driver"
+        self._optimisers = {
+            phase: make_optimiser(self.model, config, what)
+            for phase, what in zip(PHASES, (*PHASES[:-1], last), strict=True)
+        }
+
+    @property
+    def total_steps(self) -> int:
+        """Steps of all phases together."""
+        return sum(self._steps)
+
+    def phase_of(self, step: int) -> tuple[str, int, int]:
+        """Phase of a global step, the step within it, and the phase's length."""
+        for phase, length in zip(PHASES, self._steps, strict=True):
+            if step < length:
+                return phase, step, length
+            step -= length
+        raise ValueError(f"step {self.step} lies behind the last phase")
+
+    def run(self, on_step: Callable[[int, str, Losses], bool] | None = None) -> None:
+        """Train from the current step to the end, with checkpoints on the way and at the end.
+
+        `on_step` is told each step's number, phase and losses, and returns True to go on.
+
+        Raises:
+            TrainingDivergedError: Losses or weights are not finite. The last checkpoint stays.
+            CheckpointError: A checkpoint cannot be written. The one before stays.
+        """
+        with (self.run_dir / METRICS).open("a") as metrics:
+            for note in self.objectives.notes:
+                logger.warning("step %d: %s", self.step, note)
+                self._log(metrics, "note", {"text": note})
+            first, first_s, saved_at = self.step, self.seconds, -1
+            while self.step < self.total_steps:
+                phase, _, _ = self.phase_of(self.step)
+                started = time.perf_counter()
+                losses = self.train_step()
+                self.seconds += time.perf_counter() - started
+                if broken := [name for name, loss in losses.items() if not math.isfinite(loss)]:
+                    raise self._diverged(", ".join(broken))
+                if self.step % METRICS_EVERY == 0:
+                    rate = (self.step - first) / max(self.seconds - first_s, 1e-9)
+                    first, first_s = self.step, self.seconds
+                    row = {"phase": phase, "seconds": round(self.seconds, 2)}
+                    row |= {"steps_per_s": round(rate, 3)}
+                    row |= {"left_s": round((self.total_steps - self.step) / rate), **losses}
+                    self._log(metrics, "train", row)
+                if self.step == self.total_steps or self.step % self.config.checkpoint_every == 0:
+                    self.save()
+                    saved_at = self.step
+                if on_step is not None and not on_step(self.step, phase, losses):
+                    break
+            if saved_at != self.step:
+                self.save()
+
+    def train_step(self) -> Losses:
+        """Do one step and return its losses."""
+        phase, index, length = self.phase_of(self.step)
+        optimiser = self._optimisers[phase]
+        if phase == "driver" and index == 0 and self.model.spec.geometry == "bases":
+            self.objectives.start_driver()
+            if not self._has_live_steps:
+                optimiser.param_groups[0]["peak"] = 0.0
+        ratio = 1.0 if self.config.constant_rate else rate_ratio(index, length)
+        for group in optimiser.param_groups:
+            group["lr"] = group["peak"] * ratio
+        optimiser.zero_grad(set_to_none=True)
+        after = self.step + 1
+        if after < self.total_steps and self._kind_of(after) == "joint":
+            self.objectives.expect(Draw(self.config.seed, after))
+        losses = LOSSES[self._kind_of(self.step)](
+            self.objectives, Draw(self.config.seed, self.step)
+        )
+        with record_function("backward"):
+            total = sum(losses.values(), torch.zeros((), device=self.device))
+            total.backward()  # type: ignore[no-untyped-call]
+        with record_function("optimiser"):
+            if self.config.clip_norm > 0:  # by group: their losses differ in scale by thousands
+                for group in optimiser.param_groups:
+                    nn.utils.clip_grad_norm_(group["params"], self.config.clip_norm)
+            optimiser.step()
+        self.step += 1
+        values = torch.stack([value.detach() for value in losses.values()]).to("cpu")
+        return dict(zip(losses, values.tolist(), strict=True))
+
+    def _kind_of(self, step: int) -> str:
+        """A step's phase; in one with pictures of poses every fourth "joint", the others "live"."""
+        phase, index, _ = self.phase_of(step)
+        if phase != "driver" or not self._has_live_steps:
+            return phase
+        return "live" if index % LIVE_TURN else "joint"
+
+    def save(self) -> None:
+        """Write the checkpoint aside, then move it into place.
+
+        Raises:
+            TrainingDivergedError: Weights are not finite; the checkpoint before stays.
+            CheckpointError: It cannot be written; the one before stays.
+        """
+        with torch.no_grad():
+            sums = torch.stack([p.sum() for p in self.model.parameters()])
+        if not torch.isfinite(sums).all():
+            raise self._diverged("weights")
+        state = {
+            "config": json.dumps(self.config.to_json()),
+            "step": self.step,
+            "position_scale_m": self.data.meshes.position_scale_m,
+            "model": self.model.state_dict(),
+            "optimisers": {name: o.state_dict() for name, o in self._optimisers.items()},
+            "mean_mesh_m": self.objectives.mean_m,
+            "seconds": self.seconds,
+        }
+        write_checkpoint(self.run_dir / CHECKPOINT, state)
+
+    def restore(self) -> None:
+        """Go on from the run's checkpoint.
+
+        Raises:
+            CheckpointError: None there, damaged, of another version, of other options, or of
+                another capture.
+        """
+        state = read_checkpoint(self.run_dir)
+        if state["config"] != self.config:
+            raise CheckpointError(
+                f"{self.run_dir}: the checkpoint was made with other options; "
+                "use the same ones, or another --out"
+            )
+        scale_m, here_m = state["position_scale_m"], self.data.meshes.position_scale_m
+        if not math.isclose(scale_m, here_m, rel_tol=SCALE_TOLERANCE):
+            raise CheckpointError(
+                f"{self.run_dir}: the checkpoint was made on another capture than "
+                f"{self.data.capture.path} (position scale {scale_m:.6g} m, here {here_m:.6g} m)"
+            )
+        self.model.load_state_dict(state["model"])
+        for name, optimiser in self._optimisers.items():
+            optimiser.load_state_dict(state["optimisers"][name])
+        self.objectives.mean_m.copy_(state["mean_mesh_m"])
+        self.objectives.forget_codes()
+        self.step, self.seconds = state["step"], state["seconds"]
+
+    def _diverged(self, what: str) -> TrainingDivergedError:
+        phase, _, _ = self.phase_of(max(self.step - 1, 0))
+        return TrainingDivergedError(
+            f"step {self.step} ({phase}): {what} not finite; lower the learning rates and resume "
+            f"from {self.run_dir}"
+        )
+
+    def _log(self, metrics: TextIO, kind: str, values: dict[str, Any]) -> None:
+        metrics.write(json.dumps({"step": self.step, "kind": kind, **values}) + "\n")
+        metrics.flush()
+
+
+@contextmanager
+def open_trainer(
+    data: TrainingData,
+    config: TrainConfig,
+    run_dir: Path,
+    *,
+    device: torch.device | str = "cpu",
+) -> Iterator[Trainer]:
+    """A trainer with a rasteriser of its own, whose GL context is released at the end."""
+    topology = data.meshes.topology(VARIANTS[config.variant].topology)
+    with Rasteriser.of(topology) as rasteriser:
+        yield Trainer(data, config, run_dir, rasteriser, device=device)
+
+
+def make_optimiser(model: AvatarModel, config: TrainConfig, phase: str) -> torch.optim.Adam:
+    """Adam over the parameters of a phase, one of `PHASES` or "live", a driver phase with pictures
+    of poses; each group keeps its peak rate as ``"peak"``."""
+    of, expression = model.parameter_groups(), model.expression_encoder
+    joint = [
+        ([*of["shape"], *of["appearance"]], config.joint_rate),
+        (of["pixel"], config.pixel_rate),
+        (of["encoding"], config.encoding_rate),
+    ]
+    match phase:
+        case "geometry":
+            groups = [(of["shape"], GEOMETRY_RATE)]
+        case "joint":
+            groups = joint
+        case "live":
+            groups = [(params, LIVE_RATE_RATIO * rate) for params, rate in joint]
+            groups.append((list(expression.layers[-1].parameters()), DRIVER_RATE))
+        case _:
+            groups = [(list(expression.parameters()), DRIVER_RATE)]
+    return torch.optim.Adam(
+        [{"params": params, "lr": rate, "peak": rate} for params, rate in groups if params],
+        fused=True,
+    )
+
+
+def rate_ratio(index: int, length: int) -> float:
+    """Learning rate of a phase's step against its peak: linear warm-up, then half a cosine."""
+    warm = min(1.0, (index + 1) / max(1.0, WARMUP_RATIO * length))
+    cosine = 0.5 + 0.5 * math.cos(math.pi * index / max(1, length))
+    return warm * (FINAL_RATE_RATIO + (1 - FINAL_RATE_RATIO) * cosine)
+
+
+def write_checkpoint(path: Path, state: dict[str, Any]) -> None:
+    """Write a checkpoint aside, bring it to the disk, then rename it; whatever happens, the file of
+    before or the new one is there, whole.
+
+    Raises:
+        CheckpointError: It cannot be written, for example because the disk is full.
+    """
+    aside = path.with_suffix(".part")
+    try:
+        with aside.open("wb") as file:
+            torch.save({"version": CHECKPOINT_VERSION, **state}, file)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(aside, path)
+        if os.name == "posix":  # the rename survives a loss of power, too
+            handle = os.open(path.parent, os.O_RDONLY)
+            os.fsync(handle)
+            os.close(handle)
+    except (OSError, RuntimeError) as error:  # torch's writer turns an OSError into RuntimeError
+        aside.unlink(missing_ok=True)
+        kept = "the one before is whole" if path.exists() else "there is none yet"
+        reason = error.__context__ if isinstance(error.__context__, OSError) else error
+        raise CheckpointError(f"{path}: checkpoint cannot be written ({reason}); {kept}") from error
+
+
+def read_checkpoint(run: Path) -> dict[str, Any]:
+    """Read the state in a run's folder: tensors and plain values, no code; its "config" parsed.
+
+    Raises:
+        CheckpointError: Missing, damaged or of another version.
+    """
+    path = run / CHECKPOINT
+    try:
+        state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+    except FileNotFoundError as error:
+        raise CheckpointError(f"{path}: no checkpoint there") from error
+    except Exception as error:  # torch.load raises many types for a damaged file
+        raise CheckpointError(f"{path}: not a readable checkpoint ({error})") from error
+    if not isinstance(state, dict) or state.get("version") != CHECKPOINT_VERSION:
+        raise CheckpointError(f"{path}: checkpoint version is not {CHECKPOINT_VERSION}")
+    return {**state, "config": TrainConfig.from_json(json.loads(state["config"]))}
