@@ -11,46 +11,33 @@ decoder alone, since that is what a receiver runs and what the paper's runtime t
 A LeakyReLU (slope 0.2) follows every layer but the two that end in vertices and texture. At z = 256
 and 7,306 vertices these are 17.4 M parameters and 755 M multiply-adds in the convolutions.
 
-It is a measuring instrument: no stream tables, no levels, nothing that a call needs. `pica train
---variant baseline` and `pica export` make one. Its file is safetensors with a manifest, as avatar
-files are, 35 MB at the published sizes: decoder and expression encoder in fp16, positions in
-float32. Tensors: those of `BaselineSpec.tensor_shapes`, ``mesh.vertex_uv`` ``[V, 2]``,
-``mesh.faces`` ``[F, 3]`` int32, and ``encoder.{i}.weight .bias`` as in an avatar file.
+It is a measuring instrument: no file, no stream tables, no levels, nothing that a call needs.
+`pica train --variant baseline` and `pica eval` measure a trained one, `pica bench decode` times one
+that is dressed in an avatar's mean face (`baseline_like`): it looks right and costs what a trained
+one costs; its motion means nothing.
 """
 
-import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from math import prod
-from pathlib import Path
 
 import numpy as np
-import safetensors
-import safetensors.numpy
 
-from pica_core.avatar.file import (
-    MAX_FACES,
-    check_shapes,
-    encoder_shapes,
-    naming,
-    read_bytes,
-    write_bytes,
-)
-from pica_core.avatar.manifest import MAX_EXTENT_M, read_numbers
-from pica_core.avatar.spec import RGB_CHANNELS, VIEW_CHANNELS
-from pica_core.avatar.storage import check_finite
+from pica_core.avatar.arkit import NUM_ARKIT
+from pica_core.avatar.expression_encoder import ExpressionEncoder
+from pica_core.avatar.file import Avatar, check_shapes
+from pica_core.avatar.spec import POSITION_CHANNELS, RGB_CHANNELS, VIEW_CHANNELS
 from pica_core.errors import check_ranges
 from pica_core.latent import NUM_LATENT
+from pica_core.reference.decoders import FRONT, decode_expression_map
+from pica_core.reference.pixel import decode_pixels
+from pica_core.reference.sampling import sample_bilinear
 from pica_core.types import Array, FloatArray, IntArray
 
 VIEW_FEATURES = 8
 """Values that the view direction becomes."""
 FIRST_SIZE = 4
 """Rows and columns of the texture decoder's first grid."""
-KEY = "pica_baseline"
-MAX_FILE_BYTES = 256 * 2**20
-_EXACT = ("mesh.bias", "mesh.vertex_uv")
-"""Stored in float32: half a millimetre would be lost of a position in fp16."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -121,8 +108,7 @@ class BaselineAvatar:
 
     spec: BaselineSpec
     tensors: Mapping[str, Array]
-    """As `BaselineSpec.tensor_shapes` names and shapes them, float32; a trained one has
-    ``encoder.{i}.weight`` and ``.bias`` beside them, from 52 ARKit values to the latent."""
+    """As `BaselineSpec.tensor_shapes` names and shapes them, float32."""
     vertex_uv: FloatArray
     """Where vertices lie in the texture, in [0, 1], row 0 is v = 0. float32 ``[V, 2]``."""
     faces: IntArray
@@ -134,9 +120,7 @@ class BaselineAvatar:
 
     def __post_init__(self) -> None:
         shapes = {name: array.shape for name, array in self.tensors.items()}
-        has_encoder = any(name.startswith("encoder.") for name in shapes)
-        wanted = self.spec.tensor_shapes() | (encoder_shapes(shapes) if has_encoder else {})
-        check_shapes(shapes, wanted)
+        check_shapes(shapes, self.spec.tensor_shapes())
         if self.vertex_uv.shape != (self.spec.num_vertices, 2):
             raise ValueError(f"vertex_uv is {self.vertex_uv.shape}; one row a vertex is needed")
         if self.faces.min() < 0 or self.faces.max() >= self.spec.num_vertices:
@@ -160,71 +144,91 @@ def baseline_channels(texture_size: int) -> tuple[int, ...]:
     return (*published[: sizes[texture_size] - 1], RGB_CHANNELS)
 
 
-def save_baseline(path: Path | str, baseline: BaselineAvatar) -> None:
-    """Write a baseline; what is written is read back and checked.
+MESH_SPREAD_M = 2e-4
+"""Standard deviation of the random motion of a vertex, metres, for unit latents."""
+TEXTURE_SPREAD = 0.01
+"""Standard deviation of the random change of a texel, where 1.0 is white."""
+BAKED_ROWS = 64
+"""Rows of a texture that are baked at once, to bound memory."""
 
-    Raises:
-        AvatarFileError: It is none that `load_baseline` would accept, or cannot be written.
+
+def baseline_like(avatar: Avatar, seed: int = 0) -> BaselineAvatar:
+    """A baseline that looks like an avatar at rest and costs what the published one costs.
+
+    Its mesh is the avatar's level whose number of triangles is nearest to the published 10,936. The
+    last biases are the neutral mesh and the neutral texture as seen from the front; all weights are
+    random, and small where they would show.
     """
-    tensors = {**baseline.tensors, "mesh.vertex_uv": baseline.vertex_uv}
-    stored: dict[str, Array] = {
-        name: np.ascontiguousarray(array, np.float32 if name in _EXACT else np.float16)
-        for name, array in tensors.items()
-    }
-    stored["mesh.faces"] = np.ascontiguousarray(baseline.faces, np.int32)
-    manifest = {
-        "schema_version": 1,
-        "spec": asdict(baseline.spec),
-        "bounds_min_m": baseline.bounds_min_m,
-        "bounds_max_m": baseline.bounds_max_m,
-    }
-    data = safetensors.numpy.save(stored, {KEY: json.dumps(manifest)})
-    with naming(path):
-        _parse(data)
-    write_bytes(path, data)
-
-
-def load_baseline(path: Path | str) -> BaselineAvatar:
-    """Read and check a baseline; all floats become float32.
-
-    Raises:
-        AvatarFileError: Missing, too large, not safetensors, or not what its manifest asks for.
-    """
-    data = read_bytes(path, MAX_FILE_BYTES)
-    with naming(path):
-        return _parse(data)
-
-
-def _parse(data: bytes) -> BaselineAvatar:
-    try:
-        stored = safetensors.numpy.load(data)
-        length = int.from_bytes(data[:8], "little")
-        manifest = json.loads(json.loads(data[8 : 8 + length])["__metadata__"][KEY])
-        sizes = manifest["spec"]
-        spec = BaselineSpec(
-            num_latent=int(sizes["num_latent"]),
-            num_vertices=int(sizes["num_vertices"]),
-            channels=tuple(int(width) for width in sizes["channels"]),
-        )
-        low, high = (
-            read_numbers(manifest, f"bounds_{end}_m", 3, -MAX_EXTENT_M, MAX_EXTENT_M)
-            for end in ("min", "max")
-        )
-    except (safetensors.SafetensorError, ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"not a baseline file ({error})") from error
-    faces = stored.pop("mesh.faces", np.zeros((0, 3), np.int32))
-    if faces.dtype != np.int32 or faces.ndim != 2 or faces.shape[1] != 3:
-        raise ValueError(f"tensor mesh.faces is {faces.dtype} {list(faces.shape)}")
-    if not 1 <= len(faces) <= MAX_FACES:
-        raise ValueError(f"{len(faces)} faces; 1 to {MAX_FACES} are allowed")
-    tensors = {name: array.astype(np.float32) for name, array in stored.items()}
-    check_finite(tensors)
-    vertex_uv = tensors.pop("mesh.vertex_uv", np.zeros((0, 2), np.float32))
+    meshes = [avatar.level_faces(level) for level in avatar.levels]
+    mesh = min(meshes, key=lambda faces: abs(len(faces) - 10_936))
+    kept, faces = np.unique(mesh, return_inverse=True)
+    vertex_uv = np.ascontiguousarray(avatar.tensors["mesh.vertex_uv"][kept], np.float32)
+    spec = BaselineSpec(num_vertices=len(kept))
+    tensors = _random_weights(spec, seed)
+    tensors["mesh.bias"] = avatar.mean_vertices_m[kept].reshape(-1)
+    last = len(spec.channels) - 1
+    texture = bake_texture(avatar, spec.texture_size)
+    tensors[f"texture.{last}.bias"] = np.ascontiguousarray(texture.transpose(2, 0, 1))
     return BaselineAvatar(
         spec=spec,
         tensors=tensors,
         vertex_uv=vertex_uv,
-        faces=faces,
-        bounds_min_m=low,
-        bounds_max_m=high,
+        faces=faces.reshape(-1, 3).astype(np.int32),
+        bounds_min_m=avatar.manifest.bounds_min_m,
+        bounds_max_m=avatar.manifest.bounds_max_m,
     )
+
+
+def bake_texture(avatar: Avatar, size: int) -> FloatArray:
+    """The neutral face, seen from the front, as a texture.
+
+    Returns:
+        sRGB, 1.0 is white, clamped to [0, 1]. float32 ``[size, size, 3]``; between the charts of
+        the mesh it holds what the pixel decoder happens to say there.
+    """
+    neutral = ExpressionEncoder(avatar).encode(np.zeros(NUM_ARKIT, np.float32))
+    codes = decode_expression_map(avatar, neutral, FRONT).astype(np.float32)
+    mean = _mean_map(avatar)
+    texel = (np.arange(size, dtype=np.float32) + 0.5) / size
+    texture = np.empty((size, size, RGB_CHANNELS), np.float32)
+    for start in range(0, size, BAKED_ROWS):
+        rows = texel[start : start + BAKED_ROWS]
+        uv = np.stack(np.meshgrid(texel, rows), axis=-1)
+        pixels = sample_bilinear(codes, uv), sample_bilinear(mean, uv), uv
+        texture[start : start + len(rows)] = decode_pixels(avatar.spec, avatar.tensors, *pixels)
+    return np.clip(texture, 0, 1, out=texture)
+
+
+def _mean_map(avatar: Avatar) -> FloatArray:
+    """The mesh at rest as a map ``[S, S, 3]``; of bases, the mean of each texel's vertices."""
+    if avatar.spec.geometry == "decoder":
+        return avatar.tensors["geometry.mean"]
+    size = avatar.spec.map_size
+    texel = np.minimum((avatar.tensors["mesh.vertex_uv"] * size).astype(int), size - 1)
+    sums = np.zeros((size, size, POSITION_CHANNELS + 1))
+    ones = np.ones((len(texel), 1))
+    np.add.at(sums, (texel[:, 1], texel[:, 0]), np.hstack([avatar.mean_vertices_m, ones]))
+    while (sums[..., 3] == 0).any():  # texels between vertices take their neighbours' mean
+        empty = sums[..., 3] == 0
+        near = np.sum([np.roll(sums, step, axis) for step in (-1, 1) for axis in (0, 1)], axis=0)
+        sums[empty] = near[empty]
+    return (sums[..., :3] / sums[..., 3:]).astype(np.float32)
+
+
+def _random_weights(spec: BaselineSpec, seed: int) -> dict[str, Array]:
+    """He's variance for leaky units throughout, biases zero, the two last layers nearly silent."""
+    rng = np.random.default_rng(seed)
+    tensors: dict[str, Array] = {}
+    last = f"texture.{len(spec.channels) - 1}.weight"
+    for name, shape in spec.tensor_shapes().items():
+        if name.endswith(".bias"):
+            tensors[name] = np.zeros(shape, np.float32)
+            continue
+        inputs = 4 * shape[0] if len(shape) == 4 else shape[1]
+        spread = np.sqrt(1.9 / inputs)
+        if name == "mesh.weight":
+            spread = MESH_SPREAD_M / np.sqrt(inputs)
+        elif name == last:
+            spread = TEXTURE_SPREAD / np.sqrt(inputs)
+        tensors[name] = rng.standard_normal(shape, dtype=np.float32) * np.float32(spread)
+    return tensors

@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_core.avatar.arkit import NUM_ARKIT
-from pica_core.avatar.baseline import BaselineAvatar
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import LEAKY_SLOPE
 from pica_core.errors import ShapeError
@@ -21,7 +20,7 @@ from pica_core.types import FloatArray
 class ExpressionEncoder:
     """The expression encoder of one avatar. Keeps no state between calls."""
 
-    def __init__(self, avatar: Avatar | BaselineAvatar) -> None:
+    def __init__(self, avatar: Avatar) -> None:
         self._layers: list[tuple[FloatArray, FloatArray]] = []
         for index in itertools.count():
             if f"encoder.{index}.weight" not in avatar.tensors:

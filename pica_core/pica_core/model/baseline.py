@@ -2,7 +2,7 @@
 
 Source: Lombardi et al., "Deep Appearance Models for Face Rendering" (2018), in the sizes that were
 later published with a face capture data set; the decoder's layers are those of
-`pica_core.reference.baseline`. The encoder:
+`pica_core.avatar.baseline`. The encoder:
 
     texture 1024    eight convolutions 4x4, stride 2, to 16, 16, 32, 32, 64, 64, 128, 128 channels;
                     fully connected 2048 -> 256

@@ -10,13 +10,11 @@ from scipy.ndimage import distance_transform_edt
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from pica_core.avatar.baseline import BaselineAvatar
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.linear import RANK
 from pica_core.avatar.manifest import Manifest, ViewSpan
 from pica_core.capture.triangles import components
 from pica_core.model.avatar import PixelCodecAvatar
-from pica_core.model.baseline import DeepAppearanceModel
 from pica_core.model.interface import AvatarModel
 from pica_core.model.linear import LinearGeometry
 from pica_core.model.pixel_decoder import XYZ_UNIT_M
@@ -60,7 +58,8 @@ def avatar_tensors(
     else:
         tensors["geometry.mean"] = model.position_mean.permute(1, 2, 0)
     tensors["xyz.0.weight"] = tensors["xyz.0.weight"] / XYZ_UNIT_M
-    tensors |= _encoder_tensors(model)
+    layers = model.expression_encoder.layers.named_parameters()
+    tensors |= {f"encoder.{name}": values for name, values in layers}
     arrays: dict[str, npt.NDArray[np.generic]] = {
         name: _array(values) for name, values in tensors.items()
     }
@@ -115,26 +114,6 @@ def joint_map(model: AvatarModel) -> FloatArray | None:
         return None
     values = model.pixel_decoder.encoding.named_tensors().get("uv_encoding")
     return None if values is None else _array(values).copy()
-
-
-def make_baseline(model: DeepAppearanceModel, data: TrainingData) -> BaselineAvatar:
-    """A trained baseline as the object that receivers measure."""
-    topology = data.meshes.topology(model.topology)
-    low_m, high_m = _bounds_m(data)
-    tensors = {**model.named_tensors(), **_encoder_tensors(model)}
-    return BaselineAvatar(
-        spec=model.baseline_spec,
-        tensors={name: _array(values) for name, values in tensors.items()},
-        vertex_uv=np.ascontiguousarray(topology.vertex_uv, np.float32),
-        faces=np.ascontiguousarray(topology.faces, np.int32),
-        bounds_min_m=low_m,
-        bounds_max_m=high_m,
-    )
-
-
-def _encoder_tensors(model: AvatarModel) -> dict[str, Tensor]:
-    layers = model.expression_encoder.layers.named_parameters()
-    return {f"encoder.{name}": values for name, values in layers}
 
 
 def _array(values: Tensor) -> FloatArray:

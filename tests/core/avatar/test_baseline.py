@@ -11,11 +11,10 @@ import pytest
 from helpers.toy import make_toy_avatar, with_toy_levels
 from pica_client.decode.onnx_runtime import onnxruntime
 from pica_core.avatar.arkit import NUM_ARKIT
-from pica_core.avatar.baseline import BaselineAvatar, BaselineSpec
+from pica_core.avatar.baseline import BaselineAvatar, BaselineSpec, baseline_like
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.spec import LEAKY_SLOPE, AvatarSpec
 from pica_core.graphs.baseline_graph import baseline_graph
-from pica_core.reference.baseline import baseline_like
 from pica_core.reference.decoders import decode_expression_map
 from pica_core.reference.mesh import sample_vertices
 from pica_core.reference.pixel import decode_pixels

@@ -15,12 +15,10 @@ import torch
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from pica_core.avatar.baseline import save_baseline
 from pica_core.avatar.file import Avatar, avatar_id, save_avatar
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.errors import CaptureError, CheckpointError, TrainingOptionError, check_ranges
 from pica_core.model.avatar import PixelCodecAvatar
-from pica_core.model.baseline import DeepAppearanceModel
 from pica_core.train.config import PRESETS, TrainConfig
 from pica_core.train.data.training import TrainingData
 from pica_core.train.eval.evaluate import ModelEvaluator, evaluate, mean_mse
@@ -29,7 +27,6 @@ from pica_core.train.export import (
     EVALUATION_FILE,
     joint_map,
     make_avatar,
-    make_baseline,
     model_card,
 )
 from pica_core.train.lod.levels import LevelReport, add_levels
@@ -140,7 +137,7 @@ def train(options: TrainOptions) -> dict[str, Any]:
 
 
 def export(options: ExportOptions) -> dict[str, Any]:
-    """Write the avatar file of a trained run; of a baseline, the file that benches read."""
+    """Write the avatar file of a trained run."""
     config = read_checkpoint(options.run)["config"]
     torch.set_num_threads(options.threads)
     data = TrainingData(Capture.open(options.capture))
@@ -153,10 +150,8 @@ def export(options: ExportOptions) -> dict[str, Any]:
         start = joint_map(trainer.model)
         trainer.restore()
         model = trainer.model
-        if isinstance(model, DeepAppearanceModel):
-            save_baseline(options.out, make_baseline(model, data))
-            return _written(options.out)
-        assert isinstance(model, PixelCodecAvatar)
+        if not isinstance(model, PixelCodecAvatar):
+            raise TrainingOptionError(f"{options.run}: a baseline is measured, and not exported")
         avatar = make_avatar(
             model,
             data,

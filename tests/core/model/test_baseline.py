@@ -1,28 +1,19 @@
-"""A trained baseline: what torch decodes, its file decodes too; and what a file must be."""
+"""The baseline in torch: it decodes what ONNX decodes, and begins as the mean face."""
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-
 import numpy as np
 import pytest
-import safetensors.numpy
 import torch
 
 from helpers.toy import grid_faces
 from helpers.trainable import toy_prior
 from pica_client.decode.onnx_runtime import onnxruntime
 from pica_core.avatar.baseline import (
-    KEY,
     BaselineAvatar,
     baseline_channels,
-    load_baseline,
-    save_baseline,
 )
-from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.spec import AvatarSpec
-from pica_core.errors import AvatarFileError
 from pica_core.graphs.baseline_graph import baseline_graph
 from pica_core.model.baseline import USUAL_INPUTS, Connected, DeepAppearanceModel
 from pica_core.model.interface import flat_latent
@@ -50,12 +41,9 @@ def model() -> DeepAppearanceModel:
 
 @pytest.fixture(scope="module")
 def baseline(model: DeepAppearanceModel) -> BaselineAvatar:
-    tensors = dict(model.named_tensors())
-    for name, values in model.expression_encoder.layers.named_parameters():
-        tensors[f"encoder.{name}"] = values
     return BaselineAvatar(
         spec=model.baseline_spec,
-        tensors={name: values.detach().numpy() for name, values in tensors.items()},
+        tensors={name: values.detach().numpy() for name, values in model.named_tensors().items()},
         vertex_uv=PRIOR.tracked_uv,
         faces=grid_faces(9, 9),
         bounds_min_m=(-0.2, -0.2, -0.2),
@@ -101,64 +89,6 @@ def test_an_untrained_baseline_begins_as_the_mean_face_in_its_mean_colours() -> 
     mean = PRIOR.texture_mean.mean((0, 1))
     assert np.abs(texture.mean((0, 2, 3)) - mean).max() < 0.05
     assert np.abs(texture - mean[:, None, None]).mean() < 0.1
-
-
-def test_a_baseline_comes_back_from_its_file(
-    model: DeepAppearanceModel, baseline: BaselineAvatar, tmp_path: Path
-) -> None:
-    save_baseline(tmp_path / "b.safetensors", baseline)
-    read = load_baseline(tmp_path / "b.safetensors")
-
-    assert read.spec == baseline.spec
-    assert np.array_equal(read.faces, baseline.faces)
-    for name, values in baseline.tensors.items():
-        np.testing.assert_allclose(read.tensors[name], values, rtol=1e-3, atol=1e-6)
-    arkit = np.random.default_rng(0).uniform(0, 1, (3, 52)).astype(np.float32)
-    with torch.no_grad():
-        wanted = model.expression_encoder(torch.from_numpy(arkit)).permute(0, 2, 3, 1).numpy()
-    np.testing.assert_allclose(ExpressionEncoder(read).encode(arkit), wanted, atol=2e-3)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"mesh.faces": np.array([[0, 1, 900]], np.int32)}, "vertices that are not there"),
-        ({"mesh.faces": np.zeros((0, 3), np.int32)}, "0 faces"),
-        ({"latent.bias": np.full(256, np.nan, np.float32)}, "not finite"),
-        ({"latent.bias": np.zeros(3, np.float32)}, r"latent\.bias has shape \[3\]"),
-        ({"surprise": np.zeros(3, np.float32)}, "'surprise' is unknown"),
-        ({"encoder.0.weight": np.zeros((160, 51), np.float32)}, r"\[160, 51\]; \[160, 52\] is"),
-    ],
-)
-def test_a_file_that_does_not_fit_its_manifest_is_refused(
-    baseline: BaselineAvatar, tmp_path: Path, change: dict[str, np.ndarray], message: str
-) -> None:
-    path = tmp_path / "b.safetensors"
-    save_baseline(path, baseline)
-    data = path.read_bytes()
-    header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
-    tensors = {**safetensors.numpy.load(data), **change}
-    path.write_bytes(safetensors.numpy.save(tensors, header["__metadata__"]))
-
-    with pytest.raises(AvatarFileError, match=message):
-        load_baseline(path)
-
-
-@pytest.mark.parametrize("data", [b"", b"not safetensors at all", b"\x00" * 64])
-def test_any_other_file_is_refused(tmp_path: Path, data: bytes) -> None:
-    path = tmp_path / "b.safetensors"
-    path.write_bytes(data)
-
-    with pytest.raises(AvatarFileError, match="not a baseline file"):
-        load_baseline(path)
-
-
-def test_another_safetensors_file_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "b.safetensors"
-    path.write_bytes(safetensors.numpy.save({"a": np.zeros(3, np.float32)}, {KEY: "[]"}))
-
-    with pytest.raises(AvatarFileError, match="not a baseline file"):
-        load_baseline(path)
 
 
 def test_smaller_textures_leave_out_layers() -> None:
