@@ -7,8 +7,7 @@ import numpy.typing as npt
 
 from pica_core.avatar.decoder_layers import spec_tensor_shapes
 from pica_core.avatar.file import Avatar
-from pica_core.avatar.level_tensors import exit_shapes, faces_name, sheet_rows
-from pica_core.avatar.levels import level_sizes
+from pica_core.avatar.levels import exit_shapes, faces_name, level_sizes, sheet_rows
 from pica_core.avatar.manifest import Manifest, ViewSpan
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.avatar.variants import VARIANTS

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from helpers.toy import head_surface
-from pica_core.model.bases import fit_bases, split_bases
+from pica_core.avatar.linear import fit_bases, split_bases
 from pica_core.model.interface import FacePrior, LinearPrior
 from pica_core.model.linear import CODE_SIZE
 

@@ -30,10 +30,10 @@ from pica_core.avatar.bust import (
     seen_faces,
 )
 from pica_core.avatar.file import Avatar
-from pica_core.avatar.level_tensors import sheet_uv
+from pica_core.avatar.levels import sheet_uv
 from pica_core.avatar.static import SEAM, parts_of
 from pica_core.reference.decoders import still_map
-from pica_core.reference.mesh import order_faces
+from pica_core.reference.sampling import order_faces
 from pica_core.types import FloatArray
 
 

@@ -18,8 +18,8 @@ Tensors, float32 in memory unless stated:
     mesh.vertex_uv        [V, 2] in [0, 1]
     mesh.faces            [F, 3] int32, counter-clockwise seen from outside
     encoder.{i}.weight .bias  52 ARKit shapes -> ... -> 256 latent values, LeakyReLU between
-    stream.*              tables of the latent bitstream, integers (`stream_profile`); may be absent
-    level.*               levels of detail (`level_tensors`); may be absent
+    stream.*              tables of the latent bitstream, integers (`codec.profile`); may be absent
+    level.*               levels of detail (`levels`); may be absent
     static.parts          which vertices do not change with the face (`static`); may be absent
 
 In the file big maps may be smaller than in memory: see `storage`.
@@ -52,7 +52,7 @@ from pica_core.codec.profile import StreamProfile, profile_shapes
 from pica_core.errors import AvatarFileError, ProfileError
 from pica_core.files import replacing
 from pica_core.latent import LATENT_SHAPE, NUM_LATENT
-from pica_core.reference.mesh import sample_vertices
+from pica_core.reference.sampling import sample_vertices
 from pica_core.types import Array, FloatArray, IntArray
 
 MAX_FILE_BYTES = 64 * 2**20

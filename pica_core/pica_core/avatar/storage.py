@@ -10,8 +10,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pica_core.avatar.level_tensors import PREFIX as LEVEL_PREFIX
-from pica_core.avatar.level_tensors import is_index
+from pica_core.avatar.levels import PREFIX as LEVEL_PREFIX
+from pica_core.avatar.levels import is_index
+from pica_core.avatar.linear import SIGNED_STEP, signed_codes
 from pica_core.avatar.static import NAME as STATIC_NAME
 from pica_core.codec.profile import PREFIX as STREAM_PREFIX
 from pica_core.types import Array
@@ -41,9 +42,6 @@ texels in 8 bits, its bias in fp16, the rest of it in float32.
 8 bits over the range of a channel are 0.004 of that range; 16 bits over a head are 5 micrometres
 and over a UV 1/64 of a texel, where fp16 would be 60 micrometres and half a texel.
 """
-
-SIGNED_STEP = float(np.float32(1 / 127))
-"""Step of "s8": values from -1 to 1 in 8 bits, 0 exactly."""
 
 
 def to_storage(name: str, array: Array, num_vertices: int) -> tuple[Array, dict[str, Any] | None]:
@@ -104,19 +102,6 @@ def to_memory(name: str, stored: Array, affine: Any) -> Array:
     if name == "mesh.vertex_uv":  # the rounding of offset + scale * q may step over the edge
         np.clip(memory, 0, 1, out=memory)
     return memory
-
-
-def signed_codes(array: Array) -> Array:
-    """Values from -1 to 1 as bytes 1 to 255, 0 as 128."""
-    codes: Array = (np.rint(array * np.float32(127)) + 128).clip(1, 255).astype(np.uint8)
-    return codes
-
-
-def round_signed(array: Array) -> Array:
-    """Values from -1 to 1 as "s8" gives them back."""
-    step = np.float32(SIGNED_STEP)
-    rounded: Array = -128 * step + step * signed_codes(array).astype(np.float32)
-    return rounded
 
 
 def check_finite(tensors: Mapping[str, Array]) -> None:

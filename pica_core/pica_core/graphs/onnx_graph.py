@@ -36,7 +36,7 @@ import numpy as np
 
 from pica_core.avatar.decoder_layers import Layer, LayerKind, decoder_layers, trunk_layers
 from pica_core.avatar.file import Avatar
-from pica_core.avatar.level_tensors import local_name, spread_local
+from pica_core.avatar.levels import local_name, spread_local
 from pica_core.avatar.linear import PREFIX as LINEAR_PREFIX
 from pica_core.avatar.linear import RANK, REGION, components_of
 from pica_core.avatar.spec import LEAKY_SLOPE, POSITION_CHANNELS, VIEW_CHANNELS

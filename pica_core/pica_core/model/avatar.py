@@ -23,8 +23,8 @@ from pica_core.model.decoders import (
     tile_view_direction,
 )
 from pica_core.model.encoder import make_encoder
+from pica_core.model.interface import ModelOptions
 from pica_core.model.linear import LinearEncoder, LinearGeometry
-from pica_core.model.options import ModelOptions
 from pica_core.model.pixel_decoder import PixelDecoder
 
 
@@ -65,11 +65,7 @@ class PixelCodecAvatar(interface.AvatarModel):
         else:
             self.geometry = MapDecoder(spec, "geometry")
         self.expression = MapDecoder(spec, "expression")
-        self.pixel_decoder = PixelDecoder(
-            spec,
-            encoding_amplitude=options.encoding_amplitude,
-            first_frequency=options.first_frequency,
-        )
+        self.pixel_decoder = PixelDecoder(spec, encoding_amplitude=options.encoding_amplitude)
         if options.texture_contrast:
             texture = torch.as_tensor(prior.texture_mean, dtype=torch.float32).permute(2, 0, 1)
             xyz_m = sample_map(self.position_mean[None], self._drawn_uv)[0]

@@ -33,7 +33,7 @@ from pica_core.latent import NUM_LATENT
 from pica_core.model import interface
 from pica_core.model.decoders import Untied, sample_map, sample_per_image
 from pica_core.model.encoder import resize_texture
-from pica_core.model.options import ModelOptions
+from pica_core.model.interface import ModelOptions
 
 TEXTURE_SCALE = 0.25
 """Unit of the texture decoder's output, where 1.0 is white (chosen: about the deviation of a

@@ -23,10 +23,10 @@ import torch
 from torch import Tensor, nn
 
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
+from pica_core.avatar.linear import Bases, SplitBases
 from pica_core.avatar.spec import LEAKY_SLOPE, AvatarSpec
 from pica_core.avatar.variants import ModelCost, TopologyName
 from pica_core.latent import LATENT_CHANNELS, LATENT_SIZE, NUM_LATENT
-from pica_core.model.bases import Bases, SplitBases
 from pica_core.types import FloatArray, IntArray
 
 GroupName = Literal["shape", "appearance", "pixel", "encoding"]
@@ -103,6 +103,22 @@ class FacePrior:
     """
     linear: LinearPrior | None = None
     """Bases of the meshes; None where no model asks for them."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ModelOptions:
+    """What is built beside an `AvatarSpec`."""
+
+    encoder: str = "light"
+    """"paper" (161.7 G multiply-adds a frame) or "light"."""
+    encoding_amplitude: float = 0.1
+    """Half-width of the encodings' uniform start; 1 in the paper. Smaller leaves less noise in
+    texels that few images saw."""
+    texture_contrast: float = 0.3
+    """Begin m_uv with the mean texture, black and white at minus and plus this; 0 for a uniform
+    start, as the paper."""
+    texture_size: int = 512
+    """Rows and columns of the baseline's texture; 1024 in the paper."""
 
 
 LID_BENDS: tuple[tuple[dict[str, float], tuple[float, ...]], ...] = (

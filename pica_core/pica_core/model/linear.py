@@ -10,9 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from pica_core.avatar.linear import components_of
+from pica_core.avatar.linear import Bases, components_of
 from pica_core.latent import LATENT_SIZE, NUM_LATENT
-from pica_core.model.bases import Bases
 from pica_core.model.interface import LatentEncoder, LinearPrior, flat_latent
 from pica_core.types import FloatArray
 

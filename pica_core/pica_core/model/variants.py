@@ -6,8 +6,7 @@ from pica_core.avatar.spec import AvatarSpec
 from pica_core.avatar.variants import VARIANTS, Variant
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.baseline import DeepAppearanceModel
-from pica_core.model.interface import AvatarModel, FacePrior
-from pica_core.model.options import ModelOptions
+from pica_core.model.interface import AvatarModel, FacePrior, ModelOptions
 
 
 def make_model(

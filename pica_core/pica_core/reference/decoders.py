@@ -11,10 +11,12 @@ import numpy.typing as npt
 
 from pica_core.avatar.decoder_layers import Layer, decoder_layers, trunk_layers
 from pica_core.avatar.file import Avatar
-from pica_core.avatar.level_tensors import STILL_NAME, spread_local
+from pica_core.avatar.levels import STILL_NAME, spread_local
 from pica_core.avatar.linear import weights_of_latent
 from pica_core.avatar.spec import LEAKY_SLOPE, POSITION_CHANNELS
 from pica_core.latent import LATENT_SIZE
+from pica_core.reference.pixel import decode_pixels
+from pica_core.reference.sampling import sample_bilinear
 from pica_core.types import Array, FloatArray
 
 STILL_MAPS = 16
@@ -157,3 +159,21 @@ def _deconvolve(image: Array, weight: Array) -> Array:
             part = np.tensordot(weight[:, :, y, x].T.astype(np.float64), image, axes=1)
             spread[:, y : y + 2 * rows : 2, x : x + 2 * columns : 2] += part
     return spread[:, 1:-1, 1:-1]
+
+
+def still_colours(avatar: Avatar, xyz_m: npt.ArrayLike, uv: npt.ArrayLike) -> Array:
+    """Colours of a face that does not move, seen from the front, RGB 0 to 1, ``[..., 3]``.
+
+    Args:
+        xyz_m: Places of the mesh at rest, head frame, metres. ``[..., 3]``.
+        uv: Their texture coordinates. ``[..., 2]``.
+
+    Raises:
+        ValueError: The avatar has no still face.
+    """
+    still = still_map(avatar)
+    if still is None:
+        raise ValueError("the avatar has no tensor level.still")
+    codes = sample_bilinear(still, uv)
+    rgb: Array = np.clip(decode_pixels(avatar.spec, avatar.tensors, codes, xyz_m, uv), 0, 1)
+    return rgb

@@ -13,8 +13,7 @@ from typing import Any, Literal
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.avatar.variants import VARIANTS
 from pica_core.errors import CheckpointError, TrainingOptionError, check_ranges
-from pica_core.model.interface import AvatarModel, FacePrior
-from pica_core.model.options import ModelOptions
+from pica_core.model.interface import AvatarModel, FacePrior, ModelOptions
 from pica_core.model.variants import make_model
 
 MeshSource = Literal["truth", "tracked"]

@@ -15,11 +15,11 @@ from torch import Tensor
 from torch.profiler import record_function
 
 from pica_core.avatar.arkit import NUM_ARKIT
+from pica_core.avatar.linear import Bases
 from pica_core.camera import Camera
 from pica_core.capture.stage.synth import Poses, read_picture, read_poses
 from pica_core.capture.stage.tracked_topology import COVER
 from pica_core.latent import LATENT_CHANNELS
-from pica_core.model.bases import Bases
 from pica_core.model.encoder import hold_log_variance, reparameterise
 from pica_core.model.interface import AvatarModel, DecodedMesh, ExpressionEncoder, flat_latent
 from pica_core.model.linear import LinearGeometry

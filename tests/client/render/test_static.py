@@ -17,8 +17,8 @@ from pica_core.avatar.shipped import shipped_avatar_files
 from pica_core.avatar.static import NAME, STATIC, parts_of
 from pica_core.camera import look_at
 from pica_core.gl import create_context
+from pica_core.reference.decoders import still_colours
 from pica_core.reference.sampling import sample_bilinear
-from pica_core.reference.static import still_colours
 from pica_core.types import Image
 
 pytestmark = pytest.mark.render

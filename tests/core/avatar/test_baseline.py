@@ -16,9 +16,8 @@ from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.spec import LEAKY_SLOPE, AvatarSpec
 from pica_core.graphs.baseline_graph import baseline_graph
 from pica_core.reference.decoders import decode_expression_map
-from pica_core.reference.mesh import sample_vertices
 from pica_core.reference.pixel import decode_pixels
-from pica_core.reference.sampling import sample_bilinear
+from pica_core.reference.sampling import sample_bilinear, sample_vertices
 from pica_core.types import Array
 
 pytestmark = [pytest.mark.unit, pytest.mark.slow]

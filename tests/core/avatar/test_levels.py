@@ -15,16 +15,16 @@ from hypothesis import strategies as st
 from helpers.toy import make_toy_avatar, with_toy_levels
 from pica_core.avatar.decoder_layers import decoder_layers, trunk_channels, trunk_layers
 from pica_core.avatar.file import Avatar, load_avatar, save_avatar
-from pica_core.avatar.level_tensors import (
+from pica_core.avatar.levels import (
     STILL_NAME,
     exit_shapes,
     faces_name,
+    level_sizes,
     local_name,
     local_shape,
     sheet_rows,
     sheet_uv,
 )
-from pica_core.avatar.levels import level_sizes
 from pica_core.avatar.spec import BLOCKS, AvatarSpec
 from pica_core.errors import AvatarFileError
 from pica_core.reference.decoders import FRONT, decode_expression_map, still_map

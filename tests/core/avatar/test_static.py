@@ -13,7 +13,7 @@ from hypothesis.extra import numpy as arrays
 
 from helpers.toy import make_toy_avatar, with_toy_levels
 from pica_core.avatar.file import Avatar, load_avatar, save_avatar
-from pica_core.avatar.level_tensors import STILL_NAME
+from pica_core.avatar.levels import STILL_NAME
 from pica_core.avatar.shipped import shipped_avatar_files
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.avatar.static import MOVING, NAME, STATIC, pack_parts, parts_of

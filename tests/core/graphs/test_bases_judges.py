@@ -18,8 +18,8 @@ from pica_core.avatar.variants import pixel_codec_cost
 from pica_core.errors import AvatarFileError
 from pica_core.graphs.onnx_graph import decoder_graph
 from pica_core.model.avatar import PixelCodecAvatar
+from pica_core.model.interface import ModelOptions
 from pica_core.model.linear import CODE_LOG_VARIANCE
-from pica_core.model.options import ModelOptions
 from pica_core.reference.decoders import decode_position_map
 from pica_core.train.export import avatar_tensors
 from pica_core.types import Array

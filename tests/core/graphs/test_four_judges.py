@@ -15,13 +15,12 @@ from helpers.toy import grid_faces, with_toy_levels
 from helpers.trainable import grid_uv, toy_prior
 from pica_client.decode.onnx_runtime import onnxruntime
 from pica_core.avatar.file import Avatar
-from pica_core.avatar.level_tensors import local_name, local_shape
+from pica_core.avatar.levels import local_name, local_shape
 from pica_core.avatar.manifest import Manifest, ViewSpan
 from pica_core.avatar.spec import BLOCKS, AvatarSpec
 from pica_core.graphs.onnx_graph import decoder_graph
 from pica_core.model.avatar import PixelCodecAvatar
-from pica_core.model.interface import Surface
-from pica_core.model.options import ModelOptions
+from pica_core.model.interface import ModelOptions, Surface
 from pica_core.reference.decoders import decode_expression_map
 from pica_core.reference.pixel import count_parameters, decode_pixels
 from pica_core.reference.sampling import sample_bilinear

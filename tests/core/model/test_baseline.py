@@ -16,8 +16,7 @@ from pica_core.avatar.baseline import (
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.graphs.baseline_graph import baseline_graph
 from pica_core.model.baseline import USUAL_INPUTS, Connected, DeepAppearanceModel
-from pica_core.model.interface import flat_latent
-from pica_core.model.options import ModelOptions
+from pica_core.model.interface import ModelOptions, flat_latent
 from pica_core.model.variants import make_model
 
 pytestmark = pytest.mark.train

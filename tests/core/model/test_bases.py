@@ -3,9 +3,13 @@
 import numpy as np
 import pytest
 
-from pica_core.avatar.linear import REGION, components_of
+from pica_core.avatar.linear import (
+    REGION,
+    components_of,
+    fit_bases,
+    split_bases,
+)
 from pica_core.errors import CaptureError
-from pica_core.model.bases import BENT_M, fit_bases, split_bases, unexplained_m
 from pica_core.types import FloatArray
 
 pytestmark = pytest.mark.unit
@@ -76,17 +80,3 @@ def test_regions_stay_within_their_tolerance_and_rest_where_nothing_moves(
     whole_m = components_of(tensors, 1.0)[:, :VERTICES]
     lost_m = whole_m - bases.components_m[:, parts.order]
     assert np.sqrt(np.square(lost_m).sum(2).mean(1).sum()) < 3e-5
-
-
-def test_a_furrow_that_travels_is_told_from_movement_that_adds_up() -> None:
-    rng = np.random.default_rng(4)
-    along = np.linspace(0, 0.1, VERTICES, dtype=np.float32)
-    rest = np.stack([along, 0 * along, 0 * along], axis=1)
-    uv, alike = rest[:, :2] / 0.1, np.ones(VERTICES, np.float32)
-    way = rng.random((64, 1))
-    straight, furrowed = np.repeat(rest[None], 64, 0), np.repeat(rest[None], 64, 0)
-    straight[..., 2] += 0.003 * way
-    furrowed[..., 2] += 0.003 * np.exp(-(((along - 0.1 * way) / 0.001) ** 2))
-    assert unexplained_m(straight, 16, alike, uv) < BENT_M / 10
-    assert unexplained_m(furrowed, 16, alike, uv) > BENT_M
-    assert unexplained_m(furrowed[:31], 16, alike, uv) == 0  # too few to tell

@@ -13,8 +13,7 @@ from pica_core.avatar.spec import BLOCKS, AvatarSpec
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.decoders import MapDecoder, sample_map
 from pica_core.model.encoder import LightEncoder, PaperEncoder
-from pica_core.model.interface import Surface, flat_latent, grid_of_latent
-from pica_core.model.options import ModelOptions
+from pica_core.model.interface import ModelOptions, Surface, flat_latent, grid_of_latent
 from pica_core.model.pixel_decoder import PixelDecoder
 
 pytestmark = pytest.mark.train

@@ -23,13 +23,12 @@ from pica_core.model.interface import (
     AvatarModel,
     ExpressionEncoder,
     FacePrior,
+    ModelOptions,
     Surface,
     flat_latent,
 )
-from pica_core.model.options import ModelOptions
 from pica_core.model.variants import make_model
-from pica_core.reference.pixel import count_parameters, decode_pixels
-from pica_core.reference.surface_encoding import encode_surface
+from pica_core.reference.pixel import count_parameters, decode_pixels, encode_surface
 from pica_core.train.export import avatar_tensors
 
 pytestmark = pytest.mark.train

@@ -12,7 +12,7 @@ from PIL import Image
 from helpers.small_capture import render_capture
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.avatar.file import Avatar, load_avatar
-from pica_core.avatar.linear import components_of
+from pica_core.avatar.linear import Bases, components_of
 from pica_core.avatar.shipped import avatar_file
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.stage.expressions import sample_takes
@@ -27,7 +27,6 @@ from pica_core.capture.stage.synth import (
 )
 from pica_core.errors import CaptureError
 from pica_core.latent import NUM_LATENT
-from pica_core.model.bases import Bases
 from pica_core.model.interface import ExpressionEncoder as TrainedEncoder
 from pica_core.train.config import PRESETS
 from pica_core.train.data.training import TrainingData

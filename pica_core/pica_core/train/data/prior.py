@@ -3,8 +3,8 @@
 import numpy as np
 import numpy.typing as npt
 
+from pica_core.avatar.linear import fit_bases, split_bases
 from pica_core.avatar.variants import VARIANTS
-from pica_core.model.bases import BENT_M, fit_bases, split_bases, unexplained_m
 from pica_core.model.interface import FacePrior, LinearPrior
 from pica_core.model.linear import CODE_SIZE
 from pica_core.train.data.meshes import vertex_importance
@@ -67,12 +67,6 @@ def linear_prior(data: TrainingData) -> LinearPrior:
     products = read @ read.T
     products += RIDGE * np.trace(products) / len(products) * np.eye(len(products))
     notes = []
-    left_m = unexplained_m(dense_m[used], CODE_SIZE, counts[:num_dense], uv)
-    if left_m > BENT_M:
-        notes.append(
-            f"bases of three in four training meshes leave {1e3 * left_m:.2f} mm in the worst "
-            "region of the others: the face bends much, or more frames are needed"
-        )
     if both.left_out:
         named = ", ".join(data.capture.frames[frames[i]].name for i in both.left_out[:8])
         notes.append(

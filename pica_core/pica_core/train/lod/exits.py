@@ -25,7 +25,7 @@ from torch.nn import functional
 
 from pica_core.avatar.decoder_layers import trunk_layers
 from pica_core.avatar.file import Avatar
-from pica_core.avatar.level_tensors import LOCAL_TEXELS
+from pica_core.avatar.levels import LOCAL_TEXELS
 from pica_core.model.decoders import MapDecoder, sample_map, tile_view_direction
 from pica_core.reference.pixel import decode_pixels
 from pica_core.types import Float64Array

@@ -17,15 +17,16 @@ from torch import Tensor
 from pica_core.avatar.arkit import ARKIT_NAMES
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
-from pica_core.avatar.level_tensors import (
+from pica_core.avatar.levels import (
+    EXIT_DIVISORS,
     JUDGED_NAME,
     MAX_TEXELS,
     PREFIX,
     STILL_NAME,
     faces_name,
+    level_sizes,
     sheet_rows,
 )
-from pica_core.avatar.levels import EXIT_DIVISORS, level_sizes
 from pica_core.avatar.linear import components_of, weights_of_latent
 from pica_core.capture.stage.expressions import stream_training_performances
 from pica_core.capture.triangles import areas, signed_areas

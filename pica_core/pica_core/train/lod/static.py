@@ -15,14 +15,13 @@ from scipy.spatial import KDTree
 from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
-from pica_core.avatar.level_tensors import STILL_NAME
+from pica_core.avatar.levels import STILL_NAME
 from pica_core.avatar.static import MOVING, NAME, SEAM, STATIC, pack_parts
 from pica_core.capture.stage.expressions import combinations, sentence
 from pica_core.capture.triangles import areas, components
-from pica_core.reference.decoders import decode_expression_map, decode_position_map
+from pica_core.reference.decoders import decode_expression_map, decode_position_map, still_colours
 from pica_core.reference.pixel import decode_pixels
 from pica_core.reference.sampling import sample_bilinear
-from pica_core.reference.static import still_colours
 from pica_core.types import Array, BoolArray, ByteArray, Float64Array
 
 MOST_MSE = 12.0
