@@ -8,7 +8,7 @@ much later.
 import numpy as np
 
 from pica_client.playout.buffer import Playout
-from pica_core.codec.latent_sample import LatentSample
+from pica_core.codec.latent_stream import LatentSample
 from pica_protocol.frames import Frame
 
 FPS, SECONDS, DISPLAY_HZ = 30, 20, 60

@@ -29,8 +29,7 @@ from pica_client.publish import publisher as publisher_module
 from pica_client.publish.publisher import SenderConfig
 from pica_client.transport.config import LinkConfig
 from pica_core.avatar.file import Avatar, load_avatar
-from pica_core.codec.latent_sample import LatentSample
-from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
+from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, LatentSample, StreamConfig
 from pica_core.codec.profile import StreamProfile
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay

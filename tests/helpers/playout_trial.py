@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pica_client.playout.buffer import PlayedFace, Playout, PlayoutReport
-from pica_core.codec.latent_sample import LatentSample
+from pica_core.codec.latent_stream import LatentSample
 from pica_protocol.frames import Frame
 
 WAY_S = 0.04

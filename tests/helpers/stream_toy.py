@@ -15,8 +15,7 @@ import numpy as np
 
 from helpers.toy import make_toy_avatar
 from pica_core.avatar.file import Avatar
-from pica_core.codec.latent_sample import DecodedFrame
-from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
+from pica_core.codec.latent_stream import DecodedFrame, LatentDecoder, LatentEncoder, StreamConfig
 from pica_core.codec.profile import StreamProfile
 from pica_core.train.stream_learning import RenderMetric, learn_profile
 from pica_core.types import Float64Array

@@ -25,8 +25,7 @@ from pica_client.sources import open_source
 from pica_client.stats import wire_bytes
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
-from pica_core.codec.latent_sample import LatentSample
-from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
+from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, LatentSample, StreamConfig
 from pica_core.codec.profile import StreamProfile
 from pica_core.types import FloatArray
 from pica_protocol.frames import HEADER_BYTES

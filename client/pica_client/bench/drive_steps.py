@@ -26,8 +26,7 @@ from pica_client.sources.live.live_face import LiveFace, TrackerSample
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
-from pica_core.codec.latent_sample import LatentSample
-from pica_core.codec.latent_stream import StreamConfig
+from pica_core.codec.latent_stream import LatentSample, StreamConfig
 from pica_core.types import FloatArray
 
 TRACKER_FPS: Final = 60

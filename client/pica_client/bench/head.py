@@ -22,7 +22,7 @@ from pica_core.avatar.manifest import Manifest
 from pica_core.avatar.static import NAME as STATIC_PARTS
 from pica_core.camera import Camera, look_at
 from pica_core.capture.stage.dome import dome_cameras
-from pica_core.codec.latent_sample import LatentSample
+from pica_core.codec.latent_stream import LatentSample
 from pica_core.gl import create_context
 from pica_core.types import BoolArray, FloatArray, Image
 

@@ -30,8 +30,7 @@ from pica_client.sources import open_source
 from pica_client.stats import percentile
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
-from pica_core.codec.latent_sample import LatentSample
-from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
+from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, LatentSample, StreamConfig
 
 SIZE_PX = 192
 MAX_DRAWINGS = 1500

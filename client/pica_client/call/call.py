@@ -24,7 +24,7 @@ from pica_client.playout.config import PlayoutConfig
 from pica_client.stats import Samples
 from pica_client.tracks import FACE_TRACK
 from pica_core.avatar.file import Avatar
-from pica_core.codec.latent_sample import DecodedFrame
+from pica_core.codec.latent_stream import DecodedFrame
 from pica_core.errors import AvatarFileError
 from pica_protocol import messages
 from pica_protocol.frames import Frame

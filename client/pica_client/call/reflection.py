@@ -10,7 +10,7 @@ from typing import Final
 
 from pica_client.call.call import Call
 from pica_core.avatar.file import Avatar
-from pica_core.codec.latent_sample import EncodedFrame
+from pica_core.codec.latent_stream import EncodedFrame
 from pica_protocol.frames import SEQUENCE_MODULUS, Frame
 from pica_protocol.messages import Joined, Peer, Track
 

@@ -40,7 +40,7 @@ from pica_client.playout.motion import Correction, Timeline
 from pica_client.playout.playhead import Playhead
 from pica_client.playout.sender_clock import SenderClock
 from pica_client.playout.transit import FrameInterval
-from pica_core.codec.latent_sample import DecodedFrame, LatentSample
+from pica_core.codec.latent_stream import DecodedFrame, LatentSample
 
 MAX_LAG_S = 0.03
 """Most that a face whose frames are late lets its voice go ahead (chosen: with a step of the

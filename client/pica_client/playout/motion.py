@@ -16,7 +16,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from pica_core.codec.latent_sample import DecodedFrame, LatentSample
+from pica_core.codec.latent_stream import DecodedFrame, LatentSample
 from pica_core.types import FloatArray
 
 NUM_SHOWN = 9

@@ -21,7 +21,7 @@ not lost.
 """
 
 from pica_client.playout.transit import RESTART_FRAMES, Transit
-from pica_core.codec.latent_sample import ReceivedFrame
+from pica_core.codec.latent_stream import ReceivedFrame
 from pica_protocol.frames import Frame, sequence_distance
 
 FUTURE_S = 0.2

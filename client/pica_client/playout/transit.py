@@ -19,7 +19,7 @@ from collections.abc import Iterable
 from itertools import pairwise
 from typing import NamedTuple
 
-from pica_core.codec.latent_sample import DecodedFrame
+from pica_core.codec.latent_stream import DecodedFrame
 
 WINDOW_S = 6.0
 """Time that is remembered: so long the delay stays up after trouble (chosen: short enough that a

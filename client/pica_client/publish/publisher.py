@@ -26,8 +26,7 @@ from pica_client.voice.publisher import VoicePublisher
 from pica_core.avatar.arkit import ExpressionFrame
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
-from pica_core.codec.latent_sample import EncodedFrame
-from pica_core.codec.latent_stream import DEFAULT_QUALITY, LatentEncoder, StreamConfig
+from pica_core.codec.latent_stream import DEFAULT_QUALITY, EncodedFrame, LatentEncoder, StreamConfig
 from pica_protocol.messages import Joined, StreamMuted, Track
 from pica_protocol.session import ClientEvent
 

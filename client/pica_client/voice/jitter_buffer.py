@@ -46,7 +46,7 @@ from pica_client.voice.packet import FRAME_S
 from pica_client.voice.packet import FRAME_SAMPLES as FRAME
 from pica_client.voice.packet import SAMPLE_RATE_HZ as RATE_HZ
 from pica_client.voice.sound.settings import Moment
-from pica_core.codec.latent_sample import ReceivedFrame
+from pica_core.codec.latent_stream import ReceivedFrame
 from pica_core.types import Array, Float64Array, FloatArray
 from pica_protocol.frames import Frame
 

@@ -38,9 +38,20 @@ import numpy as np
 import safetensors
 import safetensors.numpy
 
-from pica_core.avatar import level_tensors
 from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.avatar.decoder_layers import spec_tensor_shapes
+from pica_core.avatar.levels import (
+    JUDGED_NAME,
+    STILL_NAME,
+    check_indices,
+    check_sheets,
+    faces_name,
+    is_faces,
+    is_index,
+    levels_of,
+    sheet_rows,
+    wanted_shapes,
+)
 from pica_core.avatar.linear import check_linear, linear_shapes
 from pica_core.avatar.manifest import Manifest
 from pica_core.avatar.spec import AvatarSpec
@@ -48,7 +59,7 @@ from pica_core.avatar.static import NAME as STATIC_NAME
 from pica_core.avatar.static import decoded_faces, parts_of, static_shape, textured_faces
 from pica_core.avatar.storage import check_finite, to_memory, to_storage
 from pica_core.codec.profile import PREFIX as STREAM_PREFIX
-from pica_core.codec.profile import StreamProfile, profile_shapes
+from pica_core.codec.profile import StreamProfile
 from pica_core.errors import AvatarFileError, ProfileError
 from pica_core.files import replacing
 from pica_core.latent import LATENT_SHAPE, NUM_LATENT
@@ -81,7 +92,7 @@ class Avatar:
     """Map sizes that it can be decoded to, ascending; ends with `spec.map_size`."""
 
     def __post_init__(self) -> None:
-        levels = level_tensors.levels_of(self.spec, self.tensors)
+        levels = levels_of(self.spec, self.tensors)
         object.__setattr__(self, "levels", levels)  # asked for many times a frame
 
     @property
@@ -94,7 +105,7 @@ class Avatar:
         if level not in self.levels:
             known = ", ".join(map(str, self.levels))
             raise ValueError(f"level is {level}; this avatar has {known}")
-        name = "mesh.faces" if level == self.spec.map_size else level_tensors.faces_name(level)
+        name = "mesh.faces" if level == self.spec.map_size else faces_name(level)
         faces: IntArray = self.tensors[name]
         return faces
 
@@ -110,7 +121,7 @@ class Avatar:
         """Rows of what the geometry decoder makes at a level: of the position map at the full one,
         of a sheet of vertices below it. Both have as many columns as the level has texels."""
         used = self.sheet_vertices(level)
-        return level if used is None else level_tensors.sheet_rows(len(used), level)
+        return level if used is None else sheet_rows(len(used), level)
 
     @property
     def mean_vertices_m(self) -> FloatArray:
@@ -153,8 +164,8 @@ class Avatar:
     @property
     def judged(self) -> FloatArray | None:
         """How its levels look where people look, ``[L, 2, 4]`` as `levels.JUDGED` says; None if
-        were not judged."""
-        found: FloatArray | None = self.tensors.get(level_tensors.JUDGED_NAME)
+        they were not judged."""
+        found: FloatArray | None = self.tensors.get(JUDGED_NAME)
         return found
 
     def stream_profile(self, name: str | None = None) -> StreamProfile:
@@ -335,7 +346,7 @@ def _check_header(spec: AvatarSpec, header: Mapping[str, Any]) -> None:
         shapes[name] = tuple(shape)
     _check_shapes(spec, shapes)
     for name, entry in header.items():
-        allowed = _INDEX_TYPES if level_tensors.is_index(name) else _WEIGHT_TYPES
+        allowed = _INDEX_TYPES if is_index(name) else _WEIGHT_TYPES
         if name.startswith(STREAM_PREFIX):
             allowed = _STREAM_TYPES
         if name == STATIC_NAME:
@@ -353,20 +364,15 @@ def _check_shapes(spec: AvatarSpec, shapes: Mapping[str, tuple[int, ...]]) -> No
         if rows > limit:
             raise ValueError(f"tensor {name} has {rows} rows; the limit is {limit}")
         wanted[name] = (rows, columns)
-    wanted |= level_tensors.wanted_shapes(spec, shapes, MAX_FACES)
+    wanted |= wanted_shapes(spec, shapes, MAX_FACES)
     if STATIC_NAME in shapes:
         wanted[STATIC_NAME] = static_shape(wanted["mesh.vertex_uv"][0])
-        wanted[level_tensors.STILL_NAME] = LATENT_SHAPE
+        wanted[STILL_NAME] = LATENT_SHAPE
     if spec.geometry == "bases":
         wanted |= linear_shapes(shapes, wanted["mesh.vertex_uv"][0])
-    stream = {
-        name.removeprefix(STREAM_PREFIX): shape
-        for name, shape in shapes.items()
-        if name.startswith(STREAM_PREFIX)
-    }
-    if stream:
-        wanted |= {STREAM_PREFIX + name: shape for name, shape in profile_shapes(stream).items()}
-    check_shapes(shapes, wanted)
+    # Those of the stream are for its profile to judge.
+    own = {name: shape for name, shape in shapes.items() if not name.startswith(STREAM_PREFIX)}
+    check_shapes(own, wanted)
 
 
 def encoder_shapes(shapes: Mapping[str, tuple[int, ...]]) -> dict[str, tuple[int, ...]]:
@@ -414,23 +420,23 @@ def _check_tensors(spec: AvatarSpec, tensors: Mapping[str, Array]) -> None:
     if parts.dtype != np.uint8:
         raise ValueError(f"tensor {STATIC_NAME} is {parts.dtype}; uint8 is needed")
     for name, array in own.items():
-        wanted = np.int32 if level_tensors.is_index(name) else np.float32
+        wanted = np.int32 if is_index(name) else np.float32
         if array.dtype != wanted:
             raise ValueError(f"tensor {name} is {array.dtype}; {np.dtype(wanted)} is needed")
-    check_finite({name: array for name, array in own.items() if not level_tensors.is_index(name)})
+    check_finite({name: array for name, array in own.items() if not is_index(name)})
     uv = tensors["mesh.vertex_uv"]
     if uv.min() < 0 or uv.max() > 1:
         raise ValueError(
             f"tensor mesh.vertex_uv spans {uv.min():g} to {uv.max():g}; 0 to 1 is allowed"
         )
-    for name in filter(level_tensors.is_faces, tensors):
-        level_tensors.check_indices(name, tensors[name], len(uv), "vertices")
+    for name in filter(is_faces, tensors):
+        check_indices(name, tensors[name], len(uv), "vertices")
         if not len(decoded_faces(tensors[name], parts_of(tensors))):
             raise ValueError(f"tensor {STATIC_NAME} leaves 0 triangles of {name}; 1 is the least")
     if spec.geometry == "bases":
         check_linear(tensors)
-    level_tensors.check_sheets(spec, tensors)
-    judged = tensors.get(level_tensors.JUDGED_NAME)
+    check_sheets(spec, tensors)
+    judged = tensors.get(JUDGED_NAME)
     if judged is not None and judged.min() < 0:
         raise ValueError(f"tensor level.judged has {judged.min():g}; errors are at least 0")
 

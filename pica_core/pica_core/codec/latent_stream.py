@@ -14,12 +14,10 @@ profile: each coefficient of the latent has a table by its place and by a contex
 large the coefficients just before it in the same frame are. Pose coefficients are written as their
 length in bits, by a table of each, their sign and the rest. See docs/wire.md.
 
-So anybody may drop any frame, a loss costs exactly what was lost, and who joins late decodes the
-next frame. Who wants less of a stream gets the frames whose sequence number is a multiple of 2 or
-4; `EncodedFrame.multiple` sees to it that what everybody must get is among them.
-
-A face that does not change falls silent: one last frame says so and is a little finer than the rest
-(it will be looked at for long), then a heartbeat four times a second keeps the stream alive, until
+So any frame may be dropped by anybody, and a late joiner decodes the next one. A receiver that
+wants less gets the frames whose sequence number is a multiple of 2 or 4; `EncodedFrame.multiple`
+sees to it that what everybody must get is among them. A face that does not change falls silent: one
+last, finer frame says so, then a heartbeat four times a second keeps the stream alive, until
 something moves by more than a tracker's noise.
 
 All is integers. Nothing here knows of time or networks; `now_us` is an argument.
@@ -31,7 +29,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pica_core.codec.latent_sample import EncodedFrame, LatentSample
 from pica_core.codec.profile import (
     ACTIVITY_LEVELS,
     ACTIVITY_WINDOW,
@@ -44,7 +41,65 @@ from pica_core.codec.profile import (
 from pica_core.codec.range_coder import Range, SymbolReader, Table, uniform, write_symbols
 from pica_core.errors import LatentError, ShapeError, check_ranges
 from pica_core.latent import LATENT_SHAPE, NUM_LATENT
-from pica_core.types import Array, Int64Array
+from pica_core.types import Array, FloatArray, Int64Array
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class LatentSample:
+    """A face at one moment: the latent and the pose of the head."""
+
+    latent: FloatArray
+    """float32 ``[8, 8, 4]``."""
+    rotation: FloatArray
+    """Head to seat, rotation vector, radians. float32 ``[3]``."""
+    translation_m: FloatArray
+    """Head offset from its seat, metres. float32 ``[3]``."""
+    is_still: bool = False
+    """Whether the sender says that nothing changes until its next frame: a silence that follows is
+    no gap, and ends one frame interval before the next frame."""
+
+
+@dataclass(frozen=True, slots=True)
+class EncodedFrame:
+    """What goes onto the wire for one moment; it is decoded alone."""
+
+    payload: bytes
+    multiple: int = 1
+    """Its sequence number is to be a multiple of this: receivers may ask for every second or fourth
+    number."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DecodedFrame:
+    """A face with its place in the stream's time; fields as in `ReceivedFrame`."""
+
+    number: int
+    captured_us: int
+    sample: LatentSample
+    media_s: float = 0.0
+    arrived_s: float = 0.0
+    """When it came, on the receiver's clock, seconds."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReceivedFrame:
+    """A frame off the wire with its place in the stream's time, still to be decoded."""
+
+    number: int
+    """Counts the frames of the stream and never wraps; it leaps where the sender began again."""
+    captured_us: int
+    """Sender's clock as it was told, microseconds."""
+    payload: bytes
+    media_s: float = 0.0
+    """Capture time on the stream's own time line, seconds: the sender's clock, from an origin of
+    the receiver's, with its jumps taken out."""
+    arrived_s: float = 0.0
+    """When it came, on the receiver's clock, seconds."""
+
+    def decoded(self, sample: LatentSample) -> DecodedFrame:
+        """The frame with its face."""
+        return DecodedFrame(self.number, self.captured_us, sample, self.media_s, self.arrived_s)
+
 
 HAS_LATENT, HAS_POSE, IS_STILL = 1, 2, 4
 REST_LENGTH_BITS = 4
@@ -110,11 +165,12 @@ def encode_frame(
     values: list[int] = quantised.tolist()
     face, pose = values[: profile.num_components], values[profile.num_components :]
     header = HAS_LATENT * any(face) + HAS_POSE * any(pose) + IS_STILL * is_still
-    ranges = [profile.quality_ranges.ranges[quality], profile.header_ranges.ranges[header]]
+    qualities, headers, lengths = profile.frame_tables
+    ranges = [qualities.ranges[quality], headers.ranges[header]]
     if header & HAS_LATENT:
         _write_face(ranges, face, profile.residual_tables)
     if header & HAS_POSE:
-        for value, table in zip(pose, profile.pose_ranges, strict=True):
+        for value, table in zip(pose, lengths, strict=True):
             length = abs(value).bit_length()
             if length >= NUM_LENGTHS:
                 raise LatentError(f"a pose of {value} steps is beyond what a frame can hold")
@@ -135,13 +191,13 @@ def decode_frame(profile: StreamProfile, payload: bytes) -> tuple[Int64Array, bo
         LatentError: The payload is no frame of this profile.
     """
     reader = SymbolReader(payload)
-    quality = reader.read(profile.quality_ranges)
-    header = reader.read(profile.header_ranges)
+    qualities, headers, lengths = profile.frame_tables
+    quality, header = reader.read(qualities), reader.read(headers)
     values = [0] * profile.num_coefficients
     if header & HAS_LATENT:
         _read_face(reader, values, profile.residual_tables)
     if header & HAS_POSE:
-        for place, table in enumerate(profile.pose_ranges, profile.num_components):
+        for place, table in enumerate(lengths, profile.num_components):
             if length := reader.read(table):
                 is_negative = reader.read_uniform(1)
                 magnitude = (1 << (length - 1)) + _read_bits(reader, length - 1)

@@ -90,8 +90,7 @@ class StreamProfile:
     quality_table: Annotated[Array, np.uint16]
 
     def __post_init__(self) -> None:
-        shapes = profile_shapes({name: getattr(self, name).shape for name in _TYPES})
-        for name, shape in shapes.items():
+        for name, shape in self._shapes().items():
             array = getattr(self, name)
             if array.dtype != _TYPES[name] or array.shape != shape:
                 raise ProfileError(
@@ -120,6 +119,33 @@ class StreamProfile:
                     f"{PREFIX}{name} row {wrong} sums to {sums[wrong]} with a smallest of "
                     f"{rows[wrong].min()}; {TOTAL} and at least 1 are needed"
                 )
+
+    def _shapes(self) -> dict[str, tuple[int, ...]]:
+        """The shapes that the arrays must have, free sizes taken from those there are."""
+
+        def size(name: str, axis: int, high: int) -> int:
+            shape = getattr(self, name).shape
+            count = shape[axis] if len(shape) > axis else 0
+            if not 1 <= count <= high:
+                raise ProfileError(
+                    f"{PREFIX}{name} has shape {list(shape)}; dimension {axis} may be 1 to {high}"
+                )
+            return int(count)
+
+        components = size("analysis", 1, MAX_COMPONENTS)
+        qualities = size("steps", 0, MAX_QUALITIES)
+        return {
+            "mean": (NUM_LATENT,),
+            "analysis": (NUM_LATENT, components),
+            "synthesis": (components, NUM_LATENT),
+            "synthesis_shift": (1,),
+            "steps": (qualities, components + NUM_POSE),
+            "tables": (size("tables", 0, MAX_TABLES), NUM_SYMBOLS),
+            "table_index": (components, NUM_CONTEXTS),
+            "pose_tables": (NUM_POSE, NUM_LENGTHS),
+            "header_table": (NUM_HEADERS,),
+            "quality_table": (qualities,),
+        }
 
     @property
     def num_components(self) -> int:
@@ -164,8 +190,6 @@ class StreamProfile:
             raise ProfileError(f"tensor {PREFIX}{wrong[0]:.80} is missing or unknown")
         return cls(**{name: np.array(tensors[PREFIX + name]) for name in _TYPES})
 
-    # Prepared for coding
-
     @cached_property
     def residual_tables(self) -> tuple[tuple[Table, ...], ...]:
         """Tables of the latent's coefficients, by coefficient and context."""
@@ -173,46 +197,26 @@ class StreamProfile:
         return tuple(tuple(tables[n] for n in row) for row in self.table_index.tolist())
 
     @cached_property
-    def pose_ranges(self) -> tuple[Table, ...]:
-        """Tables of the lengths of pose coefficients."""
-        return tuple(make_table(row) for row in self.pose_tables)
+    def frame_tables(self) -> tuple[Table, Table, tuple[Table, ...]]:
+        """Tables of the quality, of the header, and of the lengths of pose coefficients."""
+        pose = tuple(make_table(row) for row in self.pose_tables)
+        return make_table(self.quality_table), make_table(self.header_table), pose
 
     @cached_property
-    def header_ranges(self) -> Table:
-        """The table of frame headers."""
-        return make_table(self.header_table)
-
-    @cached_property
-    def quality_ranges(self) -> Table:
-        """The table of qualities."""
-        return make_table(self.quality_table)
-
-    @cached_property
-    def _analysis_exact(self) -> Float64Array:
+    def _exact(self) -> tuple[Float64Array, Float64Array]:
         # All sums stay below 2⁵³, so float64 is exact and BLAS may add in any order.
-        return np.ascontiguousarray(self.analysis.astype(np.float64))
-
-    @cached_property
-    def _synthesis_exact(self) -> Float64Array:
-        return np.ascontiguousarray(self.synthesis.astype(np.float64))
+        return self.analysis.astype(np.float64), self.synthesis.astype(np.float64)
 
     def analyse(self, latent: npt.NDArray[np.floating[Any]]) -> Int64Array:
-        """Coefficients of a latent.
-
-        Args:
-            latent: Finite, ``[256]`` in the order row, column, channel.
-
-        Returns:
-            int64 ``[K]``.
-        """
+        """Coefficients, int64 ``[K]``, of a finite latent ``[256]``: row, column, channel."""
         scaled = np.rint(latent.astype(np.float64) * (1 << LATENT_BITS))
         offset = np.clip(scaled, -MAX_LATENT, MAX_LATENT) - self.mean
-        sums = np.matmul(offset, self._analysis_exact).astype(np.int64)
+        sums = np.matmul(offset, self._exact[0]).astype(np.int64)
         return (sums + (1 << (ANALYSIS_SHIFT - 1))) >> ANALYSIS_SHIFT
 
     def synthesise(self, coefficients: Int64Array) -> FloatArray:
         """The latent of coefficients ``[K]``; float32 ``[256]``, exact, within ±256."""
-        sums = np.matmul(coefficients.astype(np.float64), self._synthesis_exact).astype(np.int64)
+        sums = np.matmul(coefficients.astype(np.float64), self._exact[1]).astype(np.int64)
         shift = int(self.synthesis_shift[0])
         units = ((sums + ((1 << shift) >> 1)) >> shift) + self.mean
         np.clip(units, -MAX_LATENT, MAX_LATENT, out=units)
@@ -224,39 +228,3 @@ _TYPES: Mapping[str, type[np.integer[Any]]] = {
     name: hint.__metadata__[0]
     for name, hint in get_type_hints(StreamProfile, include_extras=True).items()
 }
-
-
-def profile_shapes(found: Mapping[str, tuple[int, ...]]) -> dict[str, tuple[int, ...]]:
-    """The shapes that the arrays of a profile must have, free sizes taken from those there are.
-
-    Args:
-        found: Shape by name, without prefix.
-
-    Raises:
-        ProfileError: A free size is out of range.
-    """
-
-    def size(name: str, axis: int, high: int) -> int:
-        shape = found.get(name, ())
-        count = shape[axis] if len(shape) > axis else 0
-        if not 1 <= count <= high:
-            raise ProfileError(
-                f"{PREFIX}{name} has shape {list(shape)}; dimension {axis} may be 1 to {high}"
-            )
-        return count
-
-    components = size("analysis", 1, MAX_COMPONENTS)
-    qualities = size("steps", 0, MAX_QUALITIES)
-    coefficients = components + NUM_POSE
-    return {
-        "mean": (NUM_LATENT,),
-        "analysis": (NUM_LATENT, components),
-        "synthesis": (components, NUM_LATENT),
-        "synthesis_shift": (1,),
-        "steps": (qualities, coefficients),
-        "tables": (size("tables", 0, MAX_TABLES), NUM_SYMBOLS),
-        "table_index": (components, NUM_CONTEXTS),
-        "pose_tables": (NUM_POSE, NUM_LENGTHS),
-        "header_table": (NUM_HEADERS,),
-        "quality_table": (qualities,),
-    }

@@ -1,21 +1,15 @@
 """Entropy coding of one small payload: an integer range coder, bit-exact everywhere.
 
-A payload is a binary fraction in [0, 1), written as its bytes without trailing zeros; the empty
-payload is 0. Each symbol narrows the interval [low, low + range) to the part that its frequency
-has of ``TOTAL``:
+A payload is a binary fraction in [0, 1), its bytes without trailing zeros. Each symbol narrows the
+interval [low, low + range) to the part that its frequency has of ``TOTAL``:
 
     r = range >> 14;  low += start * r;  range = r * frequency
 
-and whenever range falls below 2⁴⁰ both are scaled by 2⁸, which makes room for one more byte. At the
-end the shortest fraction inside the interval is the payload: half a byte more than the information
-on average.
+and whenever range falls below 2⁴⁰ both are scaled by 2⁸. At the end the shortest fraction inside
+the interval is the payload: half a byte more than the information on average. Libraries write whole
+words of 32 bits, a fifth of a frame too many.
 
-Why not a library: constriction, the well-kept one, writes whole 32-bit words, two bytes too many on
-average, a fifth of a frame here. rANS over one big integer, which needs no rounding at all, was
-tried: its first symbol that is not the commonest costs its whole start, 10 bits a frame in all.
-
-Source: Martin, "Range encoding" (1979), in integers of 48 bits; the carry runs through ``low``,
-which is a big integer here and a byte string with carry in other languages.
+Source: Martin, "Range encoding" (1979), in integers of 48 bits; the carry runs through ``low``.
 """
 
 from collections.abc import Iterable, Sequence
@@ -41,12 +35,10 @@ Range = tuple[int, int]
 
 
 class Table(NamedTuple):
-    """Frequencies of one alphabet, ready for both directions."""
+    """Frequencies of one alphabet: the range of each symbol, and the symbol of each slot."""
 
     ranges: tuple[Range, ...]
-    """Start and frequency of each symbol."""
     symbol_of_slot: bytes
-    """The symbol that each of the `TOTAL` slots belongs to."""
 
 
 def make_table(frequencies: Sequence[int] | npt.NDArray[np.integer]) -> Table:
@@ -89,13 +81,7 @@ def _is_inside(low: int, width: int, shift: int) -> bool:
 
 
 class SymbolReader:
-    """Takes the symbols of one payload, in order.
-
-    Raises:
-        LatentError: The payload is too long, or ends with a zero byte, which none does.
-    """
-
-    __slots__ = ("_code", "_next", "_payload", "_width")
+    """Takes the symbols of one payload, in order; LatentError if no encoder wrote them."""
 
     def __init__(self, payload: bytes) -> None:
         if len(payload) > MAX_PAYLOAD_BYTES:
@@ -121,11 +107,7 @@ class SymbolReader:
         return value
 
     def finish(self) -> None:
-        """Check that nothing is left.
-
-        Raises:
-            LatentError: There is: these are not the bytes of one frame.
-        """
+        """Check that nothing is left; LatentError otherwise."""
         if len(self._payload) > self._next:
             raise LatentError(f"payload has {len(self._payload) - self._next} bytes too many")
 

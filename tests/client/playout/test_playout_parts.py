@@ -12,7 +12,7 @@ from helpers.playout_trial import face
 from pica_client.playout.motion import Correction, coasted_s
 from pica_client.playout.playhead import Playhead
 from pica_client.playout.transit import FrameInterval, Transit
-from pica_core.codec.latent_sample import DecodedFrame
+from pica_core.codec.latent_stream import DecodedFrame
 
 pytestmark = pytest.mark.unit
 

@@ -10,12 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from helpers.stream_toy import NUM_COMPONENTS, toy_faces, toy_metric, toy_profile
-from pica_core.codec.profile import (
-    MAX_COEFFICIENT,
-    MAX_LATENT,
-    StreamProfile,
-    profile_shapes,
-)
+from pica_core.codec.profile import MAX_COEFFICIENT, MAX_LATENT, StreamProfile
 from pica_core.codec.range_coder import TOTAL
 from pica_core.errors import ProfileError
 
@@ -143,15 +138,6 @@ def test_a_zero_frequency_is_refused_even_if_the_sum_is_right() -> None:
     assert table.sum() == TOTAL
     with pytest.raises(ProfileError, match=r"quality_table row 0 .* smallest of 0"):
         StreamProfile.from_tensors(changed("quality_table", table))
-
-
-@pytest.mark.parametrize(
-    "found",
-    [{}, {"analysis": (256, 129)}, {"analysis": (256,)}, {"analysis": (256, 9), "steps": (17, 15)}],
-)
-def test_free_sizes_have_limits(found: dict[str, tuple[int, ...]]) -> None:
-    with pytest.raises(ProfileError, match="may be 1 to"):
-        profile_shapes(found)
 
 
 @settings(max_examples=20)

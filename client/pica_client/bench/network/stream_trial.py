@@ -22,8 +22,7 @@ from pica_client.bench.network.scenarios import Scenario
 from pica_client.errors import check_ranges
 from pica_client.playout.buffer import PlayedFace, Playout, PlayoutReport
 from pica_client.playout.sender_clock import SenderClock
-from pica_core.codec.latent_sample import DecodedFrame, LatentSample
-from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder
+from pica_core.codec.latent_stream import DecodedFrame, LatentDecoder, LatentEncoder, LatentSample
 from pica_protocol.frames import SEQUENCE_MODULUS, Frame
 
 Face = Callable[[float], LatentSample]

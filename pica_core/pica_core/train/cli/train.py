@@ -6,7 +6,7 @@ import sys
 import threading
 from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Literal
@@ -29,7 +29,7 @@ from pica_core.train.export import (
     make_avatar,
     model_card,
 )
-from pica_core.train.lod.levels import LevelReport, add_levels
+from pica_core.train.lod.levels import add_levels
 from pica_core.train.stream_metric import make_stream_profile
 from pica_core.train.train import CHECKPOINT, Losses, Trainer, open_trainer, read_checkpoint
 
@@ -164,9 +164,8 @@ def export(options: ExportOptions) -> dict[str, Any]:
         )
         # Neither needs the other; both take about as long, and neither keeps two cores busy.
         tensors = dict(avatar.tensors)
-        reports: list[LevelReport] = []
         with ExitStack() as stack:
-            levelled: Future[tuple[Avatar, list[LevelReport]]] | None = None
+            levelled: Future[Avatar] | None = None
             if options.levels and options.stream and options.threads > 1:
                 pool = ProcessPoolExecutor(1, get_context("spawn"))
                 stack.enter_context(pool)
@@ -177,41 +176,21 @@ def export(options: ExportOptions) -> dict[str, Any]:
                 profile = make_stream_profile(ModelEvaluator(data, model, trainer.rasteriser))
                 tensors |= profile.to_tensors()
             if options.levels:
-                with_levels, reports = (
+                with_levels = (
                     levelled.result() if levelled else _add_levels(avatar, options.threads)
                 )
                 tensors |= with_levels.tensors
-                print("\n".join(map(_describe, reports)), file=sys.stderr)
     avatar = replace(avatar, tensors=tensors)
     save_avatar(options.out, avatar)
-    return {
-        **_written(options.out),
-        "id": avatar_id(options.out),
-        "levels": [asdict(report) for report in reports],
-    }
+    size = options.out.stat().st_size
+    print(f"{options.out}: {size / 1e6:.2f} MB", file=sys.stderr)
+    return {"path": str(options.out), "bytes": size, "id": avatar_id(options.out)}
 
 
-def _add_levels(avatar: Avatar, threads: int) -> tuple[Avatar, list[LevelReport]]:
+def _add_levels(avatar: Avatar, threads: int) -> Avatar:
     """Fit levels with so many threads of torch, saying what is done."""
     torch.set_num_threads(threads)
     return add_levels(avatar, show=lambda text: print(text, file=sys.stderr))
-
-
-def _written(path: Path) -> dict[str, Any]:
-    """Say where a file is and how large."""
-    size = path.stat().st_size
-    print(f"{path}: {size / 1e6:.2f} MB", file=sys.stderr)
-    return {"path": str(path), "bytes": size}
-
-
-def _describe(report: LevelReport) -> str:
-    """One line about a level."""
-    return (
-        f"level {report.level}: {report.triangles} triangles, vertices off by "
-        f"{report.vertex_error_mm:.2f} mm (p99 {report.vertex_error_p99_mm:.2f}; a still face "
-        f"{report.vertex_rest_mm:.2f}), colours by {report.colour_mse:.1f} MSE "
-        f"(0-255; a still map {report.colour_still_mse:.1f})"
-    )
 
 
 def _device(wished: str) -> torch.device:

@@ -140,7 +140,6 @@ def fit_convolution(
     metric: Tensor,
     bias_points: Tensor,
     still: Tensor,
-    seed: int = 0,
 ) -> MapExit:
     """Fit one convolution for all texels, so that its map is like the decoder's own output.
 
@@ -156,7 +155,7 @@ def fit_convolution(
     """
     mean_trunk, mean_full = _means(decoder, faces, level)
     system = _System(mean_trunk.shape[0] * 9, mean_full.shape[0])
-    generator = torch.Generator().manual_seed(seed)
+    generator = torch.Generator().manual_seed(0)
     for trunk, full in decoder.run(faces, level):
         for moved, wanted in zip(trunk - mean_trunk, full - mean_full, strict=True):
             chosen = torch.randint(len(points), (POINTS_PER_FACE,), generator=generator)

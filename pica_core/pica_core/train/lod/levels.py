@@ -4,7 +4,7 @@ No capture and no checkpoint is needed: the decoders are rebuilt from the tensor
 fit on are performances of the stage's generators as the avatar's own expression encoder codes them,
 with noise, seen from all over the front. Nothing of the full model changes.
 
-    levelled, report = add_levels(avatar, LevelOptions())
+    levelled = add_levels(avatar)
 """
 
 from collections.abc import Callable
@@ -18,9 +18,7 @@ from pica_core.avatar.arkit import ARKIT_NAMES
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.levels import (
-    EXIT_DIVISORS,
     JUDGED_NAME,
-    MAX_TEXELS,
     PREFIX,
     STILL_NAME,
     faces_name,
@@ -30,10 +28,8 @@ from pica_core.avatar.levels import (
 from pica_core.avatar.linear import components_of, weights_of_latent
 from pica_core.capture.stage.expressions import stream_training_performances
 from pica_core.capture.triangles import areas, signed_areas
-from pica_core.errors import TrainingOptionError, check_ranges
 from pica_core.model.decoders import sample_map
 from pica_core.reference.decoders import FRONT
-from pica_core.reference.pixel import decode_pixels
 from pica_core.train.lod.exits import (
     FaceSet,
     FrozenDecoder,
@@ -85,7 +81,7 @@ METRIC_FACES = 6
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LevelOptions:
-    """How levels are made."""
+    """How much it takes to make levels."""
 
     faces: int = 320
     """Faces to fit on."""
@@ -103,63 +99,18 @@ class LevelOptions:
     """Texels of the trunk per vertex, the coarsest level first (chosen: at 64, which weak machines
     draw most of the time, one leaves 0.063 mm and two 0.042, and half of what pokes out; at 128 one
     leaves 0.076 and two 0.046, but both would not fit into a file of 4 MB)."""
-    check_faces: int = 48
-    """Other faces, to report the error on."""
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        check_ranges(
-            self,
-            TrainingOptionError,
-            faces=(8, 100_000),
-            rounds=(1, 1000),
-            points=(100, 1_000_000),
-            bias_points=(100, 10_000_000),
-            check_faces=(1, 10_000),
-        )
-        if len(self.texels) != len(EXIT_DIVISORS) or not all(
-            1 <= count <= MAX_TEXELS for count in self.texels
-        ):
-            raise TrainingOptionError(
-                f"texels is {self.texels}; {len(EXIT_DIVISORS)} of 1 to {MAX_TEXELS} are allowed"
-            )
-        ratios = self.mesh_ratios
-        proper = len(ratios) == len(EXIT_DIVISORS) and list(ratios) == sorted(ratios)
-        if not (proper and ratios[0] > 0 and ratios[-1] <= 1):
-            raise TrainingOptionError(
-                f"mesh_ratios is {ratios}; {len(EXIT_DIVISORS)} above 0 to 1 are allowed, ascending"
-            )
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class LevelReport:
-    """How far a level is from the full model, over faces that it was not fitted on."""
-
-    level: int
-    triangles: int
-    vertices: int
-    """Vertices that its mesh uses."""
-    vertex_error_mm: float
-    """Mean distance of the vertices of its mesh from the full level's."""
-    vertex_error_p99_mm: float
-    vertex_rest_mm: float
-    """Mean distance of the full level's vertices from their own mean: the error of a still face."""
-    colour_mse: float
-    """Mean squared difference of colours at points of the surface, 0-255."""
-    colour_still_mse: float
-    """The same with an expression map that does not change."""
 
 
 def add_levels(
     avatar: Avatar,
     options: LevelOptions | None = None,
     show: Callable[[str], None] = lambda _: None,
-) -> tuple[Avatar, list[LevelReport]]:
+) -> Avatar:
     """Fit exits and simplify meshes for every level below the full one: the avatar with its levels,
-    and how good they are; its static surface is marked."""
+    how good they look, and its static surface marked."""
     options = options or LevelOptions()
     tensors = dict(avatar.tensors)
-    faces, check = _draw_faces(avatar, options)
+    faces = _draw_faces(avatar, options)
     full = _FullLevel(avatar, faces, options)
     show("meshes")
     levels = level_sizes(avatar.spec)[:-1]
@@ -168,7 +119,6 @@ def add_levels(
     tensors[STILL_NAME] = mean_face.latents[0].permute(1, 2, 0).numpy().copy()
     regions = looked_at(avatar, full.vertices_m)
     meshes = _simplify(full, regions, options)[-len(levels) :]
-    reports = []
     seen, drawn = shown_faces(avatar), []
     for level, mesh, texels in zip(levels, meshes, options.texels[-len(levels) :], strict=True):
         show(f"level {level}: exits")
@@ -185,7 +135,6 @@ def add_levels(
             full.metric,
             full.bias_points,
             still,
-            seed=options.seed,
         )
         if level == levels[0]:  # finer ones leave little, and their weights are four times as many
             expression = fit_local(full.decoders["expression"], faces, level, expression)
@@ -197,40 +146,36 @@ def add_levels(
             own[:, np.unique(mesh)] = full.sheet_m(geometry, seen, level)
         drawn.append((own, torch.cat([expression(trunk) for trunk, _ in runs])))
         full_maps = torch.cat([maps for _, maps in runs])
-        show(f"level {level}: error")
-        reports.append(_report(full, geometry, expression, still, level, mesh, check))
     show("judging")
     judge = Judge(avatar, regions, full.vertices_m(seen), full_maps, still)
-    tensors[JUDGED_NAME] = judge_levels(judge, meshes, drawn)
-    show("static surfaces")
-    return mark_static(Avatar(avatar.manifest, tensors)), reports
-
-
-def _draw_faces(avatar: Avatar, options: LevelOptions) -> tuple[FaceSet, FaceSet]:
-    """Draw faces to fit on and, from other performances, faces to report the error on."""
-    encoder = ExpressionEncoder(avatar)
-    sets = []
-    for number, (count, noise) in enumerate(
-        ((options.faces, NOISE_RATIO), (options.check_faces, 0.0))
-    ):
-        rng = np.random.default_rng([options.seed, number])
-        seed = int(rng.integers(2**31))
-        arkit = np.concatenate(stream_training_performances(options.rounds, seed=seed))
-        shown = arkit[:, [ARKIT_NAMES.index(name) for name in MORE_OF]].max(axis=1)
-        chance = LEAST_CHANCE + np.clip(shown, 0, 1)
-        chosen = rng.choice(len(arkit), count, replace=len(arkit) < count, p=chance / chance.sum())
-        codes = encoder.encode(arkit[chosen])
-        codes = codes + noise * codes.std(axis=0) * rng.standard_normal(codes.shape)
-        views = rng.standard_normal((count, 3))
-        views[:, 2] = np.abs(views[:, 2])
-        views /= np.linalg.norm(views, axis=1, keepdims=True)
-        sets.append(
-            FaceSet(
-                torch.from_numpy(codes.astype(np.float32)).permute(0, 3, 1, 2).contiguous(),
-                torch.from_numpy(views.astype(np.float32)),
-            )
+    judged = tensors[JUDGED_NAME] = judge_levels(judge, meshes, drawn)
+    for level, mesh, (eyes, mouth, rest, poke) in zip(levels, meshes, judged[:, 0], strict=False):
+        show(
+            f"level {level}: {len(mesh)} triangles; MSE of eyes {eyes:.1f}, mouth {mouth:.1f}, "
+            f"the rest {rest:.1f}; {poke:.3%} of the pixels poke through"
         )
-    return sets[0], sets[1]
+    show("static surfaces")
+    return mark_static(Avatar(avatar.manifest, tensors))
+
+
+def _draw_faces(avatar: Avatar, options: LevelOptions) -> FaceSet:
+    """Draw faces to fit on."""
+    rng = np.random.default_rng([0, 0])
+    seed = int(rng.integers(2**31))
+    arkit = np.concatenate(stream_training_performances(options.rounds, seed=seed))
+    shown = arkit[:, [ARKIT_NAMES.index(name) for name in MORE_OF]].max(axis=1)
+    chance = LEAST_CHANCE + np.clip(shown, 0, 1)
+    count, chance = options.faces, chance / chance.sum()
+    chosen = rng.choice(len(arkit), count, replace=len(arkit) < count, p=chance)
+    codes = ExpressionEncoder(avatar).encode(arkit[chosen])
+    codes = codes + NOISE_RATIO * codes.std(axis=0) * rng.standard_normal(codes.shape)
+    views = rng.standard_normal((count, 3))
+    views[:, 2] = np.abs(views[:, 2])
+    views /= np.linalg.norm(views, axis=1, keepdims=True)
+    return FaceSet(
+        torch.from_numpy(codes.astype(np.float32)).permute(0, 3, 1, 2).contiguous(),
+        torch.from_numpy(views.astype(np.float32)),
+    )
 
 
 class _FullLevel:
@@ -257,7 +202,7 @@ class _FullLevel:
         # The mean map, not the mean of what is decoded: only there both sides of a seam meet.
         rest = avatar.mean_vertices_m
         self.moving_vertices_m = np.concatenate([rest[None], _far_apart(shapes, POKE_SHAPES)])
-        rng = np.random.default_rng(options.seed)
+        rng = np.random.default_rng(0)
         mesh = rest, tensors["mesh.vertex_uv"], tensors["mesh.faces"]
         self.points, self.xyz_m = _scatter(*mesh, options.points, rng)
         some = rng.choice(len(faces), METRIC_FACES, replace=False)
@@ -377,45 +322,3 @@ def _exit_tensors(
         exits["geometry.mean"] = sheet(mean_m)
         exits["geometry.texel"] = sheet(geometry.texel).int()
     return {f"{PREFIX}{level}.{name}": values.numpy().copy() for name, values in exits.items()}
-
-
-def _report(
-    full: _FullLevel,
-    geometry: SheetExit | None,
-    expression: MapExit,
-    still: Tensor,
-    level: int,
-    mesh: Array,
-    check: FaceSet,
-) -> LevelReport:
-    avatar = full.avatar
-    wanted_m = full.vertices_m(check, np.unique(mesh))
-    low_m = wanted_m if geometry is None else full.sheet_m(geometry, check, level)
-    off_mm = 1000 * np.linalg.norm(low_m - wanted_m, axis=2)
-    moved_mm = 1000 * np.linalg.norm(wanted_m - wanted_m.mean(0), axis=2)
-    at_rest = sample_map(still[None], full.points)
-    pairs = [
-        (sample_map(output, full.points), sample_map(expression(trunk), full.points) + at_rest)
-        for trunk, output in full.decoders["expression"].run(check, level)
-    ]
-    codes, low_codes = (torch.cat(column) for column in zip(*pairs, strict=True))
-
-    def colours(values: Tensor) -> Array:
-        places = full.xyz_m.astype(np.float32), full.points.numpy()
-        shaded = [
-            decode_pixels(avatar.spec, avatar.tensors, code, *places) for code in values.numpy()
-        ]
-        clipped: Array = 255 * np.clip(np.stack(shaded), 0, 1)
-        return clipped
-
-    wanted = colours(codes)
-    return LevelReport(
-        level=level,
-        triangles=len(mesh),
-        vertices=wanted_m.shape[1],
-        vertex_error_mm=float(off_mm.mean()),
-        vertex_error_p99_mm=float(np.sort(off_mm, axis=None)[int(0.99 * off_mm.size) - 1]),
-        vertex_rest_mm=float(moved_mm.mean()),
-        colour_mse=float(np.square(colours(low_codes) - wanted).mean()),
-        colour_still_mse=float(np.square(colours(codes.mean(0, keepdim=True)) - wanted).mean()),
-    )

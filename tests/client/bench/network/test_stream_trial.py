@@ -11,8 +11,7 @@ from helpers.toy import make_toy_avatar
 from pica_client.bench.network.scenarios import BY_NAME, CALM, POLICIES, Scenario
 from pica_client.bench.network.stream_trial import Delivery, Schedule, deliver, play
 from pica_client.playout.buffer import Playout
-from pica_core.codec.latent_sample import LatentSample
-from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder
+from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, LatentSample
 
 pytestmark = pytest.mark.unit
 

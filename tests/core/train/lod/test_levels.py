@@ -14,7 +14,7 @@ from helpers.toy import grid_faces, make_toy_avatar
 from pica_core.avatar.file import Avatar, load_avatar, save_avatar
 from pica_core.avatar.levels import JUDGED
 from pica_core.avatar.spec import AvatarSpec
-from pica_core.errors import AvatarFileError, TrainingOptionError
+from pica_core.errors import AvatarFileError
 from pica_core.model.decoders import sample_map
 from pica_core.train.lod.exits import (
     FaceSet,
@@ -24,7 +24,7 @@ from pica_core.train.lod.exits import (
     fit_map,
 )
 from pica_core.train.lod.judge import PokeFinder, seen_vertices
-from pica_core.train.lod.levels import LevelOptions, LevelReport, add_levels
+from pica_core.train.lod.levels import LevelOptions, add_levels
 from pica_core.train.lod.simplify import Simplifier, weld
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
@@ -41,7 +41,6 @@ QUICK = LevelOptions(
     bias_points=10_000,
     mesh_ratios=(0.3, 0.6),
     texels=(2, 2),
-    check_faces=4,
 )
 
 
@@ -52,7 +51,7 @@ def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @functools.cache
-def levelled() -> tuple[Avatar, list[LevelReport]]:
+def levelled() -> Avatar:
     return add_levels(TOY, QUICK)
 
 
@@ -60,41 +59,15 @@ def levelled() -> tuple[Avatar, list[LevelReport]]:
 
 
 def test_an_avatar_gets_every_level_and_keeps_all_else() -> None:
-    avatar, _ = levelled()
+    avatar = levelled()
     assert avatar.levels == (32, 64, 128)
     for name, array in TOY.tensors.items():
         assert avatar.tensors[name] is array
 
 
 def test_what_is_made_can_be_saved_and_loaded(tmp_path: Path) -> None:
-    save_avatar(tmp_path / "toy.pica", levelled()[0])
+    save_avatar(tmp_path / "toy.pica", levelled())
     assert load_avatar(tmp_path / "toy.pica").levels == (32, 64, 128)
-
-
-def test_the_report_is_of_each_level() -> None:
-    small, large = levelled()[1]
-    assert (small.level, large.level) == (32, 64)
-    assert small.triangles < large.triangles
-    for report in (small, large):
-        assert report.triangles == len(levelled()[0].level_faces(report.level))
-
-
-@pytest.mark.parametrize("field", ["faces", "rounds", "points", "check_faces"])
-def test_an_option_out_of_its_limits_is_refused(field: str) -> None:
-    with pytest.raises(TrainingOptionError, match=f"{field} is 0"):
-        LevelOptions(**{field: 0})
-
-
-@pytest.mark.parametrize("ratios", [(0.5,), (0.5, 0.2), (0.0, 0.5), (0.5, 1.5), (0.1, 0.2, 0.3)])
-def test_meshes_of_no_proper_sizes_are_refused(ratios: tuple[float, ...]) -> None:
-    with pytest.raises(TrainingOptionError, match="mesh_ratios is"):
-        LevelOptions(mesh_ratios=ratios)
-
-
-@pytest.mark.parametrize("texels", [(1,), (0, 1), (1, 5)])
-def test_vertices_of_no_or_too_many_texels_are_refused(texels: tuple[int, ...]) -> None:
-    with pytest.raises(TrainingOptionError, match="texels is"):
-        LevelOptions(texels=texels)
 
 
 # Maps that are read at points
@@ -210,7 +183,7 @@ def test_vertices_within_a_texel_of_the_map_go_first() -> None:
 
 
 def test_levels_are_judged_where_people_look(tmp_path: Path) -> None:
-    avatar, _ = levelled()
+    avatar = levelled()
     judged = avatar.judged
     assert judged is not None
     assert judged.shape == (len(avatar.levels), 2, len(JUDGED))
@@ -255,7 +228,7 @@ def test_what_pokes_through_a_coarser_mesh_is_found_with_the_vertices_at_fault()
 
 @pytest.mark.parametrize("value", [-1.0, np.nan])
 def test_a_judgement_that_is_no_error_is_refused(tmp_path: Path, value: float) -> None:
-    avatar, _ = levelled()
+    avatar = levelled()
     judged = np.full((len(avatar.levels), 2, len(JUDGED)), value, np.float32)
     broken = Avatar(avatar.manifest, dict(avatar.tensors) | {"level.judged": judged})
     with pytest.raises(AvatarFileError, match="judged"):
