@@ -99,16 +99,6 @@ def test_carries_run_through_long_rows_of_ones_and_zeros(symbol: int) -> None:
     reader.finish()
 
 
-def test_what_is_sure_costs_nothing_and_what_is_likely_almost_nothing() -> None:
-    certain = make_table([TOTAL])
-    assert write_symbols([]) == b""
-    assert write_symbols([certain.ranges[0]] * 1000) == b""
-    assert write_symbols([STEEP.ranges[0]] * 1000) == b""  # 1000 x 0.002 bits
-    reader = SymbolReader(b"")
-    assert [reader.read(STEEP) for _ in range(1000)] == [0] * 1000
-    reader.finish()
-
-
 @settings(max_examples=100)
 @given(payload=st.binary(max_size=40), choices=st.lists(st.integers(0, 16), max_size=60))
 def test_any_bytes_are_symbols_of_the_tables_or_a_latent_error(

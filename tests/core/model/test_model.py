@@ -12,7 +12,7 @@ from pica_core.avatar.decoder_layers import decoder_layers
 from pica_core.avatar.spec import BLOCKS, AvatarSpec
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.decoders import MapDecoder, sample_map
-from pica_core.model.encoder import LightEncoder, PaperEncoder
+from pica_core.model.encoder import PaperEncoder
 from pica_core.model.interface import ModelOptions, Surface, flat_latent, grid_of_latent
 from pica_core.model.pixel_decoder import PixelDecoder
 
@@ -29,14 +29,6 @@ def count(module: nn.Module) -> int:
 def small_avatar() -> PixelCodecAvatar:
     torch.manual_seed(0)
     return PixelCodecAvatar(SMALL, toy_prior(scale_m=0.01), UNIFORM)
-
-
-def test_the_pixel_decoder_mlp_has_307_parameters() -> None:
-    assert count(PixelDecoder(PAPER_SPEC).colour) == 307
-
-
-def test_the_xyz_siren_has_36_parameters() -> None:
-    assert count(PixelDecoder(PAPER_SPEC).xyz) == 36
 
 
 def test_the_encoding_maps_have_the_papers_sizes() -> None:
@@ -104,13 +96,6 @@ def test_the_papers_encoder_gives_mean_and_variance_of_an_8_by_8_by_4_latent() -
     assert mean.shape == log_variance.shape == (1, 4, 2, 2)
 
 
-def test_the_light_encoder_gives_the_same_kind_of_latent() -> None:
-    with torch.no_grad():
-        mean, _ = LightEncoder()(torch.zeros(2, 3, 256, 256), torch.zeros(2, 3, 256, 256))
-
-    assert mean.shape == (2, 4, 8, 8)
-
-
 def test_an_untrained_geometry_decoder_starts_near_the_mean_face() -> None:
     avatar = small_avatar()
 
@@ -119,13 +104,6 @@ def test_an_untrained_geometry_decoder_starts_near_the_mean_face() -> None:
 
     assert positions is not None
     assert (positions - avatar.position_mean).abs().max() < 0.005
-
-
-def test_map_lookup_at_a_texel_centre_returns_that_texel() -> None:
-    values = torch.rand(1, 2, 4, 4)
-    centre = torch.tensor([[(1 + 0.5) / 4, (2 + 0.5) / 4]])
-
-    assert torch.allclose(sample_map(values, centre)[0, 0], values[0, :, 2, 1])
 
 
 def test_the_colour_loss_reaches_xyz_only_when_the_path_is_opened() -> None:

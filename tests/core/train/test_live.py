@@ -184,9 +184,3 @@ def test_a_picture_that_is_missing_or_damaged_is_named(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[:40])
     with pytest.raises(CaptureError, match=r"000003.png: not a complete image"):
         read_picture(tmp_path, 3)
-
-
-def test_poses_of_which_only_some_have_pictures_are_refused(tmp_path: Path) -> None:
-    write_poses(tmp_path, some_poses()._replace(cameras=("front",)))
-    with pytest.raises(CaptureError, match=r"poses.npz: 1 pictures of 12 poses"):
-        read_poses(tmp_path, 3)

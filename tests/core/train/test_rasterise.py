@@ -74,16 +74,6 @@ def test_a_rasteriser_draws_on_after_another_of_its_thread_is_closed() -> None:
     np.testing.assert_array_equal(before, after)
 
 
-def test_the_nearer_of_two_triangles_is_seen() -> None:
-    vertices = np.concatenate([TRIANGLE, TRIANGLE + np.float32([0, 0, 0.2])])
-    faces = np.array([[0, 1, 2], [3, 4, 5]], np.int32)
-
-    with Rasteriser(faces, 6) as rasteriser:
-        ids = rasteriser.triangle_ids(vertices, front_camera())
-
-    assert ids[32, 32] == 1
-
-
 def test_interpolated_points_project_back_to_their_pixel_centres() -> None:
     camera = front_camera()
     with Rasteriser.of(TOPOLOGY) as rasteriser:
@@ -107,17 +97,6 @@ def test_weights_are_perspective_correct() -> None:
 
     assert torch.allclose(weights, torch.tensor([[0.75, 0.25, 0.0]], dtype=torch.float64))
     assert torch.allclose(depth, torch.tensor([1.5], dtype=torch.float64))
-
-
-def test_gradients_of_weights_and_depth_agree_with_finite_differences() -> None:
-    generator = torch.Generator().manual_seed(1)
-    corners = torch.rand(4, 3, 3, dtype=torch.float64, generator=generator)
-    corners = (corners + torch.tensor([0.0, 0.0, 1.0])).requires_grad_()
-    inside = torch.rand(4, 3, 1, dtype=torch.float64, generator=generator)
-    points = (inside * corners.detach()).sum(1)
-    rays = points / points[:, 2:]
-
-    assert torch.autograd.gradcheck(lambda c: interpolation_weights(c, rays), (corners,))
 
 
 def test_weights_keep_their_digits_in_small_triangles_far_away() -> None:
@@ -159,15 +138,6 @@ def test_corners_that_are_no_numbers_have_weights_that_are() -> None:
     weights, _ = interpolation_weights(torch.full((1, 3, 3), torch.nan), torch.ones(1, 3))
 
     assert torch.equal(weights, torch.full((1, 3), 1 / 3))
-
-
-def test_a_rasteriser_serves_images_of_changing_size() -> None:
-    with Rasteriser(FACE, 3) as rasteriser:
-        for index in range(20):
-            size = 16 + index % 2
-            ids = rasteriser.triangle_ids(TRIANGLE, front_camera(size))
-            assert ids.shape == (size, size)
-            assert ids[size // 2, size // 2] == 0
 
 
 def several_views(count: int, size: int = 24) -> list[Camera]:

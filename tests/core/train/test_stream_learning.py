@@ -47,19 +47,6 @@ def test_learning_again_gives_the_same_profile() -> None:
     assert len(hashes) == 1
 
 
-def test_a_flat_latent_is_taken_as_a_folded_one() -> None:
-    folded = learn([FACES])
-    flat = learn([FACES.reshape(-1, 256)])
-    assert folded.hash == flat.hash
-
-
-@pytest.mark.parametrize(("asked", "found"), [(1, 1), (NUM_COMPONENTS, NUM_COMPONENTS), (99, 12)])
-def test_there_are_as_many_components_as_asked_for_and_as_the_metric_knows(
-    asked: int, found: int
-) -> None:
-    assert learn([FACES], num_components=asked).num_components == found
-
-
 def test_one_unit_of_a_coefficient_is_a_64th_of_a_root_of_rendered_mse() -> None:
     profile, metric = toy_profile(), toy_metric()
     neutral = profile.synthesise(np.zeros(NUM_COMPONENTS, np.int64))
@@ -112,14 +99,6 @@ def test_faces_that_never_change_give_a_profile_all_the_same() -> None:
 def test_sequences_of_another_shape_are_refused(sequences: list[np.ndarray]) -> None:
     with pytest.raises(ShapeError, match="are needed"):
         learn(sequences)
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf, 257.0, -1e9])
-def test_latents_that_no_profile_can_hold_are_refused(value: float) -> None:
-    faces = FACES.copy()
-    faces[3, 0, 0, 0] = value
-    with pytest.raises(ProfileError, match="not finite or beyond 256"):
-        learn([faces])
 
 
 @pytest.mark.parametrize(

@@ -8,9 +8,7 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
-import torch
 
 from helpers.published_capture import SEGMENTS, write_published
 from pica_core.capture.dataset.dataset import Capture
@@ -51,51 +49,6 @@ def test_a_published_capture_with_holes_is_trained_on(original: Path, tmp_path: 
     notes = " ".join(line["text"] for line in lines if line["kind"] == "note")
     assert "no expressions" in notes
     assert "no exact meshes" in notes
-
-
-def test_a_run_with_damaged_images_resumes_to_the_same_numbers(
-    original: Path, tmp_path: Path
-) -> None:
-    for path in (original / "images").glob("*/left/*.png"):
-        path.write_bytes(b"no image")
-    config = replace(CONFIG, geometry_steps=0, joint_steps=16)
-    run = tmp_path / "run"
-    with open_trainer(TrainingData(Capture.open(original)), config, run) as trainer:
-        trainer.run()
-        whole = trainer.model.state_dict()
-    with open_trainer(TrainingData(Capture.open(original)), config, run) as trainer:
-        trainer.run(lambda step, phase, losses: step < 8)
-    with open_trainer(TrainingData(Capture.open(original)), config, run) as trainer:
-        trainer.restore()
-        trainer.run()
-        resumed = trainer.model.state_dict()
-
-    assert trainer.step == 16
-    assert all(torch.equal(resumed[name], values) for name, values in whole.items())
-
-
-def test_a_frame_without_any_readable_image_is_named(original: Path, tmp_path: Path) -> None:
-    for path in (original / "images").glob("*/*/*.png"):
-        if path.name != "000003.png":
-            path.write_bytes(b"no image")
-    data = TrainingData(Capture.open(original))
-    config = replace(CONFIG, geometry_steps=0)
-    with (
-        open_trainer(data, config, tmp_path / "run") as trainer,
-        pytest.raises(CaptureError, match="no image of"),
-    ):
-        trainer.run()
-
-
-def test_the_neutral_frame_of_a_capture_without_expressions_is_the_mean_one(
-    original: Path,
-) -> None:
-    data = TrainingData(Capture.open(original))
-    away = np.abs(data.meshes.neutral_m("tracked", data.arkit) - data.meshes.tracked_mean_m).max()
-    every = np.abs(data.meshes.tracked_m[data.train_frames] - data.meshes.tracked_mean_m).max(
-        (1, 2)
-    )
-    assert away == pytest.approx(every.min())
 
 
 def test_without_expressions_no_avatar_is_exported(original: Path, tmp_path: Path) -> None:

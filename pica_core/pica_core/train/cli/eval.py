@@ -8,13 +8,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 import torch
-from PIL import Image
 
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.errors import TrainingOptionError, check_ranges
 from pica_core.train.eval.run import EvalLimits, Run, measure, open_run, prepare
 from pica_core.train.eval.tables import TABLES, Key, report
-from pica_core.types import ByteArray
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -28,7 +26,7 @@ class EvalOptions(EvalLimits):
     capture: Path | None = None
     """The capture of all runs, if it is not where it was when they were trained."""
     out: Path | None = None
-    """Folder for table.md, eval.json and near-field pictures."""
+    """Folder for table.md and eval.json."""
     threads: int = 2
     """CPU threads of torch."""
 
@@ -90,11 +88,9 @@ def _measure(runs: Sequence[Run], options: EvalOptions) -> dict[str, Any]:
         truth = prepare(capture, options)
         tracked[truth.identity] = truth.tracked_mm
         for run in [run for run in runs if run.capture == capture]:
-            own_rows, result, pictures = measure(run, truth, _say)
+            own_rows, result = measure(run, truth, _say)
             rows += own_rows
             found.append(result)
-            if options.out is not None:
-                _save_near(options.out, result, pictures)
     return {
         "table": options.table,
         "split": options.split,
@@ -102,16 +98,6 @@ def _measure(runs: Sequence[Run], options: EvalOptions) -> dict[str, Any]:
         "runs": found,
         "tracked_mesh": tracked,
     }
-
-
-def _save_near(out: Path, run: dict[str, Any], images: Sequence[ByteArray]) -> None:
-    """Truth on the left, prediction on the right, one file for each frame."""
-    folder = out / "near"
-    for index, image in enumerate(images):
-        folder.mkdir(parents=True, exist_ok=True)
-        model = run["variant"] + (f"_{run['block']}" if run["block"] else "")
-        name = f"{run['identity']}_{model}_{run['seed']}_{index}.png"
-        Image.fromarray(image).save(folder / name)
 
 
 def _say(text: str) -> None:

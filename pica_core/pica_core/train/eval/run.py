@@ -3,14 +3,11 @@
 Of synthetic captures more is known than images. Geometry is judged by depth: at each pixel of the
 evaluation views that both the true and the decoded mesh cover, how far apart they lie along the
 ray. Regions are those of the true mesh, so that all models are judged on the same pixels. Errors
-are capped at `DEPTH_CAP_MM`: beyond, one of the two is another surface. Near-field pictures are
-drawn from a place much closer to the mouth than any camera of the capture (paper, Fig. "Rendering
-at a novel viewing position"); the truth is drawn by the stage itself.
+are capped at `DEPTH_CAP_MM`: beyond, one of the two is another surface.
 """
 
 import json
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -18,16 +15,13 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from pica_core.avatar.variants import VARIANTS
-from pica_core.camera import Camera, look_at
 from pica_core.capture.dataset.dataset import Capture, CaptureFrame, Topology
-from pica_core.capture.person.choices import person_of
-from pica_core.capture.person.subject import PersonSubject
 from pica_core.errors import CheckpointError, TrainingOptionError, check_ranges
 from pica_core.model.interface import AvatarModel
 from pica_core.train.config import TrainConfig
 from pica_core.train.data.prior import face_prior
 from pica_core.train.data.training import TrainingData, spaced
-from pica_core.train.eval.evaluate import ModelEvaluator, measure_views, mse, psnr_db
+from pica_core.train.eval.evaluate import ModelEvaluator, measure_views
 from pica_core.train.raster import Rasteriser
 from pica_core.train.train import read_checkpoint
 from pica_core.types import ByteArray, Float64Array, FloatArray, Int64Array, IntArray
@@ -36,21 +30,6 @@ DEPTH_CAP_MM = 20.0
 REGIONS = ("mouth", "eyes", "rest")
 _REST = len(REGIONS) - 1
 _NOTHING = 255
-NOT_ASKED = "not asked for"
-"""Why there is no near field, if nobody wanted one."""
-NEAR_DISTANCE_M = 0.12
-"""Distance of the camera from the lips (chosen: at 18 cm the paper's user sees the face fill the
-screen)."""
-NEAR_DIRECTION = (0.25, -0.12, 1.0)
-"""Direction of the camera from the lips, head frame: a little sideways, so that depth shows."""
-NEAR_FOV = 0.85
-NEAR_SIZE_PX = 256
-NearField = dict[int, tuple[Camera, ByteArray]]
-"""True pictures from close to the mouth, by frame: the camera in head axes and what it sees, uint8
-``[H, W, 3]``."""
-SAME_PICTURE = 1.0
-"""Mean difference on 0-255 up to which the stage is taken to draw what the capture holds (files
-hold 8 bits and three decimals)."""
 
 
 class TrueView(NamedTuple):
@@ -126,64 +105,6 @@ def _drawn(
                 yield (frame, name), ids, rasteriser.batch_depths_m([camera])[0]
 
 
-def near_camera(capture: Capture, vertices_m: FloatArray) -> Camera:
-    """A camera close to the mouth of a mesh on the capture's topology, in head axes."""
-    lips = capture.topology.regions.get("lips", capture.topology.regions.get("mouth"))
-    assert lips is not None
-    target = vertices_m[lips].mean(0).astype(np.float64)
-    direction = np.array(NEAR_DIRECTION) / np.linalg.norm(NEAR_DIRECTION)
-    return look_at(
-        name="near",
-        centre_m=target + NEAR_DISTANCE_M * direction,
-        target_m=target,
-        vertical_fov=NEAR_FOV,
-        width=NEAR_SIZE_PX,
-        height=NEAR_SIZE_PX,
-    )
-
-
-def near_field(data: TrainingData, frames: list[int]) -> NearField | str:
-    """Draw the truth of some frames close to the mouth, or say why nobody can. Makes and releases a
-    GL context."""
-    capture = data.capture
-    if not {"lips", "mouth"} & set(capture.topology.regions):
-        return "the capture's topology names no lips"
-    images: NearField = {}
-    with _on_stage(data, frames[0]) as subject:
-        if isinstance(subject, str):
-            return subject
-        for frame in frames:
-            vertices_m = subject.pose(capture.arkit(capture.frames[frame]))
-            camera = near_camera(capture, vertices_m)
-            images[frame] = camera, subject.draw(camera).image
-    return images
-
-
-@contextmanager
-def _on_stage(data: TrainingData, frame: int) -> Iterator[PersonSubject | str]:
-    """The capture's subject, or why nobody can draw it."""
-    capture = data.capture
-    if "person" not in capture.info or not capture.has_truth:
-        yield "nobody can draw this capture's subject from a place without a camera"
-        return
-    subject = PersonSubject(person_of(capture.info["person"]))
-    try:
-        views = data.images.evaluation_views_of(frame)
-        view, image = data.images.first_readable(frame, views)
-        subject.pose(capture.arkit(capture.frames[frame]))
-        drawn = subject.draw(data.images.camera(frame, view)).image.astype(np.float64)
-        difference = float(np.abs(drawn - image).mean())
-        if difference <= SAME_PICTURE:
-            yield subject
-        else:
-            yield (
-                f"the stage no longer draws what the capture holds: {difference:.1f} of 255 apart "
-                "on average"
-            )
-    finally:
-        subject.release()
-
-
 RUN_FILE = "run.json"
 """What `pica train` writes down of a run beside its checkpoint."""
 
@@ -222,12 +143,9 @@ class EvalLimits:
     """How many of them, evenly spaced."""
     geometry_frames: int = 8
     """How many of these to compare the geometry of; 0 leaves it out."""
-    near_frames: int = 4
-    """How many of these to draw from close to the mouth; 0 leaves it out."""
 
     def __post_init__(self) -> None:
-        many = (0, 1_000_000)
-        limits = {"frames": (1, 1_000_000), "geometry_frames": many, "near_frames": many}
+        limits = {"frames": (1, 1_000_000), "geometry_frames": (0, 1_000_000)}
         check_ranges(self, TrainingOptionError, **limits)
 
 
@@ -239,8 +157,6 @@ class CaptureTruth:
     frames: list[int]
     views: dict[tuple[int, str], TrueView]
     """True depth, empty where it is unknown or not asked for."""
-    near: NearField | str
-    """Pictures from close to the mouth, or why there are none."""
     tracked_mm: dict[str, float | None]
     """Depth error of the tracked mesh itself, by region; empty as `views`."""
 
@@ -290,10 +206,7 @@ def prepare(capture: Path, limits: EvalLimits) -> CaptureTruth:
     if some and data.capture.has_truth:
         views = true_views(data, some)
         tracked = tracked_errors(data, some, views).means_mm()
-    near: NearField | str = NOT_ASKED
-    if limits.near_frames:
-        near = near_field(data, spaced(frames, limits.near_frames))
-    return CaptureTruth(data=data, frames=frames, views=views, near=near, tracked_mm=tracked)
+    return CaptureTruth(data=data, frames=frames, views=views, tracked_mm=tracked)
 
 
 def build(run: Run, truth: CaptureTruth) -> AvatarModel:
@@ -316,15 +229,13 @@ def build(run: Run, truth: CaptureTruth) -> AvatarModel:
 
 def measure(
     run: Run, truth: CaptureTruth, progress: Callable[[str], None]
-) -> tuple[list[dict[str, Any]], dict[str, Any], list[ByteArray]]:
+) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     """Measure a run by the paper's protocol, on its own encoder's latents.
 
     Returns:
         Rows of the tables, one for each view; what is known of the run: "distribution" {frame, mse}
         with means over the views that have the frame, "geometry" the mean depth error by region in
-        millimetres, empty where the truth is unknown, "near" {mse, psnr_db, frames} or {skipped}
-        with the reason; and truth and prediction side by side from close to the mouth, one picture
-        for each frame.
+        millimetres, empty where the truth is unknown.
     """
     data, model = truth.data, build(run, truth)
     cost = model.cost
@@ -337,8 +248,6 @@ def measure(
         for (frame, view), true in truth.views.items():
             picture = evaluator.draw(evaluator.encode(frame), data.images.camera(frame, view))
             depth.add(true, picture.pixels, picture.depth_m)
-        progress(f"{run.folder}: near field")
-        near, pictures = _near(evaluator, truth.near)
     shared = {"identity": truth.identity, "variant": run.variant, "block": run.block}
     costs = {
         "parameters": cost.parameters,
@@ -361,23 +270,5 @@ def measure(
         "source": str(data.capture.info.get("source", run.capture.name)),
         "distribution": distribution,
         "geometry": depth.means_mm() if truth.views else {},
-        "near": near,
     }
-    return rows, result, pictures
-
-
-def _near(
-    evaluator: ModelEvaluator, near: NearField | str
-) -> tuple[dict[str, Any], list[ByteArray]]:
-    if isinstance(near, str):
-        return {"skipped": near}, []
-    errors: list[float] = []
-    pictures: list[ByteArray] = []
-    for frame, (camera, image) in near.items():
-        picture = evaluator.draw(evaluator.encode(frame), camera)
-        errors.append(mse(picture.colours, picture.within(image)))
-        shown = picture.on(np.full_like(image, 128)).round().astype(np.uint8)
-        pictures.append(np.concatenate([image, shown], axis=1))
-    error = float(np.mean(errors))
-    found = {"mse": error, "psnr_db": psnr_db(error), "frames": len(errors)}
-    return found, pictures
+    return rows, result

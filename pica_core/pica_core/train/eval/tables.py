@@ -7,7 +7,7 @@ import numpy as np
 
 from pica_core.avatar.variants import TABLE_1, TABLE_2
 from pica_core.train.eval.evaluate import bootstrap_interval
-from pica_core.train.eval.run import DEPTH_CAP_MM, NEAR_DISTANCE_M, NOT_ASKED, REGIONS
+from pica_core.train.eval.run import DEPTH_CAP_MM, REGIONS
 
 Rows = Sequence[Mapping[str, Any]]
 Key = tuple[str, str, str, int]
@@ -109,26 +109,12 @@ def geometry_table(
     return _table([model for who in tracked for model in models if model[0] == who], REGIONS, cells)
 
 
-def near_table(near: Mapping[Key, Mapping[str, Any]], variants: Sequence[str]) -> str:
-    """Errors of pictures from close to the mouth, means over seeds, or why there are none."""
-
-    def cells(model: Model) -> list[str]:
-        own = [found for key, found in near.items() if key[:3] == model]
-        if measured := [found for found in own if "mse" in found]:
-            mean = np.mean([found["mse"] for found in measured])
-            return [f"{mean:.2f}", f"{measured[0]['frames']} frames"]
-        return [_NONE, *(f"skipped: {found['skipped']}" for found in own if "skipped" in found)][:2]
-
-    return _table(_models(near, variants), ["MSE", ""], cells)
-
-
 def report(number: int, result: Mapping[str, Any]) -> str:
     """The whole report of what `pica eval` finds, as one of the paper's tables."""
     variants, rows = TABLES[number], result["rows"]
     runs = {_key(run): run for run in result["runs"]}
     distributions = {key: run["distribution"] for key, run in runs.items()}
     geometry = {key: run["geometry"] for key, run in runs.items()}
-    near = {key: run["near"] for key, run in runs.items()}
     parts = [
         f"# Table {number}",
         f"MSE on 0-255 values over rasterised pixels, {_SPLITS[result.get('split', 'test')]}: the "
@@ -150,12 +136,6 @@ def report(number: int, result: Mapping[str, Any]) -> str:
             f"Mean depth error in mm (capped at {DEPTH_CAP_MM:g} mm) against the true mesh, at "
             "pixels that both cover, by region of the true mesh.",
             geometry_table(geometry, result["tracked_mesh"], variants),
-        ]
-    if any(found.get("skipped") != NOT_ASKED for found in near.values()):
-        parts += [
-            "## Near field",
-            f"From {100 * NEAR_DISTANCE_M:g} cm in front of the lips, where no camera stood.",
-            near_table(near, variants),
         ]
     return "\n\n".join(parts) + "\n"
 

@@ -2,28 +2,21 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
-import torch
 
 from helpers.published_capture import write_published
-from helpers.small_capture import render_capture, small_subject
+from helpers.small_capture import render_capture
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.dataset.multiface import mesh_path
 from pica_core.capture.stage.synth import RenderOptions
-from pica_core.errors import CaptureError
-from pica_core.train.cli.eval import EvalOptions, eval_runs
 from pica_core.train.config import PRESETS
-from pica_core.train.data.prior import face_prior
 from pica_core.train.data.training import TrainingData
 from pica_core.train.eval.evaluate import evaluate, successor
-from pica_core.train.eval.run import RUN_FILE
-from pica_core.train.train import open_trainer, write_checkpoint
+from pica_core.train.train import open_trainer
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
 
@@ -55,18 +48,6 @@ def held_out_images(capture: Path, view: str) -> list[Path]:
     return [capture / "images" / f.segment / view / f"{f.name}.png" for f in frames]
 
 
-def evaluated(capture: Path, folder: Path, **limits: int) -> dict[str, Any]:
-    """What `pica eval` says of a run that was stopped before its first step."""
-    folder.mkdir()
-    torch.manual_seed(CONFIG.seed)
-    model = CONFIG.build(face_prior(TrainingData(Capture.open(capture))))
-    state = {"config": json.dumps(CONFIG.to_json()), "step": 0, "model": model.state_dict()}
-    write_checkpoint(folder / "checkpoint.pt", state)
-    (folder / RUN_FILE).write_text(json.dumps({"capture": str(capture)}))
-    few = {"geometry_frames": 0, "near_frames": 0, **limits}
-    return eval_runs(EvalOptions(runs=(folder,), **few))
-
-
 def test_an_image_that_cannot_be_read_is_left_out_and_counted(
     capture: Path, tmp_path: Path
 ) -> None:
@@ -84,20 +65,6 @@ def test_an_image_that_cannot_be_read_is_left_out_and_counted(
         assert damaged["mse"] > 0
 
 
-def test_a_capture_without_a_readable_held_out_image_is_named(
-    capture: Path, tmp_path: Path
-) -> None:
-    for view in ("front", "left"):
-        for path in held_out_images(capture, view):
-            path.write_bytes(b"no image")
-
-    with (
-        open_trainer(TrainingData(Capture.open(capture)), CONFIG, tmp_path) as trainer,
-        pytest.raises(CaptureError, match="no image to measure on"),
-    ):
-        evaluate(trainer, max_frames=2)
-
-
 def test_the_change_does_not_span_a_frame_that_is_left_out(tmp_path: Path) -> None:
     capture = write_published(tmp_path / "m--0001", frames=4)
     before = TrainingData(Capture.open(capture))
@@ -111,24 +78,3 @@ def test_the_change_does_not_span_a_frame_that_is_left_out(tmp_path: Path) -> No
     assert successor(before, first) == second
     assert successor(data, first) is None
     assert successor(data, second) == third
-
-
-def test_a_frame_counts_by_the_views_that_have_it(
-    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("pica_core.train.eval.run.PersonSubject", lambda person: small_subject())
-    front, left = (held_out_images(capture, view) for view in ("front", "left"))
-    for path in (front[0], left[1], front[2], left[2]):
-        path.unlink()
-
-    result = evaluated(capture, tmp_path / "run", near_frames=1)
-
-    (run,), rows = result["runs"], result["rows"]
-    assert {row["view"]: row["frames"] for row in rows} == dict.fromkeys(
-        ("front", "left"), len(front) - 2
-    )
-    assert len(run["distribution"]) == len(front) - 1
-    first, second, *others = (item["mse"] for item in run["distribution"])
-    total = sum(row["mse"] * row["frames"] for row in rows)
-    assert total == pytest.approx(first + second + 2 * sum(others))
-    assert run["near"]["frames"] == 1

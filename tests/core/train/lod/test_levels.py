@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import torch
 
-from helpers.mesh_edges import boundary_edges
 from helpers.toy import grid_faces, make_toy_avatar
 from pica_core.avatar.file import Avatar, load_avatar, save_avatar
 from pica_core.avatar.levels import JUDGED
@@ -63,11 +62,6 @@ def test_an_avatar_gets_every_level_and_keeps_all_else() -> None:
     assert avatar.levels == (32, 64, 128)
     for name, array in TOY.tensors.items():
         assert avatar.tensors[name] is array
-
-
-def test_what_is_made_can_be_saved_and_loaded(tmp_path: Path) -> None:
-    save_avatar(tmp_path / "toy.pica", levelled())
-    assert load_avatar(tmp_path / "toy.pica").levels == (32, 64, 128)
 
 
 # Maps that are read at points
@@ -129,17 +123,6 @@ def test_no_texel_goes_wrong_with_as_many_points_as_a_level_gets() -> None:
 def test_places_are_welded_within_twenty_micrometres() -> None:
     vertices = np.array([[0, 0, 0], [1e-5, 0, 0], [0.1, 0, 0], [0.1, 1e-5, -1e-5], [0, 5e-5, 0]])
     assert weld(vertices).tolist() == [0, 0, 2, 2, 4]
-
-
-def test_a_grid_has_its_border_as_boundary() -> None:
-    assert len(boundary_edges(grid_faces(4, 6))) == 2 * (3 + 5)
-
-
-def test_a_seam_is_a_boundary_in_uv_and_none_in_space() -> None:
-    faces = np.array([[0, 1, 2], [3, 5, 4]])
-    place = np.array([0, 1, 2, 1, 4, 2])
-    assert len(boundary_edges(faces)) == 6
-    assert len(boundary_edges(faces, place)) == 4
 
 
 def test_a_flat_sheet_needs_few_triangles_and_keeps_its_corners() -> None:
