@@ -136,19 +136,6 @@ def test_weights_of_blocks_come_back_in_eight_bits_and_are_added(tmp_path: Path)
     np.testing.assert_array_equal(*both)
 
 
-@pytest.mark.parametrize(
-    "array",
-    [
-        np.zeros((64, 64, 64), np.float32),
-        np.zeros((32, 32), np.float32),
-        np.full(local_shape(SPEC, 64), np.nan, np.float32),
-    ],
-)
-def test_weights_of_blocks_that_do_not_fit_are_refused(tmp_path: Path, array: Array) -> None:
-    with pytest.raises(AvatarFileError, match=r"level\.64\.expression\.local"):
-        save_avatar(tmp_path / "bad.pica", with_local(array))
-
-
 def test_the_face_of_the_still_map_comes_back_from_a_file(tmp_path: Path) -> None:
     latent = np.linspace(-1, 1, 256, dtype=np.float32).reshape(8, 8, 4)
     save_avatar(tmp_path / "a.pica", Avatar(TOY.manifest, {**TOY.tensors, STILL_NAME: latent}))
@@ -204,21 +191,11 @@ def test_a_mesh_without_its_level_is_refused(tmp_path: Path) -> None:
     [
         ("level.32.geometry.mean", np.zeros((32, 32, 3), np.float32), "'level.32.*is unknown"),
         ("level.64.surprise", np.zeros(3, np.float32), r"'level\.64\.surprise' is unknown"),
-        ("level.064.faces", np.zeros((9, 3), np.int32), r"'level\.064\.faces' is unknown"),
-        ("level.256.faces", np.zeros((9, 3), np.int32), r"'level\.256\.faces' is unknown"),
-        ("level.\u2466.faces", np.zeros((9, 3), np.int32), "is unknown"),
-        ("level.64.geometry.mean", np.zeros((1, 128, 3), np.float32), r"\[1, 64, 3\] is needed"),
         ("level.64.geometry.mean", np.zeros((2, 64, 3), np.float32), r"\[2, 64, .* is needed"),
-        ("level.64.geometry.weight", np.zeros((1, 64, 48), np.float32), r"\[1, 64, 96\]"),
         ("level.64.geometry.texel", np.full((1, 64, 2), 4096, np.int32), "allowed are 0 to 4095"),
-        ("level.64.geometry.texel", np.full((1, 64, 2), -1, np.int32), "texels -1 to -1"),
-        ("level.64.geometry.texel", np.zeros((1, 64, 2), np.float32), "float32; int32 is needed"),
         ("level.128.expression.bias", np.zeros((4, 128), np.float32), r"\[4, 128, 128\]"),
         ("level.64.faces", np.full((9, 3), 64, np.int32), r"level\.64\.faces names vertices 64"),
-        ("level.64.faces", np.full((9, 3), -1, np.int32), "allowed are 0 to 63"),
-        ("level.64.faces", np.zeros((9, 4), np.int32), r"shape \[9, 4\]; \[9, 3\]"),
         ("level.64.faces", np.zeros((0, 3), np.int32), "0 rows; allowed are 1 to"),
-        ("level.64.faces", np.zeros((9, 3), np.float32), "float32; int32 is needed"),
         ("level.64.faces", np.zeros((400_001, 3), np.int32), "400001 rows; allowed are 1 to"),
         ("level.judged", np.zeros((2, 2, 4), np.float32), r"shape \[2, 2, 4\]; \[3, 2, 4\]"),
         ("level.judged", np.full((3, 2, 4), -1, np.float32), "errors are at least 0"),

@@ -65,10 +65,3 @@ def test_every_command_knows_the_names_of_those_that_ship(
     names = ", ".join(path.stem for path in shipped_avatar_files())
     known = f"avatar 'nobody' is unknown; shipped are: {names}"
     assert known in capsys.readouterr().err
-
-
-def test_info_and_verify_take_a_name(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["avatar", "info", "nora"]) == main(["avatar", "verify", "Amara"]) == 0
-    said = capsys.readouterr().err
-    assert "name  Nora" in said
-    assert "amara.pica: ok, " in said

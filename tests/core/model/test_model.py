@@ -31,19 +31,6 @@ def small_avatar() -> PixelCodecAvatar:
     return PixelCodecAvatar(SMALL, toy_prior(scale_m=0.01), UNIFORM)
 
 
-def test_the_encoding_maps_have_the_papers_sizes() -> None:
-    encoding = PixelDecoder(PAPER_SPEC).encoding
-
-    shapes = {name: tuple(values.shape) for name, values in encoding.named_tensors().items()}
-
-    assert shapes == {
-        "uv_encoding": (1024, 1024, 4),
-        "u_encoding": (10_000, 2),
-        "v_encoding": (10_000, 2),
-    }
-    assert encoding.channels == 8
-
-
 def test_the_papers_decoder_has_its_5_47_million_parameters_within_half_a_percent() -> None:
     decoders = count(MapDecoder(PAPER_SPEC, "geometry")) + count(
         MapDecoder(PAPER_SPEC, "expression")

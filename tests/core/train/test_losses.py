@@ -111,13 +111,6 @@ def test_depth_loss_agrees_with_a_loop() -> None:
     ) == pytest.approx(total / known, rel=1e-12)
 
 
-def test_a_capture_without_depth_at_any_pixel_loses_nothing() -> None:
-    nothing = torch.zeros(3)
-    mask = losses.depth_mask(torch.ones(3), nothing)
-
-    assert float(losses.depth_loss(torch.ones(3), nothing, mask, one_image(3, nothing > 0))) == 0
-
-
 def plane_points(slope: float, step: float = 0.001) -> tuple[Tensor, Tensor, Tensor]:
     """Three neighbouring points of the plane z = 1 + slope x."""
     x = torch.tensor([0.0, step, 0.0], dtype=torch.float64)

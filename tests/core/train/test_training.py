@@ -25,7 +25,7 @@ from pica_core.train.data.images import view_direction
 from pica_core.train.data.meshes import rasterise_uv
 from pica_core.train.data.training import TrainingData
 from pica_core.train.eval.evaluate import evaluate, mean_mse
-from pica_core.train.export import fill_unseen, joint_map, make_avatar
+from pica_core.train.export import fill_unseen, make_avatar
 from pica_core.train.train import open_trainer, rate_ratio, read_checkpoint
 from pica_core.types import FloatArray
 
@@ -173,37 +173,6 @@ def test_an_exported_avatar_encodes_as_the_model_does(data: TrainingData, tmp_pa
     latent = ExpressionEncoder(load_avatar(tmp_path / "t.pica")).encode(data.arkit[0].numpy())
 
     assert np.abs(latent - wanted).max() < 0.01  # weights are stored as fp16
-
-
-def test_an_exported_avatar_has_no_texels_left_that_training_never_saw(
-    data: TrainingData, tmp_path: Path
-) -> None:
-    with open_trainer(data, short(0, 12, 0), tmp_path) as trainer:
-        start = joint_map(trainer.model)
-        assert start is not None
-        trainer.run()
-        trained = joint_map(trainer.model)
-        avatar = make_avatar(
-            trainer.model,
-            data,
-            name="T",
-            identity="S1",
-            licence="Apache-2.0",
-            model_card={},
-            start=start,
-        )
-
-    topology = data.capture.topology
-    covered = rasterise_uv(topology.vertex_uv, topology.faces, len(start)).covered
-    is_seen = trained[:, :, -1] != start[:, :, -1]
-    exported = avatar.tensors["uv_encoding"]
-    kept = (exported == trained).all(2)
-    assert 0.05 < is_seen[covered].mean() < 0.95
-    assert kept[is_seen | ~covered].all()
-    parts = parts_of_texels(topology, len(start))
-    has_seen = np.isin(parts, parts[is_seen & covered])
-    # What is left belongs to small parts that were seen at their edges alone, which lend nothing.
-    assert kept[covered & ~is_seen & has_seen].mean() < 0.25
 
 
 def parts_of_texels(topology: Topology, size: int) -> FloatArray:

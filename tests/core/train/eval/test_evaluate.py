@@ -37,7 +37,6 @@ from pica_core.train.eval.run import (
     TrueView,
     open_run,
 )
-from pica_core.train.eval.tables import report
 from pica_core.train.train import write_checkpoint
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
@@ -191,21 +190,6 @@ def test_the_report_names_every_model_and_is_written(table: dict[str, Any]) -> N
         assert f"| {NAME} | {variant} |" in text
     assert "tracked mesh" in text
     assert json.loads((table["out"] / "eval.json").read_text())["table"] == 1
-
-
-def test_frames_that_were_trained_on_can_be_measured_and_are_called_so(
-    runs: dict[str, Path], data: TrainingData
-) -> None:
-    result = eval_runs(
-        EvalOptions(runs=(runs["full"],), split="train", frames=2, geometry_frames=0)
-    )
-
-    trained_on = [data.capture.frames[frame] for frame in data.train_frames]
-    measured = [item["frame"] for item in result["runs"][0]["distribution"]]
-    assert 0 < len(measured) <= 2
-    assert set(measured) <= {f"{frame.segment}/{frame.name}" for frame in trained_on}
-    assert "frames that were trained on" in report(1, result)
-    assert "held-out" not in report(1, result)
 
 
 def test_geometry_is_judged_by_region_beside_the_trackers(table: dict[str, Any]) -> None:
