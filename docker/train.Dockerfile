@@ -1,7 +1,7 @@
 # Captures, training and export with software OpenGL (Mesa), not root. Build from the repository's root:
 #     docker build -f docker/train.Dockerfile -t pica-train .
 # With a GPU: `docker run --gpus all`, and the wheels of torch that the constraints file pins.
-#     docker run -v $PWD/runs:/runs pica-train capture synth --out /runs/capture
+#     docker run -v $PWD/runs:/runs pica-train capture person --out /runs/capture
 FROM python:3.11.13-slim-bookworm
 RUN apt-get update \
     && apt-get install -y --no-install-recommends libegl1 libgl1 libegl-mesa0 libgl1-mesa-dri \
