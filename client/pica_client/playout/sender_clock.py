@@ -24,10 +24,10 @@ from pica_client.playout.transit import RESTART_FRAMES, Transit
 from pica_core.codec.latent_stream import ReceivedFrame
 from pica_protocol.frames import Frame, sequence_distance
 
-FUTURE_S = 0.2
-"""A frame this much faster than the fastest, and than the newest, is of another clock (chosen: the
-usual ceiling of the delay; smaller steps the transit follows by itself). After a stall at the very
-beginning frames are faster than the fastest one by one."""
+FUTURE_S = 0.5
+"""A frame this much faster than the fastest, and than the newest, is of another clock (chosen: more
+than twice the usual ceiling of the delay; smaller steps the transit follows by itself). After a
+stall at the very beginning frames are faster than the fastest one by one."""
 
 LATE_S = 10.0
 """A frame of an earlier sequence that is later than this belongs to another beginning (chosen: a
@@ -66,6 +66,7 @@ class SenderClock:
         elif self._begins(frame, ahead, now):
             self.num_jumps += 1
             self._origin_us, self._origin_s = frame.captured_us, now - self.transit.fastest_s
+            self.transit.forget()
             self._number, ahead = self._number + RESTART_FRAMES + 1, 0
         media_s, number = self.media_s(frame.captured_us), self._number + ahead
         if ahead >= 0:

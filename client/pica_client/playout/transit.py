@@ -58,6 +58,10 @@ class Transit:
         self._arrivals: deque[_Arrival] = deque(maxlen=CAPACITY)
         self._last = (-math.inf, -math.inf)  # arrived_s, media_s
 
+    def forget(self) -> None:
+        """Begin again at the fastest transit: what was late by another clock says nothing."""
+        self._arrivals.clear()
+
     def receive(self, media_s: float, arrived_s: float) -> None:
         """Take a frame into account."""
         transit_s = arrived_s - media_s
