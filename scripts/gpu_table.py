@@ -26,7 +26,7 @@ from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.pool import DecodePool, num_workers
 from pica_client.decode.request import DecodeRequest
 from pica_client.render.draw_clock import DrawClock
-from pica_client.render.gpu_decoder import GpuDecoder, draws_floats
+from pica_client.render.gpu_decoder import GpuDecoder
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.scene import Placement, head_matrix
 from pica_client.render.seats import plan_seats
@@ -41,13 +41,11 @@ from pica_core.gl import create_context, wait_for_gpu
 from pica_core.reference.decoders import decode_expression_map, decode_position_map
 from pica_core.types import FloatArray
 
-Size = tuple[int, int]
 CASES = (((1920, 1080), 1, (1, 5, 20)), ((3664, 1920), 2, (5, 20)))
 QUICK = (((160, 90), 1, (1, 2)), ((240, 120), 2, (2,)))
 FRONT = np.array([0, 0, 1], np.float32)
 ROUNDS, NUM_FACES, LEAST_IMAGES = 2, 8, 12
-AHEAD = 4
-"""Images that are submitted before the GPU is waited for."""
+AHEAD = 4  # images that are submitted before the GPU is waited for
 
 
 def print_line(**values: Any) -> None:
@@ -106,8 +104,8 @@ class Scene:
         plan = plan_seats("grid", count=len(avatars), aspect=self._size[0] / size[1])
         camera = plan_camera(plan, ViewState(), *self._size)
         self._eyes = stereo_cameras(camera, EYE_DISTANCE_M, 1.0) if num_eyes == 2 else (camera,)
-        matrices = [head_matrix(seat, [0, 0, 0], [0, 0, 0]) for seat in plan.seats]
-        self._seated = list(zip(avatars, matrices, strict=True))
+        self._avatars = avatars
+        self._matrices = [head_matrix(seat, [0, 0, 0], [0, 0, 0]) for seat in plan.seats]
         self._faces = [faces_of(avatar, NUM_FACES) for avatar in avatars]
         for index, avatar in enumerate(avatars):
             self._renderer.add_avatar(f"cpu {index}", avatar)
@@ -119,16 +117,21 @@ class Scene:
         """All figures of one way to decode."""
         with DecodePool(OnnxDecoder, workers=num_workers(os.cpu_count())) as pool:
             heads = [
-                Head(slot=f"{mode} {index}", avatar=avatar, world_from_head=matrix)
-                for index, (avatar, matrix) in enumerate(self._seated)
+                Head(slot=f"{mode} {index}", avatar=avatar, world_from_head=self._matrices[index])
+                for index, avatar in enumerate(self._avatars)
             ]
             for head in heads if mode == "cpu" else ():
                 pool.add(head.slot, head.avatar)
             by_slot = {head.slot: head for head in heads}
+            places = [Placement(slot=h.slot, world_from_head=h.world_from_head) for h in heads]
             decoder = self._shaders if mode == "gpu" else pool
             planner = FramePlanner(Scheduler(SchedulerOptions(mesh_px=(0.0, 0.0), full_px=0.0)))
             clock: DrawClock[str] = DrawClock(context)
             took: dict[str, list[float]] = defaultdict(list)
+
+            def uploaded() -> int:
+                maps = sum(self._renderer.bytes_uploaded(slot) for slot in by_slot)
+                return maps + self._shaders.bytes_uploaded
 
             def image() -> None:
                 self._turn += 1
@@ -150,16 +153,16 @@ class Scene:
                     took["decode"].append(len(heads) * result.decode_s)
                     planner.note_decoded(by_slot[result.slot], result, 0.0, begin_s)
                 draw_s = time.perf_counter()
+                self._renderer.forget_frame()
                 with clock.around(mode):
-                    self._draw(heads)
+                    self._renderer.draw(places, *self._eyes)
                 took["submit"].append(time.perf_counter() - draw_s)
                 took["draw"] += [drawn_s for _, drawn_s in clock.take()]
 
             repeat(context, 0.0, image)
             pool.wait_idle(30.0)
             took.clear()
-            before, thread_s = self._uploaded(mode), time.thread_time()
-            begin_s = time.perf_counter()
+            before, begin_s, thread_s = uploaded(), time.perf_counter(), time.thread_time()
             count = repeat(context, seconds, image)
             per_s = count / (time.perf_counter() - begin_s)
             thread_ms = 1e3 * (time.thread_time() - thread_s) / count
@@ -168,32 +171,18 @@ class Scene:
         row["decodes_an_image"] = round(num_decodes / count, 2)
         row |= {f"{name}_ms": round(median(times) * 1e3, 3) for name, times in took.items()}
         row["thread_ms"] = round(thread_ms, 3)
-        upload_kb = (self._uploaded(mode) - before) * len(heads) / num_decodes / 1e3
+        upload_kb = (uploaded() - before) * len(heads) / num_decodes / 1e3
         return {**row, "upload_kb": round(upload_kb, 1)}
-
-    def _draw(self, heads: list[Head]) -> None:
-        self._renderer.forget_frame()
-        places = [Placement(slot=each.slot, world_from_head=each.world_from_head) for each in heads]
-        self._renderer.draw(places, *self._eyes)
-
-    def _uploaded(self, mode: str) -> int:
-        if mode == "gpu":
-            return self._shaders.bytes_uploaded
-        slots = (f"cpu {index}" for index in range(len(self._seated)))
-        return sum(map(self._renderer.bytes_uploaded, slots))
 
 
 def main() -> None:
     """Print all lines."""
     parser = argparse.ArgumentParser(description="Measure both ways to decode in turns.")
     parser.add_argument("--quick", action="store_true", help="small images, few of them")
-    parser.add_argument("--seconds", type=float, default=2.0, help="of each measurement")
     options = parser.parse_args()
-    begin_s, seconds = time.monotonic(), 0.1 if options.quick else options.seconds
+    cases, seconds = (QUICK, 0.1) if options.quick else (CASES, 2.0)
     context, files = create_context(), shipped_avatar_files()
-    renderer = context.info["GL_RENDERER"]
-    print_line(gl_renderer=renderer, cores=os.cpu_count(), floats=draws_floats(context))
-    cases = QUICK if options.quick else CASES
+    print_line(gl_renderer=context.info["GL_RENDERER"], cores=os.cpu_count())
     most = max(count for _, _, counts in cases for count in counts)
     avatars = [load_avatar(files[index % len(files)]) for index in range(most)]
     for avatar in avatars[: 1 if options.quick else len(files)]:
@@ -206,9 +195,8 @@ def main() -> None:
             ):
                 scene = Scene(drawer, shaders, num_eyes, avatars[:count])
                 for mode in ("cpu", "gpu") * ROUNDS:
-                    row = scene.row(context, mode, seconds)
-                    print_line(size=size, eyes=num_eyes, heads=count, **row)
-    print_line(seconds=round(time.monotonic() - begin_s, 1))
+                    case = {"size": size, "eyes": num_eyes, "heads": count}
+                    print_line(**case, **scene.row(context, mode, seconds))
 
 
 if __name__ == "__main__":
