@@ -11,7 +11,7 @@ from pica_core.avatar.file import Avatar
 from pica_core.avatar.linear import REGION
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.latent import NUM_LATENT
-from pica_core.reference.sampling import sample_vertices
+from pica_core.sampling import sample_vertices
 
 NUM_BASES = 6
 NUM_STILL = 2

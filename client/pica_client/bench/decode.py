@@ -34,11 +34,11 @@ from pica_client.render.drawing import HEAD
 from pica_client.render.renderer import Renderer
 from pica_client.render.scene import Placement
 from pica_client.sources import open_source
-from pica_core.avatar.baseline import baseline_like
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.levels import judged_mse
 from pica_core.gl import wait_for_gpu
+from pica_core.reference.baseline import baseline_like
 from pica_core.types import FloatArray
 
 NUM_LATENTS = 16

@@ -31,9 +31,9 @@ from pica_client.render.drawing import masked_mse
 from pica_client.sources import open_source
 from pica_core.avatar.file import Avatar
 from pica_core.capture.dataset.files import Topology
+from pica_core.capture.face_errors import poking, region_errors_mm, vertex_parts
 from pica_core.capture.stage.subject import Subject
 from pica_core.capture.triangles import signed_areas, spread_samples
-from pica_core.reference.face_errors import poking, region_errors_mm, vertex_parts
 from pica_core.types import ByteArray, FloatArray, Image, IntArray
 
 VIEWS = ("front", "left")

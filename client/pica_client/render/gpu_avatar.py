@@ -33,7 +33,7 @@ from pica_core.avatar.file import Avatar
 from pica_core.avatar.levels import sheet_uv
 from pica_core.avatar.static import SEAM, parts_of
 from pica_core.reference.decoders import still_map
-from pica_core.reference.sampling import order_faces
+from pica_core.sampling import order_faces
 from pica_core.types import FloatArray
 
 

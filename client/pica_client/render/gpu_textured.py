@@ -8,10 +8,10 @@ import moderngl
 import numpy as np
 
 from pica_client.render.gpu_program import clamp
-from pica_core.avatar.baseline import BaselineAvatar
 from pica_core.avatar.bust import WHOLE_M, box_corners, fade_heights_m, outline_of
 from pica_core.errors import ShapeError
-from pica_core.reference.sampling import order_faces
+from pica_core.reference.baseline import BaselineAvatar
+from pica_core.sampling import order_faces
 from pica_core.types import FloatArray
 
 

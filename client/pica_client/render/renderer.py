@@ -60,12 +60,12 @@ from pica_client.render.passes import DrawPasses, LayeredHead
 from pica_client.render.room import EMPTY_ROOM, STILL, Room, changed_glows, lens_of
 from pica_client.render.scene import Placement
 from pica_client.system import Closing
-from pica_core.avatar.baseline import BaselineAvatar
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import POSITION_CHANNELS
 from pica_core.camera import Camera
 from pica_core.errors import GraphicsError
 from pica_core.gl import GL_VERSION, freeing, is_software, wait_for_gpu
+from pica_core.reference.baseline import BaselineAvatar
 from pica_core.types import FloatArray, Image
 
 __all__ = ["DrawStats", "RenderOptions", "Renderer"]

@@ -63,7 +63,7 @@ from pica_core.codec.profile import StreamProfile
 from pica_core.errors import AvatarFileError, ProfileError
 from pica_core.files import replacing
 from pica_core.latent import LATENT_SHAPE, NUM_LATENT
-from pica_core.reference.sampling import sample_vertices
+from pica_core.sampling import sample_vertices
 from pica_core.types import Array, FloatArray, IntArray
 
 MAX_FILE_BYTES = 64 * 2**20

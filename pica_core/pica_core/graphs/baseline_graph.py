@@ -4,9 +4,9 @@ baseline_graph(baseline)    latent [1, 256], view_direction [1, 3]
                             -> vertices [V, 3] metres, texture [1024, 1024, 3]
 """
 
-from pica_core.avatar.baseline import FIRST_SIZE, BaselineAvatar
 from pica_core.avatar.spec import LEAKY_SLOPE, RGB_CHANNELS, VIEW_CHANNELS
 from pica_core.graphs.graph_builder import GraphBuilder
+from pica_core.reference.baseline import FIRST_SIZE, BaselineAvatar
 
 
 def baseline_graph(baseline: BaselineAvatar) -> bytes:

@@ -16,7 +16,7 @@ from pica_core.avatar.linear import weights_of_latent
 from pica_core.avatar.spec import LEAKY_SLOPE, POSITION_CHANNELS
 from pica_core.latent import LATENT_SIZE
 from pica_core.reference.pixel import decode_pixels
-from pica_core.reference.sampling import sample_bilinear
+from pica_core.sampling import sample_bilinear
 from pica_core.types import Array, FloatArray
 
 STILL_MAPS = 16

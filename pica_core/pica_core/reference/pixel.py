@@ -32,7 +32,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_core.avatar.spec import NUM_FREQUENCIES, AvatarSpec
-from pica_core.reference.sampling import Dtype, sample_bilinear, sample_linear
+from pica_core.sampling import Dtype, sample_bilinear, sample_linear
 from pica_core.types import Array
 
 Tensors = Mapping[str, Array]

@@ -28,7 +28,7 @@ from pica_client.bench.drive_steps import (
 )
 from pica_client.sources import open_source
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
-from pica_core.reference.face_errors import vertex_parts
+from pica_core.capture.face_errors import vertex_parts
 
 pytestmark = pytest.mark.render
 

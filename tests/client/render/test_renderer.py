@@ -33,7 +33,7 @@ from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.camera import Camera, look_at
 from pica_core.gl import create_context
-from pica_core.reference.sampling import sample_vertices
+from pica_core.sampling import sample_vertices
 
 pytestmark = pytest.mark.render
 

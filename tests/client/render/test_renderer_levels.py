@@ -18,13 +18,13 @@ from pica_client.render.gpu_avatar import axis_table
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.scene import Placement, head_matrix
 from pica_client.render.shader_source import axis_levels
-from pica_core.avatar.baseline import BaselineAvatar
 from pica_core.avatar.levels import STILL_NAME
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.camera import Camera, look_at
 from pica_core.errors import ShapeError
 from pica_core.gl import create_context
-from pica_core.reference.sampling import sample_vertices
+from pica_core.reference.baseline import BaselineAvatar
+from pica_core.sampling import sample_vertices
 
 pytestmark = pytest.mark.render
 

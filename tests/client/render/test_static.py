@@ -18,7 +18,7 @@ from pica_core.avatar.static import NAME, STATIC, parts_of
 from pica_core.camera import look_at
 from pica_core.gl import create_context
 from pica_core.reference.decoders import still_colours
-from pica_core.reference.sampling import sample_bilinear
+from pica_core.sampling import sample_bilinear
 from pica_core.types import Image
 
 pytestmark = pytest.mark.render

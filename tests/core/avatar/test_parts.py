@@ -17,7 +17,7 @@ from pica_core.cli.avatar import (
     avatar_verify,
 )
 from pica_core.errors import AvatarFileError, ShapeError
-from pica_core.reference.sampling import order_faces, sample_vertices
+from pica_core.sampling import order_faces, sample_vertices
 
 pytestmark = pytest.mark.unit
 

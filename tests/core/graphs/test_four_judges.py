@@ -23,7 +23,7 @@ from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.interface import ModelOptions, Surface
 from pica_core.reference.decoders import decode_expression_map
 from pica_core.reference.pixel import count_parameters, decode_pixels
-from pica_core.reference.sampling import sample_bilinear
+from pica_core.sampling import sample_bilinear
 from pica_core.train.export import avatar_tensors
 from pica_core.train.lod.exits import FaceSet, FrozenDecoder, MapExit, SheetExit
 

@@ -9,15 +9,15 @@ import torch
 from helpers.toy import grid_faces
 from helpers.trainable import toy_prior
 from pica_client.decode.onnx_runtime import onnxruntime
-from pica_core.avatar.baseline import (
-    BaselineAvatar,
-    baseline_channels,
-)
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.graphs.baseline_graph import baseline_graph
 from pica_core.model.baseline import USUAL_INPUTS, Connected, DeepAppearanceModel
 from pica_core.model.interface import ModelOptions, flat_latent
 from pica_core.model.variants import make_model
+from pica_core.reference.baseline import (
+    BaselineAvatar,
+    baseline_channels,
+)
 
 pytestmark = pytest.mark.train
 

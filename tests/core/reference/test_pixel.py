@@ -14,7 +14,7 @@ from pica_core.reference.pixel import (
     decode_pixels,
     pixel_inputs,
 )
-from pica_core.reference.sampling import sample_bilinear, sample_linear
+from pica_core.sampling import sample_bilinear, sample_linear
 
 pytestmark = pytest.mark.unit
 

@@ -19,10 +19,10 @@ from pica_core.avatar.file import Avatar
 from pica_core.avatar.levels import JUDGED, NUM_DRAWINGS
 from pica_core.camera import Camera
 from pica_core.capture.dataset.dataset import Topology
+from pica_core.capture.face_errors import poking
 from pica_core.capture.stage.dome import NAMED_VIEWS, dome_cameras
 from pica_core.capture.triangles import components, nearest
 from pica_core.model.decoders import sample_map
-from pica_core.reference.face_errors import poking
 from pica_core.reference.pixel import decode_pixels
 from pica_core.train.lod.exits import FaceSet
 from pica_core.train.lod.simplify import weld

@@ -22,7 +22,7 @@ import numpy.typing as npt
 from scipy.spatial import KDTree
 
 from pica_core.capture.triangles import areas, components, edges
-from pica_core.reference.sampling import order_faces
+from pica_core.sampling import order_faces
 from pica_core.types import Array, BoolArray, Int64Array, IntArray
 
 WELD_M = 2e-5

@@ -21,7 +21,7 @@ from pica_core.capture.stage.expressions import combinations, sentence
 from pica_core.capture.triangles import areas, components
 from pica_core.reference.decoders import decode_expression_map, decode_position_map, still_colours
 from pica_core.reference.pixel import decode_pixels
-from pica_core.reference.sampling import sample_bilinear
+from pica_core.sampling import sample_bilinear
 from pica_core.types import Array, BoolArray, ByteArray, Float64Array
 
 MOST_MSE = 12.0

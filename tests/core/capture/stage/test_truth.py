@@ -14,7 +14,7 @@ from pica_core.capture.stage.dome import dome_cameras
 from pica_core.capture.stage.expressions import blend
 from pica_core.capture.stage.synth import RenderOptions
 from pica_core.capture.triangles import vertex_normals
-from pica_core.reference.sampling import sample_bilinear
+from pica_core.sampling import sample_bilinear
 
 pytestmark = pytest.mark.render
 

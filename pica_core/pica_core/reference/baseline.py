@@ -31,7 +31,7 @@ from pica_core.errors import check_ranges
 from pica_core.latent import NUM_LATENT
 from pica_core.reference.decoders import FRONT, decode_expression_map
 from pica_core.reference.pixel import decode_pixels
-from pica_core.reference.sampling import sample_bilinear
+from pica_core.sampling import sample_bilinear
 from pica_core.types import Array, FloatArray, IntArray
 
 VIEW_FEATURES = 8

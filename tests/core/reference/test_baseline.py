@@ -10,13 +10,13 @@ import pytest
 from helpers.toy import make_toy_avatar, with_toy_levels
 from pica_client.decode.onnx_runtime import onnxruntime
 from pica_core.avatar.arkit import NUM_ARKIT
-from pica_core.avatar.baseline import BaselineAvatar, BaselineSpec, baseline_like
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.graphs.baseline_graph import baseline_graph
+from pica_core.reference.baseline import BaselineAvatar, BaselineSpec, baseline_like
 from pica_core.reference.decoders import decode_expression_map
 from pica_core.reference.pixel import decode_pixels
-from pica_core.reference.sampling import sample_bilinear, sample_vertices
+from pica_core.sampling import sample_bilinear, sample_vertices
 from pica_core.types import Array
 
 pytestmark = [pytest.mark.unit, pytest.mark.slow]

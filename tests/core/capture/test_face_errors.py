@@ -5,12 +5,12 @@ import pytest
 
 from helpers.small_capture import small_head
 from pica_core.capture.dataset.multiface import MATERIALS
-from pica_core.capture.stage.paint import split_parts
-from pica_core.reference.face_errors import (
+from pica_core.capture.face_errors import (
     poking,
     region_errors_mm,
     vertex_parts,
 )
+from pica_core.capture.stage.paint import split_parts
 
 pytestmark = pytest.mark.unit
 
