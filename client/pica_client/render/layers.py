@@ -126,6 +126,12 @@ def parts_to_draw(
     return parts
 
 
+def at_most_whole(parts: list[PixelRect], size: tuple[int, int]) -> list[PixelRect]:
+    """Parts of an image; the whole image once, where together they are no smaller."""
+    whole = (0, 0, *size)
+    return [whole] if sum(map(area_px, parts)) >= area_px(whole) else parts
+
+
 def around(first: PixelRect, second: PixelRect) -> PixelRect:
     """The least rectangle that holds two."""
     (left, bottom, right, top), other = first, second

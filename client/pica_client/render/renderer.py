@@ -51,6 +51,7 @@ from pica_client.render.layers import (
     Layer,
     PixelRect,
     area_px,
+    at_most_whole,
     common_part,
     layer_size,
     parts_to_draw,
@@ -316,10 +317,10 @@ class Renderer(Closing):
             for head, layer in shown
         ]
         parts = parts_to_draw(before, keys, self.size)
-        for part in parts + new_room:
+        for part in at_most_whole(parts + new_room, self.size):
             passes.place(images, part, shown)
         is_smooth = self._options.smooth_edges
-        for part in parts if is_smooth else ():
+        for part in at_most_whole(parts, self.size) if is_smooth else ():
             passes.mark_edges(images, part, shown)
         passes.finish(images, shown, is_smooth=is_smooth)
         self._drawn = keys

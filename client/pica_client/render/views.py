@@ -37,7 +37,6 @@ ZOOM_PER_STEP = 1.1
 """Distance ratio of one notch of the wheel."""
 EYE_DISTANCE_M = 0.063
 """Between the pupils of an adult, on average."""
-MAX_EYE_DISTANCE_M = 0.2
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
