@@ -17,7 +17,7 @@ Everything belongs to the thread of the context.
 from __future__ import annotations
 
 import time
-from collections import defaultdict
+from collections import defaultdict, deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
@@ -44,8 +44,9 @@ HEAD_TEXELS = NUM_LATENT // VECTOR + 2
 """What goes to the GPU for each head and frame, texels of 16 bytes."""
 MAX_BATCH = 32
 """Heads that are decoded together; more are decoded in several turns."""
-TIMED_EVERY = 4
-"""Batches of which one is timed on the GPU: drivers take their time over queries, too."""
+TIMED_EVERY, NUM_TIMED = 4, 8
+"""Of how many batches one is timed on the GPU, for queries take time, too; and how many of these
+count."""
 NUM_TILES = 8
 """Heads whose maps share a texture: full ones fill the least that GL ES promises, 2048 rows."""
 UNIT_ROWS, UNIT_HEADS, UNIT_TABLE, UNIT_PLACES, UNIT_MEAN, UNIT_BASIS = 0, 4, 5, 6, 7, 8
@@ -181,7 +182,9 @@ class GpuDecoder(Closing):
         self._slots: dict[str, _Slot] = {}
         self._banks: list[_Bank] = []
         self._gpu_clock: DrawClock[int] = DrawClock(context)
-        self._s_per_multiply_add, self._turn = 0.0, 0  # nothing is known at first
+        # That clock runs on while the GPU waits for this thread: the least of a few is its own.
+        self._s_per_multiply_add: deque[float] = deque(maxlen=NUM_TIMED)
+        self._turn = 0
 
     def add(self, slot: str, avatar: Avatar) -> bool:
         """Prepare a slot for an avatar; return False for one that shaders do not evaluate.
@@ -262,7 +265,8 @@ class GpuDecoder(Closing):
                 for start in range(0, len(own), MAX_BATCH):
                     self.bytes_uploaded += bank.decode(own[start : start + MAX_BATCH])
         for done, seconds in self._gpu_clock.take():
-            self._s_per_multiply_add = seconds / done
+            self._s_per_multiply_add.append(seconds / done)
+        pace_s = min(self._s_per_multiply_add, default=0.0)
         results = []
         for job, share in zip(jobs, work, strict=True):
             result = DecodeResult(
@@ -272,7 +276,7 @@ class GpuDecoder(Closing):
                 captured_us=job.request.captured_us,
                 submitted_s=job.entry.submitted_s,
                 started_s=started_s,
-                finished_s=started_s + self._s_per_multiply_add * share,
+                finished_s=started_s + pace_s * share,
                 level=job.level,
                 parts=job.request.parts,
             )
