@@ -21,14 +21,14 @@ from pica_protocol.errors import CloseCode
 from pica_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
 from pica_protocol.store import AVATARS_PATH, STORE_SUBPROTOCOL
 from pica_server.auth.tokens import KeyRing, admin_scope, admit, admit_upload, load_keys
+from pica_server.config.proxies import is_in, is_loopback, networks
 from pica_server.config.relay import RelayConfig
 from pica_server.errors import AdmissionError, ClusterError, ListenError
-from pica_server.net.limits import SocketGuard
-from pica_server.net.proxies import is_in, is_loopback, networks
+from pica_server.limits import SocketGuard
+from pica_server.net.descriptors import Descriptors, most_descriptors
 from pica_server.net.pump import Pump
 from pica_server.net.socket import RelaySocket, bound_receive_buffer
 from pica_server.ops.certificate import Certificate
-from pica_server.ops.descriptors import Descriptors, most_descriptors
 from pica_server.ops.status_pages import PERIOD_S, LoopWatch, StatusPages
 from pica_server.room.hub import Hub
 from pica_server.store.downloads import Downloads
@@ -38,7 +38,7 @@ from pica_server.store.uploads import Uploads
 
 if TYPE_CHECKING:
     from pica_server.placement.nats import Bucket
-    from pica_server.placement.placement import Placed
+    from pica_server.room.placement import Placed
 
 _MAX_QUEUED_MESSAGES = 16
 """Messages read ahead from one websocket before its socket is left alone."""

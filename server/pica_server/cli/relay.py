@@ -19,8 +19,8 @@ from cyclopts import Parameter
 
 from pica_server.config.relay import RelayConfig
 from pica_server.errors import ConfigurationError, ListenError
+from pica_server.log import Level, Style, logging_to, say
 from pica_server.ops.certificate import Certificate
-from pica_server.ops.log import Level, Style, logging_to, say
 
 if TYPE_CHECKING:
     from pica_server.store.store import AvatarStore

@@ -40,10 +40,10 @@ except ImportError:  # the library was installed without its C extension
 
 from pica_protocol.errors import CloseCode
 from pica_protocol.tls_buffer import bound_tls_buffer
-from pica_server.net.limits import SocketGuard, TokenBucket, address_group
-from pica_server.net.proxies import PROXY_HEADERS, Network, client_of, is_in, names_this_machine
-from pica_server.ops.descriptors import Descriptors
-from pica_server.ops.stats import RelayStats
+from pica_server.config.proxies import PROXY_HEADERS, Network, client_of, is_in, names_this_machine
+from pica_server.limits import SocketGuard, TokenBucket, address_group
+from pica_server.net.descriptors import Descriptors
+from pica_server.stats import RelayStats
 
 _WHOLE_BINARY: Final = 0x82
 """First byte of a message: the last part of it, and binary (RFC 6455 5.2)."""

@@ -23,8 +23,9 @@ from nats.js.api import RePublish
 from nats.js.kv import KeyValue
 
 from pica_server.errors import ClusterError
-from pica_server.ops.log import say
-from pica_server.placement.placement import (
+from pica_server.log import say
+from pica_server.room.hub import Hub
+from pica_server.room.placement import (
     BEAT_S,
     REWRITE_S,
     Placed,
@@ -32,7 +33,6 @@ from pica_server.placement.placement import (
     Request,
     relay_key,
 )
-from pica_server.room.hub import Hub
 
 BUCKET: Final = "pica_placement"
 NEWS: Final = "pica.placement."

@@ -21,10 +21,10 @@ from pica_protocol.server_session import ServerSession
 from pica_protocol.session import Closed
 from pica_server.config.relay import LimitsConfig, RelayConfig
 from pica_server.errors import OutboxFullError
-from pica_server.net.limits import TokenBucket
-from pica_server.ops.stats import RelayStats
+from pica_server.limits import TokenBucket
 from pica_server.room.outbox import Outbox
 from pica_server.room.room import Room
+from pica_server.stats import RelayStats
 
 WHISPERS_PER_S = 16.0
 WHISPER_BURST = 128.0

@@ -32,13 +32,13 @@ from pica_protocol.messages import (
 from pica_protocol.session import Closed, ServerEvent
 from pica_server.auth.tokens import Admission
 from pica_server.config.relay import RelayConfig
-from pica_server.ops.stats import RelayStats
 from pica_server.room.connections import Connection, Connections
 from pica_server.room.forwarding import Forwarding, Overload
 from pica_server.room.membership import Membership
 from pica_server.room.outbox import OutboundMessage
 from pica_server.room.resume_tickets import ResumeTickets
 from pica_server.room.room import BAR, Room
+from pica_server.stats import RelayStats
 
 BUSY_PERIOD_S: Final = 0.25
 """Time over which is counted how busy the event loop is (chosen)."""

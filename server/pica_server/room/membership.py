@@ -23,10 +23,10 @@ from pica_protocol.messages import (
 from pica_protocol.session import Closed
 from pica_server.auth.tokens import Admission
 from pica_server.errors import AdmissionError, RoomFullError
-from pica_server.net.limits import MOST_REMEMBERED, TokenBucket
-from pica_server.placement.placement import Placed, Placement
+from pica_server.limits import MOST_REMEMBERED, TokenBucket
 from pica_server.room.connections import Connection, Connections
 from pica_server.room.forwarding import CALM_S, Forwarding, Overload
+from pica_server.room.placement import Placed, Placement
 from pica_server.room.resume_tickets import ResumeTickets
 from pica_server.room.room import Room
 

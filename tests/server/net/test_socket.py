@@ -19,10 +19,10 @@ from pica_protocol.frames import Frame, encode_frame, media_message
 from pica_protocol.messages import PeerJoined, PeerLeft
 from pica_protocol.session import Closed
 from pica_server.config.relay import RelayConfig
-from pica_server.net.limits import SocketGuard
+from pica_server.limits import SocketGuard
 from pica_server.net.socket import RelaySocket
-from pica_server.ops.stats import RelayStats
 from pica_server.relay import Relay
+from pica_server.stats import RelayStats
 from simnet.clock import in_virtual_time
 from simnet.peers import WirePeer, now, open_websocket, peer_in_room
 

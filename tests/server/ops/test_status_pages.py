@@ -10,9 +10,9 @@ from pica_protocol.errors import CloseCode
 from pica_server.config.relay import LimitsConfig, RelayConfig
 from pica_server.errors import AdmissionError
 from pica_server.ops.metrics import BOUNDS_S, metrics_text
-from pica_server.ops.stats import RelayStats
 from pica_server.ops.status_pages import MAX_LISTED, LoopWatch, Page, StatusPages
 from pica_server.room.hub import Hub
+from pica_server.stats import RelayStats
 
 pytestmark = pytest.mark.unit
 

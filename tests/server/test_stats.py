@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pica_server.ops.stats import LatencyHistogram, RelayStats
+from pica_server.stats import LatencyHistogram, RelayStats
 
 pytestmark = pytest.mark.unit
 

@@ -2,7 +2,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pica_server.net.limits import MOST_REMEMBERED, SocketGuard, TokenBucket, address_group
+from pica_server.limits import MOST_REMEMBERED, SocketGuard, TokenBucket, address_group
 
 pytestmark = pytest.mark.unit
 

@@ -6,8 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pica_server.ops.stats import RelayStats
-from pica_server.placement.placement import (
+from pica_server.room.placement import (
     LATE_S,
     LEASE_S,
     RESERVED_S,
@@ -17,6 +16,7 @@ from pica_server.placement.placement import (
     relay_key,
     room_key,
 )
+from pica_server.stats import RelayStats
 
 pytestmark = pytest.mark.unit
 

@@ -23,7 +23,7 @@ from pathlib import Path
 from threading import Thread
 from typing import Any, Final, Literal, TextIO
 
-from pica_server.net.limits import TokenBucket
+from pica_server.limits import TokenBucket
 
 Style = Literal["text", "json"]
 Level = Literal["debug", "info", "warning", "error"]

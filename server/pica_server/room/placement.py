@@ -25,7 +25,7 @@ from dataclasses import asdict, dataclass, field, fields
 from typing import Final, NamedTuple, TypeVar
 
 from pica_protocol.limits import check_url
-from pica_server.ops.stats import RelayStats
+from pica_server.stats import RelayStats
 
 BEAT_S: Final = 0.4
 """Between two beats of a relay (chosen: ten relays cost NATS 25 small writes a second)."""
