@@ -20,6 +20,8 @@ Quality = Literal["unknown", "good", "fair", "poor"]
 
 WINDOW_S = 4.0
 """Window that is rated (chosen: some 120 frames, so that one is no percent)."""
+LEAST_WINDOW_S = 2.0
+"""A shorter window is not rated (chosen: of twenty frames two are no measure)."""
 WORSE_AFTER_S = 1.5
 BETTER_AFTER_S = 5.0
 """How long another level must have been the right one before it is believed."""
@@ -54,9 +56,10 @@ _RANK: dict[Quality, int] = {"unknown": 0, "good": 1, "fair": 2, "poor": 3}
 
 
 def quality_between(before: StreamHealth, after: StreamHealth, seconds: float) -> Quality:
-    """What a stream was like between two moments so far apart; unknown when nothing came."""
+    """What a stream was like between two moments so far apart; unknown when nothing came, or
+    too little time has passed."""
     received, lost = after.received - before.received, max(after.lost - before.lost, 0)
-    if received + lost <= 0 or seconds <= 0:
+    if received + lost <= 0 or seconds < LEAST_WINDOW_S:
         return "unknown"
     missed_s = max(after.missed_s - before.missed_s, 0.0)
     figures = (lost / (received + lost), missed_s / seconds)

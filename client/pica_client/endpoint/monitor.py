@@ -8,9 +8,10 @@ from pica_client.call.status import CallStatus, PeerStatus
 from pica_client.endpoint.endpoint import Receiver
 from pica_protocol.invite import Invite, make_link
 
-BUSY_RATIO = 0.1
+BUSY_RATIO = 0.05
 """Share of the time by which the timers of the network's thread are late on a machine that is too
-busy to take frames as they come (chosen: 25 ms each; a calm machine has 1)."""
+busy to take frames as they come (chosen: 12 ms each; a calm machine has 1, and one with six
+programs for each core 10 to 80)."""
 
 
 class CallMonitor:
