@@ -45,9 +45,7 @@ for file, seat in zip(files, plan.seats, strict=True):
     towards_camera = view_direction(world_from_head, camera.centre_m)
     latent = ExpressionEncoder(avatar).encode(talking)
     maps = OnnxDecoder(avatar).decode(latent, towards_camera)
-    print(
-        f"{avatar.manifest.name}: maps of {maps.level} texels a side, {maps.expression_map.shape}"
-    )
+    print(f"{avatar.manifest.name}: maps of {maps.level} texels a side")
     renderer.add_avatar(file.stem, avatar)
     renderer.update_maps(file.stem, maps.position_map, maps.expression_map)
     placements.append(Placement(slot=file.stem, world_from_head=world_from_head))

@@ -8,8 +8,10 @@ import hashlib
 import json
 import struct
 from bisect import bisect_right
+from collections.abc import Iterator, Sequence
 from itertools import accumulate
 from pathlib import Path
+from typing import Any
 
 import msgpack
 import numpy as np
@@ -17,7 +19,7 @@ import numpy as np
 GOLDEN = Path(__file__).parents[1] / "tests" / "golden"
 
 
-def decode_media(message):
+def decode_media(message: bytes) -> Iterator[tuple[int, int, int, bytes]]:
     """Stream, sequence, capture time (0.1 ms) and payload of each frame in a media message."""
     end = 1
     while end < len(message):
@@ -29,13 +31,13 @@ def decode_media(message):
 class _RangeDecoder:
     """Takes symbols out of a payload."""
 
-    def __init__(self, payload):
+    def __init__(self, payload: bytes) -> None:
         if len(payload) > 512 or payload.endswith(b"\0"):
             raise ValueError("no payload")
         self.payload, self.next, self.range = payload, 6, 2**48
         self.code = int.from_bytes(payload[:6].ljust(6, b"\0"), "big")
 
-    def symbol(self, frequencies):
+    def symbol(self, frequencies: Sequence[int]) -> int:
         starts, r = [0, *accumulate(frequencies)], self.range >> 14
         symbol = bisect_right(starts, self.code // r) - 1
         if symbol >= len(frequencies):
@@ -46,11 +48,11 @@ class _RangeDecoder:
             self.code, self.range, self.next = self.code << 8 | byte, self.range << 8, self.next + 1
         return symbol
 
-    def number(self, num_bits):
+    def number(self, num_bits: int) -> int:
         return self.symbol([2 ** (14 - num_bits)] * 2**num_bits)
 
 
-def decode_frame(profile, payload):
+def decode_frame(profile: dict[str, Any], payload: bytes) -> tuple[list[int], bool]:
     """Coefficients of a frame, and whether the face is still from here on."""
     coder = _RangeDecoder(payload)
     steps = profile["steps"][coder.symbol(profile["quality_table"])]
@@ -75,7 +77,7 @@ def decode_frame(profile, payload):
     return c, bool(header & 4)
 
 
-def latent_of(profile, c):
+def latent_of(profile: dict[str, Any], c: Sequence[int]) -> list[int]:
     """The latent of a frame, 256 whole numbers of 1/4096."""
     (shift,), units = profile["synthesis_shift"], []
     for mean, *column in zip(profile["mean"], *profile["synthesis"], strict=True):
