@@ -29,8 +29,6 @@ def decode_media(message: bytes) -> Iterator[tuple[int, int, int, bytes]]:
 
 
 class _RangeDecoder:
-    """Takes symbols out of a payload."""
-
     def __init__(self, payload: bytes) -> None:
         if len(payload) > 512 or payload.endswith(b"\0"):
             raise ValueError("no payload")
