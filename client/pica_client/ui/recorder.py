@@ -80,11 +80,12 @@ class Recorder(Closing):
         stream.width, stream.height = width, height
         stream.pix_fmt = "yuv420p"
         stream.codec_context.time_base = Fraction(1, TICKS_PER_S)
-        # One thread: the cores belong to the rasteriser. "veryfast" costs 4 ms for 960x540.
+        # One thread: the cores belong to the rasteriser. At 1280x720 "superfast" costs 9 ms a frame
+        # and makes files of 1.3 Mbit/s; "veryfast" costs 13 ms and makes a third of that.
         stream.thread_count = 1
         stream.gop_size = KEY_FRAMES
         if has_h264:
-            stream.options = {"preset": "veryfast", "crf": "20"}
+            stream.options = {"preset": "superfast", "crf": "20"}
         else:
             stream.bit_rate = 8_000_000
         self._stream = stream
@@ -95,6 +96,7 @@ class Recorder(Closing):
             self._sound_stream = self._container.add_stream("aac", rate=SAMPLE_RATE_HZ)
             self._sound_stream.layout = "stereo"
             self._sound_stream.bit_rate = SOUND_BPS
+            self._sound_stream.options = {"aac_coder": "fast"}
 
     def write(self, image: Image, time_s: float) -> None:
         """Append a frame.

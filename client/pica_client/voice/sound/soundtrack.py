@@ -59,7 +59,8 @@ class Soundtrack:
                 return
             missing = first + len(both) - len(self._sum)
             if missing > 0:
-                self._sum = np.concatenate([self._sum, np.zeros((missing, 2), np.float32)])
+                more = max(missing, SAMPLE_RATE_HZ)  # seldom, and so cheaply
+                self._sum = np.concatenate([self._sum, np.zeros((more, 2), np.float32)])
             self._sum[first : first + len(both)] += both
 
     def take(self, until_s: float) -> tuple[FloatArray, int]:
