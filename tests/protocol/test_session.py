@@ -134,6 +134,11 @@ def test_a_frame_that_waits_is_replaced_by_a_newer_one_and_counted() -> None:
     assert message.endswith(b"new")
     assert b"old" not in message
     assert client.drops == {"replaced": 1}
+    client.send_frame(b"newer", captured_us=3)
+    client.send_frame(b"newest", captured_us=4, multiple=4)
+    (later,) = client.messages_to_send(now=1.0)
+    # What was never sent leaves no hole: it would look like a loss on the way.
+    assert [frame.sequence for each in (message, later) for frame in decode_media(each)] == [0, 4]
 
 
 def test_what_waits_is_split_into_messages_that_the_relay_takes() -> None:
