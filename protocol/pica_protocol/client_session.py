@@ -96,7 +96,6 @@ class ClientSession(session.Session):
         self._seal = seal
         self._next_sequence = [0] * len(tracks)
         self._waiting = FrameQueue(self.drops)
-        self._unsent: dict[int, int] = {}  # numbers of faces that wait, by stream
         self._riding_until_s = -math.inf
         self._captured_s = 0.0
         # Of each peer the newest capture time, and when it came: times on the wire wrap.
@@ -145,8 +144,6 @@ class ClientSession(session.Session):
         if self._waiting.has_ordered:
             self._riding_until_s = now + RIDE_S
         frames = self._waiting.take(_NO_LIMIT, self._captured_s)
-        for frame in frames:
-            self._unsent.pop(frame.stream, None)
         if self.state is session.State.JOINED:
             data += _media_messages([frame.data for frame in frames])
         return data
@@ -185,7 +182,7 @@ class ClientSession(session.Session):
             raise LocalProtocolError(f"cannot send on track {track} while {self.state.value}")
         stream, policy = self.tracks[track].stream, self.tracks[track].policy
         # One that replaces another takes its number: a hole would look like a loss on the way.
-        next_sequence = self._unsent.get(stream, self._next_sequence[track])
+        next_sequence = self._next_sequence[track] - self._waiting.will_replace(stream)
         sequence = (next_sequence + -next_sequence % multiple) % SEQUENCE_MODULUS
         frame = Frame(stream=stream, sequence=sequence, captured_us=captured_us, payload=payload)
         self._next_sequence[track] = (sequence + 1) % SEQUENCE_MODULUS
@@ -198,8 +195,6 @@ class ClientSession(session.Session):
         # The capture time is all the clock we have here; only differences count.
         self._captured_s = captured_us / 1e6
         data = encode_frame(frame)
-        if deadline_s is None:
-            self._unsent[stream] = sequence
         self._waiting.put(QueuedFrame("", stream, data, self._captured_s, deadline_s))
 
     def tell(self, message: messages.FromMember) -> None:

@@ -93,6 +93,12 @@ class FrameQueue:
             self._drops["replaced" if is_latest else "overflow"] += 1
         frames.append(frame)
 
+    def will_replace(self, stream: int) -> bool:
+        """Return True if a frame of this ``latest`` stream waits: the next takes its place."""
+        return any(
+            frame.stream == stream for line in self._latest.values() for frame in line.frames
+        )
+
     def take(self, max_bytes: int, now: float) -> list[QueuedFrame]:
         """Take the frames that go out next, as many as ``max_bytes`` hold; at least one if any
         waits, whatever its size."""
