@@ -4,10 +4,10 @@ Three people talk in a room with keys: Ada, Ben, and Cho, whose line carries 160
 others have tokens of their own, no manners, and a few tricks out of `TRICKS`, drawn for each run.
 After every run this must hold for Ada, Ben and Cho:
 
-    nobody starves      the others' voices and faces came, at least as many as `LEAST` says
-    nobody is muted     no stream was stopped, and nobody was closed
-    nobody relabels     a frame on Ada's stream is one that Ada sent; her name and identity are hers
-    nobody outlives     whoever has gone is gone for the others, and sends nothing any more
+    no starving         the others' voices and faces came, at least as many as `LEAST` says
+    no muting           no stream was stopped, and no other member was closed
+    no relabelling      a frame on Ada's stream is one that Ada sent; her name and identity are hers
+    no outliving        a member that left is gone for the others, and sends nothing any more
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ CONFIG = RelayConfig(resume_grace_s=GRACE_S, room_capacity=8)
 
 
 def admitted(join: Join) -> Admission:
-    """Let in whoever says a name as the token."""
+    """Let in any peer that gives a name as the token."""
     if join.token in LINES_BYTES_PER_S or join.token.startswith("eve"):
         return Admission(identity=join.token, name=join.token.title())
     raise AdmissionError("no token", CloseCode.UNAUTHORIZED)
@@ -171,7 +171,7 @@ class Foe:
         self.say(encode_message(message), now)  # type: ignore[arg-type]
 
     def victim(self) -> str:
-        """The peer id of somebody, often of a friend."""
+        """The peer id of a member, often of an accomplice."""
         assert self.session is not None
         return self.rng.choice([*self.session.peers, "p1", "p2", "p3"])
 
@@ -190,7 +190,7 @@ class Foe:
 
 
 def join(foe: Foe, now: float, *, token: str | None = None, ticket: Ticket | None = None) -> None:
-    """Come in, under a name that is somebody else's perhaps."""
+    """Come in, perhaps under the name of another member."""
     tracks = foe.rng.choice(((FACE, VOICE), (FACE,) * 4, (VOICE,) * 4, ()))
     foe.connections.append(foe.hub.connect(now, foe.name))
     foe.session = ClientSession(
@@ -217,7 +217,7 @@ def flood(foe: Foe, now: float) -> None:
 
 
 def send_on_other_streams(foe: Foe, now: float) -> None:
-    """Send on a stream that is somebody else's, or nobody's; alone or behind one's own."""
+    """Send on a stream of another member, or of none; alone or behind an own frame."""
     assert foe.session is not None
     own = [track.stream for track in foe.session.tracks]
     streams = foe.rng.sample([*own, 1, 2, 3, 4, foe.rng.randrange(1, 65_536)], 2)
@@ -225,7 +225,7 @@ def send_on_other_streams(foe: Foe, now: float) -> None:
 
 
 def replay(foe: Foe, now: float) -> None:
-    """Send a frame that was somebody's once more."""
+    """Send a frame of another member once more."""
     assert foe.session is not None
     if foe.heard and foe.session.tracks:
         frame = foe.rng.choice(foe.heard)
@@ -379,6 +379,6 @@ def _check(hub: Hub, friends: list[Friend]) -> None:
                         f"{friend.name} got {came:.0%} of {other.name}'s {kind}s"
                     )
     if {peer.identity for peer in hub.membership.rooms["lobby"].peers} != names:
-        raise BrokenPromiseError("somebody is still in the room")
+        raise BrokenPromiseError("a member is still in the room")
     if len(hub.membership.rooms) != 1 or hub.num_connections != len(friends):
         raise BrokenPromiseError(f"{hub.num_connections} connections, {hub.num_rooms} rooms")
