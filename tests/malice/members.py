@@ -171,7 +171,7 @@ class Foe:
         self.say(encode_message(message), now)  # type: ignore[arg-type]
 
     def victim(self) -> str:
-        """The peer id of a member, often of an accomplice."""
+        """The peer id of a member, or one that is often dealt."""
         assert self.session is not None
         return self.rng.choice([*self.session.peers, "p1", "p2", "p3"])
 
