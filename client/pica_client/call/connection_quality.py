@@ -110,19 +110,16 @@ class QualityMeter:
         return self.level
 
 
-def own_quality(peers: Sequence[Quality], *, replaced_ratio: float | None = None) -> Quality:
+def own_quality(peers: Sequence[Quality], sent: Quality = "unknown") -> Quality:
     """Rate our own connection.
 
     When most of several streams are poor at once, what they share is this end. What cannot be sent
     in time says it, too.
 
     Args:
-        replaced_ratio: Share of our own frames that the network did not take in time; None when we
-            send nothing.
+        sent: How the network takes our own frames.
     """
     known = [quality for quality in peers if quality != "unknown"]
-    if replaced_ratio is not None and replaced_ratio >= POOR.lost_ratio:
+    if sent == "poor" or (len(known) >= 2 and 2 * known.count("poor") > len(known)):
         return "poor"
-    if len(known) >= 2 and 2 * known.count("poor") > len(known):
-        return "poor"
-    return "good" if known or replaced_ratio is not None else "unknown"
+    return "good" if known or sent != "unknown" else "unknown"

@@ -207,7 +207,7 @@ class Sender(Endpoint):
             "name": self.link.config.name,
             **self.publisher.stats(),
             **self._own_stats(),
-            "replaced": counters.frames_replaced,
+            "replaced": self.link.num_replaced,
             "wire_bytes": counters.sent_wire_bytes,
             "wire_bps": round(counters.sent_wire_bytes * 8 / seconds) if seconds else None,
             "errors": counters.errors,

@@ -2,7 +2,12 @@
 
 from collections.abc import Mapping
 
-from pica_client.call.connection_quality import QualityMeter, StreamHealth, own_quality
+from pica_client.call.connection_quality import (
+    Quality,
+    QualityMeter,
+    StreamHealth,
+    own_quality,
+)
 from pica_client.call.participants import Participant, list_participants
 from pica_client.call.status import CallStatus, PeerStatus
 from pica_client.endpoint.endpoint import Receiver
@@ -21,7 +26,7 @@ class CallMonitor:
         self._receiver = receiver
         self._meters: dict[str, QualityMeter] = {}
         self._before: tuple[float, dict[str, StreamHealth]] | None = None
-        self._uplink_before = (0, 0)
+        self._uplink = QualityMeter()
         self._late_before_s = 0.0
         self._away_since_s: float | None = None
 
@@ -60,7 +65,7 @@ class CallMonitor:
             duration_s=room.duration_s,
             is_connected=receiver.is_connected,
             away_s=0.0 if self._away_since_s is None else now - self._away_since_s,
-            own_quality=own_quality(list(quality.values()), replaced_ratio=self._replaced_ratio()),
+            own_quality=own_quality(list(quality.values()), self._sent_quality(now, is_busy)),
             is_admin=receiver.link.is_admin,
             muted_by_admin=self._muted_by_admin,
             own_trouble="" if receiver.publisher is None else receiver.publisher.trouble,
@@ -95,15 +100,19 @@ class CallMonitor:
         own = {"face": self._receiver.publisher, "voice": self._receiver.voice}
         return " and ".join(kind for kind, each in own.items() if each and each.is_muted_by_admin)
 
-    def _replaced_ratio(self) -> float | None:
-        """Share of our own frames since the last look that the network did not take in time."""
-        publisher = self._receiver.publisher
+    def _sent_quality(self, now: float, is_busy: bool) -> Quality:
+        """How the network takes our own frames; unknown while we send none."""
+        publisher, num_replaced = self._receiver.publisher, self._receiver.link.num_replaced
         if publisher is None:
-            return None
-        sent, replaced = publisher.num_sent, self._receiver.link.counters.frames_replaced
-        sent_before, replaced_before = self._uplink_before
-        self._uplink_before = (sent, replaced)
-        return (replaced - replaced_before) / max(sent - sent_before, 1)
+            return "unknown"
+        if is_busy:
+            return self._uplink.skip()
+        health = StreamHealth(
+            received=max(publisher.num_sent - num_replaced, 0),
+            lost=num_replaced,
+            is_paused=not self._receiver.is_connected,
+        )
+        return self._uplink.receive(health, now)
 
     def _summary(self, now: float, peers: Mapping[str, PeerStatus]) -> tuple[tuple[str, str], ...]:
         stats = self._receiver.stats(now)

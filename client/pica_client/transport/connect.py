@@ -73,8 +73,6 @@ class LinkCounters:
     """Bytes with all that lies around a message, see `stats.wire_bytes`."""
     received_messages: int = 0
     received_wire_bytes: int = 0
-    frames_replaced: int = 0
-    """Frames that newer ones overtook, or that were thinned, before the socket took them."""
 
 
 class RelayWebsocket(ClientConnection):

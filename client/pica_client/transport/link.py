@@ -126,6 +126,7 @@ class Link:
         self._closed: Closed | None = None
         self._wake = asyncio.Event()
         self._is_leaving = False
+        self._num_replaced = 0  # on connections that are over
         self._metadata: Metadata = ()
         self._told: Metadata = ()
         self._told_s = -math.inf
@@ -141,6 +142,13 @@ class Link:
     def reconnects(self) -> int:
         """How often the link came back."""
         return max(self.counters.connects - 1, 0)
+
+    @property
+    def num_replaced(self) -> int:
+        """How many of our frames a newer one overtook, or came too late, before the socket took
+        them."""
+        session = self._session  # another thread may ask
+        return self._num_replaced + (0 if session is None else num_late(session))
 
     def send_frame(
         self,
@@ -381,7 +389,7 @@ class Link:
             # One that was refused meanwhile does not cost the place: it is kept for a while.
             if session.ticket is not None:
                 self._ticket, self._ticket_url = session.ticket, url
-            self.counters.frames_replaced += session.drops.total()
+            self._num_replaced += num_late(session)
             # In case we are cancelled: no socket outlives its link.
             websocket.transport.abort()
         self._closed = closed = session.closed
@@ -469,3 +477,8 @@ class Link:
             timers += [self._tell_timer(), self._session.frames_due_s]
         timer = min((each for each in timers if each is not None), default=None)
         return await wait_until(self._wake, timer)
+
+
+def num_late(session: ClientSession) -> int:
+    """Return how many frames of one connection the network did not take in time."""
+    return session.drops.total() - session.drops["muted"]

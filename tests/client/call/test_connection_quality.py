@@ -114,18 +114,18 @@ def test_no_warning_comes_or_goes_faster_than_it_may(
 
 
 @pytest.mark.parametrize(
-    ("peers", "replaced_ratio", "expected"),
+    ("peers", "sent", "expected"),
     [
-        ([], None, "unknown"),
-        (["poor"], None, "good"),  # one of one may as well be theirs
-        (["poor", "poor", "good"], None, "poor"),
-        (["poor", "good", "good"], None, "good"),
-        (["poor", "poor", "unknown"], None, "poor"),
-        (["good", "good"], 0.5, "poor"),
-        (["good", "good"], 0.01, "good"),
+        ([], "unknown", "unknown"),
+        (["poor"], "unknown", "good"),  # one of one may as well be theirs
+        (["poor", "poor", "good"], "unknown", "poor"),
+        (["poor", "good", "good"], "unknown", "good"),
+        (["poor", "poor", "unknown"], "unknown", "poor"),
+        (["good", "good"], "poor", "poor"),
+        (["good", "good"], "fair", "good"),
     ],
 )
 def test_ones_own_connection_is_poor_when_most_streams_are_or_frames_cannot_be_sent(
-    peers: list[Quality], replaced_ratio: float | None, expected: Quality
+    peers: list[Quality], sent: Quality, expected: Quality
 ) -> None:
-    assert own_quality(peers, replaced_ratio=replaced_ratio) == expected
+    assert own_quality(peers, sent) == expected
