@@ -7,10 +7,6 @@ RelayError
 ├── AdmissionError       a join without a token that allows it; carries the close code
 ├── StoreError           the avatar store cannot be used
 │   └── StoreRefusalError   a peer is refused; carries the close code
-│       ├── UnfitFileError  a file that it does not take
-│       ├── StoreFullError  a file that it has no room for
-│       ├── BusyError       a transfer more than go on at once
-│       └── TooLateError    a transfer that takes longer than it may
 ├── ClusterError         the cluster cannot be joined
 ├── RoomFullError        one peer more than the room takes
 └── OutboxFullError      more control messages than a peer that reads would leave waiting
@@ -51,30 +47,6 @@ class StoreError(RelayError):
 
 class StoreRefusalError(StoreError):
     """The store refuses a request; ``code`` is what the peer is told."""
-
-    code = CloseCode.INTERNAL_ERROR
-
-
-class UnfitFileError(StoreRefusalError):
-    """A file is not what was offered, or no avatar file."""
-
-    code = CloseCode.UNFIT_FILE
-
-
-class StoreFullError(StoreRefusalError):
-    """The store has no room for a file."""
-
-    code = CloseCode.STORE_FULL
-
-
-class BusyError(StoreRefusalError):
-    """There are as many transfers at once as there may be."""
-
-    code = CloseCode.BUSY
-
-
-class TooLateError(StoreRefusalError):
-    """A peer takes longer than it may."""
 
     def __init__(self, message: str, code: CloseCode) -> None:
         super().__init__(message)

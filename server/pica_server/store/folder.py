@@ -5,15 +5,12 @@ whole or not at all. Names are made of an id that was checked to be 64 hexadecim
 nothing else.
 """
 
-import functools
 import os
 import secrets
-import threading
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Final, ParamSpec, TypeVar
+from typing import Any, Final
 
 from fsspec.core import url_to_fs
 from fsspec.implementations.local import LocalFileSystem
@@ -23,24 +20,7 @@ from pica_server.errors import StoreError
 
 SUFFIX: Final = ".pica"
 TEMPORARY: Final = "temporary"
-"""Names a folder that is made with the first file, and ends with the relay."""
-P = ParamSpec("P")
-T = TypeVar("T")
-
-
-def _in_os_terms(action: Callable[P, T]) -> Callable[P, T]:
-    """Let what a driver raises be an OSError, as what a folder raises is."""
-
-    @functools.wraps(action)
-    def run(*args: P.args, **kwargs: P.kwargs) -> T:
-        try:
-            return action(*args, **kwargs)
-        except OSError:
-            raise
-        except Exception as error:
-            raise OSError(f"{type(error).__name__}: {error}") from error
-
-    return run
+"""Names a folder that ends with the relay."""
 
 
 class AvatarFolder:
@@ -54,9 +34,8 @@ class AvatarFolder:
         """
         self._name = _without_secrets(where)
         self._files: Any = LocalFileSystem()
-        self._root = ""  # of a temporary store until its first file
+        self._root = ""  # of a temporary store until it is prepared
         self._made: TemporaryDirectory[str] | None = None
-        self._making = threading.Lock()
         if where.startswith("s3://"):
             try:
                 # A cached listing would not know what another relay has put there.
@@ -81,10 +60,11 @@ class AvatarFolder:
         Raises:
             StoreError: They cannot, or there are more than ``limit``.
         """
-        if not self._root:
-            return {}
         try:
-            if self._is_local:
+            if not self._root:
+                self._made = TemporaryDirectory(prefix="pica-avatars-")
+                self._root = self._made.name
+            elif self._is_local:
                 Path(self._root).mkdir(parents=True, exist_ok=True)
             trial = f"{self._root}/{secrets.token_hex(16)}"
             self._files.pipe_file(trial, b"trial")
@@ -110,16 +90,11 @@ class AvatarFolder:
             )
         return found
 
-    @_in_os_terms
     def keep(self, identity: str, data: bytes | bytearray) -> None:
         """Keep a file under an id."""
         if not self._is_local:
             self._files.pipe_file(self._path(identity), bytes(data))  # S3 shows whole files only
             return
-        with self._making:  # uploads come from several threads
-            if not self._root:
-                self._made = TemporaryDirectory(prefix="pica-avatars-")
-                self._root = self._made.name
         unfinished = Path(self._root, f"{secrets.token_hex(16)}.part")
         try:
             with unfinished.open("xb") as file:
@@ -130,15 +105,12 @@ class AvatarFolder:
         finally:
             unfinished.unlink(missing_ok=True)
 
-    @_in_os_terms
     def size(self, identity: str) -> int | None:
         """Return a file's size, or None."""
-        if self._root:
-            with suppress(FileNotFoundError):
-                return int(self._files.info(self._path(identity))["size"])
+        with suppress(FileNotFoundError):
+            return int(self._files.info(self._path(identity))["size"])
         return None
 
-    @_in_os_terms
     def read(self, identity: str, begin: int, end: int) -> bytes:
         """Return a part of a file."""
         return bytes(self._files.cat_file(self._path(identity), start=begin, end=end))

@@ -16,8 +16,9 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Final, TypeVar
 
+from pica_protocol.errors import CloseCode
 from pica_server.config.relay import StoreConfig
-from pica_server.errors import BusyError, StoreFullError, UnfitFileError
+from pica_server.errors import StoreRefusalError
 from pica_server.store.folder import AvatarFolder
 
 NUM_THREADS: Final = 4
@@ -39,11 +40,11 @@ class Slots:
         """Hold one; an empty address has no limit of its own.
 
         Raises:
-            BusyError: There is none.
+            StoreRefusalError: There is none.
         """
         is_many = bool(address) and self._by_address[address] >= self._per_address
         if is_many or self._by_address.total() >= self._limit:
-            raise BusyError("too many at once, try again")
+            raise StoreRefusalError("too many at once, try again", CloseCode.BUSY)
         self._by_address[address] += 1
         try:
             yield
@@ -121,15 +122,17 @@ class AvatarStore:
         """Hold room for a file while the block runs.
 
         Raises:
-            StoreFullError: There is none.
+            StoreRefusalError: There is none.
         """
-        config = self.config
+        config, why = self.config, ""
         if size > config.largest_bytes:
-            raise StoreFullError(f"{size} bytes, it takes no file above {config.largest_bytes}")
-        if len(self._sizes) + self._num_reserved >= config.max_avatars:
-            raise StoreFullError(f"it has {config.max_avatars} avatars, the most it may")
-        if size > self.num_free_bytes:
-            raise StoreFullError(f"its {config.quota_bytes} bytes are taken")
+            why = f"{size} bytes, it takes no file above {config.largest_bytes}"
+        elif len(self._sizes) + self._num_reserved >= config.max_avatars:
+            why = f"it has {config.max_avatars} avatars, the most it may"
+        elif size > self.num_free_bytes:
+            why = f"its {config.quota_bytes} bytes are taken"
+        if why:
+            raise StoreRefusalError(why, CloseCode.STORE_FULL)
         self._reserved_bytes += size
         self._num_reserved += 1
         try:
@@ -142,21 +145,21 @@ class AvatarStore:
         """Keep a whole file.
 
         Raises:
-            UnfitFileError: It has another SHA-256.
-            StoreFullError: The disk is full.
+            StoreRefusalError: It has another SHA-256, or the disk is full.
             OSError: It cannot be written.
         """
 
         def check_and_keep() -> None:
             if hashlib.sha256(data).hexdigest() != identity:
-                raise UnfitFileError("its SHA-256 is not the one that was offered")
+                reason = "its SHA-256 is not the one that was offered"
+                raise StoreRefusalError(reason, CloseCode.UNFIT_FILE)
             self._folder.keep(identity, data)
 
         try:
             await self._in_thread(check_and_keep)
         except OSError as error:
             if error.errno in _NO_ROOM:
-                raise StoreFullError("its disk is full") from error
+                raise StoreRefusalError("its disk is full", CloseCode.STORE_FULL) from error
             raise
         self._sizes[identity] = len(data)
 
@@ -166,4 +169,10 @@ class AvatarStore:
         self._folder.close()
 
     async def _in_thread(self, action: Callable[[], _T]) -> _T:
-        return await asyncio.get_running_loop().run_in_executor(self._threads, action)
+        """Run what blocks; what a driver raises becomes an OSError, as a folder raises it."""
+        try:
+            return await asyncio.get_running_loop().run_in_executor(self._threads, action)
+        except (OSError, StoreRefusalError):
+            raise
+        except Exception as error:
+            raise OSError(f"{type(error).__name__}: {error}") from error

@@ -15,13 +15,7 @@ from pica_protocol.errors import CloseCode, RemoteProtocolError
 from pica_protocol.limits import clipped_reason
 from pica_protocol.messages import Bye
 from pica_protocol.store import Offer, Ready, Stored, decode_chunk
-from pica_server.errors import (
-    AdmissionError,
-    StoreError,
-    StoreRefusalError,
-    TooLateError,
-    UnfitFileError,
-)
+from pica_server.errors import AdmissionError, StoreError, StoreRefusalError
 from pica_server.net.socket import RelaySocket, bound_receive_buffer
 from pica_server.store.store import AvatarStore, Slots
 
@@ -30,9 +24,6 @@ MOST_OFFERS: Final = 64
 
 RECEIVE_BUFFER_BYTES: Final = 131_072
 """Bytes of a file that the kernel may hold; those of a call are held to less (chosen)."""
-
-MayUpload = Callable[[str, str], None]
-"""Takes a token and an avatar's id; raises `AdmissionError` if that must not be uploaded."""
 
 _logger = logging.getLogger(__name__)
 
@@ -43,7 +34,8 @@ class Uploads:
 
     _store: AvatarStore | None
     """The files; None: this relay keeps none."""
-    _may_upload: MayUpload
+    _may_upload: Callable[[str, str], None]
+    """Takes a token and an avatar's id; raises `AdmissionError` if that must not be uploaded."""
     _stats: Counter[str]
     _transfers: set[RelaySocket]
     """Where sockets are as long as a file moves; the relay cuts them at its end."""
@@ -93,7 +85,7 @@ class Uploads:
 
     async def _offer(self, websocket: RelaySocket) -> Offer:
         """Take the offer of a peer that may make it."""
-        late = TooLateError("no offer came", CloseCode.HANDSHAKE_TIMEOUT)
+        late = StoreRefusalError("no offer came", CloseCode.HANDSHAKE_TIMEOUT)
         async with _within(self._offer_timeout_s, late):
             offer = decode_store_message(await _binary(websocket))
         if not isinstance(offer, Offer):
@@ -106,7 +98,7 @@ class Uploads:
         if await store.size(offer.sha256) is not None:
             self._stats["uploads_known"] += 1
             return Stored()
-        late = TooLateError("the file came too slowly", CloseCode.TOO_SLOW)
+        late = StoreRefusalError("the file came too slowly", CloseCode.TOO_SLOW)
         data = bytearray()
         with store.reserved(offer.size):
             async with _within(store.config.longest_s(offer.size), late):
@@ -117,14 +109,14 @@ class Uploads:
                     data += chunk
                     await store.wait_for_turn(len(chunk))
             if len(data) > offer.size:
-                raise UnfitFileError("more bytes than were offered")
+                raise StoreRefusalError("more bytes than were offered", CloseCode.UNFIT_FILE)
             await store.keep(offer.sha256, data)
         self._stats["uploads_kept"] += 1
         return Stored(is_new=True)
 
 
 @asynccontextmanager
-async def _within(limit_s: float, late: TooLateError) -> AsyncIterator[None]:
+async def _within(limit_s: float, late: StoreRefusalError) -> AsyncIterator[None]:
     try:
         async with asyncio.timeout(limit_s):
             yield

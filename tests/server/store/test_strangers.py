@@ -196,7 +196,7 @@ async def test_a_reader_that_stops_is_cut_and_its_place_is_free_again(tmp_path: 
         busy = await ask(relay, f"/avatars/{id_of(large)}")
         assert (busy.status, busy.headers["retry-after"]) == (503, "1")
         await until_counted(relay, "downloads_cut")
-        assert (await ask(relay, f"/avatars/{id_of(large)}", Range="bytes=0-9")).status == 206
+        assert (await ask(relay, f"/avatars/{id_of(large)}")).status == 200
         writer.transport.abort()
         assert relay.stats()["limits_hit"] == {}
 
