@@ -2,7 +2,7 @@
 
 import asyncio
 import math
-import wave
+import struct
 from collections.abc import AsyncIterator
 from contextlib import suppress
 from importlib.resources import as_file, files
@@ -110,31 +110,54 @@ def shipped_speech() -> FloatArray:
 def read_wav(path: Path) -> FloatArray:
     """The sound of a file, its channels mixed. float32 at `RATE_HZ`, in [-1, 1].
 
+    What is there is read: a file that was cut, or whose length was not known when its header was
+    written, ends where its bytes end.
+
     Raises:
         SourceError: It is no WAV file of 16 bits a sample, or longer than `MAX_SECONDS`.
     """
     try:
-        with wave.open(str(path), "rb") as file:
-            rate_hz, num_frames = file.getframerate(), file.getnframes()
-            if file.getsampwidth() != 2:
-                raise SourceError(f"{path}: {8 * file.getsampwidth()} bits a sample; 16 are needed")
-            if not MIN_RATE_HZ <= rate_hz <= MAX_RATE_HZ:
-                raise SourceError(
-                    f"{path}: {rate_hz} Hz; {MIN_RATE_HZ} to {MAX_RATE_HZ} are allowed"
-                )
-            if num_frames > MAX_SECONDS * rate_hz:
-                raise SourceError(f"{path}: {num_frames / rate_hz:.0f} s; {MAX_SECONDS} at most")
-            read = file.readframes(num_frames)
-            data = np.frombuffer(read[: len(read) // 2 * 2], "<i2")  # it may be cut off
-            channels = file.getnchannels()
-    except (OSError, EOFError, wave.Error) as error:
-        raise SourceError(
-            f"{path}: no WAV file of PCM sound: {str(error) or 'it is cut off'}"
-        ) from error
-    if len(data) < channels:
+        with path.open("rb") as file:
+            content = file.read(MAX_SECONDS * MAX_RATE_HZ * 4)
+    except OSError as error:
+        raise SourceError(f"{path}: no WAV file of PCM sound: {error.strerror}") from error
+    form, data = _wav_chunks(content)
+    if form is None:
+        raise SourceError(f"{path}: no WAV file of PCM sound")
+    channels, rate_hz, bits = form
+    if bits != 16:
+        raise SourceError(f"{path}: {bits} bits a sample; 16 are needed")
+    if not MIN_RATE_HZ <= rate_hz <= MAX_RATE_HZ:
+        raise SourceError(f"{path}: {rate_hz} Hz; {MIN_RATE_HZ} to {MAX_RATE_HZ} are allowed")
+    samples = np.frombuffer(data[: len(data) // 2 * 2], "<i2")
+    if len(samples) < max(channels, 1) or not channels:
         raise SourceError(f"{path}: no sound in it")
-    sound = data[: len(data) // channels * channels].reshape(-1, channels).mean(axis=1)
+    if len(samples) > MAX_SECONDS * rate_hz * channels:
+        seconds = len(samples) / rate_hz / channels
+        raise SourceError(f"{path}: {seconds:.0f} s; {MAX_SECONDS} at most")
+    sound = samples[: len(samples) // channels * channels].reshape(-1, channels).mean(axis=1)
     return resampled((sound / 32768).astype(np.float32), rate_hz, RATE_HZ)
+
+
+_PCM, _EXTENSIBLE = 1, 0xFFFE
+"""Tags of a WAV file's format; the extensible one holds the true tag in its GUID."""
+
+
+def _wav_chunks(content: bytes) -> tuple[tuple[int, int, int] | None, bytes]:
+    """Channels, rate in Hz and bits of a sample, if this is PCM sound; and its bytes."""
+    form, at = None, 12
+    while content[:4] == b"RIFF" and content[8:12] == b"WAVE" and at + 8 <= len(content):
+        name, size = struct.unpack_from("<4sI", content, at)
+        body = content[at + 8 : at + 8 + size]
+        if name == b"data":
+            return form, body or content[at + 8 :]
+        if name == b"fmt " and len(body) >= 16:
+            tag, channels, rate_hz, _, _, bits = struct.unpack_from("<HHIIHH", body)
+            if tag == _EXTENSIBLE and len(body) >= 26:
+                (tag,) = struct.unpack_from("<H", body, 24)
+            form = (channels, rate_hz, bits) if tag == _PCM else None
+        at += 8 + size + size % 2
+    return None, b""
 
 
 def resampled(sound: FloatArray, rate_hz: int, to_hz: int) -> FloatArray:

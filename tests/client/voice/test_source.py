@@ -1,5 +1,6 @@
 """Sounds of files that are sent as a voice: of any rate and number of channels, or refused."""
 
+import struct
 import wave
 from pathlib import Path
 
@@ -54,6 +55,31 @@ def test_what_is_no_wav_file_is_refused_in_one_line(tmp_path: Path) -> None:
         file.writeframes(bytes(2 * 8_000 * (MAX_SECONDS + 1)))
     with pytest.raises(SourceError, match=f"{MAX_SECONDS} at most"):
         read_wav(path)
+
+
+@pytest.mark.parametrize("num_bytes", [0, 0xFFFFFFFF])
+def test_a_length_that_was_never_written_is_that_of_the_file(
+    tmp_path: Path, num_bytes: int
+) -> None:
+    path = wav(tmp_path / "a.wav", 48_000, 1)
+    content = bytearray(path.read_bytes())
+    content[40:44] = num_bytes.to_bytes(4, "little")
+    path.write_bytes(content)
+    assert len(read_wav(path)) == 24_000
+
+
+@pytest.mark.parametrize(("subtype", "is_read"), [(1, True), (3, False)])
+def test_pcm_is_read_under_the_extensible_tag(tmp_path: Path, subtype: int, is_read: bool) -> None:
+    path = wav(tmp_path / "a.wav", 48_000, 1)
+    content = path.read_bytes()
+    guid = subtype.to_bytes(2, "little") + bytes.fromhex("000000001000800000aa00389b71")
+    form = b"\xfe\xff" + content[22:36] + struct.pack("<HHI", 22, 16, 4) + guid
+    path.write_bytes(content[:16] + struct.pack("<I", len(form)) + form + content[36:])
+    if is_read:
+        assert len(read_wav(path)) == 24_000
+    else:
+        with pytest.raises(SourceError, match="no WAV file of PCM"):
+            read_wav(path)
 
 
 def test_a_file_that_is_cut_off_is_played_as_far_as_it_goes_or_refused(tmp_path: Path) -> None:

@@ -3,7 +3,9 @@
 VMC, the protocol of VTuber programs: OSC messages over UDP.
 
 Blendshapes come one a message and hold from ``/VMC/Ext/Blend/Apply`` on. Perfect Sync gives them
-ARKit's names, in any case; a plain VRM model has vowels, blinks and moods, which are translated.
+ARKit's names, in any case; a plain VRM model has vowels, blinks and moods, which are translated
+into the shapes that do not come by their own name. Where Apply never comes, values hold as soon as
+a name comes again.
 Bones are Unity's, left-handed with the subject's left at -x: mirrored in x they are ours. Bones of
 the eyes are the gaze of a model that has no ARKit shapes for it. Places of bones are offsets within
 the model, and say nothing of where the head is.
@@ -119,7 +121,7 @@ def decode_ifacialmocap(packet: bytes) -> TrackerSample:
     except UnicodeDecodeError as error:
         raise PacketError("not a line of iFacialMocap") from error
     shapes, equals, bones = text.partition("=")
-    values = {}
+    values: dict[str, float] = {}
     for item in filter(None, shapes.split("|")):
         found = _ITEM.fullmatch(item)
         if found is not None and not item.startswith("FM_"):
@@ -130,6 +132,8 @@ def decode_ifacialmocap(packet: bytes) -> TrackerSample:
     arkit = arkit_from_names(values)
     if not equals or np.isnan(arkit).all():
         raise PacketError("not a line of iFacialMocap")
+    if values.get("trackingStatus") == 0:  # the app repeats its last values
+        return TrackerSample(has_face=False)
     rotation, place_m = _head(bones)
     return TrackerSample(arkit=arkit, rotation=rotation, place_m=place_m)
 
@@ -203,9 +207,11 @@ class VmcDecoder:
         self._values: dict[str, float] = {}
         self._turns: dict[str, FloatArray] = {}
         self._tracker_s: float | None = None
+        self._has_applied = False
+        self._round: set[str] = set()
 
     def decode(self, packet: bytes) -> list[TrackerSample]:
-        """Read one datagram; a sample for each Apply in it.
+        """Read one datagram; a sample for each Apply in it, or each round of a sender without.
 
         Raises:
             PacketError: It is no OSC, or a value is none.
@@ -217,13 +223,16 @@ class VmcDecoder:
         samples = []
         for message in messages:
             match message.address, message.params:
-                case "/VMC/Ext/Blend/Val", [str(name), float(value), *_]:
+                case "/VMC/Ext/Blend/Val", [str(name), (float() | int()) as value, *_]:
+                    if name in self._round and not self._has_applied:
+                        samples.append(self._sample())
                     self._take_value(name, value)
                 case "/VMC/Ext/Bone/Pos", [str(name), *numbers] if name in BONES:
                     self._turns[name] = _rotation(numbers)
-                case "/VMC/Ext/T", [float(seconds), *_] if math.isfinite(seconds):
+                case "/VMC/Ext/T", [(float() | int()) as seconds, *_] if math.isfinite(seconds):
                     self._tracker_s = seconds
                 case "/VMC/Ext/Blend/Apply", _:
+                    self._has_applied = True
                     samples.append(self._sample())
                 case _:
                     pass  # bones of the body, lights, cameras
@@ -234,11 +243,12 @@ class VmcDecoder:
             raise PacketError(f"a value lies outside of ±{VALUE_LIMIT:g}")
         if (folded := name.lower()) in KNOWN_NAMES:  # so that no sender fills the memory
             self._values[folded] = value
+            if not self._has_applied:
+                self._round.add(name)
 
     def _sample(self) -> TrackerSample:
-        values = dict(self._values)
-        if INDEX_BY_FOLDED_NAME.keys().isdisjoint(values):
-            values = _from_vrm(values)
+        self._round.clear()
+        values = _from_vrm(self._values) | self._values
         if not any(name.startswith("eyelook") for name in values):
             values |= self._gaze()
         rotation = turned(self._turns.get("Head", _STILL), self._turns.get("Neck", _STILL))
@@ -266,17 +276,18 @@ _STILL: Final[FloatArray] = np.zeros(3, np.float32)
 
 
 def _from_vrm(values: dict[str, float]) -> dict[str, float]:
-    """ARKit's shapes for a plain VRM model's expressions; what several move is added, up to 1."""
+    """ARKit's shapes, in lower case, for a plain VRM model's expressions; what several move is
+    added, up to 1."""
     mixed: dict[str, float] = {}
     for name, value in values.items():
         for shape, share in VRM_SHAPES.get(name, {}).items():
-            mixed[shape] = min(mixed.get(shape, 0.0) + share * value, 1.0)
+            mixed[shape.lower()] = min(mixed.get(shape.lower(), 0.0) + share * value, 1.0)
     return mixed
 
 
 def _rotation(numbers: list[Any]) -> FloatArray:
     """The rotation vector of a bone: px py pz qx qy qz qw, mirrored in x."""
-    if len(numbers) < 7 or not all(isinstance(each, float) for each in numbers[:7]):
+    if len(numbers) < 7 or not all(isinstance(each, float | int) for each in numbers[:7]):
         raise PacketError("a bone without seven numbers")
     x, y, z, w = numbers[3:7]
     length = math.hypot(x, y, z, w)

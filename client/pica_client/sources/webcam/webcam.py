@@ -163,6 +163,7 @@ def pictures(
     import av
 
     began_s, offset_s, last_s = time.monotonic(), 0.0, 0.0
+    first_s: float | None = None  # films cut from longer ones, and streams, begin anywhere
     while True:
         with contextlib.suppress(av.FFmpegError):  # damaged from here on, or the camera was pulled
             for frame in container.decode(video=0):
@@ -170,13 +171,18 @@ def pictures(
                     return
                 taken_s = frame.time
                 if is_video:
-                    last_s = offset_s + (taken_s if taken_s is not None else last_s + 1 / 30)
+                    first_s = taken_s if first_s is None else first_s
+                    known = taken_s is not None and first_s is not None
+                    last_s = offset_s + (taken_s - first_s if known else last_s + 1 / 30)
                     if wait(max(began_s + last_s - time.monotonic(), 0.0)):
                         return
                     taken_s = last_s
                 elif wait(0.0):
                     return
-                yield frame.to_image(), taken_s
+                picture = frame.to_image()
+                if frame.rotation:  # films of phones are stored on their side
+                    picture = picture.rotate(frame.rotation, expand=True)
+                yield picture, taken_s
         if not is_video or last_s <= offset_s:
             return
         offset_s = last_s + 1 / 30

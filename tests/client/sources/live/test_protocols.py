@@ -69,6 +69,35 @@ def test_a_plain_vrm_model_moves_mouth_lids_and_mood() -> None:
     assert seen["mouthSmileLeft"] == pytest.approx(0.45)
 
 
+def test_names_of_arkit_beside_expressions_replace_their_own_shapes_alone() -> None:
+    values = {"A": 1.0, "Blink": 1.0, "TongueOut": 0.0, "EyeBlinkLeft": 0.25}
+    (sample,) = VmcDecoder().decode(tracker_packets.vmc(values))
+    seen = {name: float(sample.arkit[ARKIT_INDEX[name]]) for name in ARKIT_NAMES}
+    assert seen["jawOpen"] == pytest.approx(0.7)
+    assert (seen["eyeBlinkLeft"], seen["eyeBlinkRight"], seen["tongueOut"]) == (0.25, 1.0, 0.0)
+
+
+def test_vmc_takes_whole_numbers() -> None:
+    decoder = VmcDecoder()
+    decoder.decode(tracker_packets.osc("/VMC/Ext/Blend/Val", "jawOpen", 1))
+    bone = ("/VMC/Ext/Bone/Pos", "Head", 0, 0, 0, 0, 1, 0, 0)
+    decoder.decode(tracker_packets.osc(*bone))
+    (sample,) = decoder.decode(tracker_packets.osc("/VMC/Ext/Blend/Apply"))
+    assert sample.arkit[ARKIT_INDEX["jawOpen"]] == 1.0
+    assert np.linalg.norm(sample.rotation) == pytest.approx(math.pi, rel=1e-3)
+
+
+def test_vmc_without_apply_holds_from_one_round_to_the_next() -> None:
+    decoder = VmcDecoder()
+    seen = []
+    for jaw in (0.1, 0.2, 0.3):
+        for name in ("jawOpen", "browInnerUp"):
+            packet = tracker_packets.osc("/VMC/Ext/Blend/Val", name, jaw)
+            seen += [sample.arkit for sample in decoder.decode(packet)]
+    jaw, brow = ARKIT_INDEX["jawOpen"], ARKIT_INDEX["browInnerUp"]
+    assert np.array(seen)[:, [jaw, brow]] == pytest.approx(np.array([[0.1, 0.1], [0.2, 0.2]]))
+
+
 def test_unitys_head_turned_to_the_subjects_left_turns_left_here() -> None:
     # In Unity, which is left-handed with y up, a turn of +30 degrees about y takes the nose, +z,
     # to +x. +x is the subject's right there, and -x here.
@@ -114,6 +143,14 @@ def test_ifacialmocap_says_where_the_head_is_and_nonsense_is_left_out() -> None:
     assert place(0, 0, 0) is None
     assert place(3, 4, 66) is None  # centimetres of somebody else
     assert place() is None
+
+
+def test_ifacialmocap_says_that_the_face_is_lost() -> None:
+    states = (
+        decode_ifacialmocap(tracker_packets.ifacialmocap({"jawOpen": 7, "trackingStatus": status}))
+        for status in (1, 0)
+    )
+    assert [state.has_face for state in states] == [True, False]
 
 
 @pytest.mark.parametrize("separator", ["-", "&"])

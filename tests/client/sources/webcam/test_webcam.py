@@ -29,6 +29,7 @@ from pica_client.sources.webcam.webcam import (
     Webcam,
     head_pose,
     open_camera,
+    pictures,
 )
 from pica_core.avatar.arkit import ARKIT_INDEX
 from pica_core.types import FloatArray
@@ -162,6 +163,25 @@ def test_a_video_stands_in_for_a_camera(networks: FaceNetworks, video: Path) -> 
     assert np.all(np.diff([sample.tracker_s or 0.0 for sample in seen]) > 0)
 
 
+def test_a_film_is_shown_upright_and_from_its_first_picture() -> None:
+    def film() -> Iterator[SimpleNamespace]:
+        wide = Image.new("RGB", (8, 4))
+        wide.putpixel((0, 0), (255, 0, 0))
+        for number in range(2):
+            yield SimpleNamespace(
+                width=8, height=4, rotation=-90, time=7200 + number, to_image=wide.copy
+            )
+
+    container = SimpleNamespace(decode=lambda video: film())
+    waits: list[float] = []
+    shown = pictures(container, True, lambda seconds: waits.append(seconds) or len(waits) == 3)
+    (first, first_s), (_, second_s) = next(shown), next(shown)
+    assert first.size == (4, 8)
+    assert first.getpixel((3, 0)) == (255, 0, 0)  # a quarter turn clockwise
+    assert (first_s, second_s) == (0.0, 1.0)
+    assert waits[0] < 0.5
+
+
 class Blank:
     """Stands in for a finder, and sees nobody."""
 
@@ -184,7 +204,7 @@ class Film:
         if not self._is_over:
             self._is_over = True
             to_image = functools.partial(Image.new, "RGB", (8, 8))
-            yield SimpleNamespace(width=8, height=8, time=0.5, to_image=to_image)
+            yield SimpleNamespace(width=8, height=8, time=0.5, rotation=0, to_image=to_image)
             self._hold()
 
     def seek(self, offset: int) -> None:
