@@ -106,7 +106,7 @@ def check_cluster(folder: Path) -> None:
     """A relay's install has its way to NATS with the extra cluster."""
     python = make_environment(folder, "cluster")
     assert_absent(python, "numpy", "torch")
-    print(f"cluster: {import_modules(python, 'pica_server.placement.nats')}")
+    print(f"cluster: {import_modules(python, 'pica_server.placement.bucket')}")
 
 
 def main() -> None:

@@ -37,7 +37,7 @@ CORE, CLIENT, SERVER = "pica_core/pica_core/", "client/pica_client/", "server/pi
 ROOMS: dict[str, tuple[int, tuple[str, ...]]] = {
     "command": (350, ("command/",)),
     "protocol": (1300, ("protocol/",)),
-    "server/placement": (450, (SERVER + "placement/", SERVER + "room/placement.py")),
+    "server/placement": (450, (SERVER + "placement/",)),
     "server/room": (1100, (SERVER + "room/",)),
     "server/net": (500, (SERVER + "net/",)),
     "server/store": (500, (SERVER + "store/",)),

@@ -37,8 +37,7 @@ from pica_server.store.store import AvatarStore
 from pica_server.store.uploads import Uploads
 
 if TYPE_CHECKING:
-    from pica_server.placement.nats import Bucket
-    from pica_server.room.placement import Placed
+    from pica_server.placement.placement import RoomPlacement
 
 _MAX_QUEUED_MESSAGES = 16
 """Messages read ahead from one websocket before its socket is left alone."""
@@ -110,13 +109,15 @@ class Relay:
         self._silent: set[RelaySocket] = set()
         self._descriptors = Descriptors(most_descriptors(), self.hub.stats.limits_hit)
         self._server: Server | None = None
-        self._bucket: Bucket | None = None
+        self._placement: RoomPlacement | None = None
         if config.cluster:
             # Only here: a relay alone needs no NATS.
-            from pica_server.placement import nats
+            from pica_server.placement import bucket, placement
 
-            self._bucket = nats.Bucket(config.cluster, self.hub, self._follow, unix_time)
-            self.hub.membership.placement = self._bucket.placement
+            self._placement = placement.RoomPlacement(
+                bucket.Bucket(config.cluster), self.hub, self._follow, unix_time
+            )
+            self.hub.membership.placement = self._placement
         self._watch = LoopWatch()
         admin_room = (
             None if keys is None else lambda token: admin_scope(keys, token, now=unix_time())
@@ -175,9 +176,9 @@ class Relay:
             ) from error
         for sock in self._server.sockets:
             bound_receive_buffer(sock, config.receive_buffer_bytes)
-        if self._bucket is not None:
+        if self._placement is not None:
             try:
-                await self._bucket.start(config.public_url or self.url)
+                await self._placement.start(config.public_url or self.url)
             except ClusterError:
                 await self.__aexit__(None, None, None)
                 raise
@@ -195,8 +196,8 @@ class Relay:
         for websocket in self._transfers:
             websocket.transport.abort()
         await self._server.wait_closed()
-        if self._bucket is not None:
-            await self._bucket.stop()
+        if self._placement is not None:
+            await self._placement.stop()
         if self.store is not None:
             self.store.close()
         self._pump.stop()
@@ -248,9 +249,9 @@ class Relay:
         """Cut every websocket without another word."""
         self._pump.cut()
 
-    def _follow(self, events: "list[Placed]") -> None:
-        """Do what placement has decided since."""
-        self.hub.membership.follow(events, self._now())
+    def _follow(self, room: str, url: str | None) -> None:
+        """Do what placement has decided."""
+        self.hub.membership.follow(room, url, self._now())
         self._pump.after_turn_soon()
 
     def _watch_later(self) -> None:

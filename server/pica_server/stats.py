@@ -98,8 +98,8 @@ class RelayStats:
     """Display times that receivers reported without a fresh frame."""
     placement: Counter[str] = field(default_factory=Counter)
     """Rooms: ``claimed`` for this relay or another; ``redirected`` to the relay that has them;
-    ``taken_over`` from a dead relay; ``handed_over`` by a drain; ``contested``, as two relays had
-    one; ``local``, made here while NATS was ``away``. ``unreadable`` keys."""
+    ``taken_over`` from a dead relay; ``handed_over`` by a drain; ``local``, made here while NATS
+    was ``away``."""
     forwarding: LatencyHistogram = field(default_factory=LatencyHistogram)
     """Latencies from a frame's receipt to the moment the receiver's socket took it."""
 

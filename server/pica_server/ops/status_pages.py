@@ -135,7 +135,7 @@ class StatusPages:
     def _metrics(self, now: float) -> str:
         hub = self._hub
         placement = hub.membership.placement
-        num_relays = 0 if placement is None else placement.num_relays(now)
+        num_relays = 0 if placement is None else placement.num_relays
         is_up = placement is not None and placement.is_up
         store = self._store
         used_bytes, num_free_bytes = (store.used_bytes, store.num_free_bytes) if store else (0, 0)

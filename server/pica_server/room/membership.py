@@ -6,7 +6,7 @@ A peer has a connection, or it is away: its connection broke, and its place is k
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, Protocol
 
 from pica_protocol.errors import CloseCode
 from pica_protocol.messages import (
@@ -26,7 +26,6 @@ from pica_server.errors import AdmissionError, RoomFullError
 from pica_server.limits import MOST_REMEMBERED, TokenBucket
 from pica_server.room.connections import Connection, Connections
 from pica_server.room.forwarding import CALM_S, Forwarding, Overload
-from pica_server.room.placement import Placed, Placement
 from pica_server.room.resume_tickets import ResumeTickets
 from pica_server.room.room import Room
 
@@ -34,6 +33,29 @@ OWN_JOINS_PER_S: Final = 1.0
 OWN_JOINS_BURST: Final = 10.0
 """How often one identity may join, or else one address (chosen: a household behind one address
 comes together, and a page that is loaded again and again is no attack)."""
+
+
+class Placement(Protocol):
+    """Finds the relay of a room that is not here, and tells `Membership.follow`; see
+    `pica_server.placement`."""
+
+    is_up: bool
+
+    @property
+    def num_relays(self) -> int:
+        """How many relays are alive."""
+
+    def ask(self, room: str) -> None:
+        """Find the relay of a room that is not here."""
+
+    def note_started(self, room: str) -> None:
+        """Note that a room has got its first peer here."""
+
+    def note_ended(self, room: str) -> None:
+        """Note that the last peer has left a room."""
+
+    def hand_over(self, room: str) -> bool:
+        """Hand a room over to another relay; return False if there is none."""
 
 
 @dataclass(eq=False)
@@ -88,8 +110,7 @@ class Membership:
             self._let_in(connection, join, admission, now)
             return
         self._waiting.setdefault(join.room, []).append((connection, join, admission))
-        self.placement.ask(join.room, now)
-        self.follow(self.placement.take_events(), now)
+        self.placement.ask(join.room)
 
     def _may_join(self, payer: str, now: float, *, is_back: bool) -> bool:
         """Return True if there is room for one more join, of this identity, place or address, and
@@ -106,15 +127,15 @@ class Membership:
                 del self._own_joins[next(iter(self._own_joins))]
         return own.take(now) and (is_back or self._joins.take(now))
 
-    def follow(self, events: Sequence[Placed], now: float) -> None:
-        """Admit joins for rooms that are placed here, and redirect those for other rooms."""
-        for room, url in events:
-            waiting = [w for w in self._waiting.pop(room, []) if w[0].closed is None]
-            if url is not None:
-                self.send_elsewhere(room, [connection for connection, _, _ in waiting], url, now)
-                continue
-            for connection, join, admission in waiting:
-                self._let_in(connection, join, admission, now)
+    def follow(self, room: str, url: str | None, now: float) -> None:
+        """Admit joins for a room that is placed here, or redirect them, and its peers, to the relay
+        at an address ("" if there is none)."""
+        waiting = [w for w in self._waiting.pop(room, []) if w[0].closed is None]
+        if url is not None:
+            self.send_elsewhere(room, [connection for connection, _, _ in waiting], url, now)
+            return
+        for connection, join, admission in waiting:
+            self._let_in(connection, join, admission, now)
 
     def send_elsewhere(
         self, room_name: str, waiting: Sequence[Connection], url: str, now: float
@@ -221,7 +242,7 @@ class Membership:
     ) -> None:
         self.rooms[room.name] = room
         if self.placement is not None and len(room) == 1:
-            self.placement.note_started(room.name, now)
+            self.placement.note_started(room.name)
         peer = room.peer(connection.peer_id)
         for track in peer.tracks:
             stream = room.stream(track.stream)
@@ -326,7 +347,7 @@ class Membership:
         if len(room) == 0:
             del self.rooms[room.name]
             if self.placement is not None:
-                self.placement.note_ended(room.name, now)
+                self.placement.note_ended(room.name)
             return
         self._forwarding.forget_peer(room, peer_id)
         news = PeerLeft(peer_id=peer_id, reason=reason)
