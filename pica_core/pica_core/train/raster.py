@@ -119,16 +119,10 @@ class Rasteriser:
         read back at once: ``[N, H, W]``."""
         with self._context:  # another rasteriser of this thread may have been current
             self._draw(vertices_m, cameras)
-            return self._read(cameras, 0).astype(np.int32) - 1
-
-    def batch_depths_m(self, cameras: Sequence[Camera]) -> FloatArray:
-        """Depths along the cameras' axes of what `batch_ids` drew last, 0 where nothing is: metres,
-        good to about 0.01 mm at 1 m, float32 ``[N, H, W]``."""
-        with self._context:
-            window = self._read(cameras, -1)
-        near, far = NEAR_M, FAR_M
-        depths = near * far / (far - window * (far - near))
-        return np.where(window < 1, depths, 0).astype(np.float32)
+            assert self._target is not None
+            content = self._target.read(components=1, dtype="f4")
+        size = len(cameras), cameras[0].height, cameras[0].width
+        return np.frombuffer(content, np.float32).reshape(size)[:, ::-1].astype(np.int32) - 1
 
     def _draw(self, vertices_m: FloatArray, cameras: Sequence[Camera]) -> None:
         if vertices_m.shape != (len(cameras), self.num_vertices, 3):
@@ -155,13 +149,6 @@ class Rasteriser:
             target.viewport = (0, index * height, width, height)
             vertex_array.render()
         target.viewport = (0, 0, width, height * len(cameras))
-
-    def _read(self, cameras: Sequence[Camera], attachment: int) -> FloatArray:
-        """What is drawn, as ``[N, H, W]`` with row 0 on top."""
-        assert self._target is not None
-        content = self._target.read(components=1, attachment=attachment, dtype="f4")
-        size = len(cameras), cameras[0].height, cameras[0].width
-        return np.frombuffer(content, np.float32).reshape(size)[:, ::-1]
 
     def _framebuffer(self, width: int, height: int) -> moderngl.Framebuffer:
         if self._target is None or self._target.size != (width, height):

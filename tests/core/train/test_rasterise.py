@@ -159,24 +159,12 @@ def test_a_batch_gives_what_its_images_give_one_by_one() -> None:
 
     with Rasteriser(FACE, 3) as rasteriser:
         together = rasteriser.batch_ids(meshes, cameras)
-        depths_m = rasteriser.batch_depths_m(cameras)
         alone = [
             rasteriser.triangle_ids(mesh, camera)
             for mesh, camera in zip(meshes, cameras, strict=True)
         ]
 
     assert (together == np.stack(alone)).all()
-    assert ((depths_m > 0) == (together >= 0)).all()
-
-
-def test_the_driver_and_the_interpolation_see_the_same_depth() -> None:
-    camera = several_views(1)[0]
-    with Rasteriser.of(TOPOLOGY) as rasteriser:
-        drawn = MeshDrawer(rasteriser, TOPOLOGY).draw(torch.from_numpy(TRIANGLE)[None], [camera])
-        (depth_m,) = rasteriser.batch_depths_m([camera])
-
-    interpolated_m = drawn.depth_m.numpy()
-    assert np.abs(depth_m.reshape(-1)[drawn.pixels.pixel] - interpolated_m).max() < 2e-5
 
 
 def test_cameras_of_two_sizes_make_no_batch() -> None:

@@ -81,6 +81,21 @@ def test_a_resumed_run_gives_the_numbers_of_an_uninterrupted_one(
         assert all(torch.equal(resumed[name], values) for name, values in whole.items())
 
 
+def test_encodings_leave_the_geometry_phase_alone_bit_for_bit(
+    data: TrainingData, tmp_path: Path
+) -> None:
+    states = []
+    for variant in ("full", "no_uv", "pe_1d", "nerf_pe"):
+        with open_trainer(data, replace(short(3, 0, 0), variant=variant), tmp_path) as trainer:
+            trainer.run()
+            states.append(trainer.model.state_dict())
+
+    shape = [name for name in states[0] if name.startswith(("encoder.", "geometry."))]
+    assert len(shape) > 20
+    for state in states[1:]:
+        assert all(torch.equal(state[name], states[0][name]) for name in shape)
+
+
 def test_a_run_with_other_options_is_not_resumed(data: TrainingData, tmp_path: Path) -> None:
     with open_trainer(data, short(1, 1, 1), tmp_path) as trainer:
         trainer.save()

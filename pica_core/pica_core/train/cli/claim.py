@@ -10,11 +10,9 @@ from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.rig.head import read_rig
 from pica_core.cli.capture import RigOptions, rig
 from pica_core.errors import CaptureError, CheckpointError, TrainingOptionError, check_ranges
-from pica_core.train.cli.train import TrainOptions, VariantName, train
+from pica_core.train.cli.train import RUN_FILE, TrainOptions, VariantName, train
 from pica_core.train.data.training import spaced
-from pica_core.train.eval.run import RUN_FILE
 from pica_core.train.export import EVALUATION_FILE
-from pica_core.train.train import read_checkpoint
 
 OURS, THEIRS = "linear", "baseline"
 """What is claimed to lie below what."""
@@ -142,7 +140,6 @@ def _run(
             )
         )
         found = trained["rows"]
-    state = read_checkpoint(folder)
     live = {row["view"]: row["mse"] for row in found if row["source"] == "driver"}
     return [
         {
@@ -155,8 +152,8 @@ def _run(
             "vertex_mm": row["vertex_error_mm"],
             "lid_mm": row["lid_error_mm"],
             "lip_mm": row["lip_error_mm"],
-            "seconds": round(state["seconds"], 1),
-            "steps": state["step"],
+            "seconds": row["seconds"],
+            "steps": row["steps"],
         }
         for row in found
         if row["source"] == "encoder"
@@ -164,8 +161,8 @@ def _run(
 
 
 def _is_whole(rows: list[dict[str, Any]], capture: Path, eval_frames: int) -> bool:
-    """Whether rows of a run have all that is told, of as many frames as are asked for."""
-    if not rows or "lip_error_mm" not in rows[0]:
+    """Whether rows of a run are of as many frames as are asked for."""
+    if not rows:
         return False
     held_out = [frame.index for frame in Capture.open(capture).frames_of("test")]
     num_frames: int = max(row["frames"] + row.get("unreadable", 0) for row in rows)

@@ -1,28 +1,57 @@
-"""`pica eval`: the paper's tables from finished runs."""
+"""`pica eval`: the paper's tables from finished runs, and what stands beside them, as Markdown."""
 
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 import torch
 
+from pica_core.avatar.variants import TABLE_1, TABLE_2
 from pica_core.capture.dataset.dataset import Capture
-from pica_core.errors import TrainingOptionError, check_ranges
-from pica_core.train.eval.run import EvalLimits, Run, measure, open_run, prepare
-from pica_core.train.eval.tables import TABLES, Key, report
+from pica_core.errors import CheckpointError, TrainingOptionError, check_ranges
+from pica_core.train.cli.train import RUN_FILE
+from pica_core.train.config import TrainConfig
+from pica_core.train.data.training import TrainingData
+from pica_core.train.eval.evaluate import Split, bootstrap_interval, evaluate
+from pica_core.train.train import open_trainer, read_checkpoint
+
+Row = Mapping[str, Any]
+Key = tuple[str, str, str, int]
+"""Identity, variant, block of the decoders ("" where there is none) and seed: a run."""
+Model = tuple[str, str, str]
+"""A key without its seed: runs that a table shows in one line."""
+
+TABLES: Mapping[int, tuple[str, ...]] = {1: TABLE_1, 2: TABLE_2}
+QUANTILES = (100, 90, 75, 50, 25, 10, 0)
+_SPLITS = {"test": "held-out frames", "train": "frames that were trained on"}
+_MEANS = {
+    "mse": ("MSE", 2),
+    "psnr_db": ("PSNR dB", 2),
+    "ssim": ("SSIM", 4),
+    "temporal_mse": ("MSE of the change", 2),
+    "vertex_error_mm": ("vertices mm", 3),
+    "lid_error_mm": ("lids mm", 3),
+    "lip_error_mm": ("lips mm", 3),
+}
+_NONE = "–"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class EvalOptions(EvalLimits):
-    """Options of `pica eval`: what is measured of which runs, and where it goes."""
+class EvalOptions:
+    """Options of `pica eval`."""
 
     runs: tuple[Path, ...]
     """Folders of finished runs of `pica train`."""
     table: Literal[1, 2] = 1
     """Which of the paper's tables: 1 is baseline, full, no_uv and coarse; 2 the encodings."""
+    split: Split = "test"
+    """Held-out frames, or for comparison those that were trained on."""
+    frames: int = 25
+    """How many of them, evenly spaced."""
     capture: Path | None = None
     """The capture of all runs, if it is not where it was when they were trained."""
     out: Path | None = None
@@ -31,8 +60,7 @@ class EvalOptions(EvalLimits):
     """CPU threads of torch."""
 
     def __post_init__(self) -> None:
-        EvalLimits.__post_init__(self)
-        check_ranges(self, TrainingOptionError, threads=(1, 1024))
+        check_ranges(self, TrainingOptionError, frames=(1, 1_000_000), threads=(1, 1024))
         if not self.runs:
             raise TrainingOptionError("runs is empty; name at least one folder")
 
@@ -40,17 +68,33 @@ class EvalOptions(EvalLimits):
 def eval_runs(options: EvalOptions) -> dict[str, Any]:
     """Measure finished runs and print one of the paper's tables."""
     torch.set_num_threads(options.threads)
-    runs = [open_run(folder, options.capture) for folder in options.runs]
-    wanted = [run for run in runs if run.variant in TABLES[options.table]]
-    for run in runs:
-        if run.variant not in TABLES[options.table]:
-            _say(f"{run.folder}: {run.variant} is no row of table {options.table}; left out")
+    known = TABLES[options.table]
+    configs = {folder: read_checkpoint(folder)["config"] for folder in options.runs}
+    for folder, config in configs.items():
+        if config.variant not in known:
+            told = f"{folder}: {config.variant} is no row of table {options.table}; left out"
+            print(told, file=sys.stderr)
+    wanted = [folder for folder in options.runs if configs[folder].variant in known]
     if not wanted:
-        rows = ", ".join(TABLES[options.table])
-        raise TrainingOptionError(f"no run is of table {options.table}: its models are {rows}")
-    _check_apart(wanted)
-    result = _measure(wanted, options)
-    text = report(options.table, result)
+        raise TrainingOptionError(
+            f"no run is of table {options.table}: its models are {', '.join(known)}"
+        )
+    captures = {folder: options.capture or _capture_of(folder) for folder in wanted}
+    opened = {path: Capture.open(path) for path in captures.values()}
+    _check_apart([(captures[f], opened[captures[f]].identity, f, configs[f]) for f in wanted])
+    rows: list[dict[str, Any]] = []
+    for path, capture in opened.items():
+        data = TrainingData(capture)
+        for folder in [folder for folder in wanted if captures[folder] == path]:
+            print(f"{folder}: {configs[folder].variant}", file=sys.stderr, flush=True)
+            with open_trainer(data, configs[folder], folder) as trainer:
+                trainer.restore()
+                rows += evaluate(
+                    trainer, max_frames=options.frames, split=options.split, sources=("encoder",)
+                )
+    notes = sorted({str(each.info.get("source", each.path.name)) for each in opened.values()})
+    result = {"table": options.table, "split": options.split, "captures": notes, "rows": rows}
+    text = report(result)
     print(text)
     if options.out is not None:
         options.out.mkdir(parents=True, exist_ok=True)
@@ -59,46 +103,146 @@ def eval_runs(options: EvalOptions) -> dict[str, Any]:
     return result
 
 
-def _check_apart(runs: Sequence[Run]) -> None:
-    """Refuse what a table would show as one: two captures of one identity, two runs of one key."""
-    identities = {capture: Capture.open(capture).identity for capture in {r.capture for r in runs}}
+def _capture_of(folder: Path) -> Path:
+    """The capture that a run was trained on."""
+    try:
+        return Path(json.loads((folder / RUN_FILE).read_text())["capture"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise CheckpointError(
+            f"{folder / RUN_FILE}: does not say which capture the run was trained on "
+            f"({error}); name it with --capture"
+        ) from error
+
+
+def _check_apart(runs: Sequence[tuple[Path, str, Path, TrainConfig]]) -> None:
+    """Refuse what a table would show as one: two captures of one identity, two runs of one key;
+    of captures, their identities, folders and options of runs."""
     captures: dict[str, Path] = {}
     folders: dict[Key, Path] = {}
-    for run in runs:
-        identity = identities[run.capture]
-        if (other := captures.setdefault(identity, run.capture)) != run.capture:
+    for capture, identity, folder, config in runs:
+        if (other := captures.setdefault(identity, capture)) != capture:
             raise TrainingOptionError(
-                f"{other} and {run.capture} are two captures of {identity!r}; measure one at a time"
+                f"{other} and {capture} are two captures of {identity!r}; measure one at a time"
             )
-        key = (identity, run.variant, run.block or "", run.config.seed)
+        key = (identity, config.variant, config.block, config.seed)
         if key in folders:
             raise TrainingOptionError(
-                f"{folders[key]} and {run.folder} are both {run.variant} of {identity!r} with seed "
-                f"{run.config.seed}; leave one out"
+                f"{folders[key]} and {folder} are both {config.variant} of {identity!r} with seed "
+                f"{config.seed}; leave one out"
             )
-        folders[key] = run.folder
+        folders[key] = folder
 
 
-def _measure(runs: Sequence[Run], options: EvalOptions) -> dict[str, Any]:
-    rows: list[dict[str, Any]] = []
-    found: list[dict[str, Any]] = []
-    tracked: dict[str, dict[str, float | None]] = {}
-    for capture in dict.fromkeys(run.capture for run in runs):
-        _say(f"{capture}: drawing the truth")
-        truth = prepare(capture, options)
-        tracked[truth.identity] = truth.tracked_mm
-        for run in [run for run in runs if run.capture == capture]:
-            own_rows, result = measure(run, truth, _say)
-            rows += own_rows
-            found.append(result)
-    return {
-        "table": options.table,
-        "split": options.split,
-        "rows": rows,
-        "runs": found,
-        "tracked_mesh": tracked,
-    }
+def report(result: Mapping[str, Any]) -> str:
+    """The whole report of what `pica eval` finds, as one of the paper's tables."""
+    rows, variants = result["rows"], TABLES[result["table"]]
+    parts = [
+        f"# Table {result['table']}",
+        f"MSE on 0-255 values over rasterised pixels, {_SPLITS[result['split']]}: the mean over "
+        "seeds with the lowest and the highest of them, or of one seed with its 95 % bootstrap "
+        "interval over frames. The captures' own note on what they are: "
+        + "; ".join(result["captures"]),
+        error_table(rows, variants),
+        "## Beside it",
+        "Means over views. The change is the one from a frame to the next of its take; distances "
+        "are those of vertices from the capture's best mesh.",
+        summary_table(rows, variants),
+        "## Over expressions",
+        "MSE over all views: the mean with its 95 % bootstrap interval over seeds and frames, and "
+        "single frames, sorted.",
+        distribution_table(rows, variants),
+    ]
+    return "\n\n".join(parts) + "\n"
 
 
-def _say(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)
+def error_table(rows: Sequence[Row], variants: Sequence[str]) -> str:
+    """MSE by identity, model and view; the best of a view is bold.
+
+    One seed stands with the interval over its frames, the mean of several with the lowest and the
+    highest of them.
+    """
+    views = list(dict.fromkeys(row["view"] for row in rows))
+    found: dict[tuple[Model, str], list[Row]] = {}
+    for row in rows:
+        found.setdefault((_key(row)[:3], row["view"]), []).append(row)
+    means = {at: float(np.mean([row["mse"] for row in own])) for at, own in found.items()}
+
+    def cell(model: Model, view: str) -> str:
+        own = found.get((model, view))
+        if own is None:
+            return _NONE
+        mean = means[model, view]
+        best = min(e for (other, at), e in means.items() if other[0] == model[0] and at == view)
+        value = f"**{mean:.2f}**" if mean == best else f"{mean:.2f}"
+        ends = [row["mse"] for row in own]
+        if len(own) == 1:
+            ends = [own[0]["mse_low"], own[0]["mse_high"]]
+        return f"{value} ({min(ends):.2f} to {max(ends):.2f})"
+
+    return _table(rows, variants, views, lambda model, _: [cell(model, view) for view in views])
+
+
+def summary_table(rows: Sequence[Row], variants: Sequence[str]) -> str:
+    """What stands beside the MSE: means over views and seeds, and what the model costs."""
+
+    def cells(_: Model, own: Sequence[Row]) -> list[str]:
+        shown = []
+        for name, (_title, digits) in _MEANS.items():
+            values = [row[name] for row in own if row[name] is not None]
+            shown.append(f"{np.mean(values):.{digits}f}" if values else _NONE)
+        first = own[0]
+        return [
+            *shown,
+            f"{first['parameters'] / 1e6:.3f}",
+            f"{first['macs'] / 1e6:.1f}",
+            str(first["macs_per_pixel"]),
+            str(first["steps"]),
+            ", ".join(str(seed) for seed in sorted({row["seed"] for row in own})),
+        ]
+
+    head = [title for title, _ in _MEANS.values()]
+    head += ["M parameters", "M multiply-adds", "a pixel", "steps", "seeds"]
+    return _table(rows, variants, head, cells)
+
+
+def distribution_table(rows: Sequence[Row], variants: Sequence[str]) -> str:
+    """The mean with its interval over seeds and frames, and how errors spread over expressions:
+    quantiles of the frames' MSE, each the mean over the views that have the frame, and seeds."""
+
+    def cells(_: Model, own: Sequence[Row]) -> list[str]:
+        of_seeds = []
+        for seed in sorted({row["seed"] for row in own}):
+            views = [row["by_frame"] for row in own if row["seed"] == seed]
+            frames = dict.fromkeys(name for view in views for name in view)
+            each = [[view[name] for view in views if name in view] for name in frames]
+            of_seeds.append([float(np.mean(values)) for values in each])
+        low, high = bootstrap_interval(of_seeds)
+        errors = np.mean(of_seeds, axis=0)
+        quantiles = [f"{np.percentile(errors, quantile):.2f}" for quantile in QUANTILES]
+        return [f"{errors.mean():.2f} ({low:.2f} to {high:.2f})", *quantiles]
+
+    head = ["mean", "worst", *(f"{quantile} %" for quantile in QUANTILES[1:-1]), "best"]
+    return _table(rows, variants, head, cells)
+
+
+def _key(row: Row) -> Key:
+    return row["identity"], row["variant"], row.get("block") or "", row["seed"]
+
+
+def _table(
+    rows: Sequence[Row],
+    variants: Sequence[str],
+    head: Sequence[str],
+    cells: Callable[[Model, Sequence[Row]], Sequence[str]],
+) -> str:
+    """A line for each model, by identity and in the table's order: its identity, its variant (with
+    its block where it has several), and its cells, made of its rows. Variants that the table does
+    not name are left out."""
+    known = {_key(row)[:3] for row in rows if row["variant"] in variants}
+    lines = [["identity", "model", *head], ["---"] * (2 + len(head))]
+    for model in sorted(known, key=lambda each: (each[0], variants.index(each[1]), each[2])):
+        blocks = {other[2] for other in known if other[:2] == model[:2]}
+        label = model[1] + (f", block {model[2]}" if len(blocks) > 1 else "")
+        own = [row for row in rows if _key(row)[:3] == model]
+        lines.append([model[0], label, *cells(model, own)])
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)

@@ -22,7 +22,6 @@ from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.train.config import PRESETS, TrainConfig
 from pica_core.train.data.training import TrainingData
 from pica_core.train.eval.evaluate import ModelEvaluator, evaluate, mean_mse
-from pica_core.train.eval.run import RUN_FILE
 from pica_core.train.export import (
     EVALUATION_FILE,
     joint_map,
@@ -33,6 +32,8 @@ from pica_core.train.lod.levels import add_levels
 from pica_core.train.stream_metric import make_stream_profile
 from pica_core.train.train import CHECKPOINT, Losses, Trainer, open_trainer, read_checkpoint
 
+RUN_FILE = "run.json"
+"""What is written down of a run beside its checkpoint."""
 VariantName = Literal[
     "linear", "full", "no_uv", "coarse", "uv_nope", "nerf_pe", "pe_2d", "pe_1d", "baseline"
 ]

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from pica_core.camera import Camera
 from pica_core.errors import CaptureError
+from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.interface import AvatarModel, Surface
 from pica_core.train.data.images import view_direction
 from pica_core.train.data.training import TrainingData, spaced
@@ -118,12 +119,10 @@ class Picture(NamedTuple):
     Attributes:
         pixels: Flat indices, row * W + column, int64 ``[P]``.
         colours: 0-255, clamped, float32 ``[P, 3]``.
-        depth_m: Along the camera's axis, float32 ``[P]``.
     """
 
     pixels: Int64Array
     colours: FloatArray
-    depth_m: FloatArray
 
     def on(self, image: npt.NDArray[np.generic]) -> FloatArray:
         """The picture laid over an image, ``[H, W, 3]``."""
@@ -195,14 +194,16 @@ class ModelEvaluator:
         drawn = self._drawer.draw(found_m[None], [camera])
         pixels = drawn.pixels.pixel
         if not len(pixels):
-            return Picture(pixels, np.zeros((0, 3), np.float32), np.zeros(0, np.float32))
+            return Picture(pixels, np.zeros((0, 3), np.float32))
         surface = Surface(*(values.to(self._device) for values in drawn.surface))
         colours = self.model.shade(appearance, surface)
         shown = 255 * colours.clamp(0, 1).cpu().numpy()
-        return Picture(pixels, shown.astype(np.float32), drawn.depth_m.numpy())
+        return Picture(pixels, shown.astype(np.float32))
 
 
 Source = Literal["encoder", "driver"]
+Split = Literal["train", "test"]
+SOURCES: tuple[Source, ...] = ("encoder", "driver")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -289,33 +290,56 @@ def measure_views(
     return measured
 
 
-def evaluate(trainer: Trainer, *, max_frames: int = 25) -> list[dict[str, Any]]:
-    """Evaluate a run on evenly spaced test frames, from the capture's evaluation views.
+def evaluate(
+    trainer: Trainer,
+    *,
+    max_frames: int = 25,
+    split: Split = "test",
+    sources: tuple[Source, ...] = SOURCES,
+) -> list[dict[str, Any]]:
+    """Measure a run on evenly spaced frames, from the capture's evaluation views.
+
+    Args:
+        split: Held-out frames, or those that were trained on.
+        sources: Whose latents to draw, "driver" only where the capture has expressions: "encoder"
+            is the model's own encoder, "driver" the expression encoder, which a live sender runs.
 
     Returns:
-        Rows of {source, view, mse, mse_low, mse_high, psnr_db, ssim, temporal_mse, frames,
-        unreadable, vertex_error_mm, lid_error_mm, lip_error_mm}: "encoder" rows use the model's own
-        encoder, "driver" rows the expression encoder, which is what a live sender runs;
-        `unreadable` counts frames that were left out. The vertex errors are mean distances from the
-        capture's mesh that the model was trained on; None where it does not name the region.
+        A row for each source and view: which run it is (identity, variant, block, seed, steps,
+        seconds), what its model costs (parameters, macs, macs_per_pixel), `ViewErrors.row`, the MSE
+        of each frame by its name (by_frame), and the mean distances from the capture's best mesh
+        (vertex_error_mm, lid_error_mm, lip_error_mm; None where it does not name the region).
 
     Raises:
         CaptureError: No image can be read.
     """
-    data = trainer.data
-    evaluator = ModelEvaluator(data, trainer.model, trainer.rasteriser)
-    frames = spaced(data.test_frames, max_frames)
-    topology = data.meshes.topology(trainer.model.topology)
-    sources: list[Source] = ["encoder", "driver"] if data.capture.has_expressions else ["encoder"]
+    data, model, config = trainer.data, trainer.model, trainer.config
+    evaluator = ModelEvaluator(data, model, trainer.rasteriser)
+    frames = spaced(data.test_frames if split == "test" else data.train_frames, max_frames)
+    topology, cost = data.meshes.topology(model.topology), model.cost
+    about = {
+        "identity": data.capture.identity,
+        "variant": config.variant,
+        "block": config.block if isinstance(model, PixelCodecAvatar) else None,
+        "seed": config.seed,
+        "steps": trainer.step,
+        "seconds": round(trainer.seconds, 1),
+        "parameters": cost.parameters,
+        "macs": cost.per_object_multiply_adds,
+        "macs_per_pixel": cost.per_pixel_multiply_adds,
+    }
     rows: list[dict[str, Any]] = []
-    for source in sources:
+    for source in sources if data.capture.has_expressions else sources[:1]:
         off_mm = np.mean([_vertex_errors_mm(evaluator, source, frame) for frame in frames], axis=0)
         distances: dict[str, float | None] = {"vertex_error_mm": float(off_mm.mean())}
         for name in ("lid", "lip"):
             part = off_mm[topology.region(f"{name}s")]
             distances[f"{name}_error_mm"] = float(part.mean()) if len(part) else None
         for view, errors in measure_views(evaluator, frames, source).items():
-            rows.append({"source": source, "view": view, **errors.row(), **distances})
+            row = {**about, "source": source, "view": view, **errors.row(), **distances}
+            where = [data.capture.frames[frame] for frame in errors.mse]
+            named = [f"{frame.segment}/{frame.name}" for frame in where]
+            rows.append(row | {"by_frame": dict(zip(named, errors.mse.values(), strict=True))})
     return rows
 
 

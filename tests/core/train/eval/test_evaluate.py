@@ -10,7 +10,6 @@ from typing import Any, get_args, get_type_hints
 
 import numpy as np
 import pytest
-import torch
 
 from helpers.small_capture import NAME, render_capture
 from pica_core.avatar.spec import BLOCKS
@@ -19,9 +18,8 @@ from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.stage.synth import RenderOptions
 from pica_core.errors import CheckpointError, TrainingOptionError
 from pica_core.train.cli.eval import EvalOptions, eval_runs
-from pica_core.train.cli.train import TrainOptions, train
-from pica_core.train.config import PRESETS, TrainConfig
-from pica_core.train.data.prior import face_prior
+from pica_core.train.cli.train import RUN_FILE, TrainOptions, train
+from pica_core.train.config import PRESETS
 from pica_core.train.data.training import TrainingData
 from pica_core.train.eval.evaluate import (
     BEST_PSNR_DB,
@@ -30,14 +28,7 @@ from pica_core.train.eval.evaluate import (
     psnr_db,
     ssim,
 )
-from pica_core.train.eval.run import (
-    DEPTH_CAP_MM,
-    RUN_FILE,
-    DepthErrors,
-    TrueView,
-    open_run,
-)
-from pica_core.train.train import write_checkpoint
+from pica_core.train.train import open_trainer
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
 
@@ -63,10 +54,6 @@ def data(capture: Path) -> TrainingData:
     return TrainingData(Capture.open(capture))
 
 
-def config_of(variant: str) -> TrainConfig:
-    return replace(PRESETS["tiny"], variant=variant, texture_size=64)
-
-
 @pytest.fixture(scope="module")
 def runs(
     capture: Path, data: TrainingData, tmp_path_factory: pytest.TempPathFactory
@@ -75,14 +62,9 @@ def runs(
     folders: dict[str, Path] = {}
     for variant in VARIANTS_HERE:
         folder = folders[variant] = tmp_path_factory.mktemp(variant)
-        config = config_of(variant)
-        torch.manual_seed(config.seed)
-        state = {
-            "config": json.dumps(config.to_json()),
-            "step": 0,
-            "model": config.build(face_prior(data)).state_dict(),
-        }
-        write_checkpoint(folder / "checkpoint.pt", state)
+        config = replace(PRESETS["tiny"], variant=variant, texture_size=64)
+        with open_trainer(data, config, folder) as trainer:
+            trainer.save()
         (folder / RUN_FILE).write_text(json.dumps({"capture": str(capture)}))
     return folders
 
@@ -138,24 +120,10 @@ def test_the_bootstrap_interval_covers_the_mean_as_the_normal_one_does() -> None
     assert bootstrap_interval(values) == (low, high)
 
 
-def test_depth_errors_are_counted_where_both_meshes_are_and_capped() -> None:
-    truth = TrueView(
-        np.array([[0, 0, 1, 255]], np.uint8), np.array([[1.0, 1.0, 1.0, 0.0]], np.float32)
-    )
-    errors = DepthErrors()
-
-    errors.add(truth, np.array([0, 1, 3]), np.array([1.002, 1.5, 1.0], np.float32))
-
-    means = errors.means_mm()
-    assert means["mouth"] == pytest.approx((2 + DEPTH_CAP_MM) / 2, abs=1e-3)
-    assert means["eyes"] is None
-    assert means["rest"] is None
-
-
 @pytest.fixture(scope="module")
 def table(runs: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     out = tmp_path_factory.mktemp("tables")
-    options = EvalOptions(runs=tuple(runs.values()), out=out, frames=4, geometry_frames=1)
+    options = EvalOptions(runs=tuple(runs.values()), out=out, frames=4)
     return {"result": eval_runs(options), "out": out}
 
 
@@ -167,7 +135,7 @@ def test_rows_of_a_table_have_what_the_charts_need(
     wanted = (
         "identity variant block view mse mse_low mse_high psnr_db ssim temporal_mse parameters "
     )
-    wanted += "macs steps seed"
+    wanted += "macs steps seed vertex_error_mm"
     assert len(rows) == len(VARIANTS_HERE) * len(data.images.evaluation_views)
     for row in rows:
         assert set(wanted.split()) <= set(row)
@@ -188,17 +156,7 @@ def test_the_report_names_every_model_and_is_written(table: dict[str, Any]) -> N
 
     for variant in VARIANTS_HERE:
         assert f"| {NAME} | {variant} |" in text
-    assert "tracked mesh" in text
     assert json.loads((table["out"] / "eval.json").read_text())["table"] == 1
-
-
-def test_geometry_is_judged_by_region_beside_the_trackers(table: dict[str, Any]) -> None:
-    result = table["result"]
-
-    assert set(result["tracked_mesh"][NAME]) == {"mouth", "eyes", "rest"}
-    for run in result["runs"]:
-        assert 0 < run["geometry"]["rest"] < DEPTH_CAP_MM
-        assert len(run["distribution"]) >= 1
 
 
 def test_runs_of_no_row_of_the_table_are_an_error(runs: dict[str, Path]) -> None:
@@ -229,7 +187,7 @@ def test_a_run_that_does_not_say_its_capture_is_refused(
     (tmp_path / "checkpoint.pt").write_bytes((runs["full"] / "checkpoint.pt").read_bytes())
 
     with pytest.raises(CheckpointError, match="which capture"):
-        open_run(tmp_path)
+        eval_runs(EvalOptions(runs=(tmp_path,)))
 
 
 def test_a_checkpoint_of_another_variant_is_refused_by_name(

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import pytest
 
+from pica_core.train.cli.eval import distribution_table, error_table
 from pica_core.train.eval.evaluate import bootstrap_interval
-from pica_core.train.eval.tables import distribution_table, error_table
 
 pytestmark = pytest.mark.unit
 
+ROW = {"identity": "S1", "view": "front", "mse_low": 0.0, "mse_high": 9.0, "variant": "full"}
+
 
 def test_seeds_are_shown_as_their_mean_with_the_lowest_and_the_highest() -> None:
-    row = {"identity": "S1", "view": "front", "mse_low": 0.0, "mse_high": 9.0, "variant": "full"}
-    rows = [{**row, "seed": seed, "mse": mse} for seed, mse in enumerate((3.0, 2.0, 4.0))]
-    rows.append({**row, "variant": "baseline", "seed": 0, "mse": 2.5})
+    rows = [{**ROW, "seed": seed, "mse": mse} for seed, mse in enumerate((3.0, 2.0, 4.0))]
+    rows.append({**ROW, "variant": "baseline", "seed": 0, "mse": 2.5})
 
     lines = error_table(rows, ("full", "baseline")).splitlines()
 
@@ -33,15 +34,13 @@ def test_an_interval_over_seeds_is_wider_than_that_of_their_mean() -> None:
 
 
 def test_the_spread_over_expressions_is_of_the_mean_over_seeds() -> None:
-    distributions = {
-        ("S1", "full", "", seed): [
-            {"frame": "a", "mse": 10.0 + seed},
-            {"frame": "b", "mse": 20.0 + seed},
-        ]
+    rows = [
+        {**ROW, "seed": seed, "by_frame": {"a": 10.0 + seed + side, "b": 20.0 + seed + side}}
         for seed in range(3)
-    }
+        for side in (-1, 1)
+    ]
 
-    (line,) = distribution_table(distributions, ("full",)).splitlines()[2:]
+    (line,) = distribution_table(rows, ("full",)).splitlines()[2:]
 
     assert line.startswith("| S1 | full | 16.00 (")
     assert line.endswith("| 21.00 | 20.00 | 18.50 | 16.00 | 13.50 | 12.00 | 11.00 |")
