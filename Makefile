@@ -3,7 +3,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 DEMO ?=
-WINDOW ?= 320x240
+WINDOW ?= 480x360
 
 .PHONY: demo test static quick lint types imports docs pages window pytest pytest-parallel \
 	pytest-realtime libraries extras fuzz images clean

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from pica_client.ui.surface.style import Metrics
 
 ROOT = Path(__file__).resolve().parents[1]
-SIZES = ("1280x720", "320x240", "2560x1440", "2560x1440@2")
+SIZES = ("1280x720", "480x360", "2560x1440", "2560x1440@2")
 ROOM = "standup"
 PEOPLE = ("Ada Lovelace", "Ольга Петровна", "李小龍 さくら 김", "מרים  مريم", "Ελένη 😀🎉")
 PATIENCE_S = 120.0
@@ -181,7 +181,6 @@ def photograph(out: Path, size: tuple[int, int], scale: float) -> None:
         desk.click("Join")
         desk.wait("everybody", faces=len(PEOPLE), here=len(PEOPLE) + 1)
         take("02-call")
-        desk.click("Got it")
         for number, panel in enumerate(("Participants", "Settings", "Help"), 3):
             desk.click(panel)
             desk.wait("open", side=panel.lower())

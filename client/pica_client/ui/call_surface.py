@@ -16,7 +16,7 @@ from pica_client.ui.actions import Request
 from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter
 from pica_client.ui.call_view import CallView, Notice, NoticeBoard, OwnFaceView, Panel, PersonView
 from pica_client.ui.labels import place_labels
-from pica_client.ui.panels.bar import control_bar, first_hint, leave_question
+from pica_client.ui.panels.bar import control_bar, leave_question
 from pica_client.ui.panels.overlay import (
     free_shares,
     least_name,
@@ -44,7 +44,6 @@ PANELS: tuple[Panel, ...] = (
     participants_panel,
     settings_panel,
     help_panel,
-    first_hint,
     control_bar,
     leave_question,
 )

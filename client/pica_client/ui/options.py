@@ -65,21 +65,16 @@ class ViewerOptions:
     decode: DecodeChoice = "auto"
     """Where faces are decoded: gpu, in shaders; cpu, by ONNX Runtime; auto takes the GPU where it
     is not drawn in software."""
-    frame_budget_ms: float = 0.0
-    """What decoding and drawing an image may take before detail is given up; 0 is most of the time
-    that --max-fps leaves."""
-    stereo: bool = False
-    """Draw for two eyes, side by side."""
 
     def __post_init__(self) -> None:
         if self.size is not None:
             parse_size(self.size)
-        check_ranges(self, max_fps=(1, 1000), frame_budget_ms=(0, 10_000))
+        check_ranges(self, max_fps=(1, 1000))
 
     @property
     def budget_s(self) -> float:
         """What decoding and drawing a frame may take, seconds."""
-        return self.frame_budget_ms * 1e-3 or BUDGET_SHARE / self.max_fps
+        return BUDGET_SHARE / self.max_fps
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -75,7 +75,7 @@ def first_state(
     Raises:
         OptionError: An option cannot be right.
     """
-    state = ViewState(has_seen_hint=True) if kept is None else kept.load()
+    state = ViewState() if kept is None else kept.load()
     if not asks:
         for name in ("url", "room", "name", "avatar", "ca_file", "secret_file"):
             setattr(state, name, "")

@@ -92,8 +92,6 @@ class Preferences:
     detail: float = 1.0
     """Part of the time for a frame that decoding and drawing may take, `MIN_DETAIL` to 1."""
     sound: SoundSettings = field(default_factory=SoundSettings)
-    has_seen_hint: bool = False
-    """The hint of the first call was dismissed."""
     window_size: tuple[int, int] = (960, 540)
     """Columns and rows, in the screen's units."""
 

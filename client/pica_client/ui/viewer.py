@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import moderngl
-import numpy as np
 from imgui_bundle import imgui
 
 from pica_client.call.faces import FaceSource
@@ -35,7 +34,6 @@ from pica_client.render.draw_clock import DrawClock
 from pica_client.render.gpu_decoder import choose_decoder
 from pica_client.render.renderer import DrawStats, Renderer, RenderOptions
 from pica_client.render.scene import pick_head
-from pica_client.render.views import EYE_DISTANCE_M, stereo_cameras
 from pica_client.schedule.frame_planner import FramePlanner
 from pica_client.schedule.scheduler import Plan, Scheduler, SchedulerOptions
 from pica_client.system import Closing
@@ -51,7 +49,6 @@ from pica_client.ui.recorder import Captures, save_png
 from pica_client.ui.state import ViewState
 from pica_client.ui.surface.surface import Surface
 from pica_client.ui.window import Window
-from pica_core.camera import Camera
 from pica_core.gl import create_context
 from pica_protocol import messages
 
@@ -113,7 +110,7 @@ class Viewer(Closing):
         self._controls = controls
         self._sound = sound or CallSound()
         self._receiver = receiver
-        self.state = state = state or ViewState(has_seen_hint=True)
+        self.state = state = state or ViewState()
         state.own_face = "none" if controls is None else "sent"
         state.own_voice = self._sound.own_voice
         self._source = state.source
@@ -246,13 +243,13 @@ class Viewer(Closing):
 
     def _begin(self, now: float) -> bool:
         """Begin a frame with what the user did; return False once they close the window."""
-        state, eyes = self.state, 2 if self.options.stereo else 1
+        state = self.state
         if self._window is None:
-            self.surface.begin(now, self._eye_size, content_scale=state.scale, mode=state.mode)
+            self.surface.begin(now, self._renderer.size, content_scale=state.scale, mode=state.mode)
             return True
         is_open = self._window.poll()
         self._renderer.resize(self._window.size_px)
-        self._window.begin(now, scale=state.scale, mode=state.mode, eyes=eyes)
+        self._window.begin(now, scale=state.scale, mode=state.mode)
         return is_open
 
     def _draw(self, scene: CallScene, plan: Plan, now: float) -> None:
@@ -261,10 +258,8 @@ class Viewer(Closing):
         # What a frame cost is known some frames later, when the GPU is done with it.
         drawn = _DrawnFrame(plan.shaded_px)
         with self._draw_clock.around(drawn):
-            self.last_draw = self._renderer.draw(
-                scene.placements, *self._eyes(scene), room=scene.room
-            )
-            self._paint(self._renderer.image, panels=self._window is None)
+            self.last_draw = self._renderer.draw(scene.placements, scene.camera, room=scene.room)
+            self.surface.paint(self._renderer.image, windows=self._window is None)
         drawn.num_triangles = self.last_draw.num_triangles
         drawn.shaded_px *= self.last_draw.drawn_share
         for frame, seconds in self._draw_clock.take():
@@ -345,39 +340,18 @@ class Viewer(Closing):
         }
 
     def _arrange(self, now: float) -> CallScene:
-        scene = self._presenter.arrange(now, self._eye_size, self.state, self._panels.free)
+        scene = self._presenter.arrange(now, self._renderer.size, self.state, self._panels.free)
         self.state.limits, self.state.layouts = scene.limits, scene.layouts
         return scene
 
-    @property
-    def _eye_size(self) -> tuple[int, int]:
-        """Columns and rows of the picture, or of each eye's."""
-        width, height = self._renderer.size
-        return (max(width // 2, 1), height) if self.options.stereo else (width, height)
-
     def _decide(self, scene: CallScene) -> Plan:
         budget_s = self.state.detail * self.options.budget_s
-        return self._presenter.decide(scene, self._eyes(scene), budget_s)
-
-    def _eyes(self, scene: CallScene) -> tuple[Camera, ...]:
-        """The cameras that a scene is drawn from: one, or the left and the right eye's."""
-        if not self.options.stereo:
-            return (scene.camera,)
-        away_m = float(np.linalg.norm(scene.plan.target_m - scene.camera.centre_m))
-        return stereo_cameras(scene.camera, EYE_DISTANCE_M, away_m)
+        return self._presenter.decide(scene, (scene.camera,), budget_s)
 
     def _show(self, screen: moderngl.Framebuffer) -> None:
         """Put a frame on the window. What steers the call is there, not in what is kept of it."""
         self._renderer.present(screen)
-        self._paint(screen, signs=False)
-
-    def _paint(
-        self, target: moderngl.Framebuffer, *, signs: bool = True, panels: bool = True
-    ) -> None:
-        """Paint the surface: for two eyes twice, at the depth of the screen."""
-        for eye in range(2 if self.options.stereo else 1):
-            left = eye * self.surface.metrics.size[0]
-            self.surface.paint(target, left=left, background=signs, windows=panels)
+        self.surface.paint(screen, background=False)
 
     def _draw_own(self, now: float) -> OwnFaceView:
         """Return the own face; its picture if there is room for it."""
@@ -385,13 +359,13 @@ class Viewer(Closing):
             return OwnFaceView()
         for notice in self._controls.take_notices(now):
             self._panels.notice(notice, now)
-        height = 0 if self.options.stereo else own_face_height(self.state, self.surface.metrics)
+        height = own_face_height(self.state, self.surface.metrics)
         height_px = round(height * self._pixels_a_unit)
         return self._self_view.look(now, height_px, self._controls, self.surface)
 
     @property
     def _pixels_a_unit(self) -> float:
-        return self._eye_size[0] / max(self.surface.metrics.size[0], 1)
+        return self._renderer.size[0] / max(self.surface.metrics.size[0], 1)
 
     def _pick_unit(self, x: float, y: float) -> int | None:
         """Return the place of the head at a point of the surface, units."""

@@ -28,8 +28,8 @@ from pica_core.gl import GL_VERSION
 
 assert imgui_bundle
 TITLE = "PiCA Telepresence"
-MIN_SIZE = (320, 240)
-"""The smallest window, in the screen's units: what the panels are laid out for."""
+MIN_SIZE = (480, 360)
+"""The smallest window, in the screen's units."""
 
 
 class Window(Closing):
@@ -105,23 +105,16 @@ class Window(Closing):
         glfw.poll_events()
         return not glfw.window_should_close(self._window)
 
-    def begin(self, now: float, *, scale: float = 1.0, mode: Mode = "dark", eyes: int = 1) -> None:
-        """Begin a frame of the surface.
-
-        Args:
-            scale: The user's factor for type and buttons.
-            eyes: How many pictures stand side by side; each shows the surface.
-        """
-        (width, height), columns = self.size, self.size_px[0]
-        ratio, points = columns / width, glfw.get_window_content_scale(self._window)[0]
-        x, y = glfw.get_cursor_pos(self._window)
+    def begin(self, now: float, *, scale: float = 1.0, mode: Mode = "dark") -> None:
+        """Begin a frame of the surface; `scale` is the user's factor for type and buttons."""
+        ratio = self.size_px[0] / self.size[0]
+        points = glfw.get_window_content_scale(self._window)[0]
         self.surface.begin(
             now,
-            (max(width // eyes, 1), height),
+            self.size,
             content_scale=scale * max(points, 0.5) / ratio,
             mode=mode,
             pixels_a_unit=ratio,
-            pointer=None if eyes == 1 else (x % max(width // eyes, 1), y),
         )
 
     def show(self, paint: Callable[[moderngl.Framebuffer], None]) -> None:

@@ -30,7 +30,6 @@ KEPT = ViewState(
     scale=1.25,
     shows_self=False,
     detail=0.5,
-    has_seen_hint=True,
 )
 
 
@@ -67,7 +66,7 @@ def test_what_is_saved_is_loaded(kept: Kept) -> None:
         '{"sound": 5}',
         '{"mode": "grey"}',
         '{"detail": true}',
-        '{"has_seen_hint": "yes"}',
+        '{"shows_self": "yes"}',
         '{"url": 7}',
         '{"name": "a\\u0000b"}',
         "[" * 20_000,

@@ -245,7 +245,7 @@ def test_a_click_on_the_bar_is_not_one_on_the_head_behind_it() -> None:
     with Viewer(
         Faces("ada"),
         replace(SMALL, size="640x360"),
-        state=ViewState(layout="grid", has_seen_hint=True),
+        state=ViewState(layout="grid"),
     ) as viewer:
         do(viewer, point(320, 100), lambda io: io.add_mouse_wheel_event(0, 40))
         step_until_decoded(viewer, 0.5)
@@ -260,7 +260,7 @@ def test_a_click_on_the_bar_is_not_one_on_the_head_behind_it() -> None:
 def test_the_help_covers_nobody() -> None:
     source = Faces(*"abcde")
     options = replace(SMALL, size="1280x720")
-    state = ViewState(show_statistics=True, layout="line", has_seen_hint=True)
+    state = ViewState(show_statistics=True, layout="line")
     with Viewer(source, options, state=state, clock=lambda: 5.0) as viewer:
         do(viewer, *key("h"))
         for step in range(3):
@@ -317,23 +317,6 @@ def test_muting_ones_own_face_is_told_and_shown() -> None:
     controls.close()
 
 
-def test_two_eyes_see_the_same_people_from_two_places_with_one_decode() -> None:
-    options = replace(SMALL, size="640x240", stereo=True)
-    source = Faces("ada")
-    with Viewer(source, options, clock=lambda: 5.0) as viewer:
-        step_until_decoded(viewer)
-        left, right = np.split(read(viewer).astype(int), 2, axis=1)
-        assert viewer.report()["decodes"] == {"ada": 1}
-        click(viewer, 160, 100, 2.0)
-        assert viewer.state.pinned == 0
-    for eye in (left, right):
-        assert (
-            np.abs(eye[80:140, 140:180].mean(axis=(0, 1)) - eye[:5, :5].mean(axis=(0, 1))).max()
-            > 30
-        )
-    assert np.abs(left - right).max() > 20
-
-
 def test_a_call_is_recorded_and_a_frame_saved(tmp_path: Path) -> None:
     av = pytest.importorskip("av")
     options = replace(SMALL, record=tmp_path / "call.mp4")
@@ -382,11 +365,11 @@ def test_preparing_does_not_wait_for_a_broken_or_silent_peer() -> None:
 
 def test_a_viewer_short_of_time_gives_up_detail_and_says_which() -> None:
     levels = []
-    for budget_ms in (0.01, 10_000.0):
+    for max_fps, detail in ((1000.0, 0.1), (1.0, 1.0)):
         source = Faces("ada")
         source.avatars["toy"] = with_toy_levels(TOY)
-        options = replace(SMALL, size="640x360", frame_budget_ms=budget_ms)
-        with Viewer(source, options, state=ViewState(layout="grid", has_seen_hint=True)) as viewer:
+        options = replace(SMALL, size="640x360", max_fps=max_fps)
+        with Viewer(source, options, state=ViewState(layout="grid", detail=detail)) as viewer:
             for frame in range(12):
                 source.latent = np.full((8, 8, 4), 0.1 * frame, np.float32)
                 step_until_decoded(viewer, now=1.0 + 0.1 * frame)

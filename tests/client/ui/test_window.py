@@ -40,4 +40,4 @@ def test_a_window_is_never_too_small_for_its_bar() -> None:
     finally:
         server.terminate()
         server.wait(10)
-    assert done.stdout.split() == ["320", "240"], done.stderr
+    assert done.stdout.split() == ["480", "360"], done.stderr

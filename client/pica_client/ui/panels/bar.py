@@ -1,4 +1,4 @@
-"""The bar that steers a call by mouse, the question whether to leave, and the first hint."""
+"""The bar that steers a call by mouse, and the question whether to leave."""
 
 from itertools import groupby
 
@@ -12,7 +12,6 @@ from pica_client.ui.surface.widgets import action_button, card, icon_button, not
 
 BAR_PT = BUTTON_PT + 2 * GAP_PT
 SMALLEST_BUTTON_PT = 22.0
-HINT_PT = 140.0
 
 
 def control_bar(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
@@ -62,44 +61,9 @@ def leave_question(state: ViewState, call: CallView, metrics: Metrics) -> list[R
     return requests
 
 
-def first_hint(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
-    """What a user needs to know in the first call, until it is dismissed."""
-    if not shows_hint(state):
-        return []
-    edge, (columns, rows) = metrics.px(EDGE_PT), metrics.size
-    if metrics.is_compact:  # in the line of the signs, where there is no face
-        small = metrics.px(3)
-        imgui.push_style_var(imgui.StyleVar_.window_padding, (edge, small))
-        with card("hint", (columns / 2, small), metrics, pivot=(0.5, 0.0)):
-            imgui.align_text_to_frame_padding()
-            note("Click a person to see them large", metrics, wrap=columns)
-            imgui.same_line()
-            state.has_seen_hint = imgui.small_button("Got it")
-        imgui.pop_style_var()
-        return []
-    width = min(metrics.px(420), columns - 2 * edge)
-    imgui.set_next_window_size_constraints((width, 0), (width, rows - 2 * edge))
-    place = (columns / 2, rows - 2 * edge - metrics.px(BAR_PT))
-    with card("hint", place, metrics, pivot=(0.5, 1.0)):
-        note("Move the pointer to see the bar. H shows all keys.", metrics)
-        note("Drag to look around, click a person to see them large.", metrics)
-        if state.own_face == "none":
-            note("You show no face. Leave, and join with a face source, to be seen.", metrics)
-        state.has_seen_hint = action_button("Got it", metrics)
-    return []
-
-
-def shows_hint(state: ViewState) -> bool:
-    """Return True while the hint is to be seen."""
-    return not state.has_seen_hint and not state.asks_to_leave and state.side == "none"
-
-
-def lower_share(state: ViewState, call: CallView, metrics: Metrics) -> float:
-    """Return the part of the picture's height that bar and hint take from the people."""
-    height = metrics.size[1]
-    bar = min(metrics.px(BAR_PT + EDGE_PT) / height, 0.25) if call.has_pointer else 0.0
-    has_hint = shows_hint(state) and not metrics.is_compact
-    return bar + (metrics.px(HINT_PT) / height if has_hint else 0.0)
+def lower_share(call: CallView, metrics: Metrics) -> float:
+    """Return the part of the picture's height that the bar takes from the people."""
+    return metrics.px(BAR_PT + EDGE_PT) / metrics.size[1] if call.has_pointer else 0.0
 
 
 def _groups(state: ViewState) -> list[list[tuple[Action, Row]]]:

@@ -16,7 +16,7 @@ from pica_client.render.scene import Rect
 from pica_client.render.seats import MAX_FREE, FreeShares
 from pica_client.ui.actions import TALK_KEY, Request
 from pica_client.ui.call_view import CallView, PersonView
-from pica_client.ui.panels.bar import lower_share, shows_hint
+from pica_client.ui.panels.bar import lower_share
 from pica_client.ui.panels.side import side_share
 from pica_client.ui.state import OwnFace, ViewState
 from pica_client.ui.surface.style import EDGE_PT, SMALL_PT, TEXT_PT, Metrics, Tone
@@ -68,11 +68,11 @@ NO_FACE: Line = ("Your tracker sees no face", "warning")
 
 def free_shares(state: ViewState, call: CallView, metrics: Metrics) -> FreeShares:
     """Return the parts of the picture that panels and signs take from the people."""
-    top = max(_signs_share(state, call, metrics), _statistics_share(state, call, metrics))
+    top = max(_signs_share(call, metrics), _statistics_share(state, call, metrics))
     return FreeShares(
         top=min(top, MAX_FREE),
         right=min(side_share(state, metrics), MAX_FREE),
-        bottom=min(lower_share(state, call, metrics), MAX_FREE),
+        bottom=min(lower_share(call, metrics), MAX_FREE),
     )
 
 
@@ -179,44 +179,28 @@ def own_signs(state: ViewState, call: CallView) -> list[Line]:
     return found
 
 
-def compact_sign(state: ViewState, call: CallView) -> Line | None:
-    """Return the line that a small picture has room for: trouble, news, recordings, the room."""
-    if shows_hint(state) or state.side != "none":
-        return None
-    own = [RECORDING] if state.is_recording else []
-    room = call_signs(call)
-    return banner(call) or next(reversed([*room[:1], *own, *room[1:], *call.notices]), None)
-
-
 def signs(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
     """Write on the picture how the call stands, above, and how the user is sent, below."""
     (columns, rows), edge = metrics.size, metrics.px(EDGE_PT)
-    if metrics.is_compact:
-        line = compact_sign(state, call)
-        if line is not None:
-            _sign(line, (columns / 2, metrics.px(4)), (0.5, 0.0), metrics)
-        if call.shows_bar:
-            return []  # the bar stands there, and its buttons say the same
-    else:
-        found = banner(call)
-        middle = [*([found] if found else []), *call.notices]
-        # The table would cover what is beside it.
-        below = max(edge, _statistics_share(state, call, metrics) * rows)
-        left = call_signs(call)
-        if any(
-            _width(one, metrics) + _width(two, metrics) / 2 > columns / 2 - edge
-            for one in left
-            for two in middle
-        ):
-            below = max(below, edge + len(left) * metrics.px(SIGN_PT))
-        for across, top, pivot, lines in (
-            (edge, edge, 0.0, left),
-            (columns / 2, below, 0.5, middle),
-        ):
-            for line in lines:
-                top += _sign(line, (across, top), (pivot, 0.0), metrics) + metrics.px(6)
-        if state.is_recording:
-            _sign(RECORDING, (columns - edge, rows - edge), (1.0, 1.0), metrics)
+    found = banner(call)
+    middle = [*([found] if found else []), *call.notices]
+    # The table would cover what is beside it.
+    below = max(edge, _statistics_share(state, call, metrics) * rows)
+    left = call_signs(call)
+    if any(
+        _width(one, metrics) + _width(two, metrics) / 2 > columns / 2 - edge
+        for one in left
+        for two in middle
+    ):
+        below = max(below, edge + len(left) * metrics.px(SIGN_PT))
+    for across, top, pivot, lines in (
+        (edge, edge, 0.0, left),
+        (columns / 2, below, 0.5, middle),
+    ):
+        for line in lines:
+            top += _sign(line, (across, top), (pivot, 0.0), metrics) + metrics.px(6)
+    if state.is_recording:
+        _sign(RECORDING, (columns - edge, rows - edge), (1.0, 1.0), metrics)
     for number, line in enumerate(own_signs(state, call)):
         _sign(line, (edge, rows - edge - number * metrics.px(SIGN_PT)), (0.0, 1.0), metrics)
     return []
@@ -247,17 +231,14 @@ def _width(line: Line, metrics: Metrics) -> float:
     return text_size(_text(line, metrics), TEXT_PT)[0] + metrics.px(44)
 
 
-def _signs_share(state: ViewState, call: CallView, metrics: Metrics) -> float:
+def _signs_share(call: CallView, metrics: Metrics) -> float:
     """Return the part of the picture's height that the signs at the upper left take."""
-    num_lines = len(call_signs(call))
-    if metrics.is_compact:
-        num_lines = min(num_lines + state.is_recording, 1)
-    return metrics.px(SIGN_PT * num_lines) / metrics.size[1]
+    return metrics.px(SIGN_PT * len(call_signs(call))) / metrics.size[1]
 
 
 def own_face_height(state: ViewState, metrics: Metrics) -> int:
     """Return how high the picture of the user's own face is, units; 0 without room for it."""
-    if metrics.is_compact or not state.shows_self:
+    if not state.shows_self:
         return 0
     is_small = state.side != "none" and state.pinned is not None
     return round(metrics.px(SMALL_OWN_PT if is_small else OWN_PT))
@@ -331,7 +312,7 @@ def statistics(state: ViewState, call: CallView, metrics: Metrics) -> list[Reque
     limit = (metrics.size[0] - 2 * edge, MAX_TABLE_SHARE * metrics.size[1])
     imgui.set_next_window_size_constraints((0, 0), limit)
     imgui.push_style_var(imgui.StyleVar_.window_padding, (edge, metrics.px(8)))
-    top = edge + _signs_share(state, call, metrics) * metrics.size[1]
+    top = edge + _signs_share(call, metrics) * metrics.size[1]
     with card("statistics", (edge, top), metrics, scrolls=True), type_size(SMALL_PT):
         flags = imgui.TableFlags_.sizing_fixed_fit | imgui.TableFlags_.row_bg
         if imgui.begin_table("figures", len(COLUMNS), flags):
@@ -387,4 +368,4 @@ def _statistics_share(state: ViewState, call: CallView, metrics: Metrics) -> flo
     rows = min(len(call.people), MAX_ROWS) + 3
     table = rows * metrics.px(1.35 * SMALL_PT + 6) + edge
     table = min(table, MAX_TABLE_SHARE * metrics.size[1])
-    return (table + edge) / metrics.size[1] + _signs_share(state, call, metrics)
+    return (table + edge) / metrics.size[1] + _signs_share(call, metrics)

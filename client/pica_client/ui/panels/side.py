@@ -30,8 +30,7 @@ Sign = tuple[str, Tone, str]
 def side_panel(name: str, metrics: Metrics, requests: list[Request]) -> Iterator[None]:
     """The frame: a title, a button that closes it, and room that scrolls."""
     edge, (columns, rows) = metrics.px(EDGE_PT), metrics.size
-    width = columns - 2 * edge if metrics.is_compact else metrics.px(WIDTH_PT)
-    height = rows - edge * 3 - metrics.px(BAR_PT)
+    width, height = metrics.px(WIDTH_PT), rows - edge * 3 - metrics.px(BAR_PT)
     with widgets.card(name, (columns - edge - width, edge), metrics, size=(width, 0)):
         widgets.title(name)
         imgui.same_line(imgui.get_window_width() - metrics.px(CLOSE_PT + PADDING_PT))
@@ -47,7 +46,7 @@ def side_panel(name: str, metrics: Metrics, requests: list[Request]) -> Iterator
 
 def side_share(state: ViewState, metrics: Metrics) -> float:
     """Return the part of the picture's width that the panel takes from the people."""
-    if state.side == "none" or metrics.is_compact:
+    if state.side == "none":
         return 0.0
     return (metrics.px(WIDTH_PT) + 2 * metrics.px(EDGE_PT)) / metrics.size[0]
 
@@ -83,8 +82,7 @@ def settings_panel(state: ViewState, call: CallView, metrics: Metrics) -> list[R
 def waiting_page(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
     """Where the user is, who watches, and an invitation, until the first face comes."""
     status = call.status
-    is_asked = state.asks_to_leave or (metrics.is_compact and state.side != "none")
-    if call.people or not status.room or not status.is_connected or is_asked:
+    if call.people or not status.room or not status.is_connected or state.asks_to_leave:
         return []
     (columns, rows), edge = metrics.size, metrics.px(EDGE_PT)
     width = min(metrics.px(WAITING_PT), columns - 2 * edge)

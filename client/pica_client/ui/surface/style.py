@@ -20,8 +20,8 @@ BUTTON_PT = 42.0
 """Height of a button of the control bar: what a finger or a hurried mouse hits."""
 REFERENCE_PT = (1280.0, 720.0)
 MIN_SCALE, MAX_SCALE = 0.8, 1.75
-COMPACT_PT = (560.0, 400.0)
-"""Below one of these a picture has no room for panels beside the people."""
+LEAST_PT = (560.0, 400.0)
+"""What the panels are laid out for: on a smaller picture all of it is drawn smaller."""
 
 
 def _hex(value: str, alpha: float = 1.0) -> Colour:
@@ -104,19 +104,13 @@ class Metrics:
         """The colours in use."""
         return PALETTES[self.mode]
 
-    @property
-    def is_compact(self) -> bool:
-        """Whether a panel takes the whole picture, for lack of room beside the people."""
-        return (
-            self.size[0] < COMPACT_PT[0] * self.scale or self.size[1] < COMPACT_PT[1] * self.scale
-        )
-
 
 def metrics_for(size: tuple[int, int], content_scale: float = 1.0, mode: Mode = "dark") -> Metrics:
     """Metrics of a picture: the display's own scale, and a little more on large pictures."""
     points = min(size[0] / REFERENCE_PT[0], size[1] / REFERENCE_PT[1]) / content_scale
     growth = min(max(math.sqrt(max(points, 1e-6)), MIN_SCALE), MAX_SCALE)
-    return Metrics(size=size, scale=content_scale * growth, mode=mode)
+    largest = min(size[0] / LEAST_PT[0], size[1] / LEAST_PT[1])
+    return Metrics(size=size, scale=min(content_scale * growth, largest), mode=mode)
 
 
 def apply_style(style: imgui.Style, metrics: Metrics) -> None:

@@ -113,14 +113,12 @@ class Surface(Closing):
         content_scale: float = 1.0,
         mode: Mode = "dark",
         pixels_a_unit: float = 1.0,
-        pointer: tuple[float, float] | None = None,
     ) -> None:
         """Begin a frame with the input that has come.
 
         Args:
             size: Columns and rows, units.
             content_scale: Units a point of this display, and the user's own factor.
-            pointer: Where the pointer is to be taken to be, instead of where it is.
         """
         io = self.io
         if self._context is not None:
@@ -131,8 +129,6 @@ class Surface(Closing):
         io.delta_time, self._last_s = min(max(step_s, 1e-4), MAX_STEP_S), now
         io.display_size = imgui.ImVec2(*size)
         io.display_framebuffer_scale = imgui.ImVec2(pixels_a_unit, pixels_a_unit)
-        if pointer is not None:
-            io.add_mouse_pos_event(*pointer)
         metrics = metrics_for(size, content_scale, mode)
         if metrics != self.metrics:
             self.metrics = metrics
@@ -161,32 +157,18 @@ class Surface(Closing):
         return int(texture.glo)
 
     def paint(
-        self,
-        target: moderngl.Framebuffer,
-        *,
-        left: int = 0,
-        background: bool = True,
-        windows: bool = True,
+        self, target: moderngl.Framebuffer, *, background: bool = True, windows: bool = True
     ) -> None:
-        """Blend the last frame over a framebuffer.
-
-        Args:
-            left: Where it begins, units from the left edge.
-            windows: Draw what stands before the background.
-        """
+        """Blend the last frame over a framebuffer: what is part of the picture, and the panels."""
         imgui.set_current_context(self._imgui)
         data = imgui.get_draw_data()
         before = list(data.cmd_lists)
-        size, origin = data.display_size, data.display_pos
         data.cmd_lists.clear()
         for each in before:
             if background if each._owner_name == BACKGROUND else windows:
                 data.cmd_lists.push_back(each)
-        data.display_pos = imgui.ImVec2(-left, 0)
-        data.display_size = imgui.ImVec2(left + size.x, size.y)
         target.use()
         imgui.backends.opengl3_render_draw_data(data)
-        data.display_pos, data.display_size = origin, size
         data.cmd_lists.clear()
         for each in before:
             data.cmd_lists.push_back(each)

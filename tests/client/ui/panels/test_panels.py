@@ -29,12 +29,11 @@ from pica_client.ui.call_view import (
     OwnFaceView,
     PersonView,
 )
-from pica_client.ui.panels.bar import control_bar, first_hint, leave_question
+from pica_client.ui.panels.bar import control_bar, leave_question
 from pica_client.ui.panels.overlay import (
     NO_FACE,
     banner,
     call_signs,
-    compact_sign,
     free_shares,
     own_face,
     own_face_height,
@@ -50,7 +49,7 @@ from pica_client.ui.surface.widgets import as_drawn, shortened, text_size
 
 pytestmark = pytest.mark.unit
 
-STATE = ViewState(own_face="sent", has_seen_hint=True)
+STATE = ViewState(own_face="sent")
 ME = Participant(peer_id="", name="Me", is_self=True)
 ADA = Participant(peer_id="p1", place=1, name="Ada")
 BEN = Participant(peer_id="p2", name="Ben", is_watching=True, is_recording=True)
@@ -107,16 +106,6 @@ def test_leaving_is_asked_and_both_answers_are_buttons(hand: Hand) -> None:
     assert hand.frame(lambda metrics: leave_question(STATE, CALL, metrics)) == []
 
 
-@pytest.mark.parametrize(("size", "scale"), SIZES)
-def test_the_first_hint_is_dismissed_by_a_button(size: tuple[int, int], scale: float) -> None:
-    with open_hand(size, scale) as hand:
-        state = ViewState()
-        hand.click("Got it", lambda metrics: first_hint(state, ALONE, metrics))
-        assert state.has_seen_hint
-        hand.frame(lambda metrics: first_hint(state, ALONE, metrics))
-        assert not hand.places
-
-
 def test_the_pointer_on_a_panel_is_the_surfaces_and_beside_it_the_scenes(hand: Hand) -> None:
     def frame(*events: object) -> bool:
         hand.frame(lambda metrics: control_bar(STATE, CALL, metrics), *events)  # type: ignore[arg-type]
@@ -164,20 +153,8 @@ def test_room_and_recordings_stand_on_the_picture() -> None:
     ]
 
 
-def test_a_small_picture_has_one_line_for_what_matters_most() -> None:
-    recording = replace(STATE, is_recording=True)
-    told = replace(CALL, notices=(Notice("Saved", "accent"), Notice("Ada left", "plain")))
-    lost = replace(told, status=replace(STATUS, is_connected=False, away_s=3.0))
-    assert compact_sign(replace(STATE, side="help"), CALL) is None  # a panel stands there
-    assert compact_sign(ViewState(), CALL) is None  # the hint stands there
-    assert compact_sign(STATE, CALL) == ("Ben records", "alert")
-    assert compact_sign(STATE, told) == ("Ada left", "plain")
-    assert compact_sign(recording, ALONE) == ("Recording", "alert")
-    assert compact_sign(STATE, lost) == ("Connection lost – coming back … 3 s", "alert")
-
-
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_on_a_small_picture_no_head_reaches_into_that_line(layout: Layout) -> None:
+def test_on_a_small_picture_no_head_reaches_into_the_signs(layout: Layout) -> None:
     free = free_shares(STATE, CALL, metrics_for((320, 240)))
     for count in (1, 2, 5, 7):
         for pinned in (None, 0):
@@ -237,7 +214,6 @@ def test_notices_stand_for_a_while_and_loud_ones_longer() -> None:
 @pytest.mark.parametrize("mode", ["sent", "frozen", "muted"])
 def test_the_own_face_is_shown_where_there_is_room(hand: Hand, mode: str) -> None:
     state = replace(STATE, own_face=mode)  # type: ignore[arg-type]
-    assert own_face_height(state, metrics_for((320, 240))) == 0
     assert own_face_height(state, metrics_for((1280, 720))) > 80
     call = replace(
         CALL, own=OwnFaceView(texture=1, seen=TrackerPreview(True, (("Jaw", 2.0),), None))

@@ -57,24 +57,22 @@ def test_background_windows_and_pictures_are_painted_where_they_are_wanted() -> 
                 imgui.image(imgui.ImTextureRef(picture), (40, 40))
                 imgui.end()
         seen = []
-        for paints in ({}, {"left": 100}, {"windows": False}, {"background": False}):
+        for paints in ({}, {"windows": False}, {"background": False}):
             target.clear()
             surface.paint(target, **paints)
             pixels = np.frombuffer(target.read(components=3), np.uint8).reshape(50, 200, 3)[25]
-            seen.append([tuple(pixels[x].tolist()) for x in (10, 80, 110, 180)])
+            seen.append([tuple(pixels[x].tolist()) for x in (10, 80)])
         assert context.error == "GL_NO_ERROR"
     context.release()
     black, green, red = (0, 0, 0), (0, 255, 0), (255, 0, 0)
-    assert seen[0] == [green, red, black, black]
-    assert seen[1] == [black, black, green, red]
-    assert seen[2] == [green, black, black, black]
-    assert seen[3] == [black, red, black, black]
+    assert seen == [[green, red], [green, black], [black, red]]
 
 
 @pytest.mark.parametrize(
     ("size", "content_scale", "low", "high"),
     [
-        ((320, 240), 1, 0.8, 0.8),
+        ((480, 360), 1, 0.8, 0.8),
+        ((320, 240), 1, 0.5, 0.6),
         ((1280, 720), 1, 1, 1),
         ((3840, 2160), 1, 1.7, 1.75),
         ((2560, 1440), 2, 2, 2),
