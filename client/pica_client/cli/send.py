@@ -172,15 +172,20 @@ class SendKeys:
     async def read(self, terminal: int) -> AsyncIterator[None]:
         """Take the keys of a terminal while the block runs, and leave it as it was.
 
-        A terminal that cannot be read key by key (a pipe, a service, Windows), or that belongs to
-        another job of the shell, gives none.
+        A terminal that cannot be read key by key (a pipe, a service, Windows) gives none, nor does
+        one while it belongs to another job of the shell: the system would stop this process.
         """
         loop = asyncio.get_running_loop()
-        if termios is None or not os.isatty(terminal) or _is_in_background(terminal):
+        if termios is None or not os.isatty(terminal):
             yield
             return
+        before = termios.tcgetattr(terminal)
+        is_reading = False
 
         def read() -> None:
+            if _is_in_background(terminal):
+                follow()
+                return
             pressed = b""
             with suppress(OSError):
                 pressed = os.read(terminal, 64)
@@ -189,28 +194,40 @@ class SendKeys:
             for key in pressed.decode("ascii", "ignore"):
                 self.press(key, loop.time())
 
+        def follow() -> None:
+            """Read while this job is in the foreground; the shell has set the terminal itself."""
+            nonlocal is_reading
+            if is_reading == (not _is_in_background(terminal)):
+                return
+            is_reading = not is_reading
+            if is_reading:
+                tty.setcbreak(terminal)
+                loop.add_reader(terminal, read)
+                say(HELP)
+            else:
+                loop.remove_reader(terminal)
+
         async def tell() -> None:
             while True:
+                follow()
                 for notice in self._controls.take_notices(loop.time()):
                     say(notice)
                 await asyncio.sleep(NOTICE_PERIOD_S)
 
-        before = termios.tcgetattr(terminal)
-        tty.setcbreak(terminal)
-        loop.add_reader(terminal, read)
+        follow()
         telling = asyncio.create_task(tell(), name="keys")
-        say(HELP)
         try:
             yield
         finally:
             telling.cancel()
             loop.remove_reader(terminal)
-            with suppress(termios.error):
-                termios.tcsetattr(terminal, termios.TCSADRAIN, before)
+            if not _is_in_background(terminal):
+                with suppress(termios.error):
+                    termios.tcsetattr(terminal, termios.TCSADRAIN, before)
 
 
 def _is_in_background(terminal: int) -> bool:
-    """Return True if the system would stop us for changing the terminal: a job behind an &."""
+    """Return True if the system would stop us for using the terminal: another job has it."""
     with suppress(OSError):  # it does not steer our process group
         return os.tcgetpgrp(terminal) != os.getpgrp()
     return False

@@ -34,6 +34,8 @@ CLOSE_TIMEOUT_S: Final = 1.0
 """Longest wait for the closing handshake; a relay that is gone does not answer."""
 OPEN_TIMEOUT_S: Final = 3.0
 """Longest wait for the opening handshake (chosen: the kernel repeats a lost SYN after 1 s)."""
+HAPPY_EYEBALLS_S: Final = 0.25
+"""When the next address of a name is tried beside one that has not answered (RFC 8305)."""
 MAX_UNSENT_BYTES: Final = 2048
 """In the kernel, before frames begin to wait where newer ones replace them (chosen: thinning does
 not work behind a deep buffer)."""
@@ -147,6 +149,7 @@ class RelayConnect(connect):
             open_timeout=OPEN_TIMEOUT_S,
             proxy=None if is_loopback(urlsplit(url).hostname or "") else True,
             user_agent_header=SOFTWARE,
+            happy_eyeballs_delay=HAPPY_EYEBALLS_S,
             **options,
         )
 

@@ -84,6 +84,33 @@ def test_keys_of_a_terminal_work_at_once_and_it_is_left_as_it_was(
     assert termios.tcgetattr(program) == before
 
 
+def test_keys_typed_for_another_job_are_not_read(
+    controls: FaceControls, terminal: tuple[int, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    user, program = terminal
+    is_behind = True
+    monkeypatch.setattr("pica_client.cli.send._is_in_background", lambda terminal: is_behind)
+
+    async def press() -> None:
+        nonlocal is_behind
+        left = asyncio.Event()
+        async with SendKeys(controls, None, left.set).read(program):
+            os.write(user, b"m\n")
+            await asyncio.sleep(0.3)
+            assert os.read(program, 8) == b"m\n"  # as the shell does
+            is_behind = False  # fg
+            await asyncio.sleep(0.3)
+            os.write(user, b"f")
+            await asyncio.sleep(0.3)
+            assert controls.publisher.mode == "frozen"
+            is_behind = True  # Ctrl-Z and bg
+            os.write(user, b"q")
+            await asyncio.sleep(0.3)
+            assert not left.is_set()
+
+    asyncio.run(press())
+
+
 def test_a_pipe_has_no_keys(controls: FaceControls, capsys: pytest.CaptureFixture[str]) -> None:
     reader, writer = os.pipe()
 
