@@ -4,6 +4,7 @@ The checks raise ``ValueError`` with field, value and limit. A message checks it
 made, so one written here is as well-formed as one that was read from a stranger.
 """
 
+import codecs
 import re
 import unicodedata
 from collections.abc import Sized
@@ -106,6 +107,17 @@ def check_name(field: str, value: str) -> None:
     check_text(field, value, MAX_NAME_BYTES, required=True)
     if all(map(draws_nothing, value)):
         raise ValueError(f"{field} must be a name that can be seen, got {quoted(value)}")
+
+
+def text_of_file(content: bytes) -> str:
+    """Return the text of a file in UTF-8, or in UTF-16 where a byte order mark says so, as Windows
+    PowerShell writes what a command prints.
+
+    Raises:
+        UnicodeDecodeError: It is no text.
+    """
+    is_utf_16 = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    return content.decode("utf-16" if is_utf_16 else "utf-8-sig")
 
 
 def check_pass(field: str, value: str) -> None:

@@ -7,6 +7,7 @@ import asyncio
 import logging
 import math
 import secrets
+import socket
 import time
 from collections.abc import Awaitable, Callable, Sequence
 from http import HTTPStatus
@@ -146,29 +147,27 @@ class Relay:
         config = self.config
         self._pump.start()
         asyncio.get_running_loop().set_exception_handler(self._on_error)
-        server = serve(
-            self._serve,
-            config.host,
-            config.port,
-            create_connection=self._guarded_connection,  # type: ignore[arg-type]
-            process_request=self._answer,
-            # Without an allow-list any web page could join from the browser of a person nearby.
-            origins=[None, *map(Origin, config.origins)],
-            subprotocols=[Subprotocol(SUBPROTOCOL), Subprotocol(STORE_SUBPROTOCOL)],
-            select_subprotocol=_select_subprotocol,
-            compression=None,
-            max_size=MAX_CLIENT_MESSAGE_BYTES,
-            max_queue=_MAX_QUEUED_MESSAGES,
-            write_limit=_WRITE_LIMIT_BYTES,
-            open_timeout=None,  # a RelaySocket has one of its own
-            ping_interval=config.ping_interval_s,
-            ping_timeout=config.ping_interval_s,
-            close_timeout=config.close_timeout_s,
-            server_header=None,
-            logger=_websockets_logger,
-        )
         try:
-            self._server = await server
+            self._server = await serve(
+                self._serve,
+                **_address(config),
+                create_connection=self._guarded_connection,  # type: ignore[arg-type]
+                process_request=self._answer,
+                # Without an allow-list any web page could join from the browser of a person nearby.
+                origins=[None, *map(Origin, config.origins)],
+                subprotocols=[Subprotocol(SUBPROTOCOL), Subprotocol(STORE_SUBPROTOCOL)],
+                select_subprotocol=_select_subprotocol,
+                compression=None,
+                max_size=MAX_CLIENT_MESSAGE_BYTES,
+                max_queue=_MAX_QUEUED_MESSAGES,
+                write_limit=_WRITE_LIMIT_BYTES,
+                open_timeout=None,  # a RelaySocket has one of its own
+                ping_interval=config.ping_interval_s,
+                ping_timeout=config.ping_interval_s,
+                close_timeout=config.close_timeout_s,
+                server_header=None,
+                logger=_websockets_logger,
+            )
         except OSError as error:
             raise ListenError(
                 f"cannot listen on {config.host}:{config.port}: {error.strerror or error}; "
@@ -292,6 +291,20 @@ class Relay:
 
     def _now(self) -> float:
         return asyncio.get_running_loop().time()
+
+
+def _address(config: RelayConfig) -> dict[str, Any]:
+    """Return where to listen; ``::`` stands for both families, as elsewhere on Linux.
+
+    Raises:
+        OSError: The address is taken, or is not ours.
+    """
+    if config.host != "::" or not socket.has_dualstack_ipv6():
+        return {"host": config.host, "port": config.port}
+    listening = socket.create_server(
+        (config.host, config.port), family=socket.AF_INET6, dualstack_ipv6=True
+    )
+    return {"sock": listening}
 
 
 def _select_subprotocol(

@@ -131,7 +131,7 @@ def test_two_seconds_of_wrong_keys_end_no_call(tmp_path: Path) -> None:
         keys.write_text(KeyRing.new_line())
     admission = Admission(identity="ada")
     token = mint(load_keys(right), "r", admission, now=1e9, lasts_s=900, starts_s=0)
-    token_file.write_text(token)
+    token_file.write_text(token, encoding="utf-16")  # as PowerShell writes it
 
     @in_virtual_time
     async def scenario() -> None:

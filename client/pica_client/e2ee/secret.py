@@ -16,12 +16,13 @@ from pathlib import Path
 from typing import Final
 
 from pica_client.e2ee.errors import SecretFileError
+from pica_protocol.limits import text_of_file
 
 SECRET_BYTES: Final = 32
 RandomBytes = Callable[[int], bytes]
 """Returns so many unpredictable bytes; `os.urandom` outside tests."""
 
-_LINE: Final = re.compile(rb"pica-secret-1:([A-Za-z0-9_-]{43}=)\s*")
+_LINE: Final = re.compile(r"pica-secret-1:([A-Za-z0-9_-]{43}=)\s*")
 
 
 class RoomSecret:
@@ -64,7 +65,9 @@ def load_secret(path: Path) -> RoomSecret:
     """
     try:
         with path.open("rb") as file:
-            found = _LINE.fullmatch(file.read(256))
+            found = _LINE.fullmatch(text_of_file(file.read(256)))
+    except UnicodeDecodeError:
+        found = None
     except OSError as error:
         raise SecretFileError(f"{path}: cannot be read: {error.strerror or error}") from error
     if found is None:

@@ -10,7 +10,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 from pica_client.errors import OptionError
-from pica_protocol.limits import check_pass, check_text, check_token
+from pica_protocol.limits import check_pass, check_text, check_token, text_of_file
 
 _JOINERS = "\u200c\u200d"
 
@@ -92,7 +92,7 @@ def read_token(path: Path | None) -> str:
     if path is None:
         return ""
     try:
-        token = path.read_text().strip()
+        token = text_of_file(path.read_bytes()).strip()
         check_pass("token", token)
     except OSError as error:
         raise OptionError(f"token-file {path}: {error.strerror}") from error

@@ -21,7 +21,7 @@ from typing import Any, Final
 import jwt
 
 from pica_protocol.errors import CloseCode
-from pica_protocol.limits import MAX_PASS_BYTES, check_name, check_token, quoted
+from pica_protocol.limits import MAX_PASS_BYTES, check_name, check_token, quoted, text_of_file
 from pica_protocol.messages import Join
 from pica_protocol.store import is_avatar_id
 from pica_server.errors import AdmissionError, KeyFileError
@@ -129,7 +129,7 @@ def load_keys(path: Path, *, max_token_s: float = math.inf) -> KeyRing:
     try:
         if os.name == "posix" and path.stat().st_mode & stat.S_IWOTH:
             raise KeyFileError("anybody can write keys into it: make new ones, for its owner")
-        keys = KeyRing.parse(path.read_text())
+        keys = KeyRing.parse(text_of_file(path.read_bytes()))
     except (OSError, UnicodeDecodeError) as error:
         what = error.strerror if isinstance(error, OSError) else "no text"
         raise KeyFileError(f"--keys {path}: {what}") from error

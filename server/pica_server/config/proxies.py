@@ -56,10 +56,8 @@ def names_this_machine(host: str) -> bool:
 
 def is_loopback(host: str) -> bool:
     """Return True if only this machine reaches an address."""
-    try:
-        return host == "localhost" or ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
+    address = _address(host)
+    return host == "localhost" or (address is not None and address.is_loopback)
 
 
 def _address(text: str) -> _Address | None:

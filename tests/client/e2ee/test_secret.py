@@ -17,6 +17,10 @@ pytestmark = pytest.mark.unit
 def test_a_secret_comes_back_from_its_file(tmp_path: Path) -> None:
     save_secret(tmp_path / "secret", RoomSecret(bytes(range(32))))
     assert load_secret(tmp_path / "secret").value == bytes(range(32))
+    line = (tmp_path / "secret").read_text()
+    for encoding in ("utf-16", "utf-8-sig"):  # as PowerShell and Notepad write it
+        (tmp_path / encoding).write_text(line, encoding=encoding)
+        assert load_secret(tmp_path / encoding).value == bytes(range(32))
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="other rights")

@@ -1,16 +1,21 @@
-"""What is left in memory of sockets that came and went, over real ones."""
+"""Real sockets: those that a relay listens on, and what is left in memory of lost ones."""
 
 import asyncio
 import gc
+import socket
 
 import pytest
+from websockets.asyncio.client import connect
+from websockets.typing import Subprotocol
 
+from pica_protocol import SUBPROTOCOL
 from pica_server.config.relay import RelayConfig
 from pica_server.net.socket import RelaySocket
 from pica_server.relay import Relay
 
 pytestmark = pytest.mark.realtime
 
+PICA = [Subprotocol(SUBPROTOCOL)]
 UPGRADE = (
     b"GET / HTTP/1.1\r\nHost: relay\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
     b"Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\nSec-WebSocket-Version: 13\r\n"
@@ -63,3 +68,15 @@ def test_a_lost_connection_leaves_nothing_to_the_garbage_collector(said: bytes) 
                 gc.enable()
 
     asyncio.run(come_and_go())
+
+
+@pytest.mark.skipif(not socket.has_dualstack_ipv6(), reason="no IPv6")
+def test_two_colons_listen_for_both_families() -> None:
+    async def scenario() -> None:
+        async with Relay(RelayConfig(host="::", port=0, insecure=True)) as relay:
+            port = relay.url.rpartition(":")[2]
+            for host in ("127.0.0.1", "[::1]"):
+                async with connect(f"ws://{host}:{port}", subprotocols=PICA) as websocket:
+                    assert websocket.subprotocol == SUBPROTOCOL
+
+    asyncio.run(scenario())

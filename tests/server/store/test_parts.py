@@ -9,6 +9,7 @@ from pica_server.store.store import Slots
 
 pytestmark = pytest.mark.unit
 
+
 def test_no_file_is_taken_that_receivers_would_not() -> None:
     assert StoreConfig(largest_bytes=avatar_file.MAX_FILE_BYTES)
     with pytest.raises(ConfigurationError, match=r"--store\.largest-bytes"):
