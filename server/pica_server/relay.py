@@ -191,7 +191,7 @@ class Relay:
         for websocket in list(self._silent):
             websocket.give_up()
         self.hub.membership.close_all(CloseCode.GOING_AWAY, "the relay is stopping", self._now())
-        self._pump.after_events()
+        self._pump.send_all()
         for websocket in self._transfers:
             websocket.transport.abort()
         await self._server.wait_closed()
@@ -261,6 +261,8 @@ class Relay:
             now = loop.time()
             self._watch.note(due_s, now)
             self.hub.note_turn(now - due_s, time.thread_time(), now)
+            self.hub.handle_timer(now)
+            self._pump.send_all()
             self._watch_later()
 
         self._watching = loop.call_at(due_s, look)

@@ -76,7 +76,7 @@ class RelayStats:
     """Private messages that were not: the sender's ``rate`` was too high, or the receiver is not
     in the room (``absent``). A whisper that a slow receiver does not get counts as a frame."""
     limits_hit: Counter[str] = field(default_factory=Counter)
-    """How often a limit was reached: ``messages``, ``bytes`` or ``metadata`` updates of a client,
+    """How often a limit was reached: ``bytes`` or ``metadata`` updates of a client,
     ``joins``, ``connections`` in all, ``address``, ``room``, ``control`` left unread; ``late``,
     joins while the relay has too much to do; ``descriptors``, sockets for which there was none;
     ``admission``, a join that its token did not allow; ``sockets`` that were cut at once, a

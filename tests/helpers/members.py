@@ -59,8 +59,7 @@ class Member:
         return None if self.connection.closed is None else self.connection.closed.code
 
     def speak(self, now: float) -> None:
-        for data in self.session.messages_to_send(now):
-            self.hub.receive(self.connection, data, now)
+        self.hub.receive(self.connection, self.session.messages_to_send(now), now)
 
     def send_frame(
         self,

@@ -92,8 +92,9 @@ class Friend:
         while message := self._under_way or self.hub.take(self.connection, now):
             size = len(message.data) + MESSAGE_BYTES
             if size > self._line_bytes:
+                if self._under_way is None:
+                    self.hub.is_sending(self.connection, now)
                 self._under_way = message
-                self.hub.is_sending(self.connection, self.connection.sending_since or now)
                 return
             self._line_bytes -= size
             self._under_way = None
@@ -126,7 +127,7 @@ class Friend:
 
     def _speak(self, now: float) -> None:
         for data in self.session.messages_to_send(now):
-            self.hub.receive(self.connection, data, now)
+            self.hub.receive(self.connection, [data], now)
 
 
 class Foe:
@@ -164,7 +165,7 @@ class Foe:
 
     def say(self, data: bytes, now: float) -> None:
         """Send a message on the newest connection, as it is."""
-        self.hub.receive(self.connections[-1], data, now)
+        self.hub.receive(self.connections[-1], [data], now)
 
     def tell(self, message: object, now: float) -> None:
         """Send a control message."""
@@ -342,8 +343,7 @@ def run(seed: int) -> Counter[str]:
                     friend.publish(step, now)
             for friend in friends:
                 friend.read(now)
-            if (due := hub.next_timer()) is not None and due <= now:
-                hub.handle_timer(now)
+            hub.handle_timer(now)
             hub.take_ready()
         _check(hub, friends)
     except BrokenPromiseError as error:

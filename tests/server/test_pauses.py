@@ -46,7 +46,7 @@ async def test_a_proxy_that_stalls_expels_nobody_whatever_their_rate() -> None:
 
 @pytest.fixture
 def relay() -> Iterator[RelayProcess]:
-    process = start_relay("--port", "0", "--limits.messages-per-s", "40")
+    process = start_relay("--port", "0", "--limits.bytes-per-s", "24000")
     assert process.stderr is not None
     node = RelayProcess(process, process.stderr.readline().split()[-1])
     yield node

@@ -39,10 +39,9 @@ def check_ranges(config: Any, table: str = "") -> None:
 class LimitsConfig:
     """How much one client, one address and everybody together may ask of a relay."""
 
-    messages_per_s: Annotated[float, Range(1, 1e9)] = 300.0
-    """Frames and control messages a second of one client, on average; 4008 above it."""
-    bytes_per_s: Annotated[float, Range(1024, 1e12)] = 131_072.0
-    """Bytes a second of one client, on average; 4008 above it."""
+    bytes_per_s: Annotated[float, Range(1024, 1e12)] = 196_608.0
+    """Bytes a second of one client, on average, and 512 for each frame and control message; 4008
+    above it."""
     burst_s: Annotated[float, Range(0.1, 600)] = 15.0
     """So many seconds' worth may come at once, as after a pause of the relay or of a proxy, from a
     client that has been there for so long; one second's worth from who has just come."""

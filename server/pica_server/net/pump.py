@@ -4,8 +4,7 @@ What a websocket receives goes to the hub at once. When all sockets that were re
 the event loop have been read, who has got something is sent it, so frames that came in one turn
 leave in one message: nothing waits for that, and a full core saves more. While the kernel
 takes what is sent, that is all. A receiver that reads slowly gets a task of its own, which sends it
-what its `Outbox` gives out, and the same task sends the goodbye. One timer serves all deadlines of
-the hub.
+what its `Outbox` gives out, and the same task sends the goodbye.
 
 The buffers behind an outbox are kept small, because what they hold can be neither replaced nor
 withdrawn: one message in the transport and a bounded socket buffer in the kernel, of which unsent
@@ -16,7 +15,7 @@ import asyncio
 import logging
 import socket
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 
@@ -64,8 +63,6 @@ class Pump:
         self._all_gone = asyncio.Event()
         self._drain_ends_s: float | None = None
         self._peers: dict[Connection, _Peer] = {}
-        self._timer: asyncio.TimerHandle | None = None
-        self._timer_s: float | None = None
         self._now: Callable[[], float] = time.monotonic
         self._soon: asyncio.Handle | None = None
 
@@ -75,16 +72,15 @@ class Pump:
 
     def stop(self) -> None:
         """Do nothing more; all websockets have ended."""
-        for handle in (self._timer, self._soon):
-            if handle is not None:
-                handle.cancel()
+        if self._soon is not None:
+            self._soon.cancel()
 
     async def drain(self, longest_s: float) -> None:
         """Send everybody away in good order, and return when they are gone, or it is late."""
         self._drain_ends_s = self._now() + longest_s
         self._all_gone.clear()
         self._hub.drain(self._now())
-        self.after_events()
+        self.send_all()
         if self._peers:
             with suppress(TimeoutError):
                 async with asyncio.timeout(longest_s):
@@ -108,7 +104,7 @@ class Pump:
             if websocket.subprotocol is None:
                 reason = f"this relay speaks {SUBPROTOCOL}"
                 hub.close(connection, CloseCode.WRONG_VERSION, reason, self._now())
-            self.after_events()
+            self.send_all()
             websocket.hand_to(partial(self._on_messages, connection))
             while True:  # what does not come the short way
                 self._on_messages(connection, [await websocket.recv()])
@@ -126,7 +122,7 @@ class Pump:
                 peer.writer.cancel()
             hub.disconnect(connection, CloseCode.INTERNAL_ERROR, "", self._now())
             del self._peers[connection]
-            self.after_events()
+            self.send_all()
             self._log_closed(connection, began_s)
             if not self._peers:
                 self._all_gone.set()
@@ -148,10 +144,7 @@ class Pump:
         """Feed the hub with what one websocket has received."""
         hub, now = self._hub, self._now()
         try:
-            if len(messages) > 1 and hub.overload.sheds:
-                messages = hub.shed(connection, messages, now)
-            for data in messages:
-                hub.receive(connection, data, now)
+            hub.receive(connection, messages, now)
         except Exception:  # a fault of ours; it must not cost anybody else anything
             _logger.exception("connection failed", extra={"connection": connection.serial})
             hub.close(connection, CloseCode.INTERNAL_ERROR, "relay fault", now)
@@ -164,26 +157,15 @@ class Pump:
 
     def _after_turn(self) -> None:
         self._soon = None
-        self.after_events()
+        self.send_all()
 
-    def after_events(self) -> None:
-        """Send to those who have got something, and set the timer to the next deadline."""
-        self._send_all(self._hub.take_ready())
-        when = self._hub.next_timer()
-        if when != self._timer_s:
-            if self._timer is not None:
-                self._timer.cancel()
-            loop = asyncio.get_running_loop()
-            self._timer = None if when is None else loop.call_at(when, self._on_timer)
-            self._timer_s = when
-
-    def _send_all(self, connections: Iterable[Connection]) -> None:
-        """Send what waits for some as far as the kernel takes it; the rest is for the writers."""
+    def send_all(self) -> None:
+        """Send what waits as far as the kernel takes it; the rest is for the writers."""
         # Once for every message that goes out: written for speed.
         peers, now = self._peers, self._now()
         written: list[bytes] = []
         received_s: list[float] = []
-        for connection in connections:
+        for connection in self._hub.take_ready():
             peer = peers.get(connection)
             if peer is None:
                 continue
@@ -278,14 +260,6 @@ class Pump:
         if peer.cut is None:
             abort = peer.websocket.transport.abort
             peer.cut = asyncio.get_running_loop().call_later(self._close_timeout_s(), abort)
-
-    def _on_timer(self) -> None:
-        # A loop may fire a timer up to its clock's resolution too early; a deadline that is not met
-        # then would be set again and again without the clock moving on.
-        due = self._timer_s or 0.0
-        self._timer = self._timer_s = None
-        self._hub.handle_timer(max(self._now(), due))
-        self.after_events()
 
     def _close_timeout_s(self) -> float:
         """How long a peer may take to read the rest and to close."""

@@ -3,16 +3,14 @@
 What a connection means to others, a place in a room above all, is not known here: the owner is
 told by ``on_over`` when one is over. That is when its ``closed`` is set; what it still has to send
 ends with a ``Bye``.
-
-Every connection stands once in the timer heap, with the next moment at which it could be late:
-first with its handshake, then with reading what it was sent.
 """
 
-import heapq
+import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import InitVar, dataclass, field
 from itertools import count
+from typing import Final
 
 from pica_protocol.codec import encode_message
 from pica_protocol.errors import CloseCode
@@ -26,21 +24,17 @@ from pica_server.room.outbox import Outbox
 from pica_server.room.room import Room
 from pica_server.stats import RelayStats
 
-WHISPERS_PER_S = 16.0
-WHISPER_BURST = 128.0
-"""What one peer may whisper: two rounds to everybody in the largest room at once, and then a round
-in four seconds (chosen: keys change when a peer comes or goes)."""
-
-UPDATES_PER_S = 1.0
-UPDATES_BURST = 10.0
-"""How often one peer may say something else of itself (chosen: people raise a hand; with 700 bytes
-for each, one peer alone does not fill the queues of slow readers)."""
-
-
-MODERATIONS_PER_S = 2.0
-MODERATIONS_BURST = 64.0
-"""What one admin may ask for: everybody in the largest room at once, and then a participant in half
-a second (chosen: each one is told to the whole room)."""
+MESSAGE_COST_BYTES: Final = 512
+"""What each frame and each control message of a client counts beside its bytes (chosen: 300 frames
+a second of the usual size use the limit up)."""
+TOLD_PER_S: Final = 80.0
+TOLD_AT_ONCE: Final = 640.0
+WHISPER_COST: Final = 5
+UPDATE_COST: Final = 64
+MODERATION_COST: Final = 10
+"""How much a client may have the relay tell others (chosen: two rounds of whispers to everybody in
+the largest room at once, and then a round in four seconds, as keys change when a peer comes or
+goes; ten updates of metadata at once, as people raise a hand; an admin may moderate everybody)."""
 
 SOFTWARE = "pica-relay"
 _KNOWN_CODES = frozenset(map(int, CloseCode))
@@ -57,14 +51,17 @@ class Connection:
     address: str
     now: InitVar[float]
     peer_id: str
-    messages_in: TokenBucket = field(init=False)
     bytes_in: TokenBucket = field(init=False)
-    updates: TokenBucket = field(init=False)
-    whispers: TokenBucket = field(init=False)
-    moderations: TokenBucket = field(init=False)
+    told: TokenBucket = field(init=False)
+    """What it has the relay tell others, see `TOLD_PER_S`."""
     has_joined: bool = False
     room: Room | None = None
-    sending_since: float | None = None
+    late_s: float = math.inf
+    """When it has not read for too long what it was sent."""
+    away_until_s: float = math.inf
+    """When its place is given up, after the connection was lost."""
+    ticket: bytes = b""
+    """Hash of the secret to come back with; empty: its place is not kept."""
     is_crowded: bool = False
     """One more than its address may have."""
     is_resumable: bool = False
@@ -74,12 +71,10 @@ class Connection:
     def __post_init__(self, limits: LimitsConfig, now: float) -> None:
         # What piled up while the relay or the way to it stood still was sent at a good rate: who
         # has been here for so long may send that much at once. Who has just come has saved nothing.
-        messages, num_bytes, burst_s = limits.messages_per_s, limits.bytes_per_s, limits.burst_s
-        self.messages_in = TokenBucket(messages, messages * burst_s, now, messages)
-        self.bytes_in = TokenBucket(num_bytes, num_bytes * burst_s, now, num_bytes)
-        self.updates = TokenBucket(UPDATES_PER_S, UPDATES_BURST, now)
-        self.whispers = TokenBucket(WHISPERS_PER_S, WHISPER_BURST, now)
-        self.moderations = TokenBucket(MODERATIONS_PER_S, MODERATIONS_BURST, now)
+        self.bytes_in = TokenBucket(
+            limits.bytes_per_s, limits.bytes_per_s * limits.burst_s, now, limits.bytes_per_s
+        )
+        self.told = TokenBucket(TOLD_PER_S, TOLD_AT_ONCE, now)
 
     @property
     def closed(self) -> Closed | None:
@@ -93,8 +88,6 @@ class Connections:
     Attributes:
         by_peer: Those that are not over, by the id of their peer; to be read only.
         ready: Those that have got something to send, or have closed.
-        timers: When which connection is to be looked at, a heap with the soonest first; to be read
-            only.
         on_over: Told of every connection that is over, once or more, to clear up after it; it
             begins with ``wind_up``.
         is_draining: All peers are being sent away, and none admitted.
@@ -105,7 +98,6 @@ class Connections:
         self.stats = stats
         self.by_peer: dict[str, Connection] = {}
         self.ready: dict[Connection, None] = {}
-        self.timers: list[tuple[float, int, Connection]] = []
         self.on_over: Callable[[Connection, float], None] = lambda connection, now: None
         self.is_draining = False
         self._serials = count(1)
@@ -129,7 +121,6 @@ class Connections:
         self.stats.connections += 1
         is_full = len(self.by_peer) >= config.max_connections
         self.by_peer[peer_id] = connection
-        self._push_timer(connection, now)
         if address:
             self._by_address[address] += 1
             connection.is_crowded = self._by_address[address] > limits.connections_per_address
@@ -179,12 +170,11 @@ class Connections:
             self.stats.limits_hit[limit] += 1
             self.close(connection, code, reason, now)
 
-    def close_too_fast(self, connection: Connection, what: str, now: float) -> None:
-        """Close who sends more ``messages`` or ``bytes`` than a client may."""
-        limits = self.config.limits
-        rate = limits.bytes_per_s if what == "bytes" else limits.messages_per_s
-        reason = f"more than {rate:g} {what} a second"
-        self.refuse(connection, what, CloseCode.TOO_FAST, reason, now)
+    def close_too_fast(self, connection: Connection, now: float) -> None:
+        """Close who sends more than a client may."""
+        limit = f"{self.config.limits.bytes_per_s:g} bytes"
+        reason = f"more than {limit} a second, with {MESSAGE_COST_BYTES} for each message"
+        self.refuse(connection, "bytes", CloseCode.TOO_FAST, reason, now)
 
     def send_elsewhere(self, connections: Sequence[Connection], now: float, url: str = "") -> None:
         """Redirect some: to a relay that has their room, or because this one is stopping."""
@@ -217,26 +207,12 @@ class Connections:
 
     def handle_timer(self, now: float) -> None:
         """Close those who are late by now."""
-        while self.timers and self.timers[0][0] <= now:
-            _, _, connection = heapq.heappop(self.timers)
-            if connection.closed is not None:
-                continue
-            if connection.session.handle_timer(now):  # all that may come of it is its end
+        for connection in list(self.by_peer.values()):
+            if connection.room is None and connection.session.handle_timer(now):
                 self.on_over(connection, now)
-            since = connection.sending_since
-            stall_timeout_s = self.config.stall_timeout_s
-            if since is not None and since + stall_timeout_s <= now:
-                reason = f"nothing read for {stall_timeout_s:g} s"
+            if connection.late_s <= now:
+                reason = f"nothing read for {self.config.stall_timeout_s:g} s"
                 self.close(connection, CloseCode.TOO_SLOW, reason, now)
-            if connection.closed is None:
-                self._push_timer(connection, now)
-
-    def _push_timer(self, connection: Connection, now: float) -> None:
-        deadline = connection.session.next_timer()
-        if deadline is None:
-            since = connection.sending_since
-            deadline = (now if since is None else since) + self.config.stall_timeout_s
-        heapq.heappush(self.timers, (deadline, connection.serial, connection))
 
     def tell_others(self, room: Room, peer_id: str, message: Message, now: float) -> None:
         """Tell something to everybody in a room, but not to one of them."""

@@ -4,16 +4,15 @@ A relay that is late has more to do than it can: of several faces that one publi
 last turn of the event loop it then forwards the newest alone, and refuses newcomers (`Overload`).
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
 from pica_protocol.codec import encode_message
 from pica_protocol.errors import CloseCode
 from pica_protocol.frame_queue import QueuedFrame
-from pica_protocol.frames import HEADER_BYTES, LENGTH_MASK, MEDIA_KIND, FrameSpan
+from pica_protocol.frames import FrameSpan
 from pica_protocol.messages import StreamMuted, Whisper
-from pica_server.room.connections import Connection, Connections
+from pica_server.room.connections import WHISPER_COST, Connection, Connections
 from pica_server.room.outbox import MAX_FRESH
 from pica_server.room.room import Room, Stream
 
@@ -51,34 +50,37 @@ class Overload:
 class Forwarding:
     """What passes through one relay."""
 
-    def __init__(self, connections: Connections) -> None:
+    def __init__(self, connections: Connections, overload: Overload) -> None:
         self._connections = connections
+        self._overload = overload
         self._stats = connections.stats
 
     def forward(
-        self, connection: Connection, message: bytes, spans: list[FrameSpan], now: float
+        self, connection: Connection, batch: list[tuple[bytes, FrameSpan]], now: float
     ) -> None:
-        """Take the frames of a media message from their publisher, who is in a room."""
+        """Take frames, each with the message that it came in, from their publisher, who is in a
+        room. A late relay passes on the newest face of each stream."""
         # Once for every frame that comes: written for speed.
         room, publisher, connections = connection.room, connection.peer_id, self._connections
         assert room is not None
-        if len(spans) > 1 and not connection.messages_in.take(now, len(spans) - 1):
-            connections.close_too_fast(connection, "messages", now)
-            return
         stats, ready, by_peer = self._stats, connections.ready, connections.by_peer
-        for number, sequence, start, end in spans:
+        last = {span[0]: span for _, span in batch} if self._overload.sheds else None
+        for message, span in batch:
+            number, sequence, start, end = span
             stream = room.stream(number)
             if stream is None or stream.publisher != publisher:
                 reason = f"frame on stream {number}, which is not yours"
                 connections.close(connection, CloseCode.FOREIGN_STREAM, reason, now)
                 return
+            if last and stream.deadline_s is None and last[number] is not span:
+                stats.dropped["late"] += len(room) - 1
+                continue
             stats.frames_in += 1
             receivers = room.receivers(number, sequence)
             if stream.is_muted:
                 stats.dropped["muted"] += len(receivers)
                 continue
-            data = message[start:end]
-            frame = QueuedFrame(publisher, number, data, now, stream.deadline_s)
+            frame = QueuedFrame(publisher, number, message[start:end], now, stream.deadline_s)
             if stream.deadline_s is None:
                 stream.newest = frame
             for peer_id in receivers:
@@ -89,36 +91,6 @@ class Forwarding:
                     receiver.outbox.sort()
                 ready[receiver] = None
             stats.unwanted += len(room) - 1 - len(receivers)
-
-    def shed(
-        self, connection: Connection, messages: Sequence[bytes | str]
-    ) -> Sequence[bytes | str]:
-        """Return those of several messages of a publisher that a late relay passes on: of those
-        that hold one face alone the last of its stream."""
-        room = connection.room
-        if room is None:
-            return messages
-        kept, seen = list[bytes | str](), set[int]()
-        for data in reversed(messages):
-            if isinstance(data, str):
-                return messages
-            number = int.from_bytes(data[1:3], "big")
-            stream = room.stream(number)
-            is_face = (
-                len(data) > HEADER_BYTES
-                and data[0] == MEDIA_KIND
-                and len(data) == 1 + HEADER_BYTES + (int.from_bytes(data[7:9], "big") & LENGTH_MASK)
-                and stream is not None
-                and stream.publisher == connection.peer_id
-                and stream.deadline_s is None
-            )
-            if is_face and number in seen:
-                self._stats.dropped["late"] += len(room) - 1
-                continue
-            if is_face:
-                seen.add(number)
-            kept.append(data)
-        return kept[::-1]
 
     def subscribe(self, connection: Connection, number: int, every: int) -> None:
         """Follow a receiver's subscription; who begins to want a stream gets its newest frame."""
@@ -159,7 +131,7 @@ class Forwarding:
         """Pass a whisper on, under its sender's name, or drop it."""
         room, stats = connection.room, self._stats
         assert room is not None
-        if not connection.whispers.take(now):
+        if not connection.told.take(now, WHISPER_COST):
             stats.whispers_dropped["rate"] += 1
             return
         connections = self._connections

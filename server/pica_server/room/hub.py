@@ -6,19 +6,18 @@ a time (``take``, ``sent``). The parts decide:
 
     connections   the connections: how they begin and end, who is late, what is said to whom
     forwarding    frames and whispers, from peer to peer
-    membership    rooms: who comes, goes, is away for a while and comes back
-    Moderation    what admins ask for in their room
+    membership    rooms: who comes, goes, is away for a while and comes back, and what admins do
 
 A connection is over when its ``closed`` is set; what it still has to send ends with a ``Bye``.
 """
 
+import math
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Final
 
 from pica_protocol.errors import CloseCode
-from pica_protocol.frames import MEDIA_PREFIX
+from pica_protocol.frames import MEDIA_PREFIX, FrameSpan
 from pica_protocol.messages import (
     BarIdentity,
     Join,
@@ -32,106 +31,17 @@ from pica_protocol.messages import (
 from pica_protocol.session import Closed, ServerEvent
 from pica_server.auth.tokens import Admission
 from pica_server.config.relay import RelayConfig
-from pica_server.room.connections import Connection, Connections
+from pica_server.room.connections import MESSAGE_COST_BYTES, Connection, Connections
 from pica_server.room.forwarding import Forwarding, Overload
 from pica_server.room.membership import Membership
 from pica_server.room.outbox import OutboundMessage
-from pica_server.room.resume_tickets import ResumeTickets
-from pica_server.room.room import BAR, Room
+from pica_server.room.room import Room
 from pica_server.stats import RelayStats
 
 BUSY_PERIOD_S: Final = 0.25
 """Time over which is counted how busy the event loop is (chosen)."""
 TELLING_SHARE: Final = 0.5
 """The share of a drain's time in which all are told; the rest is left for them to go (chosen)."""
-
-
-def departures(
-    sizes: Sequence[int], *, per_s: float, burst: float, longest_s: float
-) -> list[float]:
-    """Return when each room is told, in seconds from the beginning of the drain.
-
-    A room goes together, so that its people do not lose sight of each other for longer than they
-    must. Rooms follow each other as fast as a relay with our own limits lets peers join, or as fast
-    as the time allows.
-
-    Args:
-        sizes: How many peers each room has.
-        per_s: Joins a second that the other relay takes; ``burst`` are those that it takes at once.
-        longest_s: How long the drain may take.
-    """
-    offsets_s = []
-    gone = 0
-    for size in sizes:
-        gone += size
-        offsets_s.append(max(gone - burst, 0.0) / per_s)
-    latest_s = TELLING_SHARE * longest_s
-    last_s = max(offsets_s, default=0.0)
-    scale = latest_s / last_s if last_s > latest_s else 1.0
-    return [offset_s * scale for offset_s in offsets_s]
-
-
-@dataclass(eq=False)
-class Moderation:
-    """Does what admins ask for in their rooms: remove a participant, mute a kind of stream, bar an
-    identity.
-
-    Only a participant whose token has the grant ``admin`` may ask. A participant who is not in the
-    room any more is left alone: the request and the leaving have crossed.
-    """
-
-    _connections: Connections
-    _membership: Membership
-    _forwarding: Forwarding
-
-    def receive(
-        self, connection: Connection, asked: RemovePeer | MutePeer | BarIdentity, now: float
-    ) -> None:
-        """Do what a participant asks for, or close the connection if they may not."""
-        room, refuse = connection.room, self._connections.refuse
-        assert room is not None  # the session's table: only while joined
-        if not connection.is_admin:
-            reason = "your token does not let you moderate"
-            refuse(connection, "admission", CloseCode.FORBIDDEN, reason, now)
-            return
-        if not connection.moderations.take(now):
-            reason = "you moderate too often"
-            refuse(connection, "moderation", CloseCode.TOO_FAST, reason, now)
-            return
-        match asked:
-            case RemovePeer(peer_id=peer_id):
-                self.remove(room, peer_id, now)
-            case MutePeer(peer_id=peer_id, kind=kind, is_muted=is_muted):
-                for track in room.peer(peer_id).tracks if peer_id in room else ():
-                    if track.kind == kind:
-                        self.mute(room, track.stream, is_muted=is_muted, now=now)
-            case BarIdentity(identity=identity, is_barred=is_barred):
-                self.bar(room, identity, is_barred=is_barred, now=now)
-
-    def remove(self, room: Room, peer_id: str, now: float) -> None:
-        """Remove a participant, who may be away."""
-        if peer_id in room:
-            reason = "an admin has removed you from the room"
-            self._membership.close_peer(peer_id, CloseCode.REMOVED, reason, now)
-
-    def bar(self, room: Room, identity: str, *, is_barred: bool, now: float) -> None:
-        """Remove an identity from the room and keep it out until the room is empty, or let it join
-        again."""
-        room.decide(identity, BAR, holds=is_barred)
-        peer_id = room.peer_of(identity)
-        if is_barred and peer_id is not None:
-            self.remove(room, peer_id, now)
-
-    def mute(self, room: Room, number: int, *, is_muted: bool, now: float) -> None:
-        """Stop a stream, or let it go on, and tell everybody. The decision holds for the identity
-        of its publisher and for the kind of track."""
-        stream = room.stream(number)
-        if stream is None or stream.is_muted is is_muted:
-            return
-        peer = room.peer(stream.publisher)
-        kind = next(track.kind for track in peer.tracks if track.stream == number)
-        room.decide(peer.identity, kind, holds=is_muted)
-        self._forwarding.mute(room, number, stream, is_muted=is_muted, now=now)
 
 
 class Hub:
@@ -156,21 +66,18 @@ class Hub:
             new_secret: Makes secrets to come back with; without it no place is kept.
         """
         self.stats = RelayStats()
-        grace_s = 0.0 if new_secret is None else config.resume_grace_s
-        self._tickets = ResumeTickets(grace_s, new_secret or str)
         self.connections = Connections(config, self.stats)
         self.overload = Overload()
-        self.forwarding = Forwarding(self.connections)
+        self.forwarding = Forwarding(self.connections, self.overload)
         self.membership = Membership(
             self.connections,
             self.forwarding,
-            self._tickets,
             admit or (lambda join: Admission()),
             self.overload,
+            new_secret,
         )
-        self.moderation = Moderation(self.connections, self.membership, self.forwarding)
         self._config = config
-        self._ready, self._timers = self.connections.ready, self.connections.timers
+        self._ready = self.connections.ready
         self._load = (0.0, 0.0)
         self.busy_ratio = 0.0
         self._departures: deque[tuple[float, str]] = deque()
@@ -219,33 +126,37 @@ class Hub:
         """Take a new websocket, see `Connections.connect`."""
         return self.connections.connect(now, address)
 
-    def receive(self, connection: Connection, data: bytes | str, now: float) -> None:
-        """Take one websocket message of a connection."""
-        self.stats.bytes_in += len(data)
-        if not connection.bytes_in.take(now, len(data)):
-            self.connections.close_too_fast(connection, "bytes", now)
-        elif not connection.messages_in.take(now):
-            self.connections.close_too_fast(connection, "messages", now)
-        if isinstance(data, bytes) and data[:1] == MEDIA_PREFIX:  # nearly always
-            if spans := connection.session.receive_media(data):
-                self.forwarding.forward(connection, data, spans, now)
-            else:
-                self.membership.clear_up(connection, now)
-            return
-        for event in connection.session.receive_data(data, now):
-            self._handle(connection, event, now)
-        self.connections.flush(connection, now)
+    def receive(self, connection: Connection, messages: Sequence[bytes | str], now: float) -> None:
+        """Take the websocket messages of a connection that came together."""
+        num_bytes = sum(map(len, messages))
+        self.stats.bytes_in += num_bytes
+        self._charge(connection, num_bytes, len(messages), now)
+        frames: list[tuple[bytes, FrameSpan]] = []
+        for data in messages:
+            if isinstance(data, bytes) and data[:1] == MEDIA_PREFIX:  # nearly always
+                spans = connection.session.receive_media(data)
+                if len(spans) > 1:
+                    self._charge(connection, 0, len(spans) - 1, now)
+                frames += [(data, span) for span in spans]
+                if not spans:
+                    self.membership.clear_up(connection, now)
+                continue
+            self._forward(connection, frames, now)
+            frames = []
+            for event in connection.session.receive_data(data, now):
+                self._handle(connection, event, now)
+            self.connections.flush(connection, now)
+        self._forward(connection, frames, now)
 
-    def shed(
-        self, connection: Connection, messages: Sequence[bytes | str], now: float
-    ) -> Sequence[bytes | str]:
-        """Return those of several messages that a late relay looks at; the rest still counts
-        against the limits of its sender."""
-        kept = self.forwarding.shed(connection, messages)
-        num_shed = len(messages) - len(kept)
-        if num_shed and not connection.messages_in.take(now, num_shed):
-            self.connections.close_too_fast(connection, "messages", now)
-        return kept
+    def _charge(self, connection: Connection, num_bytes: int, count: int, now: float) -> None:
+        if not connection.bytes_in.take(now, num_bytes + count * MESSAGE_COST_BYTES):
+            self.connections.close_too_fast(connection, now)
+
+    def _forward(
+        self, connection: Connection, frames: list[tuple[bytes, FrameSpan]], now: float
+    ) -> None:
+        if frames and connection.closed is None:
+            self.forwarding.forward(connection, frames, now)
 
     def disconnect(self, connection: Connection, code: int, reason: str, now: float) -> None:
         """Take note that a websocket has ended."""
@@ -261,18 +172,18 @@ class Hub:
 
         All that waits for them goes out before their goodbye. No peer is admitted any more.
         """
-        config, connections = self._config, self.connections
+        config, connections, rooms = self._config, self.connections, self.membership.rooms
         connections.is_draining = True
         roomless = [each for each in connections.by_peer.values() if each.room is None]
         connections.send_elsewhere(roomless, now)
-        offsets_s = departures(
-            [len(connections.connected(room)) for room in self.membership.rooms.values()],
-            per_s=config.limits.joins_per_s,
-            burst=config.limits.joins_burst,
-            longest_s=config.drain_s,
-        )
-        rooms = zip(offsets_s, self.membership.rooms, strict=True)
-        self._departures.extend((now + offset_s, name) for offset_s, name in rooms)
+        # Rooms follow each other as fast as a relay with our own limits lets peers join, or as fast
+        # as the time allows; each goes together, so its people keep sight of each other.
+        num_people = sum(map(len, rooms.values()))
+        longest_s = min(num_people / config.limits.joins_per_s, TELLING_SHARE * config.drain_s)
+        num_gone = 0
+        for name, room in rooms.items():
+            self._departures.append((now + longest_s * num_gone / num_people, name))
+            num_gone += len(room)
         self._send_rooms_away(now)
 
     def take_ready(self) -> list[Connection]:
@@ -285,30 +196,23 @@ class Hub:
         """Take the next message for a connection; the shell calls ``sent`` when it is out."""
         message = connection.outbox.take(now)
         if message is not None:
-            connection.sending_since = now
+            connection.late_s = now + self._config.stall_timeout_s
         return message
 
     def is_sending(self, connection: Connection, now: float) -> None:
         """Take note that a socket did not take a message at once; ``sent`` follows when it has."""
-        connection.sending_since = now
+        connection.late_s = now + self._config.stall_timeout_s
         connection.outbox.note_full(now)
 
     def sent(self, connection: Connection, message: OutboundMessage, now: float) -> None:
         """Take note that the socket took a message."""
-        connection.sending_since = None
+        connection.late_s = math.inf
         connection.outbox.note_taken(len(message.data), now)
         self.stats.note_sent([message.data], message.received_s, now)
 
-    def next_timer(self) -> float | None:
-        """Return when ``handle_timer`` is due, or None."""
-        timers = [line[0][0] for line in (self._timers, self._departures) if line]
-        grace_ends_s = self._tickets.next_timer()
-        if grace_ends_s is not None:
-            timers.append(grace_ends_s)
-        return min(timers, default=None)
-
     def handle_timer(self, now: float) -> None:
-        """Close those who are late by now, and those whose turn to go has come."""
+        """Close those who are late by now, and those whose turn to go has come; called many times
+        a second."""
         self._send_rooms_away(now)
         self.membership.handle_timer(now)
         self.connections.handle_timer(now)
@@ -334,6 +238,6 @@ class Hub:
             case Whisper():
                 self.forwarding.whisper(connection, event, now)
             case RemovePeer() | MutePeer() | BarIdentity():
-                self.moderation.receive(connection, event, now)
+                self.membership.moderate(connection, event, now)
             case UpdateMetadata():
                 self.membership.update_metadata(connection, event, now)

@@ -1,22 +1,28 @@
 """Who is in which room of one relay: coming, going, being away for a while, coming back. Pure.
 
-A peer has a connection, or it is away: its connection broke, and its place is kept for a while (see
-`ResumeTickets`). A connection that comes back to a place takes the id of the peer there.
+A peer has a connection, or it is away: its connection broke, and its place is kept for a while. A
+connection that comes back with the secret of the place takes the id of the peer there. A secret is
+good once, and only its hash is kept: nothing that is looked at or printed here lets anybody in.
 """
 
+import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Protocol
 
 from pica_protocol.errors import CloseCode
 from pica_protocol.messages import (
+    BarIdentity,
     Join,
     Joined,
+    Moderation,
+    MutePeer,
     PeerAway,
     PeerBack,
     PeerJoined,
     PeerLeft,
     PeerUpdated,
+    RemovePeer,
     StreamMuted,
     UpdateMetadata,
 )
@@ -24,10 +30,9 @@ from pica_protocol.session import Closed
 from pica_server.auth.tokens import Admission
 from pica_server.errors import AdmissionError, RoomFullError
 from pica_server.limits import MOST_REMEMBERED, TokenBucket
-from pica_server.room.connections import Connection, Connections
+from pica_server.room.connections import MODERATION_COST, UPDATE_COST, Connection, Connections
 from pica_server.room.forwarding import CALM_S, Forwarding, Overload
-from pica_server.room.resume_tickets import ResumeTickets
-from pica_server.room.room import Room
+from pica_server.room.room import BAR, Room
 
 OWN_JOINS_PER_S: Final = 1.0
 OWN_JOINS_BURST: Final = 10.0
@@ -69,16 +74,18 @@ class Membership:
 
     _connections: Connections
     _forwarding: Forwarding
-    _tickets: ResumeTickets
     _admit: Callable[[Join], Admission]
     """Says what who joins may do, or raises `AdmissionError`."""
     _overload: Overload
+    _new_secret: Callable[[], str] | None
+    """Makes secrets to come back with; None: no place is kept."""
 
     def __post_init__(self) -> None:
         self._stats = self._connections.stats
         self.rooms: dict[str, Room] = {}
-        # The last connection of those who are away; as many as there are places kept.
+        # The last connection of those who are away, in the order of their going.
         self._away: dict[str, Connection] = {}
+        self._places: dict[bytes, str] = {}  # peers by the hash of the secret
         self._joins: TokenBucket | None = None  # full when the first one comes
         # By identity, or else by address; drops the oldest.
         self._own_joins: dict[str, TokenBucket] = {}
@@ -90,7 +97,7 @@ class Membership:
     def join(self, connection: Connection, join: Join, now: float) -> None:
         """Let a peer into a room, or close it."""
         limits, refuse = self._connections.config.limits, self._connections.refuse
-        if connection.is_crowded and self._tickets.place_of(join.room, join.resume) is None:
+        if connection.is_crowded and self._place_of(join.room, join.resume) is None:
             reason = f"{limits.connections_per_address} connections from one address"
             refuse(connection, "address", CloseCode.TOO_MANY, reason, now)
             return
@@ -100,7 +107,7 @@ class Membership:
         except AdmissionError as error:
             refuse(connection, "admission", error.code, str(error), now)
             return
-        place = self._tickets.place_of(join.room, join.resume)
+        place = self._place_of(join.room, join.resume)
         payer = admission.identity or place or connection.address
         if not self._may_join(payer, now, is_back=place is not None):
             reason = "too many join at once, try again"
@@ -178,12 +185,44 @@ class Membership:
         """Note what a peer says of itself, and tell the others."""
         room, metadata, connections = connection.room, update.metadata, self._connections
         assert room is not None
-        if not connection.updates.take(now):
+        if not connection.told.take(now, UPDATE_COST):
             reason = "metadata changes too often"
             connections.refuse(connection, "metadata", CloseCode.TOO_FAST, reason, now)
         elif room.update_metadata(connection.peer_id, metadata):
             news = PeerUpdated(peer_id=connection.peer_id, metadata=metadata)
             connections.tell_others(room, connection.peer_id, news, now)
+
+    def moderate(self, connection: Connection, asked: Moderation, now: float) -> None:
+        """Do what an admin asks for, or close who may not ask. A participant who is not in the room
+        any more is left alone: the request and the leaving have crossed."""
+        room, refuse = connection.room, self._connections.refuse
+        assert room is not None  # the session's table: only while joined
+        if not connection.is_admin:
+            reason = "your token does not let you moderate"
+            refuse(connection, "admission", CloseCode.FORBIDDEN, reason, now)
+            return
+        if not connection.told.take(now, MODERATION_COST):
+            reason = "you moderate too often"
+            refuse(connection, "moderation", CloseCode.TOO_FAST, reason, now)
+            return
+        removed: str | None = None
+        match asked:
+            case RemovePeer(peer_id=peer_id):
+                removed = peer_id
+            case MutePeer(peer_id=peer_id, kind=kind, is_muted=is_muted) if peer_id in room:
+                peer = room.peer(peer_id)
+                for track in peer.tracks:
+                    stream = room.stream(track.stream)
+                    if track.kind == kind and stream and stream.is_muted is not is_muted:
+                        room.decide(peer.identity, kind, holds=is_muted)
+                        number = track.stream
+                        self._forwarding.mute(room, number, stream, is_muted=is_muted, now=now)
+            case BarIdentity(identity=identity, is_barred=is_barred):
+                room.decide(identity, BAR, holds=is_barred)
+                removed = room.peer_of(identity) if is_barred else None
+        if removed is not None and removed in room:
+            reason = "an admin has removed you from the room"
+            self.close_peer(removed, CloseCode.REMOVED, reason, now)
 
     def close(self, connection: Connection, code: CloseCode, reason: str, now: float) -> None:
         """End a connection from this side; one that is lost, for good."""
@@ -204,8 +243,9 @@ class Membership:
 
     def handle_timer(self, now: float) -> None:
         """Take those out of their rooms who have been away for too long."""
-        for peer_id in self._tickets.take_expired(now):
-            self.give_up(peer_id, "lost", now)
+        for peer_id, connection in list(self._away.items()):
+            if connection.away_until_s <= now:
+                self.give_up(peer_id, "lost", now)
 
     def give_up(self, peer_id: str, reason: str, now: float) -> None:
         """Take a peer that is away out of the room."""
@@ -224,9 +264,10 @@ class Membership:
         closed = connection.closed
         assert closed is not None
         room, peer_id, reason = connection.room, connection.peer_id, _farewell(closed)
-        may_come_back = _is_loss(closed) and not connections.is_draining
-        if room is not None and may_come_back and self._tickets.go_away(peer_id, now):
+        may_come_back = connection.ticket and _is_loss(closed) and not connections.is_draining
+        if room is not None and may_come_back:
             self._stats.resumes["away"] += 1
+            connection.away_until_s = now + connections.config.resume_grace_s
             self._away[peer_id] = connection
             room.go_away(peer_id)
             connections.tell_others(room, peer_id, PeerAway(peer_id=peer_id), now)
@@ -257,17 +298,27 @@ class Membership:
         if admission.may_subscribe:
             self._forwarding.catch_up(connection, room)
 
+    def _place_of(self, room: str, secret: str) -> str | None:
+        """Return whose place in a room a secret opens, or None."""
+        peer_id = self._places.get(_hash_of(secret), "")
+        return peer_id if room in self.rooms and peer_id in self.rooms[room] else None
+
+    def _forget_ticket(self, connection: Connection) -> None:
+        self._places.pop(connection.ticket, None)
+        connection.ticket = b""
+
     def _come_back(
         self, connection: Connection, join: Join, admission: Admission, now: float
     ) -> bool:
         """Let a peer come back to its place, if that is still there and its own."""
-        peer_id = self._tickets.redeem(join.room, join.resume)
+        peer_id = self._place_of(join.room, join.resume)
         if peer_id is None:
             self._stats.resumes["unknown"] += 1
             return False
         connections, room = self._connections, self.rooms[join.room]
         lost = self._away.get(peer_id)
         former = connections.by_peer[peer_id] if lost is None else lost
+        self._forget_ticket(former)
         if not room.is_place_of(peer_id, admission.identity, join.tracks):
             # The peer that has the secret does not come as it was: no other will.
             self._stats.resumes["unfit"] += 1
@@ -296,10 +347,12 @@ class Membership:
         """Tell a peer that it is in, and what else is so in the room."""
         connection.room, connection.is_admin = room, admission.may_admin
         joined = replace(joined, is_admin=admission.may_admin)
-        if connection.is_resumable:
-            secret = self._tickets.issue(room.name, connection.peer_id)
-            resume_ms = round(self._tickets.grace_s * 1000)
-            joined = replace(joined, resume=secret, resume_ms=resume_ms)
+        grace_s = self._connections.config.resume_grace_s
+        if connection.is_resumable and self._new_secret is not None and grace_s > 0:
+            secret = self._new_secret()
+            connection.ticket = _hash_of(secret)
+            self._places[connection.ticket] = connection.peer_id
+            joined = replace(joined, resume=secret, resume_ms=round(grace_s * 1000))
         connection.has_joined = True
         connection.session.accept(joined)
         self._connections.flush(connection, now)
@@ -316,7 +369,6 @@ class Membership:
         if room is not None and room.is_full:
             nobodies = [p for p in self._away if p in room and not room.peer(p).identity]
             for peer_id in nobodies[:1]:
-                self._tickets.forget(peer_id)
                 self.give_up(peer_id, "lost", now)
 
     def _replace(self, connection: Connection, join: Join, identity: str, now: float) -> None:
@@ -336,7 +388,7 @@ class Membership:
 
     def _depart(self, connection: Connection, reason: str, now: float) -> None:
         """Take a peer whose connection is over out of the room, if it is in one."""
-        self._tickets.forget(connection.peer_id)
+        self._forget_ticket(connection)
         room, connection.room = connection.room, None
         if room is not None:
             self._forget(room, connection.peer_id, reason, now)
@@ -365,3 +417,7 @@ def _farewell(closed: Closed) -> str:
     if not closed.is_remote:
         return "removed"
     return "left" if closed.code == CloseCode.NORMAL else "lost"
+
+
+def _hash_of(secret: str) -> bytes:
+    return hashlib.sha256(secret.encode()).digest()

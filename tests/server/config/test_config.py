@@ -56,7 +56,6 @@ def test_a_setting_out_of_range_is_refused_by_name_with_its_range(field: str, va
 @pytest.mark.parametrize(
     ("field", "value"),
     [
-        ("messages_per_s", 0.0),
         ("bytes_per_s", float("nan")),
         ("burst_s", 0.0),
         ("joins_per_s", -1.0),

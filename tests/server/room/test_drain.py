@@ -3,8 +3,6 @@
 import asyncio
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from pica_protocol.client_session import ClientSession
 from pica_protocol.codec import decode_message
@@ -23,7 +21,7 @@ from pica_protocol.session import Closed
 from pica_server.config.relay import LimitsConfig, RelayConfig
 from pica_server.errors import ConfigurationError
 from pica_server.relay import Relay
-from pica_server.room.hub import TELLING_SHARE, Hub, departures
+from pica_server.room.hub import Hub
 from simnet.clock import current_network, in_virtual_time
 from simnet.peers import now, open_websocket, peer_in_room
 
@@ -31,32 +29,6 @@ pytestmark = pytest.mark.call
 
 URL = "ws://relay:8765"
 ELSEWHERE = "ws://other:8765"
-
-
-def test_a_few_rooms_go_at_once() -> None:
-    assert departures([5, 5, 3], per_s=50, burst=200, longest_s=20) == [0, 0, 0]
-
-
-def test_many_rooms_go_as_fast_as_another_relay_lets_them_in() -> None:
-    offsets_s = departures([5] * 80, per_s=50, burst=200, longest_s=20)
-    assert offsets_s[:40] == [0] * 40
-    assert offsets_s[40:42] == pytest.approx([0.1, 0.2])
-    assert offsets_s[-1] == pytest.approx(4.0)
-
-
-@given(
-    st.lists(st.integers(1, 64), max_size=300),
-    st.floats(0.1, 1e4),
-    st.floats(1, 1e4),
-    st.floats(0.1, 3600),
-)
-def test_all_are_told_in_order_and_in_time(
-    sizes: list[int], per_s: float, burst: float, longest_s: float
-) -> None:
-    offsets_s = departures(sizes, per_s=per_s, burst=burst, longest_s=longest_s)
-    assert len(offsets_s) == len(sizes)
-    assert offsets_s == sorted(offsets_s)
-    assert all(0 <= each <= TELLING_SHARE * longest_s * (1 + 1e-9) for each in offsets_s)
 
 
 class Guest:
@@ -71,8 +43,7 @@ class Guest:
         self.hear(at)
 
     def speak(self, at: float) -> None:
-        for data in self.session.messages_to_send(at):
-            self.hub.receive(self.connection, data, at)
+        self.hub.receive(self.connection, self.session.messages_to_send(at), at)
 
     def hear(self, at: float) -> list[Message]:
         heard = []
@@ -112,12 +83,11 @@ def test_what_waits_for_somebody_goes_out_before_their_goodbye() -> None:
 
 
 def test_rooms_follow_one_after_the_other_and_talk_on_until_then() -> None:
-    hub = draining_hub(joins_burst=2, joins_per_s=1)
+    hub = draining_hub(joins_per_s=1)
     first = [Guest(hub, "first", at) for at in (0.0, 0.0)]
     second = [Guest(hub, "second", at) for at in (5.0, 10.0)]
     hub.drain(now=20.0)
     assert [guest.connection.closed is not None for guest in first] == [True, True]
-    assert hub.next_timer() is not None
     assert hub.num_connections == 2
     hub.handle_timer(now=21.9)
     second[0].session.tell(Whisper(peer_id=str(second[1].session.peer_id), data=b"still here"))
@@ -130,7 +100,7 @@ def test_rooms_follow_one_after_the_other_and_talk_on_until_then() -> None:
 
 
 def test_who_comes_while_the_relay_drains_is_told_where_to_go() -> None:
-    hub = draining_hub(joins_burst=1, joins_per_s=1)
+    hub = draining_hub(joins_per_s=1)
     waiting = hub.connect(0.0)
     Guest(hub, "a", 0.0)
     Guest(hub, "b", 5.0)

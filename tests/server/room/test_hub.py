@@ -53,7 +53,7 @@ def test_a_foreign_stream_closes_its_sender_and_forwards_none_of_it() -> None:
     hub, (ada, bob) = hub_with("Ada", "Bob")
     own = b"\x00\x01" + bytes(6)
     bobs = b"\x00\x02" + bytes(6)
-    hub.receive(ada.connection, b"\x02" + bobs + own, now=1.0)
+    hub.receive(ada.connection, [b"\x02" + bobs + own], now=1.0)
     assert ada.connection.closed is not None
     assert ada.connection.closed.code == CloseCode.FOREIGN_STREAM
     assert bob.listen(now=1.0) == [PeerLeft(peer_id=ada.session.peer_id, reason="removed")]
@@ -79,7 +79,6 @@ def test_a_peer_that_lets_control_pile_up_is_closed_and_the_rest_is_told() -> No
 def test_a_handshake_is_late_at_its_deadline() -> None:
     hub = Hub(RelayConfig(handshake_timeout_s=5))
     connection = hub.connect(now=10.0)
-    assert hub.next_timer() == 15.0
     hub.handle_timer(now=14.9)
     assert connection.closed is None
     hub.handle_timer(now=15.0)
@@ -90,25 +89,9 @@ def test_a_handshake_is_late_at_its_deadline() -> None:
 
 def test_a_peer_that_merely_has_nothing_to_read_is_not_late() -> None:
     hub, (ada, _) = hub_with("Ada", "Bob")
-    for _ in range(100):
-        now = hub.next_timer()
-        assert now is not None
-        hub.handle_timer(now)
+    for second in range(100):
+        hub.handle_timer(float(second))
     assert ada.connection.closed is None
-
-
-def test_one_timer_is_kept_for_each_connection() -> None:
-    hub, members = hub_with("Ada", "Bob")
-    for i in range(1000):
-        members[0].send_frame(b"x", now=i / 30)
-        members[1].listen(now=i / 30)
-    deadlines = 0
-    while hub.next_timer() is not None:
-        for member in members:
-            hub.disconnect(member.connection, 1000, "", now=100.0)
-        hub.handle_timer(hub.next_timer() or 0.0)
-        deadlines += 1
-    assert deadlines <= 2
 
 
 def hub_of_limits(**limits: float) -> Hub:
@@ -120,7 +103,7 @@ def closed_code(member: Member) -> int | None:
 
 
 def test_a_publisher_above_its_rate_is_closed_and_one_below_it_is_not() -> None:
-    hub = hub_of_limits(messages_per_s=60, burst_s=1)
+    hub = hub_of_limits(bytes_per_s=60 * 530, burst_s=1)
     ada, flood = Member(hub, "Ada"), Member(hub, "Flood")
     for i in range(300):
         ada.send_frame(b"x", now=i / 30)
@@ -128,11 +111,11 @@ def test_a_publisher_above_its_rate_is_closed_and_one_below_it_is_not() -> None:
             flood.send_frame(b"x", now=i / 300)
     assert closed_code(ada) is None
     assert closed_code(flood) == CloseCode.TOO_FAST
-    assert hub.stats.limits_hit == {"messages": 1}
+    assert hub.stats.limits_hit == {"bytes": 1}
 
 
 def test_what_piled_up_on_the_way_is_no_flood_and_who_has_just_come_saved_nothing_up() -> None:
-    hub = hub_of_limits(messages_per_s=60, burst_s=10)
+    hub = hub_of_limits(bytes_per_s=60 * 530, burst_s=10)
     ada, new = Member(hub, "Ada"), Member(hub, "New", now=20.0)
     for i in range(300):  # of ten seconds
         ada.send_frame(b"x", now=20.0 + i / 1e5)
@@ -143,18 +126,18 @@ def test_what_piled_up_on_the_way_is_no_flood_and_who_has_just_come_saved_nothin
 
 
 def test_frames_are_counted_one_by_one_however_many_share_a_message() -> None:
-    hub = hub_of_limits(messages_per_s=10, burst_s=1)
+    hub = hub_of_limits(bytes_per_s=5250, burst_s=1)
     ada = Member(hub, "Ada")
     frame = b"\x00\x01" + bytes(6)
-    hub.receive(ada.connection, b"\x02" + frame * 9, now=1.0)
+    hub.receive(ada.connection, [b"\x02" + frame * 9], now=1.0)
     assert closed_code(ada) is None
-    hub.receive(ada.connection, b"\x02" + frame * 3, now=1.1)
+    hub.receive(ada.connection, [b"\x02" + frame * 3], now=1.1)
     assert closed_code(ada) == CloseCode.TOO_FAST
     assert hub.stats.frames_in == 9
 
 
 def test_a_publisher_of_too_many_bytes_is_closed() -> None:
-    hub = hub_of_limits(bytes_per_s=1024, burst_s=2)
+    hub = hub_of_limits(bytes_per_s=2000, burst_s=2)
     ada = Member(hub, "Ada")
     ada.send_frame(bytes(1000), now=1.0)
     assert closed_code(ada) is None
@@ -268,5 +251,5 @@ def test_whispers_do_not_get_a_slow_reader_closed() -> None:
 def test_close_codes_that_peers_make_up_are_counted_together() -> None:
     hub, members = hub_with("Ada", "Bob", "Cyd")
     for member, code in zip(members, (3001, 4444, 1000), strict=True):
-        hub.receive(member.connection, encode_message(Bye(code=code)), now=1.0)
+        hub.receive(member.connection, [encode_message(Bye(code=code))], now=1.0)
     assert hub.stats.closed == {0: 2, 1000: 1}

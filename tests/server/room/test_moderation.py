@@ -15,7 +15,7 @@ from pica_protocol.messages import (
 )
 from pica_server.auth.tokens import Admission
 from pica_server.config.relay import RelayConfig
-from pica_server.room.connections import MODERATIONS_BURST
+from pica_server.room.connections import MODERATION_COST, TOLD_AT_ONCE
 from pica_server.room.hub import Hub
 from pica_server.room.room import MAX_DECISIONS, Room
 
@@ -100,7 +100,7 @@ def test_a_grant_reaches_no_other_room_and_nobody_unknown() -> None:
 
 def test_who_moderates_too_often_is_closed() -> None:
     hub, olga, _ = room_with_admin()
-    for _ in range(int(MODERATIONS_BURST)):
+    for _ in range(int(TOLD_AT_ONCE / MODERATION_COST)):
         ask(olga, RemovePeer(peer_id="p99"), now=1.0)
     assert olga.closed_code is None
     ask(olga, RemovePeer(peer_id="p99"), now=1.0)
@@ -115,7 +115,7 @@ def test_frames_of_a_muted_stream_go_nowhere_and_everybody_is_told() -> None:
     for member in (ada, bob):
         assert member.listen(now=1.0) == [StreamMuted(stream=ada.stream, is_muted=True)]
     # The publisher's own session would hold them back: one that does not care.
-    hub.receive(ada.connection, b"\x02\x00\x01" + bytes(6), now=1.1)
+    hub.receive(ada.connection, [b"\x02\x00\x01" + bytes(6)], now=1.1)
     assert bob.listen(now=1.1) == []
     assert hub.stats.dropped["muted"] >= 2
     ask(olga, mute(ada), now=1.2)  # as it is already

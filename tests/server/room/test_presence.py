@@ -74,13 +74,10 @@ def test_who_does_not_come_back_has_left_when_the_grace_is_over() -> None:
     hub, (ada, bob) = hub_with("Ada", "Bob", resumable=True)
     ticket = ada.lose_connection(now=1.0)
     bob.listen(now=1.0)
-    while hub.num_rooms and bob.session.peers:
-        now = hub.next_timer()
-        assert now is not None
-        hub.handle_timer(now)
-        left = bob.listen(now)
-    assert now == 11.0
-    assert left == [PeerLeft(peer_id=ada.peer_id, reason="lost")]
+    hub.handle_timer(10.9)
+    assert bob.listen(10.9) == []
+    hub.handle_timer(11.0)
+    assert bob.listen(11.0) == [PeerLeft(peer_id=ada.peer_id, reason="lost")]
     again = come_back(hub, ticket, now=11.1)
     assert not joined_of(again).resumed
     assert again.peer_id != ada.peer_id
@@ -96,7 +93,6 @@ def test_an_empty_room_is_kept_for_those_who_may_come_back_and_then_forgotten() 
     again.lose_connection(now=6.0)
     hub.handle_timer(now=16.0)
     assert hub.num_rooms == 0
-    assert hub.next_timer() is None or hub.next_timer() > 16.0
 
 
 def test_a_secret_is_good_once_and_another_one_comes_with_each_return() -> None:
@@ -129,7 +125,7 @@ def test_who_goes_on_purpose_or_breaks_the_protocol_is_gone_at_once() -> None:
     hub, (ada, bob, cyd) = hub_with("Ada", "Bob", "Cyd", resumable=True)
     ada.session.leave(now=1.0)
     ada.speak(now=1.0)
-    hub.receive(bob.connection, b"\x03", now=1.0)
+    hub.receive(bob.connection, [b"\x03"], now=1.0)
     assert control(cyd.listen(now=1.0)) == [
         PeerLeft(peer_id=ada.peer_id, reason="left"),
         PeerLeft(peer_id=bob.peer_id, reason="removed"),
@@ -295,7 +291,7 @@ def test_what_a_peer_says_when_it_comes_back_is_news_only_if_it_has_changed() ->
 
 def test_who_changes_what_it_says_too_often_is_closed() -> None:
     _hub, (ada, bob) = hub_with("Ada", "Bob")
-    for i in range(30):
+    for i in range(60):
         if ada.session.state is State.JOINED:
             ada.session.tell(UpdateMetadata(metadata=(("n", str(i)),)))
             ada.speak(now=1.0)
@@ -308,8 +304,7 @@ def test_a_slow_reader_that_was_closed_may_come_back_to_its_place() -> None:
     hub, (ada, bob) = hub_with("Ada", "Bob", resumable=True)
     ada.send_frame(b"x", now=100.0)
     assert hub.take(bob.connection, now=100.0) is not None  # and never sent
-    while bob.connection.closed is None:
-        hub.handle_timer(hub.next_timer() or 0.0)
+    hub.handle_timer(now=110.0)
     assert bob.closed_code == CloseCode.TOO_SLOW
     assert control(ada.listen(now=110.0)) == [PeerAway(peer_id=bob.peer_id)]
     assert come_back(hub, bob.session.ticket, now=111.0, name="Bob").peer_id == bob.peer_id
