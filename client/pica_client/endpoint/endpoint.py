@@ -24,7 +24,7 @@ from pica_client.voice.publisher import VoicePublisher
 from pica_client.voice.receiver import OnVoice, VoiceReceiver
 from pica_core.avatar.file import Avatar
 from pica_protocol.errors import is_worth_retrying
-from pica_protocol.messages import Joined, Moderation, Peer, PeerJoined
+from pica_protocol.messages import Joined, Moderation, Peer, PeerJoined, Track
 from pica_protocol.session import ClientEvent, Closed
 
 REPORT_INTERVAL_S: Final = 5.0
@@ -144,8 +144,22 @@ class Endpoint:
                 own.receive_event(event)
         if isinstance(event, Joined) and self.giver is not None:
             self.giver.begin(self.link.url)
+        if isinstance(event, PeerJoined | Joined):
+            self._decline([event.peer] if isinstance(event, PeerJoined) else event.peers)
         if self._news is not None:
             self._news.receive_event(event, now)
+
+    def _decline(self, peers: Sequence[Peer]) -> None:
+        """Tell the relay to send nothing of newcomers that is not used here."""
+        for peer in peers:
+            for track in peer.tracks:
+                if not self._wants(track, peer):
+                    self.link.subscribe(track.stream, 0)
+
+    def _wants(self, track: Track, peer: Peer) -> bool:
+        """Return True if a track of a newcomer is used here: the first face, voices that are heard;
+        by a sender none."""
+        return False
 
     def _call_soon(self, action: Callable[[], None]) -> None:
         """Call something on the loop; at once as long as there is none."""
@@ -327,21 +341,15 @@ class Receiver(Endpoint):
         if self.voices.receive_event(event, now):
             return
         self.call.receive_event(event, now)
-        if isinstance(event, PeerJoined | Joined):
-            self._decline([event.peer] if isinstance(event, PeerJoined) else event.peers)
-            self._subscribed.set()
         super()._on_event(event, now)
+        if isinstance(event, PeerJoined | Joined):
+            self._subscribed.set()
         self.arrived.set()
 
-    def _decline(self, peers: Sequence[Peer]) -> None:
-        """Tell the relay to send nothing of newcomers that is not used here: tracks of unknown
-        kinds, further ones of a known kind, voices that are not heard."""
-        for peer in peers:
-            faces = [track.stream for track in peer.tracks if track.kind == FACE_TRACK]
-            used = faces[:1] if self._takes_faces else []
-            for stream in (track.stream for track in peer.tracks):
-                if stream not in used and not self.voices.is_wanted(stream):
-                    self.link.subscribe(stream, 0)
+    def _wants(self, track: Track, peer: Peer) -> bool:
+        first = next((each for each in peer.tracks if each.kind == FACE_TRACK), None)
+        is_face = track == first and self._takes_faces
+        return is_face or self.voices.is_wanted(track.stream)
 
     async def _tell_subscriptions(self) -> None:
         """Tell the relay how much of each stream is wanted, when that changes and when it is

@@ -13,10 +13,9 @@ the fast one needs only three delays in a second.
 """
 
 import math
-from bisect import bisect_left, insort
+from bisect import bisect_left, bisect_right, insort
 from collections import deque
-from collections.abc import Iterable
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from typing import NamedTuple
 
 from pica_core.codec.latent_stream import DecodedFrame
@@ -55,12 +54,15 @@ class Transit:
     def __init__(self, transit_s: float, *, quantile: float = 0.95) -> None:
         self.fastest_s, self.jitter_s = transit_s, 0.0
         self._quantile = quantile
-        self._arrivals: deque[_Arrival] = deque(maxlen=CAPACITY)
+        self._arrivals: deque[_Arrival] = deque()
+        self._ordered: list[float] = []  # their transits
+        self._delays: list[float] = []  # the same of those that came alone
         self._last = (-math.inf, -math.inf)  # arrived_s, media_s
 
     def forget(self) -> None:
         """Begin again at the fastest transit: what was late by another clock says nothing."""
-        self._arrivals.clear()
+        for kept in (self._arrivals, self._ordered, self._delays):
+            kept.clear()
 
     def receive(self, media_s: float, arrived_s: float) -> None:
         """Take a frame into account."""
@@ -68,24 +70,35 @@ class Transit:
         last_arrived_s, last_media_s = self._last
         is_burst = arrived_s - last_arrived_s < 0.5 * (media_s - last_media_s)
         self._last = (arrived_s, media_s)
-        arrivals = self._arrivals
-        while arrivals and arrivals[0].arrived_s < arrived_s - WINDOW_S:
-            arrivals.popleft()
-        arrivals.append(_Arrival(arrived_s, transit_s, not is_burst or not arrivals))
-        self.fastest_s = min(each.transit_s for each in arrivals)
-        longest_s = self.fastest_s + MAX_DELAY_S
-        delays = [each for each in arrivals if each.is_alone and each.transit_s <= longest_s]
-        slow = [each.transit_s for each in delays]
-        fast = [each.transit_s for each in delays if each.arrived_s >= arrived_s - ATTACK_S]
+        arrivals, ordered, delays = self._arrivals, self._ordered, self._delays
+        while arrivals and (
+            arrivals[0].arrived_s < arrived_s - WINDOW_S or len(arrivals) >= CAPACITY
+        ):
+            old = arrivals.popleft()
+            del ordered[bisect_left(ordered, old.transit_s)]
+            if old.is_alone:
+                del delays[bisect_left(delays, old.transit_s)]
+        is_alone = not is_burst or not arrivals
+        arrivals.append(_Arrival(arrived_s, transit_s, is_alone))
+        insort(ordered, transit_s)
+        if is_alone:
+            insort(delays, transit_s)
+        self.fastest_s = ordered[0]
+        begin_s, longest_s = arrived_s - ATTACK_S, self.fastest_s + MAX_DELAY_S
+        slow = delays[: bisect_right(delays, longest_s)]
+        fast = sorted(
+            each.transit_s
+            for each in takewhile(lambda each: each.arrived_s >= begin_s, reversed(arrivals))
+            if each.is_alone and each.transit_s <= longest_s
+        )
         wait_s = _quantile(slow, self._quantile) if slow else self.fastest_s
         if len(fast) >= ATTACK_MIN_DELAYS:
             wait_s = max(wait_s, _quantile(fast, ATTACK_QUANTILE))
         self.jitter_s = max(wait_s - self.fastest_s, 0.0)
 
 
-def _quantile(values: Iterable[float], share: float) -> float:
-    """The least value that this share of the values does not exceed."""
-    ordered = sorted(values)
+def _quantile(ordered: list[float], share: float) -> float:
+    """The least of some rising values that this share of them does not exceed."""
     return ordered[math.ceil(share * len(ordered)) - 1]
 
 

@@ -46,6 +46,7 @@ from pica_client.transport.timers import time_after, wait_until
 from pica_protocol import SUBPROTOCOL
 from pica_protocol.client_session import ClientSession, Ticket
 from pica_protocol.errors import CloseCode
+from pica_protocol.frames import Frame
 from pica_protocol.limits import check_metadata
 from pica_protocol.messages import (
     FromMember,
@@ -424,7 +425,10 @@ class Link:
             else:
                 self.counters.received_messages += 1
                 self.counters.received_wire_bytes += wire_bytes(len(data), is_masked=False)
-                handle(session.receive_data(data, loop.time()), loop.time())
+                events = session.receive_data(data, loop.time())
+                handle(events, loop.time())
+                if events and isinstance(events[0], Frame):
+                    continue  # faces and voices ask for no answer
             self._wake.set()
 
     async def _write(self, session: ClientSession, websocket: RelayWebsocket) -> None:

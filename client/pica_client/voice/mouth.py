@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 
 from pica_client.sources.performances import make_performance
+from pica_client.voice.packet import level_of
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT, ExpressionFrame
 from pica_core.types import FloatArray
 
@@ -40,8 +41,11 @@ SEAM_S: Final = 0.2
 """How long the tracker's mouth takes to become the voice's, and the other way round."""
 SILENT_AFTER_S: Final = 20.0
 """No face is sent after this much silence without tracking: the chair may be empty."""
-SPEAKING: Final = 0.04
-"""A jaw that the voice opens further than this speaks; 1 is wide open."""
+SPEAKING_LEVEL: Final = 45
+"""Decibels below full scale: a louder sound is speech (chosen: a quiet room is below 60)."""
+KEPT_S: Final = 1.0
+"""Sound kept while the tracker sees the face: the network begins there when it does not (chosen:
+longer than the network remembers)."""
 KEPT_HOPS: Final = 128
 STEP_S: Final = HOP / SAMPLE_RATE
 
@@ -145,7 +149,6 @@ class SpokenMouth:
         self._times_s: deque[float] = deque(maxlen=KEPT_HOPS)
         self._mouths: deque[FloatArray] = deque(maxlen=KEPT_HOPS)
         self._rest = np.zeros(len(MOUTH), np.float32)
-        self.spoke_s = -np.inf
 
     @property
     def newest_s(self) -> float:
@@ -165,8 +168,6 @@ class SpokenMouth:
                 continue
             self._times_s.append(at_s)
             self._mouths.append(mouth)
-            if mouth.max() > SPEAKING:
-                self.spoke_s = at_s
 
     def at(self, time_s: float) -> FloatArray:
         """The 52 shapes, jaw and mouth set, between two hops; at rest where nothing is heard."""
@@ -188,18 +189,24 @@ class SpokenFace:
     """Fills in the losses of a source by the voice of the same person.
 
     The mouth is the voice's; eyes, brows and head are those of a listener. The seam is
-    blended.
+    blended. While the tracker sees the face, sound is kept and the network rests.
     """
 
     def __init__(self) -> None:
         self._idle = make_performance("listen")
         self._mouth = SpokenMouth()
+        self._kept: deque[tuple[FloatArray, float]] = deque()
+        self._spoke_s = -np.inf
         self._weight, self._weight_s = 0.0, -np.inf
         self._own_s = -np.inf
 
     def hear(self, pcm: FloatArray, time_s: float) -> None:
         """Take sound of this person, in the source's time; see `SpokenMouth.hear`."""
-        self._mouth.hear(pcm, time_s)
+        self._kept.append((pcm, time_s))
+        while self._kept[0][1] < time_s - KEPT_S:
+            self._kept.popleft()
+        if level_of(pcm) < SPEAKING_LEVEL:
+            self._spoke_s = time_s
 
     def fill(self, frame: ExpressionFrame, time_s: float) -> ExpressionFrame:
         """The face to show.
@@ -212,7 +219,7 @@ class SpokenFace:
             The source's face, or one that speaks, or something between in the seam; none while
             no face is seen and no voice heard.
         """
-        fills = not frame.has_face and time_s - self._mouth.spoke_s < SILENT_AFTER_S
+        fills = not frame.has_face and time_s - self._spoke_s < SILENT_AFTER_S
         step = min(max(time_s - self._weight_s, 0.0), SEAM_S) / SEAM_S
         self._weight = min(max(self._weight + (step if fills else -step), 0.0), 1.0)
         self._weight_s = time_s
@@ -221,6 +228,8 @@ class SpokenFace:
         own_s = self._own_s = max(own_s, self._own_s)  # two moments are not shown in turn
         if self._weight == 0.0:
             return frame
+        while self._kept:
+            self._mouth.hear(*self._kept.popleft())
         idle = self._idle.frame_at(time_s)
         spoken = np.where(MOUTH, self._mouth.at(own_s), idle.arkit)
         if self._weight == 1.0:
