@@ -49,10 +49,10 @@ def main() -> None:
             mixer.receive("ann", packet, arrived_s)
         mixer.mix(now)  # 20 ms for both ears
         loudest = min(loudest, mixer.levels().get("ann", 126))
-        heard_us = mixer.heard_us("ann", now)
-        if heard_us is not None and tick % 50 == 0:
-            level = mixer.levels().get("ann", 126)
-            print(f"{now:4.1f} s: said {now - heard_us / 1e6:.3f} s ago; ann at -{level} dB")
+        if tick % 50 == 0 and "ann" in mixer.moments():
+            leaves_s, captured_us, _ = mixer.moments()["ann"]
+            said_s, level = leaves_s - captured_us / 1e6, mixer.levels()["ann"]
+            print(f"{now:4.1f} s: said {said_s:.3f} s ago; ann at -{level} dB")
     print(f"{sent_bytes * 8 / SECONDS / 1e3:.1f} kbit/s, at most -{loudest} dB")
     print(mixer.stats()["ann"])
 

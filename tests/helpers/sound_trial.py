@@ -50,7 +50,7 @@ def echo_db(sound: SoundProcess, settings: SoundSettings, seconds: float = 6.0) 
     until(lambda: sound.state.microphone.name)
     sound.on_frame = lambda frame, captured_us: heard.append(frame)
     say(sound, seconds)
-    sound.on_frame = None
+    sound.on_frame = lambda *_: None
     sound.use_microphone(False)
     rest = np.concatenate(heard)[len(heard) * FRAME_SAMPLES // 2 :]
     return float(-10 * np.log10(np.mean(np.square(rest, dtype=np.float64)) + 1e-13))

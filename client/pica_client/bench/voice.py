@@ -35,12 +35,10 @@ from pica_client.playout.buffer import Playout
 from pica_client.stats import percentile
 from pica_client.voice.jitter_buffer import JitterBuffer
 from pica_client.voice.opus import OpusDecoder, OpusEncoder
-from pica_client.voice.packet import (
-    FRAME_S,
-    PACKET_FRAMES,
-)
+from pica_client.voice.packet import FRAME_S, PACKET_FRAMES
 from pica_client.voice.packet import FRAME_SAMPLES as FRAME
 from pica_client.voice.packet import SAMPLE_RATE_HZ as RATE_HZ
+from pica_client.voice.sound.settings import HeardVoice
 from pica_client.voice.source import resampled, shipped_speech
 from pica_core.avatar.file import Avatar
 from pica_core.types import Array, FloatArray
@@ -158,7 +156,7 @@ def _packets(sound: FloatArray, bitrate: int) -> list[tuple[float, Frame]]:
 
 def _listen(delivery: Delivery, schedule: Schedule, is_spoken: Callable[[int], bool]) -> _Heard:
     """Play what came: ticks of sound and refreshes of the display, in the order of time."""
-    buffer, playout = JitterBuffer(OpusDecoder()), Playout()
+    buffer, voice, playout = JitterBuffer(OpusDecoder()), HeardVoice(), Playout()
     arrivals: list[tuple[float, Any]] = [
         *((frame.arrived_s, frame) for frame in delivery.arrivals),
         *delivery.voices,
@@ -183,7 +181,7 @@ def _listen(delivery: Delivery, schedule: Schedule, is_spoken: Callable[[int], b
             else:
                 receive_arrival(playout, arrival, samples)
         if not is_sound:
-            heard_us = buffer.heard_us(now)
+            heard_us = voice.at(now)
             face = playout.sample_at(now, heard_us)
             is_heard = bool(sounds) and float(np.std(sounds[-1])) > SPOKEN_RMS
             if face is None:
@@ -194,7 +192,8 @@ def _listen(delivery: Delivery, schedule: Schedule, is_spoken: Callable[[int], b
         sounds.append(buffer.pull(now))
         cpu_s += time.process_time() - begin_s
         report = buffer.report()
-        if buffer.heard_us(now) is not None:
+        if buffer.moment is not None:
+            voice.receive(buffer.moment)
             moments[len(sounds) - 1] = (buffer.moments_us - CLOCK_OFFSET_US) / 1e6
         counted.append((now, report.played, report.concealed, report.stretched))
     return _Heard(np.concatenate(sounds), moments, skews, np.array(counted), cpu_s)

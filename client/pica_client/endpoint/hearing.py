@@ -1,6 +1,7 @@
 """All voices at one receiver: network -> mixer -> loudspeaker, and faces that follow it."""
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -46,12 +47,12 @@ class Hearing:
         ``mouth_to_ear_ms`` means something only where sender and receiver share a clock.
         """
         voices, speaker = self._sound.stats(), self._sound.state.speaker
-        ratios = [voice["concealed_ratio"] for voice in voices.values()]
+        ratios = [voice.concealed_ratio for voice in voices.values()]
         return {
             "skew_ms": call.skews_s.summary_ms(),
             "mouth_to_ear_ms": call.delays_s.summary_ms(),
             "concealed_ratio": round(sum(ratios) / len(ratios), 4) if ratios else None,
             "loudspeaker": speaker.name,
             "trouble": speaker.note or available() or "",
-            "voices": dict(voices),
+            "voices": {peer_id: asdict(voice) for peer_id, voice in voices.items()},
         }

@@ -2,7 +2,7 @@
 
     receive(packet, now)      a packet arrived
     pull(now, latency_s)      the next 20 ms for the loudspeaker, which they leave `latency_s` later
-    heard_us(now)             the moment, on the sender's clock, whose sound leaves it at `now`
+    moment                    when they leave it, and when they were captured
 
 Theory of operation. Sequence, capture time and transit are judged by what the playout of faces
 judges them by (`playout.sender_clock`, `transit`), so jumps, drift and tricks of strangers end
@@ -30,8 +30,6 @@ where it stopped and is then spoken faster, as long as it is not `LEAP_S` behind
 
 import math
 from bisect import bisect_left
-from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import Protocol
@@ -80,18 +78,6 @@ LEAP_S = 0.35
 QUIET_ERROR_S, VOICED_ERROR_S = 0.003, 0.012
 """Wrong delay that is changed in silence, and in the middle of speech (chosen: a frame of 20 ms is
 less often missed, and lips do not show it)."""
-HISTORY = 64
-"""Ticks whose moment is known: 1.3 s, more than a loudspeaker's latency."""
-
-
-def moment_at(history: Sequence[Moment], now: float) -> int | None:
-    """The moment of a voice that leaves the loudspeaker at `now`, sender's clock, microseconds;
-    None while there is none. The history has what was mixed in the order of leaving."""
-    for leaves_s, first, last in reversed(history):
-        if leaves_s <= now:
-            share = min((now - leaves_s) / FRAME_S, 2.0)
-            return round(first + share * (last - first))
-    return None
 
 
 class Decoder(Protocol):
@@ -116,12 +102,9 @@ class JitterBufferReport:
     """Frames decoded from packets."""
     concealed: int = 0
     """Frames made up where speech should have been."""
-    silent: int = 0
-    """Frames of silence that stand where nothing is sent."""
     stretched: int = 0
     """Ticks made shorter or longer."""
     leaps: int = 0
-    ticks: int = 0
     delay_s: float = 0.0
     """What the sound waits beyond the fastest transit."""
     target_s: float = 0.0
@@ -134,17 +117,14 @@ class JitterBufferReport:
         speech = self.played + self.concealed
         return self.concealed / speech if speech else 0.0
 
-    @property
-    def stretched_ratio(self) -> float:
-        """Share of ticks that were made shorter or longer."""
-        return self.stretched / self.ticks if self.ticks else 0.0
-
 
 class JitterBuffer:
     """The jitter buffer of one voice; see the module for how it works.
 
     Attributes:
         moments_us: When each sample of the last tick was captured, sender's clock. ``[FRAME]``.
+        moment: When the last tick leaves the loudspeaker, and its samples' moments; None while
+            nothing is heard.
     """
 
     def __init__(self, decoder: Decoder) -> None:
@@ -166,8 +146,8 @@ class JitterBuffer:
         self._behind_s, self._rest_ticks = 0.0, 0
         self._offset_us = 0.0
         self.moments_us: Float64Array = np.zeros(FRAME)
+        self.moment: Moment | None = None
         self._last_arrival_s = self._aimed_s = -math.inf
-        self._history: deque[Moment] = deque(maxlen=HISTORY)
 
     def receive(self, packet: Frame, now: float) -> None:
         """Take a packet that arrived at `now`."""
@@ -188,7 +168,6 @@ class JitterBuffer:
                 drift of the loudspeaker's clock, and is stretched away.
             latency_s: Until the first sample leaves the loudspeaker.
         """
-        self._report.ticks += 1
         transit = self._sender.transit
         if transit is None:
             return np.zeros(FRAME, np.float32)
@@ -201,23 +180,10 @@ class JitterBuffer:
         self._report.delay_s = now - transit.fastest_s - float(out[1, 0])
         self.moments_us = (out[1] - CODEC_DELAY_S) * 1e6 + self._offset_us
         first, last = map(float, self.moments_us[[0, -1]])
-        self._history.append((now + latency_s, first, last))
+        is_heard = now - self._last_arrival_s <= SILENT_S
+        self.moment = (now + latency_s, first, last) if is_heard else None
         sound: FloatArray = out[0].astype(np.float32)
         return sound
-
-    def heard_us(self, now: float) -> int | None:
-        """The moment whose sound leaves the loudspeaker at `now`; None while there is none.
-
-        Sender's clock, microseconds; what stands still, as in a stall, is heard at one moment.
-        """
-        if now - self._last_arrival_s > SILENT_S:
-            return None
-        return moment_at(self._history, now)
-
-    @property
-    def latest(self) -> Moment | None:
-        """What `pull` gave last; None before a packet came."""
-        return self._history[-1] if self._history else None
 
     def report(self) -> JitterBufferReport:
         """Counters since the voice began, and how it stands; do not change it."""
@@ -340,7 +306,6 @@ class JitterBuffer:
         self._fifo = np.concatenate([self._fifo, np.stack([sound, moments])], axis=1)
 
     def _append_silence(self, begin_s: float, num_samples: int, rate: float = 1.0) -> None:
-        self._report.silent += not self._is_starved
         self._report.concealed += self._is_starved
         self._append(np.zeros(num_samples), begin_s, rate)
 

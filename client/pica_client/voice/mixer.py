@@ -7,11 +7,10 @@ what is heard on its own. `mix` is called every 20 ms.
 import math
 import threading
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import numpy as np
 
-from pica_client.voice.jitter_buffer import Decoder, JitterBuffer
+from pica_client.voice.jitter_buffer import Decoder, JitterBuffer, JitterBufferReport
 from pica_client.voice.packet import FRAME_SAMPLES, MAX_LEVEL, level_of
 from pica_client.voice.sound.settings import MAX_VOLUME, Moment
 from pica_client.voice.stretch import crossfade
@@ -134,16 +133,10 @@ class VoiceMixer:
             self.on_mixed(limited, now + latency_s)
         return limited
 
-    def heard_us(self, peer_id: str, now: float) -> int | None:
-        """The moment of a peer's voice that leaves the loudspeaker; see `JitterBuffer`."""
-        with self._lock:
-            voice = self._voices.get(peer_id)
-            return None if voice is None else voice.buffer.heard_us(now)
-
     def moments(self) -> dict[str, Moment]:
         """What was mixed last of each voice that can be heard."""
         with self._lock:
-            found = {peer_id: voice.buffer.latest for peer_id, voice in self._voices.items()}
+            found = {peer_id: voice.buffer.moment for peer_id, voice in self._voices.items()}
         return {peer_id: moment for peer_id, moment in found.items() if moment is not None}
 
     def levels(self) -> dict[str, int]:
@@ -151,10 +144,10 @@ class VoiceMixer:
         with self._lock:
             return {peer_id: voice.level for peer_id, voice in self._voices.items()}
 
-    def stats(self) -> dict[str, dict[str, Any]]:
+    def stats(self) -> dict[str, JitterBufferReport]:
         """How each voice came in, by peer id."""
         with self._lock:
-            return {peer_id: _stats(voice.buffer) for peer_id, voice in self._voices.items()}
+            return {peer_id: voice.buffer.report() for peer_id, voice in self._voices.items()}
 
 
 def limit(sound: Array) -> Array:
@@ -164,18 +157,3 @@ def limit(sound: Array) -> Array:
     bent = np.sign(sound) * (LIMIT_FROM + room * np.tanh(np.maximum(over, 0) / room))
     limited: Array = np.where(over > 0, bent, sound)
     return limited
-
-
-def _stats(buffer: JitterBuffer) -> dict[str, Any]:
-    report = buffer.report()
-    return {
-        "received": report.received,
-        "lost": report.lost,
-        "late": report.late,
-        "refused": report.refused,
-        "concealed_ratio": round(report.concealed_ratio, 4),
-        "stretched_ratio": round(report.stretched_ratio, 4),
-        "leaps": report.leaps,
-        "playout_delay_ms": round(report.delay_s * 1e3, 1),
-        "jitter_ms": round(report.jitter_s * 1e3, 1),
-    }

@@ -4,7 +4,6 @@ import asyncio
 import math
 import struct
 from collections.abc import AsyncIterator
-from contextlib import suppress
 from importlib.resources import as_file, files
 from importlib.util import find_spec
 from pathlib import Path
@@ -12,14 +11,14 @@ from typing import Final
 
 import numpy as np
 
-from pica_client.errors import OptionError, SourceError, VoiceError
+from pica_client.errors import OptionError, SourceError
 from pica_client.output import say
 from pica_client.transport.timers import wait_until
 from pica_client.voice.packet import FRAME_S, FRAME_SAMPLES
 from pica_client.voice.packet import SAMPLE_RATE_HZ as RATE_HZ
 from pica_client.voice.publisher import VoiceSource
-from pica_client.voice.sound.devices import NO_LIBRARY, Microphone
-from pica_client.voice.sound.echo import EchoCanceller
+from pica_client.voice.sound.process import SoundProcess
+from pica_client.voice.sound.settings import NO_DEVICE, NO_LIBRARY, SoundSettings
 from pica_core.types import FloatArray
 
 TURN_S: Final = 4.0
@@ -65,14 +64,35 @@ class SoundSource:
             index += 1 + (math.floor(late) if late * FRAME_S > _LATEST_S else 0)
 
 
+class MicrophoneSource:
+    """A microphone; a `publisher.VoiceSource`. What is wrong with it is said whenever that changes.
+
+    Args:
+        name: Of the device; empty is the system's default.
+        cleans: Whether to take noise out of it, where the extra ``echo`` is installed.
+    """
+
+    def __init__(self, name: str, *, cleans: bool) -> None:
+        settings = SoundSettings(microphone=name, speaker=NO_DEVICE, cleans=cleans)
+        self._sound = SoundProcess(settings)
+        self._sound.on_trouble = lambda note: say(note or "the microphone is there again")
+
+    async def frames(self, stopping: asyncio.Event) -> AsyncIterator[tuple[FloatArray, int]]:
+        """Return 20 ms after 20 ms; see `VoiceSource.frames`."""
+        try:
+            async for frame in self._sound.frames(stopping):
+                yield frame
+        finally:
+            await asyncio.to_thread(self._sound.close)
+
+
 def open_voice(text: str, *, cleans: bool = True) -> VoiceSource | None:
-    """Open what the option ``--voice`` names; None: no voice. What is wrong with a microphone is
-    said whenever that changes.
+    """Open what the option ``--voice`` names; None: no voice.
 
     Args:
         text: ``none``; ``speech``, the sentences that ship, or ``speech#K/N``, the K-th of N who
             take turns with them; ``mic``, the system's microphone, or ``mic:NAME``; or a WAV file.
-        cleans: Whether to take noise out of a microphone, where the extra ``echo`` is installed.
+        cleans: See `MicrophoneSource`.
 
     Raises:
         ModuleNotFoundError: A microphone needs the extra ``voice``.
@@ -85,11 +105,7 @@ def open_voice(text: str, *, cleans: bool = True) -> VoiceSource | None:
     if kind == "mic":
         if find_spec("soundcard") is None:
             raise ModuleNotFoundError(NO_LIBRARY, name="soundcard")
-        microphone = Microphone(device)
-        microphone.on_note = lambda note: say(note or "the microphone is there again")
-        with suppress(VoiceError):
-            microphone.clean = EchoCanceller().clean if cleans else None
-        return microphone
+        return MicrophoneSource(device, cleans=cleans)
     name, mark, turns = text.partition("#")
     if name != "speech":
         return SoundSource(read_wav(Path(text)))

@@ -10,14 +10,12 @@ says so; it is gone back to once it is there again. Without any device there is 
 `RETRY_S`; meanwhile voices are pulled all the same, so that their faces go on.
 """
 
-import asyncio
 import threading
 import time
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import AsyncIterator, Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import nullcontext, suppress
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from typing import Any
 
@@ -26,7 +24,7 @@ import numpy as np
 from pica_client.errors import VoiceError
 from pica_client.voice.mixer import VoiceMixer
 from pica_client.voice.packet import FRAME_S, FRAME_SAMPLES, MAX_LEVEL, SAMPLE_RATE_HZ, level_of
-from pica_client.voice.sound.settings import DeviceState
+from pica_client.voice.sound.settings import NO_DEVICE, NO_LIBRARY, DeviceState
 from pica_core.types import FloatArray
 
 RETRY_S, AT_ONCE_S = 2.0, 0.1
@@ -38,22 +36,13 @@ LOST_FRAMES, LOST_RATIO = 10, 0.2
 LATENCY_FRAMES = (10, 50)
 """After so many frames a device is asked for its latency, and not again: PulseAudio's library ends
 the whole process when it is asked of a device that has just been unplugged."""
-MAX_CAPTURED = 10
-"""Frames of a microphone that wait; the oldest is dropped beyond: 200 ms."""
 EARLY_STEP, LATE_STEP = 0.1, 0.01
 """Shares of an error of the capture clock that are mended with each frame: a frame that comes early
 tells the truth, one that comes late mostly that the machine was busy."""
 CLOCK_LEAP_S = 1.0
 """An error of the capture clock that is mended at once: the machine slept."""
-FADE_IN = np.linspace(0, 1, FRAME_SAMPLES, dtype=np.float32)[:, None]
-"""So that another device begins, and the one before ends, without a click."""
-NO_DEVICE = "none"
-"""The loudspeaker that makes no sound: voices are played all the same, and can be recorded."""
-OnFrame = Callable[[FloatArray, int], None]
-"""Takes 20 ms and when the first of its samples was captured, microseconds."""
 _IMPORTING = threading.Lock()
 NO_SOUND = "no sound system: {}; on Linux start PulseAudio or PipeWire"
-NO_LIBRARY = "no sound system: SoundCard is not installed; install the extra voice"
 
 
 def speakers() -> list[str]:
@@ -71,15 +60,10 @@ def microphones() -> list[str]:
 
 
 class _Device(ABC):
-    """A device that is opened again and again, on a thread of its own.
-
-    Attributes:
-        on_note: Takes what is wrong, on that thread, whenever that changes; empty: nothing.
-    """
+    """A device that is opened again and again, on a thread of its own."""
 
     def __init__(self, name: str) -> None:
         self.state = DeviceState()
-        self.on_note: Callable[[str], None] = lambda note: None
         self._wanted = name
         self._stopping, self._is_changed = threading.Event(), threading.Event()
         self._num_frames = 0
@@ -112,26 +96,12 @@ class _Device(ABC):
 
     def _run(self) -> None:
         stream: Any = None
-        opening: Future[tuple[Any, DeviceState]] | None = None
-        retry_s, told = 0.0, ""
-        # Devices are opened and closed there, while the one before goes on.
-        pool = ThreadPoolExecutor(1, thread_name_prefix="open-device")
+        retry_s = 0.0
         while not self._stopping.is_set():
-            is_due = stream is None and time.monotonic() >= retry_s
-            if opening is None and (is_due or self._is_changed.is_set()):
-                self._is_changed.clear()
-                opening = pool.submit(self._open, self._wanted)
             try:
-                if opening is not None and opening.done():
-                    done, opening = opening, None
-                    if stream is not None and (error := done.exception()) is not None:
-                        note = f"{self.state.name!r} goes on: {error}"
-                        self.state = replace(self.state, note=note)
-                    else:
-                        (opened, state), before = done.result(), stream
-                        if before is not None:
-                            self._leave(before, pool)
-                        stream, self.state, self._num_frames = opened, state, 0
+                if self._is_changed.is_set() or (stream is None and time.monotonic() >= retry_s):
+                    self._is_changed.clear()
+                    stream = self._changed(stream)
                 if stream is None:
                     self._idle()
                 else:
@@ -143,16 +113,22 @@ class _Device(ABC):
                 self.state, stream = DeviceState(note=words), None
                 is_lost = self._num_frames > LOST_FRAMES
                 retry_s = time.monotonic() + (AT_ONCE_S if is_lost else RETRY_S)
-            if self.state.note != told:
-                told = self.state.note
-                self.on_note(told)
         if stream is not None:
             stream.__exit__(None, None, None)
-        pool.shutdown(wait=False)
 
-    def _leave(self, stream: Any, pool: ThreadPoolExecutor) -> None:
-        """Close a stream that another one has taken over from."""
-        pool.submit(stream.__exit__, None, None, None)
+    def _changed(self, before: Any) -> Any:
+        """Open the wanted device and close the one before, which goes on where that fails."""
+        try:
+            stream, state = self._open(self._wanted)
+        except Exception as error:
+            if before is None:
+                raise
+            self.state = replace(self.state, note=f"{self.state.name!r} goes on: {error}")
+            return before
+        self.state, self._num_frames = state, 0
+        if before is not None:
+            before.__exit__(None, None, None)
+        return stream
 
     def _idle(self) -> None:
         """Pass the time of a frame without a device."""
@@ -212,14 +188,11 @@ class Loudspeaker(_Device):
             self._ask_latency(stream)
         if self._num_frames == 0:
             times.clear()
-        self._put(stream, self._next() * (FADE_IN if self._num_frames == 0 else 1))
+        sound = self._next()
+        stream.play(sound if stream.channels == 2 else sound.mean(axis=1, keepdims=True))
         times.append(time.monotonic())
         if len(times) == LOST_FRAMES and times[-1] - times[0] < LOST_RATIO * LOST_FRAMES * FRAME_S:
             raise VoiceError(f"loudspeaker {self.state.name!r} is gone")
-
-    def _leave(self, stream: Any, pool: ThreadPoolExecutor) -> None:
-        self._put(stream, self._next() * FADE_IN[::-1])
-        super()._leave(stream, pool)
 
     def _next(self) -> FloatArray:
         sound = self._mixer.mix(time.monotonic(), self.state.latency_s)
@@ -228,9 +201,6 @@ class Loudspeaker(_Device):
         if self.on_played is not None:
             self.on_played(sound)
         return sound
-
-    def _put(self, stream: Any, sound: FloatArray) -> None:
-        stream.play(sound if stream.channels == 2 else sound.mean(axis=1, keepdims=True))
 
     def _idle(self) -> None:
         self._nothing.play(self._next())
@@ -252,34 +222,24 @@ class _NoSpeaker(nullcontext[None]):
 
 
 class Microphone(_Device):
-    """Captures a voice; a source of `voice.publisher.VoicePublisher`.
+    """Captures a voice.
 
     Attributes:
         clean: Takes each frame through echo cancellation and the like; None: nothing does.
-        on_frame: Takes each frame.
         level: Of the last frame, see `level_of`.
     """
 
-    def __init__(self, name: str = "") -> None:
-        """Prepare the device of a name, empty for the system's default."""
+    def __init__(self, on_frame: Callable[[FloatArray, int], None], name: str = "") -> None:
+        """Prepare the device of a name, empty for the system's default.
+
+        Args:
+            on_frame: Takes 20 ms and when the first of its samples was captured, microseconds.
+        """
         super().__init__(name)
         self.clean: Callable[[FloatArray], FloatArray] | None = None
-        self.on_frame: OnFrame | None = None
         self.level = MAX_LEVEL
+        self._on_frame = on_frame
         self._captured_s: float | None = None
-
-    async def frames(self, stopping: asyncio.Event) -> AsyncIterator[tuple[FloatArray, int]]:
-        """20 ms after 20 ms with the time of its first sample; see `VoiceSource`."""
-        try:
-            async for frame in captured_frames(self._listen, stopping):
-                yield frame
-        finally:
-            await asyncio.to_thread(self.stop)
-
-    def _listen(self, on_frame: OnFrame | None) -> None:
-        self.on_frame = on_frame
-        if on_frame is not None:
-            self.start()
 
     def _open(self, name: str) -> tuple[Any, DeviceState]:
         card = _soundcard()
@@ -305,39 +265,7 @@ class Microphone(_Device):
         if (clean := self.clean) is not None:
             frame = clean(frame)
         self.level = level_of(frame)
-        if (on_frame := self.on_frame) is not None:
-            on_frame(frame, round(due_s * 1e6))
-
-
-async def captured_frames(
-    listen: Callable[[OnFrame | None], None], stopping: asyncio.Event
-) -> AsyncIterator[tuple[FloatArray, int]]:
-    """What another thread captures, as `VoiceSource.frames` has it.
-
-    Args:
-        listen: Is given the callback that takes the frames, and at the end None.
-    """
-    loop = asyncio.get_running_loop()
-    frames: asyncio.Queue[tuple[FloatArray, int] | None] = asyncio.Queue(MAX_CAPTURED)
-
-    def put(frame: tuple[FloatArray, int] | None) -> None:
-        if frames.full():
-            frames.get_nowait()
-        frames.put_nowait(frame)
-
-    def take(frame: FloatArray, captured_us: int) -> None:
-        with suppress(RuntimeError):  # the loop has just ended
-            loop.call_soon_threadsafe(put, (frame, captured_us))
-
-    listen(take)
-    end = asyncio.create_task(stopping.wait())
-    end.add_done_callback(lambda _: put(None))
-    try:
-        while (frame := await frames.get()) is not None and not stopping.is_set():
-            yield frame
-    finally:
-        end.cancel()
-        listen(None)
+        self._on_frame(frame, round(due_s * 1e6))
 
 
 def _soundcard() -> Any:

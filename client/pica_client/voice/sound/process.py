@@ -7,19 +7,20 @@ import subprocess
 import sys
 import threading
 import time
-from collections import defaultdict, deque
+from collections import defaultdict
 from collections.abc import AsyncIterator, Callable, Mapping
 from typing import Any, Final
 
-from pica_client.voice.jitter_buffer import HISTORY, SILENT_S, moment_at
-from pica_client.voice.sound.devices import OnFrame, captured_frames
-from pica_client.voice.sound.settings import DeviceState, Moment, SoundSettings, SoundState
+from pica_client.voice.jitter_buffer import JitterBufferReport
+from pica_client.voice.sound.settings import DeviceState, HeardVoice, SoundSettings, SoundState
 from pica_client.voice.sound.worker import Outbox
 from pica_core.types import FloatArray
 from pica_protocol.frames import Frame
 
 RESTART_S: Final = 2.0
 """Until sound that ended by itself is begun again."""
+MAX_CAPTURED: Final = 10
+"""Frames of a microphone that wait; the oldest is dropped beyond: 200 ms."""
 
 
 class SoundProcess:
@@ -31,13 +32,17 @@ class SoundProcess:
         state: How sound stood a moment ago.
         on_mixed: Is given what is mixed and when it leaves the loudspeaker, as
             `VoiceMixer.on_mixed`, on a thread of its own; `hand_on` switches it.
-        on_frame: Takes what the microphone captures while it is used, on that thread.
+        on_frame: Is given what the microphone captures while it is used, 20 ms and when the first
+            sample was captured, microseconds, on that thread.
+        on_trouble: Is given what is wrong with a device whenever that changes, on that thread;
+            empty: nothing.
     """
 
     def __init__(self, settings: SoundSettings | None = None) -> None:
         self.state = SoundState()
         self.on_mixed: Callable[[FloatArray, float], None] = lambda sound, leaves_s: None
-        self._stats: Mapping[str, dict[str, Any]] = {}
+        self.on_trouble: Callable[[str], None] = lambda trouble: None
+        self._stats: Mapping[str, JitterBufferReport] = {}
         self._lock = threading.Lock()
         self._process: subprocess.Popen[bytes] | None = None
         self._reading: threading.Thread | None = None
@@ -47,9 +52,8 @@ class SoundProcess:
         self._settings, self._users = settings or SoundSettings(), 0
         # What holds until it is set again, for a process that has to begin again.
         self._lasting: dict[str, tuple[Any, ...]] = {}
-        self.on_frame: OnFrame | None = None
-        self._arrived_s: dict[str, float] = {}
-        self._moments: dict[str, deque[Moment]] = defaultdict(lambda: deque(maxlen=HISTORY))
+        self.on_frame: Callable[[FloatArray, int], None] = lambda sound, captured_us: None
+        self._heard: dict[str, HeardVoice] = defaultdict(HeardVoice)
 
     def follow(self, settings: SoundSettings) -> None:
         """Do what the user has set."""
@@ -65,9 +69,8 @@ class SoundProcess:
 
     def seat(self, azimuths_rad: Mapping[str, float]) -> None:
         """Set the peers that are there and where each voice comes from; forget others."""
-        for gone in self._arrived_s.keys() - azimuths_rad.keys():
-            self._arrived_s.pop(gone, None)
-            self._moments.pop(gone, None)
+        for gone in self._heard.keys() - azimuths_rad.keys():
+            self._heard.pop(gone, None)
         self._last("seat", dict(azimuths_rad))
 
     def set_volumes(self, volumes: Mapping[str, float]) -> None:
@@ -80,7 +83,6 @@ class SoundProcess:
 
     def receive(self, peer_id: str, packet: Frame, arrived_s: float) -> None:
         """Take a packet of a peer's voice."""
-        self._arrived_s[peer_id] = arrived_s
         self._tell("receive", peer_id, packet, arrived_s)
 
     def play_test(self) -> None:
@@ -89,20 +91,35 @@ class SoundProcess:
 
     async def frames(self, stopping: asyncio.Event) -> AsyncIterator[tuple[FloatArray, int]]:
         """What the microphone captures; this is a `publisher.VoiceSource`."""
+        loop = asyncio.get_running_loop()
+        frames: asyncio.Queue[tuple[FloatArray, int] | None] = asyncio.Queue(MAX_CAPTURED)
+
+        def put(frame: tuple[FloatArray, int] | None) -> None:
+            if frames.full():
+                frames.get_nowait()
+            frames.put_nowait(frame)
+
+        def take(sound: FloatArray, captured_us: int) -> None:
+            with contextlib.suppress(RuntimeError):  # the loop has just ended
+                loop.call_soon_threadsafe(put, (sound, captured_us))
+
+        end = asyncio.create_task(stopping.wait())
+        end.add_done_callback(lambda _: put(None))
+        self.on_frame = take
         self.use_microphone(True)
         try:
-            async for frame in captured_frames(self._listen, stopping):
+            while (frame := await frames.get()) is not None and not stopping.is_set():
                 yield frame
         finally:
+            end.cancel()
             self.use_microphone(False)
 
     def heard_us(self, peer_id: str, now: float) -> int | None:
-        """The moment of a peer's voice that leaves the loudspeaker; see `JitterBuffer`."""
-        if now - self._arrived_s.get(peer_id, -SILENT_S) > SILENT_S:
-            return None
-        return moment_at(tuple(self._moments.get(peer_id, ())), now)
+        """The moment of a peer's voice that leaves the loudspeaker; see `HeardVoice`."""
+        voice = self._heard.get(peer_id)
+        return None if voice is None else voice.at(now)
 
-    def stats(self) -> Mapping[str, dict[str, Any]]:
+    def stats(self) -> Mapping[str, JitterBufferReport]:
         """How each voice came in, by peer id, half a second ago."""
         return self._stats
 
@@ -120,9 +137,6 @@ class SoundProcess:
                 process.wait()
             if self._reading is not None:
                 self._reading.join(timeout=1.0)
-
-    def _listen(self, on_frame: OnFrame | None) -> None:
-        self.on_frame = on_frame
 
     def _last(self, name: str, *arguments: Any) -> None:
         with self._lock:
@@ -162,8 +176,7 @@ class SoundProcess:
                 self._take(pickle.load(said))
         if self._is_closed:
             return
-        gone = DeviceState(note="sound ended by itself; it begins again")
-        self.state = SoundState(speaker=gone)
+        self._take(SoundState(speaker=DeviceState(note="sound ended by itself; it begins again")))
         process.kill()
         process.wait()
         outbox.close()
@@ -175,11 +188,13 @@ class SoundProcess:
     def _take(self, message: Any) -> None:
         match message:
             case SoundState():
-                self.state = message
+                before, self.state = self.state, message
                 self._stats = message.stats or self._stats
                 for peer_id, moment in message.moments.items():
-                    self._moments[peer_id].append(moment)
-            case ("captured", sound, captured_us) if self.on_frame is not None:
+                    self._heard[peer_id].receive(moment)
+                if message.trouble != before.trouble:
+                    self.on_trouble(message.trouble)
+            case ("captured", sound, captured_us):
                 self.on_frame(sound, captured_us)
             case ("mixed", sound, leaves_s):
                 self.on_mixed(sound, leaves_s)

@@ -26,17 +26,20 @@ import numpy as np
 from pica_client.errors import VoiceError
 from pica_client.voice.mixer import VoiceMixer
 from pica_client.voice.opus import OpusDecoder
-from pica_client.voice.packet import SAMPLE_RATE_HZ
+from pica_client.voice.packet import FRAME_SAMPLES, SAMPLE_RATE_HZ
 from pica_client.voice.sound.devices import RETRY_S, Loudspeaker, Microphone, microphones, speakers
-from pica_client.voice.sound.echo import EchoCanceller
 from pica_client.voice.sound.settings import SoundSettings, SoundState
-from pica_core.types import FloatArray
+from pica_core.types import Array, FloatArray
 
 MAX_WAITING = 500
 """Messages that wait for the other end, which reads as fast as it can; more are dropped."""
 STATS_TICKS = 25
 NICENESS = -10
 """Sound must come in time, and takes little of it; where the system lets us say so."""
+PART = FRAME_SAMPLES // 2
+"""Samples that the echo canceller takes at once: 10 ms."""
+MAX_DELAY_MS = 500
+"""Longest delay that it is told."""
 
 
 class Outbox:
@@ -63,6 +66,59 @@ class Outbox:
             while (message := self._waiting.get()) is not None:
                 self._file.write(pickle.dumps(message))
                 self._file.flush()
+
+
+class EchoCanceller:
+    """Takes out of a microphone what the loudspeaker put into it, and noise, and evens out its
+    loudness: WebRTC's own, in the `livekit` wheel. `play` and `clean` may be on threads of their
+    own.
+
+    Raises:
+        VoiceError: The extra is missing; names the line that installs it.
+    """
+
+    def __init__(self, *, gain_control: bool = True) -> None:
+        try:
+            from livekit import rtc
+        except ImportError as error:
+            raise VoiceError(
+                "echo cancellation is missing: pip install 'pica-telepresence[echo]'"
+            ) from error
+        self._frame: Any = rtc.AudioFrame
+        self._apm: Any = rtc.AudioProcessingModule(
+            echo_cancellation=True,
+            noise_suppression=True,
+            high_pass_filter=True,
+            auto_gain_control=gain_control,
+        )
+        self._lock = threading.Lock()
+
+    def set_delay(self, seconds: float) -> None:
+        """Set how long sound takes from `play` to the loudspeaker and from the air to `clean`."""
+        with self._lock:
+            self._apm.set_stream_delay_ms(min(max(round(seconds * 1e3), 0), MAX_DELAY_MS))
+
+    def play(self, sound: Array) -> None:
+        """Take what is played now: float32 ``[FRAME_SAMPLES]`` or ``[FRAME_SAMPLES, 2]``."""
+        mono = sound if sound.ndim == 1 else sound.mean(axis=1)
+        for part in mono.reshape(-1, PART):
+            with self._lock:
+                self._apm.process_reverse_stream(self._part(part))
+
+    def clean(self, sound: FloatArray) -> FloatArray:
+        """What is left of a frame of the microphone without echo and noise."""
+        parts = []
+        for part in sound.reshape(-1, PART):
+            frame = self._part(part)
+            with self._lock:
+                self._apm.process_stream(frame)
+            parts.append(np.frombuffer(frame.data, np.int16))
+        cleaned: FloatArray = (np.concatenate(parts) / 32768).astype(np.float32)
+        return cleaned
+
+    def _part(self, sound: Array) -> Any:
+        data = np.round(np.clip(sound, -1, 1) * 32767).astype(np.int16).tobytes()
+        return self._frame(data, SAMPLE_RATE_HZ, 1, PART)
 
 
 class SoundWorker:
@@ -98,8 +154,7 @@ class SoundWorker:
         self._loudspeaker.choose(settings.speaker)
         self._loudspeaker.start()
         if has_microphone and self._microphone is None:
-            self._microphone = Microphone(settings.microphone)
-            self._microphone.on_frame = lambda *frame: self._outbox.put(("captured", *frame))
+            self._microphone = Microphone(self._captured, settings.microphone)
             self._microphone.start()
         elif not has_microphone and self._microphone is not None:
             self._microphone.stop()
@@ -122,6 +177,9 @@ class SoundWorker:
         """Send what is mixed, as for a recording, or no longer."""
         put = self._outbox.put
         self._mixer.on_mixed = (lambda *mixed: put(("mixed", *mixed))) if is_wanted else None
+
+    def _captured(self, sound: FloatArray, captured_us: int) -> None:
+        self._outbox.put(("captured", sound, captured_us))
 
     def _played(self, sound: FloatArray) -> None:
         microphone, canceller = self._microphone, self._canceller

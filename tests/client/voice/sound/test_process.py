@@ -41,7 +41,7 @@ def workers() -> list[int]:
     return [p for p in pids if b"sound.worker" in Path(f"/proc/{p}/cmdline").read_bytes()]
 
 
-def test_another_loudspeaker_takes_over_without_a_gap_and_one_unplugged_is_replaced(
+def test_another_loudspeaker_takes_over_and_one_unplugged_is_replaced(
     sound: SoundProcess,
 ) -> None:
     leaves_s: list[float] = []

@@ -50,22 +50,27 @@ class Stream:
         self.is_open = False
 
 
-def card(stream: Stream) -> SimpleNamespace:
-    """Two microphones: one that is there, and one that is busy."""
+@pytest.fixture
+def stream(monkeypatch: pytest.MonkeyPatch) -> Stream:
+    """That of "there", one of two microphones; the other, "busy", is refused."""
+    stream = Stream()
 
     def refuse(*_: object, **__: object) -> None:
         raise OSError("device is busy")
 
     there = SimpleNamespace(name="there", recorder=lambda *_, **__: nullcontext(stream))
     busy = SimpleNamespace(name="busy", recorder=refuse)
-    return SimpleNamespace(all_microphones=lambda: [there, busy], default_microphone=lambda: there)
+    card = SimpleNamespace(all_microphones=lambda: [there, busy], default_microphone=lambda: there)
+    monkeypatch.setattr(devices, "_soundcard", lambda: card)
+    monkeypatch.setattr(devices, "time", SimpleNamespace(monotonic=lambda: stream.now))
+    return stream
 
 
-def test_a_microphone_goes_on_until_the_next_one_is_open(monkeypatch: pytest.MonkeyPatch) -> None:
-    stream, opened, goes_on = Stream(), threading.Event(), threading.Event()
-    monkeypatch.setattr(devices, "_soundcard", lambda: card(stream))
-    microphone = Microphone("there")
-    microphone.on_frame = lambda *_: (goes_on if microphone.state.note else opened).set()
+def test_a_microphone_goes_on_where_the_next_one_cannot_be_opened(stream: Stream) -> None:
+    opened, goes_on = threading.Event(), threading.Event()
+    microphone = Microphone(
+        lambda *_: (goes_on if microphone.state.note else opened).set(), "there"
+    )
     microphone.start()
     try:
         assert opened.wait(20)
@@ -79,21 +84,15 @@ def test_a_microphone_goes_on_until_the_next_one_is_open(monkeypatch: pytest.Mon
     assert not stream.is_open
 
 
-def test_each_frame_that_is_given_says_when_it_was_captured(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    stream, times_s, enough = Stream(), [], threading.Event()
-    monkeypatch.setattr(devices, "_soundcard", lambda: card(stream))
-    clock = SimpleNamespace(monotonic=lambda: stream.now)
-    monkeypatch.setattr(devices, "time", clock)
-    microphone = Microphone("there")
+def test_each_frame_that_is_given_says_when_it_was_captured(stream: Stream) -> None:
+    times_s, enough = [], threading.Event()
 
     def take(_: np.ndarray, captured_us: int) -> None:
         times_s.append((captured_us / 1e6, stream.now))
         if len(times_s) == 100:
             enough.set()
 
-    microphone.on_frame = take
+    microphone = Microphone(take, "there")
     microphone.start()
     assert enough.wait(20)
     microphone.stop()
