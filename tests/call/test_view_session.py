@@ -125,9 +125,7 @@ HEADLESS = replace(OPTIONS, viewer=replace(OPTIONS.viewer, headless=True))
 
 
 def state_at(url: str, name: str = "guest") -> ViewState:
-    return ViewState(
-        url=url, room="lobby", name=name, source="", voice="none", layout="grid", keep_in="kept"
-    )
+    return ViewState(url=url, room="lobby", name=name, source="", voice="none", layout="grid")
 
 
 def test_one_comes_again_under_another_name(
@@ -136,7 +134,7 @@ def test_one_comes_again_under_another_name(
     monkeypatch.setattr("pica_client.ui.session.Window", ClickingWindow)
     monkeypatch.setattr(ScreenlessWindow, "happened", [], raising=False)
     ClickingWindow.places = note_places(monkeypatch)
-    steps = ["Join", "Settings", "##name", "= Lovelace", "Join again"]
+    steps = ["Join", "Settings", "Leave and", "##name", "= Lovelace", "Join"]
     ClickingWindow.todo = list(steps)
     kept = PreferencesFile(tmp_path)
     state = state_at(relay_url, "Ada")
@@ -145,7 +143,7 @@ def test_one_comes_again_under_another_name(
     with contextlib.closing(AvatarLibrary()) as library:
         view_calls(stay, state, library, without_signals, kept=kept, asks=True)
     assert ClickingWindow.todo == []
-    assert kept.load().name == "Ada Lovelace"
+    assert (kept.load().name, state.name) == ("Ada", "Ada Lovelace")
 
 
 def test_one_can_leave_at_the_form(
@@ -214,16 +212,6 @@ def test_a_stay_begins_without_what_held_for_the_people_of_another(
     state.side, state.is_talking = "settings", True
     view_calls(HEADLESS, state, library, without_signals)
     assert (state.volumes, state.barred, state.side, state.is_talking) == ({}, {}, "none", False)
-
-
-def test_what_cannot_be_kept_is_said_and_the_call_ends_well(
-    library: AvatarLibrary, relay_url: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    kept = PreferencesFile(tmp_path)
-    state = state_at(relay_url)
-    state.keep_in = "k" * 2000
-    assert view_calls(HEADLESS, state, library, without_signals, kept=kept)["frames_rendered"] > 0
-    assert "preferences cannot be kept: keep_in is " in capsys.readouterr().err
 
 
 def test_who_records_from_the_command_line_is_seen_to_by_those_in_the_room(

@@ -17,20 +17,10 @@ from pica_client.sources import Tracker, open_source
 from pica_client.sources.live.calibration import Calibration, CalibrationStore, calibrate
 from pica_client.sources.registry import calibrations, split_source
 from pica_client.sources.source import Unseen
-from pica_core.avatar.arkit import ARKIT_INDEX
 from pica_core.types import Image
 
 REST_S: Final = 1.5
 """How long a face at rest is looked at."""
-BARS: Final[tuple[tuple[str, tuple[str, ...]], ...]] = (
-    ("Jaw", ("jawOpen",)),
-    ("Smile", ("mouthSmileLeft", "mouthSmileRight")),
-    ("Pucker", ("mouthPucker",)),
-    ("Brows", ("browInnerUp",)),
-    ("Lid, left", ("eyeBlinkLeft",)),
-    ("Lid, right", ("eyeBlinkRight",)),
-)
-"""What is shown of a tracker's values, and of which shapes each is the mean."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,12 +29,10 @@ class TrackerPreview:
 
     Attributes:
         has_face: Whether it sees a face.
-        bars: Name and value, 0 to 1, of some movements.
         picture: A camera's, uint8 ``[H, W, 3]``; None of other trackers.
     """
 
     has_face: bool
-    bars: tuple[tuple[str, float], ...]
     picture: Image | None
 
 
@@ -114,11 +102,7 @@ class FaceControls:
         source, frame = self.publisher.source, self.publisher.seen
         if not isinstance(source, Tracker) or frame is None:
             return None
-        bars = tuple(
-            (name, float(sum(frame.arkit[ARKIT_INDEX[each]] for each in shapes)) / len(shapes))
-            for name, shapes in BARS
-        )
-        return TrackerPreview(frame.has_face, bars, source.preview())
+        return TrackerPreview(frame.has_face, source.preview())
 
     def _learn(self) -> str:
         source = self.publisher.source

@@ -58,7 +58,7 @@ class Action(Enum):
     """Close what is open, or ask whether to leave."""
     LEAVE = auto()
     REJOIN = auto()
-    """Leave for a moment and join again with the identity in the settings."""
+    """Leave, and have the form ask again."""
     TEST_SOUND = auto()
     COPY_INVITATION = auto()
 
@@ -217,7 +217,11 @@ ACTIONS: Final[dict[Action, Row]] = {
         off=(icons.ICON_FA_USER_GROUP, "Participants", "plain"),
     ),
     Action.STATISTICS: Row(
-        keys=(_KEY.s,), title="statistics", toggle=("show_statistics", True, False)
+        keys=(_KEY.s,),
+        title="statistics",
+        toggle=("side", "statistics", "none"),
+        group=2,
+        off=(icons.ICON_FA_CHART_SIMPLE, "Statistics", "plain"),
     ),
     Action.SCREENSHOT: Row(
         keys=(_KEY.p,),

@@ -23,12 +23,12 @@ from pica_client.ui.panels.overlay import (
     names,
     own_face,
     signs,
-    statistics,
 )
 from pica_client.ui.panels.side import (
     help_panel,
     participants_panel,
     settings_panel,
+    statistics_panel,
     waiting_page,
 )
 from pica_client.ui.state import ViewState
@@ -39,9 +39,9 @@ PANELS: tuple[Panel, ...] = (
     names,
     signs,
     own_face,
-    statistics,
     waiting_page,
     participants_panel,
+    statistics_panel,
     settings_panel,
     help_panel,
     control_bar,

@@ -22,12 +22,9 @@ GAP_SHARE = 0.1
 """Part of a name's height that stays free around it."""
 HIDDEN_SHARE = 0.6
 """Who is hidden by this part has no name: it would stand on the person before them."""
-
-
 _POINTS = np.array(
     [
-        *((x, FACE_LOW_M[1], FACE_LOW_M[2]) for x in (FACE_LOW_M[0], FACE_HIGH_M[0])),
-        *((x, FACE_HIGH_M[1], FACE_LOW_M[2]) for x in (FACE_LOW_M[0], FACE_HIGH_M[0])),
+        *((x, y, FACE_LOW_M[2]) for x in (-0.085, 0.085) for y in (FACE_LOW_M[1], FACE_HIGH_M[1])),
         (0.0, FACE_LOW_M[1] - BELOW_CHIN_M, FACE_LOW_M[2]),
     ]
 )
@@ -35,8 +32,10 @@ _POINTS = np.array(
 
 
 class _Seen(NamedTuple):
+    depth_m: float
     face: Rect
     x_px: float
+    """The middle of the name; at the picture's edge it has moved inwards."""
     top_px: float
     """The upper edge of the name, below the chin."""
     half_width_px: float
@@ -55,84 +54,59 @@ def place_labels(
         Left, top, right and bottom in pixels, y down, in the order of the heads. None for who is
         not to be seen, or where there is no room beside the faces.
     """
-    depths = [float((camera.rotation @ head[:3, 3] + camera.translation_m)[2]) for head in heads]
-    seen = _look(heads, camera)
-    rooms: list[Rect | None] = [None] * len(heads)
-    taken: list[Rect] = []
-    faces: list[Rect] = []
-    for index in sorted(range(len(heads)), key=depths.__getitem__):
-        own = seen[index]
-        if own is None or not _is_seen(own.face, faces, camera):
-            continue
-        faces.append(own.face)
-        others = [each.face for number, each in enumerate(seen) if each and number != index]
-        room = _room(own, others, taken, camera, least_px)
-        if room is not None:
-            taken.append((room[0], room[1], room[2], room[1] + least_px[1]))
-            rooms[index] = room
-    return rooms
+    seen = [_look(head, camera, least_px) for head in heads]
+    faces = [each.face for each in seen if each is not None]
+    shown = [each for each in seen if each is not None and _is_seen(each, seen, camera)]
+    return [
+        None if each is None or each not in shown else _room(each, faces, shown, camera, least_px)
+        for each in seen
+    ]
 
 
-def _look(heads: Sequence[FloatArray], camera: Camera) -> list[_Seen | None]:
-    """Where faces are on the picture; None behind the camera."""
-    if not heads:
-        return []
-    turned = np.stack(heads)
-    points = _POINTS @ turned[:, :3, :3].transpose(0, 2, 1) + turned[:, None, :3, 3]
-    pixels, depth = camera.project(points.reshape(-1, 3))
-    focal_px = float(camera.intrinsics[1, 1])
-    found: list[_Seen | None] = []
-    # Five points each: Python's own numbers are faster than numpy's here.
-    for each, away in zip(
-        pixels.reshape(-1, 5, 2).tolist(), depth.reshape(-1, 5).tolist(), strict=True
-    ):
-        columns, rows = zip(*each[:4], strict=True)
-        chin_x, chin_y = each[4]
-        seen = _Seen(
-            face=(min(columns), min(rows), max(columns), max(rows)),
-            x_px=chin_x,
-            top_px=max(chin_y, *rows),
-            half_width_px=HALF_WIDTH_M * focal_px * len(away) / sum(away),
-        )
-        found.append(seen if min(away) > NEAR_M else None)
-    return found
-
-
-def _is_seen(face: Rect, nearer: Sequence[Rect], camera: Camera) -> bool:
-    """Whether enough of a face is on the picture and not behind others."""
-    area = (face[2] - face[0]) * (face[3] - face[1])
-    hidden = area - common_px(face, (0.0, 0.0, float(camera.width), float(camera.height)))
-    hidden = max([hidden, *(common_px(face, other) for other in nearer)])
-    return hidden < HIDDEN_SHARE * area
+def _look(head: FloatArray, camera: Camera, least_px: tuple[float, float]) -> _Seen | None:
+    """Where a face is on the picture; None behind the camera."""
+    pixels, depth = camera.project(_POINTS @ head[:3, :3].T + head[:3, 3])
+    if depth.min() <= NEAR_M:
+        return None
+    (left, top), (right, bottom) = pixels[:4].min(axis=0).tolist(), pixels[:4].max(axis=0).tolist()
+    chin_x, chin_y = pixels[4].tolist()
+    away_m, inwards = float(depth.mean()), least_px[0] / 2 + GAP_SHARE * least_px[1]
+    return _Seen(
+        depth_m=away_m,
+        face=(left, top, right, bottom),
+        x_px=min(max(chin_x, inwards), camera.width - inwards),
+        top_px=max(chin_y, bottom),
+        half_width_px=HALF_WIDTH_M * float(camera.intrinsics[1, 1]) / away_m,
+    )
 
 
 def _room(
     own: _Seen,
     faces: Sequence[Rect],
-    names: Sequence[Rect],
+    shown: Sequence[_Seen],
     camera: Camera,
     least_px: tuple[float, float],
 ) -> Rect | None:
     """What is left of the chest beside faces and other names, the middle of it the owner's."""
-    gap, obstacles = GAP_SHARE * least_px[1], [*faces, *names]
-    half = own.half_width_px
-    for left, top, right, bottom in faces:
-        if top < own.face[3] and own.face[1] < bottom:  # a neighbour: each has half the way
-            half = min(half, abs((left + right) / 2 - own.x_px) / 2 - gap)
-    half = min(max(half, least_px[0] / 2), camera.width / 2 - gap)
-    # At the picture's edge a name moves inwards, as far as its owner is wide.
-    x = min(max(own.x_px, half + gap), camera.width - half - gap)
-    if not own.face[0] <= x <= own.face[2]:
-        x = min(max(own.x_px, least_px[0] / 2 + gap), camera.width - least_px[0] / 2 - gap)
-        half = min(half, x - gap, camera.width - gap - x)
-    top, bottom = own.top_px, camera.height - gap
-    for other in obstacles:
-        if not overlap((x - half, top, x + half, top + least_px[1]), other):
-            continue
-        half = min(half, max(other[0] - gap - x, x - other[2] - gap))
-    for other in obstacles:
-        if overlap((x - half, top, x + half, bottom), other):
-            bottom = min(bottom, other[1] - gap)
-    if 2 * half < least_px[0] or bottom - top < least_px[1]:
+    gap, x, top = GAP_SHARE * least_px[1], own.x_px, own.top_px
+    bottom = top + least_px[1]
+    half = min(max(own.half_width_px, least_px[0] / 2), x - gap, camera.width - gap - x)
+    for other in shown:  # of those beside each other each has half the way
+        if other is not own and abs(other.top_px - top) < least_px[1] + gap:
+            half = min(half, abs(other.x_px - x) / 2 - gap)
+    for face in faces:
+        if overlap((x - half, top, x + half, bottom), face):
+            half = min(half, max(face[0] - gap - x, x - face[2] - gap))
+    if 2 * half < least_px[0] or bottom + gap > camera.height:
         return None
     return x - half, top, x + half, bottom
+
+
+def _is_seen(own: _Seen, everybody: Sequence[_Seen | None], camera: Camera) -> bool:
+    """Whether enough of a face is on the picture and not behind others."""
+    left, top, right, bottom = own.face
+    area = (right - left) * (bottom - top)
+    hidden = area - common_px(own.face, (0.0, 0.0, float(camera.width), float(camera.height)))
+    nearer = [each.face for each in everybody if each and each.depth_m < own.depth_m]
+    hidden = max([hidden, *(common_px(own.face, face) for face in nearer)])
+    return hidden < HIDDEN_SHARE * area

@@ -59,7 +59,7 @@ class ViewerOptions:
     record: Path | None = None
     """Record into this MP4 file, which must not be there yet."""
     keep_in: Path | None = None
-    """Folder for the pictures and recordings made by key, instead of the one used last."""
+    """Folder for the pictures and recordings made by key, instead of the system's."""
     max_fps: float = 30.0
     """Draw at most so many images a second."""
     decode: DecodeChoice = "auto"

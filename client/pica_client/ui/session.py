@@ -102,9 +102,6 @@ def first_state(
             f"own-avatar is the look of your own face; to send one, add --send {DEFAULT_SOURCE}"
         )
     _choose_sound(options, state, asks=asks)
-    state.show_statistics |= options.statistics
-    if options.viewer.keep_in is not None:
-        state.keep_in = str(options.viewer.keep_in.absolute())
     if options.viewer.size is not None:
         state.window_size = parse_size(options.viewer.size)
     return state
@@ -180,6 +177,7 @@ def view_calls(
         ClientError: Without a form, what else `Stay` or `open_own_face` raises.
     """
     form = JoinForm(state, partial(link_of, options))
+    state.can_rejoin = asks
     with ExitStack() as stack:
         window = sound = lobby = None
         if asks:
@@ -212,13 +210,12 @@ def view_calls(
                     raise
                 form.refuse(error)
                 continue
-            if result is None:
-                form.ask_again()
-                continue
-            if kept is not None:
-                kept.save(state, leaving=() if asks else OF_THE_FORM)
-            if not state.wants_rejoin:
-                return result
+            if result is not None:
+                if kept is not None:
+                    kept.save(state, leaving=() if asks else OF_THE_FORM)
+                if not state.wants_rejoin:
+                    return result
+            form.ask_again()
     return dict(NOTHING_SHOWN)
 
 
@@ -253,7 +250,8 @@ class Stay:
         self._options, self._link, self._state = options, link, state
         self._window, self._waiting = window, waiting
         state.name = link.name
-        state.enter(tuple(library.names))
+        state.enter()
+        state.side = "statistics" if options.statistics else "none"
         self._fetcher = None
         if options.fetch:
             tls = None if link.ca_file is None else trusting(link.ca_file)
@@ -261,7 +259,7 @@ class Stay:
         self._own_sound = SoundProcess(state.sound) if sound is None else None
         sound = sound or self._own_sound
         assert sound is not None
-        voice = sound if state.entered.voice == "mic" else open_voice(state.entered.voice)
+        voice = sound if state.voice == "mic" else open_voice(state.voice or "none")
         self._hearing = None
         if options.speaker != "off":
             if (lacking := available()) is None:
@@ -320,7 +318,7 @@ class Stay:
                 return None
             controls = None
             if self._publisher is not None:
-                controls = FaceControls(self._publisher, self._link.name, state.entered.source)
+                controls = FaceControls(self._publisher, self._link.name, state.source or "")
                 stack.callback(controls.close)
             with Viewer(
                 self._call,
@@ -346,9 +344,8 @@ class Stay:
                     say(f"wrote {png}")
                 if size := viewer.windowed_size:
                     state.window_size = fit_side(size[0]), fit_side(size[1])
-                if not state.wants_rejoin:  # what was chosen for rejoining alone is forgotten
-                    source = controls.source if controls is not None else state.entered.source
-                    state.identity = state.entered._replace(source=source)
+                if controls is not None:
+                    state.source = controls.source
         for problem in problems:
             print(problem, file=sys.stderr)
         if options.frame_log is not None:

@@ -9,7 +9,7 @@ import json
 from collections.abc import Callable, Collection
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import Any, Final, Literal, NamedTuple, get_args
+from typing import Any, Final, Literal, get_args
 from urllib.parse import urlsplit, urlunsplit
 
 from pica_client.errors import OptionError
@@ -27,38 +27,24 @@ OwnFace = Literal["none", "sent", "frozen", "muted"]
 goes on being sent; muted: nothing is."""
 OwnVoice = Literal["none", "sent", "muted"]
 """What becomes of the user's own voice; none: there is none to send."""
-Side = Literal["none", "help", "participants", "settings"]
+Side = Literal["none", "help", "participants", "settings", "statistics"]
 """What stands in the panel at the right."""
 SCALES: Final = (0.8, 1.0, 1.25, 1.5)
 """Sizes of type and buttons to choose from."""
 MIN_DETAIL: Final = 0.1
 FILE_NAME: Final = "preferences.json"
-MAX_FILE_BYTES: Final = 65_536
-MAX_TEXT: Final = 1024
-"""Characters of an address, a name or a folder."""
 MIN_SIDE, MAX_SIDE = 160, 8192
 CHOICES: Final[dict[str, tuple[Any, ...]]] = {
     "layout": LAYOUTS,
     "mode": get_args(Mode),
     "scale": SCALES,
 }
-SHOWN: Final = ("url", "room", "name")
-"""Texts that must hold no control characters."""
 LAYOUT_TITLES: Final[dict[Layout, str]] = {
     "line": "Line",
     "arc": "Arc",
     "table": "Round table",
     "grid": "Grid",
 }
-
-
-class Identity(NamedTuple):
-    """As whom the user is in the call; see the fields of `Preferences`."""
-
-    name: str = ""
-    avatar: str = ""
-    source: str = ""
-    voice: str = ""
 
 
 @dataclass(kw_only=True, slots=True)
@@ -80,10 +66,7 @@ class Preferences:
     """File of certificates to trust."""
     secret_file: str = ""
     """File with the room secret; the secret itself is not kept."""
-    keep_in: str = ""
-    """Folder for pictures and recordings; empty is the system's for each of them."""
     layout: Layout = "arc"
-    show_statistics: bool = False
     mode: Mode = "dark"
     scale: float = 1.0
     """Size of type and buttons, one of `SCALES`."""
@@ -95,16 +78,24 @@ class Preferences:
     window_size: tuple[int, int] = (960, 540)
     """Columns and rows, in the screen's units."""
 
+    def __post_init__(self) -> None:
+        for name, allowed in CHOICES.items():
+            if getattr(self, name) not in allowed:
+                raise ValueError(f"{name} is {getattr(self, name)!r}; {allowed} are allowed")
+        if not MIN_DETAIL <= self.detail <= 1:
+            raise ValueError(f"detail is {self.detail}; {MIN_DETAIL} to 1 is allowed")
+        sides = self.window_size
+        if len(sides) != 2 or sides != tuple(map(fit_side, sides)):
+            raise ValueError(f"window_size is {sides}; {MIN_SIDE} to {MAX_SIDE} each is allowed")
+
 
 @dataclass(kw_only=True, slots=True)
 class ViewState(Preferences):
     """The preferences, and what holds for this call alone."""
 
     token: str = field(default="", repr=False)
-    entered: Identity = field(default_factory=Identity)
-    """As whom the user came in; a name, an avatar or a voice changes only by rejoining."""
-    avatars: tuple[str, ...] = ()
-    """Those to choose from, by name; none where rejoining is not possible."""
+    can_rejoin: bool = False
+    """A form can ask again where to go and as whom."""
     wants_rejoin: bool = False
     wants_close: bool = False
     orbit: Orbit = field(default_factory=Orbit)
@@ -128,22 +119,12 @@ class ViewState(Preferences):
     is_recording: bool = False
 
     @property
-    def identity(self) -> Identity:
-        """As whom the user wants to be in the call."""
-        return Identity(self.name, self.avatar, self.source or "", self.voice or "none")
-
-    @identity.setter
-    def identity(self, wanted: Identity) -> None:
-        self.name, self.avatar, self.source, self.voice = wanted
-
-    @property
     def is_heard(self) -> bool:
         """Return True if the own voice is to be sent now."""
         return self.own_voice == "sent" and (self.is_talking or not self.sound.push_to_talk)
 
-    def enter(self, avatars: tuple[str, ...]) -> None:
+    def enter(self) -> None:
         """Begin a stay in a room; forget what held for the people and the panels of another."""
-        self.entered, self.avatars = self.identity, avatars
         self.orbit, self.pinned, self.side = Orbit(), None, "none"
         self.volumes, self.barred = {}, {}
         self.wants_rejoin = self.wants_close = self.asks_to_leave = False
@@ -181,23 +162,15 @@ class PreferencesFile:
     def load(self) -> ViewState:
         """What is in the file; defaults if there is none, or none that can be used."""
         try:
-            with self.path.open("rb") as file:
-                content = file.read(MAX_FILE_BYTES + 1)
-            if len(content) > MAX_FILE_BYTES:
-                raise ValueError(f"it is larger than {MAX_FILE_BYTES} bytes")
-            values = _known(Preferences, json.loads(content))
-            values["sound"] = SoundSettings(**_known(SoundSettings, values.get("sound", {})))
-            sides = values.get("window_size", [960, 540])
-            values["window_size"] = tuple(sides) if isinstance(sides, list) else sides
-            state = ViewState(**values)
-            _check(state)
+            values = _known(Preferences, json.loads(self.path.read_bytes()))
+            values["sound"] = SoundSettings(**_known(SoundSettings, values["sound"]))
+            return ViewState(**values)
         except FileNotFoundError:
             return ViewState()
-        except (OSError, ValueError, RecursionError, OptionError) as error:
+        except (OSError, ValueError, TypeError, RecursionError, OptionError) as error:
             reason = getattr(error, "strerror", None) or error
             self._warn(f"{self.path}: preferences cannot be used, taking defaults: {reason}")
             return ViewState()
-        return state
 
     def save(self, state: ViewState, *, leaving: Collection[str] = ()) -> None:
         """Replace the file, whole or not at all. When it cannot be written, the user is told and
@@ -213,44 +186,18 @@ class PreferencesFile:
         }
         kept |= {"url": _without_secrets(state.url), "sound": asdict(state.sound)}
         try:
-            _check(state)
             make_private(self.path.parent)
             with replacing(self.path) as unfinished:
                 unfinished.touch(0o600)
                 unfinished.write_text(json.dumps(kept, indent=2) + "\n")
-        except (OSError, ValueError) as error:
+        except OSError as error:
             reason = getattr(error, "strerror", None) or error
             self._warn(f"{self.path}: preferences cannot be kept: {reason}")
 
 
-def _check(state: Preferences) -> None:
-    """Check what a file, or a user, has put into preferences.
-
-    Raises:
-        ValueError: Names the first that is out of its range.
-    """
-    usual = Preferences()
-    for each in fields(Preferences):
-        name, value, like = each.name, getattr(state, each.name), getattr(usual, each.name)
-        if name in CHOICES:
-            is_fit = value in CHOICES[name]
-        elif name == "window_size":
-            is_fit = isinstance(value, tuple) and list(map(type, value)) == [int, int]
-            is_fit = is_fit and all(MIN_SIDE <= side <= MAX_SIDE for side in value)
-        elif name == "detail":
-            is_fit = type(value) in (int, float) and MIN_DETAIL <= value <= 1
-        elif like is None or isinstance(like, str):
-            is_fit = (isinstance(value, str) and len(value) <= MAX_TEXT) or value is like is None
-            is_fit = is_fit and (name not in SHOWN or value.isprintable())
-        else:
-            is_fit = type(value) is type(like)
-        if not is_fit:
-            raise ValueError(f"{name} is {value!r:.50}, which cannot be used")
-
-
 def fit_side(side: int) -> int:
     """The nearest side of a window that is kept."""
-    return min(max(side, MIN_SIDE), MAX_SIDE)
+    return int(min(max(side, MIN_SIDE), MAX_SIDE))
 
 
 def _without_secrets(url: str) -> str:
@@ -264,8 +211,17 @@ def _without_secrets(url: str) -> str:
 
 
 def _known(kind: type, content: Any) -> dict[str, Any]:
-    """The values of a dataclass; what else is beside them is left out."""
+    """The values of a dataclass, each as JSON holds it; what else is beside them is left out.
+
+    Raises:
+        ValueError: Names the first that is of another type.
+    """
     if not isinstance(content, dict):
         raise ValueError(f"{content!r:.50} is no object of {kind.__name__}")
-    names = {field.name for field in fields(kind)}
-    return {name: value for name, value in content.items() if name in names}
+    known = asdict(kind()) | {name: content[name] for name in asdict(kind()) if name in content}
+    for name, usual in asdict(kind()).items():
+        if isinstance(usual, tuple) and isinstance(known[name], list):
+            known[name] = tuple(known[name])
+        if not isinstance(known[name], type(usual) if usual is not None else str | None):
+            raise ValueError(f"{name} is {known[name]!r:.50}, which cannot be used")
+    return known

@@ -138,8 +138,7 @@ class Viewer(Closing):
             status = CallMonitor(receiver).status if receiver is not None else None
             has_pointer = self._window is not None
             self._panels = CallSurface(self.surface, self._meter, status, has_pointer=has_pointer)
-            keep_in = Path(state.keep_in) if state.keep_in else options.keep_in
-            self._captures = Captures(keep_in, self._sound.begin_track)
+            self._captures = Captures(options.keep_in, self._sound.begin_track)
             stack.callback(self._end_recordings)
             if options.record is not None:
                 self._captures.record(options.record, size)
@@ -259,7 +258,7 @@ class Viewer(Closing):
         drawn = _DrawnFrame(plan.shaded_px)
         with self._draw_clock.around(drawn):
             self.last_draw = self._renderer.draw(scene.placements, scene.camera, room=scene.room)
-            self.surface.paint(self._renderer.image, windows=self._window is None)
+            self.surface.paint(self._renderer.image, panels=self._window is None)
         drawn.num_triangles = self.last_draw.num_triangles
         drawn.shaded_px *= self.last_draw.drawn_share
         for frame, seconds in self._draw_clock.take():
@@ -351,7 +350,7 @@ class Viewer(Closing):
     def _show(self, screen: moderngl.Framebuffer) -> None:
         """Put a frame on the window. What steers the call is there, not in what is kept of it."""
         self._renderer.present(screen)
-        self.surface.paint(screen, background=False)
+        self.surface.paint(screen, signs=False)
 
     def _draw_own(self, now: float) -> OwnFaceView:
         """Return the own face; its picture if there is room for it."""

@@ -61,9 +61,9 @@ def leave_question(state: ViewState, call: CallView, metrics: Metrics) -> list[R
     return requests
 
 
-def lower_share(call: CallView, metrics: Metrics) -> float:
+def bar_share(metrics: Metrics) -> float:
     """Return the part of the picture's height that the bar takes from the people."""
-    return metrics.px(BAR_PT + EDGE_PT) / metrics.size[1] if call.has_pointer else 0.0
+    return metrics.px(BAR_PT + EDGE_PT) / metrics.size[1]
 
 
 def _groups(state: ViewState) -> list[list[tuple[Action, Row]]]:

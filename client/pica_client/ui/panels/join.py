@@ -141,7 +141,7 @@ def _fields(
     state.source = widgets.choice_of("##source", SOURCES, state.source or "")
     if view.sound is not None:
         widgets.note("Your microphone", metrics)
-        microphone_picker(state, view.sound)
+        microphone_picker(state, view.sound, may_be_off=True)
         if imgui.tree_node_ex("Try the sound", FOLDED):
             requests.append("show meters")
             has_microphone = state.voice == MICROPHONE
@@ -172,19 +172,18 @@ def _avatars(state: ViewState, view: JoinView, metrics: Metrics) -> None:
     room = (imgui.get_content_region_avail().x - (count - 1) * gap) / count
     side = min(metrics.px(PORTRAIT_PT), room)
     worn = state.avatar or view.default_avatar
-    shapes, palette, rounding = imgui.get_window_draw_list(), metrics.palette, metrics.px(8)
+    edge = metrics.px(2.5)
+    imgui.push_style_var(imgui.StyleVar_.frame_padding, (edge, edge))
+    imgui.push_style_var(imgui.StyleVar_.image_rounding, metrics.px(6))
     for number, (name, texture) in enumerate(view.portraits.items()):
         if number:
             imgui.same_line(0, gap)
-        if imgui.invisible_button(f"avatar {name}", (side, side)):
+        frame = metrics.palette.accent if name == worn else metrics.palette.card
+        imgui.push_style_color(imgui.Col_.button, frame)
+        picture, size = imgui.ImTextureRef(texture), (side - 2 * edge, side - 2 * edge)
+        if imgui.image_button(f"avatar {name}", picture, size):
             state.avatar = "" if state.avatar == name else name
-        low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
-        picture = imgui.ImTextureRef(texture)
-        shapes.add_image_rounded(picture, low, high, (0, 0), (1, 1), 0xFFFFFFFF, rounding)
-        if imgui.is_item_hovered() or name == worn:
-            colour = palette.accent if name == worn else palette.faint
-            shapes.add_rect(low, high, widgets.ink(colour), rounding, thickness=metrics.px(2.5))
-        chosen = (
-            name.title() if state.avatar else f"{name.title()}: by default it goes by your name"
-        )
-        widgets.hint(chosen)
+        imgui.pop_style_color()
+        by_default = "" if state.avatar else ": by default it goes by your name"
+        widgets.hint(f"{name.title()}{by_default}")
+    imgui.pop_style_var(2)

@@ -21,22 +21,20 @@ SOFTEST_DB, LOUD_DB = 60, 4
 MAX_PERCENT = 200
 SYSTEMS_OWN = "The system's"
 MODES: dict[Mode, str] = {"dark": "Dark", "light": "Light"}
-MAX_NAME = 64
-"""Bytes of a name in UTF-8."""
 
 
 def settings_tabs(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
     """The user's identity and sound, and how the call is shown: a tab for each that there is."""
     requests: list[Request] = []
     if imgui.begin_tab_bar("parts"):
-        if state.avatars and imgui.begin_tab_item("You")[0]:
-            requests += _identity(state, call, metrics)
+        if (state.can_rejoin or state.own_face != "none") and imgui.begin_tab_item("You")[0]:
+            requests += _you(state, call, metrics)
             imgui.end_tab_item()
         if call.sound is not None and imgui.begin_tab_item("Sound")[0]:
-            note("Microphone", metrics)
-            microphone_picker(state, call.sound)
-            # A microphone is opened or closed by rejoining.
-            is_open = state.entered.voice == MICROPHONE
+            is_open = state.own_voice != "none" and state.voice == MICROPHONE
+            if is_open:
+                note("Microphone", metrics)
+                microphone_picker(state, call.sound)
             if sound_settings(state, call.sound, metrics, has_microphone=is_open):
                 requests.append(Action.TEST_SOUND)
             imgui.end_tab_item()
@@ -44,20 +42,18 @@ def settings_tabs(state: ViewState, call: CallView, metrics: Metrics) -> list[Re
             requests += _shown(state, metrics)
             imgui.end_tab_item()
         imgui.end_tab_bar()
-    return requests + (_rejoining(state, call, metrics) if state.avatars else [])
+    return requests
 
 
-def microphone_picker(state: ViewState, sound: SoundState) -> None:
+def microphone_picker(state: ViewState, sound: SoundState, *, may_be_off: bool = False) -> None:
     """Choose whose voice is sent, and by which microphone."""
     voice, settings = state.voice or NO_VOICE, state.sound
     chosen = f"{voice}:{settings.microphone}" if voice == MICROPHONE else voice
     devices = _devices(sound.microphones, settings.microphone, f"{MICROPHONE}:")
-    found = choice_of("##microphone", ((NO_VOICE, "Off: only listen"), *devices), chosen)
-    kind, _, device = found.partition(":")
-    if kind == MICROPHONE:
-        state.voice, state.sound = MICROPHONE, replace(settings, microphone=device)
-    else:
-        state.voice = found
+    off = ((NO_VOICE, "Off: only listen"),) if may_be_off else ()
+    state.voice, _, device = choice_of("##microphone", (*off, *devices), chosen).partition(":")
+    if state.voice == MICROPHONE:
+        state.sound = replace(settings, microphone=device)
 
 
 def sound_settings(
@@ -113,36 +109,23 @@ def _meter(level: int, device: DeviceState, metrics: Metrics) -> None:
         note(device.note, metrics, tone="warning")
 
 
-def _identity(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
-    """Face source, avatar and name; the last two hold after rejoining."""
+def _you(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
+    """The face's source; all else is asked again by the form."""
     requests: list[Request] = []
-    note("Your face", metrics)
-    before = call.own.source or state.source or ""
-    source = choice_of("##source", SOURCES, before)
-    if source != before:
-        state.source = source
-    calibrate = f"Calibrate   [{ACTIONS[Action.CALIBRATE].key_names[0]}]"
-    if call.own.seen and action_button(calibrate, metrics):
-        requests.append(Action.CALIBRATE)
-    note("Your avatar", metrics)
-    avatars = (("", "By your name"), *((name, name.title()) for name in state.avatars))
-    state.avatar = choice_of("##avatar", avatars, state.avatar)
-    note("Your name", metrics)
-    imgui.set_next_item_width(-1)
-    state.name = imgui.input_text("##name", state.name)[1][:MAX_NAME]
+    if state.own_face != "none":
+        note("Your face", metrics)
+        before = call.own.source or state.source or ""
+        source = choice_of("##source", [each for each in SOURCES if each[0]], before)
+        if source != before:
+            state.source = source
+        calibrate = f"Calibrate   [{ACTIONS[Action.CALIBRATE].key_names[0]}]"
+        if call.own.seen and action_button(calibrate, metrics):
+            requests.append(Action.CALIBRATE)
+    if state.can_rejoin:
+        note("For another name, avatar or microphone you leave, and the form asks again.", metrics)
+        if action_button("Leave and join again", metrics):
+            requests.append(Action.REJOIN)
     return requests
-
-
-def _rejoining(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
-    """A button, if a choice needs rejoining."""
-    entered = state.entered
-    sends = state.own_face != "none"
-    shows = bool(call.own.source or state.source)
-    is_same = state.identity._replace(source=entered.source) == entered and shows == sends
-    if is_same or not 1 <= len(state.name.strip().encode()) <= MAX_NAME:
-        return []
-    note("You leave for a moment and join again.", metrics)
-    return [Action.REJOIN] if action_button("Join again as this", metrics, tone="accent") else []
 
 
 def _shown(state: ViewState, metrics: Metrics) -> list[Request]:
@@ -153,7 +136,6 @@ def _shown(state: ViewState, metrics: Metrics) -> list[Request]:
     if layout := one_of(LAYOUT_TITLES, state.layout, metrics):
         requests.append(state.seat(layout))
     note("Shown", metrics)
-    _, state.show_statistics = imgui.checkbox("Statistics", state.show_statistics)
     if state.own_face != "none":
         _, state.shows_self = imgui.checkbox("My own face", state.shows_self)
     note("Colours", metrics)

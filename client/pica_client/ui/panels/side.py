@@ -1,5 +1,10 @@
-"""The panel at the right with help, settings or the participants, and the page while waiting."""
+"""The panel at the right with help, settings, participants or statistics, and the waiting page.
 
+Columns of the statistics: the level of detail and what its decode costs; what its stream takes; how
+late and how old it is; how much of it had to be concealed.
+"""
+
+import math
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 
@@ -8,29 +13,36 @@ from imgui_bundle import imgui
 
 from pica_client.call.participants import Participant, duration_text
 from pica_client.ui.actions import Action, Request, help_lines
-from pica_client.ui.call_view import CallView
+from pica_client.ui.call_view import CallView, PersonView
 from pica_client.ui.panels.bar import BAR_PT
 from pica_client.ui.panels.settings import settings_tabs, volume_slider
 from pica_client.ui.state import ViewState
 from pica_client.ui.surface import widgets
-from pica_client.ui.surface.style import EDGE_PT, PADDING_PT, TEXT_PT, Metrics, Tone
+from pica_client.ui.surface.style import EDGE_PT, PADDING_PT, SMALL_PT, TEXT_PT, Metrics, Tone
 from pica_protocol.messages import BarIdentity, MutePeer, RemovePeer
 
-WIDTH_PT = 300.0
+WIDTH_PT, STATISTICS_PT = 300.0, 420.0
 WAITING_PT = 380.0
 CLOSE_PT = 28.0
 CODE_PT = 19.0
 MENU_PT = 24.0
 VOLUME_PT = 180.0
+COLUMNS = ("", "level", "decode", "kbit/s", "latency", "age", "lost %")
+NO_FIGURE = "–"
+NAME_PT = 90.0
+MAX_LATENCY_MS = 10_000.0
+"""Beyond it sender and receiver have different clocks, and the figure means nothing."""
 Sign = tuple[str, Tone, str]
 """An icon, its tone, and what it means."""
 
 
 @contextmanager
-def side_panel(name: str, metrics: Metrics, requests: list[Request]) -> Iterator[None]:
+def side_panel(
+    name: str, metrics: Metrics, requests: list[Request], width_pt: float = WIDTH_PT
+) -> Iterator[None]:
     """The frame: a title, a button that closes it, and room that scrolls."""
     edge, (columns, rows) = metrics.px(EDGE_PT), metrics.size
-    width, height = metrics.px(WIDTH_PT), rows - edge * 3 - metrics.px(BAR_PT)
+    width, height = metrics.px(width_pt), rows - edge * 3 - metrics.px(BAR_PT)
     with widgets.card(name, (columns - edge - width, edge), metrics, size=(width, 0)):
         widgets.title(name)
         imgui.same_line(imgui.get_window_width() - metrics.px(CLOSE_PT + PADDING_PT))
@@ -48,7 +60,8 @@ def side_share(state: ViewState, metrics: Metrics) -> float:
     """Return the part of the picture's width that the panel takes from the people."""
     if state.side == "none":
         return 0.0
-    return (metrics.px(WIDTH_PT) + 2 * metrics.px(EDGE_PT)) / metrics.size[0]
+    width_pt = STATISTICS_PT if state.side == "statistics" else WIDTH_PT
+    return (metrics.px(width_pt) + 2 * metrics.px(EDGE_PT)) / metrics.size[0]
 
 
 def help_panel(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
@@ -77,6 +90,48 @@ def settings_panel(state: ViewState, call: CallView, metrics: Metrics) -> list[R
         with side_panel("Settings", metrics, requests):
             requests += settings_tabs(state, call, metrics)
     return requests
+
+
+def statistics_panel(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
+    """A line for each participant, and the figures of the whole call."""
+    requests: list[Request] = []
+    if state.side != "statistics":
+        return requests
+    with side_panel("Statistics", metrics, requests, STATISTICS_PT), widgets.type_size(SMALL_PT):
+        if imgui.begin_table("figures", len(COLUMNS), imgui.TableFlags_.row_bg):
+            for name in COLUMNS:
+                imgui.table_setup_column(name, imgui.TableColumnFlags_.width_fixed)
+            imgui.table_headers_row()
+            for person in call.people:
+                for cell in row_of(person, metrics):
+                    imgui.table_next_column()
+                    imgui.text_unformatted(cell)
+            imgui.end_table()
+        widgets.note("Decoding, latency and age are in milliseconds.", metrics)
+        for name, value in call.figures:
+            widgets.note(f"{name} {value}", metrics)
+    return requests
+
+
+def row_of(person: PersonView, metrics: Metrics) -> tuple[str, ...]:
+    """Return the figures of one participant, as the table shows them."""
+    found, stream, health = person.figures, person.stream, person.stream.health
+    latency = None if found is None else found.latency_ms
+    if latency is not None and not 0 <= latency <= MAX_LATENCY_MS:
+        latency = None
+    return (
+        widgets.shortened(person.name, metrics.px(NAME_PT), SMALL_PT),
+        _figure(None if found is None else found.level, 0),
+        _figure(None if found is None else found.decode_ms, 1),
+        _figure(None if stream.payload_bps is None else stream.payload_bps / 1e3, 1),
+        _figure(latency, 0),
+        _figure(health.age_s * 1e3 if health.shown else None, 0),
+        _figure(health.concealed / health.shown * 100 if health.shown else None, 1),
+    )
+
+
+def _figure(value: float | None, digits: int) -> str:
+    return NO_FIGURE if value is None or not math.isfinite(value) else f"{value:.{digits}f}"
 
 
 def waiting_page(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
@@ -211,8 +266,6 @@ def _menu(person: Participant, state: ViewState, call: CallView, metrics: Metric
         pin = "Unpin" if state.pinned == person.place else "Pin"
         if not person.is_watching and _item(icons.ICON_FA_THUMBTACK, pin):
             state.pin(person.place)
-        if _item(icons.ICON_FA_CHART_SIMPLE, "Statistics"):
-            requests.append(Action.STATISTICS)
         if _item(icons.ICON_FA_ROTATE_LEFT, "Reset the view"):
             requests.append(Action.RESET_VIEW)
         if person.has_voice:

@@ -28,8 +28,8 @@ from pica_client.ui.surface.style import TEXT_PT, Metrics, Mode, apply_style, me
 from pica_core.gl import GL_VERSION
 from pica_core.types import Image
 
-BACKGROUND = "##Background"
-"""ImGui's name of the list that is drawn below all windows."""
+ON_PICTURE = "picture "
+"""How names of windows begin that are part of the picture, also of one that is kept."""
 MAX_STEP_S = 0.25
 """Animations skip the rest of a frame that took longer than this."""
 _BUNDLE = Path(imgui_bundle.__file__).parent / "assets" / "fonts"
@@ -157,15 +157,15 @@ class Surface(Closing):
         return int(texture.glo)
 
     def paint(
-        self, target: moderngl.Framebuffer, *, background: bool = True, windows: bool = True
+        self, target: moderngl.Framebuffer, *, signs: bool = True, panels: bool = True
     ) -> None:
-        """Blend the last frame over a framebuffer: what is part of the picture, and the panels."""
+        """Blend the last frame over a framebuffer: what is part of the picture, and what is not."""
         imgui.set_current_context(self._imgui)
         data = imgui.get_draw_data()
         before = list(data.cmd_lists)
         data.cmd_lists.clear()
         for each in before:
-            if background if each._owner_name == BACKGROUND else windows:
+            if signs if each._owner_name.startswith(ON_PICTURE) else panels:
                 data.cmd_lists.push_back(each)
         target.use()
         imgui.backends.opengl3_render_draw_data(data)

@@ -157,16 +157,9 @@ def choice_of(label: str, titles: Sequence[tuple[str, str]], chosen: str) -> str
 
 
 def hint(text: str) -> None:
-    """Say something of the last widget, above or below it, while the pointer rests on it."""
-    if imgui.is_item_hovered(imgui.HoveredFlags_.for_tooltip):
-        low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
-        columns, rows = imgui.get_io().display_size
-        is_below, middle, gap = low.y < rows / 2, (low.x + high.x) / 2, high.y - low.y
-        place = (middle, high.y + gap / 4 if is_below else low.y - gap / 4)
-        pivot = (middle / columns, 0.0 if is_below else 1.0)
-        imgui.set_next_window_pos(place, imgui.Cond_.always, pivot)
-        with type_size(style.SMALL_PT):
-            imgui.set_tooltip(text)
+    """Say something of the last widget while the pointer rests on it."""
+    with type_size(style.SMALL_PT):
+        imgui.set_item_tooltip(text)
 
 
 def ink(colour: style.Colour) -> int:

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import pytest
 from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
 
 from helpers.hand import Hand, open_hand, point
-from pica_client.call.connection_quality import StreamHealth
 from pica_client.call.participants import Participant
-from pica_client.call.status import AvatarFigures, CallStatus, PeerStatus
+from pica_client.call.status import CallStatus
 from pica_client.publish.face_controls import TrackerPreview
 from pica_client.render.scene import head_rect_px
 from pica_client.render.seats import LAYOUTS, Layout, plan_seats
@@ -35,16 +34,15 @@ from pica_client.ui.panels.overlay import (
     banner,
     call_signs,
     free_shares,
+    names,
     own_face,
     own_face_height,
     own_signs,
-    row_of,
     signs,
-    statistics,
 )
 from pica_client.ui.state import ViewState
 from pica_client.ui.surface.style import metrics_for
-from pica_client.ui.surface.surface import BACKGROUND
+from pica_client.ui.surface.surface import ON_PICTURE
 from pica_client.ui.surface.widgets import as_drawn, shortened, text_size
 
 pytestmark = pytest.mark.unit
@@ -65,6 +63,7 @@ BUTTONS = {
     "Record": Action.RECORD,
     "Participants": Action.PARTICIPANTS,
     "Settings": Action.SETTINGS,
+    "Statistics": Action.STATISTICS,
     "Help": Action.HELP,
     "Leave the call": Action.CLOSE,
 }
@@ -135,7 +134,7 @@ def test_one_line_at_the_top_says_what_matters_most(status: CallStatus, said: st
 
 def test_signs_say_how_the_own_face_is_sent() -> None:
     lost = replace(CALL, status=replace(STATUS, is_connected=False))
-    unseen = replace(CALL, own=OwnFaceView(seen=TrackerPreview(False, (), None)))
+    unseen = replace(CALL, own=OwnFaceView(seen=TrackerPreview(False, None)))
     assert own_signs(STATE, CALL) == [("Your face is sent", "good")]
     assert own_signs(STATE, lost) == [("Your face is not sent", "alert")]
     assert own_signs(STATE, unseen) == [NO_FACE]
@@ -166,39 +165,34 @@ def test_on_a_small_picture_no_head_reaches_into_the_signs(layout: Layout) -> No
                 assert rect[1] >= free.top * 240 - 4
 
 
-@pytest.mark.parametrize("count", [1, 3, 16])
-def test_notices_stand_below_the_statistics_and_those_below_the_signs(count: int) -> None:
-    call = replace(
-        CALL,
-        people=CALL.people * count,
-        notices=(Notice("Saved recording-0001.mp4 in /home/ada/Videos", "accent"),),
-        figures=tuple((f"figure {number}", "1000 kbit/s") for number in range(8)),
-    )
-    state = replace(STATE, show_statistics=True)
-    with open_hand((960, 540)) as hand:
+def test_signs_stand_beside_and_below_each_other_on_any_picture() -> None:
+    long = "No sound: " + "something is away, " * 9
+    call = replace(CALL, notices=(Notice(long, "alert"), Notice("Ada left", "plain")))
+    for size in ((480, 360), (960, 540), (2560, 1440)):
+        with open_hand(size) as hand:
+            for _ in range(3):
+                hand.frame(lambda metrics: signs(STATE, call, metrics))
+            lists = imgui.get_draw_data().cmd_lists
+            assert all(each._owner_name.startswith(ON_PICTURE) for each in lists)
+            spots = [(v.pos.x, v.pos.y) for each in lists for v in each.vtx_buffer]
+            assert all(0 <= x <= size[0] and 0 <= y <= size[1] for x, y in spots)
+            windows = [imgui.internal.find_window_by_name(each._owner_name) for each in lists]
+            assert len(windows) == 5
+        for one, two in combinations(windows, 2):
+            is_apart = one.pos.x + one.size.x <= two.pos.x or two.pos.x + two.size.x <= one.pos.x
+            is_below = one.pos.y + one.size.y <= two.pos.y or two.pos.y + two.size.y <= one.pos.y
+            assert is_apart or is_below
+
+
+def test_a_name_fills_no_more_than_its_room(hand: Hand) -> None:
+    person = replace(CALL.people[0], name="W" * 64, is_speaking=True, note="x y " * 90)
+    for room in ((100.0, 50.0, 160.0, 70.0), (100.0, 50.0, 300.0, 70.0)):
+        call = replace(CALL, people=(replace(person, label=room),))
         for _ in range(3):
-            hand.frame(
-                lambda metrics: [*signs(state, call, metrics), *statistics(state, call, metrics)]
-            )
-        window = imgui.internal.find_window_by_name("statistics")
-        lists = imgui.get_draw_data().cmd_lists
-        (background,) = (each for each in lists if each._owner_name == BACKGROUND)
-        tops = [v.pos.y for v in background.vtx_buffer if 380 < v.pos.x < 600]
-        assert min(tops) >= window.pos.y + window.size.y
-        assert window.pos.y > hand.surface.metrics.px(36 * 2)
-
-
-def test_a_long_notice_stands_below_the_signs_at_the_left() -> None:
-    tops = []
-    for text in ("Saved", "No sound: " + "something is away, " * 9):
-        with open_hand((640, 480)) as hand:
-            call = replace(CALL, notices=(Notice(text, "alert"),))
-            hand.frame(lambda metrics, call=call: signs(STATE, call, metrics))  # type: ignore[misc]
-            (shapes,) = imgui.get_draw_data().cmd_lists
-            tops.append(min(vertex.pos.y for vertex in shapes.vtx_buffer if vertex.pos.x > 300))
-            signs_end = hand.surface.metrics.px(12 + 36 * len(call_signs(call)))
-    assert tops[0] < 20
-    assert tops[1] >= signs_end - 1
+            hand.frame(lambda metrics, call=call: names(STATE, call, metrics))  # type: ignore[misc]
+        window = imgui.internal.find_window_by_name(f"{ON_PICTURE}name p1")
+        assert window.size.x <= room[2] - room[0] + 1
+        assert window.size.y < 120
 
 
 def test_notices_stand_for_a_while_and_loud_ones_longer() -> None:
@@ -215,9 +209,7 @@ def test_notices_stand_for_a_while_and_loud_ones_longer() -> None:
 def test_the_own_face_is_shown_where_there_is_room(hand: Hand, mode: str) -> None:
     state = replace(STATE, own_face=mode)  # type: ignore[arg-type]
     assert own_face_height(state, metrics_for((1280, 720))) > 80
-    call = replace(
-        CALL, own=OwnFaceView(texture=1, seen=TrackerPreview(True, (("Jaw", 2.0),), None))
-    )
+    call = replace(CALL, own=OwnFaceView(texture=1, seen=TrackerPreview(True, None)))
     assert hand.frame(lambda metrics: own_face(state, call, metrics)) == []
 
 
@@ -257,25 +249,3 @@ def test_a_long_name_is_cut_to_its_room(hand: Hand) -> None:
         return []
 
     hand.frame(show)
-
-
-def test_a_participants_line_holds_its_figures_and_a_dash_for_what_is_unknown(hand: Hand) -> None:
-    known = PersonView(
-        peer_id="a",
-        name="Ada",
-        figures=AvatarFigures(
-            level=128, decode_ms=4.25, latency_ms=1e6, num_decoded=1, is_speaking=False
-        ),
-        stream=PeerStatus(
-            payload_bps=1730.0, health=StreamHealth(shown=200, concealed=3, age_s=0.012)
-        ),
-    )
-    rows: list[tuple[str, ...]] = []
-
-    def show(metrics: object) -> list[object]:
-        people = (known, PersonView(peer_id="b", name=""))
-        rows.extend(row_of(each, metrics_for((1280, 720))) for each in people)
-        return []
-
-    hand.frame(show)
-    assert rows == [("Ada", "128", "4.2", "1.7", "–", "12", "1.5 %"), ("", *["–"] * 6)]

@@ -10,20 +10,22 @@ from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
 
 from helpers.hand import Hand, open_hand
+from pica_client.call.connection_quality import StreamHealth
 from pica_client.call.participants import Participant
-from pica_client.call.status import CallStatus
+from pica_client.call.status import AvatarFigures, CallStatus, PeerStatus
 from pica_client.publish.face_controls import TrackerPreview
 from pica_client.ui.actions import Action, Request
 from pica_client.ui.call_view import CallView, Notice, OwnFaceView, Panel, PersonView
-from pica_client.ui.panels.overlay import own_face, signs
+from pica_client.ui.panels.overlay import signs
 from pica_client.ui.panels.side import (
     help_panel,
     participants_panel,
     settings_panel,
     signs_of,
+    statistics_panel,
     waiting_page,
 )
-from pica_client.ui.state import Identity, ViewState
+from pica_client.ui.state import ViewState
 from pica_client.voice.sound.settings import DeviceState, SoundSettings, SoundState
 from pica_protocol.messages import BarIdentity, MutePeer, RemovePeer
 
@@ -67,13 +69,9 @@ def clicking(
     return asked
 
 
-def test_the_menu_of_a_person_pins_shows_statistics_and_resets_the_view(hand: Hand) -> None:
+def test_the_menu_of_a_person_pins_and_resets_the_view(hand: Hand) -> None:
     state = replace(STATE)
-    for item, asked in (
-        ("Pin", []),
-        ("Statistics", [Action.STATISTICS]),
-        ("Reset the view", [Action.RESET_VIEW]),
-    ):
+    for item, asked in (("Pin", []), ("Reset the view", [Action.RESET_VIEW])):
         assert clicking(hand, participants_panel, state, CALL, "More on Ada", item) == asked
     assert state.pinned == 3
     clicking(hand, participants_panel, state, CALL, "More on Ben")
@@ -152,42 +150,36 @@ def test_the_waiting_page_says_where_and_who_only_watches(hand: Hand) -> None:
 
 def test_each_setting_is_one_click(hand: Hand) -> None:
     state = replace(SETTINGS)
-    labels = ("View", "Grid", "Statistics", "My own face", "Light", "125%", "##detail")
+    labels = ("View", "Grid", "My own face", "Light", "125%", "##detail")
     clicking(hand, settings_panel, state, CALL, *labels)
-    assert (state.layout, state.show_statistics, state.shows_self) == ("grid", True, False)
+    assert (state.layout, state.shows_self) == ("grid", False)
     assert (state.mode, state.scale) == ("light", 1.25)
     assert state.detail == pytest.approx(0.55, abs=0.1)  # the middle of 10 to 100 %
     state.side = "help"
     assert clicking(hand, help_panel, state, CALL, "Close") == [Action.CLOSE]
 
 
-def test_source_avatar_and_name_are_chosen_during_the_call(hand: Hand) -> None:
-    me = Identity("Me", "", "livelink", "none")
-    state = replace(SETTINGS, entered=me, avatars=("amara", "nora"))
-    state.identity = me
-    call = replace(CALL, own=OwnFaceView(source="livelink", seen=TrackerPreview(True, (), None)))
+def test_the_source_of_the_face_is_chosen_during_the_call_and_the_rest_by_the_form(
+    hand: Hand,
+) -> None:
+    state = replace(SETTINGS, source="livelink", can_rejoin=True)
+    call = replace(CALL, own=OwnFaceView(source="livelink", seen=TrackerPreview(True, None)))
     clicking(hand, settings_panel, state, call, "##source", "VTuber")
     assert state.source == "vmc"
     assert clicking(hand, settings_panel, state, call, "Calibrate") == [Action.CALIBRATE]
-    assert not any("Join again" in label for label in hand.places)
-    clicking(hand, settings_panel, state, call, "##avatar", "Nora")
-    assert state.avatar == "nora"
-    assert clicking(hand, settings_panel, state, call, "Join again") == [Action.REJOIN]
-    state.name = " "
-    hand.frame(lambda metrics: settings_panel(state, call, metrics))
-    assert not any("Join again" in label for label in hand.places)
+    assert clicking(hand, settings_panel, state, call, "Leave and join") == [Action.REJOIN]
+    hand.frame(lambda metrics: settings_panel(replace(state, can_rejoin=False), call, metrics))
+    assert not any("Leave and join" in label for label in hand.places)
 
 
-def test_devices_are_changed_during_a_call_and_another_voice_needs_rejoining(hand: Hand) -> None:
+def test_devices_are_changed_during_a_call(hand: Hand) -> None:
     sound = SoundState(
         microphones=("Desk",),
         speakers=("Horn",),
         speaker=DeviceState("Horn", "no loudspeaker 'Old'; 'Horn' is used"),
         cleaning="echo cancellation is missing: pip install 'pica-telepresence[echo]'",
     )
-    mine = Identity("Me", "", "performance:talk", "mic")
-    state = ViewState(side="settings", own_face="sent", own_voice="sent", avatars=("nora",))
-    state.identity = state.entered = mine
+    state = ViewState(side="settings", own_voice="sent", voice="mic")
     call = CallView(sound=sound)
     clicking(hand, settings_panel, state, call, "Sound")
     assert "no loudspeaker 'Old'" in texts(hand, settings_panel, call, state)
@@ -195,9 +187,10 @@ def test_devices_are_changed_during_a_call_and_another_voice_needs_rejoining(han
     clicking(hand, settings_panel, state, call, *labels)
     assert state.sound == SoundSettings(microphone="Desk", is_stereo=False)
     assert clicking(hand, settings_panel, state, call, "Play a test") == [Action.TEST_SOUND]
-    clicking(hand, settings_panel, state, call, "##microphone", "Off: only listen")
-    assert state.voice == "none"
-    assert clicking(hand, settings_panel, state, call, "Join again as this") == [Action.REJOIN]
+    assert state.voice == "mic"
+    listening = replace(state, own_voice="none")
+    hand.frame(lambda metrics: settings_panel(listening, call, metrics))
+    assert not any("##microphone" in label for label in hand.places)
 
 
 @pytest.mark.parametrize(
@@ -228,6 +221,27 @@ def test_an_admin_lets_a_barred_person_rejoin_and_unmutes_another(hand: Hand) ->
     assert asked == [MutePeer(peer_id="p1", kind="voice", is_muted=False)]
 
 
+def test_the_statistics_have_a_line_for_each_participant_and_a_dash_for_what_is_unknown(
+    hand: Hand,
+) -> None:
+    known = PersonView(
+        peer_id="a",
+        name="Ada",
+        figures=AvatarFigures(
+            level=128, decode_ms=4.25, latency_ms=1e6, num_decoded=1, is_speaking=False
+        ),
+        stream=PeerStatus(
+            payload_bps=1730.0, health=StreamHealth(shown=200, concealed=3, age_s=0.012)
+        ),
+    )
+    call = CallView(people=(known, PersonView(peer_id="b", name="")), figures=(("30.0", "fps"),))
+    said = texts(hand, statistics_panel, call, replace(STATE, side="statistics")).split("\n")
+    first = said.index("Ada")
+    assert said[first : first + 7] == ["Ada", "128", "4.2", "1.7", "–", "12", "1.5"]
+    assert said[first + 7 : first + 14] == ["", *["–"] * 6]
+    assert "30.0 fps" in said
+
+
 @pytest.mark.parametrize("size", [(320, 240), (640, 360), (1280, 720), (3840, 2160)])
 def test_panels_keep_to_the_picture(size: tuple[int, int]) -> None:
     many = tuple(replace(ADA, peer_id=f"p{n}", name="W" * 64, note="x" * 80) for n in range(63))
@@ -237,7 +251,7 @@ def test_panels_keep_to_the_picture(size: tuple[int, int]) -> None:
         notices=tuple(Notice("n" * 200, "alert") for _ in range(3)),
     )
     with open_hand(size) as hand:
-        for panel in (participants_panel, signs, settings_panel, waiting_page, own_face):
+        for panel in (participants_panel, signs, settings_panel, statistics_panel, waiting_page):
             for _ in range(2):
                 hand.frame(lambda metrics, panel=panel: panel(STATE, call, metrics))  # type: ignore[misc]
                 assert all(right <= size[0] for _, _, right, _ in hand.places.values())

@@ -10,7 +10,7 @@ from helpers.hand import frame, press
 from pica_client.ui.actions import keyboard
 from pica_client.ui.state import ViewState
 from pica_client.ui.surface.style import PALETTES, metrics_for
-from pica_client.ui.surface.surface import Surface
+from pica_client.ui.surface.surface import ON_PICTURE, Surface
 from pica_core.gl import create_context
 
 pytestmark = pytest.mark.render
@@ -43,29 +43,29 @@ def test_keys_are_a_fields_own_while_a_text_is_typed() -> None:
     assert found == ["CLOSE"]
 
 
-def test_background_windows_and_pictures_are_painted_where_they_are_wanted() -> None:
+def test_signs_and_panels_are_painted_where_they_are_wanted() -> None:
     context = create_context()
     target = context.framebuffer([context.texture((200, 50), 4)])
     with Surface(context) as surface:
-        picture = surface.show("red", np.full((4, 4, 3), (255, 0, 0), np.uint8))
+        red = surface.show("red", np.full((4, 4, 3), (255, 0, 0), np.uint8))
+        green = surface.show("green", np.full((4, 4, 3), (0, 255, 0), np.uint8))
         for step in range(2):  # a window is shown from its second frame on
             with frame(surface, 0.1 * step, (100, 50)):
-                shapes = imgui.get_background_draw_list()
-                shapes.add_rect_filled((0, 0), (20, 50), 0xFF00FF00)
-                imgui.set_next_window_pos((50, 0))
-                imgui.begin("window", None, imgui.WindowFlags_.no_decoration)
-                imgui.image(imgui.ImTextureRef(picture), (40, 40))
-                imgui.end()
+                for name, texture, left in ((f"{ON_PICTURE}a", green, 0), ("b", red, 50)):
+                    imgui.set_next_window_pos((left, 0))
+                    imgui.begin(name, None, imgui.WindowFlags_.no_decoration)
+                    imgui.image(imgui.ImTextureRef(texture), (40, 40))
+                    imgui.end()
         seen = []
-        for paints in ({}, {"windows": False}, {"background": False}):
+        for paints in ({}, {"panels": False}, {"signs": False}):
             target.clear()
             surface.paint(target, **paints)
             pixels = np.frombuffer(target.read(components=3), np.uint8).reshape(50, 200, 3)[25]
-            seen.append([tuple(pixels[x].tolist()) for x in (10, 80)])
+            seen.append([tuple(pixels[x].tolist()) for x in (25, 80)])
         assert context.error == "GL_NO_ERROR"
     context.release()
-    black, green, red = (0, 0, 0), (0, 255, 0), (255, 0, 0)
-    assert seen == [[green, red], [green, black], [black, red]]
+    black, left, right = (0, 0, 0), (0, 255, 0), (255, 0, 0)
+    assert seen == [[left, right], [left, black], [black, right]]
 
 
 @pytest.mark.parametrize(
