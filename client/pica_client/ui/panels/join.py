@@ -21,7 +21,7 @@ from pica_client.ui.surface.style import BUTTON_PT, EDGE_PT, GAP_PT, PADDING_PT,
 from pica_client.voice.sound.settings import SoundState
 
 WIDTH_PT = 420.0
-PORTRAIT_PT = 62.0
+PORTRAIT_PT = 68.0
 CANCEL_PT = 240.0
 LABELS = {
     "url": ("Relay, or an invite link", "wss://relay.example"),
@@ -168,11 +168,10 @@ def _field(state: ViewState, name: str, *, width: float = -1.0, focus: bool = Fa
 def _avatars(state: ViewState, view: JoinView, metrics: Metrics) -> None:
     """A row of pictures; the one that is worn has a frame."""
     widgets.note("Your avatar", metrics)
-    gap, count = metrics.px(GAP_PT), len(view.portraits)
+    gap, edge, count = metrics.px(4), metrics.px(2.5), len(view.portraits)
     room = (imgui.get_content_region_avail().x - (count - 1) * gap) / count
-    side = min(metrics.px(PORTRAIT_PT), room)
+    side = min(metrics.px(PORTRAIT_PT), room) - 2 * edge
     worn = state.avatar or view.default_avatar
-    edge = metrics.px(2.5)
     imgui.push_style_var(imgui.StyleVar_.frame_padding, (edge, edge))
     imgui.push_style_var(imgui.StyleVar_.image_rounding, metrics.px(6))
     for number, (name, texture) in enumerate(view.portraits.items()):
@@ -180,8 +179,8 @@ def _avatars(state: ViewState, view: JoinView, metrics: Metrics) -> None:
             imgui.same_line(0, gap)
         frame = metrics.palette.accent if name == worn else metrics.palette.card
         imgui.push_style_color(imgui.Col_.button, frame)
-        picture, size = imgui.ImTextureRef(texture), (side - 2 * edge, side - 2 * edge)
-        if imgui.image_button(f"avatar {name}", picture, size):
+        picture = imgui.ImTextureRef(texture)
+        if imgui.image_button(f"avatar {name}", picture, (side, side)):
             state.avatar = "" if state.avatar == name else name
         imgui.pop_style_color()
         by_default = "" if state.avatar else ": by default it goes by your name"
