@@ -12,8 +12,9 @@ from pica_client.render.gpu_avatar import Body, Mesh
 from pica_client.render.gpu_maps import MapSeries, MapView, whole_map
 from pica_client.render.gpu_program import UNIT_POSITION
 from pica_client.render.gpu_textured import TexturedHead
-from pica_client.render.layers import PixelRect, area_px, viewport
+from pica_client.render.layers import PixelRect, area_px, common_part, viewport
 from pica_client.render.scene import FAR_M, NEAR_M, Placement, Rect, screen_rects
+from pica_core.avatar.bust import WHOLE_M
 from pica_core.avatar.file import Avatar
 from pica_core.camera import Camera
 from pica_core.types import FloatArray
@@ -23,6 +24,8 @@ MAX_HEADS = 255
 bits."""
 MAX_FADE = 0.75
 """A head that has faded completely can still be made out."""
+EDGE_PX = 1
+"""A smoothed silhouette reaches so far beyond the pixels that a head covers."""
 WHOLE = (0.0, 1.0)
 """The share of a head that no other level is mixed into."""
 
@@ -102,6 +105,8 @@ class ShownHead:
     """Clip space of the view from the head frame, ``[4, 4]``."""
     opacity: float
     """Before the room, 0 to 1."""
+    fading_row: float
+    """Row of the image below which some of it may fade into the room."""
     body: Body | TexturedHead
     levels: tuple[ShownLevel, ...]
     """One, or two while levels are mixed; none of a head that is a texture as a whole."""
@@ -140,7 +145,9 @@ def list_heads(
         rects = screen_rects(matrices, outlines_m)
         for placement, body, matrix, covered in zip(known, bodies, matrices, rects, strict=True):
             if covered is not None and len(listed) < MAX_HEADS:
-                entry, rect = slots[placement.slot], rect_in_view(covered, part)
+                left, bottom, right, top = rect_in_view(covered, part)
+                grown = left - EDGE_PX, bottom - EDGE_PX, right + EDGE_PX, top + EDGE_PX
+                entry, rect = slots[placement.slot], common_part(grown, part)
                 listed.append(_shown(entry, body, placement, matrix, part, rect))
     return listed
 
@@ -231,11 +238,27 @@ def _shown(
         view=view,
         rect=rect,
         matrix=matrix,
+        fading_row=_fading_row(body, matrix, view),
         opacity=1 - min(max(placement.fade, 0.0), 1.0) * MAX_FADE,
         body=body,
         levels=levels,
         look=(entry.version, matrix.tobytes(), rect, tuple(parts)),
     )
+
+
+def _fading_row(body: Body | TexturedHead, matrix: FloatArray, view: PixelRect) -> float:
+    if body.fade_m == WHOLE_M:
+        return 0.0
+    height_m = body.fade_m[1]
+    corners = [(x, height_m, z, 1) for x, _, z in (body.low_m, body.high_m)]
+    corners += [
+        (corners[0][0], height_m, corners[1][2], 1),
+        (corners[1][0], height_m, corners[0][2], 1),
+    ]
+    _, y, _, w = np.matmul(np.array(corners), matrix.T).T
+    _, bottom, _, rows = viewport(view)
+    share = float((y / np.maximum(w, NEAR_M)).max())
+    return bottom + rows * min(share + 1, 2.0) / 2
 
 
 def _levels(entry: RenderSlot, body: Body, placement: Placement) -> tuple[ShownLevel, ...]:

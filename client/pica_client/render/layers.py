@@ -1,24 +1,22 @@
 """Where heads are drawn: each into a layer of its own, which is kept, and all layers into an image.
 
 A camera on a desk stands still and most people in a call listen, so most heads look as they did an
-image before. Such a head keeps its layer: its colours, and how deep each pixel lies. An image is
-put together from layers by depth, only in the rectangles where one of them has changed, and is the
-same, bit for bit, as one that is put together as a whole.
+image before. Such a head keeps its layer: its colours, and how much of them is there. An image is
+the room with all layers over it, the farthest head first.
 """
 
-from collections.abc import Hashable, Sequence
-from typing import NamedTuple
+from collections.abc import Hashable
 
 import moderngl
+import numpy as np
 
 from pica_client.render.gpu_program import UNIT_VISIBLE_UV, UNIT_VISIBLE_XYZ, clamp
+from pica_core.types import Array
 
 PixelRect = tuple[int, int, int, int]
 """Left, bottom, right, top in pixels of the whole image, rows counted from the bottom as GL
 does."""
 
-MARGIN_PX = 2
-"""Silhouettes are looked for so far beyond a pixel (near_edges.frag)."""
 SIDE_STEP_PX = 32
 """Sides of layers are multiples of this, so that a head that sways keeps its layer."""
 SMALL_ROOM = (224, 160)
@@ -31,7 +29,6 @@ class Layer:
 
     Attributes:
         look: All that what was drawn last depends on.
-        version: Never the same for two drawings.
     """
 
     def __init__(self, context: moderngl.Context, size: tuple[int, int]) -> None:
@@ -44,16 +41,24 @@ class Layer:
             UNIT_VISIBLE_UV: context.texture(size, 2, dtype="nu2"),
         }
         """What the surface pass writes, keyed by texture unit."""
-        self.colour, self.depth = context.texture(size, 4), context.depth_texture(size)
-        """Colours with how much of them is there, and depths: 1 is nothing."""
+        self.colour, self.depth = clamp(context.texture(size, 4)), context.depth_texture(size)
+        """Colours times how much of them is there, and that; depths, where 1 is nothing."""
+        self.smooth = context.texture(size, 4)
+        """The same colours, without stair-steps at the silhouette."""
         self.depth.compare_func = ""
-        for texture in (*self.visible.values(), self.colour, self.depth):
+        for texture in (*self.visible.values(), self.smooth, self.depth):
             clamp(texture, moderngl.NEAREST)
         self.empty = context.framebuffer([], self.depth)
         self.surface = context.framebuffer(list(self.visible.values()), self.depth)
         self.coloured = context.framebuffer([self.colour], self.depth)
+        self.smoothed = context.framebuffer([self.smooth], context.depth_renderbuffer(size))
+        """Depth 1 where silhouettes may be, else 0: what is tested here, is skipped by blocks."""
         self.look: Hashable = None
-        self.version = 0
+
+    def read(self, texture: moderngl.Texture) -> Array:
+        """What one of its textures holds, ``[rows, columns, channels]``, the lowest row first."""
+        kind = np.dtype(f"<{texture.dtype.removeprefix('n')}")
+        return np.frombuffer(texture.read(), kind).reshape(*self.size[::-1], -1)
 
     def serves(self, size: tuple[int, int]) -> bool:
         """Return True if a head of so many columns and rows fits, and does not leave most empty."""
@@ -74,68 +79,13 @@ class Images:
 
     def __init__(self, context: moderngl.Context, size: tuple[int, int]) -> None:
         self.size = size
-        depth = context.depth_renderbuffer(size)
-        self.depth = context.framebuffer([], depth)
-        """Of the nearest layers."""
-        self.layered_image = clamp(context.texture(size, 4))
-        self.layered = context.framebuffer([self.layered_image], depth)
-        marks = context.depth_renderbuffer(size)
-        self.edges = context.framebuffer([], marks)
-        """Depth 1 where silhouettes may be, else 0: what is tested here, is skipped by blocks."""
-        final_image = context.texture(size, 4)
-        self.smoothed = context.framebuffer([final_image], marks)
-        self.final = context.framebuffer([final_image])
+        self.final = context.framebuffer([context.texture(size, 4)])
         """What the renderer hands out: others may draw over it, so nothing is kept in it."""
-        self.room_image = context.texture(size, 4)
+        self.room_image = clamp(context.texture(size, 4), moderngl.NEAREST)
         self.room = context.framebuffer([self.room_image])
         self.small_room_image = clamp(context.texture(SMALL_ROOM, 4, dtype="f2"))
         self.small_room = context.framebuffer([self.small_room_image])
         """What a view of the room is enlarged from."""
-
-    def draw_only(self, part: PixelRect) -> None:
-        """Let what comes now change this part of the image alone."""
-        for framebuffer in (self.depth, self.layered, self.edges):
-            framebuffer.scissor = viewport(part)
-
-
-class HeadKey(NamedTuple):
-    """One head as it is in an image."""
-
-    identity: Hashable
-    """Slot, view and mark: a head with others is another head."""
-    look: Hashable
-    """All else that its pixels depend on."""
-    rect: PixelRect
-    """The part of the image that it may cover."""
-
-
-def parts_to_draw(
-    before: Sequence[HeadKey] | None, now: Sequence[HeadKey], size: tuple[int, int]
-) -> list[PixelRect]:
-    """The rectangles that differ from the image before; the whole image where nothing is known of
-    that one, or other heads are drawn."""
-    whole = (0, 0, *size)
-    if before is None or [key.identity for key in before] != [key.identity for key in now]:
-        return [whole]
-    parts = []
-    for old, new in zip(before, now, strict=True):
-        if old != new:
-            left, bottom, right, top = around(old.rect, new.rect)
-            grown = (left - MARGIN_PX, bottom - MARGIN_PX, right + MARGIN_PX, top + MARGIN_PX)
-            parts.append(common_part(grown, whole))
-    return parts
-
-
-def at_most_whole(parts: list[PixelRect], size: tuple[int, int]) -> list[PixelRect]:
-    """Parts of an image; the whole image once, where together they are no smaller."""
-    whole = (0, 0, *size)
-    return [whole] if sum(map(area_px, parts)) >= area_px(whole) else parts
-
-
-def around(first: PixelRect, second: PixelRect) -> PixelRect:
-    """The least rectangle that holds two."""
-    (left, bottom, right, top), other = first, second
-    return min(left, other[0]), min(bottom, other[1]), max(right, other[2]), max(top, other[3])
 
 
 def common_part(first: PixelRect, second: PixelRect) -> PixelRect:

@@ -71,6 +71,8 @@ class DrawPasses:
         self._place = self._screen("place_head.frag")
         self._near_edges = self._screen("near_edges.frag")
         self._smooth = self._screen("smooth_edges.frag")
+        for screen in (self._near_edges, self._smooth):
+            set_values(screen.program, rect=WHOLE_SCREEN)
         self.placeholder = upload_placeholder(context, self.mesh_programs)
         self._queries: list[moderngl.Query] = []
 
@@ -172,6 +174,9 @@ class DrawPasses:
     def _decode(self, head: ShownHead, layer: Layer, number: int) -> None:
         """Run the pixel decoder where the surface pass says that a pixel is of this level."""
         body = head.body
+        if number == 0:
+            layer.coloured.depth_mask = False
+            layer.coloured.clear()
         if isinstance(body, TexturedHead):
             return
         expression = head.levels[number].expression
@@ -210,6 +215,7 @@ class DrawPasses:
         self._context.enable(moderngl.CULL_FACE)
         texture.use(UNIT_SKIN)
         self._set_head(program, head)
+        set_values(program, shown=body.fade_m)
         vertices.render()
 
     def _begin(self, layer: Layer, viewport: tuple[int, int, int, int]) -> None:
@@ -219,25 +225,34 @@ class DrawPasses:
     def _set_head(self, program: moderngl.Program, head: ShownHead) -> None:
         body = head.body
         set_matrix(program, "clip_from_head", head.matrix)
-        set_values(program, shown=body.fade_m, low_m=body.low_m, high_m=body.high_m)
+        set_values(program, low_m=body.low_m, high_m=body.high_m)
 
-    def place(self, images: Images, part: PixelRect, heads: Sequence[LayeredHead]) -> None:
-        """Put a part of the image together: the room, and the nearest layer at every pixel."""
+    def smooth(self, heads: Sequence[LayeredHead]) -> None:
+        """Blur the stair-steps of silhouettes in copies of layers."""
         context = self._context
         context.disable(moderngl.CULL_FACE)
         context.enable(moderngl.DEPTH_TEST)
-        images.draw_only(part)
-        images.layered.use()
-        context.copy_framebuffer(images.layered, images.room)
-        images.depth.use()
-        images.depth.clear(depth=1.0)
-        images.layered.use()
-        images.room_image.use(UNIT_ROOM)
-        for number, (head, layer) in enumerate(heads, start=1):
-            if not area_px(common_part(head.rect, part)):
-                continue
+        for _, layer in heads:
+            layer.smoothed.use()
             layer.colour.use(UNIT_LAYER)
             layer.depth.use(UNIT_LAYER_DEPTH)
+            context.depth_func = "1"
+            self._near_edges.render(moderngl.TRIANGLE_STRIP, vertices=4)
+            context.depth_func = "=="
+            self._smooth.render(moderngl.TRIANGLE_STRIP, vertices=4)
+        context.depth_func = "<"
+
+    def place(self, images: Images, heads: Sequence[LayeredHead], *, is_smooth: bool) -> None:
+        """Put the image together: the room, and over it all heads, the farthest first."""
+        context = self._context
+        context.copy_framebuffer(images.final, images.room)
+        images.final.use()
+        context.enable_only(moderngl.BLEND)
+        context.blend_func = moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA
+        context.blend_equation = moderngl.FUNC_ADD  # type: ignore[assignment]
+        images.room_image.use(UNIT_ROOM)
+        for head, layer in heads:
+            (layer.smooth if is_smooth else layer.colour).use(UNIT_LAYER)
             (left, bottom, columns, rows), (width, height) = viewport(head.rect), images.size
             set_values(
                 self._place.program,
@@ -245,42 +260,10 @@ class DrawPasses:
                 within=(left / width, bottom / height, columns / width, rows / height),
                 filled=(columns / layer.size[0], rows / layer.size[1]),
                 opacity=head.opacity,
-                slot=float(number),
+                fading=head.fading_row,
             )
             self._place.render(moderngl.TRIANGLE_STRIP, vertices=4)
-
-    def mark_edges(self, images: Images, part: PixelRect, heads: Sequence[LayeredHead]) -> None:
-        """Find the silhouettes in a part of the image."""
-        images.draw_only(part)
-        images.edges.use()
-        images.edges.clear(depth=0.0)
-        images.layered_image.use(0)
-        self._context.depth_func = "1"
-        rects = [head.rect for head, _ in heads if area_px(common_part(head.rect, part))]
-        self._draw_inside(self._near_edges, images, rects)
-
-    def finish(self, images: Images, heads: Sequence[LayeredHead], *, is_smooth: bool) -> None:
-        """Copy what has been put together, and blur the stair-steps of silhouettes in the copy."""
-        images.final.use()
-        self._context.copy_framebuffer(images.final, images.layered)
-        if is_smooth:
-            images.layered_image.use(0)
-            width, height = images.size
-            set_values(self._smooth.program, texel=(1 / width, 1 / height))
-            images.smoothed.use()
-            self._context.depth_func = "=="
-            self._draw_inside(self._smooth, images, [head.rect for head, _ in heads])
-        self._context.depth_func = "<"
-        self._context.disable(moderngl.DEPTH_TEST)
-
-    def _draw_inside(
-        self, screen: moderngl.VertexArray, images: Images, rects: Sequence[PixelRect]
-    ) -> None:
-        """Draw rectangles, but for what has no neighbours in the image."""
-        self._context.enable(moderngl.DEPTH_TEST)
-        for rect in rects:
-            set_values(screen.program, rect=clip_rect(inset_rect(rect, images.size), images.size))
-            screen.render(moderngl.TRIANGLE_STRIP, vertices=4)
+        context.disable(moderngl.BLEND)
 
     def _drawn(self, draws: Sequence[Callable[[], None]], count: bool) -> list[int]:
         """Draw one after the other, and count what each colours if asked to."""
@@ -297,15 +280,3 @@ class DrawPasses:
         """A rectangle of the screen, drawn by a program of its own."""
         program = build_program(self._context, compose("rect.vert"), compose(name))
         return self._context.vertex_array(program, [])
-
-
-def inset_rect(rect: PixelRect, size: tuple[int, int]) -> PixelRect:
-    """The part of a rectangle, grown by a pixel, that keeps a pixel's distance from the image's
-    border."""
-    left, bottom, right, top = rect
-    return (
-        max(left - 1, 1),
-        max(bottom - 1, 1),
-        max(min(right + 1, size[0] - 1), 1),
-        max(min(top + 1, size[1] - 1), 1),
-    )

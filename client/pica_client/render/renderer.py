@@ -13,8 +13,8 @@ texture it reaches over; (2) the pixel decoder runs where the first pass has fou
 what does not change with the face is drawn with a texture. So what a head hides of itself costs no
 decoding, and the pixel decoder runs on whole blocks of pixels: drawn triangle by triangle, a mesh
 whose triangles are as small as pixels would run it several times over (llvmpipe and GPUs shade in
-blocks of 2x2 or 4x4 per triangle). Then the parts of the image in which a layer has changed are put
-together, and edges are smoothed there (`layers`).
+blocks of 2x2 or 4x4 per triangle); (4) its silhouette is smoothed. Then all layers are laid over
+the room, the farthest head first (`layers`).
 
 Colours of avatars are sRGB values already and are stored as they come. The renderer belongs to the
 thread of its context. Nothing is allocated on the GPU but for a new size of the image or of a head,
@@ -46,15 +46,12 @@ from pica_client.render.gpu_maps import MapSeries, MapView
 from pica_client.render.gpu_program import UNIT_VISIBLE_UV, UNIT_VISIBLE_XYZ
 from pica_client.render.gpu_textured import TexturedHead
 from pica_client.render.layers import (
-    HeadKey,
     Images,
     Layer,
     PixelRect,
     area_px,
-    at_most_whole,
     common_part,
     layer_size,
-    parts_to_draw,
     viewport,
 )
 from pica_client.render.passes import DrawPasses, LayeredHead
@@ -147,7 +144,6 @@ class Renderer(Closing):
 
     def forget_frame(self) -> None:
         """Draw the next frame as a whole, whatever stayed the same: for measuring."""
-        self._drawn: list[HeadKey] | None = None
         for layer in self._layers.values():
             layer.look = None
 
@@ -294,7 +290,7 @@ class Renderer(Closing):
                 all see the same maps: one decode serves them.
             count_pixels: Count shaded pixels; waits for the GPU.
         """
-        passes, images = self._passes, self._images
+        passes = self._passes
         passes.begin()
         (width, height), count = self.size, len(cameras)
         edges = [width * number // count for number in range(count + 1)]
@@ -302,33 +298,28 @@ class Renderer(Closing):
             (camera, (left, 0, right, height))
             for camera, (left, right) in zip(cameras, pairwise(edges), strict=True)
         ]
-        new_room = self._draw_room(room, views)
+        self._draw_room(room, views)
         heads = list_heads(self._slots, placements, views, passes.placeholder)
         self._shown = shown = self._with_layers(heads)
         old = [place for place, (head, layer) in enumerate(shown) if layer.look != head.look]
-        before, self._drawn = self._drawn, None  # should drawing fail
-        passes.surfaces([shown[place] for place in old])
-        counts = passes.colour([shown[place] for place in old], count=count_pixels)
-        for place in old:
-            head, layer = shown[place]
-            layer.look, layer.version = head.look, self._next_version()
-        keys = [
-            HeadKey((head.slot, head.view), (layer.version, head.opacity), head.rect)
-            for head, layer in shown
-        ]
-        parts = parts_to_draw(before, keys, self.size)
-        for part in at_most_whole(parts + new_room, self.size):
-            passes.place(images, part, shown)
+        changed = [shown[place] for place in old]
+        passes.surfaces(changed)
+        counts = passes.colour(changed, count=count_pixels)
         is_smooth = self._options.smooth_edges
-        for part in at_most_whole(parts, self.size) if is_smooth else ():
-            passes.mark_edges(images, part, shown)
-        passes.finish(images, shown, is_smooth=is_smooth)
-        self._drawn = keys
+        if is_smooth:
+            passes.smooth(changed)
+        for head, layer in changed:
+            layer.look = head.look
+        passes.place(self._images, self._farthest_first, is_smooth=is_smooth)
         counted = dict(zip(old, counts, strict=True))
         return count_draws(heads, counted, is_counted=count_pixels)
 
-    def _draw_room(self, room: Room, views: Sequence[View]) -> list[PixelRect]:
-        """Draw the room where it looks different, and say where that is."""
+    @property
+    def _farthest_first(self) -> list[LayeredHead]:
+        return sorted(self._shown, key=lambda each: -float(each[0].matrix[3, 3]))
+
+    def _draw_room(self, room: Room, views: Sequence[View]) -> None:
+        """Draw the room where it looks different."""
         seen = [(camera if room != EMPTY_ROOM else STILL, rect) for camera, rect in views]
         eyes: list[object] = [
             (lens_of(eye), eye.rotation.tobytes(), eye.translation_m.tobytes(), rect)
@@ -336,8 +327,8 @@ class Renderer(Closing):
         ]
         before, self._drawn_room = self._drawn_room, (room, eyes)
         if (room, eyes) == before:
-            return []
-        parts = []
+            return
+        parts: list[PixelRect] = []
         for camera, view in seen:
             is_same_view = before is not None and before[1] == eyes
             glows = changed_glows(before[0], room, camera) if before and is_same_view else None
@@ -346,7 +337,6 @@ class Renderer(Closing):
                 part = common_part(rect_in_view(clip, view), view)
                 parts += [part] if area_px(part) else []
         self._passes.draw_room(self._images, seen, room, parts)
-        return parts
 
     def _with_layers(self, heads: Sequence[ShownHead]) -> list[LayeredHead]:
         """Heads with the layers that they are drawn into; what no head needs any more is freed."""
@@ -390,22 +380,17 @@ class Renderer(Closing):
             decoded pixels; elsewhere they are anything.
         """
         width, height = self.size
-        marks = np.frombuffer(self._images.layered.read(components=4), np.uint8)
-        heads = 254 - marks.reshape(height, width, 4)[..., 3].astype(np.int32)
+        heads = np.full((height, width), -1, np.int32)
         xyz_m = np.zeros((height, width, 3), np.float32)
         uv = np.zeros((height, width, 2), np.float32)
-        for number, (head, layer) in enumerate(self._shown):
+        for head, layer in self._farthest_first:
             left, bottom, columns, rows = viewport(head.rect)
             image = np.s_[bottom : bottom + rows, left : left + columns]
-            own = heads[image] == number
-            for found, unit, kind in (
-                (xyz_m, UNIT_VISIBLE_XYZ, np.float32),
-                (uv, UNIT_VISIBLE_UV, np.uint16),
-            ):
-                texture = layer.visible[unit]
-                values = np.frombuffer(texture.read(), kind)
-                values = values.reshape(*layer.size[::-1], texture.components)
-                found[image][own] = values[:rows, :columns, : found.shape[2]][own]
+            own = (layer.read(layer.depth)[:rows, :columns] < 1).all(axis=2)
+            heads[image][own] = self._shown.index((head, layer))
+            for found, unit in ((xyz_m, UNIT_VISIBLE_XYZ), (uv, UNIT_VISIBLE_UV)):
+                values = layer.read(layer.visible[unit])[:rows, :columns]
+                found[image][own] = values[own][:, : found.shape[2]]
         return xyz_m[::-1], uv[::-1] / np.float32(65535), heads[::-1]
 
     def read_maps(self, slot: str) -> tuple[FloatArray, FloatArray]:

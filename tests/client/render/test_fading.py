@@ -129,27 +129,6 @@ def test_where_nothing_is_left_of_a_bust_one_sees_who_is_behind(
     np.testing.assert_array_equal(picture(renderer, REST, behind, camera=camera)[below], alone)
 
 
-@pytest.mark.parametrize("is_textured", [False, True])
-def test_a_crown_behind_the_fading_part_of_a_bust_is_seen_whole(
-    context: moderngl.Context, person: tuple[Avatar, DecodedMaps], is_textured: bool
-) -> None:
-    gone_m, whole_m = fade_heights_m(bust_of(person[0]).lower_m)
-    renderer = with_person(context, person, FADING)
-    if is_textured:
-        add_textured_panel(renderer, "p", gone_m - 0.045)
-    renderer.add_placeholder("behind")
-    pose = np.eye(4, dtype=np.float32)
-    pose[:3, 3] = (0.0, whole_m - 0.19, -0.05)
-    behind = Placement(slot="behind", world_from_head=pose)
-    camera = camera_at()
-    heights = np.array([[0, (whole_m + gone_m) / 2, 0.1], [0, gone_m, 0.1]])
-    (_, top), (_, bottom) = camera.project(heights)[0]
-    fading = slice(int(top), int(bottom)), slice(70, 90)
-    alone = picture(renderer, behind, camera=camera)[fading]
-    assert np.abs(alone.astype(int) - picture(renderer, camera=camera)[fading]).mean() > 10
-    np.testing.assert_array_equal(picture(renderer, REST, behind, camera=camera)[fading], alone)
-
-
 def test_of_neighbours_who_fade_at_one_height_the_nearer_one_is_seen(
     context: moderngl.Context, person: tuple[Avatar, DecodedMaps]
 ) -> None:
@@ -164,23 +143,6 @@ def test_of_neighbours_who_fade_at_one_height_the_nearer_one_is_seen(
     fading = (head == 0) & (surface_m[..., 1] < fade_heights_m(bust_of(person[0]).lower_m)[1])
     picture(renderer, REST, behind)
     assert (renderer.read_surface()[2][fading] == 0).all()
-
-
-def add_textured_panel(renderer: Renderer, slot: str, low: float) -> None:
-    """A textured head that is a white board."""
-    high = 0.14
-    rows = np.linspace(high, low, 20)
-    corners = np.array([(x, y, 0) for y in rows for x in (-0.1, 0.1)], np.float32)
-    first = 2 * np.arange(len(rows) - 1)[:, None, None]
-    mesh = painted_head(
-        vertex_uv=np.zeros((len(corners), 2), np.float32),
-        faces=(first + np.array([[0, 2, 1], [1, 2, 3]])).reshape(-1, 3).astype(np.int32),
-        low_m=(-0.2, low, -0.1),
-        high_m=(0.2, high, 0.1),
-        texture_size=8,
-    )
-    renderer.add_textured(slot, mesh)
-    renderer.update_textured(slot, corners, np.ones((8, 8, 3), np.float32))
 
 
 def test_a_textured_head_fades_as_a_decoded_one(context: moderngl.Context) -> None:

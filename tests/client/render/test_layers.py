@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from helpers.toy import make_toy_avatar, with_toy_levels
 from pica_client.decode.decoder import OnnxDecoder
-from pica_client.render.layers import HeadKey, common_part, parts_to_draw
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.room import Room
 from pica_client.render.scene import Placement, head_matrix
@@ -164,25 +163,6 @@ def test_what_others_paint_over_an_image_does_not_stay(stage: Stage) -> None:
     stage.kept.image.clear(1, 0, 0, 1)
     stage.drawn()
     np.testing.assert_array_equal(stage.kept.read_image(), before)
-
-
-RECTS = st.tuples(st.integers(0, 90), st.integers(0, 90)).flatmap(
-    lambda low: st.tuples(st.just(low[0]), st.just(low[1]), *(st.integers(x + 1, 100) for x in low))
-)
-
-
-@given(st.lists(st.tuples(RECTS, RECTS, st.booleans()), max_size=6))
-def test_parts_hold_what_changed(
-    heads: list[tuple[tuple[int, int, int, int], tuple[int, int, int, int], bool]],
-) -> None:
-    before = [HeadKey(n, 0, old) for n, (old, _, _) in enumerate(heads)]
-    now = [
-        HeadKey(n, int(moved), new if moved else old) for n, (old, new, moved) in enumerate(heads)
-    ]
-    parts = parts_to_draw(before, now, (100, 100))
-    for old, new, is_moved in heads:
-        for rect in (old, new) if is_moved else ():
-            assert any(common_part(rect, part) == rect for part in parts)
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0, 0.03))

@@ -14,11 +14,10 @@ out vec3 surface_xyz_m;
 
 #include "bilinear.glsl"
 #include "bounded.glsl"
-#include "yielding.glsl"
 
 void main() {
     surface_uv = vertex_uv;
     vec3 xyz_m = fetch_bilinear(position_map, vertex_place, position_rows).xyz;
     surface_xyz_m = bounded(xyz_m, low_m, high_m);
-    gl_Position = yielding(clip_from_head * vec4(surface_xyz_m, 1.0), surface_xyz_m.y);
+    gl_Position = clip_from_head * vec4(surface_xyz_m, 1.0);
 }

@@ -33,5 +33,5 @@ void main() {
     }
     vec2 reach = unpack_footprint(surface.w);
     vec3 rgb = decode_pixel(expression, encode_xyz(surface.xyz) SURFACE_CODES);
-    colour = vec4(clamp(rgb, 0.0, 1.0), presence(surface.xyz));
+    colour = presence(surface.xyz) * vec4(clamp(rgb, 0.0, 1.0), 1.0);
 }

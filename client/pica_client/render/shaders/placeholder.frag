@@ -25,5 +25,5 @@ void main() {
     vec3 normal = normalize(cross(below, along) + vec3(0.0, 1e-9, 0.0));
     float light = 0.5 + 0.5 * dot(normal, normalize(vec3(0.30, 0.75, 0.60)));
     vec3 rgb = mix(vec3(0.205, 0.225, 0.250), vec3(0.520, 0.545, 0.570), light * light);
-    colour = vec4(rgb, presence(surface.xyz));
+    colour = presence(surface.xyz) * vec4(rgb, 1.0);
 }

@@ -27,5 +27,5 @@ void main() {
         discard;
     }
 #endif
-    colour = vec4(textureLod(skin, surface_uv, 0.0).rgb, presence(surface_xyz_m));
+    colour = presence(surface_xyz_m) * vec4(textureLod(skin, surface_uv, 0.0).rgb, 1.0);
 }

@@ -20,12 +20,11 @@ const float NEARER_M = 0.002;
 #endif
 
 #include "bounded.glsl"
-#include "yielding.glsl"
 
 void main() {
     surface_uv = vertex_uv;
     surface_xyz_m = bounded(vertex_xyz_m, low_m, high_m);
-    gl_Position = yielding(clip_from_head * vec4(surface_xyz_m, 1.0), surface_xyz_m.y);
+    gl_Position = clip_from_head * vec4(surface_xyz_m, 1.0);
 #ifdef STATIC
     surface_opacity = vertex_opacity;
     // The distance from the far plane grows as the depth shrinks, and with it the depth buffer.
