@@ -155,6 +155,7 @@ class RigHead:
 
 def make_rig(source: RigSource, table: dict[str, str | None] | None = None) -> RigHead:
     """Make a head of a rig, with the user's table of names (`names.read_names`) if there is one."""
-    names = map_names(list(source.shapes), table)
+    moved = {name: np.any(delta != 0, axis=1) for name, delta in source.shapes.items()}
+    names = map_names(list(source.shapes), table, moved)
     mesh = build_mesh(source, names)
     return RigHead(mesh, names, source.path.stem or source.path.name)

@@ -1,6 +1,10 @@
 """Which shapes of a rig drive which ARKit shape: by rules over names, then by a table of the user.
 
+Names propose, movement decides: a shape that moves nothing drives nothing, and shapes of one
+meaning that move different vertices (Maya names them after their meshes) drive together.
+
 eyeBlink_L  Eye_Blink_Left  head.eyeBlinkLeft  EYEBLINKLEFT  A14_Eye_Blink_Left  -> eyeBlinkLeft
+eyeBlink.L  jawOpen.001 (Blender)                            -> eyeBlinkLeft, jawOpen
 browInnerUp_L + browInnerUp_R                                                    -> browInnerUp
 blink_l, blinkLeft, Fcl_EYE_Close_L (VRM, VRoid)   -> eyeBlinkLeft, where nothing fits better
 mouthSmile (one shape for both sides)           -> its halves drive mouthSmileLeft and ...Right
@@ -8,13 +12,14 @@ mouthSmile (one shape for both sides)           -> its halves drive mouthSmileLe
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES
 from pica_core.capture.dataset.files import read_bytes
 from pica_core.errors import CaptureError
+from pica_core.types import BoolArray
 
 SIDES = {"l": "Left", "left": "Left", "lft": "Left", "r": "Right", "right": "Right", "rgt": "Right"}
 _PLAIN = {name.lower(): name for name in ARKIT_NAMES}
@@ -74,7 +79,9 @@ def match_name(source: str) -> tuple[tuple[str, str], ...]:
     Returns:
         Nothing for a name that means nothing to us; two entries for one shape of both sides.
     """
-    last = re.split(r"[.:|/]", source)[-1]
+    *before, last = re.split(r"[.:|/]", re.sub(r"\.\d+$", "", source))
+    if before and last.lower() in SIDES:
+        last = f"{before[-1]}_{last}"
     last = re.sub(r"^[A-Za-z]?\d+[_\- ]+", "", last)
     plain = re.sub(r"[^a-z0-9]", "", last.lower())
     if plain in _PLAIN:
@@ -116,8 +123,21 @@ def read_names(path: Path) -> dict[str, str | None]:
     return table
 
 
-def map_names(names: Sequence[str], table: dict[str, str | None] | None = None) -> NameMap:
-    """Map a rig's shape names, in the file's order; the user's table goes before the rules."""
+def map_names(
+    names: Sequence[str],
+    table: dict[str, str | None] | None = None,
+    moved: Mapping[str, BoolArray] | None = None,
+) -> NameMap:
+    """Map a rig's shape names, in the file's order; the user's table goes before the rules.
+
+    Args:
+        names: Names of the rig's shapes.
+        table: Names that the user maps, see `read_names`.
+        moved: Vertices that each shape moves, bool ``[V]``; without it all move alike.
+
+    Raises:
+        CaptureError: The table names a shape that is not there, or no name is known.
+    """
     table = table or {}
     unknown = [name for name in table if name not in names]
     if unknown:
@@ -126,6 +146,8 @@ def map_names(names: Sequence[str], table: dict[str, str | None] | None = None) 
     for name in names:
         target = table.get(name)
         meanings = match_name(name) if name not in table else ((target, ""),) if target else ()
+        if moved is not None and not moved[name].any():
+            meanings = ()
         for arkit, half in meanings:
             kind = "table" if name in table else _kind(name, arkit, half)
             found[arkit].setdefault(kind, []).append(Driver(source=name, half=half))
@@ -137,10 +159,11 @@ def map_names(names: Sequence[str], table: dict[str, str | None] | None = None) 
             continue
         chosen = by_kind[best]
         if best in ("whole", "near"):
-            chosen = sorted(chosen, key=lambda driver: bool(driver.half))[:1]
+            chosen = _apart(sorted(chosen, key=lambda driver: bool(driver.half)), moved)
         if best == "half":
-            sides = {_side(driver.source): driver for driver in reversed(chosen)}
-            chosen = [sides[side] for side in sorted(sides)]
+            sides = {_side(driver.source): "" for driver in chosen}
+            of_sides = [[d for d in chosen if _side(d.source) == side] for side in sorted(sides)]
+            chosen = [driver for drivers in of_sides for driver in _apart(drivers, moved)]
         drivers[arkit] = tuple(chosen)
     used = {driver.source for chosen in drivers.values() for driver in chosen}
     if not used:
@@ -154,6 +177,18 @@ def map_names(names: Sequence[str], table: dict[str, str | None] | None = None) 
         missing=tuple(name for name in ARKIT_NAMES if name not in drivers),
         ignored=tuple(name for name in names if name not in used),
     )
+
+
+def _apart(drivers: Sequence[Driver], moved: Mapping[str, BoolArray] | None) -> list[Driver]:
+    """The first of some drivers that mean the same, and those that move other vertices than it."""
+    chosen = list(drivers[:1])
+    if moved is not None:
+        taken = moved[drivers[0].source].copy()
+        for driver in drivers[1:]:
+            if not (taken & moved[driver.source]).any():
+                chosen.append(driver)
+                taken |= moved[driver.source]
+    return chosen
 
 
 _RANK = ("table", "whole", "half", "both", "near")

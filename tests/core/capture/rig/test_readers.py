@@ -71,6 +71,27 @@ def test_halves_join_one_shape_serves_both_sides_and_doubles_are_ignored() -> No
     assert len(names.missing) == 52 - 4
 
 
+def test_what_moves_decides_which_of_several_names_drives() -> None:
+    nothing, face, teeth = np.zeros(9, np.bool_), np.arange(9) < 6, np.arange(9) >= 6
+    moved = {
+        "teeth_shapes.jawOpen": teeth,
+        "head_shapes.jawOpen": face,
+        "Fcl_MTH_A": face,
+        "eyeBlink.L": nothing,
+        "Fcl_EYE_Close_L": face,
+        "mouthFunnel.001": face,
+        "mouth_funnel": face,
+    }
+    names = map_names(list(moved), moved=moved)
+    driven = {arkit: [each.source for each in drivers] for arkit, drivers in names.drivers.items()}
+    assert driven == {
+        "jawOpen": ["teeth_shapes.jawOpen", "head_shapes.jawOpen"],
+        "eyeBlinkLeft": ["Fcl_EYE_Close_L"],
+        "mouthFunnel": ["mouthFunnel.001"],
+    }
+    assert names.ignored == ("Fcl_MTH_A", "eyeBlink.L", "mouth_funnel")
+
+
 def test_a_table_goes_before_the_rules(tmp_path: Path) -> None:
     path = tmp_path / "names.json"
     path.write_text(json.dumps({"viseme_aa": "jawOpen", "jawOpen": None}))
