@@ -31,7 +31,7 @@ class CallSound:
         self._volumes: Mapping[str, float] = {}
         self._talked_s = -TAIL_S
         self._trouble = self._speaker = ""
-        self._tracks: list[Soundtrack] = []
+        self._track = Soundtrack()
 
     @property
     def own_voice(self) -> OwnVoice:
@@ -80,32 +80,26 @@ class CallSound:
             self._sound.play_test()
 
     def begin_track(self) -> Soundtrack | None:
-        """Begin to keep all that is heard, and what is sent of the own voice; None where there
-        is neither."""
+        """Begin to keep all that is heard, and what is sent of the own voice, for one recording;
+        None where there is neither."""
         if self._sound is None and self._own is None:
             return None
-        track = Soundtrack(self._end_track)
-        if not self._tracks:
-            if self._own is not None:
-                self._own.listeners.append(self._keep_own)
-            if self._sound is not None:
-                self._sound.on_mixed = self._keep_mix
-                self._sound.hand_on(True)
-        self._tracks.append(track)
-        return track
+        self._track = Soundtrack(self._end_track)
+        if self._own is not None:
+            self._own.listeners.append(self._keep_own)
+        if self._sound is not None:
+            self._sound.on_mixed = self._keep_mix
+            self._sound.hand_on(True)
+        return self._track
 
     def _end_track(self, track: Soundtrack) -> None:
-        self._tracks.remove(track)
-        if not self._tracks:
-            if self._own is not None:
-                self._own.listeners.remove(self._keep_own)
-            if self._sound is not None:
-                self._sound.hand_on(False)
+        if self._own is not None:
+            self._own.listeners.remove(self._keep_own)
+        if self._sound is not None:
+            self._sound.hand_on(False)
 
     def _keep_own(self, sound: FloatArray, captured_us: int) -> None:
-        for track in tuple(self._tracks):
-            track.add("own", sound, captured_us / 1e6)
+        self._track.add("own", sound, captured_us / 1e6)
 
     def _keep_mix(self, sound: FloatArray, leaves_s: float) -> None:
-        for track in tuple(self._tracks):
-            track.add("others", sound, leaves_s)
+        self._track.add("others", sound, leaves_s)

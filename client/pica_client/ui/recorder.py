@@ -42,7 +42,7 @@ one that takes long delays no image, and a slow machine keeps no more than that 
 
 
 class Recorder(Closing):
-    """Writes an MP4: H.264 where this build of FFmpeg has it, else MPEG-4 part 2; AAC.
+    """Writes an MP4 of H.264 and AAC.
 
     Args:
         path: File to write; replaced if it exists.
@@ -61,8 +61,12 @@ class Recorder(Closing):
         size: tuple[int, int],
         begin_sound: BeginSound = lambda: None,
     ) -> None:
-        import av
-
+        try:
+            import av
+        except ModuleNotFoundError as error:
+            raise ModuleNotFoundError(
+                "recording needs PyAV: pip install 'pica-telepresence[video]'", name="av"
+            ) from error
         width, height = size[0] - size[0] % 2, size[1] - size[1] % 2
         if width < 2 or height < 2:
             raise OptionError(f"size is {size[0]}x{size[1]}; a video needs at least 2x2")
@@ -74,9 +78,7 @@ class Recorder(Closing):
         with writing(path):
             path.open("wb").close()  # FFmpeg would find out with the first frame only
             self._container: Any = av.open(str(path), "w", format="mp4", options=CONTAINER)
-        has_h264 = "libx264" in av.codecs_available
-        self.codec = "libx264" if has_h264 else "mpeg4"
-        stream: Any = self._container.add_stream(self.codec, rate=TICKS_PER_S)
+        stream: Any = self._container.add_stream("libx264", rate=TICKS_PER_S)
         stream.width, stream.height = width, height
         stream.pix_fmt = "yuv420p"
         stream.codec_context.time_base = Fraction(1, TICKS_PER_S)
@@ -84,10 +86,7 @@ class Recorder(Closing):
         # and makes files of 1.3 Mbit/s; "veryfast" costs 13 ms and makes a third of that.
         stream.thread_count = 1
         stream.gop_size = KEY_FRAMES
-        if has_h264:
-            stream.options = {"preset": "superfast", "crf": "20"}
-        else:
-            stream.bit_rate = 8_000_000
+        stream.options = {"preset": "superfast", "crf": "20"}
         self._stream = stream
         self._encoder = ThreadPoolExecutor(1, "recorder")
         self._waiting: deque[Future[None]] = deque()
@@ -207,25 +206,23 @@ def save_png(path: Path, image: Image) -> None:
 
 
 class Captures:
-    """The recordings under way, and new names for pictures and recordings made by key.
+    """The recording under way, and new names for pictures and recordings made by key.
 
     Names count up and say nothing of the time: ``picture-0001.png``, ``recording-0001.mp4``.
 
     Args:
         folder: Where files go that are made by key; None is the system's folders.
+
+    Attributes:
+        path: The file that is being recorded; None: there is none.
     """
 
     def __init__(self, folder: Path | None = None, begin_sound: BeginSound = lambda: None) -> None:
+        self.path: Path | None = None
         self._begin_sound = begin_sound
         self._pictures = folder or pictures_folder()
         self._videos = folder or videos_folder()
-        self._recorders: dict[Path, Recorder] = {}
-        self._by_key: Path | None = None
-
-    @property
-    def paths(self) -> tuple[Path, ...]:
-        """The files that are being recorded."""
-        return tuple(self._recorders)
+        self._recorder: Recorder | None = None
 
     def save_picture(self, image: Image) -> str:
         """Write a picture, uint8 ``[H, W, 3]``; return what to tell the user.
@@ -241,45 +238,44 @@ class Captures:
         """Begin to record; see `Recorder`. A file that is there already is left as it is."""
         if path.is_file():
             path = new_path(path.parent, path.stem, ".mp4")
-        self._recorders[path] = Recorder(path, size, self._begin_sound)
+        self._recorder, self.path = Recorder(path, size, self._begin_sound), path
 
     def toggle_recording(self, size: tuple[int, int]) -> str:
-        """Begin or end the recording made by key; return what to tell the user.
+        """End the recording, or begin one; return what to tell the user.
 
         Raises:
             OptionError: It cannot be written.
             ModuleNotFoundError: PyAV is not installed; names the extra.
         """
-        if self._by_key in self._recorders:
-            return self.end(self._by_key)
-        try:
-            import av  # noqa: F401
-        except ModuleNotFoundError as error:
-            raise ModuleNotFoundError(
-                "recording needs PyAV: pip install 'pica-telepresence[video]'", name="av"
-            ) from error
-        path = self._by_key = new_path(self._videos, "recording", ".mp4")
-        self._recorders[path] = Recorder(path, size, self._begin_sound)
+        if self.path is not None:
+            return self.end()
+        path = new_path(self._videos, "recording", ".mp4")
+        self._recorder, self.path = Recorder(path, size, self._begin_sound), path
         return f"Recording into {path.name}"
 
-    def write(self, image: Image, now: float) -> list[str]:
-        """Append a frame to each recording; return why some are over, as on a full disk."""
-        failures = []
-        for path, recorder in tuple(self._recorders.items()):
-            try:
-                recorder.write(image, now)
-            except OptionError as error:
-                del self._recorders[path]
-                failures.append(str(error))
-        return failures
+    def write(self, image: Image, now: float) -> None:
+        """Append a frame to the recording.
 
-    def end(self, path: Path) -> str:
-        """Finish a recording; return what to tell the user.
+        Raises:
+            OptionError: The recording is over, as on a full disk.
+        """
+        if self._recorder is not None:
+            try:
+                self._recorder.write(image, now)
+            except OptionError:
+                self._recorder = self.path = None
+                raise
+
+    def end(self) -> str:
+        """Finish the recording, if there is one; return what to tell the user.
 
         Raises:
             OptionError: The disk is full; the file cannot be played.
         """
-        self._recorders.pop(path).close()
+        if self._recorder is None or self.path is None:
+            return ""
+        recorder, path, self._recorder, self.path = self._recorder, self.path, None, None
+        recorder.close()
         return f"Saved {path.name} in {path.parent}"
 
 

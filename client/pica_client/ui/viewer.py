@@ -13,7 +13,6 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +26,7 @@ from pica_client.decode.pool import DecodePool, num_workers
 from pica_client.decode.request import DecodeResult
 from pica_client.endpoint.endpoint import Receiver
 from pica_client.endpoint.monitor import CallMonitor
-from pica_client.errors import ClientError
+from pica_client.errors import ClientError, OptionError
 from pica_client.output import Outputs, say
 from pica_client.publish.face_controls import FaceControls
 from pica_client.render.draw_clock import DrawClock
@@ -139,7 +138,7 @@ class Viewer(Closing):
             has_pointer = self._window is not None
             self._panels = CallSurface(self.surface, self._meter, status, has_pointer=has_pointer)
             self._captures = Captures(options.keep_in, self._sound.begin_track)
-            stack.callback(self._end_recordings)
+            stack.callback(self._end_recording)
             if options.record is not None:
                 self._captures.record(options.record, size)
             workers = num_workers(os.cpu_count())
@@ -270,14 +269,16 @@ class Viewer(Closing):
         self._note_recording()
         if self.state.is_recording:
             shown = self._renderer.read_image() if image is None else image
-            for failure in self._captures.write(shown, now):
-                self.outputs.fail(failure)
-                self._panels.notice(failure, now)
+            try:
+                self._captures.write(shown, now)
+            except OptionError as error:
+                self.outputs.fail(str(error))
+                self._panels.notice(str(error), now)
         if self._window is not None:
             self._window.show(self._show)
 
     def _note_recording(self) -> None:
-        is_recording = bool(self._captures.paths)
+        is_recording = self._captures.path is not None
         if is_recording != self.state.is_recording:
             self.state.is_recording = is_recording
             if self._receiver is not None:
@@ -293,10 +294,10 @@ class Viewer(Closing):
             controls.choose(state.source)
         self._source = state.source
 
-    def _end_recordings(self) -> None:
-        for path in self._captures.paths:
-            if self.outputs.attempt(partial(self._captures.end, path)):
-                say(f"wrote {path}")
+    def _end_recording(self) -> None:
+        path = self._captures.path
+        if path is not None and self.outputs.attempt(self._captures.end):
+            say(f"wrote {path}")
 
     def pick(self, x_px: float, y_px: float) -> int | None:
         """Whose head is at a point of the picture, pixels, y down; see `FaceState.place`."""

@@ -27,18 +27,22 @@ def test_pictures_count_up_and_overwrite_nothing(tmp_path: Path) -> None:
         assert image.size == (64, 48)
 
 
-def test_a_recording_begins_and_ends_by_the_same_key(tmp_path: Path) -> None:
+def test_a_recording_begins_and_ends_by_the_same_key_also_one_that_has_a_name(
+    tmp_path: Path,
+) -> None:
     av = pytest.importorskip("av")
     folder = tmp_path / "calls" / "of today"
     captures = Captures(folder)
     assert not folder.exists()
-    assert captures.toggle_recording((64, 48)) == "Recording into recording-0001.mp4"
     captures.record(tmp_path / "call.mp4", (64, 48))
-    for step in range(4):
-        assert captures.write(GREY, 100.0 + 0.1 * step) == []
-    assert captures.toggle_recording((64, 48)).startswith("Saved recording-0001.mp4")
-    assert captures.paths == (tmp_path / "call.mp4",)
-    captures.end(tmp_path / "call.mp4")
+    said = []
+    for pressed in range(3):
+        for step in range(4):
+            captures.write(GREY, 100.0 + pressed + 0.1 * step)
+        said.append(captures.toggle_recording((64, 48)))
+    names = [line.split()[-1 if "into" in line else 1] for line in said]
+    assert names == ["call.mp4", "recording-0001.mp4", "recording-0001.mp4"]
+    assert captures.path is None
     for path in (folder / "recording-0001.mp4", tmp_path / "call.mp4"):
         with av.open(str(path)) as container:
             assert sum(1 for _ in container.decode(video=0)) == 4
