@@ -59,9 +59,7 @@ def examine(load: Callable[[str], Any] = load_module, *, has_display: bool) -> l
     return [
         *(_extra(name, modules, load) for name, modules in extras.items()),
         _graphics(load),
-        _inference(load),
         _training_device(load),
-        _video(load),
         _display(has_display),
         _avatars(),
     ]
@@ -106,14 +104,6 @@ def _graphics(load: Callable[[str], Any]) -> Finding:
     return Finding("OpenGL", "ready", detail)
 
 
-def _inference(load: Callable[[str], Any]) -> Finding:
-    try:
-        onnxruntime = load("onnxruntime")
-    except Exception:
-        return Finding("ONNX Runtime", "missing", "not installed", install_line("view"))
-    return Finding("ONNX Runtime", "ready", str(onnxruntime.__version__))
-
-
 def _training_device(load: Callable[[str], Any]) -> Finding:
     try:
         torch = load("torch")
@@ -123,14 +113,6 @@ def _training_device(load: Callable[[str], Any]) -> Finding:
     if torch.cuda.is_available():
         return Finding("CUDA", "ready", f"{about}, {torch.cuda.get_device_name()}")
     return Finding("CUDA", "missing", f"{about} finds none and trains on the CPU")
-
-
-def _video(load: Callable[[str], Any]) -> Finding:
-    try:
-        has_h264 = "libx264" in load("av").codecs_available
-    except Exception:
-        return Finding("video", "missing", "no recordings to MP4", install_line("video"))
-    return Finding("video", "ready", f"recordings in {'H.264' if has_h264 else 'MPEG-4'}")
 
 
 def _display(is_there: bool) -> Finding:

@@ -145,4 +145,4 @@ def test_the_doctor_names_the_fix_for_each_lack() -> None:
     assert findings["OpenGL"].detail == "no context; install libegl1"
     assert findings["display"].level == "missing"
     assert findings["CUDA"].fix == install_line("train")
-    assert findings["video"].line.startswith("missing  video: no recordings to MP4; to fix it: ")
+    assert findings["extra video"].line.startswith("missing  extra video: no av; to fix it: ")
