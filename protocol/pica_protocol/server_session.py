@@ -1,10 +1,14 @@
 """The relay's end of a connection; see `pica_protocol.session` for how a shell uses it."""
 
+from typing import Final
+
 from pica_protocol import messages, session
 from pica_protocol.codec import decode_message
 from pica_protocol.errors import CloseCode, LocalProtocolError, RemoteProtocolError
 from pica_protocol.frames import MEDIA_KIND, FrameSpan, scan_frames
 from pica_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
+
+_JOINED: Final = session.State.JOINED  # looked up once for every frame
 
 
 class ServerSession(session.Session):
@@ -33,10 +37,10 @@ class ServerSession(session.Session):
 
     def receive_media(self, message: bytes) -> list[FrameSpan]:
         """Take one media message; return its frames, or none and be closed."""
-        if self.state is session.State.CLOSED:
-            return []
         try:
-            if self.state is not session.State.JOINED:  # where the table leads nowhere else
+            if self.state is not _JOINED:  # where the table leads nowhere else
+                if self.state is session.State.CLOSED:
+                    return []
                 self._advance(session.Media)
             return scan_frames(message)
         except RemoteProtocolError as error:

@@ -3,7 +3,6 @@
 import math
 from bisect import bisect_right
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any
 
@@ -66,10 +65,6 @@ class RelayStats:
     resumes: Counter[str] = field(default_factory=Counter)
     """Peers who lost their connection and may come back: ``away``. Those who tried: ``resumed``;
     ``unknown``, the place was not there (any more); ``unfit``, as another peer."""
-    unwanted: int = 0
-    """Frames that a receiver had asked not to get."""
-    frames_resumed: int = 0
-    """Frames kept for latecomers that were sent to one."""
     whispers: int = 0
     """Private messages (``Whisper``) passed on."""
     whispers_dropped: Counter[str] = field(default_factory=Counter)
@@ -103,13 +98,15 @@ class RelayStats:
     forwarding: LatencyHistogram = field(default_factory=LatencyHistogram)
     """Latencies from a frame's receipt to the moment the receiver's socket took it."""
 
-    def note_sent(self, messages: Sequence[bytes], received_s: Sequence[float], now: float) -> None:
-        """Count messages that went out; ``received_s`` is when each of their frames came."""
-        self.messages_out += len(messages)
-        self.bytes_out += sum(map(len, messages))
-        self.frames_out += len(received_s)
-        for moment_s, times in Counter(received_s).items():
-            self.forwarding.record(now - moment_s, times)
+    def note_sent(
+        self, num_messages: int, num_bytes: int, num_frames: int, latency_s: float
+    ) -> None:
+        """Count messages that went out together; ``latency_s`` is that of their oldest frame."""
+        self.messages_out += num_messages
+        self.bytes_out += num_bytes
+        self.frames_out += num_frames
+        if num_frames:
+            self.forwarding.record(latency_s, num_frames)
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything as plain values; latencies in milliseconds."""

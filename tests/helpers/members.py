@@ -76,7 +76,7 @@ class Member:
         while (message := self.hub.take(self.connection, now)) is not None:
             self.hub.sent(self.connection, message, now)
             self.session.receive_data(message.data, now)
-            if message.received_s:
+            if message.num_frames:
                 heard += decode_media(message.data)
             else:
                 heard.append(decode_message(message.data))

@@ -62,7 +62,7 @@ class Pump:
         self._config = config
         self._all_gone = asyncio.Event()
         self._drain_ends_s: float | None = None
-        self._peers: dict[Connection, _Peer] = {}
+        self._peers: set[_Peer] = set()
         self._now: Callable[[], float] = time.monotonic
         self._soon: asyncio.Handle | None = None
 
@@ -88,7 +88,7 @@ class Pump:
 
     def cut(self) -> None:
         """Cut every websocket without another word."""
-        for peer in self._peers.values():
+        for peer in self._peers:
             peer.websocket.transport.abort()
 
     async def serve(self, websocket: RelaySocket) -> None:
@@ -99,7 +99,8 @@ class Pump:
             set_tcp_option(sock, socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, _UNSENT_BYTES)
         hub, began_s = self._hub, self._now()
         connection = hub.connect(began_s, websocket.address)
-        peer = self._peers[connection] = _Peer(websocket)
+        peer = connection.peer = _Peer(websocket)
+        self._peers.add(peer)
         try:
             if websocket.subprotocol is None:
                 reason = f"this relay speaks {SUBPROTOCOL}"
@@ -121,7 +122,8 @@ class Pump:
             if peer.writer is not None:
                 peer.writer.cancel()
             hub.disconnect(connection, CloseCode.INTERNAL_ERROR, "", self._now())
-            del self._peers[connection]
+            connection.peer = None
+            self._peers.remove(peer)
             self.send_all()
             self._log_closed(connection, began_s)
             if not self._peers:
@@ -162,39 +164,42 @@ class Pump:
     def send_all(self) -> None:
         """Send what waits as far as the kernel takes it; the rest is for the writers."""
         # Once for every message that goes out: written for speed.
-        peers, now = self._peers, self._now()
-        written: list[bytes] = []
-        received_s: list[float] = []
+        now = self._now()
+        oldest_s = now
+        num_messages = num_bytes = num_frames = 0
         for connection in self._hub.take_ready():
-            peer = peers.get(connection)
+            peer: _Peer | None = connection.peer
             if peer is None:
                 continue
             outbox, under_way = connection.outbox, None
             if outbox.is_quick and peer.writer is None:  # nearly always
-                frames, outbox.fresh = outbox.fresh, []
-                if len(frames) == 1:
-                    frame = frames[0]
-                    if not frame.framed:
-                        frame.framed = websocket_message(media_message((frame.data,)))
-                    framed = frame.framed
-                    moments_s: Sequence[float] = (frame.received_s,)
-                elif frames:
-                    framed = websocket_message(media_message([frame.data for frame in frames]))
-                    moments_s = [frame.received_s for frame in frames]
+                frames = outbox.fresh
+                if not frames:
+                    continue
+                outbox.fresh = []
+                frame = frames[0]
+                if len(frames) > 1:
+                    framed = websocket_message(media_message([each.data for each in frames]))
                 else:
-                    continue
+                    framed = frame.framed
+                    if not framed:
+                        framed = frame.framed = websocket_message(media_message((frame.data,)))
                 if peer.websocket.write(framed):
-                    written.append(framed)
-                    received_s += moments_s
+                    num_messages += 1
+                    num_bytes += len(framed)
+                    num_frames += len(frames)
+                    if frame.received_s < oldest_s:
+                        oldest_s = frame.received_s
                     continue
-                under_way = OutboundMessage(framed, tuple(moments_s))
+                under_way = OutboundMessage(framed, len(frames), frame.received_s)
             elif peer.writer is None and connection.closed is None and not outbox.is_slow(now):
                 while (message := outbox.take(now)) is not None:
                     if not peer.websocket.write(websocket_message(message.data)):
                         under_way = message
                         break
-                    written.append(message.data)
-                    received_s += message.received_s
+                    self._hub.stats.note_sent(
+                        1, len(message.data), message.num_frames, now - message.received_s
+                    )
                 if under_way is None:
                     continue
             if under_way is not None:
@@ -208,7 +213,8 @@ class Pump:
                 self._cut_later(peer)
             if outbox.is_urgent or connection.closed is not None:
                 peer.is_urgent.set()
-        self._hub.stats.note_sent(written, received_s, self._now())
+        if num_messages:
+            self._hub.stats.note_sent(num_messages, num_bytes, num_frames, self._now() - oldest_s)
 
     async def _write(
         self, peer: _Peer, connection: Connection, under_way: OutboundMessage | None

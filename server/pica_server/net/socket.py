@@ -288,9 +288,7 @@ class RelaySocket(ServerConnection):
                 self.transport.abort()
                 return
         messages: list[bytes] = []
-        on_messages = self._on_messages if self._is_between_frames else None
-        if on_messages is not None and self.protocol.state is not State.OPEN:
-            on_messages = None
+        on_messages = self._on_messages if self._is_between_frames and self._is_open else None
         while on_messages is not None and size - at > _HEADER_BYTES and data[at] == _WHOLE_BINARY:
             begin = at + _HEADER_BYTES
             length = data[at + 1] - _MASKED
@@ -373,7 +371,7 @@ class RelaySocket(ServerConnection):
         if not self._is_open or transport.is_closing():
             return False
         transport.write(framed)
-        return not transport.get_write_buffer_size() and not transport.is_closing()
+        return not transport.get_write_buffer_size()
 
 
 def _forget_where(error: BaseException | None) -> None:

@@ -27,8 +27,6 @@ _COUNTERS: Final = (
     ("messages_out", "messages_out", "Messages sent."),
     ("frames_in", "frames_in", "Frames received."),
     ("frames_out", "frames_out", "Frames sent, counted for each receiver."),
-    ("frames_unwanted", "unwanted", "Frames a receiver had asked not to get."),
-    ("frames_resumed", "frames_resumed", "Kept frames sent to latecomers."),
     ("whispers", "whispers", "Private messages passed on."),
     ("reported_lost", "reported_lost", "Frames receivers reported missing."),
     (

@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import InitVar, dataclass, field
 from itertools import count
-from typing import Final
+from typing import Any, Final
 
 from pica_protocol.codec import encode_message
 from pica_protocol.errors import CloseCode
@@ -67,6 +67,8 @@ class Connection:
     is_resumable: bool = False
     is_admin: bool = False
     """Whether its token has the grant ``admin``."""
+    peer: Any = None
+    """What the shell keeps of it."""
 
     def __post_init__(self, limits: LimitsConfig, now: float) -> None:
         # What piled up while the relay or the way to it stood still was sent at a good rate: who
@@ -87,7 +89,7 @@ class Connections:
 
     Attributes:
         by_peer: Those that are not over, by the id of their peer; to be read only.
-        ready: Those that have got something to send, or have closed.
+        ready: Those that have got something to send, or have closed; some more than once.
         on_over: Told of every connection that is over, once or more, to clear up after it; it
             begins with ``wind_up``.
         is_draining: All peers are being sent away, and none admitted.
@@ -97,7 +99,7 @@ class Connections:
         self.config = config
         self.stats = stats
         self.by_peer: dict[str, Connection] = {}
-        self.ready: dict[Connection, None] = {}
+        self.ready: list[Connection] = []
         self.on_over: Callable[[Connection, float], None] = lambda connection, now: None
         self.is_draining = False
         self._serials = count(1)
@@ -197,7 +199,7 @@ class Connections:
                 del self._by_address[connection.address]
         last_words = connection.session.messages_to_send(now)
         self.note_dropped(connection.outbox.finish(last_words), "departed")
-        self.ready[connection] = None
+        self.ready.append(connection)
         return True
 
     def note_dropped(self, num_frames: int, reason: str) -> None:
@@ -238,4 +240,4 @@ class Connections:
             connection.outbox.put_control(data)
         except OutboxFullError as error:
             self.refuse(connection, "control", CloseCode.TOO_SLOW, str(error), now)
-        self.ready[connection] = None
+        self.ready.append(connection)

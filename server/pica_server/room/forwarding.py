@@ -4,6 +4,7 @@ A relay that is late has more to do than it can: of several faces that one publi
 last turn of the event loop it then forwards the newest alone, and refuses newcomers (`Overload`).
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final
 
@@ -14,7 +15,7 @@ from pica_protocol.frames import FrameSpan
 from pica_protocol.messages import StreamMuted, Whisper
 from pica_server.room.connections import WHISPER_COST, Connection, Connections
 from pica_server.room.outbox import MAX_FRESH
-from pica_server.room.room import Room, Stream
+from pica_server.room.room import EVERY_MOST, Room, Stream
 
 LATE_S: Final = 0.1
 """A turn of the event loop that takes longer sheds faces (chosen: three faces; a shorter one may be
@@ -50,68 +51,77 @@ class Overload:
 class Forwarding:
     """What passes through one relay."""
 
-    def __init__(self, connections: Connections, overload: Overload) -> None:
+    def __init__(self, connections: Connections) -> None:
         self._connections = connections
-        self._overload = overload
         self._stats = connections.stats
 
     def forward(
-        self, connection: Connection, batch: list[tuple[bytes, FrameSpan]], now: float
+        self,
+        connection: Connection,
+        message: bytes,
+        spans: list[FrameSpan],
+        now: float,
+        last: Mapping[int, int] | None = None,
     ) -> None:
-        """Take frames, each with the message that it came in, from their publisher, who is in a
-        room. A late relay passes on the newest face of each stream."""
+        """Take the frames of a message from their publisher, who is in a room.
+
+        Args:
+            last: The sequence number of the last frame of each stream that has come; older faces
+                are left out. None: all are passed on.
+        """
         # Once for every frame that comes: written for speed.
         room, publisher, connections = connection.room, connection.peer_id, self._connections
         assert room is not None
         stats, ready, by_peer = self._stats, connections.ready, connections.by_peer
-        last = {span[0]: span for _, span in batch} if self._overload.sheds else None
-        for message, span in batch:
-            number, sequence, start, end = span
-            stream = room.stream(number)
+        streams = room.streams
+        for number, sequence, start, end in spans:
+            stream = streams.get(number)
             if stream is None or stream.publisher != publisher:
                 reason = f"frame on stream {number}, which is not yours"
                 connections.close(connection, CloseCode.FOREIGN_STREAM, reason, now)
                 return
-            if last and stream.deadline_s is None and last[number] is not span:
+            if last and stream.deadline_s is None and last[number] != sequence:
                 stats.dropped["late"] += len(room) - 1
                 continue
             stats.frames_in += 1
-            receivers = room.receivers(number, sequence)
+            known = stream.receivers
+            receivers = None if known is None else known[sequence % EVERY_MOST]
+            if receivers is None:
+                receivers = room.receivers(stream, sequence, by_peer)
             if stream.is_muted:
                 stats.dropped["muted"] += len(receivers)
                 continue
             frame = QueuedFrame(publisher, number, message[start:end], now, stream.deadline_s)
             if stream.deadline_s is None:
                 stream.newest = frame
-            for peer_id in receivers:
-                receiver = by_peer[peer_id]
-                fresh = receiver.outbox.fresh
+            for receiver in receivers:
+                outbox = receiver.outbox
+                fresh = outbox.fresh
+                if not (fresh and outbox.is_quick):
+                    ready.append(receiver)
                 fresh.append(frame)
                 if len(fresh) > MAX_FRESH:
-                    receiver.outbox.sort()
-                ready[receiver] = None
-            stats.unwanted += len(room) - 1 - len(receivers)
+                    outbox.sort()
 
     def subscribe(self, connection: Connection, number: int, every: int) -> None:
         """Follow a receiver's subscription; who begins to want a stream gets its newest frame."""
         room = connection.room
         assert room is not None
-        stream = room.stream(number)
+        stream = room.streams.get(number)
         if room.subscribe(connection.peer_id, number, every) and stream is not None:
             self._send_newest(connection, stream)
         elif every == 0 and stream is not None:
-            self._stats.unwanted += connection.outbox.drop(stream.publisher, number)
+            connection.outbox.drop(stream.publisher, number)
 
     def catch_up(self, connection: Connection, room: Room) -> None:
         """Give a receiver who comes, or comes back, the newest frame of every stream."""
-        for _, stream in room.streams:
+        for stream in room.streams.values():
             self._send_newest(connection, stream)
 
     def _send_newest(self, connection: Connection, stream: Stream) -> None:
         if stream.newest is not None and stream.publisher != connection.peer_id:
-            self._stats.frames_resumed += 1
             connection.outbox.put(stream.newest)
-            self._connections.ready[connection] = None
+            self._connections.ready.append(connection)
 
     def mute(self, room: Room, number: int, stream: Stream, *, is_muted: bool, now: float) -> None:
         """Stop a stream, or let it go on, and tell everybody here."""
@@ -141,5 +151,5 @@ class Forwarding:
             return
         message = encode_message(replace(whisper, peer_id=connection.peer_id))
         receiver.outbox.put_whisper(connection.peer_id, message, now)
-        connections.ready[receiver] = None
+        connections.ready.append(receiver)
         stats.whispers += 1

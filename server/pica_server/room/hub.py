@@ -14,10 +14,11 @@ A connection is over when its ``closed`` is set; what it still has to send ends 
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Final
 
-from pica_protocol.errors import CloseCode
-from pica_protocol.frames import MEDIA_PREFIX, FrameSpan
+from pica_protocol.errors import CloseCode, RemoteProtocolError
+from pica_protocol.frames import MEDIA_PREFIX, scan_frames
 from pica_protocol.messages import (
     BarIdentity,
     Join,
@@ -68,7 +69,7 @@ class Hub:
         self.stats = RelayStats()
         self.connections = Connections(config, self.stats)
         self.overload = Overload()
-        self.forwarding = Forwarding(self.connections, self.overload)
+        self.forwarding = Forwarding(self.connections)
         self.membership = Membership(
             self.connections,
             self.forwarding,
@@ -77,7 +78,6 @@ class Hub:
             new_secret,
         )
         self._config = config
-        self._ready = self.connections.ready
         self._load = (0.0, 0.0)
         self.busy_ratio = 0.0
         self._departures: deque[tuple[float, str]] = deque()
@@ -128,35 +128,28 @@ class Hub:
 
     def receive(self, connection: Connection, messages: Sequence[bytes | str], now: float) -> None:
         """Take the websocket messages of a connection that came together."""
-        num_bytes = sum(map(len, messages))
-        self.stats.bytes_in += num_bytes
-        self._charge(connection, num_bytes, len(messages), now)
-        frames: list[tuple[bytes, FrameSpan]] = []
+        last: dict[int, int] | None = None
+        if len(messages) > 1 and self.overload.sheds:
+            last = _last_frames(messages)
         for data in messages:
+            self.stats.bytes_in += len(data)
+            self._charge(connection, len(data) + MESSAGE_COST_BYTES, now)
             if isinstance(data, bytes) and data[:1] == MEDIA_PREFIX:  # nearly always
                 spans = connection.session.receive_media(data)
                 if len(spans) > 1:
-                    self._charge(connection, 0, len(spans) - 1, now)
-                frames += [(data, span) for span in spans]
-                if not spans:
+                    self._charge(connection, (len(spans) - 1) * MESSAGE_COST_BYTES, now)
+                if connection.closed is None:
+                    self.forwarding.forward(connection, data, spans, now, last)
+                else:
                     self.membership.clear_up(connection, now)
                 continue
-            self._forward(connection, frames, now)
-            frames = []
             for event in connection.session.receive_data(data, now):
                 self._handle(connection, event, now)
             self.connections.flush(connection, now)
-        self._forward(connection, frames, now)
 
-    def _charge(self, connection: Connection, num_bytes: int, count: int, now: float) -> None:
-        if not connection.bytes_in.take(now, num_bytes + count * MESSAGE_COST_BYTES):
+    def _charge(self, connection: Connection, cost_bytes: int, now: float) -> None:
+        if not connection.bytes_in.take(now, cost_bytes):
             self.connections.close_too_fast(connection, now)
-
-    def _forward(
-        self, connection: Connection, frames: list[tuple[bytes, FrameSpan]], now: float
-    ) -> None:
-        if frames and connection.closed is None:
-            self.forwarding.forward(connection, frames, now)
 
     def disconnect(self, connection: Connection, code: int, reason: str, now: float) -> None:
         """Take note that a websocket has ended."""
@@ -188,8 +181,8 @@ class Hub:
 
     def take_ready(self) -> list[Connection]:
         """Take the list of connections that have got something to send, or have closed."""
-        taken = list(self._ready)
-        self._ready.clear()
+        taken = self.connections.ready
+        self.connections.ready = []
         return taken
 
     def take(self, connection: Connection, now: float) -> OutboundMessage | None:
@@ -208,7 +201,7 @@ class Hub:
         """Take note that the socket took a message."""
         connection.late_s = math.inf
         connection.outbox.note_taken(len(message.data), now)
-        self.stats.note_sent([message.data], message.received_s, now)
+        self.stats.note_sent(1, len(message.data), message.num_frames, now - message.received_s)
 
     def handle_timer(self, now: float) -> None:
         """Close those who are late by now, and those whose turn to go has come; called many times
@@ -241,3 +234,13 @@ class Hub:
                 self.membership.moderate(connection, event, now)
             case UpdateMetadata():
                 self.membership.update_metadata(connection, event, now)
+
+
+def _last_frames(messages: Sequence[bytes | str]) -> dict[int, int]:
+    """Return the last sequence number of each stream in several messages."""
+    last: dict[int, int] = {}
+    for data in messages:
+        if isinstance(data, bytes) and data[:1] == MEDIA_PREFIX:
+            with suppress(RemoteProtocolError):  # that is seen when it is received
+                last |= {stream: sequence for stream, sequence, _, _ in scan_frames(data)}
+    return last

@@ -212,7 +212,7 @@ class Membership:
             case MutePeer(peer_id=peer_id, kind=kind, is_muted=is_muted) if peer_id in room:
                 peer = room.peer(peer_id)
                 for track in peer.tracks:
-                    stream = room.stream(track.stream)
+                    stream = room.streams.get(track.stream)
                     if track.kind == kind and stream and stream.is_muted is not is_muted:
                         room.decide(peer.identity, kind, holds=is_muted)
                         number = track.stream
@@ -286,7 +286,7 @@ class Membership:
             self.placement.note_started(room.name)
         peer = room.peer(connection.peer_id)
         for track in peer.tracks:
-            stream = room.stream(track.stream)
+            stream = room.streams.get(track.stream)
             assert stream is not None
             stream.is_muted = room.is_decided(peer.identity, track.kind)
         self._stats.joins += 1
@@ -358,7 +358,7 @@ class Membership:
         self._connections.flush(connection, now)
         for peer_id in room.away:
             self._connections.send(connection, PeerAway(peer_id=peer_id), now)
-        for number, stream in list(room.streams):
+        for number, stream in list(room.streams.items()):
             if stream.is_muted:
                 self._connections.send(connection, StreamMuted(stream=number, is_muted=True), now)
 

@@ -41,8 +41,9 @@ class OutboundMessage(NamedTuple):
     """One websocket message on its way out."""
 
     data: bytes
-    received_s: tuple[float, ...]
-    """When each of its frames came to the relay; empty for a control message."""
+    num_frames: int = 0
+    received_s: float = 0.0
+    """When the first of its frames came to the relay."""
 
 
 class Outbox:
@@ -126,7 +127,7 @@ class Outbox:
             raise OutboxFullError(
                 f"{self.waiting_control_bytes} bytes of control messages wait unread"
             )
-        self._append(OutboundMessage(data, ()))
+        self._append(OutboundMessage(data))
 
     def put(self, frame: QueuedFrame) -> None:
         """Queue a frame."""
@@ -155,7 +156,7 @@ class Outbox:
         whispers = [frame.data for frame in waiting if frame.stream == WHISPERS]
         dropped = len(self.fresh) + len(waiting) - len(whispers)
         self.fresh, self._queue = [], None
-        self._append(*(OutboundMessage(data, ()) for data in [*whispers, *last_words]))
+        self._append(*(OutboundMessage(data) for data in [*whispers, *last_words]))
         return dropped
 
     def take(self, now: float) -> OutboundMessage | None:
@@ -185,11 +186,11 @@ class Outbox:
             return None
         whispers = [frame.data for frame in frames if frame.stream == WHISPERS]
         frames = [frame for frame in frames if frame.stream != WHISPERS] if whispers else frames
-        received_s = tuple([frame.received_s for frame in frames])
-        message = OutboundMessage(media_message([frame.data for frame in frames]), received_s)
+        data = media_message([frame.data for frame in frames])
+        message = OutboundMessage(data, len(frames), frames[0].received_s if frames else 0.0)
         if not whispers:
             return message
-        self._append(*(OutboundMessage(data, ()) for data in whispers))
+        self._append(*(OutboundMessage(data) for data in whispers))
         if frames:
             self._append(message)
         return self.take(now)

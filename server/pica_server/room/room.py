@@ -4,9 +4,9 @@ Pure: a room knows peers by their id and frames by their bytes, nothing of conne
 stream of faces it keeps the newest frame, so that who comes sees everybody at once.
 """
 
-from collections.abc import Iterable
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Any, Final, TypeVar
 
 from pica_protocol.frame_queue import QueuedFrame
 from pica_protocol.limits import MAX_STREAM
@@ -14,6 +14,9 @@ from pica_protocol.messages import SHARES, Join, Joined, Metadata, Peer, Track
 from pica_server.auth.tokens import Admission
 from pica_server.errors import RoomFullError
 
+_T = TypeVar("_T")
+
+EVERY_MOST: Final = max(SHARES)
 BAR: Final = ""
 """Stands for the whole participant in a decision, in place of a kind of track."""
 MAX_DECISIONS: Final = 256
@@ -34,6 +37,7 @@ class _Member:
 class Stream:
     """One stream of a room."""
 
+    number: int
     publisher: str
     """Who sends it: a peer id."""
     deadline_s: float | None = None
@@ -42,26 +46,24 @@ class Stream:
     """An admin has stopped it."""
     newest: QueuedFrame | None = None
     """The newest frame, for those who come later; None of an ordered stream."""
-
-    @classmethod
-    def of(cls, publisher: str, track: Track) -> "Stream":
-        """Begin the stream of a track."""
-        is_ordered = track.policy == "ordered"
-        return cls(publisher, track.deadline_ms / 1000 if is_ordered else None)
+    receivers: list[list[Any] | None] | None = None
+    """Who gets its frames, by sequence modulo `EVERY_MOST`, as far as that is known: looked up for
+    every frame, changed rarely."""
 
 
 class Room:
-    """One room and the subscriptions of its members."""
+    """One room and the subscriptions of its members.
+
+    Attributes:
+        streams: Every stream by its number; to be read only.
+    """
 
     def __init__(self, name: str, capacity: int) -> None:
         self.name = name
         self._capacity = capacity
         self._members: dict[str, _Member] = {}
-        self._streams: dict[int, Stream] = {}
+        self.streams: dict[int, Stream] = {}
         self._last_stream = 0
-        # Who gets the frames of a stream, by sequence modulo 4: looked up for every frame, changed
-        # rarely.
-        self._receivers: dict[tuple[int, int], list[str]] = {}
         self._decisions: dict[tuple[str, str], None] = {}
 
     def __len__(self) -> int:
@@ -81,15 +83,6 @@ class Room:
         """Everybody in the room, in the order of their coming."""
         return tuple(member.peer for member in self._members.values())
 
-    @property
-    def streams(self) -> Iterable[tuple[int, Stream]]:
-        """Every stream with its number."""
-        return self._streams.items()
-
-    def stream(self, number: int) -> Stream | None:
-        """Return a stream, or None if it has ended or never was."""
-        return self._streams.get(number)
-
     def join(self, peer_id: str, join: Join, admission: Admission) -> Joined:
         """Let a peer in, allot streams to its tracks, and return what to tell them.
 
@@ -107,23 +100,23 @@ class Room:
             is_name_assured=bool(admission.name),
         )
         present = self.peers
-        self._receivers.clear()
+        self._forget_receivers()
         self._members[peer_id] = _Member(peer, default_every=int(admission.may_subscribe))
         return self._joined(peer, present)
 
     def leave(self, peer_id: str) -> Peer:
         """Forget a peer, its streams and everybody's subscriptions for them."""
-        self._receivers.clear()
+        self._forget_receivers()
         peer = self._members.pop(peer_id).peer
         for track in peer.tracks:
-            del self._streams[track.stream]
+            del self.streams[track.stream]
             for member in self._members.values():
                 member.every.pop(track.stream, None)
         return peer
 
     def go_away(self, peer_id: str) -> None:
         """Note that a peer has lost its connection: it wants nothing until it comes back."""
-        self._receivers.clear()
+        self._forget_receivers()
         member = self._members[peer_id]
         member.is_away = True
         member.every.clear()
@@ -145,11 +138,11 @@ class Room:
     def muted_of(self, peer_id: str) -> tuple[int, ...]:
         """Return those streams of a peer that an admin has stopped."""
         tracks = self._members[peer_id].peer.tracks
-        return tuple(t.stream for t in tracks if self._streams[t.stream].is_muted)
+        return tuple(t.stream for t in tracks if self.streams[t.stream].is_muted)
 
     def come_back(self, peer_id: str, *, may_subscribe: bool) -> Joined:
         """Give a peer its place again, without its subscriptions, and return what to tell it."""
-        self._receivers.clear()
+        self._forget_receivers()
         member = self._members[peer_id]
         member.is_away = False
         member.every.clear()
@@ -193,9 +186,9 @@ class Room:
         """Note a subscription, if the stream has not just ended; return whether the peer wants
         frames of it after it wanted none."""
         member = self._members[peer_id]
-        if stream not in self._streams or member.default_every == 0:
+        if stream not in self.streams or member.default_every == 0:
             return False
-        self._receivers.clear()
+        self._forget_receivers()
         before, member.every[stream] = member.every.get(stream, 1), every
         return before == 0 and every > 0
 
@@ -212,25 +205,33 @@ class Room:
         """Return True if an identity is barred, or its tracks of a kind are muted."""
         return (identity, kind) in self._decisions
 
-    def receivers(self, stream: int, sequence: int) -> list[str]:
-        """Return who gets a frame of this stream; the list is to be read only."""
-        place = sequence % max(SHARES)
-        found = self._receivers.get((stream, place))
+    def receivers(self, stream: Stream, sequence: int, by_peer: Mapping[str, _T]) -> list[_T]:
+        """Return what a mapping holds for each peer that gets a frame of a stream; to be read only.
+        It is kept until somebody comes, goes or subscribes."""
+        place = sequence % EVERY_MOST
+        if stream.receivers is None:
+            stream.receivers = [None] * EVERY_MOST
+        found = stream.receivers[place]
         if found is None:
-            publisher = self._streams[stream].publisher
-            found = self._receivers[stream, place] = [
-                peer_id
+            found = stream.receivers[place] = [
+                by_peer[peer_id]
                 for peer_id, member in self._members.items()
-                if peer_id != publisher
-                and (every := member.every.get(stream, member.default_every))
+                if peer_id != stream.publisher
+                and (every := member.every.get(stream.number, member.default_every))
                 and place % every == 0
             ]
         return found
+
+    def _forget_receivers(self) -> None:
+        for stream in self.streams.values():
+            stream.receivers = None
 
     def _new_stream(self, peer_id: str, track: Track) -> int:
         # Counting up, not lowest first: a late frame of a departed peer must not find a new owner.
         while True:
             self._last_stream = self._last_stream % MAX_STREAM + 1
-            if self._last_stream not in self._streams:
-                self._streams[self._last_stream] = Stream.of(peer_id, track)
+            if self._last_stream not in self.streams:
+                deadline_s = track.deadline_ms / 1000 if track.policy == "ordered" else None
+                stream = Stream(self._last_stream, peer_id, deadline_s)
+                self.streams[self._last_stream] = stream
                 return self._last_stream

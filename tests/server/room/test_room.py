@@ -41,10 +41,11 @@ def test_streams_wrap_around_those_in_use() -> None:
 
 def test_a_subscription_limits_the_frames_of_one_stream_for_one_peer() -> None:
     room = room_of("ada", "bob", "cyd")
+    ids = {each: each for each in ("ada", "bob", "cyd")}
     room.subscribe("bob", stream=1, every=2)
-    assert room.receivers(stream=1, sequence=6) == ["bob", "cyd"]
-    assert room.receivers(stream=1, sequence=7) == ["cyd"]
-    assert room.receivers(stream=3, sequence=7) == ["ada", "bob"]
+    assert room.receivers(room.streams[1], 6, ids) == ["bob", "cyd"]
+    assert room.receivers(room.streams[1], 7, ids) == ["cyd"]
+    assert room.receivers(room.streams[3], 7, ids) == ["ada", "bob"]
 
 
 def test_a_subscription_for_a_stream_that_has_ended_changes_nothing() -> None:
@@ -107,6 +108,7 @@ class RoomMachine(RuleBasedStateMachine):
 
     @invariant()
     def frames_go_to_whom_the_reference_says(self) -> None:
+        ids = {peer_id: peer_id for peer_id in self.present}
         for publisher, streams in self.present.items():
             for stream in streams:
                 for sequence in (0, 1, 2):
@@ -115,7 +117,7 @@ class RoomMachine(RuleBasedStateMachine):
                         every = self.wishes.get((peer_id, stream), 1)
                         if peer_id != publisher and every and sequence % every == 0:
                             expected.append(peer_id)
-                    assert self.room.receivers(stream, sequence) == expected
+                    assert self.room.receivers(self.room.streams[stream], sequence, ids) == expected
 
     @invariant()
     def everybody_present_is_listed_in_order(self) -> None:
