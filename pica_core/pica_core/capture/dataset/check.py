@@ -31,7 +31,7 @@ MOST_OUTSIDE = 0.02
 LEAST_INSIDE = 0.03
 """Share of the vertices that a camera of the capture sees at least."""
 DEPTH_TOLERANCE_M = 0.01
-"""How far depth may be from the mesh (found depth has outliers, tracked meshes no teeth)."""
+"""How far depth may be from the exact mesh."""
 MOST_IN_FRONT = 0.05
 """Share of the vertices that may lie before what is seen there."""
 LEAST_ON_SURFACE = 0.2
@@ -269,8 +269,7 @@ class _Check:
         self.attempt(files.check_image_header, texture, "RGB", (side, side))
         kinds = [("images", "RGB")]
         kinds += [("mask", "L")] if capture.has_masks else []
-        kinds += [(multiface.TRUTH_DEPTH, "I;16")] if capture.has_truth else []
-        kinds += [("depth", "I;16")] if capture.has_depth_of(frame) else []
+        kinds += [("depth", "I;16")] if capture.has_depth else []
         present = capture.cameras_of(frame)
         if not present:
             self.add(f"{frame.segment} {frame.name}", "no camera has an image of the frame")
@@ -301,13 +300,9 @@ class _Check:
             faces = capture.tracked_topology.faces
             kind = "mask" if capture.has_masks else "images"
             add(kind, name, silhouette_problem(camera, vertices, faces, mask))
-            if capture.has_truth:
-                exact, depth = capture.true_vertices_m(frame), capture.true_depth_m(frame, name)
-                problem = depth_problem(camera, exact, capture.topology.faces, depth)
-                add(multiface.TRUTH_DEPTH, name, problem)
-            if capture.has_depth_of(frame):
-                problem = depth_problem(camera, vertices, faces, capture.depth_m(frame, name))
-                add("depth", name, problem)
+            if capture.has_depth and capture.has_truth:
+                exact, depth = capture.true_vertices_m(frame), capture.depth_m(frame, name)
+                add("depth", name, depth_problem(camera, exact, capture.topology.faces, depth))
 
         present = capture.cameras_of(frame)
         for name in present:

@@ -48,8 +48,8 @@ class Capture:
     Attributes:
         cameras: All cameras, in KRT order.
         frames: All frames that can be used, in `frame_list.txt` order.
-        has_truth: Exact meshes and exact depth are there (synthetic captures).
-        has_depth: At least one frame has depth.
+        has_truth: Exact meshes are there (synthetic captures).
+        has_depth: Images come with depth.
         has_expressions: Frames come with their 52 values.
         is_published: A directory as published, without our additions.
         topology: The mesh that models draw.
@@ -190,34 +190,15 @@ class Capture:
         """0 for background, else material id + 1 at the pixel's centre. uint8 ``[H, W]``."""
         return self._load("mask", "L", frame, camera)
 
-    def has_depth_of(self, frame: CaptureFrame) -> bool:
-        """Return True if a frame has depth: a method may have been run on some of them only."""
-        return any(self._is_listed("depth", frame, name) for name in self._cameras)
-
     def depth_m(self, frame: CaptureFrame, camera: str) -> FloatArray:
-        """Depth along the camera axis at pixel centres as a method found it, 0 where unknown.
-        float32 ``[H, W]``."""
-        return self._load_depth("depth", frame, camera)
-
-    def true_depth_m(self, frame: CaptureFrame, camera: str) -> FloatArray:
-        """Exact depth along the camera axis at pixel centres, 0 where empty. float32 ``[H, W]``."""
-        self._need_truth()
-        return self._load_depth(multiface.TRUTH_DEPTH, frame, camera)
-
-    def _load_depth(self, kind: str, frame: CaptureFrame, camera: str) -> FloatArray:
-        units = self._load(kind, "I;16", frame, camera)
+        """Depth along the camera axis at pixel centres, 0 where empty. float32 ``[H, W]``."""
+        units = self._load("depth", "I;16", frame, camera)
         return units.astype(np.float32) * np.float32(multiface.DEPTH_UNIT_M)
 
     def _load(self, kind: str, mode: str, frame: CaptureFrame, camera: str) -> Array:
         view = self.camera(camera)
         path = self.path / multiface.image_path(kind, frame.segment, camera, frame.name)
         return load_image(path, mode, (view.width, view.height))
-
-    def _need_truth(self) -> None:
-        if not self.has_truth:
-            raise CaptureError(
-                f"{self.path}: no {multiface.TRUTH_MESH}; only synthetic captures hold the truth"
-            )
 
     def vertices_m(self, frame: CaptureFrame) -> FloatArray:
         """Tracked mesh on `tracked_topology`, head frame, metres. float32 ``[Vt, 3]``."""
@@ -227,7 +208,6 @@ class Capture:
 
     def true_vertices_m(self, frame: CaptureFrame) -> FloatArray:
         """Exact mesh on `topology`, head frame, metres. float32 ``[V, 3]``."""
-        self._need_truth()
         path = self.path / multiface.mesh_path(frame.segment, frame.name, multiface.TRUTH_MESH)
         return read_vertices(path, len(self.topology.vertex_uv))
 

@@ -17,7 +17,6 @@ What is missing, damaged or cannot be written is a `CaptureError` that names the
     topology.npz                          vertex_uv, faces, region masks of the mesh that is drawn
     tracked_topology.npz                  the same of the tracked mesh, where that is another one
     truth_mesh/SEG/FRAME.bin              exact mesh, float32 [V, 3], head frame, mm (no real ones)
-    depth_truth/SEG/CAM/FRAME.png         exact depth, as depth/
     poses.npz                             meshes alone, of other expressions (no real ones)
 
 Layout source: the published description of the Multiface dataset (Wuu et al. 2022, arXiv
@@ -49,7 +48,6 @@ MARKER = "render.json"
 MATERIALS = ("skin", "eye", "teeth", "tongue", "mouth_bag", "collar", "hair")
 """Material ids, in the order that the appearance shaders know; masks hold id + 1."""
 TRUTH_MESH = "truth_mesh"
-TRUTH_DEPTH = "depth_truth"
 SCHEMA = 1
 MAX_KRT = 1e6
 """No number of a KRT file is larger: pixels, or mm."""
@@ -63,7 +61,7 @@ def describe_masks() -> dict[str, str]:
 
 
 def image_path(kind: str, segment: str, camera: str, frame: str) -> Path:
-    """Relative path of an ``images``, ``depth``, ``depth_truth`` or ``mask`` file."""
+    """Relative path of an ``images``, ``depth`` or ``mask`` file."""
     return Path(kind) / segment / camera / f"{frame}.png"
 
 

@@ -42,7 +42,7 @@ def write_sheet(directory: Path, out: Path) -> dict[str, Any]:
     """Draw the contact sheet of a capture."""
     capture = Capture.open(directory)
     grid = spread_evenly(capture.frames, COLUMNS * GRID_ROWS)
-    shown = next(filter(capture.has_depth_of, grid[1:]), grid[-1])
+    shown = grid[min(1, len(grid) - 1)]
     rows = [_views(capture, shown), _kinds(capture, shown)]
     tiles: list[Tile] = []
     for frame in grid:
@@ -107,10 +107,8 @@ def _kinds(capture: Capture, frame: CaptureFrame) -> list[Tile]:
         ("tracked mesh", lambda: _wire_picture(capture, frame, front)),
         ("average texture", lambda: Image.fromarray(capture.average_texture(frame))),
     ]
-    if capture.has_depth_of(frame):
+    if capture.has_depth:
         found.append(("depth", lambda: _depth_picture(capture.depth_m(frame, front))))
-    if capture.has_truth:
-        found.append(("exact depth", lambda: _depth_picture(capture.true_depth_m(frame, front))))
     if capture.has_masks:
         colours = len(PALETTE)
         found.append(

@@ -34,12 +34,11 @@ from pica_core.capture.stage.expressions import (
     read_own_take,
     sample_takes,
 )
-from pica_core.capture.stage.mvs_depth import NOISE_M, OUTLIER_RATIO, find_depth
-from pica_core.capture.stage.subject import Subject, View
+from pica_core.capture.stage.subject import Subject
 from pica_core.capture.stage.tracked_topology import NUM_VERTICES, track_topology
 from pica_core.capture.stage.tracker import SimulatedTracker, head_to_world, lagged_arkit
 from pica_core.errors import CaptureError, check_ranges
-from pica_core.types import Array, ByteArray, FloatArray
+from pica_core.types import ByteArray, FloatArray
 
 FILE = "poses.npz"
 PICTURES = "poses"
@@ -151,9 +150,7 @@ class RenderOptions:
     texture_size: int = 256
     """Side of the average textures, texels."""
     seed: int = 0
-    """Fixes performance, head motion and the errors of tracking and depth."""
-    depth_every: int = 4
-    """Depth as a method finds it for every so many frames of a take; exact depth for all."""
+    """Fixes performance, head motion and the errors of tracking."""
     tracked_vertices: int = NUM_VERTICES
     """Vertices that the tracked mesh aims at."""
     take: Path | None = None
@@ -164,7 +161,7 @@ class RenderOptions:
         many = 100_000
         check_ranges(self, CaptureError, frames=(5 if self.take else 4, many), cameras=(1, 100))
         check_ranges(self, CaptureError, texture_size=(16, 4096), seed=(0, 2**31))
-        check_ranges(self, CaptureError, depth_every=(1, many), tracked_vertices=(100, many))
+        check_ranges(self, CaptureError, tracked_vertices=(100, many))
         if self.lenses not in LENSES:
             raise CaptureError(f"lenses is {self.lenses!r}; there are {', '.join(LENSES)}")
         if not all(16 <= side <= 8192 for side in self.size_px):
@@ -228,7 +225,6 @@ class _Rendering:
     ) -> None:
         self.subject, self.options, self.out, self.writer = subject, options, out, writer
         self.cameras = dome_cameras(options.cameras, *options.size_px, options.lenses)
-        self.materials = {int(k): name for k, name in subject.describe()["mask"].items()}
         shapes = np.stack([subject.pose(arkit) for arkit in OPENING])
         self.tracked_topology, self.tracked = track_topology(
             subject.topology, shapes, options.tracked_vertices
@@ -254,11 +250,17 @@ class _Rendering:
         exact = self.subject.pose(arkit)  # which is what is drawn
         pose = head_to_world(self.options.seed, number, time_s)
         views = []
-        for place, camera in enumerate(self.cameras):
+        for camera in self.cameras:
             in_head = camera.in_head(pose)
             view = self.subject.draw(in_head)
             views.append((in_head, view))
-            self._write_view(take, number, index, place, view)
+            for kind, make in (
+                ("images", partial(np.asarray, view.image)),
+                ("mask", partial(np.asarray, view.mask)),
+                ("depth", partial(depth_units, view.depth_m)),
+            ):
+                path = multiface.image_path(kind, take.segment, camera.name, frame)
+                self.writer.image(self.out / path, make)
         texture, _ = self.subject.unwrap(views, self.options.texture_size)
         path = multiface.texture_path(self.options.texture_size, take.segment, frame)
         self.writer.image(self.out / path, lambda: np.ascontiguousarray(texture[::-1]))
@@ -274,24 +276,6 @@ class _Rendering:
         self.writer.finish()
         mesh = multiface.mesh_path(take.segment, frame)
         multiface.write_aside(self.out / mesh, _millimetres(tracked).tobytes())
-
-    def _write_view(self, take: Take, number: int, index: int, place: int, view: View) -> None:
-        camera = self.cameras[place]
-        segment, frame = take.segment, f"{index:06d}"
-
-        def write(kind: str, make: Callable[[], Array]) -> None:
-            path = multiface.image_path(kind, segment, camera.name, frame)
-            self.writer.image(self.out / path, make)
-
-        def found() -> Array:
-            random = np.random.default_rng([self.options.seed, 0x3D3B, number, index, place])
-            return depth_units(find_depth(view.depth_m, view.mask, camera, self.materials, random))
-
-        write("images", lambda: view.image)
-        write("mask", lambda: view.mask)
-        write(multiface.TRUTH_DEPTH, lambda: depth_units(view.depth_m))
-        if index % self.options.depth_every == 0:
-            write("depth", found)
 
 
 def _millimetres(vertices_m: FloatArray) -> FloatArray:
@@ -367,12 +351,6 @@ def _describe(subject: Subject, options: RenderOptions, tracked: Topology) -> di
             "num_vertices": len(tracked.vertex_uv),
         },
         "truth_mesh": "the rendered surface",
-        "depth": {
-            "what": "exact depth with the holes, noise and outliers of a stereo method",
-            "every": options.depth_every,
-            "noise_mm": NOISE_M * multiface.MILLIMETRES,
-            "outlier_ratio": OUTLIER_RATIO,
-        },
         "width": options.size_px[0],
         "height": options.size_px[1],
         "texture_size": options.texture_size,

@@ -116,9 +116,9 @@ def deepen(path: Path) -> None:
             "the image is 32x64, 64x64 is needed",
         ),
         ("images/{segment}/front/{name}.png", repaint("RGB", 0), "one colour"),
-        ("depth_truth/{segment}/left/{name}.png", repaint("L", 7), "a 16-bit image is needed"),
+        ("depth/{segment}/left/{name}.png", repaint("L", 7), "a 16-bit image is needed"),
         (
-            "depth_truth/{segment}/left/{name}.png",
+            "depth/{segment}/left/{name}.png",
             deepen,
             "lies before the depth|lies on the depth",
         ),

@@ -26,7 +26,6 @@ OPTIONS = RenderOptions(
     size="64x64",
     texture_size=64,
     seed=5,
-    depth_every=2,
     tracked_vertices=900,
 )
 
@@ -122,7 +121,7 @@ def test_a_capture_reads_back_what_the_stage_rendered(rendered: Path) -> None:
     )
     np.testing.assert_array_equal(capture.topology.faces, head.chart.faces)
     assert capture.image(frame, "front").shape == (64, 64, 3)
-    depth, mask = capture.true_depth_m(frame, "front"), capture.mask(frame, "front")
+    depth, mask = capture.depth_m(frame, "front"), capture.mask(frame, "front")
     assert ((depth > 0) == (mask > 0)).all()
     assert 0.8 < depth[mask > 0].min() < depth.max() < 1.3
     assert capture.average_texture(frame)[:40].mean() > capture.average_texture(frame)[44:].mean()

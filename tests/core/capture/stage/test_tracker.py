@@ -1,4 +1,4 @@
-"""What the stage gets wrong on purpose, as trackers and stereo methods do; and how heads move."""
+"""What the stage gets wrong on purpose, as trackers do; and how heads move."""
 
 from __future__ import annotations
 
@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 
 from helpers.small_capture import small_head
-from pica_core.camera import look_at
 from pica_core.capture.dataset.dataset import Topology
 from pica_core.capture.rig.head import RigHead
 from pica_core.capture.stage.expressions import blend
-from pica_core.capture.stage.mvs_depth import OUTLIER_RATIO, find_depth
 from pica_core.capture.stage.tracked_topology import track_topology
 from pica_core.capture.stage.tracker import LIMIT_MM, SimulatedTracker, head_to_world, lagged_arkit
 
@@ -105,46 +103,6 @@ def test_lips_that_move_fast_are_tracked_late(
     assert (late - prompt)[low, 1].mean() > 0.0003  # above where the lip is now
     assert np.abs((late - prompt)[topology.regions["collar"]]).max() == 0
     np.testing.assert_allclose(lagged_arkit(now, np.stack([now, now])), now, atol=1e-7)
-
-
-def ball(size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Exact depth and mask of a ball of 10 cm, a metre away; its right half is hair."""
-    at = (np.arange(size) + 0.5) / size - 0.5
-    x, y = np.meshgrid(0.3 * at, 0.3 * at)
-    inside = 0.01 - x**2 - y**2
-    depth = np.where(inside > 0, 1.0 - np.sqrt(np.maximum(inside, 0)), 0.0).astype(np.float32)
-    mask = np.where(depth > 0, np.where(x > 0, 7, 1), 0).astype(np.uint8)
-    return depth, mask
-
-
-def found(size: int = 256, outlier_ratio: float = OUTLIER_RATIO) -> tuple[np.ndarray, ...]:
-    depth, mask = ball(size)
-    camera = look_at(
-        centre_m=(0, 0, 1), target_m=(0, 0, 0), vertical_fov=0.3, width=size, height=size
-    )
-    random = np.random.default_rng(0)
-    names = {0: "background", 1: "skin", 7: "hair"}
-    return depth, mask, find_depth(depth, mask, camera, names, random, outlier_ratio)
-
-
-def test_found_depth_has_holes_at_the_rim_and_in_hair() -> None:
-    depth, mask, result = found()
-    assert (result[depth == 0] == 0).all()
-    radius = np.hypot(*np.meshgrid(np.arange(256) - 127.5, np.arange(256) - 127.5)) * 0.3 / 256
-    assert (result[(radius > 0.0985) & (depth > 0)] == 0).all()
-    middle = radius < 0.06
-    assert (result[middle & (mask == 1)] > 0).mean() > 0.93
-    assert 0.15 < (result[middle & (mask == 7)] > 0).mean() < 0.55
-
-
-def test_noise_of_found_depth_grows_where_the_surface_turns_away() -> None:
-    depth, mask, result = found(outlier_ratio=0.0)
-    radius = np.hypot(*np.meshgrid(np.arange(256) - 127.5, np.arange(256) - 127.5)) * 0.3 / 256
-    seen = (result > 0) & (mask == 1)
-    facing, turned = seen & (radius < 0.03), seen & (radius > 0.085)
-    near, far = (np.std(result[part] - depth[part]) for part in (facing, turned))
-    assert 0.0001 < near < 0.0002
-    assert far > 1.5 * near
 
 
 def test_a_head_moves_a_little_and_smoothly() -> None:
