@@ -1,17 +1,17 @@
-"""Write a toy head with blendshapes as OBJ files, import it, and render a capture of it.
+"""Write a toy head with blendshapes as a glTF file, import it, and render a capture of it.
 
-You learn what a rig needs to become an avatar: one topology, a neutral face, and a file per
-shape. Names are mapped to ARKit's by rules (`eyeBlink_L` is eyeBlinkLeft); what no rule knows is
-listed.
+You learn what a rig needs to become an avatar: a mesh and named morph targets. Names are mapped to
+ARKit's by rules (`eyeBlink_L` is eyeBlinkLeft); what no rule knows is listed.
 """
 
+import base64
+import json
 import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from pica_core.capture.dataset.sheet import write_sheet
 from pica_core.capture.stage.subject import RigSubject
@@ -19,7 +19,6 @@ from pica_core.capture.stage.synth import RenderOptions, render_subject
 
 OUT = Path(sys.argv[1] if len(sys.argv) > 1 else "out")
 OUT.mkdir(parents=True, exist_ok=True)
-
 
 Tiles = tuple[np.ndarray, np.ndarray, np.ndarray]
 
@@ -36,53 +35,65 @@ def ball(centre_m: Sequence[float], radii_m: Sequence[float], rows: int, columns
     return (unit * radii_m + centre_m).reshape(-1, 3), uv, quads.reshape(-1, 4)
 
 
-def write_rig(folder: Path) -> None:
-    """A head and two eyeballs; each tile of the texture coordinates belongs to one material."""
-    parts = {
-        "skin": ball((0, 0, 0), (0.075, 0.12, 0.095), 36, 40),
-        "eye_left": ball((0.032, 0.03, 0.078), (0.012,) * 3, 10, 12),
-        "eye_right": ball((-0.032, 0.03, 0.078), (0.012,) * 3, 10, 12),
-    }
-    points = np.concatenate([part[0] for part in parts.values()])
-    front = (np.arange(len(points)) < len(parts["skin"][0])) & (points[:, 2] > 0.02)
-    tiles = (0, 1, 1)
-    uv = np.concatenate(
-        [part[1] + [tile, 0] for tile, part in zip(tiles, parts.values(), strict=True)]
-    )
+def write_rig(path: Path) -> None:
+    """A head and two eyeballs."""
+    eyes = [ball((x, 0.03, 0.078), (0.012,) * 3, 10, 12) for x in (0.032, -0.032)]
+    parts = [ball((0, 0, 0), (0.075, 0.12, 0.095), 36, 40), *eyes]
+    points, uv = (np.concatenate([part[k] for part in parts]) for k in range(2))
+    front = (np.arange(len(points)) < len(parts[0][0])) & (points[:, 2] > 0.02)
 
     def bump(x_m: float, y_m: float, size_m: float, move_m: tuple[float, ...]) -> np.ndarray:
         distance2 = (points[:, 0] - x_m) ** 2 + (points[:, 1] - y_m) ** 2
         return np.outer(front * np.exp(-distance2 / size_m**2), move_m)
 
-    shapes = {"neutral": 0 * points, "jawOpen": bump(0, -0.07, 0.03, (0, -0.02, 0))}
+    shapes = {"jawOpen": bump(0, -0.07, 0.03, (0, -0.02, 0))}
     for side, x_m in (("L", 0.032), ("R", -0.032)):
         shapes[f"eyeBlink_{side}"] = bump(x_m, 0.036, 0.012, (0, -0.008, 0.001))
         shapes[f"mouthSmile_{side}"] = bump(x_m / 1.3, -0.045, 0.012, (0, 0.006, 0))
     shapes["wiggle"] = bump(0, 0, 0.02, (0, 0.006, 0))  # no ARKit shape: it is left out
 
-    tail = [f"vt {u:.6f} {v:.6f}" for u, v in uv]
-    start = 1
-    for name, (own, _, quads) in parts.items():
-        tail.append(f"usemtl {name}")
-        tail += ["f " + " ".join(f"{i}/{i}" for i in quad) for quad in quads + start]
+    binary, views, accessors = b"", [], []
+
+    def add(values: np.ndarray, kind: str, component: int) -> int:
+        nonlocal binary
+        data = values.astype("<f4" if component == 5126 else "<u4").tobytes()
+        views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": len(data)})
+        accessors.append({"bufferView": len(views) - 1, "componentType": component})
+        accessors[-1] |= {"type": kind, "count": len(values)}
+        binary += data
+        return len(accessors) - 1
+
+    position = add(points, "VEC3", 5126)
+    texture = add(uv, "VEC2", 5126)
+    targets = [{"POSITION": add(offset, "VEC3", 5126)} for offset in shapes.values()]
+    primitives, start = [], 0
+    for number, (own, _, quads) in enumerate(parts):
+        triangles = start + np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+        primitive = {"attributes": {"POSITION": position, "TEXCOORD_0": texture}}
+        primitive |= {"indices": add(triangles.reshape(-1, 1), "SCALAR", 5125)}
+        primitives.append(primitive | {"targets": targets, "material": min(number, 1)})
         start += len(own)
-    for name, offset in shapes.items():
-        lines = [f"v {x:.7f} {y:.7f} {z:.7f}" for x, y, z in points + offset]
-        (folder / f"{name}.obj").write_text("\n".join([*lines, *tail]) + "\n")
+    buffer = "data:application/octet-stream;base64," + base64.b64encode(binary).decode()
+    document = {
+        "asset": {"version": "2.0"},
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": primitives, "extras": {"targetNames": list(shapes)}}],
+        "materials": [{"name": "skin"}, {"name": "eyes"}],
+        "accessors": accessors,
+        "bufferViews": views,
+        "buffers": [{"byteLength": len(binary), "uri": buffer}],
+    }
+    path.write_text(json.dumps(document))
 
 
 with tempfile.TemporaryDirectory() as temporary:
-    rig, capture = Path(temporary, "rig"), Path(temporary, "capture")
-    rig.mkdir()
+    rig, capture = Path(temporary, "toy.gltf"), Path(temporary, "capture")
     write_rig(rig)
-    Image.new("RGB", (64, 64), (205, 160, 140)).save(rig / "skin.png")
-    subject = RigSubject(rig, None, (f"skin={rig / 'skin.png'}",), bake_size=512, self_shadow=False)
+    subject = RigSubject(rig, bake_size=512, self_shadow=False)
     about = subject.describe()["rig"]
     print(f"mapped: {', '.join(about['mapped'])}")
     print(f"left out: {', '.join(about['ignored'])}; {len(about['missing'])} shapes are missing")
-    options = RenderOptions(
-        frames=4, cameras=2, size="128x128", texture_size=64, tracked_vertices=600
-    )
+    options = RenderOptions(frames=4, cameras=2, size="128x128", texture_size=64)
     counts = render_subject(lambda: subject, options, capture)
     print(f"{counts['images']} images")
     write_sheet(capture, OUT / "rig.png")

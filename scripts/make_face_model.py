@@ -19,7 +19,7 @@ import numpy as np
 
 from pica_core.avatar.arkit import ARKIT_INDEX
 from pica_core.capture.dataset.multiface import MATERIALS
-from pica_core.capture.dataset.obj import read_obj
+from pica_core.capture.dataset.published import read_obj
 from pica_core.capture.person.model import (
     COARSE,
     EYES,
@@ -30,7 +30,7 @@ from pica_core.capture.person.model import (
     UV_STEP,
     read_model,
 )
-from pica_core.capture.rig.gltf import read_glb
+from pica_core.capture.rig.gltf import read_rig
 from pica_core.capture.rig.mesh import RigMesh, build_mesh
 from pica_core.capture.rig.names import map_names
 from pica_core.capture.triangles import nearest
@@ -62,7 +62,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("out", type=Path)
     options = parser.parse_args()
-    source = read_glb(options.folder / "ict_head.glb")
+    source = read_rig(options.folder / "ict_head.glb")
     modes_m, male = read_modes(options.folder, source.positions)
     mesh = build_mesh(source, map_names(list(source.shapes)))
     # Which of the file's vertices each one is: the tops of both are the same.
@@ -133,7 +133,7 @@ def read_modes(folder: Path, points_m: Float64Array) -> tuple[FloatArray, Float6
     """Modes at the vertices of the .glb, metres ``[100, V, 3]``, and a man's coefficients."""
     with np.load(folder / "identity_modes.npz") as archive:
         packed, scale_cm = archive["modes"], float(archive["scale_cm"])
-    neutral_cm = read_obj(folder / "generic_neutral_mesh.obj").positions()
+    neutral_cm = read_obj(folder / "generic_neutral_mesh.obj").points
     found, apart = nearest(100 * points_m, neutral_cm)
     assert apart.max() < 0.001
     modes_cm = packed[:, found].astype(np.float32) * np.float32(scale_cm)

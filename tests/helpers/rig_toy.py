@@ -74,22 +74,6 @@ def toy_rig() -> ToyRig:
     return rig
 
 
-def write_obj_folder(folder: Path, rig: ToyRig, *, scale: float = 1.0, uv: bool = True) -> Path:
-    """One OBJ for the neutral face and one per shape, in metres times `scale`."""
-    folder.mkdir(parents=True, exist_ok=True)
-    faces: list[str] = []
-    for name, quads in rig.quads.items():
-        faces.append(f"usemtl {name}")
-        faces += [
-            "f " + " ".join(f"{i + 1}/{i + 1}" if uv else f"{i + 1}" for i in q) for q in quads
-        ]
-    texture = [f"vt {u:.6f} {v:.6f}" for u, v in rig.uv] if uv else []
-    for name, delta in {"neutral": 0 * rig.positions, **rig.shapes}.items():
-        points = [f"v {x:.7f} {y:.7f} {z:.7f}" for x, y, z in (rig.positions + delta) * scale]
-        (folder / f"{name}.obj").write_text("\n".join([*points, *texture, *faces]) + "\n")
-    return folder
-
-
 def glb_bytes(document: dict[str, Any], binary: bytes) -> bytes:
     """The container of a .glb file."""
     text = json.dumps(document).encode()

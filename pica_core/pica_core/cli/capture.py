@@ -162,12 +162,9 @@ class RigOptions(RenderOptions):
     out: Path
     """Directory to fill; an interrupted render of the same subject and options is continued."""
     rig: Path
-    """A .glb, .vrm or .gltf file with morph targets, or a folder of OBJ files of one topology."""
+    """A .glb, .vrm or .gltf file with morph targets."""
     map: Path | None = None
     """JSON file of source names to ARKit names (or null), which goes before the rules."""
-    albedo: tuple[str, ...] = ()
-    """Base colour images: FILE for the material with most triangles, or MATERIAL=FILE. What has no
-    image is painted."""
 
 
 def rig(options: RigOptions) -> dict[str, Any]:
@@ -176,7 +173,7 @@ def rig(options: RigOptions) -> dict[str, Any]:
     about: dict[str, Any] = {}
 
     def make(side: int) -> RigSubject:
-        subject = RigSubject(options.rig, options.map, options.albedo, bake_size=side)
+        subject = RigSubject(options.rig, options.map, bake_size=side)
         about.update(subject.describe()["rig"])
         _tell(console, about)
         return subject
@@ -188,7 +185,7 @@ def _tell(console: Console, about: dict[str, Any]) -> None:
     """Report what was understood, which explains a head that looks odd."""
     console.print(
         f"{len(about['mapped'])} shapes mapped, {len(about['missing'])} ARKit shapes missing, "
-        f"{len(about['ignored'])} shapes ignored; unit {about['unit']}, axes {about['axes']}"
+        f"{len(about['ignored'])} shapes ignored; unit {about['unit']}"
     )
     for name, text in (
         ("missing", "missing"),

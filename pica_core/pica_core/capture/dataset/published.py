@@ -10,14 +10,13 @@ Layout source: the published description of the dataset (Wuu et al. 2022, arXiv 
 import re
 from collections.abc import Collection
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from pica_core.capture.dataset import files, multiface
-from pica_core.capture.dataset.obj import read_obj
 from pica_core.errors import CaptureError
-from pica_core.types import ByteArray, Int64Array
+from pica_core.types import ByteArray, Float64Array, Int64Array
 
 HELD_OUT_EVERY = 10
 """Segments, in the order of their names, of which the fifth is for testing."""
@@ -81,6 +80,47 @@ def _texture_size(root: Path) -> int:
     raise CaptureError(f"{root}: no unwrapped_uv_SIZE directory")
 
 
+class ObjMesh(NamedTuple):
+    """The mesh of an OBJ file.
+
+    Attributes:
+        points: Vertices. ``[V, 3]``.
+        uv: Texture coordinates, v upwards. ``[T, 2]``.
+        faces: Vertex and texture coordinate of each triangle's corners. ``[F, 3, 2]``.
+    """
+
+    points: Float64Array
+    uv: Float64Array
+    faces: Int64Array
+
+
+def read_obj(path: Path) -> ObjMesh:
+    """Read ``v``, ``vt`` and ``f`` of an OBJ file; polygons become fans of triangles.
+
+    Raises:
+        CaptureError: A line that is cut, or a corner without a texture coordinate.
+
+    Not checked: that corners lie within the vertices.
+    """
+    lines: dict[bytes, list[Any]] = {b"v": [], b"vt": [], b"f": []}
+    for line in files.read_bytes(path).splitlines():
+        head, _, rest = line.strip().partition(b" ")
+        if head in lines:
+            lines[head].append(rest.split())
+    corners = []
+    try:
+        for polygon in lines[b"f"]:
+            ends = [[int(number) - 1 for number in word.split(b"/")[:2]] for word in polygon]
+            corners += [(ends[0], *ends[k : k + 2]) for k in range(1, len(ends) - 1)]
+        return ObjMesh(
+            np.array([words[:3] for words in lines[b"v"]], np.float64).reshape(-1, 3),
+            np.array([words[:2] for words in lines[b"vt"]], np.float64).reshape(-1, 2),
+            np.array(corners, np.int64).reshape(-1, 3, 2),
+        )
+    except ValueError as error:
+        raise CaptureError(f"{path}: a line cannot be read ({error})") from error
+
+
 def published_topology(
     root: Path, frames: tuple[files.CaptureFrame, ...]
 ) -> tuple[files.Topology, Int64Array, int]:
@@ -93,16 +133,14 @@ def published_topology(
         where = root / "tracked_mesh"
         raise CaptureError(f"{where}: no OBJ of a listed frame to take the topology of")
     obj = read_obj(path)
-    vertex_faces, uv_faces, _, _ = obj.triangles()
-    count = len(obj.vertices)
-    if not len(uv_faces) or (uv_faces < 0).any() or count > files.MAX_VERTICES:
+    count, limits = len(obj.points), (len(obj.points), len(obj.uv))
+    if not len(obj.faces) or (obj.faces < 0).any() or (obj.faces >= limits).any():
         raise CaptureError(
-            f"{path}: {count} vertices, {len(uv_faces)} triangles; at most {files.MAX_VERTICES} "
-            "vertices and triangles with texture coordinates are needed"
+            f"{path}: triangles of {count} vertices and {len(obj.uv)} texture coordinates are "
+            "needed"
         )
-    corners = np.stack([vertex_faces, uv_faces], -1).reshape(-1, 2).astype(np.int64)
-    pairs, faces = np.unique(corners, axis=0, return_inverse=True)
-    uv = obj.uv().astype(np.float32)[pairs[:, 1]]
+    pairs, faces = np.unique(obj.faces.reshape(-1, 2), axis=0, return_inverse=True)
+    uv = obj.uv.astype(np.float32)[pairs[:, 1]]
     if not np.isfinite(uv).all():
         raise CaptureError(f"{path}: a texture coordinate is not finite")
     topology = files.Topology(vertex_uv=uv, faces=faces.reshape(-1, 3).astype(np.int32), regions={})

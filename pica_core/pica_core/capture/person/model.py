@@ -95,7 +95,7 @@ def read_model(*, coarse: bool = False) -> FaceModel:
         part=part,
         material=np.full(len(part), -1, np.int32),
         eyes=tuple(eyes),
-        frame=RigFrame(unit="m", axes=np.eye(3), guessed=()),
+        frame=RigFrame(unit="m", turned=False, guessed=()),
         dropped=(),
     )
     modes = np.float32(MODE_M) * _sums(table["modes"], 1)[:, used].astype(np.float32)

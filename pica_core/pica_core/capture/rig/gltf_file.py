@@ -4,7 +4,7 @@ Read here without a library, since none that we found reads morph targets and ch
 (trimesh drops them, pygltflib gives the JSON document and little more). A rig may come from a
 stranger: sizes are limited before anything is allocated, and numpy checks that arrays lie in their
 buffers. An entry that is missing or of another kind is the `KeyError`, `TypeError` ... of its use,
-which `gltf.read_glb` turns into a `CaptureError`.
+which `gltf.read_rig` turns into a `CaptureError`.
 
     buffers -> views -> accessors (sparse, normalised)
 """
@@ -32,11 +32,10 @@ UNDERSTOOD = ("KHR_mesh_quantization", "KHR_texture_transform", "EXT_texture_web
 HARMLESS = ("KHR_materials_", "VRMC_")
 
 
-def extension(owner: dict[str, Any], *names: str) -> tuple[str, dict[str, Any]]:
-    """Name and content of the first of these extensions that an entry has, or two blanks."""
-    found = owner.get("extensions", {})
-    name = next((name for name in names if name in found), "")
-    return name, found[name] if name else {}
+def extension(owner: dict[str, Any], name: str) -> dict[str, Any]:
+    """The content of an extension that an entry has, or nothing."""
+    found: dict[str, Any] = owner.get("extensions", {}).get(name, {})
+    return found
 
 
 def count_of(owner: dict[str, Any], name: str, default: int | None = None) -> int:

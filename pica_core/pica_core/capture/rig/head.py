@@ -3,8 +3,6 @@
 read -> names -> mesh (units, axes, parts) -> features -> chart -> pose
 """
 
-from pathlib import Path
-
 import numpy as np
 import numpy.typing as npt
 
@@ -13,13 +11,11 @@ from pica_core.capture.dataset.files import Topology
 from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.rig.chart import PackedChart, make_islands, mend_islands, pack
 from pica_core.capture.rig.features import Features, Limits, find_features
-from pica_core.capture.rig.gltf import read_glb
 from pica_core.capture.rig.guards import PoseGuard
 from pica_core.capture.rig.mesh import RigMesh, build_mesh
 from pica_core.capture.rig.names import NameMap, map_names
-from pica_core.capture.rig.source import RigSource, read_obj_folder
+from pica_core.capture.rig.source import RigSource
 from pica_core.capture.triangles import areas, vertex_normals, visibility
-from pica_core.errors import CaptureError
 from pica_core.types import Array, Float64Array, FloatArray
 
 
@@ -51,17 +47,6 @@ SHARE_BY_COUNT = 0.75
 """Part of the texels that goes to triangles alike (geometry); the rest goes by area."""
 IMPORTANCE = {"lids": 1.8, "lips": 1.8, "teeth": 1.4, "tongue": 1.2, "eyeballs": 1.3}
 """How many more texels the regions get that people look at; where several hold, the largest."""
-
-
-def read_rig(path: Path) -> RigSource:
-    """Read a rig from a .glb, .vrm or .gltf file, or a folder of OBJ files."""
-    if path.is_dir():
-        return read_obj_folder(path)
-    if path.suffix.lower() in (".glb", ".vrm", ".gltf"):
-        return read_glb(path)
-    if not path.exists():
-        raise CaptureError(f"{path}: the file is missing")
-    raise CaptureError(f"{path}: a .glb, .vrm or .gltf file or a folder of OBJ files is needed")
 
 
 def texel_need(mesh: RigMesh, features: Features, seen: Float64Array) -> Float64Array:

@@ -1,4 +1,4 @@
-"""A rig in our units, axes and names: what readers found, made ready to be posed and drawn.
+"""A rig in our units, axes and names: what the reader found, made ready to be posed and drawn.
 
 Vertices that only a seam of the texture coordinates tells apart become one. Transparent layers over
 the eyes go, since nothing here is transparent. Eyeballs are found by their shape.
@@ -28,30 +28,22 @@ EYES_AT_M = (0.0, 0.022, 0.074)
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class RigFrame:
-    """How the file's coordinates become ours: ``p = axes @ q * unit + offset``.
+    """How the file's coordinates become ours, an offset apart.
 
     Attributes:
         unit: ``m``, ``cm`` or ``mm``.
-        axes: Rows are our x, y, z in the file's axes; -1 as determinant means a mirrored file.
-            float64 ``[3, 3]``.
+        turned: True if the rig looks along -z, as those of VRM 0.x do.
         guessed: What could not be found and was assumed, in words.
     """
 
     unit: str
-    axes: Float64Array
+    turned: bool
     guessed: tuple[str, ...]
 
     def points(self, positions: npt.NDArray[np.floating]) -> Float64Array:
         """Positions or displacements in metres and our axes, without an offset. ``[..., 3]``."""
-        return positions @ self.axes.T * UNITS[self.unit]
-
-    def describe(self) -> str:
-        """Axes in words, such as ``x y z`` or ``x z -y`` (our x, y, z in the file's axes)."""
-        words = []
-        for row in self.axes:
-            at = int(np.argmax(np.abs(row)))
-            words.append(("-" if row[at] < 0 else "") + "xyz"[at])
-        return " ".join(words)
+        side = -1.0 if self.turned else 1.0
+        return positions * (np.array([side, 1.0, side]) * UNITS[self.unit])
 
 
 def _centre(
@@ -63,13 +55,12 @@ def _centre(
         length = np.linalg.norm(shapes[name], axis=1)
         if length.max() > 0:
             weight += (length / length.max()) ** 2
-    if weight.sum() <= 0:
-        return None
-    return weight @ positions / weight.sum()
+    return weight @ positions / weight.sum() if weight.sum() > 0 else None
 
 
 def find_frame(positions: Float64Array, shapes: dict[str, FloatArray], names: NameMap) -> RigFrame:
-    """Units and axes of a rig, from its neutral vertices and its displacements by source name.
+    """Unit and heading of a rig, from its neutral vertices and its displacements by source name;
+    up is +y, as glTF has it.
 
     Raises:
         CaptureError: No unit makes this a head.
@@ -86,53 +77,24 @@ def find_frame(positions: Float64Array, shapes: dict[str, FloatArray], names: Na
         return _centre(positions, shapes, sources)
 
     guessed = []
-    middle = 0.5 * (positions.min(0) + positions.max(0))
     sided = ("eye", "brow", "cheek", "nose", "mouthSmile", "mouthFrown", "mouthDimple")
     left, right = moved(*sided, side="Left"), moved(*sided, side="Right")
-    lateral = np.ones(3)
     if left is None or right is None:
-        # Shapes of one side: across the head is the axis about which the mesh is its own image.
-        lateral = (np.arange(3) == np.argmin(_asymmetry(positions - middle))).astype(np.float64)
-        left = 2 * middle - right if left is None and right is not None else left
-        right = 2 * middle - left if right is None and left is not None else right
+        guessed.append("heading: it looks along +z, for no shapes of both sides say")
     upper, lower = moved("eye", "brow"), moved("jaw", "mouth")
-    face = moved("eye", "brow", "jaw", "mouth", "cheek", "nose")
-    axes = np.eye(3)
-    if left is None or right is None or upper is None or lower is None or face is None:
-        guessed.append("axes (+y up, +z out of the face): too few shapes to find them")
-    else:
-        x = _snap(left - right, lateral)
-        y = _snap(upper - lower, 1 - np.abs(x))
-        z = _snap(face - middle, 1 - np.abs(x) - np.abs(y))
-        axes = np.stack([x, y, z])
     if upper is not None and lower is not None:
-        length = float(np.abs(axes[1] @ (upper - lower)))
-        what = "from eyes to mouth"
+        length, what = abs(float(upper[1] - lower[1])), "from eyes to mouth"
     else:
-        length = float(np.ptp(positions @ axes[1])) / 4
-        what = "a quarter of its height"
+        length, what = float(np.ptp(positions[:, 1])) / 4, "a quarter of its height"
         guessed.append("unit: found from the height of the whole mesh")
     for unit, scale in UNITS.items():
         if FACE_M[0] <= length * scale < FACE_M[1]:
-            return RigFrame(unit=unit, axes=axes, guessed=tuple(guessed))
+            turned = left is not None and right is not None and bool(left[0] < right[0])
+            return RigFrame(unit=unit, turned=turned, guessed=tuple(guessed))
     raise CaptureError(
         f"the rig measures {length:.4g} {what}; as m, cm or mm that is no head "
         f"({FACE_M[0]} to {FACE_M[1]} m is)"
     )
-
-
-def _asymmetry(offsets: Float64Array) -> Float64Array:
-    """How little the mesh looks the same from both ends of each axis, 0 for a mirror image."""
-    order = np.sort(offsets, axis=0)
-    return np.abs(order + order[::-1]).mean(0) / np.ptp(offsets, axis=0)
-
-
-def _snap(direction: Float64Array, free: Float64Array) -> Float64Array:
-    """The signed file axis nearest to a direction, among the free ones."""
-    at = int(np.argmax(np.abs(direction) * free))
-    axis = np.zeros(3)
-    axis[at] = 1.0 if direction[at] >= 0 else -1.0
-    return axis
 
 
 OVERLAY = re.compile(
@@ -222,8 +184,6 @@ def fit_sphere(points: Float64Array) -> tuple[Float64Array, float, float]:
 
 def _weld(source: RigSource) -> tuple[Int64Array, Int64Array]:
     """Index of one vertex of each welded group, and the group of each vertex."""
-    if not source.split_at_seams:
-        return np.arange(len(source.positions)), np.arange(len(source.positions))
     size = max(float(np.ptp(source.positions, axis=0).max()), 1e-12)
     random = np.random.default_rng(0)
     # Displacements are told apart by a few random sums of them.
@@ -340,11 +300,9 @@ def build_mesh(source: RigSource, names: NameMap) -> RigMesh:
     middle_x = 0.5 * float(rest[:, 0].min() + rest[:, 0].max())
     motion = _motion(source, names, frame, keep, rest[:, 0] - middle_x)
     faces = group[source.faces].astype(np.int32)
-    uv_faces, material = source.uv_faces, source.face_material
+    uv_faces, material = source.faces, source.face_material
     overlay = [k for k, name in enumerate(source.materials) if OVERLAY.search(name)]
-    shown = ~np.isin(material, overlay)
-    if source.see_through is not None:
-        shown &= ~source.see_through
+    shown = ~np.isin(material, overlay) & ~source.see_through
     shown &= (faces != np.roll(faces, 1, axis=1)).all(1)
     if not shown.any():
         raise CaptureError(f"{source.path}: no face is left without transparent materials")
@@ -355,11 +313,7 @@ def build_mesh(source: RigSource, names: NameMap) -> RigMesh:
     eyes, hidden = _find_eyes(rest, motion, label, middle_x, named)
     shown &= ~hidden[faces].any(1)
     dropped = [source.materials[k] for k in np.unique(material) if not shown[material == k].any()]
-    faces, material = faces[shown], material[shown]
-    uv_faces = uv_faces[shown] if uv_faces is not None else None
-    if _volume(rest, faces) < 0:
-        faces = faces[:, ::-1]
-        uv_faces = uv_faces[:, ::-1] if uv_faces is not None else None
+    faces, material, uv_faces = faces[shown], material[shown], uv_faces[shown]
     part = _parts(source, material, faces, len(rest), eyes)
     offset = np.array(EYES_AT_M) - _eye_point(rest, motion, eyes, middle_x)
     rest = rest + offset
@@ -379,19 +333,13 @@ def build_mesh(source: RigSource, names: NameMap) -> RigMesh:
         motion_m=np.ascontiguousarray(motion[:, used]),
         faces=again.reshape(-1, 3).astype(np.int32),
         uv=source.uv,
-        uv_faces=uv_faces,
+        uv_faces=uv_faces if source.uv is not None else None,
         part=part,
         material=material,
         eyes=moved_eyes,
         frame=frame,
         dropped=tuple(dropped),
     )
-
-
-def _volume(points: Float64Array, faces: IntArray) -> float:
-    """Six times the signed volume about the mean point; open meshes lean the same way."""
-    a, b, c = (points[faces[:, corner]] - points.mean(0) for corner in range(3))
-    return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum())
 
 
 def _eye_point(

@@ -4,21 +4,18 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
 import moderngl
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from pica_core.capture.dataset.files import read_bytes
 from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.rig.features import hair_coverage
 from pica_core.capture.rig.head import RigHead
-from pica_core.capture.rig.source import RigSource, open_image
-from pica_core.errors import CaptureError
+from pica_core.capture.rig.source import RigImage
 from pica_core.gl import link_program
-from pica_core.types import ByteArray, FloatArray, IntArray
+from pica_core.types import FloatArray, IntArray
 
 
 def make_program(
@@ -126,51 +123,6 @@ def surface(head: RigHead, growth: Growth | None) -> FloatArray:
     return local
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Albedo:
-    """A base colour image: sRGB uint8 ``[H, W, 3]``, row 0 on top, and how it goes on beyond."""
-
-    pixels: ByteArray
-    wrap: tuple[str, str] = ("repeat", "repeat")
-
-
-def open_albedo(where: str, data: bytes) -> ByteArray:
-    """An image as sRGB, row 0 on top. uint8 ``[H, W, 3]``."""
-    return np.ascontiguousarray(open_image(where, data)[..., :3])
-
-
-def read_albedos(source: RigSource, choices: tuple[str, ...]) -> dict[int, Albedo]:
-    """Base colour images by material: those inside the rig's file, then the user's.
-
-    A choice of the user is ``FILE`` for the material with most triangles, or ``MATERIAL=FILE``.
-    """
-    found = {
-        index: Albedo(
-            pixels=open_albedo(
-                f"{source.path}: image of material {source.materials[index]!r}", image.data
-            ),
-            wrap=image.wrap,
-        )
-        for index, image in source.images.items()
-        if source.uv is not None
-    }
-    for choice in choices:
-        name, separator, path = choice.partition("=")
-        path = path if separator else choice
-        if source.uv is None:
-            raise CaptureError(
-                f"albedo {path}: {source.path} has no texture coordinates to put it on"
-            )
-        if separator and name not in source.materials:
-            raise CaptureError(
-                f"albedo: no material {name!r}; there are {', '.join(source.materials)}"
-            )
-        largest = int(np.argmax(np.bincount(source.face_material)))
-        index = source.materials.index(name) if separator else largest
-        found[index] = Albedo(pixels=open_albedo(path, read_bytes(Path(path))))
-    return found
-
-
 PAINT: dict[str, Any] = {
     "seed": 3.0,
     "skin_rgb": (0.60, 0.36, 0.26),
@@ -200,7 +152,7 @@ CORNER = {
 def paint(
     context: moderngl.Context,
     head: RigHead,
-    albedo: dict[int, Albedo],
+    albedo: dict[int, RigImage],
     look: dict[str, Any],
     growth: Growth | None,
     size: int,
@@ -231,7 +183,7 @@ def paint(
         mirrored = 0.0, 0.0
         if image is not None:
             pixels, across, down = image.pixels, *image.wrap
-            picture = context.texture(pixels.shape[1::-1], 3, pixels.tobytes(), alignment=1)
+            picture = context.texture(pixels.shape[1::-1], 4, pixels.tobytes())
             picture.build_mipmaps()
             picture.repeat_x, picture.repeat_y = across == "repeat", down == "repeat"
             picture.use(0)

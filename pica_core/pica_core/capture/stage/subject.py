@@ -17,15 +17,14 @@ from pica_core.camera import Camera
 from pica_core.capture.dataset.files import MAP_SIZE
 from pica_core.capture.dataset.multiface import describe_masks
 from pica_core.capture.rig.features import LID_M
-from pica_core.capture.rig.head import RigHead, make_rig, read_rig
+from pica_core.capture.rig.gltf import read_rig
+from pica_core.capture.rig.head import RigHead, make_rig
 from pica_core.capture.rig.names import read_names
-from pica_core.capture.rig.source import RigSource
+from pica_core.capture.rig.source import RigImage, RigSource
 from pica_core.capture.stage.paint import (
-    Albedo,
     Growth,
     make_program,
     paint,
-    read_albedos,
     set_uniforms,
     split_hairs,
     split_parts,
@@ -85,7 +84,7 @@ class Subject:
         head: RigHead,
         about: dict[str, Any],
         *,
-        albedo: dict[int, Albedo] | None = None,
+        albedo: dict[int, RigImage] | None = None,
         look: dict[str, Any] | None = None,
         growth: Growth | None = None,
         bake_size: int = BAKE_SIZE,
@@ -324,9 +323,9 @@ def _ramp(value: FloatArray, low: float, high: float) -> FloatArray:
 
 
 class RigSubject(Subject):
-    """A rig on the stage, from a .glb file or a folder of OBJ files.
+    """A rig on the stage, from a glTF file.
 
-    `table` is the user's table of names; `albedo` are choices as `skin.read_albedos` takes them.
+    `table` is the user's table of names.
 
     Raises:
         CaptureError: Anything that is wrong with the files.
@@ -336,48 +335,36 @@ class RigSubject(Subject):
         self,
         path: Path,
         table: Path | None = None,
-        albedo: tuple[str, ...] = (),
         *,
         bake_size: int = BAKE_SIZE,
         self_shadow: bool = True,
     ) -> None:
         names = read_names(table) if table is not None else None
         source = read_rig(path)
-        images = read_albedos(source, albedo)
-        self.head: RigHead = make_rig(source, names)
+        head = make_rig(source, names)
         super().__init__(
-            self.head,
-            describe_rig(path, source, self.head, images),
-            albedo=images,
+            head,
+            describe_rig(path, source, head),
+            albedo=source.images if source.uv is not None else {},
             bake_size=bake_size,
             self_shadow=self_shadow,
         )
 
 
-def describe_rig(
-    path: Path, source: RigSource, head: RigHead, images: dict[int, Albedo]
-) -> dict[str, Any]:
-    """Source, rights, names, units and parts."""
+def describe_rig(path: Path, source: RigSource, head: RigHead) -> dict[str, Any]:
+    """Source, rights, names, unit and parts."""
     mesh = head.mesh
-    digest = hashlib.sha256(source.positions.tobytes())
-    digest.update(source.faces.tobytes())
-    for name, delta in source.shapes.items():
-        digest.update(name.encode())
-        digest.update(delta.tobytes())
-    for index, image in sorted(images.items()):
-        digest.update(bytes([index & 255]))
-        digest.update(image.pixels.tobytes())
     painted = [
         name for k, name in enumerate(source.materials)
-        if k not in images and (mesh.material == k).any()
+        if k not in source.images and (mesh.material == k).any()
     ]  # fmt: skip
     return {
         "source": f"rendered from the rig {path.name}",
         "licence": source.copyright or "that of the rig; its file does not say",
         "rig": {
-            "sha256": digest.hexdigest(),
+            "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
             "unit": mesh.frame.unit,
-            "axes": mesh.frame.describe(),
+            "turned": mesh.frame.turned,
             "guessed": list(mesh.frame.guessed),
             "mapped": list(head.names.mapped),
             "missing": list(head.names.missing),

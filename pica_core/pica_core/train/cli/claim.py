@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pica_core.capture.dataset.dataset import Capture
-from pica_core.capture.rig.head import read_rig
+from pica_core.capture.rig.gltf import read_rig
 from pica_core.cli.capture import RigOptions, rig
 from pica_core.errors import CaptureError, CheckpointError, TrainingOptionError, check_ranges
 from pica_core.train.cli.train import RUN_FILE, TrainOptions, VariantName, train

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from helpers.rig_toy import toy_rig, write_glb, write_obj_folder
+from helpers.rig_toy import toy_rig, write_glb
 from pica_command.main import main
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.dataset.multiface import MATERIALS
+from pica_core.capture.rig.source import open_image
 from pica_core.capture.stage.dome import dome_cameras
 from pica_core.capture.stage.expressions import blend
-from pica_core.capture.stage.paint import open_albedo
 from pica_core.capture.stage.subject import RigSubject
 from pica_core.capture.stage.synth import RenderOptions, render_subject
 from pica_core.errors import CaptureError
@@ -39,8 +39,8 @@ def glb(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_glb(path, toy_rig(), image=png((20, 200, 30)))
 
 
-def subject(path: Path, albedo: tuple[str, ...] = ()) -> RigSubject:
-    return RigSubject(path, albedo=albedo, bake_size=256, self_shadow=False)
+def subject(path: Path) -> RigSubject:
+    return RigSubject(path, bake_size=256, self_shadow=False)
 
 
 def test_a_rig_becomes_a_capture_that_the_reader_takes(glb: Path, tmp_path: Path) -> None:
@@ -63,27 +63,16 @@ def test_a_rig_becomes_a_capture_that_the_reader_takes(glb: Path, tmp_path: Path
     vertices = capture.true_vertices_m(frame)
     assert len(vertices) == len(capture.topology.vertex_uv)
     assert capture.mask(frame, "front").max() > 0
-    assert capture.true_depth_m(frame, "front").max() == pytest.approx(0.95, abs=0.1)
+    assert capture.depth_m(frame, "front").max() == pytest.approx(0.95, abs=0.1)
 
 
-def test_an_image_inside_the_file_colours_the_skin_and_a_wish_goes_before_it(
-    glb: Path, tmp_path: Path
-) -> None:
-    blue = tmp_path / "blue.png"
-    blue.write_bytes(png((30, 40, 220)))
-    camera = dome_cameras(1, 48, 48)[0]
-    colours = []
-    for albedo in ((), (f"skin={blue}",)):
-        rig = subject(glb, albedo)
-        rig.pose(blend())
-        view = rig.draw(camera)
-        skin = view.mask == MATERIALS.index("skin") + 1
-        colours.append(view.image[skin].mean(0))
-        rig.release()
+def test_an_image_inside_the_file_colours_the_skin(glb: Path) -> None:
+    rig = subject(glb)
+    rig.pose(blend())
+    view = rig.draw(dome_cameras(1, 48, 48)[0])
+    rig.release()
 
-    green, painted = colours
-    assert green.argmax() == 1
-    assert painted.argmax() == 2
+    assert view.image[view.mask == MATERIALS.index("skin") + 1].mean(0).argmax() == 1
 
 
 def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
@@ -99,8 +88,6 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, 
         (["--size", "9x9"], "size is 9x9"),
         (["--frames", "0"], "frames is 0"),
         (["--texture-size", "99999"], "texture_size is 99999"),
-        (["--albedo", "nowhere.png"], "nowhere.png: the file is missing"),
-        (["--albedo", "chin=nowhere.png"], "no material 'chin'"),
         (["--map", "nowhere.json"], "nowhere.json: the file is missing"),
     ],
 )
@@ -125,13 +112,13 @@ def test_bad_wishes_are_told_before_anything_is_written(
 )
 def test_an_image_of_the_wrong_kind_is_refused(data: bytes, words: str) -> None:
     with pytest.raises(CaptureError, match=words):
-        open_albedo("skin.png", data)
+        open_image("skin.png", data)
 
 
 def test_the_command_says_what_was_mapped_missing_and_ignored(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    rig = write_obj_folder(tmp_path / "toy", toy_rig(), scale=100.0)
+    rig = write_glb(tmp_path / "toy.glb", toy_rig())
     out = tmp_path / "out"
     code, printed, _ = run(
         capsys, "--rig", str(rig), "--out", str(out), "--json", "--frames", "4", "--cameras", "1",
@@ -143,5 +130,5 @@ def test_the_command_says_what_was_mapped_missing_and_ignored(
     assert len(result["mapped"]) == 7
     assert len(result["missing"]) == 52 - 6
     assert result["ignored"] == ["somethingElse"]
-    assert result["unit"] == "cm"
+    assert result["unit"] == "m"
     assert (out / "capture.json").is_file()

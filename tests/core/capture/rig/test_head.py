@@ -6,11 +6,12 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from helpers.rig_toy import toy_rig, write_glb, write_obj_folder
+from helpers.rig_toy import glb_bytes, glb_parts, toy_rig, write_glb
 from pica_core.avatar.arkit import ARKIT_NAMES, EYE_YAW, NUM_ARKIT
 from pica_core.capture.person.model import NUM_MODES, read_model
 from pica_core.capture.rig.chart import add_gutters
-from pica_core.capture.rig.head import RigHead, make_rig, read_rig
+from pica_core.capture.rig.gltf import read_rig
+from pica_core.capture.rig.head import RigHead, make_rig
 from pica_core.capture.rig.names import map_names
 from pica_core.capture.stage.expressions import blend
 
@@ -145,9 +146,13 @@ def test_regions_lie_where_their_names_say(toy: RigHead) -> None:
 
 
 def test_a_rig_without_texture_coordinates_gets_some(tmp_path: Path) -> None:
-    folder = write_obj_folder(tmp_path / "bare", toy_rig(), uv=False)
+    document, binary = glb_parts(toy_rig())
+    for primitive in document["meshes"][0]["primitives"]:
+        del primitive["attributes"]["TEXCOORD_0"]
+    path = tmp_path / "bare.glb"
+    path.write_bytes(glb_bytes(document, binary))
 
-    head = make_rig(read_rig(folder))
+    head = make_rig(read_rig(path))
 
     assert head.mended == len(head.mesh.faces)
     assert_no_overlap(head)

@@ -7,12 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers.rig_toy import glb_bytes, glb_parts, toy_rig, write_glb, write_obj_folder
+from helpers.rig_toy import glb_bytes, glb_parts, toy_rig, write_glb
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES
-from pica_core.capture.rig.gltf import read_glb
+from pica_core.capture.rig.gltf import read_rig
 from pica_core.capture.rig.mesh import build_mesh
 from pica_core.capture.rig.names import map_names, match_name, read_names
-from pica_core.capture.rig.source import read_obj_folder
 from pica_core.errors import CaptureError
 
 pytestmark = pytest.mark.unit
@@ -23,11 +22,6 @@ RIG = toy_rig()
 @pytest.fixture(scope="module")
 def glb(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_glb(tmp_path_factory.mktemp("glb") / "toy.glb", RIG)
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_obj_folder(tmp_path_factory.mktemp("obj"), RIG, scale=100.0)
 
 
 @pytest.mark.parametrize(
@@ -117,88 +111,25 @@ def test_a_bad_table_is_refused(tmp_path: Path, table: str, words: str) -> None:
         read_names(path)
 
 
-def test_both_forms_of_a_rig_become_the_same_mesh(glb: Path, folder: Path) -> None:
-    meshes = []
-    for source in (read_glb(glb), read_obj_folder(folder)):
-        meshes.append(build_mesh(source, map_names(list(source.shapes))))
-    one, other = meshes
+@pytest.mark.parametrize(("scale", "unit"), [(1.0, "m"), (100.0, "cm"), (1000.0, "mm")])
+@pytest.mark.parametrize("side", [1, -1])
+def test_unit_and_heading_are_found(tmp_path: Path, scale: float, unit: str, side: int) -> None:
+    rig = toy_rig()
+    turn = scale * np.array([side, 1, side])
+    rig.positions = rig.positions * turn
+    rig.shapes = {name: delta * turn for name, delta in rig.shapes.items()}
 
-    assert (one.frame.unit, other.frame.unit) == ("m", "cm")
-    for mesh in meshes:
-        assert mesh.frame.describe() == "x y z"
-        assert [round(eye.radius_m, 4) for eye in mesh.eyes] == [0.012, 0.012]
-        assert [eye.side for eye in mesh.eyes] == [1.0, -1.0]
-        assert not any(eye.turned for eye in mesh.eyes)
-        np.testing.assert_allclose(
-            np.mean([eye.centre_m for eye in mesh.eyes], axis=0), [0, 0.022, 0.074], atol=1e-6
-        )
-    # The writer of OBJ keeps the seam's vertices apart in position and uv alike.
-    assert len(one.faces) == len(other.faces)
-    for name in ("jawOpen", "eyeBlinkLeft", "browInnerUp"):
-        k = ARKIT_INDEX[name]
-        largest = [np.linalg.norm(mesh.motion_m[k], axis=1).max() for mesh in meshes]
-        assert largest[0] == pytest.approx(largest[1], abs=2e-6)
-        assert largest[0] > 0.004
-
-
-def test_units_and_axes_are_found(tmp_path: Path) -> None:
-    turned = toy_rig()
-    turn = np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0]])  # file x is our z, y our x, z our y
-    turned.positions = turned.positions @ turn.T
-    turned.shapes = {name: delta @ turn.T for name, delta in turned.shapes.items()}
-    folder = write_obj_folder(tmp_path / "mm", turned, scale=1000.0)
-
-    source = read_obj_folder(folder)
+    source = read_rig(write_glb(tmp_path / "toy.glb", rig))
     mesh = build_mesh(source, map_names(list(source.shapes)))
 
-    assert mesh.frame.unit == "mm"
-    assert mesh.frame.describe() == "y z x"
+    assert (mesh.frame.unit, mesh.frame.turned) == (unit, side < 0)
     assert mesh.motion_m[ARKIT_INDEX["jawOpen"], :, 1].min() == pytest.approx(-0.02, abs=1e-5)
-    assert mesh.rest_m[:, 1].max() - mesh.rest_m[:, 1].min() == pytest.approx(0.239, abs=0.002)
-
-
-def _damage_obj(folder: Path, target: Path, change: dict[str, tuple[str, str]]) -> Path:
-    target.mkdir()
-    for path in folder.iterdir():
-        text = path.read_text()
-        if path.name in change:
-            before, after = change[path.name]
-            assert before in text
-            text = text.replace(before, after, 1)
-        (target / path.name).write_text(text)
-    return target
-
-
-@pytest.mark.parametrize(
-    ("name", "before", "after", "words"),
-    [
-        ("jawOpen.obj", "v ", "vx ", r"jawOpen\.obj: \d+ vertices; neutral\.obj"),
-        ("jawOpen.obj", "f 1/1 ", "f 9/9 ", r"jawOpen\.obj: its faces differ"),
-        ("jawOpen.obj", "v ", "v nan 0 0 #", r"jawOpen\.obj: vertex 1 is not finite"),
-        ("neutral.obj", "v ", "v inf 0 0 #", r"vertex 0 of the neutral face is not finite"),
-        ("neutral.obj", "v ", "v a b c #", r"neutral\.obj: a vertex is not 3 numbers"),
-        ("neutral.obj", "f 1/1 ", "f 99999/1 ", r"neutral\.obj:\d+: face corner '99999/1'"),
-        ("neutral.obj", "f 1/1 ", "f 1/99999 ", r"texture coordinates"),
-        ("neutral.obj", "vt ", "vt 1e9 0 #", r"tiles up to 100"),
-    ],
-)
-def test_damaged_obj_files_are_refused_by_name(
-    folder: Path, tmp_path: Path, name: str, before: str, after: str, words: str
-) -> None:
-    damaged = _damage_obj(folder, tmp_path / "damaged", {name: (before, after)})
-    with pytest.raises(CaptureError, match=words):
-        read_obj_folder(damaged)
-
-
-def test_a_folder_without_shapes_or_neutral_face_is_refused(folder: Path, tmp_path: Path) -> None:
-    with pytest.raises(CaptureError, match="no OBJ files"):
-        read_obj_folder(tmp_path)
-    (tmp_path / "neutral.obj").write_bytes((folder / "neutral.obj").read_bytes())
-    with pytest.raises(CaptureError, match="no blendshapes"):
-        read_obj_folder(tmp_path)
-    (tmp_path / "neutral.obj").rename(tmp_path / "face.obj")
-    with pytest.raises(CaptureError, match="which of 1 OBJ files is the neutral face"):
-        read_obj_folder(tmp_path)
+    assert [round(eye.radius_m, 4) for eye in mesh.eyes] == [0.012, 0.012]
+    assert [eye.side for eye in mesh.eyes] == [1.0, -1.0]
+    assert not any(eye.turned for eye in mesh.eyes)
+    np.testing.assert_allclose(
+        np.mean([eye.centre_m for eye in mesh.eyes], axis=0), [0, 0.022, 0.074], atol=1e-6
+    )
 
 
 def test_a_truncated_glb_is_refused_wherever_it_ends(glb: Path, tmp_path: Path) -> None:
@@ -207,10 +138,10 @@ def test_a_truncated_glb_is_refused_wherever_it_ends(glb: Path, tmp_path: Path) 
     for keep in (0, 11, 19, 21, 400, len(data) // 2, len(data) - 1):
         path.write_bytes(data[:keep])
         with pytest.raises(CaptureError, match=r"short\.glb"):
-            read_glb(path)
+            read_rig(path)
     path.write_bytes(b"glTF" + data[4:8] + b"\xff\xff\xff\x7f" + data[12:])
     with pytest.raises(CaptureError, match="its header says 2147483647"):
-        read_glb(path)
+        read_rig(path)
 
 
 @pytest.mark.parametrize(
@@ -246,22 +177,22 @@ def test_a_hostile_glb_is_refused(
     path.write_bytes(glb_bytes(document, binary))
 
     with pytest.raises(CaptureError, match=words):
-        read_glb(path)
+        read_rig(path)
 
 
 def test_a_glb_of_numbers_that_cannot_be_is_refused(tmp_path: Path) -> None:
     rig = toy_rig()
     rig.shapes["jawOpen"][3, 1] = np.nan
     with pytest.raises(CaptureError, match="vertex 3 of shape 'jawOpen' is not finite"):
-        read_glb(write_glb(tmp_path / "nan.glb", rig))
+        read_rig(write_glb(tmp_path / "nan.glb", rig))
     rig = toy_rig()
     rig.quads["skin"][0, 0] = 60_000
     with pytest.raises(CaptureError, match="indices up to 60000"):
-        read_glb(write_glb(tmp_path / "range.glb", rig))
+        read_rig(write_glb(tmp_path / "range.glb", rig))
     rig = toy_rig()
     rig.shapes.clear()
     with pytest.raises(CaptureError, match="no blendshapes"):
-        read_glb(write_glb(tmp_path / "still.glb", rig))
+        read_rig(write_glb(tmp_path / "still.glb", rig))
 
 
 def test_a_document_with_wrong_entries_is_read_or_refused_and_nothing_else(tmp_path: Path) -> None:
@@ -291,7 +222,7 @@ def test_a_document_with_wrong_entries_is_read_or_refused_and_nothing_else(tmp_p
         at[place[-1]] = values[int(random.integers(len(values)))]  # type: ignore[index]
         path.write_bytes(glb_bytes(changed, binary))
         try:
-            read_glb(path)
+            read_rig(path)
         except CaptureError:
             refused += 1
     assert refused > 50
@@ -317,7 +248,7 @@ def test_sparse_targets_are_read(tmp_path: Path) -> None:
     path = tmp_path / "sparse.glb"
     path.write_bytes(glb_bytes(document, binary))
 
-    delta = read_glb(path).shapes["jawOpen"]
+    delta = read_rig(path).shapes["jawOpen"]
 
     np.testing.assert_allclose(delta[[5, 7]], [[0, 1, 0], [0, 2, 0]], atol=1e-6)
     assert np.count_nonzero(np.abs(delta).max(1) > 1e-6) == 2

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from helpers.rig_wild import FORMS, wild_rig, write_beside
-from pica_core.capture.rig.gltf import read_glb
-from pica_core.capture.rig.source import wrapped
+from pica_core.capture.rig.gltf import read_rig
 from pica_core.capture.stage.dome import dome_cameras
 from pica_core.capture.stage.expressions import blend
 from pica_core.capture.stage.subject import RigSubject
@@ -49,13 +48,6 @@ def test_every_form_of_a_head_gives_the_same_picture(
     assert (error > 24).mean() < 0.01
 
 
-def test_wrap_modes_bring_coordinates_back_as_samplers_do() -> None:
-    uv = np.array([[-0.25, 1.25], [2.5, -1.5]])
-
-    np.testing.assert_allclose(wrapped(uv, ("repeat", "mirror")), [[0.75, 0.75], [0.5, 0.5]])
-    np.testing.assert_allclose(wrapped(uv, ("clamp", "repeat")), [[0, 0.25], [1, 0.5]])
-
-
 def test_a_mirrored_half_keeps_its_picture_when_its_islands_are_made_anew(
     plain: ByteArray, tmp_path: Path
 ) -> None:
@@ -92,32 +84,6 @@ def test_eyes_that_are_caps_of_spheres_are_found_by_their_material(tmp_path: Pat
     np.testing.assert_allclose(subject.head.mesh.eyes[0].centre_m, [0.032, 0.022, 0.074], atol=1e-4)
 
 
-@pytest.mark.parametrize("version", ["VRM", "VRMC_vrm"])
-def test_expressions_of_vrm_drive_what_they_come_near_to(tmp_path: Path, version: str) -> None:
-    rig = wild_rig()
-    del rig.document["meshes"][0]["extras"]
-    if version == "VRM":
-        groups = [
-            {"presetName": "blink_l", "binds": [{"mesh": 0, "index": 1, "weight": 50}]},
-            {"presetName": "unknown", "name": "jawOpen", "binds": [{"mesh": 0, "index": 0}]},
-        ]
-        about: dict[str, object] = {"blendShapeMaster": {"blendShapeGroups": groups}}
-    else:
-        presets = {"blinkLeft": {"morphTargetBinds": [{"node": 0, "index": 1, "weight": 0.5}]}}
-        custom = {"jawOpen": {"morphTargetBinds": [{"node": 0, "index": 0}]}}
-        about = {"expressions": {"preset": presets, "custom": custom}}
-    rig.document["extensions"] = {version: about}
-    path = rig.save(tmp_path / "toy.vrm")
-
-    source = read_glb(path)
-    head = RigSubject(path, bake_size=64, self_shadow=False).head
-
-    blink = next(k for k in source.shapes if k.startswith("blink"))
-    np.testing.assert_allclose(source.shapes[blink], 0.5 * source.shapes["#1"], atol=1e-7)
-    assert head.names.drivers["eyeBlinkLeft"][0].source == blink
-    assert head.names.drivers["jawOpen"][0].source == "jawOpen"
-
-
 @pytest.mark.parametrize(
     ("uri", "words"),
     [
@@ -140,4 +106,4 @@ def test_a_file_beside_a_gltf_stays_beside_it(tmp_path: Path, uri: object, words
     path.write_text(json.dumps(document))
 
     with pytest.raises(CaptureError, match=words):
-        read_glb(path)
+        read_rig(path)
