@@ -230,7 +230,7 @@ async def _measure_through(
         "peers": len(local.names),
         "decoded_peers": len(decoded),
         "seconds": round(seconds, 2),
-        "latency_ms": latency_summary(frames, local.encode_times_s()),
+        "latency_ms": latency_summary(frames),
         "latents_per_s": {name: round(decoded[name] / seconds, 2) for name in local.names},
         "bitrate_bps": local_call.bitrates(sent),
         "dropped": received["dropped"] + queue.num_dropped,

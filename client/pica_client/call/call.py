@@ -32,20 +32,6 @@ from pica_protocol.session import ClientEvent
 
 MAX_DEPARTED = 64
 """Peers remembered for the statistics after they left; drops the oldest."""
-MAX_SHOWN = 100_000
-"""Shown faces remembered for a latency analysis: eleven minutes of five peers at 30 a second."""
-
-
-class Shown(NamedTuple):
-    """One face as it was handed to the display."""
-
-    name: str
-    shown_us: int
-    """The moment shown, sender's clock; `FaceState.captured_us`."""
-    captured_us: int
-    """The newest frame that went into it, sender's clock."""
-    arrived_us: int
-    """When that frame came, our clock."""
 
 
 class DueFrame(NamedTuple):
@@ -100,12 +86,9 @@ class Call:
         playout: PlayoutConfig | None = None,
         *,
         ears: Ears | None = None,
-        log_shown: bool = False,
     ) -> None:
         """Prepare; faces are led by the voices that the ears play."""
         self.errors = self.without_avatar = self.strays = 0
-        # Drops its oldest when full.
-        self._shown: deque[Shown] = deque(maxlen=MAX_SHOWN if log_shown else 0)
         self._avatars = avatars
         self._playout = playout
         self._lock = threading.Lock()
@@ -274,18 +257,10 @@ class Call:
         with self._lock:
             self._window_begin_s = now
             self._departed.clear()
-            self._shown.clear()
             self.skews_s.clear()
             self.delays_s.clear()
             for seat in self._seats.values():
                 seat.begin_window(now)
-
-    def take_shown(self) -> list[Shown]:
-        """The faces shown in the window, if they were to be logged."""
-        with self._lock:
-            shown = list(self._shown)
-            self._shown.clear()
-        return shown
 
     def stats(self, now: float) -> dict[str, Any]:
         """How the stream of each person came in since `begin_window`, or since the call began.
@@ -402,13 +377,9 @@ class Call:
             status = "away"
         elif seat.is_stale(now):
             status = "stale"
-        if not is_held:
-            newest = played.newest
-            arrived_us = round(newest.arrived_s * 1e6)
-            self._shown.append(Shown(peer.name, played.captured_us, newest.captured_us, arrived_us))
-            if heard_us is not None:
-                self.skews_s.add(abs(played.captured_us - heard_us) / 1e6)
-                self.delays_s.add(now + ahead_s - heard_us / 1e6)
+        if not is_held and heard_us is not None:
+            self.skews_s.add(abs(played.captured_us - heard_us) / 1e6)
+            self.delays_s.add(now + ahead_s - heard_us / 1e6)
         return replace(
             face,
             latent=played.sample.latent,

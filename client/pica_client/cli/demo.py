@@ -16,7 +16,6 @@ from cyclopts import Parameter
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.errors import CallProcessError, check_ranges
 from pica_client.local_call import local_call
-from pica_client.local_call.local_call import frame_times, latency_summary
 from pica_client.local_call.processes import Child, Children
 from pica_client.output import make_folder, say, writing, writing_whole
 from pica_client.stats import describe_machine
@@ -93,12 +92,11 @@ def run_demo(config: DemoConfig) -> dict[str, Any]:
         film.unlink(missing_ok=True)
     with closing(AvatarLibrary()) as library, Children() as children:
         stage = local_call.LocalCall(config.call, library, children)
-        log = children.folder / "view.json"
-        viewer = children.start("viewer", *_view_arguments(config, stage, log))
+        viewer = children.start("viewer", *_view_arguments(config, stage))
         _watch(config, stage, viewer)
         shown = viewer.result()
         sent = stage.finish()
-        stats = _stats(config, stage, shown, sent, json.loads(log.read_text()))
+        stats = _stats(config, stage, shown, sent)
         failures = stage.failures()
     stats_file = config.out / "stats.json"
     with writing_whole(stats_file) as unfinished:
@@ -108,10 +106,10 @@ def run_demo(config: DemoConfig) -> dict[str, Any]:
     return stats
 
 
-def _view_arguments(config: DemoConfig, stage: local_call.LocalCall, log: Path) -> list[str]:
+def _view_arguments(config: DemoConfig, stage: local_call.LocalCall) -> list[str]:
     arguments = ["view", "--url", stage.url, "--room", local_call.ROOM, "--name", VIEWER_NAME]
     arguments += ["--size", config.size, "--seconds", f"{config.seconds:g}"]
-    arguments += ["--expect", str(config.call.peers), "--frame-log", str(log)]
+    arguments += ["--expect", str(config.call.peers)]
     arguments += ["--record", str(config.out / "call.mp4")]
     arguments += ["--png", str(config.out / "frame.png"), *stage.secret_arguments]
     if config.call.avatar is not None:
@@ -143,12 +141,9 @@ def _stats(
     stage: local_call.LocalCall,
     shown: dict[str, Any],
     sent: dict[str, dict[str, Any]],
-    log: dict[str, Any],
 ) -> dict[str, Any]:
     received = shown["received"]
-    frames = frame_times(log["shown"], log["decodes"])
-    latency = latency_summary(frames, stage.encode_times_s())
-    latency["parts"] |= {"upload": shown["upload_ms"], "draw": shown["draw_ms"]}
+    parts = {name: shown[f"{name}_ms"] for name in ("decode_wait", "decode", "upload", "draw")}
     rates = {peer["name"]: peer["latents_per_s"] for peer in received["peers"]}
     errors = shown["errors"] + sum(result["errors"] for result in sent.values())
     return {
@@ -158,9 +153,9 @@ def _stats(
         "frames_rendered": shown["frames_rendered"],
         "render_fps": shown["render_fps"],
         "latents_per_s": {name: rates.get(name, 0.0) for name in stage.names},
-        "decodes_per_s": round(len(log["decodes"]) / max(shown["seconds"], 0.01), 2),
+        "decodes_per_s": round(sum(shown["decodes"].values()) / max(shown["seconds"], 0.01), 2),
         "bitrate_bps": local_call.bitrates(sent),
-        "latency_ms": latency,
+        "latency_ms": {**shown["latency_ms"], "parts": parts},
         "dropped": received["dropped"],
         "concealed": received["concealed"],
         "seal": received["seal"],

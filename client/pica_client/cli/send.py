@@ -1,7 +1,6 @@
 """`pica send`: one face from a source into a room."""
 
 import asyncio
-import json
 import os
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, closing, suppress
@@ -14,7 +13,7 @@ from cyclopts import Parameter
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.avatars.upload import GiveAvatar, choose_own_avatar
 from pica_client.endpoint.endpoint import LinkNews, Sender
-from pica_client.output import Outputs, check_writable, say
+from pica_client.output import say
 from pica_client.publish.face_controls import FaceControls
 from pica_client.publish.own_face import DEFAULT_SOURCE
 from pica_client.publish.publisher import SenderConfig
@@ -66,8 +65,6 @@ class SendOptions:
     wait: bool = False
     """Wait for a relay that is not there yet, for --seconds if given, instead of giving up after 3
     seconds."""
-    frame_log: Path | None = None
-    """Write capture and encoding time of each frame, in microseconds, into this file at the end."""
     sender: Annotated[SenderConfig, Parameter(name="*")] = field(default_factory=SenderConfig)
     token_file: Path | None = None
     """File with the join token that the relay wants, see pica token."""
@@ -89,7 +86,6 @@ def send(options: SendOptions) -> dict[str, Any]:
     voice, K calibrates a tracker to a relaxed face, and Q leaves. It comes back by itself when the
     relay goes away and returns.
     """
-    check_writable(options.frame_log)
     check_voice(options.source, options.voice)
     link = LinkConfig(
         url=options.url,
@@ -111,7 +107,7 @@ def send(options: SendOptions) -> dict[str, Any]:
     news = LinkNews(f"sending {options.source} as {link.name} to {where}", say)
     giver = own.giver(link, say, options.give_avatar)
 
-    async def run() -> tuple[dict[str, Any], list[tuple[int, int]]]:
+    async def run() -> dict[str, Any]:
         sender = Sender(
             options.sender,
             link,
@@ -127,17 +123,13 @@ def send(options: SendOptions) -> dict[str, Any]:
         keys = SendKeys(controls, publisher, sender.stop)
         with on_stop_signal(lambda: loop.call_soon_threadsafe(sender.stop)), closing(controls):
             async with keys.read(0):
-                result = await sender.run()
-        return result, list(sender.publisher.frame_log)
+                return await sender.run()
 
     if options.wait:
         say(f"waiting for {where}")
-    result, frame_log = asyncio.run(run())
-    outputs = Outputs()
-    if options.frame_log is not None:
-        outputs.write_text(options.frame_log, json.dumps(frame_log))
+    result = asyncio.run(run())
     say(f"sent {result['sent']} frames, {result['payload_bps'] or 0} bit/s of payload")
-    return {**result, "ok": not outputs.failures, "problems": outputs.failures}
+    return result
 
 
 class SendKeys:

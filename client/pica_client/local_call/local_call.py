@@ -1,13 +1,10 @@
 """A call on this machine: relay and senders as processes of their own, for demo and bench.
 
-What comes out of the senders is joined with what the receiver saw by name and capture time, which
-is unique within a sender: that gives each frame's way its parts. Capture times are subtracted from
-this process's clock: right on one machine, where all processes share the monotonic clock, and on
-one machine only.
+Capture times are subtracted from this process's clock: right on one machine, where all processes
+share the monotonic clock, and on one machine only.
 """
 
-import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -22,7 +19,6 @@ from pica_client.sources import open_source, start_later
 from pica_client.stats import summarise_ms
 from pica_client.voice.opus import available
 from pica_core.codec.latent_stream import DEFAULT_QUALITY
-from pica_protocol.frames import TICK_US
 
 NAMES = ("Ada", "Ben", "Cho", "Dee", "Eve", "Fay", "Gus", "Hal")
 ROOM = "demo"
@@ -107,7 +103,7 @@ class LocalCall:
                 f"sender-{index + 1}",
                 *("send", "--url", self.url, "--room", ROOM, "--name", name),
                 *("--avatar", avatars[index % len(avatars)], "--source", source),
-                *("--fps", f"{config.fps:g}", "--frame-log", str(self._log(name))),
+                *("--fps", f"{config.fps:g}"),
                 *("--give-avatar", "no"),  # the viewer has the same files
                 *(["--voice", f"speech#{index + 1}/{config.peers}"] if has_voices else []),
                 *("--quality", str(config.quality)),
@@ -140,19 +136,6 @@ class LocalCall:
         alive = {name: child for name, child in self.senders.items() if name not in self.crashed}
         end_all(alive.values(), 5.0)
         return {name: child.result() for name, child in alive.items()}
-
-    def encode_times_s(self) -> dict[tuple[str, int], float]:
-        """How long each frame took to encode, by its sender's name and its capture time in
-        microseconds; after `finish`."""
-        return {
-            (name, captured_us): encode_us / 1e6
-            for name in self.names
-            if self._log(name).exists()
-            for captured_us, encode_us in json.loads(self._log(name).read_text())
-        }
-
-    def _log(self, name: str) -> Path:
-        return self._children.folder / f"{name.replace(' ', '-')}.frames.json"
 
 
 def _make_secret(children: Children) -> Path:
@@ -230,72 +213,18 @@ class FrameTimes:
     decoded_s: float
 
 
-def frame_times(
-    shown: Iterable[tuple[str, int, int, int]], decodes: Iterable[tuple[str, int, float, float]]
-) -> list[FrameTimes]:
-    """The way of each decoded face, from what a viewer logs.
-
-    A face between two frames is a moment that was not sent; its way is that of the newer frame,
-    moved to the moment shown. Both logs are bounded and drop their oldest: a decode whose face is
-    no longer known is left out.
-
-    Args:
-        shown: Of each face handed to the display: name, moment shown and capture time of its newest
-            frame on the sender's clock, arrival of that frame; microseconds.
-        decodes: Of each decode: name, moment shown in microseconds, submission and end in seconds.
-    """
-    ways = {
-        (name, shown_us): (captured_us, arrived_us)
-        for name, shown_us, captured_us, arrived_us in shown
-    }
-    frames = []
-    for name, shown_us, submitted_s, finished_s in decodes:
-        way = ways.get((name, shown_us))
-        if way is None:
-            continue
-        captured_us, arrived_us = way
-        earlier_s = (captured_us - shown_us) / 1e6
-        frames.append(
-            FrameTimes(
-                name=name,
-                captured_us=captured_us,
-                arrived_s=arrived_us / 1e6,
-                released_s=submitted_s + earlier_s,
-                decoded_s=finished_s + earlier_s,
-            )
-        )
-    return frames
-
-
-def latency_summary(
-    frames: Iterable[FrameTimes], encode_times_s: Mapping[tuple[str, int], float]
-) -> dict[str, Any]:
+def latency_summary(frames: Sequence[FrameTimes]) -> dict[str, Any]:
     """Percentiles of the whole way and of its parts, in milliseconds.
 
     The parts of one frame add up to its whole; percentiles of parts do not add up to that of the
-    whole. A frame whose encoding time is not known (its sender crashed) counts for the parts it
-    has; its way to us is counted as the relay's.
-
-    Args:
-        frames: With capture times as they came over the wire, in steps of `TICK_US`.
-        encode_times_s: By name and capture time as the sender has it, microseconds.
+    whole. Encoding counts as the relay's part.
     """
-    on_wire_s = {
-        (name, captured_us // TICK_US * TICK_US): encode_s
-        for (name, captured_us), encode_s in encode_times_s.items()
+    parts = {
+        "relay": [frame.arrived_s - frame.captured_us / 1e6 for frame in frames],
+        "playout": [frame.released_s - frame.arrived_s for frame in frames],
+        "decode": [frame.decoded_s - frame.released_s for frame in frames],
     }
-    total: list[float] = []
-    parts: dict[str, list[float]] = {"encode": [], "relay": [], "playout": [], "decode": []}
-    for frame in frames:
-        captured_s = frame.captured_us / 1e6
-        encode_s = on_wire_s.get((frame.name, frame.captured_us))
-        if encode_s is not None:
-            parts["encode"].append(encode_s)
-        parts["relay"].append(frame.arrived_s - captured_s - (encode_s or 0.0))
-        parts["playout"].append(frame.released_s - frame.arrived_s)
-        parts["decode"].append(frame.decoded_s - frame.released_s)
-        total.append(frame.decoded_s - captured_s)
     return {
-        **summarise_ms(total),
+        **summarise_ms(map(sum, zip(*parts.values(), strict=True))),
         "parts": {name: summarise_ms(samples) for name, samples in parts.items()},
     }

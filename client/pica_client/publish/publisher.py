@@ -9,7 +9,6 @@ import asyncio
 import logging
 import math
 import time
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -32,8 +31,6 @@ from pica_protocol.session import ClientEvent
 
 _log = logging.getLogger(__name__)
 
-MAX_LOGGED_FRAMES = 100_000
-"""Encoding times kept for a latency analysis: 55 minutes at 30 a second."""
 OnSent = Callable[[EncodedFrame, int, float], None]
 """Takes a frame that was sent, its capture time in microseconds, and the time, seconds."""
 MAX_AGE_US = 200_000
@@ -111,8 +108,6 @@ class Publisher:
         mode: What becomes of the face from the next frame on, as far as its owner says; any thread
             may set it.
         seen: The source's latest face, whether it is sent or not; None before the first.
-        frame_log: Capture time and encoding time of each frame sent, both in microseconds; drops
-            its oldest when full.
     """
 
     def __init__(
@@ -121,7 +116,6 @@ class Publisher:
         self.config = config
         self.avatar = avatar
         self._watcher: OnSent | None = None
-        self.frame_log: deque[tuple[int, int]] = deque(maxlen=MAX_LOGGED_FRAMES)
         self.is_muted_by_admin = False
         self.source = source
         self.seen: ExpressionFrame | None = None
@@ -287,4 +281,3 @@ class Publisher:
             self.num_sent += 1
             self._payload_bytes += len(coded.payload)
             self._encode.add(encode_s)
-            self.frame_log.append((captured_us, round(encode_s * 1e6)))

@@ -24,7 +24,6 @@ from pica_client.call.faces import FaceSource, FaceState
 from pica_client.call.speaking import JawReader, SpeakingMeter
 from pica_client.call.status import AvatarFigures
 from pica_client.decode.pool import DecodePool
-from pica_client.decode.request import DecodeResult
 from pica_client.errors import ShaderError
 from pica_client.render import views
 from pica_client.render.gpu_decoder import GpuDecoder
@@ -165,7 +164,6 @@ class AvatarPresenter:
         shaders: Where those are decoded whom it takes; None: all in the pool.
         planner: Says what is decoded, and how finely it is drawn.
         levels: How loud each is who sends a voice, by peer id; see `VoiceMixer.levels`.
-        on_decoded: Told of every decode that reached the GPU; its slot is the peer id.
         clock: Seconds, monotonic; see `viewer.Viewer`.
 
     Attributes:
@@ -183,7 +181,6 @@ class AvatarPresenter:
         shaders: GpuDecoder | None = None,
         meter: Meter | None = None,
         levels: Callable[[], Mapping[str, int]] = dict,
-        on_decoded: Callable[[DecodeResult], None] | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.num_errors = 0
@@ -194,7 +191,6 @@ class AvatarPresenter:
         self._planner = planner
         self._meter = meter or Meter()
         self._levels = levels
-        self._on_decoded = on_decoded
         self._clock = clock
         self._peers: dict[str, _Peer] = {}
         self.seen: set[str] = set()
@@ -334,8 +330,6 @@ class AvatarPresenter:
             entry.level = result.level
             entry.num_decoded += 1
             self.seen.add(result.slot)
-            if self._on_decoded is not None:
-                self._on_decoded(result)
 
     def dressed(self, scene: CallScene) -> CallScene:
         """The scene as its plan wants it drawn: meshes, levels that fade in."""

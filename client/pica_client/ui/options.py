@@ -131,9 +131,6 @@ class ViewOptions:
     """Show the statistics from the start; S toggles them, H shows all keys."""
     preferences: bool = True
     """Begin as the last call in a window ended, and remember how this one ends."""
-    frame_log: Path | None = None
-    """Write the times of every frame into this file at the end. Those of capture are on the clocks
-    of the senders: less ours, they are latencies on this machine only."""
     token_file: Path | None = None
     """File with the join token that the relay of --url wants, see pica token."""
     ca_file: Path | None = None

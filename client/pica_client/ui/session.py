@@ -4,10 +4,8 @@ A stay is one receiver from end to end: network in a thread, decoding in others,
 one. Where a form asks, it comes again with the reason when the relay refuses.
 """
 
-import json
 import sys
 import time
-from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, ExitStack, closing
@@ -20,7 +18,6 @@ from typing import Any
 from pica_client.avatars.fetch import AvatarFetcher
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.call.call import Call
-from pica_client.decode.request import DecodeResult
 from pica_client.endpoint.endpoint import LinkNews, Receiver
 from pica_client.endpoint.hearing import Hearing
 from pica_client.errors import ClientError, OptionError, RelayUnreachableError
@@ -49,15 +46,11 @@ WATCH = "none"
 """What ``--send`` is given by a user who only watches."""
 OF_THE_FORM = ("ca_file", "secret_file", "avatar", "source", "voice")
 """Without the form these come from the command line alone, and are not kept."""
-MAX_LOGGED_DECODES = 100_000
-"""Decodes kept for a latency analysis: eleven minutes of five avatars at 30 a second."""
 POLL_S = 0.02
 EXPECT_TIMEOUT_S = 30.0
 """How long the peers of ``--expect`` are waited for."""
 NOTHING_SHOWN = {"frames_rendered": 0, "render_fps": 0.0}
 """The result when there was nothing to show."""
-DRAIN_S = 0.2
-"""What is decoded this soon after the picture began is not measured: decoders are being built."""
 
 Stopping = Callable[[Callable[[], None]], AbstractContextManager[None]]
 """Makes a signal call what it is given, for the length of a block."""
@@ -245,7 +238,6 @@ class Stay:
         waiting: Callable[[], bool] | None,
     ) -> None:
         check_writable(options.png, ".png")
-        check_writable(options.frame_log)
         check_writable(options.viewer.record, ".mp4")
         self._options, self._link, self._state = options, link, state
         self._window, self._waiting = window, waiting
@@ -267,11 +259,7 @@ class Stay:
             else:
                 say(f"a call without sound: {lacking}")
         self._sound = sound if self._hearing is not None or voice is sound else None
-        self._call = Call(
-            self._fetcher or library,
-            ears=self._hearing,
-            log_shown=options.frame_log is not None,
-        )
+        self._call = Call(self._fetcher or library, ears=self._hearing)
         doing = "looking into" if face is None else f"in, as {link.name},"
         is_sealed = link.secret_file is not None
         self._publisher = None if face is None else face.publisher
@@ -286,8 +274,6 @@ class Stay:
         )
         self._is_stopping = False
         self._trouble = ""
-        # Drops its oldest when full.
-        self._decodes: deque[tuple[str, DecodeResult]] = deque(maxlen=MAX_LOGGED_DECODES)
 
     def stop(self) -> None:
         """Make `run` end."""
@@ -325,13 +311,12 @@ class Stay:
                 options.viewer,
                 state=state,
                 receiver=self._receiver,
-                on_decoded=self._note_decode if options.frame_log is not None else None,
                 controls=controls,
                 sound=CallSound(self._receiver.voice, self._sound),
                 window=self._window,
             ) as viewer:
                 # In a window a person looks on: they see who is ready, and no frozen frame.
-                if self._window is None or options.frame_log is not None:
+                if self._window is None:
                     viewer.prepare()
                 begin_s = time.monotonic()
                 self._call.begin_window(begin_s)
@@ -348,8 +333,6 @@ class Stay:
                     state.source = controls.source
         for problem in problems:
             print(problem, file=sys.stderr)
-        if options.frame_log is not None:
-            outputs.write_text(options.frame_log, self._log(begin_s))
         return {
             **drawn,
             "ok": not outputs.failures,
@@ -388,19 +371,6 @@ class Stay:
             say(trouble)
         self._trouble = trouble
         return self._is_stopping
-
-    def _note_decode(self, result: DecodeResult) -> None:
-        name = self._call.names().get(result.slot)
-        if name is not None:
-            self._decodes.append((name, result))
-
-    def _log(self, begin_s: float) -> str:
-        decodes = [
-            (name, result.captured_us, result.submitted_s, result.finished_s)
-            for name, result in self._decodes
-            if result.captured_us >= (begin_s + DRAIN_S) * 1e6
-        ]
-        return json.dumps({"shown": self._call.take_shown(), "decodes": decodes})
 
 
 def _let_go(opening: Future[OutgoingFace | None]) -> None:

@@ -23,7 +23,6 @@ from pica_client.call.faces import FaceSource
 from pica_client.call.reflection import Reflection
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.pool import DecodePool, num_workers
-from pica_client.decode.request import DecodeResult
 from pica_client.endpoint.endpoint import Receiver
 from pica_client.endpoint.monitor import CallMonitor
 from pica_client.errors import ClientError, OptionError
@@ -71,8 +70,6 @@ class Viewer(Closing):
     Args:
         receiver: Says how the call stands, and takes what the user asks of the relay; None: faces
             alone are shown.
-        on_decoded: Told of every decode that reached the GPU, on the drawing thread; its slot is
-            the peer id.
         controls: What steers the user's own face; None while none is sent.
         sound: The voices of the call; None: there are none.
         state: What the user wants at first; keys and panels write into it.
@@ -98,7 +95,6 @@ class Viewer(Closing):
         state: ViewState | None = None,
         scheduler: SchedulerOptions | None = None,
         receiver: Receiver | None = None,
-        on_decoded: Callable[[DecodeResult], None] | None = None,
         controls: FaceControls | None = None,
         sound: CallSound | None = None,
         window: Window | None = None,
@@ -156,7 +152,6 @@ class Viewer(Closing):
                 shaders=shaders,
                 meter=self._meter,
                 levels=self._sound.levels,
-                on_decoded=on_decoded,
                 clock=clock,
             )
             self._self_view = None

@@ -183,15 +183,6 @@ def test_what_is_wrong_with_a_stream_stands_in_its_statistics(call: Call) -> Non
     assert ada["jitter_ms"] == 0
 
 
-def test_what_is_shown_can_be_traced_back_to_its_frame() -> None:
-    call = Call(LoadedAvatars({TOY_ID: TOY}), log_shown=True)
-    call.receive_event(joined(peer("p1", "Ada", 1)), now=0.0)
-    call.receive_event(frame(1, 0, 5_000), now=0.5)
-    call.faces(0.6)
-    (shown,) = call.take_shown()
-    assert shown == ("Ada", 5_000, 5_000, 500_000)
-
-
 def test_a_library_finds_avatars_by_name_file_and_hash(tmp_path: Path) -> None:
     shipped = tmp_path / "ada.pica"
     other = tmp_path / "other.pica"
