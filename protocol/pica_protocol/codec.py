@@ -89,7 +89,7 @@ def _unpack(data: bytes) -> object:
             object_pairs_hook=unique_keys,
             max_str_len=max(limits.MAX_TEXT_BYTES, limits.MAX_PASS_BYTES),
             max_bin_len=limits.MAX_WHISPER_BYTES,
-            max_array_len=max(limits.MAX_PEERS, limits.MAX_REPORT_STREAMS),
+            max_array_len=limits.MAX_PEERS,
             max_map_len=limits.MAX_MAP_FIELDS,
             max_ext_len=0,
         )

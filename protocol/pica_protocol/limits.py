@@ -31,9 +31,6 @@ MAX_PEERS = 64
 MAX_TRACKS = 4
 """Tracks of one peer: face, voice, and two to spare (chosen)."""
 
-MAX_REPORT_STREAMS = 64
-"""Streams in one report; a receiver of more sends several reports."""
-
 MAX_METADATA_ENTRIES = 8
 """Entries in what a peer says of itself."""
 

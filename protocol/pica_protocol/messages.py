@@ -312,25 +312,6 @@ class BarIdentity(Checked):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class StreamReport(Checked):
-    """How one stream arrived since the last report."""
-
-    stream: Stream
-    received: Count
-    lost: Count = 0
-    """Holes in the sequence: dropped by the relay, or never sent."""
-    concealed: Count = 0
-    """Display times for which there was no fresh frame."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Report(Checked):
-    """What a receiver saw, for the relay's statistics."""
-
-    streams: Annotated[tuple[StreamReport, ...], _at_most(limits.MAX_REPORT_STREAMS)] = ()
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
 class Bye(Checked):
     """Last message of either side; the websocket close frame repeats code and reason."""
 
@@ -349,7 +330,7 @@ RoomNews = PeerJoined | PeerLeft | PeerAway | PeerBack | PeerUpdated | StreamMut
 """What a relay says to who is in a room."""
 Moderation = RemovePeer | MutePeer | BarIdentity
 """What only an admin says to the relay."""
-FromMember = Subscribe | Report | Whisper | UpdateMetadata | Moderation
+FromMember = Subscribe | Whisper | UpdateMetadata | Moderation
 """What who is in a room says to the relay, but for ``Leave``."""
 Message = Hello | Welcome | Join | Joined | Leave | Bye | RoomNews | FromMember
 

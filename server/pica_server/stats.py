@@ -87,10 +87,6 @@ class RelayStats:
     log: Counter[str] = field(default_factory=Counter)
     """Lines of the log that were ``taken`` to be written; ``dropped``, as too many waited because
     they are not read."""
-    reported_lost: int = 0
-    """Frames that receivers reported missing."""
-    reported_concealed: int = 0
-    """Display times that receivers reported without a fresh frame."""
     placement: Counter[str] = field(default_factory=Counter)
     """Rooms: ``claimed`` for this relay or another; ``redirected`` to the relay that has them;
     ``taken_over`` from a dead relay; ``handed_over`` by a drain; ``local``, made here while NATS

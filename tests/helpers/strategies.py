@@ -28,9 +28,7 @@ from pica_protocol.messages import (
     PeerLeft,
     PeerUpdated,
     RemovePeer,
-    Report,
     StreamMuted,
-    StreamReport,
     Subscribe,
     Track,
     UpdateMetadata,
@@ -108,15 +106,6 @@ messages: st.SearchStrategy[Message] = st.one_of(
     st.builds(UpdateMetadata, metadata=metadata),
     st.builds(Leave),
     st.builds(Subscribe, stream=streams, every=st.sampled_from((0, 1, 2, 4))),
-    st.builds(
-        Report,
-        streams=st.lists(
-            st.builds(
-                StreamReport, stream=streams, received=counters, lost=counters, concealed=counters
-            ),
-            max_size=4,
-        ).map(tuple),
-    ),
     st.builds(
         Whisper, peer_id=tokens, data=st.binary(max_size=20) | st.just(bytes(MAX_WHISPER_BYTES))
     ),

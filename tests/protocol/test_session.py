@@ -23,9 +23,7 @@ from pica_protocol.messages import (
     PeerJoined,
     PeerLeft,
     PeerUpdated,
-    Report,
     StreamMuted,
-    StreamReport,
     Subscribe,
     Track,
     UpdateMetadata,
@@ -184,11 +182,9 @@ def test_capture_times_are_whole_again_however_long_nothing_came(elapsed_s: floa
     assert times[1] - times[0] == captured_us[1] - captured_us[0]
 
 
-def test_wishes_requests_and_reports_reach_the_server_as_events() -> None:
+def test_wishes_and_whispers_reach_the_server_as_events() -> None:
     client, server = joined_client(), joined_server()
-    report = Report(streams=(StreamReport(stream=8, received=30),))
     client.tell(Subscribe(stream=8, every=0))
-    client.tell(report)
     client.tell(Whisper(peer_id="p2", data=b"key"))
     events = [
         event
@@ -197,7 +193,6 @@ def test_wishes_requests_and_reports_reach_the_server_as_events() -> None:
     ]
     assert events == [
         Subscribe(stream=8, every=0),
-        report,
         Whisper(peer_id="p2", data=b"key"),
     ]
 
@@ -303,7 +298,6 @@ SAMPLES: list[Message] = [
     PeerLeft(peer_id="p2"),
     Leave(),
     Subscribe(stream=8),
-    Report(),
     Whisper(peer_id="p2", data=b"x"),
     PeerAway(peer_id="p2"),
     PeerBack(peer_id="p2"),

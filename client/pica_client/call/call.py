@@ -136,23 +136,6 @@ class Call:
         if self._ears is not None:
             self._ears.seat(members)
 
-    def take_report(self) -> messages.Report:
-        """Return how the streams arrived since the last report, for the relay."""
-        with self._lock:
-            streams = []
-            for stream, seat in self._by_stream.items():
-                report, before = seat.playout.report(), seat.reported
-                seat.reported = report
-                streams.append(
-                    messages.StreamReport(
-                        stream=stream,
-                        received=report.received - before.received,
-                        lost=report.lost - before.lost,
-                        concealed=report.concealed - before.concealed,
-                    )
-                )
-            return messages.Report(streams=tuple(streams))
-
     def tell_subscriptions(self, tell: Tell, now: float) -> float | None:
         """Tell the relay how much is wanted by now; return when to call again, None until
         a subscription changes or a peer joins."""

@@ -79,7 +79,6 @@ class Participant:
         trouble: Why its payloads cannot be read; empty: they can, or none has come.
         played: The face shown last; None before the first.
         told: The relay sends every so many frames, as far as it was told.
-        reported: What the relay knows of how the stream arrived.
     """
 
     def __init__(self, member: Member, track: Track, config: PlayoutConfig | None) -> None:
@@ -91,7 +90,6 @@ class Participant:
         self.played: PlayedFace | None = None
         self.last_arrival_s: float | None = None
         self.told = self._wanted = 1  # a relay that was told nothing sends everything
-        self.reported = PlayoutReport()
         self.window = StreamWindow()
         self._decoder: LatentDecoder | None = None
         self._payload_bytes = 0

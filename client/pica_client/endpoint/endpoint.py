@@ -27,8 +27,6 @@ from pica_protocol.errors import is_worth_retrying
 from pica_protocol.messages import Joined, Moderation, Peer, PeerJoined, Track
 from pica_protocol.session import ClientEvent, Closed
 
-REPORT_INTERVAL_S: Final = 5.0
-"""Time between two reports to the relay."""
 CHECK_INTERVAL_S: Final = 0.25
 """Time between two timers that tell whether this machine is too busy."""
 JOIN_TIMEOUT_S: Final = 5.0
@@ -335,7 +333,7 @@ class Receiver(Endpoint):
 
     def _work(self) -> list[Coroutine[Any, Any, None]]:
         self._started.set()
-        return [*super()._work(), self._report(), self._tell_subscriptions()]
+        return [*super()._work(), self._time_loop(), self._tell_subscriptions()]
 
     def _on_event(self, event: ClientEvent, now: float) -> None:
         if self.voices.receive_event(event, now):
@@ -362,11 +360,9 @@ class Receiver(Endpoint):
                 timer = self.call.tell_subscriptions(self.link.subscribe, now)
             now = await wait_until(self._subscribed, timer)
 
-    async def _report(self) -> None:
+    async def _time_loop(self) -> None:
         loop = asyncio.get_running_loop()
         while True:
-            for _ in range(round(REPORT_INTERVAL_S / CHECK_INTERVAL_S)):
-                due_s = loop.time() + CHECK_INTERVAL_S
-                await asyncio.sleep(CHECK_INTERVAL_S)
-                self.late_s += max(loop.time() - due_s, 0.0)
-            self.link.report(self.call.take_report())
+            due_s = loop.time() + CHECK_INTERVAL_S
+            await asyncio.sleep(CHECK_INTERVAL_S)
+            self.late_s += max(loop.time() - due_s, 0.0)

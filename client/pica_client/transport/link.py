@@ -53,7 +53,6 @@ from pica_protocol.messages import (
     Joined,
     Metadata,
     Moderation,
-    Report,
     Subscribe,
     Track,
     UpdateMetadata,
@@ -206,10 +205,6 @@ class Link:
         check_metadata("metadata", metadata)
         self._metadata = metadata
         self._wake.set()
-
-    def report(self, report: Report) -> None:
-        """Tell the relay how streams arrived, if it is there."""
-        self._tell(report)
 
     def moderate(self, message: Moderation) -> None:
         """Ask the relay to remove, mute or bar a member; dropped while nothing can be sent."""

@@ -28,12 +28,6 @@ _COUNTERS: Final = (
     ("frames_in", "frames_in", "Frames received."),
     ("frames_out", "frames_out", "Frames sent, counted for each receiver."),
     ("whispers", "whispers", "Private messages passed on."),
-    ("reported_lost", "reported_lost", "Frames receivers reported missing."),
-    (
-        "reported_concealed",
-        "reported_concealed",
-        "Display times receivers reported without a fresh frame.",
-    ),
 )
 """Name, field of `RelayStats`, explanation."""
 

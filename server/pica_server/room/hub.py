@@ -24,7 +24,6 @@ from pica_protocol.messages import (
     Join,
     MutePeer,
     RemovePeer,
-    Report,
     Subscribe,
     UpdateMetadata,
     Whisper,
@@ -223,9 +222,6 @@ class Hub:
                 self.membership.join(connection, event, now)
             case Closed():
                 self.membership.clear_up(connection, now)
-            case Report():
-                self.stats.reported_lost += sum(stream.lost for stream in event.streams)
-                self.stats.reported_concealed += sum(s.concealed for s in event.streams)
             case Subscribe(stream=stream, every=every):
                 self.forwarding.subscribe(connection, stream, every)
             case Whisper():

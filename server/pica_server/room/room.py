@@ -207,7 +207,7 @@ class Room:
 
     def receivers(self, stream: Stream, sequence: int, by_peer: Mapping[str, _T]) -> list[_T]:
         """Return what a mapping holds for each peer that gets a frame of a stream; to be read only.
-        It is kept until somebody comes, goes or subscribes."""
+        It is kept until a peer comes, goes or subscribes."""
         place = sequence % EVERY_MOST
         if stream.receivers is None:
             stream.receivers = [None] * EVERY_MOST

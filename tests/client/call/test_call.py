@@ -154,18 +154,6 @@ def test_rates_are_counted_from_the_beginning_of_the_window(call: Call) -> None:
     assert ada["longest_gap_ms"] == pytest.approx(33.3, abs=0.1)
 
 
-def test_a_report_tells_what_came_since_the_last(call: Call) -> None:
-    call.receive_event(joined(peer("p1", "Ada", 1)), now=0.0)
-    # Which frames are lost is known half a second later.
-    for sequence in (0, 1, *range(4, 24)):
-        call.receive_event(frame(1, sequence, sequence * 33_333), now=sequence / 30)
-        call.due_frames(sequence / 30 + 0.02)
-    (first,) = call.take_report().streams
-    assert (first.stream, first.received, first.lost, first.concealed) == (1, 22, 2, 2)
-    (second,) = call.take_report().streams
-    assert (second.received, second.lost) == (0, 0)
-
-
 def test_what_is_wrong_with_a_stream_stands_in_its_statistics(call: Call) -> None:
     call.receive_event(joined(peer("p1", "Ada", 1)), now=0.0)
     call.begin_window(0.0)

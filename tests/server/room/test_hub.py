@@ -11,8 +11,6 @@ from pica_protocol.messages import (
     Join,
     PeerJoined,
     PeerLeft,
-    Report,
-    StreamReport,
     Whisper,
 )
 from pica_server.auth.tokens import Admission
@@ -191,15 +189,6 @@ def test_a_ghost_does_not_keep_who_comes_back_out_of_a_crowded_address() -> None
     assert closed_code(ghost) == CloseCode.REPLACED
     assert hub.stats.limits_hit == {"address": 1}
     assert closed_code(Member(hub, "third", address="192.0.2.1")) == CloseCode.TOO_MANY
-
-
-def test_reports_are_added_up() -> None:
-    hub, (ada, bob) = hub_with("Ada", "Bob")
-    report = Report(streams=(StreamReport(stream=1, received=9, lost=2, concealed=1),) * 2)
-    bob.session.tell(report)
-    bob.speak(now=1.0)
-    assert (hub.stats.reported_lost, hub.stats.reported_concealed) == (4, 2)
-    assert ada.listen(now=1.0) == []
 
 
 def test_a_whisper_reaches_one_peer_under_its_senders_name() -> None:
