@@ -55,7 +55,7 @@ def decode_frame(profile: dict[str, Any], payload: bytes) -> tuple[list[int], bo
     coder = _RangeDecoder(payload)
     steps = profile["steps"][coder.symbol(profile["quality_table"])]
     header, num_latent = coder.symbol(profile["header_table"]), len(profile["table_index"])
-    q = [0] * len(steps)
+    q = [0] * (num_latent + 6)
     for k in range(num_latent) if header & 1 else ():
         context = bisect_right((1, 4, 9, 20, 40), sum(map(abs, q[max(k - 16, 0) : k])))
         s = coder.symbol(profile["tables"][profile["table_index"][k][context]])
@@ -67,9 +67,8 @@ def decode_frame(profile: dict[str, Any], payload: bytes) -> tuple[list[int], bo
         q[k] = magnitude if s % 2 else -magnitude
     for k, table in enumerate(profile["pose_tables"], num_latent) if header & 2 else ():
         if n := coder.symbol(table):
-            sign, low = 1 - 2 * coder.number(1), min(n - 1, 12)
-            q[k] = sign * (2 ** (n - 1) + coder.number(n - 1 - low) * 2**low + coder.number(low))
-    c = [value * step for value, step in zip(q, steps, strict=True)]
+            q[k] = (1 - 2 * coder.number(1)) * (2 ** (n - 1) + coder.number(n - 1))
+    c = [value * steps[max(0, (k - num_latent) // 3 + 1)] for k, value in enumerate(q)]
     if len(payload) > coder.next or max(map(abs, c)) > 65536:
         raise ValueError("no payload")
     return c, bool(header & 4)
@@ -90,7 +89,8 @@ if __name__ == "__main__":
         print(name, list(decode_media(data)) if data[0] == 2 else msgpack.unpackb(data[1:]))
     vectors = json.loads((GOLDEN / "stream.json").read_text())
     arrays = vectors["profile"].items()
-    profile = {name: np.reshape(a["values"], a["shape"]).tolist() for name, a in arrays}
+    shaped = {name: np.reshape(a["values"], a["shape"]).tolist() for name, a in arrays}
+    profile = shaped | vectors["fixed"]
     for quality, frames in vectors["streams"].items():
         for frame in frames:
             c, is_still = decode_frame(profile, bytes.fromhex(frame["payload"]))

@@ -89,8 +89,6 @@ def _decode(result: dict[str, Any]) -> Figures:
             found[f"draw_ratio_{row['distance_cm']:g}cm"] = row["over_baseline"]
         if row["work"] == "decode" and row["parts"] == "expression":
             found[f"ms_{row['level']}"] = row["ms"]
-        if row["work"] == "decode" and (row["level"], row["parts"]) == (64, "both"):
-            found["mse_64"] = row["mse"]
     return found
 
 

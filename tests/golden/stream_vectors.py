@@ -4,6 +4,7 @@
 language; all in it is integers or hexadecimal.
 
     profile        the arrays of docs/wire.md: type, shape, values row after row
+    fixed          what is the same for all profiles: steps by quality, and frequencies
     profile_hash   their SHA-256, as the handshake names them
     performance    faces: latents in units of 2^-12, poses (rotation, translation) of 2^-14; the
                    last one is held for so many faces more
@@ -27,13 +28,27 @@ if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from helpers.stream_toy import Publisher, Sent, toy_faces, toy_pose, toy_profile
-from pica_core.codec.latent_stream import StreamConfig, decode_frame
-from pica_core.codec.profile import StreamProfile
+from pica_core.codec.latent_stream import (
+    HEADER_TABLE,
+    POSE_TABLES,
+    QUALITY_TABLE,
+    STEPS,
+    StreamConfig,
+    decode_frame,
+)
+from pica_core.codec.profile import StreamProfile, coefficient_frequencies
+from pica_core.codec.range_coder import Table
 from pica_core.errors import LatentError
 
 GOLDEN = Path(__file__).with_name("stream.json")
 LATENT_UNIT, POSE_UNIT = 2.0**-12, 2.0**-14
 QUALITIES = (0, 2, 7)
+FRAME_TABLES = {"quality_table": QUALITY_TABLE, "header_table": HEADER_TABLE}
+
+
+def frequencies(table: Table) -> list[int]:
+    """The numbers that a table was made of."""
+    return [frequency for _, frequency in table.ranges]
 
 
 def read_profile(vectors: dict[str, Any]) -> StreamProfile:
@@ -89,6 +104,12 @@ def made_vectors() -> dict[str, Any]:
             }
             for name, array in sorted(profile.to_tensors().items())
         },
+        "fixed": {
+            "steps": STEPS,
+            **{name: frequencies(table) for name, table in FRAME_TABLES.items()},
+            "pose_tables": [frequencies(table) for table in POSE_TABLES],
+            "tables": coefficient_frequencies().tolist(),
+        },
         "profile_hash": profile.hash,
         "performance": {
             "latents": np.rint(talk / LATENT_UNIT).astype(int).reshape(-1, 256).tolist(),
@@ -124,7 +145,7 @@ def made_vectors() -> dict[str, Any]:
 def to_text(vectors: dict[str, Any]) -> str:
     """JSON with one frame or array a line."""
     text = json.dumps(vectors, separators=(",", ":"))
-    for opening in ('{"multiple"', '{"payload"', '{"type"', "[[", '"performance"'):
+    for opening in ('{"multiple"', '{"payload"', '{"type"', '"fixed"', "[[", '"performance"'):
         text = text.replace(opening, "\n" + opening)
     return text.replace("],[", "],\n[") + "\n"
 

@@ -64,11 +64,9 @@ def toy_pose(seed: int, num_frames: int) -> Float64Array:
 
 @functools.cache
 def toy_profile() -> StreamProfile:
-    """Eight components and eight tables, learned in a fraction of a second."""
+    """Eight components, learned in a fraction of a second."""
     faces = [toy_faces(seed, 150, live) for seed, live in ((1, 1.0), (2, 0.5), (3, 0.2))]
-    return learn_profile(
-        faces, toy_metric(), num_components=NUM_COMPONENTS, num_tables=8, turn_sweeps=2
-    )
+    return learn_profile(faces, toy_metric(), num_components=NUM_COMPONENTS, turn_sweeps=2)
 
 
 @functools.cache
@@ -78,7 +76,6 @@ def other_profile() -> StreamProfile:
         [toy_faces(9, 150)],
         toy_metric(),
         num_components=NUM_COMPONENTS,
-        num_tables=5,
         turn_sweeps=0,
     )
 

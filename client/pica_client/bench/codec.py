@@ -25,7 +25,13 @@ from pica_client.sources import open_source
 from pica_client.stats import wire_bytes
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
-from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, LatentSample, StreamConfig
+from pica_core.codec.latent_stream import (
+    STEPS,
+    LatentDecoder,
+    LatentEncoder,
+    LatentSample,
+    StreamConfig,
+)
 from pica_core.codec.profile import StreamProfile
 from pica_core.types import FloatArray
 from pica_protocol.frames import HEADER_BYTES
@@ -159,8 +165,8 @@ def _coders(profile: StreamProfile) -> dict[str, Coder]:
         config = StreamConfig(fps=FPS, quality=quality)
         return partial(code_stream, profile, config, every=every, lost_ratio=lost_ratio)
 
-    coders = {f"quality-{quality}": stream(quality) for quality in range(profile.num_qualities)}
-    quality = min(THINNED_QUALITY, profile.num_qualities - 1)
+    coders = {f"quality-{quality}": stream(quality) for quality in range(len(STEPS))}
+    quality = THINNED_QUALITY
     coders |= {
         f"quality-{quality}-every-{every}": stream(quality, every=every) for every in THINNED
     }

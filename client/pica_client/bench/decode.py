@@ -36,7 +36,6 @@ from pica_client.render.scene import Placement
 from pica_client.sources import open_source
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
-from pica_core.avatar.levels import judged_mse
 from pica_core.gl import wait_for_gpu
 from pica_core.reference.baseline import baseline_like
 from pica_core.types import FloatArray
@@ -150,13 +149,9 @@ class _Bench:
                 yield Case("draw", model, drawn, distance_cm=distance), draw
 
     def row(self, case: Case, took: dict[Case, list[Took]]) -> dict[str, Any]:
-        """What a case took, and what it drew or lost."""
+        """What a case took, and what it drew."""
         found: dict[str, Any] = case._asdict() | times_ms(took[case])
-        found |= dict.fromkeys(("mse", "pixels", "triangles", "over_baseline"))
-        judged = self._avatar.judged
-        if case.work == "decode" and case.level is not None and judged is not None:
-            left = judged_mse(judged[self._avatar.levels.index(case.level), 0])
-            found["mse"] = round(float(left), 3)
+        found |= dict.fromkeys(("pixels", "triangles", "over_baseline"))
         if case.distance_cm is not None:
             self.renderer.forget_frame()
             camera = self._camera(case.distance_cm)

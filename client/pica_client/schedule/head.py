@@ -17,7 +17,6 @@ from pica_client.decode.request import DecodeRequest
 from pica_client.render.scene import Placement
 from pica_client.schedule.visibility import NOTHING, Sight
 from pica_core.avatar.file import Avatar
-from pica_core.avatar.levels import judged_mse
 from pica_core.latent import LATENT_SHAPE
 from pica_core.types import FloatArray
 
@@ -26,13 +25,6 @@ Decode = Literal["none", "expression", "both"]
 BLEND_S = 0.12
 """How long maps of another level take to fade in (chosen: the eye sees no step, and the mixed face
 is gone before it could lag behind the voice)."""
-
-USUAL_MSE = (1.0, 33.0, 125.0)
-"""Judged error of the full maps on each mesh, the finest first, for which the heights of
-`SchedulerOptions` are (measured on a head of the face model: docs/architecture.md)."""
-SCALE_RANGE = (0.5, 1.0)
-"""Heights are moved by no more than these factors, whatever a file says; never so that a coarse
-mesh is kept for longer."""
 
 
 class Choice(NamedTuple):
@@ -97,16 +89,12 @@ class Head:
 
     num_triangles: tuple[int, ...] = field(init=False)
     """Triangles of each level's mesh."""
-    mesh_scale: tuple[float, ...] = field(init=False)
-    """How much earlier than usual each mesh is to be left for the next finer one: a mesh of this
-    avatar that spoils eyes and mouth, or pokes through, serves smaller heads alone. 1 is usual."""
     model: str = field(init=False)
     """What its costs are named in the cost model."""
 
     def __post_init__(self) -> None:
         avatar = self.avatar
         self.num_triangles = tuple(len(avatar.level_faces(level)) for level in avatar.levels)
-        self.mesh_scale = mesh_scale(avatar)
         self.model = f"{avatar.manifest.variant} {avatar.spec.block}"
 
     @property
@@ -161,13 +149,3 @@ class Head:
         """What is shown now fades out."""
         self.mesh_before, self.is_same_maps = self.shown_mesh, is_same_maps
         self.blend_from_s = now
-
-
-def mesh_scale(avatar: Avatar) -> tuple[float, ...]:
-    """The factor on the height up to which each level's mesh is good, by its judged error: an error
-    is seen at a height that falls with its root. All 1 without judgements."""
-    if avatar.judged is None:
-        return (1.0,) * len(avatar.levels)
-    seen = np.maximum(judged_mse(avatar.judged[:, 1]), 1e-6)
-    usual = np.array([USUAL_MSE[len(seen) - 1 - place] for place in range(len(seen))])
-    return tuple(np.clip(np.sqrt(usual / seen), *SCALE_RANGE).tolist())

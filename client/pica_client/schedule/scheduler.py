@@ -199,10 +199,7 @@ class Scheduler:
         before = levels.index(head.choice.mesh_level) if head.choice and held == top else -1
         coarsest = top - len(options.mesh_px)
         finer = sum(
-            is_reached(
-                threshold_px * head.mesh_scale[max(coarsest + number, 0)],
-                before > coarsest + number,
-            )
+            is_reached(threshold_px, before > coarsest + number)
             for number, threshold_px in enumerate(options.mesh_px)
         )
         if finer == 0 and top > 1:

@@ -41,7 +41,6 @@ import safetensors.numpy
 from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.avatar.decoder_layers import spec_tensor_shapes
 from pica_core.avatar.levels import (
-    JUDGED_NAME,
     STILL_NAME,
     check_indices,
     check_sheets,
@@ -160,13 +159,6 @@ class Avatar:
         if used is None:
             return sample_vertices(position_map, self.tensors["mesh.vertex_uv"])
         return position_map.reshape(-1, 3)[: len(used)]
-
-    @property
-    def judged(self) -> FloatArray | None:
-        """How its levels look where people look, ``[L, 2, 4]`` as `levels.JUDGED` says; None if
-        they were not judged."""
-        found: FloatArray | None = self.tensors.get(JUDGED_NAME)
-        return found
 
     def stream_profile(self, name: str | None = None) -> StreamProfile:
         """The tables of its latent stream, which every stream of this avatar is coded with.
@@ -436,9 +428,6 @@ def _check_tensors(spec: AvatarSpec, tensors: Mapping[str, Array]) -> None:
     if spec.geometry == "bases":
         check_linear(tensors)
     check_sheets(spec, tensors)
-    judged = tensors.get(JUDGED_NAME)
-    if judged is not None and judged.min() < 0:
-        raise ValueError(f"tensor level.judged has {judged.min():g}; errors are at least 0")
 
 
 def _with_ordered_metadata(data: bytes) -> bytes:

@@ -30,10 +30,6 @@ mesh, T is 1 to 4.
                                  of the first code, of the first channel; may be absent alone
     level.still                  [8, 8, 4]: the latent whose full expression map, seen from the
                                  front, is added to what levels below the full one make
-    level.judged                 [L, 2, 4] by level (ascending, the full one last), and drawing (its
-                                 maps and its mesh, the full maps on its mesh): MSE of eyes, of the
-                                 mouth and of the rest, and the ratio that pokes through, of heads
-                                 350 pixels high
 
 Where bases make the vertices (`linear`), a level has no ``geometry`` tensors: its sheet holds the
 same bases' vertices.
@@ -53,24 +49,9 @@ from pica_core.avatar.spec import POSITION_CHANNELS, AvatarSpec
 from pica_core.latent import LATENT_SHAPE, LATENT_SIZE
 from pica_core.types import Array, FloatArray
 
-NUM_DRAWINGS = 2
-"""Ways to draw the mesh of a level: with what the level makes, and with the full maps."""
 EXIT_DIVISORS = (4, 2)
 """Full map size over the size of each possible exit (chosen: the two last blocks are where the
 work of a decoder is)."""
-JUDGED = ("eyes", "mouth", "rest", "poke")
-"""Columns of a table of judgements: MSE 0-255 of what people look at most, of the rest, and the
-ratio of the head's pixels that show another piece of it than they should."""
-GAZE = (0.4, 0.3, 0.3)
-"""How much of their time people look at eyes, mouth and the rest of a face that talks (chosen)."""
-POKE_MSE = 2e4
-"""What the ratio of poking pixels counts as: 0.05 % like an MSE of 10 (chosen)."""
-
-
-def judged_mse(row: FloatArray) -> FloatArray:
-    """Judgements ``[..., 4]`` as one error each, by `GAZE` and `POKE_MSE`."""
-    found: FloatArray = row @ np.array([*GAZE, POKE_MSE], np.float32)
-    return found
 
 
 def level_sizes(spec: AvatarSpec) -> tuple[int, ...]:
@@ -84,7 +65,6 @@ MAX_TEXELS = 4
 """Most texels of the trunk that a vertex is made of."""
 LOCAL_TEXELS = 2
 """Side of a block of texels with weights of its own (measured: docs/architecture.md)."""
-JUDGED_NAME = PREFIX + "judged"
 STILL_NAME = PREFIX + "still"
 
 
@@ -192,8 +172,6 @@ def wanted_shapes(
                 wanted[local_name(size)] = local_shape(spec, size)
     if STILL_NAME in shapes:
         wanted[STILL_NAME] = LATENT_SHAPE
-    if JUDGED_NAME in shapes:
-        wanted[JUDGED_NAME] = (len(levels), NUM_DRAWINGS, len(JUDGED))
     return wanted
 
 

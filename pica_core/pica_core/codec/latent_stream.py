@@ -9,10 +9,10 @@ A frame is quantised coefficients of the latent and of the head pose:
     coefficient = value / step, rounded to the nearest
 
 A payload holds, in this order: the quality; what the frame holds (header); the coefficients of the
-latent, then those of the pose. A part in which all are 0 is left out. Probabilities come from the
-profile: each coefficient of the latent has a table by its place and by a context, which is how
-large the coefficients just before it in the same frame are. Pose coefficients are written as their
-length in bits, by a table of each, their sign and the rest. See docs/wire.md.
+latent, then those of the pose. A part in which all are 0 is left out. Each coefficient of the
+latent has a table by its place, as the profile says, and by a context, which is how large the
+coefficients just before it in the same frame are. Pose coefficients are written as their length in
+bits, their sign and the rest. See docs/wire.md.
 
 So any frame may be dropped by anybody, and a late joiner decodes the next one. A receiver that
 wants less gets the frames whose sequence number is a multiple of 2 or 4; `EncodedFrame.multiple`
@@ -25,20 +25,20 @@ All is integers. Nothing here knows of time or networks; `now_us` is an argument
 
 from bisect import bisect_right
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
 
-from pica_core.codec.profile import (
-    ACTIVITY_LEVELS,
-    ACTIVITY_WINDOW,
-    ESCAPE,
-    MAX_COEFFICIENT,
-    NUM_LENGTHS,
-    POSE_UNIT,
-    StreamProfile,
+from pica_core.codec.profile import ACTIVITY_LEVELS, ACTIVITY_WINDOW, ESCAPE, StreamProfile
+from pica_core.codec.range_coder import (
+    Range,
+    SymbolReader,
+    Table,
+    make_table,
+    uniform,
+    write_symbols,
 )
-from pica_core.codec.range_coder import Range, SymbolReader, Table, uniform, write_symbols
 from pica_core.errors import LatentError, ShapeError, check_ranges
 from pica_core.latent import LATENT_SHAPE, NUM_LATENT
 from pica_core.types import Array, FloatArray, Int64Array
@@ -105,6 +105,28 @@ HAS_LATENT, HAS_POSE, IS_STILL = 1, 2, 4
 REST_LENGTH_BITS = 4
 """What lies beyond an escape is written as its length in bits, so many, and then itself."""
 MAX_REST_BITS = 13
+POSE_UNIT = 2.0**-14
+MAX_COEFFICIENT = 1 << 16
+"""A decoder refuses coefficients beyond: 1000 times the largest rendered change there is."""
+STEPS = (
+    (80, 24, 5), (64, 20, 4), (48, 14, 3), (36, 12, 2), (28, 10, 2), (20, 8, 2), (14, 6, 1),
+    (10, 4, 1),
+)  # fmt: skip
+"""By quality, the finest last: of the latent, in 64ths of a root of rendered MSE; of rotations, in
+2⁻¹⁴ rad (a head turns by 2 to 4 mrad a frame; 12 is 0.7 mrad and leaves an error of 0.3 in its
+steps from frame to frame, with 48 half of its motion was noise: docs/results.md); of translations,
+in 2⁻¹⁴ m (2 is 0.12 mm, and a head moves by 0.2 to 0.4 mm a frame)."""
+DEFAULT_QUALITY = 3
+QUALITY_TABLE = make_table((192, 192, 192, 11426, 3810, 191, 191, 190))
+HEADER_TABLE = make_table((1, 2886, 2, 13169, 1, 59, 1, 265))
+ROTATION_TABLE = make_table(
+    (4599, 1900, 1350, 1850, 2450, 2150, 1450, 540, 60, 20, 8, 2, 2, 1, 1, 1)
+)
+TRANSLATION_TABLE = make_table(
+    (4199, 2400, 1950, 2400, 2500, 1800, 860, 220, 30, 12, 6, 2, 2, 1, 1, 1)
+)
+"""How likely lengths of 0 to 15 bits are (counted of heads that nod, turn and rest)."""
+POSE_TABLES = (*[ROTATION_TABLE] * 3, *[TRANSLATION_TABLE] * 3)
 LEAST_QUARTER_FPS = 5.0
 """What is left of a stream by the quarter of its sequence numbers, at least: less is a slide show.
 Slower streams leave numbers out."""
@@ -112,7 +134,6 @@ MOVED_FACE, MOVED_POSE = 18, (8, 8, 8, 2, 2, 2)
 """How far a coefficient must move, in its units, for a face not to be still: a quarter of a root of
 rendered MSE, half a milliradian, an eighth of a millimetre (chosen: below is what trackers do by
 themselves)."""
-DEFAULT_QUALITY = 3
 STILL_AFTER_US = 250_000
 """A face that has not changed for so long falls silent."""
 HEARTBEAT_US = 250_000
@@ -132,7 +153,7 @@ class StreamConfig:
     """0 is the coarsest; each step up costs about a quarter more bits."""
 
     def __post_init__(self) -> None:
-        check_ranges(self, fps=(0.1, 1000), quality=(0, 15))
+        check_ranges(self, fps=(0.1, 1000), quality=(0, len(STEPS) - 1))
 
     @property
     def multiples(self) -> tuple[int, ...]:
@@ -140,6 +161,14 @@ class StreamConfig:
         if self.fps < 2 * LEAST_QUARTER_FPS:
             return (4,)
         return (4, 2) if self.fps < 4 * LEAST_QUARTER_FPS else (4, 1, 2, 1)
+
+
+@cache
+def steps_of(quality: int, num_components: int) -> Int64Array:
+    """The step of each coefficient, ``[C]``, of which so many are the latent's."""
+    steps = np.repeat(np.array(STEPS[quality], np.int64), (num_components, 3, 3))
+    steps.flags.writeable = False
+    return steps
 
 
 def quantise(values: Int64Array, steps: Array) -> Int64Array:
@@ -155,29 +184,23 @@ def encode_frame(
     """Write one frame.
 
     Args:
-        quantised: Coefficients in steps, ``[C]``.
-        quality: Row of the profile's steps.
+        quantised: Coefficients in steps, ``[C]``, within `MAX_COEFFICIENT` when multiplied by them.
+        quality: Row of `STEPS`.
         is_still: Whether the sender falls silent after it.
-
-    Raises:
-        LatentError: A coefficient is beyond what a frame can hold.
     """
     values: list[int] = quantised.tolist()
     face, pose = values[: profile.num_components], values[profile.num_components :]
     header = HAS_LATENT * any(face) + HAS_POSE * any(pose) + IS_STILL * is_still
-    qualities, headers, lengths = profile.frame_tables
-    ranges = [qualities.ranges[quality], headers.ranges[header]]
+    ranges = [QUALITY_TABLE.ranges[quality], HEADER_TABLE.ranges[header]]
     if header & HAS_LATENT:
-        _write_face(ranges, face, profile.residual_tables)
+        _write_face(ranges, face, profile.tables)
     if header & HAS_POSE:
-        for value, table in zip(pose, lengths, strict=True):
+        for value, table in zip(pose, POSE_TABLES, strict=True):
             length = abs(value).bit_length()
-            if length >= NUM_LENGTHS:
-                raise LatentError(f"a pose of {value} steps is beyond what a frame can hold")
             ranges.append(table.ranges[length])
             if length:
                 ranges.append(uniform(value < 0, 1))
-                _write_bits(ranges, abs(value) - (1 << (length - 1)), length - 1)
+                ranges.append(uniform(abs(value) - (1 << (length - 1)), length - 1))
     return write_symbols(ranges)
 
 
@@ -191,19 +214,18 @@ def decode_frame(profile: StreamProfile, payload: bytes) -> tuple[Int64Array, bo
         LatentError: The payload is no frame of this profile.
     """
     reader = SymbolReader(payload)
-    qualities, headers, lengths = profile.frame_tables
-    quality, header = reader.read(qualities), reader.read(headers)
+    quality, header = reader.read(QUALITY_TABLE), reader.read(HEADER_TABLE)
     values = [0] * profile.num_coefficients
     if header & HAS_LATENT:
-        _read_face(reader, values, profile.residual_tables)
+        _read_face(reader, values, profile.tables)
     if header & HAS_POSE:
-        for place, table in enumerate(lengths, profile.num_components):
+        for place, table in enumerate(POSE_TABLES, profile.num_components):
             if length := reader.read(table):
                 is_negative = reader.read_uniform(1)
-                magnitude = (1 << (length - 1)) + _read_bits(reader, length - 1)
+                magnitude = (1 << (length - 1)) + reader.read_uniform(length - 1)
                 values[place] = -magnitude if is_negative else magnitude
     reader.finish()
-    coefficients = np.array(values, np.int64) * profile.steps[quality]
+    coefficients = np.array(values, np.int64) * steps_of(quality, profile.num_components)
     if np.abs(coefficients).max() > MAX_COEFFICIENT:
         raise LatentError(f"a coefficient is beyond the limit of {MAX_COEFFICIENT}")
     return coefficients, bool(header & IS_STILL)
@@ -221,8 +243,6 @@ def _write_face(
         if magnitude >= ESCAPE:
             rest = magnitude - ESCAPE + 1
             length = rest.bit_length() - 1
-            if length > MAX_REST_BITS:
-                raise LatentError(f"a coefficient of {value} steps is beyond what a frame can hold")
             ranges.append(uniform(length, REST_LENGTH_BITS))
             ranges.append(uniform(rest - (1 << length), length))
         activity += magnitude
@@ -249,37 +269,13 @@ def _read_face(
             activity -= abs(values[place - ACTIVITY_WINDOW])
 
 
-def _write_bits(ranges: list[Range], value: int, count: int) -> None:
-    """Write a number of up to 24 bits, the upper ones first."""
-    low = min(count, 12)
-    ranges += [uniform(value >> low, count - low), uniform(value & ((1 << low) - 1), low)]
-
-
-def _read_bits(reader: SymbolReader, count: int) -> int:
-    low = min(count, 12)
-    return reader.read_uniform(count - low) << low | reader.read_uniform(low)
-
-
 class LatentEncoder:
     """The sending end of one stream."""
 
     def __init__(self, profile: StreamProfile, config: StreamConfig | None = None) -> None:
-        """Begin a stream.
-
-        Raises:
-            LatentError: A quality that the profile does not have.
-        """
         self.profile = profile
         self.config = config or StreamConfig()
-        highest = profile.num_qualities - 1
-        if self.config.quality > highest:
-            raise LatentError(f"quality is {self.config.quality}; this avatar has 0 to {highest}")
         self._multiples = self.config.multiples
-        finest = min(self.config.quality + 1, highest)
-        least_step = int(profile.steps[finest, : profile.num_components].min())
-        # Far from the limit of what is decoded: rounding must not step over it.
-        largest = (ESCAPE + (1 << MAX_REST_BITS)) * least_step
-        self._largest_face = min(MAX_COEFFICIENT // 2, largest)
         self._moved = np.full(profile.num_coefficients, MOVED_FACE)
         self._moved[profile.num_components :] = MOVED_POSE
         self.restart()
@@ -330,9 +326,8 @@ class LatentEncoder:
             since_us = self._quiet_since_us
             self._is_silent = since_us is not None and now_us - since_us >= STILL_AFTER_US
         self._phase = (self._phase + 1) % len(self._multiples)
-        quality = min(self.config.quality + self._is_silent, self.profile.num_qualities - 1)
-        steps = self.profile.steps[quality]
-        quantised = quantise(wanted, steps)
+        quality = min(self.config.quality + self._is_silent, len(STEPS) - 1)
+        quantised = quantise(wanted, steps_of(quality, self.profile.num_components))
         payload = encode_frame(self.profile, quantised, quality, is_still=self._is_silent)
         self._sent, self._sent_us = wanted, now_us
         return EncodedFrame(payload, multiple)
@@ -351,7 +346,8 @@ class LatentEncoder:
             raise LatentError("latent or pose holds a value that is not finite")
         units = np.rint(np.clip(pose.reshape(-1), -MAX_POSE, MAX_POSE) / POSE_UNIT)
         face = self.profile.analyse(values.reshape(NUM_LATENT))
-        np.clip(face, -self._largest_face, self._largest_face, out=face)
+        # Far from the limit of what is decoded: rounding must not step over it.
+        np.clip(face, -MAX_COEFFICIENT // 2, MAX_COEFFICIENT // 2, out=face)
         return np.concatenate((face, units.astype(np.int64)))
 
 

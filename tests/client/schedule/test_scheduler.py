@@ -6,7 +6,6 @@ import itertools
 import math
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,7 +17,6 @@ from helpers.scheduler_heads import (
     FRAME_S,
     LEVELS,
     NOW_S,
-    TOY,
     choose,
     detail,
     plan,
@@ -399,18 +397,3 @@ def test_an_expression_map_for_an_older_latent_says_its_age() -> None:
     request = head.request(NOW_S)
     assert request is not None
     assert (request.parts, request.captured_us) == ("expression", 0)
-
-
-def test_a_mesh_that_spoils_eyes_is_left_at_smaller_heads() -> None:
-    judged = np.zeros((3, 2, 4), np.float32)
-    judged[:2, 1, 0] = 1000, 70
-    tensors = dict(TOY.tensors) | {"level.judged": judged}
-    spoilt = Head(slot="ada", avatar=replace(TOY, tensors=tensors))
-    usual = Head(slot="ada", avatar=TOY)
-    found = []
-    for head in (usual, spoilt):
-        head.sight = view(head_px=200).sight
-        found.append(detail(choose(head)))
-    assert usual.mesh_scale == (1, 1, 1)
-    assert spoilt.mesh_scale[0] == pytest.approx((125 / 400) ** 0.5)
-    assert found == [(128, 128), (256, 128)]

@@ -197,8 +197,6 @@ def test_a_mesh_without_its_level_is_refused(tmp_path: Path) -> None:
         ("level.64.faces", np.full((9, 3), 64, np.int32), r"level\.64\.faces names vertices 64"),
         ("level.64.faces", np.zeros((0, 3), np.int32), "0 rows; allowed are 1 to"),
         ("level.64.faces", np.zeros((400_001, 3), np.int32), "400001 rows; allowed are 1 to"),
-        ("level.judged", np.zeros((2, 2, 4), np.float32), r"shape \[2, 2, 4\]; \[3, 2, 4\]"),
-        ("level.judged", np.full((3, 2, 4), -1, np.float32), "errors are at least 0"),
         ("level.64.geometry.mean", np.full((1, 64, 3), np.nan, np.float32), "not finite"),
         ("level.128.geometry.weight", np.full((1, 128, 48), 1e9, np.float32), "beyond 1e"),
     ],

@@ -15,6 +15,7 @@ from golden.stream_vectors import (
     decoded,
     encode_stream,
     latent_units,
+    made_vectors,
     read_profile,
     units_hash,
 )
@@ -33,7 +34,11 @@ SECOND = runpy.run_path(str(ROOT / "examples" / "24_decode_without_pica.py"))
 LISTS = {
     name: np.array(array["values"]).reshape(array["shape"]).tolist()
     for name, array in VECTORS["profile"].items()
-}
+} | VECTORS["fixed"]
+
+
+def test_what_is_the_same_for_all_profiles_is_golden() -> None:
+    assert json.loads(json.dumps(made_vectors()["fixed"])) == VECTORS["fixed"]
 
 
 def test_the_profile_has_its_golden_name() -> None:

@@ -26,10 +26,10 @@ from pica_core.train.export import (
     EVALUATION_FILE,
     joint_map,
     make_avatar,
+    make_stream_profile,
     model_card,
 )
 from pica_core.train.lod.levels import add_levels
-from pica_core.train.stream_metric import make_stream_profile
 from pica_core.train.train import CHECKPOINT, Losses, Trainer, open_trainer, read_checkpoint
 
 RUN_FILE = "run.json"

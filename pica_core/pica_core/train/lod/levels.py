@@ -18,7 +18,6 @@ from pica_core.avatar.arkit import ARKIT_NAMES
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.levels import (
-    JUDGED_NAME,
     PREFIX,
     STILL_NAME,
     faces_name,
@@ -41,12 +40,9 @@ from pica_core.train.lod.exits import (
     fit_sheet,
 )
 from pica_core.train.lod.judge import (
-    Judge,
     PokeFinder,
-    judge_levels,
     looked_at,
     seen_vertices,
-    shown_faces,
 )
 from pica_core.train.lod.simplify import Simplifier
 from pica_core.train.lod.static import mark_static
@@ -106,8 +102,8 @@ def add_levels(
     options: LevelOptions | None = None,
     show: Callable[[str], None] = lambda _: None,
 ) -> Avatar:
-    """Fit exits and simplify meshes for every level below the full one: the avatar with its levels,
-    how good they look, and its static surface marked."""
+    """Fit exits and simplify meshes for every level below the full one: the avatar with its levels
+    and its static surface marked."""
     options = options or LevelOptions()
     tensors = dict(avatar.tensors)
     faces = _draw_faces(avatar, options)
@@ -119,9 +115,8 @@ def add_levels(
     tensors[STILL_NAME] = mean_face.latents[0].permute(1, 2, 0).numpy().copy()
     regions = looked_at(avatar, full.vertices_m)
     meshes = _simplify(full, regions, options)[-len(levels) :]
-    seen, drawn = shown_faces(avatar), []
     for level, mesh, texels in zip(levels, meshes, options.texels[-len(levels) :], strict=True):
-        show(f"level {level}: exits")
+        show(f"level {level}: {len(mesh)} triangles; exits")
         geometry = None  # bases need no exit: they make a level's vertices as they are
         if "geometry" in full.decoders:
             rest = full.mean_map / avatar.manifest.position_scale_m
@@ -139,21 +134,6 @@ def add_levels(
         if level == levels[0]:  # finer ones leave little, and their weights are four times as many
             expression = fit_local(full.decoders["expression"], faces, level, expression)
         tensors |= _exit_tensors(avatar, level, geometry, expression) | {faces_name(level): mesh}
-        runs = list(full.decoders["expression"].run(seen, level))
-        own = None
-        if geometry is not None:
-            own = full.vertices_m(seen).copy()
-            own[:, np.unique(mesh)] = full.sheet_m(geometry, seen, level)
-        drawn.append((own, torch.cat([expression(trunk) for trunk, _ in runs])))
-        full_maps = torch.cat([maps for _, maps in runs])
-    show("judging")
-    judge = Judge(avatar, regions, full.vertices_m(seen), full_maps, still)
-    judged = tensors[JUDGED_NAME] = judge_levels(judge, meshes, drawn)
-    for level, mesh, (eyes, mouth, rest, poke) in zip(levels, meshes, judged[:, 0], strict=False):
-        show(
-            f"level {level}: {len(mesh)} triangles; MSE of eyes {eyes:.1f}, mouth {mouth:.1f}, "
-            f"the rest {rest:.1f}; {poke:.3%} of the pixels poke through"
-        )
     show("static surfaces")
     return mark_static(Avatar(avatar.manifest, tensors))
 
@@ -238,12 +218,6 @@ class _FullLevel:
         components = components_of(tensors, scale, chosen.astype(np.int32))
         moved = np.tensordot(weights.astype(np.float32), components, axes=1)
         return np.asarray(self.avatar.mean_vertices_m[chosen] + moved)
-
-    def sheet_m(self, geometry: SheetExit, faces: FaceSet, level: int) -> Array:
-        """Vertices that an exit makes of faces, metres, ``[N, V, 3]``."""
-        trunks = (trunk for trunk, _ in self.decoders["geometry"].run(faces, level))
-        sheet: Array = torch.cat([geometry(trunk) for trunk in trunks]).numpy()
-        return self.avatar.manifest.position_scale_m * sheet
 
 
 def _far_apart(shapes: Array, count: int) -> Array:

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import functools
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
 from helpers.toy import grid_faces, make_toy_avatar
-from pica_core.avatar.file import Avatar, load_avatar, save_avatar
-from pica_core.avatar.levels import JUDGED
+from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import AvatarSpec
-from pica_core.errors import AvatarFileError
 from pica_core.model.decoders import sample_map
 from pica_core.train.lod.exits import (
     FaceSet,
@@ -162,21 +159,7 @@ def test_vertices_within_a_texel_of_the_map_go_first() -> None:
     assert crowded[0] < 0.9 * crowded[1] <= 0.9 * crowded[2]
 
 
-# Judgements
-
-
-def test_levels_are_judged_where_people_look(tmp_path: Path) -> None:
-    avatar = levelled()
-    judged = avatar.judged
-    assert judged is not None
-    assert judged.shape == (len(avatar.levels), 2, len(JUDGED))
-    assert (judged[-1] == 0).all()
-    assert (judged[:-1, :, :3] > 0).any()
-    assert (judged[..., 3] <= 1).all()
-    save_avatar(tmp_path / "a.pica", avatar)
-    again = load_avatar(tmp_path / "a.pica").judged
-    assert again is not None
-    np.testing.assert_allclose(again, judged, rtol=2e-3, atol=1e-6)
+# What is seen
 
 
 def test_what_another_surface_hides_from_every_view_is_not_seen() -> None:
@@ -207,12 +190,3 @@ def test_what_pokes_through_a_coarser_mesh_is_found_with_the_vertices_at_fault()
     assert 0.02 < most < 0.2, "a sixteenth of the dome, seen from the front"
     assert near[81:].sum() > 16, "of the sheet that shows"
     assert not near[[0, 8, 72, 80]].any()
-
-
-@pytest.mark.parametrize("value", [-1.0, np.nan])
-def test_a_judgement_that_is_no_error_is_refused(tmp_path: Path, value: float) -> None:
-    avatar = levelled()
-    judged = np.full((len(avatar.levels), 2, len(JUDGED)), value, np.float32)
-    broken = Avatar(avatar.manifest, dict(avatar.tensors) | {"level.judged": judged})
-    with pytest.raises(AvatarFileError, match="judged"):
-        save_avatar(tmp_path / "a.pica", broken)
