@@ -22,8 +22,6 @@ from pica_protocol.messages import Moderation
 
 CLICK_PX = 5.0
 """A press that moves less than this before it is let go is a click."""
-KEY_ORBIT_PX = 40.0
-"""An arrow key drags the view by so many pixels."""
 MAX_PINNED_BY_KEY = 9
 TALK_KEY = imgui.Key.space
 """Held to be heard, where the settings say so."""
@@ -43,10 +41,6 @@ class Action(Enum):
     UNPIN = auto()
     COME_CLOSER = auto()
     GO_BACK = auto()
-    LOOK_LEFT = auto()
-    LOOK_RIGHT = auto()
-    LOOK_UP = auto()
-    LOOK_DOWN = auto()
     SCREENSHOT = auto()
     RECORD = auto()
     PARTICIPANTS = auto()
@@ -120,13 +114,6 @@ KEY_NAMES = {
 """Keys that ImGui calls otherwise than people do."""
 
 
-def _orbit(right: float, down: float) -> Callable[[ViewState], None]:
-    def change(state: ViewState) -> None:
-        state.orbit = state.orbit.orbited(right * KEY_ORBIT_PX, down * KEY_ORBIT_PX, state.limits)
-
-    return change
-
-
 def _zoom(steps: float) -> Callable[[ViewState], None]:
     def change(state: ViewState) -> None:
         state.orbit = state.orbit.zoomed(steps)
@@ -180,10 +167,6 @@ ACTIONS: Final[dict[Action, Row]] = {
     Action.GO_BACK: Row(
         keys=(_KEY.minus, _KEY.keypad_subtract), title="go back", change=_zoom(-1), repeats=True
     ),
-    Action.LOOK_LEFT: Row(keys=(_KEY.left_arrow,), change=_orbit(1, 0), repeats=True),
-    Action.LOOK_RIGHT: Row(keys=(_KEY.right_arrow,), change=_orbit(-1, 0), repeats=True),
-    Action.LOOK_UP: Row(keys=(_KEY.up_arrow,), change=_orbit(0, 1), repeats=True),
-    Action.LOOK_DOWN: Row(keys=(_KEY.down_arrow,), change=_orbit(0, -1), repeats=True),
     Action.MUTE_VOICE: Row(
         keys=(_KEY.t,),
         title="mute own voice",
@@ -287,7 +270,7 @@ def help_lines(state: ViewState) -> tuple[tuple[str, str], ...]:
         if row.title and (row.needs != "face" or row.is_possible(state))
     )
     return (
-        ("drag, arrows", "look around"),
+        ("drag", "look around"),
         ("wheel", "come closer, go back"),
         (f"click, 1 to {MAX_PINNED_BY_KEY}", "pin a participant, or not"),
         (imgui.get_key_name(TALK_KEY), "hold to talk, if set so"),

@@ -2,14 +2,12 @@
 
     form = JoinForm(ViewState(url="ws://127.0.0.1:8765"), link_of)
     form.state.room = "standup"
-    form.obey("join")
+    form.join()
     form.outcome                    # "join" once the fields can be right
 
 Errors are put into a person's words: what it is, and what helps. The raw error is kept as details.
 """
 
-import errno
-import re
 import socket
 import ssl
 from collections.abc import Callable
@@ -45,10 +43,6 @@ SOURCES: tuple[tuple[str, str], ...] = (
     ("", "Watch only"),
 )
 """Face sources to choose from, and what they are called."""
-
-
-JoinRequest = Literal["typed", "join", "leave", "show meters", "test sound"]
-"""What the form asks for; "typed" is after each change of a field."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,10 +107,30 @@ FIELDS: dict[str, tuple[str, str]] = {
 
 _CHECK_ADDRESS = "Check the address for typing errors, or ask your host for an invite link."
 _NOT_A_RELAY = ("Something else answers at this address, not a PiCA relay.", _CHECK_ADDRESS)
-_NO_ANSWER = (
-    "No relay answers at this address.",
-    "Check the address and that the relay runs. Both ends must allow this port in their firewall.",
+CAUSES: tuple[
+    tuple[type[BaseException] | tuple[type[BaseException], ...], tuple[str, str]], ...
+] = (
+    (
+        ssl.SSLCertVerificationError,
+        (
+            "The relay's certificate is not trusted.",
+            "Check the address. If the relay has a certificate of its own, ask for its CA file and"
+            " give it under More.",
+        ),
+    ),
+    (ssl.SSLError, ("The relay does not encrypt its connections.", "Try ws:// instead of wss://.")),
+    (socket.gaierror, ("There is no computer of that name.", _CHECK_ADDRESS)),
+    ((InvalidHandshake, EOFError, RelayRefusedError), _NOT_A_RELAY),
+    (
+        BaseException,
+        (
+            "No relay answers at this address.",
+            "Check the address, that you are online and that the relay runs. Both ends must allow"
+            " this port in their firewall.",
+        ),
+    ),
 )
+"""What the network's own errors mean, and what helps; the first that fits."""
 
 
 def explain(error: BaseException) -> Trouble:
@@ -129,8 +143,12 @@ def _words(error: BaseException) -> tuple[str, str]:
     match error:
         case RelayRefusedError(code=int(code)) if code in REFUSALS:
             return REFUSALS[code]
+        case RelayRefusedError(code=int()):
+            return "The relay said no.", _CHECK_ADDRESS
         case RelayRefusedError() | RelayUnreachableError():
-            return _words_of_cause(error)
+            while error.__cause__ is not None:
+                error = error.__cause__
+            return next(words for kinds, words in CAUSES if isinstance(error, kinds))
         case SourceError():
             return "Your face cannot be read from this source.", "Choose another face source."
         case AvatarLookupError():
@@ -143,50 +161,6 @@ def _words(error: BaseException) -> tuple[str, str]:
     return "Joining did not work.", "Try again; the details say what happened."
 
 
-def _words_of_cause(error: BaseException) -> tuple[str, str]:
-    """What the network said."""
-    cause: BaseException = error
-    while cause.__cause__ is not None:
-        cause = cause.__cause__
-    match cause:
-        case ssl.SSLCertVerificationError():
-            return (
-                "The relay's certificate is not trusted.",
-                "Check the address. If the relay has a certificate of its own, ask for its CA file"
-                " and give it under More.",
-            )
-        case ssl.SSLError():
-            return "The relay does not encrypt its connections.", "Try ws:// instead of wss://."
-        case socket.gaierror():
-            return "There is no computer of that name.", _CHECK_ADDRESS
-        case OSError() if _has_number(cause, {errno.ECONNREFUSED, 10061}):
-            return "Nothing runs at this address.", "Check the port, and that the relay is running."
-        case OSError() if _has_number(cause, {errno.EPERM, errno.EACCES, 10013}):
-            return (
-                "This computer does not allow the connection.",
-                "Allow PiCA in its firewall, or try another network.",
-            )
-        case OSError() if _has_number(cause, {errno.ENETUNREACH, errno.EHOSTUNREACH, 10051, 10065}):
-            return (
-                "The network does not lead to this address.",
-                "Check that you are online, and the address.",
-            )
-        case InvalidHandshake() | EOFError():
-            return _NOT_A_RELAY
-        case RelayRefusedError():
-            return _NOT_A_RELAY if cause.code is None else ("The relay said no.", _CHECK_ADDRESS)
-    return _NO_ANSWER
-
-
-def _has_number(error: OSError, numbers: set[int]) -> bool:
-    """Whether this is one of the system's errors, or holds only such: a name with several addresses
-    gives one error for all of them."""
-    if error.errno is not None:
-        return error.errno in numbers
-    found = {int(number) for number in re.findall(r"\[Errno (\d+)\]", str(error))}
-    return bool(found) and found <= numbers
-
-
 class JoinForm:
     """What is typed into a `ViewState`, and what is wrong with it.
 
@@ -197,32 +171,34 @@ class JoinForm:
     Attributes:
         trouble: What is wrong, for people; None when nothing is known to be.
         outcome: "asking" until the user wants to join or to leave.
+        shows_meters: The microphone is to be heard by its owner alone.
+        wants_test: A test sound is to be played.
     """
 
     def __init__(self, state: ViewState, link_of: Callable[[ViewState], LinkConfig]) -> None:
         self.state = state
         self.trouble: Trouble | None = None
         self.outcome: Literal["asking", "join", "leave"] = "asking"
+        self.shows_meters = self.wants_test = False
         self._link_of = link_of
 
-    def obey(self, request: JoinRequest) -> None:
-        """Take what a button of the form asks for."""
-        if request == "leave":
-            self.outcome = "leave"
-        elif request == "typed":
-            self.trouble = None
-            if is_link(self.state.url):
-                try:
-                    follow_invite(self.state, self.state.url)
-                except ValueError as error:
-                    self.trouble = Trouble(f"{error}.")
-        elif request == "join":
+    def typed(self) -> None:
+        """A field has changed: an invite link in the first one fills in the others."""
+        self.trouble = None
+        if is_link(self.state.url):
             try:
-                self._link_of(self.state)
-            except OptionError as error:
-                self.refuse(error)
-            else:
-                self.trouble, self.outcome = None, "join"
+                follow_invite(self.state, self.state.url)
+            except ValueError as error:
+                self.trouble = Trouble(f"{error}.")
+
+    def join(self) -> None:
+        """Join, if the fields can be right."""
+        try:
+            self._link_of(self.state)
+        except OptionError as error:
+            self.refuse(error)
+        else:
+            self.trouble, self.outcome = None, "join"
 
     def refuse(self, error: BaseException) -> None:
         """Ask again, saying why."""

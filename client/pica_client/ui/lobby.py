@@ -13,7 +13,7 @@ from pica_client.avatars.upload import avatar_by_name
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.room import STILL
 from pica_client.system import Closing
-from pica_client.ui.join_form import JoinForm, JoinRequest
+from pica_client.ui.join_form import JoinForm
 from pica_client.ui.panels.join import JoinView, connecting_panel, join_panel
 from pica_client.ui.panels.settings import MICROPHONE
 from pica_client.ui.surface.style import Metrics
@@ -56,24 +56,22 @@ class Lobby(Closing):
     def ask(self, form: JoinForm) -> bool:
         """Show the form until the user wants to join, True, or to leave."""
         while form.outcome == "asking":
-            requests = self._frame(lambda metrics: join_panel(form, self._view(form), metrics))
-            for request in requests:
-                form.obey(request)
+            self._frame(lambda metrics: join_panel(form, self._view(form), metrics))
             if self._wants_close:
-                form.obey("leave")
+                form.outcome = "leave"
             if self._sound is not None:
-                self._try_sound(self._sound, form, requests)
+                self._try_sound(self._sound, form)
         return form.outcome == "join"
 
-    def _try_sound(self, sound: SoundProcess, form: JoinForm, requests: list[JoinRequest]) -> None:
+    def _try_sound(self, sound: SoundProcess, form: JoinForm) -> None:
         """Let the microphone be heard by its owner alone, as long as the meters are shown."""
         sound.follow(form.state.sound)
-        is_shown = "show meters" in requests and form.outcome == "asking"
+        is_shown = form.shows_meters and form.outcome == "asking"
         listens = is_shown and form.state.voice == MICROPHONE
         if listens != self._listens:
             self._listens = listens
             sound.use_microphone(listens)
-        if "test sound" in requests:
+        if form.wants_test:
             sound.play_test()
 
     def wait(self, what: str, is_over: Callable[[], bool]) -> bool:

@@ -172,11 +172,11 @@ def view_calls(
     form = JoinForm(state, partial(link_of, options))
     state.can_rejoin = asks
     with ExitStack() as stack:
-        window = sound = lobby = None
+        window = lobby = None
+        sound = stack.enter_context(closing(SoundProcess(state.sound)))
         if asks:
             window = stack.enter_context(Window(state.window_size))
-            sound = None if available() else stack.enter_context(closing(SoundProcess()))
-            lobby = stack.enter_context(Lobby(window, library, sound))
+            lobby = stack.enter_context(Lobby(window, library, None if available() else sound))
         pool = stack.enter_context(ThreadPoolExecutor(1, thread_name_prefix="own-face"))
 
         def stay_once() -> dict[str, Any] | None:
@@ -219,7 +219,7 @@ class Stay:
         state: What the user wants; as they left it once `run` has returned.
         face: The user's own; None only watches.
         window: To show it in, which stays open; None opens a new one.
-        sound: Plays and captures, and goes on afterwards; None takes a new one.
+        sound: Plays and captures, and goes on afterwards.
         waiting: Called again and again until we are in the room; False gives up.
 
     Raises:
@@ -234,7 +234,7 @@ class Stay:
         library: AvatarLibrary,
         face: OutgoingFace | None,
         window: Window | None,
-        sound: SoundProcess | None,
+        sound: SoundProcess,
         waiting: Callable[[], bool] | None,
     ) -> None:
         check_writable(options.png, ".png")
@@ -248,9 +248,6 @@ class Stay:
         if options.fetch:
             tls = None if link.ca_file is None else trusting(link.ca_file)
             self._fetcher = AvatarFetcher(library, lambda: self._receiver.link.url, tls=tls)
-        self._own_sound = SoundProcess(state.sound) if sound is None else None
-        sound = sound or self._own_sound
-        assert sound is not None
         voice = sound if state.voice == "mic" else open_voice(state.voice or "none")
         self._hearing = None
         if options.speaker != "off":
@@ -298,8 +295,6 @@ class Stay:
             if self._hearing is not None:
                 stack.callback(self._hearing.seat, ())
             stack.enter_context(self._receiver)
-            if self._own_sound is not None:
-                stack.callback(self._own_sound.close)
             if not self._wait_for_peers():
                 return None
             controls = None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import socket
 import ssl
 from dataclasses import replace
@@ -36,7 +35,7 @@ def form_of(state: ViewState = FILLED) -> JoinForm:
 
 def test_filled_fields_are_joined() -> None:
     form = form_of()
-    form.obey("join")
+    form.join()
     assert form.outcome == "join"
     link = link_of(ViewOptions(), form.state)
     assert (link.url, link.room, link.name) == (FILLED.url, "lobby", "Ada")
@@ -53,7 +52,7 @@ def test_filled_fields_are_joined() -> None:
 )
 def test_what_cannot_be_right_is_said(state: ViewState, error: str) -> None:
     form = form_of(state)
-    form.obey("join")
+    form.join()
     assert form.outcome == "asking"
     assert form.trouble is not None
     assert error in form.trouble.what
@@ -61,12 +60,12 @@ def test_what_cannot_be_right_is_said(state: ViewState, error: str) -> None:
 
 def test_a_refused_join_can_be_tried_again_and_typing_takes_the_error_away() -> None:
     form = form_of()
-    form.obey("join")
+    form.join()
     form.refuse(RelayUnreachableError("no relay answers"))
     assert (form.outcome, form.trouble is None) == ("asking", False)
-    form.obey("typed")
+    form.typed()
     assert form.trouble is None
-    form.obey("join")
+    form.join()
     assert form.outcome == "join"
 
 
@@ -118,7 +117,7 @@ def test_the_face_is_the_one_that_was_chosen() -> None:
 def test_an_invite_link_in_the_first_field_fills_the_form() -> None:
     form = form_of()
     form.state.url = "pica://relay.example/standup#token=abc"
-    form.obey("typed")
+    form.typed()
     assert form.state == replace(
         FILLED,
         url="wss://relay.example",
@@ -127,7 +126,7 @@ def test_an_invite_link_in_the_first_field_fills_the_form() -> None:
         name="Ada",
     )
     form.state.url = "pica://relay.example"
-    form.obey("typed")
+    form.typed()
     assert form.trouble is not None
     assert "names no room" in form.trouble.what
 
@@ -162,10 +161,7 @@ def test_every_close_code_that_ends_a_join_has_words_and_a_remedy() -> None:
 @pytest.mark.parametrize(
     ("cause", "said"),
     [
-        (ConnectionRefusedError(errno.ECONNREFUSED, "Connect call failed"), "Nothing runs"),
-        (OSError("Multiple exceptions: [Errno 111] a, [Errno 111] b"), "Nothing runs"),
-        (PermissionError(errno.EPERM, "Operation not permitted"), "does not allow"),
-        (OSError(errno.ENETUNREACH, "Network is unreachable"), "does not lead"),
+        (ConnectionRefusedError(111, "Connect call failed"), "No relay answers"),
         (socket.gaierror(-2, "Name or service not known"), "no computer of that name"),
         (ssl.SSLCertVerificationError("self-signed"), "certificate is not trusted"),
         (ssl.SSLError("wrong version number"), "does not encrypt"),

@@ -11,7 +11,6 @@ from pica_client.ui.join_form import (
     SECRETS,
     SOURCES,
     JoinForm,
-    JoinRequest,
     Trouble,
 )
 from pica_client.ui.panels.settings import MICROPHONE, microphone_picker, sound_settings
@@ -47,12 +46,12 @@ class JoinView:
     """How sound stands; None: there is none."""
 
 
-def join_panel(form: JoinForm, view: JoinView, metrics: Metrics) -> list[JoinRequest]:
-    """Draw the form; return what was pressed, and "typed" after a change."""
+def join_panel(form: JoinForm, view: JoinView, metrics: Metrics) -> None:
+    """Draw the form, and tell it what was typed and pressed."""
     columns, rows = metrics.size
     edge = metrics.px(EDGE_PT)
     width = min(metrics.px(WIDTH_PT), columns - 2 * edge)
-    requests: list[JoinRequest] = []
+    form.shows_meters = form.wants_test = False
     imgui.set_next_window_size_constraints((width, 0), (width, rows - 2 * edge))
     flags = widgets.FIXED & ~imgui.WindowFlags_.no_nav
     with widgets.card("join", (columns / 2, rows / 2), metrics, pivot=(0.5, 0.5), flags=flags):
@@ -68,20 +67,19 @@ def join_panel(form: JoinForm, view: JoinView, metrics: Metrics) -> list[JoinReq
         if form.trouble is not None:
             _trouble(form.trouble, metrics)
         before = replace(form.state)
-        _fields(form.state, view, metrics, requests)
+        _fields(form, view, metrics)
         if form.state != before:
-            requests.append("typed")
+            form.typed()
         imgui.end_child()
         wide = imgui.get_content_region_avail().x
         if widgets.action_button("Join", metrics, tone="accent", width=wide):
-            requests.append("join")
+            form.join()
     if not imgui.is_popup_open("", imgui.PopupFlags_.any_popup_id):
         enters = (imgui.Key.enter, imgui.Key.keypad_enter)
         if any(imgui.is_key_pressed(key, repeat=False) for key in enters):
-            requests.append("join")
+            form.join()
         if imgui.is_key_pressed(imgui.Key.escape, repeat=False):
-            requests.append("leave")
-    return requests
+            form.outcome = "leave"
 
 
 def connecting_panel(what: str, metrics: Metrics) -> bool:
@@ -119,10 +117,9 @@ def _trouble(trouble: Trouble, metrics: Metrics) -> None:
     imgui.pop_style_color()
 
 
-def _fields(
-    state: ViewState, view: JoinView, metrics: Metrics, requests: list[JoinRequest]
-) -> None:
+def _fields(form: JoinForm, view: JoinView, metrics: Metrics) -> None:
     """All fields, which write what is typed into the state."""
+    state = form.state
     empty = ""
     if imgui.is_window_appearing():
         empty = next((name for name in ("url", "room", "name") if not getattr(state, name)), "")
@@ -143,10 +140,11 @@ def _fields(
         widgets.note("Your microphone", metrics)
         microphone_picker(state, view.sound, may_be_off=True)
         if imgui.tree_node_ex("Try the sound", FOLDED):
-            requests.append("show meters")
+            form.shows_meters = True
             has_microphone = state.voice == MICROPHONE
-            if sound_settings(state, view.sound, metrics, has_microphone=has_microphone):
-                requests.append("test sound")
+            form.wants_test = sound_settings(
+                state, view.sound, metrics, has_microphone=has_microphone
+            )
     if imgui.tree_node_ex("More", FOLDED):
         for name in ("token", "secret_file", "ca_file", "avatar"):
             _field(state, name)

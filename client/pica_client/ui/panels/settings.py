@@ -11,7 +11,7 @@ from pica_client.ui.call_view import CallView
 from pica_client.ui.join_form import SOURCES
 from pica_client.ui.state import LAYOUT_TITLES, MIN_DETAIL, SCALES, ViewState
 from pica_client.ui.surface.style import Metrics, Mode, Tone
-from pica_client.ui.surface.widgets import action_button, choice_of, note, one_of
+from pica_client.ui.surface.widgets import action_button, choice_of, note
 from pica_client.voice.sound.settings import DeviceState, SoundState
 
 NO_VOICE, MICROPHONE = "none", "mic"
@@ -131,19 +131,16 @@ def _you(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
 def _shown(state: ViewState, metrics: Metrics) -> list[Request]:
     """How people sit, what is shown, how the surface looks, and what a picture may cost."""
     requests: list[Request] = []
-    imgui.push_style_var(imgui.StyleVar_.frame_padding, (metrics.px(12), metrics.px(4)))
     note("People sit", metrics)
-    if layout := one_of(LAYOUT_TITLES, state.layout, metrics):
+    layout = choice_of("##layout", LAYOUT_TITLES.items(), state.layout)
+    if layout != state.layout:
         requests.append(state.seat(layout))
-    note("Shown", metrics)
+    note("Colours", metrics)
+    state.mode = choice_of("##mode", MODES.items(), state.mode)
+    note("Size of type and buttons", metrics)
+    state.scale = choice_of("##scale", [(each, f"{each:.0%}") for each in SCALES], state.scale)
     if state.own_face != "none":
         _, state.shows_self = imgui.checkbox("My own face", state.shows_self)
-    note("Colours", metrics)
-    state.mode = one_of(MODES, state.mode, metrics) or state.mode
-    note("Size of type and buttons", metrics)
-    sizes = {each: f"{each:.0%}" for each in SCALES}
-    state.scale = one_of(sizes, state.scale, metrics) or state.scale
-    imgui.pop_style_var()
     percent, least = round(100 * state.detail), round(100 * MIN_DETAIL)
     note(f"Detail {percent} %. Less leaves more of this machine to others.", metrics)
     imgui.set_next_item_width(-1)

@@ -6,7 +6,7 @@ with card("Settings", (x, y), metrics):
         ...
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from functools import lru_cache
 from typing import TypeVar
@@ -134,22 +134,12 @@ def _toned_button(label: str, metrics: style.Metrics, tone: style.Tone, size: Pl
     return is_pressed
 
 
-def one_of(titles: Mapping[Value, str], chosen: Value, metrics: style.Metrics) -> Value | None:
-    """A few values with their titles, two in a row; return the one that was chosen now."""
-    found = None
-    for number, (value, name) in enumerate(titles.items()):
-        if number % 2:
-            imgui.same_line(metrics.px(130))
-        if imgui.radio_button(name, value == chosen):
-            found = value
-    return found
-
-
-def choice_of(label: str, titles: Sequence[tuple[str, str]], chosen: str) -> str:
+def choice_of(label: str, titles: Iterable[tuple[Value, str]], chosen: Value) -> Value:
     """One of several values, each with its title; one that is not among them is shown as it is."""
+    known = dict(titles)
     imgui.set_next_item_width(-1)
-    if imgui.begin_combo(label, dict(titles).get(chosen, chosen)):
-        for value, name in titles:
+    if imgui.begin_combo(label, known.get(chosen, str(chosen))):
+        for value, name in known.items():
             if imgui.selectable(name, value == chosen)[0]:
                 chosen = value
         imgui.end_combo()

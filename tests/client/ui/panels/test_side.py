@@ -150,7 +150,17 @@ def test_the_waiting_page_says_where_and_who_only_watches(hand: Hand) -> None:
 
 def test_each_setting_is_one_click(hand: Hand) -> None:
     state = replace(SETTINGS)
-    labels = ("View", "Grid", "My own face", "Light", "125%", "##detail")
+    labels = (
+        "View",
+        "##layout",
+        "Grid",
+        "##mode",
+        "Light",
+        "##scale",
+        "125%",
+        "My own",
+        "##detail",
+    )
     clicking(hand, settings_panel, state, CALL, *labels)
     assert (state.layout, state.shows_self) == ("grid", False)
     assert (state.mode, state.scale) == ("light", 1.25)
