@@ -26,7 +26,7 @@ import httpx
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.errors import RelayError
 from pica_client.system import cache_folder, make_private
-from pica_client.transport.connect import SOFTWARE, is_loopback
+from pica_client.transport.connect import SOFTWARE, proxy_of
 from pica_core.avatar.file import MAX_FILE_BYTES, Avatar, avatar_id, load_avatar
 from pica_core.avatar.shipped import SUFFIX
 from pica_core.errors import AvatarFileError
@@ -139,7 +139,8 @@ def download(
         with (
             httpx.Client(
                 verify=(tls or ssl.create_default_context()) if url.startswith("https:") else False,
-                trust_env=not is_loopback(urlsplit(url).hostname or ""),  # for proxies
+                proxy=proxy_of(relay_url),
+                trust_env=False,
                 timeout=TIMEOUT_S,
                 headers={"User-Agent": SOFTWARE, "Accept-Encoding": "identity"},
             ) as client,

@@ -6,10 +6,12 @@ import math
 import socket
 import ssl
 from collections.abc import Callable, Generator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import urlsplit
+from urllib.request import getproxies, proxy_bypass
 
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import (
@@ -22,7 +24,9 @@ from websockets.exceptions import (
     WebSocketException,
 )
 from websockets.protocol import State
+from websockets.proxy import get_proxy
 from websockets.typing import Subprotocol
+from websockets.uri import parse_uri
 
 from pica_client.errors import OptionError
 from pica_protocol import SUBPROTOCOL
@@ -147,7 +151,7 @@ class RelayConnect(connect):
             ping_timeout=PING_S,
             close_timeout=CLOSE_TIMEOUT_S,
             open_timeout=OPEN_TIMEOUT_S,
-            proxy=None if is_loopback(urlsplit(url).hostname or "") else True,
+            proxy=proxy_of(url),
             user_agent_header=SOFTWARE,
             happy_eyeballs_delay=HAPPY_EYEBALLS_S,
             **options,
@@ -197,8 +201,18 @@ def trusting(ca_file: Path) -> ssl.SSLContext:
         raise OptionError(f"ca-file {ca_file}: {error.strerror}") from error
 
 
+def proxy_of(url: str) -> str | None:
+    """Return the proxy that the environment names for a relay, for the call and for avatar files;
+    None for this machine, and where ``no_proxy`` names the host."""
+    with suppress(InvalidURI, ValueError):
+        uri = parse_uri(url)
+        if not is_loopback(uri.host) and not proxy_bypass(f"{uri.host}:{uri.port}"):
+            return get_proxy(uri) or getproxies().get("all")
+    return None
+
+
 def is_loopback(host: str) -> bool:
-    """Return True if a proxy from the environment must not be used."""
+    """Return True if an address is this machine's own."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -233,4 +247,6 @@ def trouble(error: BaseException, url: str) -> str:
     if isinstance(error, InvalidMessage) and isinstance(cause, ValueError):
         words = str(cause).rpartition(": ")[2]
         return f"something answers that is no relay: {words[:60]!r}"
-    return str(error) or "no answer"
+    proxy = proxy_of(url)
+    way = f" by the proxy {urlsplit(proxy).hostname}" if proxy else ""
+    return f"{str(error) or 'no answer'}{way}"

@@ -10,7 +10,7 @@ import pytest
 from helpers.certificates import write_certificate
 from pica_client.errors import RelayRefusedError
 from pica_client.transport.config import LinkConfig
-from pica_client.transport.connect import RelayConnect, trouble
+from pica_client.transport.connect import RelayConnect, proxy_of, trouble
 from pica_client.transport.link import Link
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
@@ -108,3 +108,17 @@ def test_an_address_or_a_proxy_that_cannot_be_is_named(
     monkeypatch.setenv("https_proxy", proxy)
     with pytest.raises(RelayRefusedError, match=told):
         asyncio.run(_run(url))
+
+
+def test_call_and_avatar_files_take_the_same_proxy(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("http_proxy", "https_proxy", "all_proxy", "no_proxy"):
+        monkeypatch.delenv(name, raising=False)
+        monkeypatch.delenv(name.upper(), raising=False)
+    assert proxy_of("ws://relay.example:8765") is None
+    monkeypatch.setenv("ALL_PROXY", "socks5h://127.0.0.1:1080")
+    assert proxy_of("ws://relay.example:8765") == "socks5h://127.0.0.1:1080"
+    assert proxy_of("ws://127.0.0.1:8765") is None
+    monkeypatch.setenv("https_proxy", "http://127.0.0.1:3128")
+    monkeypatch.setenv("no_proxy", "inside.example")
+    assert proxy_of("wss://relay.example") == "http://127.0.0.1:3128"
+    assert proxy_of("wss://inside.example") is None
