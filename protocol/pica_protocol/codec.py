@@ -7,10 +7,9 @@ default settings turn 10 kB of hostile input into 68 MB of memory.
 """
 
 import functools
-import types
-from collections.abc import Callable, Mapping
-from dataclasses import MISSING, fields, is_dataclass
-from typing import Any, Final, NamedTuple, Union, cast, get_args, get_origin, get_type_hints
+from collections.abc import Mapping
+from dataclasses import MISSING, fields
+from typing import Any, Final, cast, get_args, get_origin, get_type_hints
 
 import msgpack
 
@@ -29,8 +28,6 @@ _TYPE_NAMES: Final = {
     for name, cls in cast(Mapping[str, type], table).items()
 }
 
-_Reader = Callable[[object, str], Any]
-
 
 def encode_message(message: Message | StoreMessage) -> bytes:
     """Return the websocket message that carries ``message``.
@@ -38,7 +35,7 @@ def encode_message(message: Message | StoreMessage) -> bytes:
     Raises:
         LocalProtocolError: It would exceed ``MAX_CONTROL_BYTES``.
     """
-    record = {"type": _TYPE_NAMES[type(message)], **_plain_record(message)}
+    record = {"type": _TYPE_NAMES[type(message)], **cast(Any, _plain(type(message), message))}
     data = _PREFIX + cast(bytes, msgpack.packb(record))
     if len(data) > limits.MAX_CONTROL_BYTES:
         raise LocalProtocolError(
@@ -74,7 +71,7 @@ def _decode(data: bytes, max_bytes: int, message_types: Mapping[str, type]) -> o
     if not isinstance(name, str) or name not in message_types:
         raise RemoteProtocolError(f"unknown message type {limits.quoted(name)}")
     try:
-        return _read_record(message_types[name], record, name)
+        return _read(message_types[name], record, name)
     except ValueError as error:  # from the message's own check
         raise RemoteProtocolError(str(error)) from error
 
@@ -119,105 +116,54 @@ def refuse_extension(code: int, _data: bytes) -> object:
     raise ValueError(f"extension type {code}")
 
 
-class _Field(NamedTuple):
-    name: str
-    read: _Reader
-    default: object
-    is_map: bool = False
-
-
-def _plain_record(record: Any) -> dict[str, object]:
-    values = ((field, getattr(record, field.name)) for field in _SCHEMAS[type(record)])
-    return {field.name: dict(value) if field.is_map else _plain(value) for field, value in values}
-
-
-def _plain(value: Any) -> object:
-    if isinstance(value, tuple):
-        return [_plain(item) for item in value]
-    return _plain_record(value) if type(value) in _SCHEMAS else value
-
-
-def _read_record(cls: type, value: object, path: str) -> object:
-    if not isinstance(value, dict):
-        raise _wrong(path, "a map", value)
-    values = {}
-    for field in _SCHEMAS[cls]:
-        item = value.get(field.name, MISSING)
-        if item is not MISSING:
-            values[field.name] = field.read(item, f"{path}.{field.name}")
-        elif field.default is MISSING:
-            raise RemoteProtocolError(f"{path}.{field.name} is missing")
-    return cls(**values)
-
-
 _PLAIN: Final = {int: "an integer", bool: "true or false", str: "text", bytes: "bytes"}
 """The types of single values, and what errors call them."""
 
 
-def _read_value(kind: type, value: object, path: str) -> object:
-    if type(value) is not kind:  # not isinstance: True is an int to Python, not to the protocol
-        raise _wrong(path, _PLAIN[kind], value)
-    return value
+@functools.cache
+def _fields(cls: type) -> tuple[tuple[str, Any, object], ...]:
+    """Name, type and default of each field of a record."""
+    hints = get_type_hints(cls)
+    return tuple((each.name, hints[each.name], each.default) for each in fields(cast(Any, cls)))
 
 
-def _read_int_or_none(value: object, path: str) -> object:
-    return None if value is None else _read_value(int, value, path)
+def _plain(hint: Any, value: Any) -> object:
+    """Return what msgpack writes for a value of a type."""
+    if hint == Metadata:
+        return dict(value)
+    if get_origin(hint) is tuple:
+        return [_plain(get_args(hint)[0], item) for item in value]
+    if hint in _PLAIN:
+        return value
+    return {name: _plain(kind, getattr(value, name)) for name, kind, _ in _fields(hint)}
 
 
-def _read_metadata(value: object, path: str) -> Metadata:
+def _read(hint: Any, value: object, path: str) -> Any:
+    """Return the value of a type that msgpack has read; ``path`` is what errors call it."""
+    if hint in _PLAIN:
+        if type(value) is not hint:  # not isinstance: True is an int to Python, not to the protocol
+            raise _wrong(path, _PLAIN[hint], value)
+        return value
+    if get_origin(hint) is tuple and hint != Metadata:
+        if not isinstance(value, list):
+            raise _wrong(path, "a list", value)
+        item_hint = get_args(hint)[0]
+        return tuple(_read(item_hint, item, f"{path}[{i}]") for i, item in enumerate(value))
     if not isinstance(value, dict):
         raise _wrong(path, "a map", value)
-    # msgpack lets binary keys through too.
-    return tuple(
-        (
-            cast(str, _read_value(str, key, f"{path} key")),
-            cast(str, _read_value(str, item, f"{path}.{limits.quoted(key)}")),
+    if hint == Metadata:  # msgpack lets binary keys through too
+        return tuple(
+            (_read(str, key, f"{path} key"), _read(str, item, f"{path}.{limits.quoted(key)}"))
+            for key, item in value.items()
         )
-        for key, item in value.items()
-    )
-
-
-def _reader(hint: Any) -> _Reader:
-    """Return what reads a field of this annotation; records met on the way get their schema too."""
-    if hint in _PLAIN:
-        return functools.partial(_read_value, hint)
-    if get_origin(hint) in (Union, types.UnionType) and set(get_args(hint)) == {int, type(None)}:
-        return _read_int_or_none
-    if hint == Metadata:
-        return _read_metadata
-    if get_origin(hint) is tuple:
-        read_item = _reader(get_args(hint)[0])
-
-        def read_items(value: object, path: str) -> tuple[object, ...]:
-            if not isinstance(value, list):
-                raise _wrong(path, "a list", value)
-            return tuple(read_item(item, f"{path}[{i}]") for i, item in enumerate(value))
-
-        return read_items
-    if is_dataclass(hint):
-        cls = cast(type, hint)
-        _add_schema(cls)
-        return lambda value, path: _read_record(cls, value, path)
-    raise TypeError(f"no reader for {hint!r}")
-
-
-def _add_schema(cls: type) -> None:
-    hints: Mapping[str, Any] = get_type_hints(cls)
-    _SCHEMAS[cls] = tuple(
-        _Field(
-            field.name,
-            _reader(hints[field.name]),
-            field.default,
-            hints[field.name] == Metadata,
-        )
-        for field in fields(cast(Any, cls))
-    )
+    values = {}
+    for name, kind, default in _fields(hint):
+        if name in value:
+            values[name] = _read(kind, value[name], f"{path}.{name}")
+        elif default is MISSING:
+            raise RemoteProtocolError(f"{path}.{name} is missing")
+    return hint(**values)
 
 
 def _wrong(path: str, wanted: str, value: object) -> RemoteProtocolError:
     return RemoteProtocolError(f"{path} must be {wanted}, got {limits.quoted(value)}")
-
-
-_SCHEMAS: dict[type, tuple[_Field, ...]] = {}
-for _cls in _TYPE_NAMES:
-    _add_schema(_cls)

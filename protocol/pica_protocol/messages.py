@@ -1,7 +1,7 @@
 """The control messages: frozen records that check their own limits.
 
 Direction and bytes of each are shown in ``docs/wire.md``. The annotations are the schema that
-``codec.py`` reads: ``int``, ``bool``, ``str``, ``bytes``, ``int | None``, another record, a tuple
+``codec.py`` reads: ``int``, ``bool``, ``str``, ``bytes``, another record, a tuple
 of one of these, or ``Metadata``; what an annotation adds to a type is the field's limit.
 """
 
