@@ -199,7 +199,6 @@ class Hub:
     def sent(self, connection: Connection, message: OutboundMessage, now: float) -> None:
         """Take note that the socket took a message."""
         connection.late_s = math.inf
-        connection.outbox.note_taken(len(message.data), now)
         self.stats.note_sent(1, len(message.data), message.num_frames, now - message.received_s)
 
     def handle_timer(self, now: float) -> None:

@@ -3,8 +3,8 @@
 While the receiver keeps up, its frames wait in one list until the turn of the event loop ends, and
 leave as one message. A receiver whose socket did not take a message whole is *slow*, and is treated
 as such for `SLOW_S` more: its frames wait in a `FrameQueue`, which keeps the newest of each stream
-and shares the line fairly by senders. It gives out no more at once than the line takes in
-`SLOW_MESSAGE_S`, since what is on its way cannot be replaced by newer frames.
+and shares the line fairly by senders. It gives out no more than `SLOW_MESSAGE_BYTES` at once, since
+what is on its way cannot be replaced by newer frames.
 
 Control messages are never thinned: there is a limit in bytes, and who lets it overflow is closed.
 Whispers are no such messages: they wait and are dropped as ordered frames of their senders.
@@ -15,19 +15,16 @@ from collections import Counter, deque
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
-from pica_protocol.frame_queue import LATEST_BYTES, FrameQueue, QueuedFrame
+from pica_protocol.frame_queue import FrameQueue, QueuedFrame
 from pica_protocol.frames import media_message
-from pica_protocol.limits import MAX_FRAME_BYTES, MAX_MEDIA_MESSAGE_BYTES
+from pica_protocol.limits import MAX_MEDIA_MESSAGE_BYTES
 from pica_server.errors import OutboxFullError
 
 SLOW_S: Final = 5.0
 """How long a receiver counts as slow after its socket was full (chosen)."""
-SLOW_MESSAGE_S: Final = 0.1
-"""Time that a message to a slow receiver takes on its line (chosen: three faces of each sender)."""
-SLOW_MESSAGE_BYTES: Final = (2 * LATEST_BYTES, MAX_FRAME_BYTES)
-"""Bounds of such a message (chosen: a packet of a voice and two sealed faces, one datagram)."""
-RATE_S: Final = 1.0
-"""Time over which the rate of a slow receiver's line is averaged (chosen: ten messages)."""
+SLOW_MESSAGE_BYTES: Final = 480
+"""What a message to a slow receiver holds (chosen: 60 ms of a line of 64 kbit/s, in which a packet
+of a voice fits with two sealed faces, or eight faces)."""
 WHISPERS: Final = 0
 """Stands for whispers among the streams of a sender."""
 WHISPER_S: Final = 10.0
@@ -57,13 +54,11 @@ class Outbox:
     """
 
     __slots__ = (
-        "_bytes_per_s",
         "_control",
         "_drops",
         "_max_control_bytes",
         "_queue",
         "_slow_until_s",
-        "_taken_s",
         "fresh",
         "is_quick",
         "waiting_control_bytes",
@@ -84,7 +79,6 @@ class Outbox:
         self.is_quick = True
         self._queue: FrameQueue | None = None
         self._slow_until_s = -math.inf
-        self._bytes_per_s, self._taken_s = 0.0, -math.inf
 
     @property
     def waiting_frames(self) -> int:
@@ -110,12 +104,6 @@ class Outbox:
         """Note that the socket of the receiver did not take a message whole."""
         self._slow_until_s = now + SLOW_S
         self.is_quick = False
-
-    def note_taken(self, num_bytes: int, now: float) -> None:
-        """Note that the socket of a slow receiver took a message."""
-        self._bytes_per_s *= math.exp((self._taken_s - now) / RATE_S)
-        self._bytes_per_s += num_bytes / RATE_S
-        self._taken_s = now
 
     def put_control(self, data: bytes) -> None:
         """Queue a control message.
@@ -172,10 +160,7 @@ class Outbox:
         if (is_slow or self._queue is not None) and frames:
             self.sort()
         if self._queue is not None:
-            most = MAX_MEDIA_MESSAGE_BYTES - 1
-            if is_slow:
-                low, high = SLOW_MESSAGE_BYTES
-                most = round(min(max(SLOW_MESSAGE_S * self._bytes_per_s, low), high))
+            most = SLOW_MESSAGE_BYTES if is_slow else MAX_MEDIA_MESSAGE_BYTES - 1
             frames = self._queue.take(most, now)
             if not len(self._queue):
                 self._queue = None
