@@ -42,11 +42,6 @@ def models_folder() -> Path:
     return PlatformDirs(_NAME, appauthor=False).user_data_path / "models"
 
 
-def pictures_folder() -> Path:
-    """Return the folder for pictures that this user takes of a call."""
-    return PlatformDirs(_NAME, appauthor=False).user_pictures_path / _TITLE
-
-
 def videos_folder() -> Path:
     """Return the folder for recordings that this user makes of a call."""
     return PlatformDirs(_NAME, appauthor=False).user_videos_path / _TITLE

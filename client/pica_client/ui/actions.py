@@ -2,11 +2,11 @@
 
 An action changes the state, or is a request to the owner of files and windows:
 
-    for request in [*keyboard(state, places), *control_bar(state, call, metrics)]:
+    for request in [*keyboard(state), *control_bar(state, call, metrics)]:
         rest = apply(request, state)
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum, auto
 from typing import Final, Literal
@@ -22,7 +22,6 @@ from pica_protocol.messages import Moderation
 
 CLICK_PX = 5.0
 """A press that moves less than this before it is let go is a click."""
-MAX_PINNED_BY_KEY = 9
 TALK_KEY = imgui.Key.space
 """Held to be heard, where the settings say so."""
 NO_FACE = "You show no face: choose a face source in the settings (--send)"
@@ -38,10 +37,8 @@ class Action(Enum):
     CALIBRATE = auto()
     NEXT_LAYOUT = auto()
     RESET_VIEW = auto()
-    UNPIN = auto()
     COME_CLOSER = auto()
     GO_BACK = auto()
-    SCREENSHOT = auto()
     RECORD = auto()
     PARTICIPANTS = auto()
     SETTINGS = auto()
@@ -109,7 +106,6 @@ KEY_NAMES = {
     imgui.Key.keypad_add: "+",
     imgui.Key.minus: "-",
     imgui.Key.keypad_subtract: "-",
-    imgui.Key.keypad0: "0",
 }
 """Keys that ImGui calls otherwise than people do."""
 
@@ -119,10 +115,6 @@ def _zoom(steps: float) -> Callable[[ViewState], None]:
         state.orbit = state.orbit.zoomed(steps)
 
     return change
-
-
-def _unpin(state: ViewState) -> None:
-    state.pinned = None
 
 
 def _reset_view(state: ViewState) -> None:
@@ -160,7 +152,6 @@ ACTIONS: Final[dict[Action, Row]] = {
         off=(icons.ICON_FA_TABLE_CELLS_LARGE, "Next layout", "plain"),
     ),
     Action.RESET_VIEW: Row(keys=(_KEY.r,), title="reset view and pin", change=_reset_view),
-    Action.UNPIN: Row(keys=(_KEY._0, _KEY.keypad0), title="unpin", change=_unpin),
     Action.COME_CLOSER: Row(
         keys=(_KEY.keypad_add, _KEY.equal), title="come closer", change=_zoom(1), repeats=True
     ),
@@ -205,12 +196,6 @@ ACTIONS: Final[dict[Action, Row]] = {
         toggle=("side", "statistics", "none"),
         group=2,
         off=(icons.ICON_FA_CHART_SIMPLE, "Statistics", "plain"),
-    ),
-    Action.SCREENSHOT: Row(
-        keys=(_KEY.p,),
-        title="picture into a file",
-        group=1,
-        off=(icons.ICON_FA_CAMERA, "Take a picture", "plain"),
     ),
     Action.RECORD: Row(
         keys=(_KEY.v,),
@@ -272,30 +257,21 @@ def help_lines(state: ViewState) -> tuple[tuple[str, str], ...]:
     return (
         ("drag", "look around"),
         ("wheel", "come closer, go back"),
-        (f"click, 1 to {MAX_PINNED_BY_KEY}", "pin a participant, or not"),
+        ("click", "pin a participant, or not"),
         (imgui.get_key_name(TALK_KEY), "hold to talk, if set so"),
         *keys,
     )
 
 
-def keyboard(state: ViewState, places: Sequence[int]) -> list[Request]:
-    """Read the keys of this frame, unless a text is being typed.
-
-    Args:
-        places: Of all participants, from left to right: number keys pin them.
-    """
+def keyboard(state: ViewState) -> list[Request]:
+    """Read the keys of this frame, unless a text is being typed."""
     io = imgui.get_io()
     is_typed = io.want_text_input
     state.is_talking = imgui.is_key_down(TALK_KEY) and not is_typed
     if io.key_ctrl or io.key_super:
         return []  # the desktop's own
-    if not is_typed:
-        for number, place in enumerate(places[:MAX_PINNED_BY_KEY], 1):
-            keys = (imgui.Key(_KEY._0 + number), imgui.Key(_KEY.keypad0 + number))
-            if any(imgui.is_key_pressed(key, repeat=False) for key in keys):
-                state.pin(place)
-        if state.asks_to_leave and imgui.is_key_pressed(_KEY.enter, repeat=False):
-            return [Action.LEAVE]
+    if state.asks_to_leave and not is_typed and imgui.is_key_pressed(_KEY.enter, repeat=False):
+        return [Action.LEAVE]
     return [
         action
         for action, row in ACTIONS.items()

@@ -59,7 +59,7 @@ class ViewerOptions:
     record: Path | None = None
     """Record into this MP4 file, which must not be there yet."""
     keep_in: Path | None = None
-    """Folder for the pictures and recordings made by key, instead of the system's."""
+    """Folder for recordings made by key, instead of the system's."""
     max_fps: float = 30.0
     """Draw at most so many images a second."""
     decode: DecodeChoice = "auto"
@@ -109,8 +109,7 @@ class ViewOptions:
     """Whose voice is sent: mic, the system's microphone; mic:NAME; or what pica send takes;
     none by default, but mic where a form asks, which can be changed there."""
     speaker: str = ""
-    """Loudspeaker by its name; none plays without a sound, off receives no voices; by default the
-    system's."""
+    """Loudspeaker by its name; none plays without a sound; by default the system's."""
     clean: bool | None = None
     """Take echo and noise out of the microphone, and even out how loud it is, where the extra echo
     is installed; by default as it was left, which is yes at first."""

@@ -17,7 +17,7 @@ import numpy as np
 
 from pica_client.errors import OptionError
 from pica_client.output import make_folder, writing, writing_whole
-from pica_client.system import Closing, pictures_folder, videos_folder
+from pica_client.system import Closing
 from pica_client.voice.packet import SAMPLE_RATE_HZ
 from pica_client.voice.sound.soundtrack import LATE_S, Soundtrack
 from pica_core.types import Image
@@ -50,6 +50,9 @@ class Recorder(Closing):
             even ones.
         begin_sound: Gives the sound to go with it; None: there is none.
 
+    Attributes:
+        path: The file.
+
     Raises:
         OptionError: The file cannot be written.
         ModuleNotFoundError: PyAV is not installed.
@@ -71,7 +74,7 @@ class Recorder(Closing):
         if width < 2 or height < 2:
             raise OptionError(f"size is {size[0]}x{size[1]}; a video needs at least 2x2")
         self._size, self._window_size = (width, height), size
-        self._path = path
+        self.path = path
         self._last_tick = -1
         self._begin_s: float | None = None
         self._av: Any = av
@@ -137,11 +140,11 @@ class Recorder(Closing):
         self._write_sound((self._last_tick + 1) / TICKS_PER_S, is_last=True)
         if self._container is not None:
             container, self._container = self._container, None
-            with writing(self._path):
+            with writing(self.path):
                 container.close()
         if self._last_tick < 0:
-            self._path.unlink(missing_ok=True)
-            raise OptionError(f"{self._path}: no picture was drawn, so there is no recording")
+            self.path.unlink(missing_ok=True)
+            raise OptionError(f"{self.path}: no picture was drawn, so there is no recording")
 
     def _encode(self, image: Image, tick: int) -> None:
         """Append a frame, and the sound up to it; on the encoder's thread."""
@@ -174,7 +177,7 @@ class Recorder(Closing):
         """Encode a frame, or what is left with None, into the file."""
         if self._container is None:
             return
-        with writing(self._path):
+        with writing(self.path):
             try:
                 self._container.mux(stream.encode(frame))
             except OSError:
@@ -205,93 +208,15 @@ def save_png(path: Path, image: Image) -> None:
         PillowImage.fromarray(image).save(unfinished, format="png")
 
 
-class Captures:
-    """The recording under way, and new names for pictures and recordings made by key.
-
-    Names count up and say nothing of the time: ``picture-0001.png``, ``recording-0001.mp4``.
-
-    Args:
-        folder: Where files go that are made by key; None is the system's folders.
-
-    Attributes:
-        path: The file that is being recorded; None: there is none.
-    """
-
-    def __init__(self, folder: Path | None = None, begin_sound: BeginSound = lambda: None) -> None:
-        self.path: Path | None = None
-        self._begin_sound = begin_sound
-        self._pictures = folder or pictures_folder()
-        self._videos = folder or videos_folder()
-        self._recorder: Recorder | None = None
-
-    def save_picture(self, image: Image) -> str:
-        """Write a picture, uint8 ``[H, W, 3]``; return what to tell the user.
-
-        Raises:
-            OptionError: It cannot be written.
-        """
-        path = new_path(self._pictures, "picture", ".png")
-        save_png(path, image)
-        return f"Saved {path.name} in {path.parent}"
-
-    def record(self, path: Path, size: tuple[int, int]) -> None:
-        """Begin to record; see `Recorder`. A file that is there already is left as it is."""
-        if path.is_file():
-            path = new_path(path.parent, path.stem, ".mp4")
-        self._recorder, self.path = Recorder(path, size, self._begin_sound), path
-
-    def toggle_recording(self, size: tuple[int, int]) -> str:
-        """End the recording, or begin one; return what to tell the user.
-
-        Raises:
-            OptionError: It cannot be written.
-            ModuleNotFoundError: PyAV is not installed; names the extra.
-        """
-        if self.path is not None:
-            return self.end()
-        path = new_path(self._videos, "recording", ".mp4")
-        self._recorder, self.path = Recorder(path, size, self._begin_sound), path
-        return f"Recording into {path.name}"
-
-    def write(self, image: Image, now: float) -> None:
-        """Append a frame to the recording.
-
-        Raises:
-            OptionError: The recording is over, as on a full disk.
-        """
-        if self._recorder is not None:
-            try:
-                self._recorder.write(image, now)
-            except OptionError:
-                self._recorder = self.path = None
-                raise
-
-    def end(self) -> str:
-        """Finish the recording, if there is one; return what to tell the user.
-
-        Raises:
-            OptionError: The disk is full; the file cannot be played.
-        """
-        if self._recorder is None or self.path is None:
-            return ""
-        recorder, path, self._recorder, self.path = self._recorder, self.path, None, None
-        recorder.close()
-        return f"Saved {path.name} in {path.parent}"
-
-
 def new_path(folder: Path, stem: str, suffix: str) -> Path:
-    """Take the first free name, by making an empty file of it.
+    """Return the first name that is free; names count up and say nothing of the time.
 
     Raises:
-        OptionError: The folder cannot be made or written, or has no name left.
+        OptionError: The folder cannot be made, or has no name left.
     """
     make_folder(folder)
     for number in range(1, MAX_NUMBER + 1):
         path = folder / f"{stem}-{number:04d}{suffix}"
-        with writing(path):
-            try:
-                path.open("xb").close()
-            except FileExistsError:
-                continue
-        return path
+        if not path.exists():
+            return path
     raise OptionError(f"{folder}: all names up to {stem}-{MAX_NUMBER} are taken; move some away")

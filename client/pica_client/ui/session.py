@@ -102,7 +102,7 @@ def first_state(
 
 def _choose_sound(options: ViewOptions, state: ViewState, *, asks: bool) -> None:
     voice, sound = options.voice, state.sound
-    if options.speaker not in ("", "off"):
+    if options.speaker:
         sound = replace(sound, speaker=options.speaker)
     if voice is not None and voice.startswith("mic:"):
         voice, sound = "mic", replace(sound, microphone=voice.removeprefix("mic:"))
@@ -250,11 +250,10 @@ class Stay:
             self._fetcher = AvatarFetcher(library, lambda: self._receiver.link.url, tls=tls)
         voice = sound if state.voice == "mic" else open_voice(state.voice or "none")
         self._hearing = None
-        if options.speaker != "off":
-            if (lacking := available()) is None:
-                self._hearing = Hearing(sound)
-            else:
-                say(f"a call without sound: {lacking}")
+        if (lacking := available()) is None:
+            self._hearing = Hearing(sound)
+        else:
+            say(f"a call without sound: {lacking}")
         self._sound = sound if self._hearing is not None or voice is sound else None
         self._call = Call(self._fetcher or library, ears=self._hearing)
         doing = "looking into" if face is None else f"in, as {link.name},"

@@ -31,7 +31,6 @@ Side = Literal["none", "help", "participants", "settings", "statistics"]
 """What stands in the panel at the right."""
 SCALES: Final = (0.8, 1.0, 1.25, 1.5)
 """Sizes of type and buttons to choose from."""
-MIN_DETAIL: Final = 0.1
 FILE_NAME: Final = "preferences.json"
 MIN_SIDE, MAX_SIDE = 160, 8192
 CHOICES: Final[dict[str, tuple[Any, ...]]] = {
@@ -72,8 +71,6 @@ class Preferences:
     """Size of type and buttons, one of `SCALES`."""
     shows_self: bool = True
     """Show the own face in a corner, while one is sent."""
-    detail: float = 1.0
-    """Part of the time for a frame that decoding and drawing may take, `MIN_DETAIL` to 1."""
     sound: SoundSettings = field(default_factory=SoundSettings)
     window_size: tuple[int, int] = (960, 540)
     """Columns and rows, in the screen's units."""
@@ -82,8 +79,6 @@ class Preferences:
         for name, allowed in CHOICES.items():
             if getattr(self, name) not in allowed:
                 raise ValueError(f"{name} is {getattr(self, name)!r}; {allowed} are allowed")
-        if not MIN_DETAIL <= self.detail <= 1:
-            raise ValueError(f"detail is {self.detail}; {MIN_DETAIL} to 1 is allowed")
         sides = self.window_size
         if len(sides) != 2 or sides != tuple(map(fit_side, sides)):
             raise ValueError(f"window_size is {sides}; {MIN_SIDE} to {MAX_SIDE} each is allowed")

@@ -33,8 +33,8 @@ from pica_client.render.gpu_decoder import choose_decoder
 from pica_client.render.renderer import DrawStats, Renderer, RenderOptions
 from pica_client.render.scene import pick_head
 from pica_client.schedule.frame_planner import FramePlanner
-from pica_client.schedule.scheduler import Plan, Scheduler, SchedulerOptions
-from pica_client.system import Closing
+from pica_client.schedule.scheduler import Plan, Scheduler
+from pica_client.system import Closing, videos_folder
 from pica_client.ui.actions import Action, Request, apply, keyboard, mouse
 from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter
 from pica_client.ui.call_sound import CallSound
@@ -43,7 +43,7 @@ from pica_client.ui.call_view import OwnFaceView
 from pica_client.ui.options import ViewerOptions, parse_size
 from pica_client.ui.own_face import SelfView
 from pica_client.ui.panels.overlay import own_face_height
-from pica_client.ui.recorder import Captures, save_png
+from pica_client.ui.recorder import Recorder, new_path, save_png
 from pica_client.ui.state import ViewState
 from pica_client.ui.surface.surface import Surface
 from pica_client.ui.window import Window
@@ -93,7 +93,6 @@ class Viewer(Closing):
         options: ViewerOptions | None = None,
         *,
         state: ViewState | None = None,
-        scheduler: SchedulerOptions | None = None,
         receiver: Receiver | None = None,
         controls: FaceControls | None = None,
         sound: CallSound | None = None,
@@ -133,17 +132,19 @@ class Viewer(Closing):
             status = CallMonitor(receiver).status if receiver is not None else None
             has_pointer = self._window is not None
             self._panels = CallSurface(self.surface, self._meter, status, has_pointer=has_pointer)
-            self._captures = Captures(options.keep_in, self._sound.begin_track)
-            stack.callback(self._end_recording)
-            if options.record is not None:
-                self._captures.record(options.record, size)
+            self._recorder: Recorder | None = None
+            stack.callback(self._close_recording)
+            if (path := options.record) is not None:
+                if path.is_file():  # of a stay before
+                    path = new_path(path.parent, path.stem, ".mp4")
+                self._recorder = Recorder(path, size, self._sound.begin_track)
             workers = num_workers(os.cpu_count())
             self._pool = stack.enter_context(DecodePool(OnnxDecoder, clock, workers=workers))
             shaders = choose_decoder(options.decode, context, self._renderer, clock)
             if shaders is not None:
                 stack.enter_context(shaders)
             self._draw_clock: DrawClock[_DrawnFrame] = DrawClock(context)
-            self._scheduler = Scheduler(scheduler or SchedulerOptions())
+            self._scheduler = Scheduler()
             self._presenter = AvatarPresenter(
                 source,
                 self._renderer,
@@ -208,8 +209,7 @@ class Viewer(Closing):
         """Draw one frame; return False once the user wants to leave."""
         state, panels = self.state, self._panels
         is_open = self._begin(now)
-        places = [] if self._scene is None else [face.place for face in self._scene.faces]
-        requests = keyboard(state, places)
+        requests = keyboard(state)
         mouse(state, self._pick_unit)
         tasks = [apply(request, state) for request in requests]
         if state.wants_close or not is_open:
@@ -262,18 +262,19 @@ class Viewer(Closing):
             image = self._renderer.read_image()  # waits for the GPU: the draw time is a true one
         self._meter.add("draw", self._clock() - begin_s)
         self._note_recording()
-        if self.state.is_recording:
+        if self._recorder is not None:
             shown = self._renderer.read_image() if image is None else image
             try:
-                self._captures.write(shown, now)
+                self._recorder.write(shown, now)
             except OptionError as error:
+                self._recorder = None
                 self.outputs.fail(str(error))
                 self._panels.notice(str(error), now)
         if self._window is not None:
             self._window.show(self._show)
 
     def _note_recording(self) -> None:
-        is_recording = self._captures.path is not None
+        is_recording = self._recorder is not None
         if is_recording != self.state.is_recording:
             self.state.is_recording = is_recording
             if self._receiver is not None:
@@ -289,9 +290,23 @@ class Viewer(Closing):
             controls.choose(state.source)
         self._source = state.source
 
-    def _end_recording(self) -> None:
-        path = self._captures.path
-        if path is not None and self.outputs.attempt(self._captures.end):
+    def _toggle_recording(self) -> str:
+        """Begin or end a recording by key; return what to tell the user."""
+        if self._recorder is not None:
+            return self._end_recording()
+        path = new_path(self.options.keep_in or videos_folder(), "recording", ".mp4")
+        self._recorder = Recorder(path, self._renderer.size, self._sound.begin_track)
+        return f"Recording into {path.name}"
+
+    def _end_recording(self) -> str:
+        recorder, self._recorder = self._recorder, None
+        assert recorder is not None
+        recorder.close()
+        return f"Saved {recorder.path.name} in {recorder.path.parent}"
+
+    def _close_recording(self) -> None:
+        path = None if self._recorder is None else self._recorder.path
+        if path is not None and self.outputs.attempt(self._end_recording):
             say(f"wrote {path}")
 
     def pick(self, x_px: float, y_px: float) -> int | None:
@@ -340,8 +355,7 @@ class Viewer(Closing):
         return scene
 
     def _decide(self, scene: CallScene) -> Plan:
-        budget_s = self.state.detail * self.options.budget_s
-        return self._presenter.decide(scene, (scene.camera,), budget_s)
+        return self._presenter.decide(scene, (scene.camera,), self.options.budget_s)
 
     def _show(self, screen: moderngl.Framebuffer) -> None:
         """Put a frame on the window. What steers the call is there, not in what is kept of it."""
@@ -371,10 +385,12 @@ class Viewer(Closing):
         match request:
             case str():
                 self._panels.notice(request, now)
-            case Action.SCREENSHOT:
-                self._keep(lambda: self._captures.save_picture(self._renderer.read_image()))
             case Action.RECORD:
-                self._keep(lambda: self._captures.toggle_recording(self._renderer.size))
+                try:
+                    notice = self._toggle_recording()
+                except (ClientError, ModuleNotFoundError) as error:  # a full disk ends no call
+                    notice = str(error)
+                self._panels.notice(notice, now)
             case Action.FULL_SCREEN if self._window is not None:
                 self._window.toggle_full_screen()
             case Action.TEST_SOUND:
@@ -389,12 +405,3 @@ class Viewer(Closing):
             case messages.RemovePeer() | messages.MutePeer() | messages.BarIdentity():
                 if self._receiver is not None:
                     self._receiver.moderate(request)
-
-    def _keep(self, action: Callable[[], str]) -> None:
-        """Say what came of something that the user wants to keep; a full disk ends no call."""
-        try:
-            notice = action()
-        except (ClientError, ModuleNotFoundError) as error:
-            notice = str(error)
-        if notice:
-            self._panels.notice(notice, self._clock())

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from pica_client.errors import OptionError
-from pica_client.ui.recorder import KEY_FRAMES, Recorder, save_png
+from pica_client.ui.recorder import KEY_FRAMES, Recorder, new_path, save_png
 from pica_client.voice.packet import FRAME_SAMPLES, SAMPLE_RATE_HZ
 from pica_client.voice.sound.soundtrack import Soundtrack
 
@@ -108,6 +108,13 @@ def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
         Recorder(tmp_path / "nowhere" / "a.mp4", (64, 48))
     with pytest.raises(OptionError, match=r"nowhere/a\.png: cannot be written"):
         save_png(tmp_path / "nowhere" / "a.png", grey(1))
+
+
+def test_names_count_up_and_a_folder_that_is_a_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "call-0001.mp4").write_text("mine")
+    assert new_path(tmp_path, "call", ".mp4").name == "call-0002.mp4"
+    with pytest.raises(OptionError, match="cannot be made"):
+        new_path(tmp_path / "call-0001.mp4", "call", ".mp4")
 
 
 def test_an_image_comes_back_as_it_was(tmp_path: Path) -> None:

@@ -27,7 +27,6 @@ KEPT = ViewState(
     mode="light",
     scale=1.25,
     shows_self=False,
-    detail=0.5,
 )
 
 
@@ -63,7 +62,7 @@ def test_what_is_saved_is_loaded(kept: Kept) -> None:
         '{"shows_self": 1}',
         '{"sound": 5}',
         '{"mode": "grey"}',
-        '{"detail": true}',
+        '{"scale": true}',
         '{"shows_self": "yes"}',
         '{"url": 7}',
         "[" * 20_000,

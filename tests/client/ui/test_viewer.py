@@ -270,15 +270,24 @@ def test_the_help_covers_nobody() -> None:
         assert {viewer.pick(x, y) for x, y in places} == {None, *range(5)}
 
 
-def test_pictures_and_recordings_are_made_by_key(tmp_path: Path) -> None:
-    pytest.importorskip("av")
-    options = replace(SMALL, keep_in=tmp_path / "kept")
+def test_a_recording_begins_and_ends_by_the_same_key_also_one_that_has_a_name(
+    tmp_path: Path,
+) -> None:
+    av = pytest.importorskip("av")
+    kept = tmp_path / "calls" / "of today"
+    options = replace(SMALL, keep_in=kept, record=tmp_path / "call.mp4")
     with Viewer(Faces("ada"), options, clock=lambda: 5.0) as viewer:
-        for now, keys in ((1.0, "P"), (1.1, "V"), (1.2, ""), (1.3, "V"), (1.4, "P")):
-            do(viewer, *(event for each in keys.lower() for event in key(each)))
-            viewer.step(now)
-    names = sorted(path.name for path in (tmp_path / "kept").iterdir())
-    assert names == ["picture-0001.png", "picture-0002.png", "recording-0001.mp4"]
+        is_recording = []
+        for number in range(6):
+            viewer.step(1.0 + 0.2 * number)
+            do(viewer, *key("v"))
+            for later in (0.1, 0.15):
+                viewer.step(1.0 + 0.2 * number + later)
+            is_recording.append(viewer.state.is_recording)
+    assert is_recording == [False, True] * 3
+    for path in (tmp_path / "call.mp4", *(kept / f"recording-000{n}.mp4" for n in (1, 2, 3))):
+        with av.open(str(path)) as container:
+            assert sum(1 for _ in container.decode(video=0)) >= 1
 
 
 def test_a_face_that_goes_stale_fades_and_does_not_blink(two: tuple[Faces, Viewer]) -> None:
@@ -365,11 +374,11 @@ def test_preparing_does_not_wait_for_a_broken_or_silent_peer() -> None:
 
 def test_a_viewer_short_of_time_gives_up_detail_and_says_which() -> None:
     levels = []
-    for max_fps, detail in ((1000.0, 0.1), (1.0, 1.0)):
+    for max_fps in (1000.0, 1.0):
         source = Faces("ada")
         source.avatars["toy"] = with_toy_levels(TOY)
         options = replace(SMALL, size="640x360", max_fps=max_fps)
-        with Viewer(source, options, state=ViewState(layout="grid", detail=detail)) as viewer:
+        with Viewer(source, options, state=ViewState(layout="grid")) as viewer:
             for frame in range(12):
                 source.latent = np.full((8, 8, 4), 0.1 * frame, np.float32)
                 step_until_decoded(viewer, now=1.0 + 0.1 * frame)

@@ -9,7 +9,7 @@ from imgui_bundle import imgui
 from pica_client.ui.actions import ACTIONS, TALK_KEY, Action, Request
 from pica_client.ui.call_view import CallView
 from pica_client.ui.join_form import SOURCES
-from pica_client.ui.state import LAYOUT_TITLES, MIN_DETAIL, SCALES, ViewState
+from pica_client.ui.state import LAYOUT_TITLES, SCALES, ViewState
 from pica_client.ui.surface.style import Metrics, Mode, Tone
 from pica_client.ui.surface.widgets import action_button, choice_of, note
 from pica_client.voice.sound.settings import DeviceState, SoundState
@@ -129,7 +129,7 @@ def _you(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
 
 
 def _shown(state: ViewState, metrics: Metrics) -> list[Request]:
-    """How people sit, what is shown, how the surface looks, and what a picture may cost."""
+    """How people sit, and how the surface looks."""
     requests: list[Request] = []
     note("People sit", metrics)
     layout = choice_of("##layout", LAYOUT_TITLES.items(), state.layout)
@@ -141,10 +141,4 @@ def _shown(state: ViewState, metrics: Metrics) -> list[Request]:
     state.scale = choice_of("##scale", [(each, f"{each:.0%}") for each in SCALES], state.scale)
     if state.own_face != "none":
         _, state.shows_self = imgui.checkbox("My own face", state.shows_self)
-    percent, least = round(100 * state.detail), round(100 * MIN_DETAIL)
-    note(f"Detail {percent} %. Less leaves more of this machine to others.", metrics)
-    imgui.set_next_item_width(-1)
-    has_changed, percent = imgui.slider_int("##detail", percent, least, 100, "")
-    if has_changed:
-        state.detail = min(max(percent, least), 100) / 100
     return requests

@@ -59,7 +59,6 @@ BUTTONS = {
     "Hide your face": Action.MUTE_FACE,
     "Freeze your face": Action.FREEZE_FACE,
     "Next layout": Action.NEXT_LAYOUT,
-    "Take a picture": Action.SCREENSHOT,
     "Record": Action.RECORD,
     "Participants": Action.PARTICIPANTS,
     "Settings": Action.SETTINGS,

@@ -159,12 +159,10 @@ def test_each_setting_is_one_click(hand: Hand) -> None:
         "##scale",
         "125%",
         "My own",
-        "##detail",
     )
     clicking(hand, settings_panel, state, CALL, *labels)
     assert (state.layout, state.shows_self) == ("grid", False)
     assert (state.mode, state.scale) == ("light", 1.25)
-    assert state.detail == pytest.approx(0.55, abs=0.1)  # the middle of 10 to 100 %
     state.side = "help"
     assert clicking(hand, help_panel, state, CALL, "Close") == [Action.CLOSE]
 

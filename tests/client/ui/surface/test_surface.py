@@ -39,7 +39,7 @@ def test_keys_are_a_fields_own_while_a_text_is_typed() -> None:
                 imgui.set_keyboard_focus_here()
                 imgui.input_text("##field", "")
                 imgui.end()
-                found += [each.name for each in keyboard(ViewState(), ())]
+                found += [each.name for each in keyboard(ViewState())]
     assert found == ["CLOSE"]
 
 
