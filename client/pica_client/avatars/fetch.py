@@ -12,7 +12,6 @@ import logging
 import os
 import queue
 import ssl
-import tempfile
 import threading
 import time
 from collections.abc import Callable
@@ -38,21 +37,12 @@ MAX_BYTES = 2**30
 
 
 class AvatarCache:
-    """A bounded folder of avatar files by hash. One thread uses it; processes may share it."""
+    """A bounded folder of avatar files by hash, by default `cache_folder`; the newest file is kept
+    whatever its size. One thread uses it; processes may share it."""
 
     def __init__(self, folder: Path | None = None, max_bytes: int = MAX_BYTES) -> None:
-        """Prepare the folder, by default `cache_folder`; one that cannot be written is replaced by
-        a temporary one. The newest file is kept whatever its size.
-        """
         self._max_bytes = max_bytes
-        self._temporary: tempfile.TemporaryDirectory[str] | None = None
         self.folder = folder or cache_folder()
-        try:
-            make_private(self.folder)
-            tempfile.TemporaryFile(dir=self.folder).close()
-        except OSError:
-            self._temporary = tempfile.TemporaryDirectory(prefix="pica-cache-")
-            self.folder = Path(self._temporary.name)
 
     def find(self, identity: str) -> Path | None:
         """The file of an avatar, if it is there and still has its hash."""
@@ -70,6 +60,7 @@ class AvatarCache:
         Raises:
             OSError: The file cannot be written.
         """
+        make_private(self.folder)
         newest = self.folder / f"{identity}{SUFFIX}"
         with replacing(newest) as unfinished:
             unfinished.write_bytes(data)
@@ -84,11 +75,6 @@ class AvatarCache:
                 path.unlink(missing_ok=True)
                 num_too_many -= size
         return newest
-
-    def close(self) -> None:
-        """Delete what was only temporary."""
-        if self._temporary is not None:
-            self._temporary.cleanup()
 
 
 TIMEOUT_S = 10.0
@@ -287,7 +273,6 @@ class AvatarFetcher:
                 wanted.due_s = time.monotonic() + wanted.retry_s
                 wanted.retry_s = min(2 * wanted.retry_s, LAST_RETRY_S)
                 wanted.is_queued = False
-        cache.close()
 
     def _fetch(self, cache: AvatarCache, identity: str, wanted: _Wanted) -> bool:
         """Put an avatar into the library; False if it did not come."""

@@ -47,13 +47,7 @@ class PushError(RelayError):
         self.is_worth_retrying = is_worth_retrying
 
 
-async def push_avatar(
-    url: str,
-    link: LinkConfig,
-    path: Path,
-    identity: str,
-    progress: Callable[[float], None] = lambda ratio: None,
-) -> store.Stored:
+async def push_avatar(url: str, link: LinkConfig, path: Path, identity: str) -> store.Stored:
     """Give a relay, ws:// or wss://, an avatar's file, unless it has it.
 
     Args:
@@ -85,9 +79,8 @@ async def push_avatar(
         answer = await _answer(websocket)
         if isinstance(answer, store.Ready):
             for begin in range(0, len(data), store.MAX_CHUNK_BYTES):
-                end = min(begin + store.MAX_CHUNK_BYTES, len(data))
-                await websocket.send(store.encode_chunk(data[begin:end]))
-                progress(end / len(data))
+                piece = data[begin : begin + store.MAX_CHUNK_BYTES]
+                await websocket.send(store.encode_chunk(piece))
             answer = await _answer(websocket)
         if not isinstance(answer, store.Stored):
             raise PushError(NO_STORE)

@@ -1,7 +1,6 @@
 """`pica avatar push`."""
 
 import asyncio
-import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -36,14 +35,6 @@ def avatar_push(options: AvatarPushOptions) -> dict[str, Any]:
     file = avatar_file(options.file)
     load_avatar(file)
     identity = avatar_id(file)
-    shown = -1
-
-    def show(ratio: float) -> None:
-        nonlocal shown
-        if sys.stderr.isatty() and int(ratio * 100) > shown:
-            shown = int(ratio * 100)
-            print(f"\r{shown} %", end="\n" if ratio == 1 else "", file=sys.stderr, flush=True)
-
-    stored = asyncio.run(push_avatar(link.url, link, file, identity, show))
+    stored = asyncio.run(push_avatar(link.url, link, file, identity))
     say(f"{file}: the relay {'has it now' if stored.is_new else 'had it already'}")
     return {"sha256": identity, "was_there": not stored.is_new}

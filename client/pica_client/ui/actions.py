@@ -37,8 +37,6 @@ class Action(Enum):
     CALIBRATE = auto()
     NEXT_LAYOUT = auto()
     RESET_VIEW = auto()
-    COME_CLOSER = auto()
-    GO_BACK = auto()
     RECORD = auto()
     PARTICIPANTS = auto()
     SETTINGS = auto()
@@ -73,8 +71,6 @@ class Row:
     """A field of the state with its values while this is on, and while it is off."""
     is_request: bool = False
     """The viewer carries it out, and its toggle only follows."""
-    repeats: bool = False
-    """Holding the key does it again."""
     needs: Literal["", "face", "voice"] = ""
     """What must be sent for it."""
     group: int = 0
@@ -98,23 +94,7 @@ class Row:
     @property
     def key_names(self) -> tuple[str, ...]:
         """The names of its keys."""
-        return tuple(dict.fromkeys(KEY_NAMES.get(k) or imgui.get_key_name(k) for k in self.keys))
-
-
-KEY_NAMES = {
-    imgui.Key.equal: "=",
-    imgui.Key.keypad_add: "+",
-    imgui.Key.minus: "-",
-    imgui.Key.keypad_subtract: "-",
-}
-"""Keys that ImGui calls otherwise than people do."""
-
-
-def _zoom(steps: float) -> Callable[[ViewState], None]:
-    def change(state: ViewState) -> None:
-        state.orbit = state.orbit.zoomed(steps)
-
-    return change
+        return tuple(dict.fromkeys(imgui.get_key_name(k) for k in self.keys))
 
 
 def _reset_view(state: ViewState) -> None:
@@ -152,12 +132,6 @@ ACTIONS: Final[dict[Action, Row]] = {
         off=(icons.ICON_FA_TABLE_CELLS_LARGE, "Next layout", "plain"),
     ),
     Action.RESET_VIEW: Row(keys=(_KEY.r,), title="reset view and pin", change=_reset_view),
-    Action.COME_CLOSER: Row(
-        keys=(_KEY.keypad_add, _KEY.equal), title="come closer", change=_zoom(1), repeats=True
-    ),
-    Action.GO_BACK: Row(
-        keys=(_KEY.minus, _KEY.keypad_subtract), title="go back", change=_zoom(-1), repeats=True
-    ),
     Action.MUTE_VOICE: Row(
         keys=(_KEY.t,),
         title="mute own voice",
@@ -276,7 +250,7 @@ def keyboard(state: ViewState) -> list[Request]:
         action
         for action, row in ACTIONS.items()
         for key in row.keys
-        if (key == _KEY.escape or not is_typed) and imgui.is_key_pressed(key, repeat=row.repeats)
+        if (key == _KEY.escape or not is_typed) and imgui.is_key_pressed(key, repeat=False)
     ]
 
 

@@ -78,7 +78,6 @@ def test_the_help_shows_every_titled_key_with_its_title(controls: Controls) -> N
     for row in ACTIONS.values():
         if row.title:
             assert shown[", ".join(row.key_names)] == row.title
-    assert shown["+, ="] == "come closer"
     assert shown["Escape, Q"] == "close, or leave"
 
 
@@ -172,13 +171,11 @@ def test_what_the_viewer_carries_out_is_left(controls: Controls) -> None:
     assert controls.take_requests() == [Action.RECORD, Action.FULL_SCREEN]
 
 
-def test_a_held_key_repeats_only_where_that_makes_sense(controls: Controls) -> None:
-    controls.frame(press(KEY.s), press(KEY.equal))
-    once = controls.state.orbit.zoom
+def test_a_held_key_counts_once(controls: Controls) -> None:
+    controls.frame(press(KEY.s))
     for _ in range(20):
         controls.frame()
     assert controls.state.side == "statistics"
-    assert controls.state.orbit.zoom > once > 1
 
 
 def test_the_own_face_is_muted_and_frozen(controls: Controls) -> None:

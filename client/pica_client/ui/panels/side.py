@@ -175,8 +175,13 @@ def participants_panel(state: ViewState, call: CallView, metrics: Metrics) -> li
     with side_panel("Participants", metrics, requests):
         many = f"{len(status.participants)} in {status.room}, {duration_text(status.duration_s)}"
         widgets.note(many, metrics)
-        for person in status.participants:
-            requests += _row(person, state, call, metrics, speaking)
+        if imgui.begin_table("people", 3):
+            imgui.table_setup_column("speaks", imgui.TableColumnFlags_.width_fixed, metrics.px(10))
+            imgui.table_setup_column("person", imgui.TableColumnFlags_.width_stretch)
+            imgui.table_setup_column("menu", imgui.TableColumnFlags_.width_fixed)
+            for person in status.participants:
+                requests += _row(person, state, call, metrics, speaking)
+            imgui.end_table()
         requests += _barred(state, metrics)
         imgui.separator()
         _encryption(call, metrics)
@@ -221,22 +226,20 @@ def _row(
     metrics: Metrics,
     speaking: Collection[str],
 ) -> list[Request]:
-    """One person: a dot while they speak, the name with its signs, a menu, and remarks."""
-    px, palette, requests = metrics.px, metrics.palette, list[Request]()
-    left, top = imgui.get_cursor_pos()
-    width, indent = imgui.get_content_region_avail().x, px(20)
+    """One person: a dot while they speak, the name with its signs and remarks, and a menu."""
+    palette, requests = metrics.palette, list[Request]()
     volume = state.volumes.get(person.place, 1.0)
     signs = signs_of(person, is_encrypted=call.status.is_encrypted, volume=volume)
-    signs_width = sum(widgets.text_size(icon, TEXT_PT)[0] + px(6) for icon, _, _ in signs)
-    name = f"{person.name} (you)" if person.is_self else person.name
+    gap = metrics.px(6)
+    signs_width = sum(widgets.text_size(icon, TEXT_PT)[0] + gap for icon, _, _ in signs)
+    imgui.table_next_column()
     if person.peer_id in speaking:
-        place = imgui.get_cursor_screen_pos()
-        centre = (place.x + px(7), place.y + widgets.text_size("A", TEXT_PT)[1] / 2)
-        imgui.get_window_draw_list().add_circle_filled(centre, px(5), widgets.ink(palette.good))
-    imgui.set_cursor_pos((left + indent, top))
-    imgui.begin_group()
-    imgui.push_style_var(imgui.StyleVar_.item_spacing, (px(6), px(2)))
-    room = width - indent - px(MENU_PT + 8)
+        with widgets.type_size(SMALL_PT):
+            imgui.text_colored(palette.good, icons.ICON_FA_CIRCLE)
+    imgui.table_next_column()
+    imgui.push_style_var(imgui.StyleVar_.item_spacing, (gap, metrics.px(2)))
+    room = imgui.get_content_region_avail().x
+    name = f"{person.name} (you)" if person.is_self else person.name
     imgui.text_unformatted(widgets.shortened(name, room - signs_width, TEXT_PT))
     for icon, tone, meaning in signs:
         imgui.same_line()
@@ -247,16 +250,12 @@ def _row(
         if text:
             widgets.note(text, metrics, tone=tone, wrap=room)
     imgui.pop_style_var()
-    imgui.end_group()
-    after = imgui.get_cursor_pos()
+    imgui.table_next_column()
     if not person.is_self:
-        imgui.set_cursor_pos((left + width - px(MENU_PT), top - px(3)))
         more = f"More on {person.name}"
         if widgets.icon_button(icons.ICON_FA_ELLIPSIS_VERTICAL, more, metrics, size_pt=MENU_PT):
             imgui.open_popup(f"menu {person.peer_id}")
         requests += _menu(person, state, call, metrics)
-    imgui.set_cursor_pos((left, max(after.y, top + px(MENU_PT))))
-    imgui.dummy((0, 0))
     return requests
 
 
