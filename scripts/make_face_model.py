@@ -5,7 +5,9 @@
 FOLDER holds ``ict_head.glb`` (neutral and expressions), ``generic_neutral_mesh.obj`` and
 ``identity_modes.npz`` (`modes` int16 ``[K, V, 3]`` in the OBJ's vertex order, times `scale_cm`).
 Layers over the eyes are left out. Places are stored in steps, as differences along the vertices;
-the largest errors are printed.
+the largest errors are printed. Charts, marks and the coarse mesh are kept from the file that stands
+there: islands were stretched by a density-equalising flow, the coarse triangles chosen by quadrics,
+and ears and neck marked on the mean head, by this repository as of commit b39c6fb8.
 
 Source: Li et al., "Learning Formation of Physically-Based Face Attributes", CVPR 2020. MIT licence,
     Copyright (c) 2020 USC Institute for Creative Technologies.
@@ -17,8 +19,6 @@ from pathlib import Path
 
 import numpy as np
 
-from pica_core.avatar.arkit import ARKIT_INDEX
-from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.dataset.published import read_obj
 from pica_core.capture.person.model import (
     COARSE,
@@ -27,14 +27,12 @@ from pica_core.capture.person.model import (
     MOTION_M,
     NUM_MODES,
     REST_M,
-    UV_STEP,
     read_model,
 )
 from pica_core.capture.rig.gltf import read_rig
-from pica_core.capture.rig.mesh import RigMesh, build_mesh
+from pica_core.capture.rig.mesh import MARKS, build_mesh
 from pica_core.capture.rig.names import map_names
 from pica_core.capture.triangles import nearest
-from pica_core.train.lod.simplify import Simplifier
 from pica_core.types import Array, Float64Array, FloatArray
 
 MALE = (
@@ -51,7 +49,8 @@ subject's left; mirrored on the right (chosen after Zhuang & Bradtmiller 2005: b
 and neck)."""
 SEX_LENGTH = 2.2
 """How far along its direction a sex lies, in standard deviations of the modes (chosen)."""
-COARSE_FACES = 9000
+KEPT = ("uv", "uv_faces", *MARKS, *(COARSE + name for name in ("faces", "uv_faces", "part")))
+"""What is kept of the file that stands there."""
 HEAD_CM = (0.0, 1.43, 0.5)
 """The origin of the places in `MALE`, in the model's own coordinates."""
 
@@ -70,19 +69,16 @@ def main() -> None:
     place, top = places[places[:, 1].argmax()], mesh.rest_m[mesh.rest_m[:, 1].argmax()]
     kept, apart = nearest(mesh.rest_m, places + (top - place))
     assert apart.max() < 1e-9
-    assert mesh.uv is not None
-    assert mesh.uv_faces is not None
     exact: dict[str, tuple[Array, float, int]] = {
         "rest": (mesh.rest_m, REST_M, 0),
         "modes": (mesh.frame.points(modes_m[:, kept]), MODE_M, 1),
         "motion": (mesh.motion_m, MOTION_M, 1),
-        "uv": (mesh.uv, UV_STEP, 0),
         "faces": (mesh.faces, 1, 0),
-        "uv_faces": (mesh.uv_faces, 1, 0),
     }
     table: dict[str, Array] = {name: planes(*values) for name, values in exact.items()}
     table |= {name: eye.vertices for name, eye in zip(EYES, mesh.eyes, strict=True)}
-    table |= coarse(mesh)
+    with np.load(options.out) as before:
+        table |= {name: before[name] for name in KEPT}
     with zipfile.ZipFile(options.out, "w", zipfile.ZIP_LZMA) as archive:
         for name, array in (table | {"part": mesh.part.astype(np.uint8), "male": male}).items():
             info = zipfile.ZipInfo(f"{name}.npy")
@@ -95,29 +91,6 @@ def main() -> None:
         ("rest", model.mean.rest_m), ("modes", model.modes_m), ("motion", model.mean.motion_m),
     ):  # fmt: skip
         print(f"{name}: off by {1000 * np.abs(array - exact[name][0]).max():.6f} mm at most")
-
-
-def coarse(mesh: RigMesh) -> dict[str, Array]:
-    """Triangles over some of the vertices, that hold in strong expressions."""
-    assert mesh.uv is not None
-    assert mesh.uv_faces is not None
-    corners = np.stack([mesh.uv_faces.ravel(), mesh.faces.ravel()], 1)
-    pairs, split = np.unique(corners, axis=0, return_inverse=True)
-    uv, place = pairs.T
-    poses = [mesh.rest_m]
-    for name in ("jawOpen", "eyeBlink", "mouthSmile"):
-        chosen = [k for shape, k in ARKIT_INDEX.items() if shape.startswith(name)]
-        poses.append(mesh.rest_m + mesh.motion_m[chosen].sum(0))
-    simplifier = Simplifier(np.stack(poses)[:, place], mesh.uv[uv], split.reshape(-1, 3))
-    simplifier.reduce(COARSE_FACES, None)
-    faces = simplifier.faces()
-    shared = np.zeros((len(mesh.rest_m), len(MATERIALS)), np.int64)  # parts of faces around
-    np.add.at(shared, (mesh.faces, mesh.part[:, None]), 1)
-    return {
-        COARSE + "faces": planes(place[faces], 1, 0),
-        COARSE + "uv_faces": planes(uv[faces], 1, 0),
-        COARSE + "part": shared[place[faces]].min(1).argmax(1).astype(np.uint8),
-    }
 
 
 def planes(values: Array, step: float, axis: int) -> Array:

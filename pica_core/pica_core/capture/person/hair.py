@@ -82,6 +82,8 @@ FRONT_DEG = (
 frames the face."""
 CLEAR_M, THICK_M = 0.003, 0.009
 """Distance of hair that hangs from what is under it, and its thickness."""
+INNER_SHARE = 0.25
+"""Width of the inner side of hanging hair on the chart, against the outer one's."""
 CROWN_M = 0.016
 """How far below the crown hanging hair leaves the cap."""
 SHOULDER_M = 0.100
@@ -236,6 +238,8 @@ def grow(points: Float64Array, style: Style, seed: int, body: Float64Array) -> S
     else:
         return None
     around = np.linalg.norm(np.diff(rings, axis=1, append=rings[:, :1]), axis=2).mean(0)
+    if style.hang:  # the inner half is seldom seen
+        around[len(around) // 2 :] *= INNER_SHARE
     surface = join_rings(rings, np.concatenate([[0], np.cumsum(around)]))
     columns = rings.shape[1]
     v = surface.uv[:: columns + 1, 1]

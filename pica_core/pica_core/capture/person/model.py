@@ -2,7 +2,8 @@
 
 ``face_model.npz`` is ICT-FaceKit Light, reduced and quantised by ``scripts/make_face_model.py``:
 integers in the steps below, each but the first as its difference to the one before, split into
-planes of bytes. The parts of its faces, its charts and seams, and its eyeballs are stored with it.
+planes of bytes. The parts of its faces, its charts and seams, eyeballs, ears and neck are stored
+with it; the islands of its charts are stretched so that each triangle has the room that it needs.
 
 Source: Li et al., "Learning Formation of Physically-Based Face Attributes", CVPR 2020. MIT licence,
     Copyright (c) 2020 USC Institute for Creative Technologies.
@@ -15,7 +16,14 @@ from importlib.resources import files
 import numpy as np
 import numpy.typing as npt
 
-from pica_core.capture.rig.mesh import EYES_AT_M, Eyeball, RigFrame, RigMesh, fit_sphere
+from pica_core.capture.rig.mesh import (
+    EYES_AT_M,
+    MARKS,
+    Eyeball,
+    RigFrame,
+    RigMesh,
+    fit_sphere,
+)
 from pica_core.types import Array, ByteArray, Float64Array, FloatArray, Int64Array, IntArray
 
 NUM_MODES = 100
@@ -75,12 +83,16 @@ def read_model(*, coarse: bool = False) -> FaceModel:
     part = table[prefix + "part"].astype(np.int32)
     used, faces = _compact(_sums(table[prefix + "faces"]))
     used_uv, uv_faces = _compact(_sums(table[prefix + "uv_faces"]))
+
+    def marked(name: str) -> Int64Array:
+        return np.flatnonzero(np.isin(used, table[name]))
+
     eyes = [
         Eyeball(
             side=side,
             centre_m=np.zeros(3),
             radius_m=0.0,
-            vertices=np.flatnonzero(np.isin(used, table[name])),
+            vertices=marked(name),
             turned=False,
         )
         for side, name in zip((1.0, -1.0), EYES, strict=True)
@@ -97,6 +109,7 @@ def read_model(*, coarse: bool = False) -> FaceModel:
         eyes=tuple(eyes),
         frame=RigFrame(unit="m", turned=False, guessed=()),
         dropped=(),
+        marks={name: marked(name) for name in MARKS},
     )
     modes = np.float32(MODE_M) * _sums(table["modes"], 1)[:, used].astype(np.float32)
     return FaceModel(mean=mean, modes_m=modes, male=table["male"])

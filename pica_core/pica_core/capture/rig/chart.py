@@ -1,24 +1,19 @@
-"""One 0-1 chart for a whole rig: every island of the file's UVs, stretched to its need and packed.
+"""One 0-1 chart for a whole rig: every island of the file's UVs, scaled to its need and packed.
 
-A 256 x 256 position map has about two texels per vertex of a detailed head; where vertices crowd
-(lids, lips, teeth) the file's own UVs leave them less than one. So each island is warped by a
-density-equalising flow, after which every triangle has the area that it needs, and islands are
-packed at a common scale:
+    islands -> need of each triangle -> scale -> pack (xatlas)
 
-    islands -> need of each triangle -> flow (Gastner & Newman 2004) -> scale -> pack (xatlas)
-
-Meshes without UVs get islands from xatlas first. The flow keeps islands whole and unfolded.
+Meshes without UVs get islands from xatlas first. Those of the face model were stretched once, so
+that each triangle has the area that it needs: a 256 x 256 position map has about two texels for a
+vertex of a detailed head, and lids, lips and teeth crowd them.
 """
 
-import itertools
 from dataclasses import dataclass
 
 import numpy as np
 import xatlas
-from scipy.ndimage import gaussian_filter, map_coordinates
 
 from pica_core.capture.dataset.files import MAP_SIZE
-from pica_core.capture.triangles import areas, components, signed_areas, spread_samples
+from pica_core.capture.triangles import areas, components, signed_areas
 from pica_core.errors import CaptureError
 from pica_core.types import BoolArray, Float64Array, FloatArray, Int64Array, IntArray
 
@@ -137,17 +132,6 @@ def _between(
     return _as_copied(triangles[fits], place[fits] % 3), place[fits] // 3
 
 
-FLOW_GRIDS = ((2000, 128), (0, 48))
-"""Least triangles, and cells along each side of the grid on which their density spreads."""
-FLOW_MARGIN = 0.3
-"""Sea around an island, as a share of its size, in which its outline may move."""
-FLOW_STEPS = 64
-FLOW_ROUNDS = 2
-"""Flows one after the other: the first leaves what its grid could not see of crowded places."""
-FLOW_CONTRAST = 40.0
-"""Largest and smallest density against the mean: limits how far texels may crowd."""
-MIN_FLOW_FACES = 40
-"""Smaller islands are scaled only."""
 USUAL_FILL = 0.55
 """Share of the square that islands cover in the end, about."""
 MAX_FOLDED = 0.1
@@ -213,83 +197,6 @@ def mend_islands(
     return np.concatenate([uv, new_uv]), mended, int(np.count_nonzero(mend))
 
 
-def _density_modes(size: int) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Cosine modes at cell corners, their derivatives, and squared wave numbers."""
-    k = np.pi * np.arange(size) / size
-    x = np.arange(size) + 0.5
-    cosine = np.cos(np.outer(k, x)) * np.sqrt(np.where(k > 0, 2.0, 1.0) / size)[:, None]
-    sine = -np.sin(np.outer(k, x)) * (k * np.sqrt(np.where(k > 0, 2.0, 1.0) / size))[:, None]
-    return cosine, sine, k * k
-
-
-def _bilinear(fields: Float64Array, at: Float64Array) -> Float64Array:
-    """Values of ``[H, W, C]`` at grid positions (x, y) in cells. ``[n, C]``."""
-    place = at.T[::-1] - 0.5
-    return np.stack(
-        [map_coordinates(f, place, order=1, mode="nearest") for f in fields.transpose(2, 0, 1)], 1
-    )
-
-
-def equalise(uv: Float64Array, faces: IntArray, need: Float64Array) -> Float64Array:
-    """Move an island's points until each triangle's area is about its need.
-
-    Points ``[n, 2]`` keep their scale; triangles ``[F, 3]``, all of one winding, stay unfolded; the
-    need ``[F]`` is positive.
-
-    Source: Gastner & Newman, "Diffusion-based method for producing density-equalizing maps", PNAS
-        101(20), 2004.
-    """
-    size = next(cells for least, cells in FLOW_GRIDS if len(faces) >= least)
-    cosine, sine, squares = _density_modes(size)
-    # Steps grow with time: detail settles first, the large scale last.
-    times = np.concatenate([[0.0], np.geomspace(0.05, 0.6 * size * size, FLOW_STEPS)])
-    for _ in range(FLOW_ROUNDS):
-        low, high = uv.min(0), uv.max(0)
-        span = float((high - low).max()) * (1 + 2 * FLOW_MARGIN)
-        start = 0.5 * (low + high) - 0.5 * span
-        points = (uv - start) / span * size
-        waves = cosine @ _need_density(points, faces, need, size) @ cosine.T
-        moved = points.copy()
-        for before, after in itertools.pairwise(times.tolist()):
-            fade = np.exp(-np.add.outer(squares, squares) * 0.5 * (before + after))
-            now = waves * fade
-            rho = cosine.T @ now @ cosine
-            slope = np.stack([cosine.T @ now @ sine, sine.T @ now @ cosine], -1)
-            velocity = -slope / np.maximum(rho, 1e-9)[..., None]
-            half = moved + 0.5 * (after - before) * _bilinear(velocity, moved)
-            moved = moved + (after - before) * _bilinear(velocity, half)
-        sign = np.sign(signed_areas(points, faces).sum())
-        blend = 1.0
-        while blend > 1e-3:
-            mixed = points + blend * (moved - points)
-            if (signed_areas(mixed, faces) * sign > 0).all():
-                break
-            blend *= 0.9
-        else:
-            mixed = points
-        uv = mixed * span / size + start
-    return uv
-
-
-def _need_density(
-    points: Float64Array, faces: IntArray, need: Float64Array, size: int
-) -> Float64Array:
-    """Need per cell, on a grid; the mean outside the island. ``[size, size]``, row is y."""
-    area = np.abs(signed_areas(points, faces))
-    count = np.clip(np.ceil(area * 6), 4, 4000).astype(np.int64)
-    which, a, b = spread_samples(count)
-    corner = [points[faces[which, k]] for k in range(3)]
-    at = corner[0] + a[:, None] * (corner[1] - corner[0]) + b[:, None] * (corner[2] - corner[0])
-    cell = np.clip(at.astype(np.int64), 0, size - 1)
-    flat = cell[:, 1] * size + cell[:, 0]
-    sums = [np.bincount(flat, (value / count)[which], size * size) for value in (need, area)]
-    # Both are spread a little, so that their ratio is smooth where triangles are larger than cells.
-    wanted, covered = (gaussian_filter(s.reshape(size, size), 1.0, mode="nearest") for s in sums)
-    mean = need.sum() / area.sum()
-    density = (wanted + 0.02 * mean) / (covered + 0.02)
-    return np.clip(density / mean, 1 / FLOW_CONTRAST, FLOW_CONTRAST)
-
-
 def pack(
     uv: Float64Array,
     uv_faces: IntArray,
@@ -329,9 +236,6 @@ def pack(
         if signed.sum() < 0:
             island[:, 0] *= -1
             signed = -signed
-        if (signed > 0).all() and len(mine) >= MIN_FLOW_FACES:
-            island = equalise(island, local, need[mine])
-            signed = signed_areas(island, local)
         points[used] = island * np.sqrt(need[mine].sum() / max(np.abs(signed).sum(), floor))
     texel = np.sqrt(np.abs(signed_areas(points, split)).sum() / USUAL_FILL) / MAP_SIZE
     reach = MAX_GUTTER_TEXELS * texel

@@ -5,7 +5,7 @@ the eyes go, since nothing here is transparent. Eyeballs are found by their shap
 """
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -114,6 +114,8 @@ EYE_RADIUS_M = (0.008, 0.021)
 BALL_FIT, CAP_FIT = (0.06, 0.8), (0.12, 0.25)
 """Mean distance from a sphere, at most, and least extent, in radii: of what may be an eyeball, and
 of what its material calls an eye."""
+MARKS = ("neck", "ears")
+"""Regions of skin that are marked in the face model."""
 HALF_BLEND_M = 0.006
 """Half the width over which one shape for both sides changes from one side to the other."""
 
@@ -149,6 +151,7 @@ class RigMesh:
         part: Index into `multiface.MATERIALS`. int32 ``[F]``.
         material: Index into the source's materials. int32 ``[F]``.
         eyes: Eyeballs found, left first.
+        marks: Vertices of `MARKS` by name, where the face model marks them.
     """
 
     rest_m: Float64Array
@@ -161,6 +164,7 @@ class RigMesh:
     eyes: tuple[Eyeball, ...]
     frame: RigFrame
     dropped: tuple[str, ...]
+    marks: dict[str, Int64Array] = field(default_factory=dict)
 
     def of_part(self, *names: str) -> BoolArray:
         """Vertices that faces of these materials use. bool ``[P]``."""
