@@ -34,7 +34,7 @@ from pica_core.codec.profile import StreamProfile
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
 from simnet.clock import current_network, in_virtual_time
-from simnet.link import Link as Wire
+from simnet.network import Wire
 
 pytestmark = pytest.mark.call
 
@@ -204,7 +204,7 @@ async def test_a_slow_spell_thins_the_stream_and_every_face_stays_true(
     witness: Witness, avatar: Avatar
 ) -> None:
     # With their headers 30 frames a second are 8 kbit/s.
-    slow = Wire(delay_s=0.02, rate_bps=5600, window_bytes=300)
+    slow = Wire(delay_s=0.02, rate_bps=5600, queue_bytes=300)
     current_network().route("viewer", up=Wire(delay_s=0.02), down=slow)
     async with Relay(RelayConfig(port=0)) as relay:
         sending = asyncio.create_task(make_sender(relay.url, avatar, 32).run())

@@ -30,7 +30,7 @@ from pica_protocol.session import ClientEvent
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
 from simnet.clock import current_network, in_virtual_time
-from simnet.link import Link as Wire
+from simnet.network import Wire
 from simnet.peers import peer_in_room
 
 pytestmark = pytest.mark.call
@@ -176,7 +176,7 @@ async def test_the_relay_thins_what_it_cannot_read() -> None:
 @in_virtual_time
 async def test_those_who_stay_miss_nothing_when_somebody_leaves() -> None:
     network = current_network()
-    network.route("slow", up=Wire(delay_s=0.2), down=Wire(delay_s=0.2, jitter_s=0.1))
+    network.route("slow", up=Wire(delay_s=0.2), down=Wire(delay_s=0.2, jitter_s=0.03))
     async with Relay(RelayConfig(port=8765)):
         ada, ben, cho = Sealed("ada"), Sealed("ben", host="slow"), Sealed("cho")
         async with running(ada, ben):

@@ -29,7 +29,7 @@ from pica_server.auth.tokens import Admission, KeyRing, mint
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
 from simnet.clock import current_network, in_virtual_time
-from simnet.link import Link as Route
+from simnet.network import Wire
 
 pytestmark = pytest.mark.call
 
@@ -117,7 +117,7 @@ async def test_a_face_is_sent_frozen_muted_and_let_go_on_over_the_link_of_the_ca
 async def test_who_cannot_send_in_time_is_told_during_the_call_that_the_connection_is_poor() -> (
     None
 ):
-    current_network().route("ada", up=Route(delay_s=0.02, rate_bps=8_000, window_bytes=300))
+    current_network().route("ada", up=Wire(delay_s=0.02, rate_bps=8_000, queue_bytes=300))
     async with Relay(RelayConfig(port=0)) as relay:
         ada = Person(relay.url, "ada", sends=True)
         async with asyncio.TaskGroup() as tasks:

@@ -30,7 +30,7 @@ from pica_core.avatar.file import Avatar, load_avatar
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
 from simnet.clock import current_network, in_virtual_time
-from simnet.link import Link as Wire
+from simnet.network import Wire
 from simnet.peers import WirePeer, now, peer_in_room
 
 pytestmark = pytest.mark.call

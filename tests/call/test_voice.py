@@ -31,7 +31,7 @@ from pica_protocol.messages import Track
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
 from simnet.clock import current_network, in_virtual_time
-from simnet.link import Link as Route
+from simnet.network import Wire
 
 pytestmark = [
     pytest.mark.call,
@@ -258,7 +258,7 @@ async def test_who_comes_back_begins_anew_and_two_of_one_name_are_two_voices() -
 @in_virtual_time
 async def test_of_four_who_talk_in_turn_no_word_is_lost_over_64_kbit_s() -> None:
     async with Relay(RelayConfig(port=0)) as relay:
-        down = Route(delay_s=0.02, rate_bps=64_000, window_bytes=1024)
+        down = Wire(delay_s=0.02, rate_bps=64_000, queue_bytes=1024)
         current_network().route("ben", down=down)
         ben = Person(relay.url, "ben")
         others = [

@@ -24,7 +24,7 @@ from pica_server.auth.tokens import Admission, KeyRing, load_keys, mint
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
 from simnet.clock import current_network, in_virtual_time
-from simnet.link import Link
+from simnet.network import Wire
 from simnet.peers import FACE, WirePeer, now, open_websocket, peer_in_room
 
 pytestmark = pytest.mark.call
@@ -67,7 +67,7 @@ async def test_a_silent_peer_is_found_out_within_two_pings_and_the_closing_time(
 @in_virtual_time
 async def test_a_slow_reader_gets_fewer_but_fresh_frames_and_costs_nobody_else_anything() -> None:
     network = current_network()
-    network.route("modem", down=Link(rate_bps=16_000, window_bytes=2048))
+    network.route("modem", down=Wire(rate_bps=16_000, queue_bytes=2048))
     async with (
         Relay(RelayConfig()) as relay,
         peer_in_room(URL, "Ada") as ada,
@@ -90,7 +90,7 @@ async def test_a_slow_reader_gets_fewer_but_fresh_frames_and_costs_nobody_else_a
 
 @in_virtual_time
 async def test_a_reader_that_stops_is_closed_and_nobody_else_notices() -> None:
-    current_network().route("stuck", down=Link(window_bytes=2048))
+    current_network().route("stuck", down=Wire(queue_bytes=2048))
     config = RelayConfig(stall_timeout_s=5, close_timeout_s=1)
     async with (
         Relay(config) as relay,
@@ -140,7 +140,7 @@ async def test_a_relay_that_stops_says_so_to_everybody_and_leaves_no_task() -> N
 
 @in_virtual_time
 async def test_a_relay_stops_in_time_although_a_peer_does_not_read() -> None:
-    current_network().route("stuck", down=Link(window_bytes=2048))
+    current_network().route("stuck", down=Wire(queue_bytes=2048))
     relay = Relay(RelayConfig(close_timeout_s=2))
     await relay.__aenter__()
     async with (

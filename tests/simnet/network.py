@@ -1,7 +1,7 @@
 """Where servers listen and clients connect, in memory: host names pick the route.
 
     network = current_network()
-    network.route("train", up=Link(rate_bps=64_000), down=Link(delay_s=0.08, jitter_s=0.05))
+    network.route("train", up=Wire(rate_bps=64_000), down=Wire(delay_s=0.08, jitter_s=0.05))
     ... connect("ws://train:8765") ...
 
 Any host name reaches the server that listens on the port; a name with a route gets its links
@@ -12,13 +12,19 @@ set.
 import asyncio
 import socket
 from collections.abc import Callable
-from typing import Any
+from functools import partial
+from typing import Any, Final
 
-from simnet.link import Link, StreamLink
+import numpy as np
+
+from pica_client.bench.network.impairment import Impairment, Way
 from simnet.transport import SimTransport
 
 _FIRST_FREE_PORT = 40_000
 
+Wire: Final = partial(Impairment, delay_s=0.0, queue_bytes=65_536)
+"""A direction of a connection; ``queue_bytes`` are what the kernels at both ends hold before the
+writer must wait."""
 ProtocolFactory = Callable[[], asyncio.BaseProtocol]
 
 
@@ -27,16 +33,18 @@ class Network:
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
-        self._routes: dict[str, tuple[Link, Link]] = {}
+        self._routes: dict[str, tuple[Impairment, Impairment]] = {}
         self._listeners: dict[int, ProtocolFactory] = {}
         self._connections: list[tuple[str, SimTransport, SimTransport]] = []
         self._unreachable: set[str] = set()
         self._down_until_s: dict[str, float] = {}
         self._stalled_until_s: dict[str, float] = {}
 
-    def route(self, host: str, *, up: Link | None = None, down: Link | None = None) -> None:
+    def route(
+        self, host: str, *, up: Impairment | None = None, down: Impairment | None = None
+    ) -> None:
         """Say what the way to the server is like for those who connect to this host name."""
-        self._routes[host] = (up or Link(), down or Link())
+        self._routes[host] = (up or Wire(), down or Wire())
 
     def cut(self, host: str) -> None:
         """Swallow everything on this route, in both directions, without telling anybody."""
@@ -65,7 +73,7 @@ class Network:
         self, factory: ProtocolFactory, host: str = "", port: int = 0, **_options: Any
     ) -> tuple[SimTransport, asyncio.BaseProtocol]:
         """Stand in for ``loop.create_connection``."""
-        up, down = self._routes.get(host, (Link(), Link()))
+        up, down = self._routes.get(host, (Wire(), Wire()))
         if host in self._unreachable:
             await asyncio.get_running_loop().create_future()  # nobody answers
         stalled_s = self._stalled_until_s.get(host, 0.0) - self._loop.time()
@@ -77,10 +85,9 @@ class Network:
             raise ConnectionRefusedError(f"nobody listens on port {port}")
         number = len(self._connections)
         client_name, server_name = (host, 50_000 + number), ("127.0.0.1", port)
-        client = SimTransport(self._loop, StreamLink(up, f"up {number}"), client_name, server_name)
-        server = SimTransport(
-            self._loop, StreamLink(down, f"down {number}"), server_name, client_name
-        )
+        ways = [Way(each, np.random.default_rng([number, k])) for k, each in enumerate((up, down))]
+        client = SimTransport(self._loop, ways[0], client_name, server_name)
+        server = SimTransport(self._loop, ways[1], server_name, client_name)
         self._connections.append((host, client, server))
         protocols = factory(), listener()
         client.connect_to(server, protocols[0])

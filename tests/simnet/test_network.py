@@ -6,7 +6,7 @@ from websockets.asyncio.server import ServerConnection, serve
 from websockets.exceptions import ConnectionClosedError
 
 from simnet.clock import current_network, in_virtual_time
-from simnet.link import Link
+from simnet.network import Wire
 from simnet.peers import now
 
 pytestmark = pytest.mark.call
@@ -19,7 +19,7 @@ async def echo(websocket: ServerConnection) -> None:
 
 @in_virtual_time
 async def test_a_websocket_round_trip_takes_both_delays() -> None:
-    current_network().route("far", up=Link(delay_s=0.03), down=Link(delay_s=0.05))
+    current_network().route("far", up=Wire(delay_s=0.03), down=Wire(delay_s=0.05))
     async with serve(echo, "127.0.0.1", 80), connect("ws://far:80", proxy=None) as websocket:
         before = now()
         await websocket.send("hello")
@@ -47,7 +47,7 @@ async def test_a_writer_blocks_when_nobody_reads() -> None:
         websocket.transport.pause_reading()
         await websocket.wait_closed()
 
-    current_network().route("near", up=Link(window_bytes=4096))
+    current_network().route("near", up=Wire(queue_bytes=4096))
     async with (
         serve(never_read, "127.0.0.1", 80, close_timeout=1),
         connect("ws://near:80", proxy=None, compression=None, write_limit=4096) as websocket,

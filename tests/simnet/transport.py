@@ -2,7 +2,7 @@
 
 Modelled: write buffers with high and low water marks, a bounded window between the two programs (a
     reader that pauses fills it, and then blocks the writer), half-close, reset, and a network that
-    swallows everything without a word (``cut``). See ``simnet.link`` for what is not.
+    swallows everything without a word (``cut``). See ``bench.network.impairment`` for what is not.
 """
 
 import asyncio
@@ -11,7 +11,10 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from simnet.link import SEGMENT_BYTES, StreamLink
+from pica_client.bench.network.impairment import Way
+
+SEGMENT_BYTES = 1448
+"""Payload of one TCP segment on Ethernet."""
 
 
 class _Ends:
@@ -29,7 +32,7 @@ class SimTransport(asyncio.Transport):
     """One end of a simulated connection."""
 
     def __init__(
-        self, loop: asyncio.AbstractEventLoop, out: StreamLink, sockname: Any, peername: Any
+        self, loop: asyncio.AbstractEventLoop, out: Way, sockname: Any, peername: Any
     ) -> None:
         ends = _Ends(sockname, peername)
         super().__init__(extra={"sockname": sockname, "peername": peername, "socket": ends})
@@ -61,7 +64,7 @@ class SimTransport(asyncio.Transport):
 
     def hold(self, until_s: float) -> None:
         """Delay what is written from now on, as an outage does."""
-        self._out.hold(until_s)
+        self._out.free_s = max(self._out.free_s, until_s)
 
     # What asyncio asks of a transport
 
@@ -136,8 +139,8 @@ class SimTransport(asyncio.Transport):
 
     def _pump(self) -> None:
         """Put as much of the buffer under way as the window takes, and the end after the last."""
-        while self._buffer and self._under_way < self._out.link.window_bytes:
-            room = self._out.link.window_bytes - self._under_way
+        while self._buffer and self._under_way < self._out.impairment.queue_bytes:
+            room = self._out.impairment.queue_bytes - self._under_way
             segment = bytes(self._buffer[: min(SEGMENT_BYTES, room)])
             del self._buffer[: len(segment)]
             self._under_way += len(segment)

@@ -2,16 +2,15 @@
 the rendered face. On a virtual clock, so every figure comes out the same on every machine with the
 same renderer.
 
-A row is one scenario under one policy; figures are of the troubled third of the run. `mse_shown` is
-against the true face at the moment that the policy means to show, `mse_expression` the same with
-the head where it truly was, `mse_now` against the face now. What it does not show: real networks
-(see `network.impairment` for what is modelled), displays that miss refreshes, and people:
-performances and avatars are synthetic.
+A row is one scenario under one policy; figures are of the troubled third of the run. The error is
+against the true face at the moment that the policy means to show, with the head where it truly was.
+What it does not show: real networks (see `network.impairment` for what is modelled), displays that
+miss refreshes, and people: performances and avatars are synthetic.
 """
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Annotated, Any
 
@@ -20,11 +19,12 @@ from cyclopts import Parameter
 
 from pica_client.bench.harness import Words, check_names, report
 from pica_client.bench.head import FaceRenderer
-from pica_client.bench.network.scenarios import BY_NAME, POLICIES, SCENARIOS
+from pica_client.bench.network.impairment import BY_NAME, SCENARIOS
 from pica_client.bench.network.stream_trial import Delivery, Face, Schedule, Tick, deliver, play
 from pica_client.errors import OptionError, check_ranges
 from pica_client.output import say
 from pica_client.playout.buffer import Playout
+from pica_client.playout.config import PlayoutConfig
 from pica_client.render.drawing import Drawing, drawn_mse
 from pica_client.sources import open_source
 from pica_client.stats import percentile
@@ -35,7 +35,11 @@ from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, LatentSa
 SIZE_PX = 192
 MAX_DRAWINGS = 1500
 """Drawings of the true face kept: 0.15 MB each."""
-MSE_FIGURES = ("mse_shown", "mse_expression", "mse_now")
+ADAPTIVE = PlayoutConfig()
+"""What receivers use."""
+FIXED = replace(ADAPTIVE, floor_s=0.1, floor_intervals=0.0, ceiling_s=0.1)
+"""Always 100 ms behind the fastest frame; moves and conceals as ADAPTIVE does."""
+POLICIES = {"adaptive": ADAPTIVE, "fixed": FIXED}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -134,13 +138,10 @@ class _Comparison:
         schedule = self._schedule
         troubled = [tick for tick in ticks if schedule.begin_s <= tick.now_s < schedule.end_s]
         added_s = sorted(_added_delay_s(tick, delivery) for tick in troubled)
-        errors = [self._errors(tick, delivery) for tick in troubled[:: self._every]]
+        errors = [self._error(tick, delivery) for tick in troubled[:: self._every]]
         late = [tick.report.late for tick in (troubled[0], troubled[-1])]
         return {
-            **{
-                name: round(float(mean), 3)
-                for name, mean in zip(MSE_FIGURES, np.mean(errors, axis=0), strict=True)
-            },
+            "mse": round(float(np.mean(errors)), 3),
             "added_delay_ms_p50": round(percentile(added_s, 50) * 1e3, 1),
             "added_delay_ms_p95": round(percentile(added_s, 95) * 1e3, 1),
             "concealed_ratio": round(float(np.mean([_is_concealed(tick) for tick in troubled])), 4),
@@ -148,21 +149,14 @@ class _Comparison:
             "late": late[1] - late[0],
         }
 
-    def _errors(self, tick: Tick, delivery: Delivery) -> tuple[float, float, float]:
-        """One refresh's `MSE_FIGURES`."""
+    def _error(self, tick: Tick, delivery: Delivery) -> float:
+        """One refresh's error."""
         if tick.played is None:
             raise OptionError("nothing is shown in the troubled third; let the run be longer")
-        shown = tick.played.sample
-        drawn = self._renderer.draw_sample(shown)
         meant_us = round((tick.now_s - delivery.base_delay_s - tick.report.delay_s) * 1e6)
         pose = self._face(meant_us / 1e6)
-        expression = self._renderer.draw(shown.latent, pose.rotation, pose.translation_m)
-        meant = self._true_drawing(meant_us)
-        return (
-            drawn_mse(drawn, meant),
-            drawn_mse(expression, meant),
-            drawn_mse(drawn, self._true_drawing(round(tick.now_s * 1e6))),
-        )
+        shown = self._renderer.draw(tick.played.sample.latent, pose.rotation, pose.translation_m)
+        return drawn_mse(shown, self._true_drawing(meant_us))
 
     def _longest_gap_ms(self, ticks: Sequence[Tick]) -> float:
         runs = itertools.groupby(ticks, key=_is_concealed)

@@ -10,7 +10,8 @@ STOI stand for listeners.
 """
 
 import time
-from collections.abc import Callable, Iterable
+from collections import deque
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any
 
@@ -18,15 +19,15 @@ import numpy as np
 from cyclopts import Parameter
 
 from pica_client.bench.harness import Words, check_names, report
-from pica_client.bench.network.scenarios import BY_NAME, SCENARIOS
+from pica_client.bench.network.impairment import BY_NAME, SCENARIOS
 from pica_client.bench.network.stream_trial import (
     CLOCK_OFFSET_US,
     DISPLAY_PHASE,
     VOICE_STREAM,
-    Delivery,
     Schedule,
+    Tick,
     deliver,
-    receive_arrival,
+    play,
 )
 from pica_client.bench.playout import open_ends, true_face
 from pica_client.errors import check_ranges
@@ -75,24 +76,46 @@ class BenchVoiceConfig:
         check_ranges(self, kbps=(6, 128), seed=(0, 2**32))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Heard:
-    """What came out of one run; moments are seconds of the sender's clock."""
+class _Ear:
+    """A receiver's voice, pulled every 20 ms. Moments are seconds of the sender's clock.
 
-    sound: FloatArray
-    moments: Array
-    """When each sample was captured; NaN where nothing was heard. ``[ticks, FRAME]``."""
-    skews: list[tuple[float, float, bool]]
-    """(time, skew, whether the face stands still for want of frames), seconds."""
-    counted: Array
-    """(time, played, concealed, stretched) after each tick. ``[ticks, 4]``."""
-    cpu_s: float
+    Attributes:
+        sounds: What came out, 20 ms each.
+        moments: When each sample was captured; NaN where nothing was heard. ``[ticks, FRAME]``.
+        counted: (time, played, concealed, stretched) after each tick.
+    """
+
+    def __init__(self, packets: Sequence[tuple[float, Frame]]) -> None:
+        self.sounds: list[FloatArray] = []
+        self.moments: list[Array] = []
+        self.counted: list[tuple[float, int, int, int]] = []
+        self.cpu_s = 0.0
+        self._buffer, self._voice = JitterBuffer(OpusDecoder()), HeardVoice()
+        self._waiting = deque(packets)
+
+    def heard_us(self, now: float) -> int | None:
+        """Play up to `now`; what is heard then, sender's clock."""
+        begin_s, buffer = time.process_time(), self._buffer
+        while (tick_s := (len(self.sounds) + DISPLAY_PHASE) * FRAME_S) <= now:
+            while self._waiting and self._waiting[0][0] <= tick_s:
+                arrived_s, packet = self._waiting.popleft()
+                buffer.receive(packet, arrived_s)
+            self.sounds.append(buffer.pull(tick_s))
+            report, moments = buffer.report(), np.full(FRAME, np.nan)
+            if buffer.moment is not None:
+                self._voice.receive(buffer.moment)
+                moments = (buffer.moments_us - CLOCK_OFFSET_US) / 1e6
+            self.moments.append(moments)
+            self.counted.append((tick_s, report.played, report.concealed, report.stretched))
+        self.cpu_s += time.process_time() - begin_s
+        return self._voice.at(now)
 
     @property
     def delays_s(self) -> Array:
         """How old the sound of each tick is when it leaves the loudspeaker."""
-        delays_s: Array = self.counted[:, 0] - self.moments[:, 0]
-        return delays_s
+        return np.array(
+            [now - each[0] for (now, *_), each in zip(self.counted, self.moments, strict=True)]
+        )
 
 
 def run_bench_voice(config: BenchVoiceConfig, avatar: Avatar) -> dict[str, Any]:
@@ -101,10 +124,6 @@ def run_bench_voice(config: BenchVoiceConfig, avatar: Avatar) -> dict[str, Any]:
     sound = _speech(schedule.seconds, config.seed)
     frames = sound[: len(sound) // FRAME * FRAME].reshape(-1, FRAME)
     loud = np.sqrt(np.mean(np.square(frames), axis=1)) > SPOKEN_RMS
-
-    def is_spoken(captured_us: int) -> bool:
-        place = int((captured_us - CLOCK_OFFSET_US) / 1e6 / FRAME_S)
-        return 0 <= place < len(loud) and bool(loud[place])
 
     face = true_face(config.source, avatar)
     chosen = [BY_NAME[name] for name in config.scenarios] or list(SCENARIOS)
@@ -115,14 +134,15 @@ def run_bench_voice(config: BenchVoiceConfig, avatar: Avatar) -> dict[str, Any]:
     for scenario in chosen:
         ends = open_ends(avatar, schedule.fps)
         delivery = deliver(face, ends, scenario, schedule, seed=config.seed, voice=voice)
-        heard = _listen(delivery, schedule, is_spoken)
+        ear = _Ear(delivery.voices)
+        ticks = play(delivery, Playout(), schedule, ear.heard_us)
         rows.append(
             {
                 "condition": scenario.name,
                 "wire_bps": round(delivery.wire_bytes * 8 / schedule.seconds),
-                **_quality(sound, heard, schedule),
-                **_timing(heard, schedule),
-                "cpu_ms_per_s": round((encode_s + heard.cpu_s) / schedule.seconds * 1e3, 2),
+                **_quality(sound, ear, schedule),
+                **_timing(ear, ticks, loud, schedule),
+                "cpu_ms_per_s": round((encode_s + ear.cpu_s) / schedule.seconds * 1e3, 2),
             }
         )
         say(f"{scenario.name}: {scenario.note}")
@@ -154,68 +174,23 @@ def _packets(sound: FloatArray, bitrate: int) -> list[tuple[float, Frame]]:
     return packets
 
 
-def _listen(delivery: Delivery, schedule: Schedule, is_spoken: Callable[[int], bool]) -> _Heard:
-    """Play what came: ticks of sound and refreshes of the display, in the order of time."""
-    buffer, voice, playout = JitterBuffer(OpusDecoder()), HeardVoice(), Playout()
-    arrivals: list[tuple[float, Any]] = [
-        *((frame.arrived_s, frame) for frame in delivery.arrivals),
-        *delivery.voices,
-    ]
-    arrivals.sort(key=lambda arrival: arrival[0])
-    num_ticks = int(schedule.seconds / FRAME_S)
-    refreshes = int(schedule.seconds * schedule.display_hz)
-    events = [((k + DISPLAY_PHASE) * FRAME_S, True) for k in range(num_ticks)]
-    events += [((k + DISPLAY_PHASE) / schedule.display_hz, False) for k in range(refreshes)]
-    sounds: list[FloatArray] = []
-    moments = np.full((num_ticks, FRAME), np.nan)
-    skews: list[tuple[float, float, bool]] = []
-    counted: list[tuple[float, int, int, int]] = []
-    cpu_s, position, samples = 0.0, 0, delivery.samples()
-    for now, is_sound in sorted(events):
-        begin_s = time.process_time()
-        while position < len(arrivals) and arrivals[position][0] <= now:
-            arrived_s, arrival = arrivals[position]
-            position += 1
-            if isinstance(arrival, Frame):
-                buffer.receive(arrival, arrived_s)
-            else:
-                receive_arrival(playout, arrival, samples)
-        if not is_sound:
-            heard_us = voice.at(now)
-            face = playout.sample_at(now, heard_us)
-            is_heard = bool(sounds) and float(np.std(sounds[-1])) > SPOKEN_RMS
-            if face is None:
-                continue
-            if heard_us is not None and is_heard and is_spoken(heard_us):
-                skews.append((now, (face.captured_us - heard_us) / 1e6, face.is_concealed))
-            continue
-        sounds.append(buffer.pull(now))
-        cpu_s += time.process_time() - begin_s
-        report = buffer.report()
-        if buffer.moment is not None:
-            voice.receive(buffer.moment)
-            moments[len(sounds) - 1] = (buffer.moments_us - CLOCK_OFFSET_US) / 1e6
-        counted.append((now, report.played, report.concealed, report.stretched))
-    return _Heard(np.concatenate(sounds), moments, skews, np.array(counted), cpu_s)
-
-
-def _quality(sound: FloatArray, heard: _Heard, schedule: Schedule) -> dict[str, Any]:
+def _quality(sound: FloatArray, ear: _Ear, schedule: Schedule) -> dict[str, Any]:
     """PESQ and STOI of the troubled third."""
     from pesq import PesqError, pesq
     from pystoi import stoi
 
-    size = len(sound)
-    moments = heard.moments.ravel()
+    size, heard = len(sound), np.concatenate(ear.sounds)
+    moments = np.concatenate(ear.moments)
     fits = (moments >= 0) & (moments < (size - 1) / RATE_HZ)  # false for NaN
     places = np.round(moments[fits] * RATE_HZ).astype(np.int64)
     back, is_there = np.zeros(size, np.float32), np.zeros(size, bool)
-    back[places], is_there[places] = heard.sound[fits], True
+    back[places], is_there[places] = heard[fits], True
     _fill_holes(back, is_there)
     cut = slice(int(schedule.begin_s * RATE_HZ), int(schedule.end_s * RATE_HZ))
     true, laid = (resampled(each[cut], RATE_HZ, SCORE_HZ) for each in (sound, back))
     # Sample k of the sound leaves the loudspeaker at the first tick's time plus k samples.
-    shift = round((np.nanmedian(heard.delays_s) - heard.counted[0, 0]) * RATE_HZ)
-    played = heard.sound[cut.start + shift : cut.stop + shift]
+    shift = round((np.nanmedian(ear.delays_s) - ear.counted[0][0]) * RATE_HZ)
+    played = heard[cut.start + shift : cut.stop + shift]
     played = np.pad(played, (0, cut.stop - cut.start - len(played)))
     try:
         score = round(float(pesq(SCORE_HZ, true, resampled(played, RATE_HZ, SCORE_HZ), "wb")), 2)
@@ -233,15 +208,21 @@ def _fill_holes(sound: FloatArray, is_there: Array) -> None:
             sound[end - len(piece) : end] = piece
 
 
-def _timing(heard: _Heard, schedule: Schedule) -> dict[str, Any]:
+def _timing(ear: _Ear, ticks: Sequence[Tick], loud: Array, schedule: Schedule) -> dict[str, Any]:
+    """Delay and skew of the troubled third, the skew of refreshes at which speech is heard."""
     begin_s, end_s = schedule.begin_s, schedule.end_s
-    is_troubled = (heard.counted[:, 0] >= begin_s) & (heard.counted[:, 0] < end_s)
-    delays_s = heard.delays_s[is_troubled]
-    refreshes = [row for row in heard.skews if begin_s <= row[0] < end_s]
-    skews = [skew for _, skew, _ in refreshes]
-    num_held = sum(is_held for *_, is_held in refreshes)
-    counts = heard.counted[is_troubled]
-    ticks, (played, concealed, stretched) = len(counts), (counts[-1] - counts[0])[1:]
+    counted = np.array(ear.counted)
+    is_troubled = (counted[:, 0] >= begin_s) & (counted[:, 0] < end_s)
+    delays_s, counts = ear.delays_s[is_troubled], counted[is_troubled]
+    skews, num_held = [], 0
+    for tick in ticks:
+        if tick.played is None or tick.heard_us is None or not begin_s <= tick.now_s < end_s:
+            continue
+        place = int((tick.heard_us - CLOCK_OFFSET_US) / 1e6 / FRAME_S)
+        if 0 <= place < len(loud) and loud[place]:
+            skews.append((tick.played.captured_us - tick.heard_us) / 1e6)
+            num_held += tick.played.is_concealed
+    played, concealed, stretched = (counts[-1] - counts[0])[1:]
     return {
         "mouth_to_ear_ms": _ms(delays_s[~np.isnan(delays_s)], 50, 95),
         "skew_ms": {
@@ -249,9 +230,9 @@ def _timing(heard: _Heard, schedule: Schedule) -> dict[str, Any]:
             "worst": round(max(skews, key=abs, default=0.0) * 1e3, 1),
             "earliest": round(min(skews, default=0.0) * 1e3, 1),
         },
-        "face_held_ratio": round(num_held / max(len(refreshes), 1), 4),
+        "face_held_ratio": round(num_held / max(len(skews), 1), 4),
         "concealed_ratio": round(float(concealed / max(played + concealed, 1)), 4),
-        "stretched_ratio": round(float(stretched / ticks), 4),
+        "stretched_ratio": round(float(stretched / len(counts)), 4),
     }
 
 

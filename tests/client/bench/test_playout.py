@@ -26,7 +26,7 @@ def test_rows_are_repeatable_and_compare_every_policy() -> None:
     result = run_bench_playout(SHORT, TOY)
     assert json.loads(json.dumps(result)) == json.loads(json.dumps(run_bench_playout(SHORT, TOY)))
     rows = {(row["scenario"], row["policy"]): row for row in result["rows"]}
-    assert len(rows) == 6
+    assert len(rows) == 4
     calm, stalled = (rows[name, "fixed"] for name in ("jitter-0", "stall-300"))
     assert calm["concealed_ratio"] == 0
     assert calm["added_delay_ms_p50"] == pytest.approx(100, abs=1)
@@ -34,10 +34,6 @@ def test_rows_are_repeatable_and_compare_every_policy() -> None:
     # 300 ms of silence and up to one frame interval, less the 100 ms that were in the buffer.
     assert stalled["longest_gap_ms"] == pytest.approx(217, abs=20)
     assert calm["longest_gap_ms"] == 0
-    assert stalled["mse_shown"] > calm["mse_shown"]
-    # A delay of 100 ms shows in the error against the face now, not in that against its moment.
-    assert calm["mse_now"] > rows["jitter-0", "unbuffered"]["mse_now"]
-    assert calm["mse_shown"] < rows["jitter-0", "unbuffered"]["mse_shown"]
 
 
 def test_an_avatar_without_a_profile_is_refused_with_the_fix() -> None:

@@ -1,8 +1,9 @@
 """A bad way through the network, as a model. Pure: `now` and the source of chance are arguments, so
 a seed and a list of sends give the same arrivals on every machine.
 
-`Way` says when a piece of so many bytes arrives: `frame_path` puts a relay in front of it and sends
-frames, `proxy` imposes it on the bytes of a real connection.
+`Way` says when a piece of so many bytes arrives: `stream_trial` puts a relay in front of it and
+sends frames, `proxy` imposes it on the bytes of a real connection. `SCENARIOS` are the troubles
+that benches and tests share: each changes one thing about a calm way of 20 ms.
 
 Delay. Jitter is a positive extra delay with a heavy tail: a Lomax (Pareto II) distribution of shape
 3 whose 95th percentile is `jitter_s`; median 0.15, 99th percentile 2.1, cut off at 5 times that.
@@ -10,25 +11,26 @@ Successive frames have similar delays: they are the quantiles of a first-order G
 forgets within `JITTER_MEMORY_S`. A stall holds everything for `stall_s`; then all of it comes at
 once, in order.
 
-Streams and datagrams. On a stream (`is_ordered`, TCP) nothing is lost and nothing overtakes: loss
-means that a piece arrives one retransmission timeout later, and that all behind it waits. Datagrams
-are lost, doubled and overtaken.
+Loss. On a stream (TCP) nothing is lost and nothing overtakes: a lost piece arrives one
+retransmission timeout later, and all behind it waits.
 
 Rate. Pieces leave one after the other. What has not left yet waits with the sender, up to
 `queue_bytes` of it where it cannot be taken back: in socket buffers and routers.
 
 Unrealistic: no congestion control, so loss does not shrink a window and a rate is a fixed figure;
 no fast retransmit and no tail-loss probe (streams as thin as ours mostly wait for the timeout, but
-not always); losses do not come in bursts; delay, loss and rate do not depend on each other; the way
-back, for requests, has the same delay and none of the trouble; no two connections share a way.
+not always); losses do not come in bursts; delay, loss and rate do not depend on each other; no two
+connections share a way.
 """
 
 import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
-from pica_client.errors import OptionError, check_ranges
+from pica_client.errors import check_ranges
 
 JITTER_MEMORY_S = 0.1
 """Time constant of the jitter (chosen: what a queue behind another's burst takes to drain)."""
@@ -55,7 +57,7 @@ class Impairment:
     stall_interval_s: float = 2.5
     """Time between a stall's end and the next one; spread by half of it to both sides."""
     loss_ratio: float = 0.0
-    """Share of pieces lost: late by a retransmission on a stream, gone as datagrams."""
+    """Share of pieces that are late by a retransmission."""
     thin_ratio: float = 0.0
     """Share of frames that the relay drops."""
     rate_bps: float | None = None
@@ -63,24 +65,12 @@ class Impairment:
     queue_bytes: int = 4096
     """Bytes that wait where the relay cannot drop them any more: its kernel keeps 2048 unsent, and
     routers have queues (measured with the proxy: 4.5 KB; a real bottleneck may hold far more)."""
-    reorder_ratio: float = 0.0
-    """Share of datagrams that are held back by `reorder_s` and so overtaken."""
-    reorder_s: float = 0.05
-    """Extra delay of a datagram that is overtaken."""
-    duplicate_ratio: float = 0.0
-    """Share of datagrams that come twice."""
-    is_ordered: bool = True
-    """A stream (TCP) if true, datagrams (UDP) if not."""
 
     def __post_init__(self) -> None:
-        times = ("delay_s", "jitter_s", "stall_s", "reorder_s")
-        check_ranges(self, **dict.fromkeys(times, (0, 10)))
-        ratios = ("loss_ratio", "thin_ratio", "reorder_ratio", "duplicate_ratio")
-        check_ranges(self, **dict.fromkeys(ratios, (0, 0.9)))
+        check_ranges(self, **dict.fromkeys(("delay_s", "jitter_s", "stall_s"), (0, 10)))
+        check_ranges(self, **dict.fromkeys(("loss_ratio", "thin_ratio"), (0, 0.9)))
         check_ranges(self, stall_interval_s=(0.1, 600), queue_bytes=(0, 1 << 20))
         check_ranges(self, rate_bps=(1000, 1e10))
-        if self.is_ordered and (self.reorder_ratio or self.duplicate_ratio):
-            raise OptionError("a stream is neither reordered nor doubled; set is_ordered to False")
 
 
 class Way:
@@ -104,28 +94,22 @@ class Way:
         self.impairment = impairment
         self._stall = None
 
-    def transmit(self, num_bytes: int, now: float) -> float | None:
-        """When a piece arrives that leaves now, or once the way is free; None if never."""
+    def transmit(self, num_bytes: int, now: float) -> float:
+        """When a piece arrives that leaves now, or once the way is free."""
         way, rng = self.impairment, self._rng
         self.free_s = max(self.free_s, now)
         if way.rate_bps is not None:
             self.free_s += num_bytes * 8 / way.rate_bps
         arrival_s = self.free_s + way.delay_s + self._jitter_at(self.free_s)
-        if way.is_ordered:
-            timeout_s = max(RETRANSMISSION_TIMEOUT_S, 2 * way.delay_s)
-            for _ in range(MAX_RETRANSMISSIONS):
-                if rng.random() >= way.loss_ratio:
-                    break
-                arrival_s += timeout_s
-                timeout_s *= 2
-        elif rng.random() < way.loss_ratio:
-            return None
-        elif rng.random() < way.reorder_ratio:
-            arrival_s += way.reorder_s
+        timeout_s = max(RETRANSMISSION_TIMEOUT_S, 2 * way.delay_s)
+        for _ in range(MAX_RETRANSMISSIONS):
+            if rng.random() >= way.loss_ratio:
+                break
+            arrival_s += timeout_s
+            timeout_s *= 2
         arrival_s = self._after_stall(arrival_s, now)
-        if way.is_ordered:
-            arrival_s = self._last_arrival_s = max(self._last_arrival_s, arrival_s)
-        return arrival_s
+        self._last_arrival_s = max(self._last_arrival_s, arrival_s)
+        return self._last_arrival_s
 
     def _jitter_at(self, now: float) -> float:
         """The extra delay of a piece that leaves now."""
@@ -144,7 +128,6 @@ class Way:
             return arrival_s
         if self._stall is None:
             self._stall = self._next_stall(now - self.impairment.stall_interval_s / 2)
-        # An arrival before this stall belongs to a datagram that was overtaken: it just comes.
         while arrival_s >= self._stall[1]:
             self._stall = self._next_stall(self._stall[1])
         return self._stall[1] if arrival_s >= self._stall[0] else arrival_s
@@ -152,3 +135,56 @@ class Way:
     def _next_stall(self, after_s: float) -> tuple[float, float]:
         begin_s = after_s + self.impairment.stall_interval_s * self._rng.uniform(0.5, 1.5)
         return begin_s, begin_s + self.impairment.stall_s
+
+
+CALM: Final = Impairment()
+"""The way before and after a trouble."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Scenario:
+    """One row: a name, and the way while the trouble lasts."""
+
+    name: str
+    trouble: Impairment
+    note: str
+    """What happens, for a reader of the table."""
+
+
+def _family(
+    family: str, note: str, make: Callable[[float], Impairment], *levels: int
+) -> Iterator[Scenario]:
+    """One row a level; the note says what happens at `{}`."""
+    for level in levels:
+        yield Scenario(name=f"{family}-{level}", trouble=make(level), note=note.format(level))
+
+
+SCENARIOS: Final[tuple[Scenario, ...]] = (
+    *_family(
+        *("jitter", "95 % of frames at most {} ms late, in order"),
+        lambda ms: Impairment(jitter_s=ms / 1e3),
+        *(0, 20, 80, 200),
+    ),
+    *_family(
+        *("stall", "every 2.5 s nothing comes for {} ms, then all at once"),
+        lambda ms: Impairment(stall_s=ms / 1e3),
+        *(100, 300, 1000),
+    ),
+    *_family(
+        *("thin", "the relay drops {} % of the frames"),
+        lambda percent: Impairment(thin_ratio=percent / 100),
+        *(10, 30),
+    ),
+    *_family(
+        *("retransmit", "TCP loses {} % of the segments: each costs 200 ms, also behind it"),
+        lambda percent: Impairment(loss_ratio=percent / 100),
+        *(1, 5),
+    ),
+    *_family(
+        *("rate", "the way to the receiver carries {} kbit/s, headers included"),
+        lambda kbps: Impairment(rate_bps=kbps * 1e3),
+        *(64, 32, 16),
+    ),
+)
+
+BY_NAME: Final = {scenario.name: scenario for scenario in SCENARIOS}

@@ -7,24 +7,48 @@ playout policy then shows. Pure: no socket, no sleep; the same seed gives the sa
 The trouble lasts from the end of the first third of the schedule to the end of the second. The
 frames that come do not depend on the policy, so all policies are given the very same ones.
 
+The relay is the real one's decision (`pica_protocol.frame_queue`: of a face the newest frame waits)
+in front of a modelled way (`impairment`). While the way takes no more, up to `queue_bytes` wait in
+front of it, first in, first out; the rest waits in the relay, and what waits there together leaves
+as one message. `thin_ratio` stands for whatever else makes a relay drop frames, as the congestion
+of other streams. A voice shares the way with its face, leaves first, and takes along what waits of
+the face; while it speaks, the face waits for its next packet (`RIDE_S`), as at the real sender.
+
 Unrealistic: code takes no time; the display never misses a refresh; no peer joins late; the
-receiver asks for no other share of the stream when the rate falls short.
+receiver asks for no other share of the stream when the rate falls short; the sender's own way to
+the relay is perfect; a message carries the frames of one person only.
 """
 
-from collections import deque
+import math
+from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from pica_client.bench.network.frame_path import FramePath
-from pica_client.bench.network.scenarios import Scenario
+from pica_client.bench.network.impairment import CALM, Impairment, Scenario, Way
 from pica_client.errors import check_ranges
 from pica_client.playout.buffer import PlayedFace, Playout, PlayoutReport
 from pica_client.playout.sender_clock import SenderClock
+from pica_client.stats import wire_bytes
 from pica_core.codec.latent_stream import DecodedFrame, LatentDecoder, LatentEncoder, LatentSample
-from pica_protocol.frames import SEQUENCE_MODULUS, Frame
+from pica_protocol.client_session import RIDE_S
+from pica_protocol.frame_queue import FrameQueue, QueuedFrame
+from pica_protocol.frames import (
+    SEQUENCE_MODULUS,
+    Frame,
+    decode_media,
+    encode_frame,
+    media_message,
+)
+from pica_protocol.limits import MAX_MEDIA_MESSAGE_BYTES
 
+MAX_UNDER_WAY = 4096
+"""Messages on the way; beyond it the oldest is dropped."""
+
+VOICE_DEADLINE_S = 0.2
+"""Age beyond which the relay drops a voice packet."""
 Face = Callable[[float], LatentSample]
 """The true face at a moment of the sender's clock, seconds."""
 
@@ -68,7 +92,7 @@ class Delivery:
     arrivals: tuple[DecodedFrame, ...]
     """What could be decoded, in the order of arrival."""
     counts: Mapping[str, int]
-    """Frames that were sent, thinned, dropped and lost."""
+    """Frames that were sent, thinned and dropped."""
     payload_bytes: int
     """What was sent."""
     wire_bytes: int
@@ -78,10 +102,6 @@ class Delivery:
     voices: tuple[tuple[float, Frame], ...] = ()
     """Voice packets that came, each with its time of arrival."""
 
-    def samples(self) -> dict[int, LatentSample]:
-        """The face of each capture time, microseconds of the sender's clock."""
-        return {arrival.captured_us: arrival.sample for arrival in self.arrivals}
-
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Tick:
@@ -90,6 +110,7 @@ class Tick:
     now_s: float
     played: PlayedFace | None
     """None before the first frame is due."""
+    heard_us: int | None
     report: PlayoutReport
 
     @property
@@ -98,6 +119,101 @@ class Tick:
         if self.played is None:
             raise ValueError("nothing is shown yet")
         return (self.played.captured_us - CLOCK_OFFSET_US) / 1e6
+
+
+class _Message(NamedTuple):
+    data: bytes
+    num_bytes: int
+    offered_s: float
+
+
+class FramePath:
+    """The way of one stream's frames.
+
+    Attributes:
+        wire_bytes: What left the relay, with all headers.
+        counts: Frames that were ``sent``, or ``thinned`` to reach `thin_ratio`.
+        drops: Frames that the relay dropped because the way is too slow, by reason.
+    """
+
+    def __init__(self, impairment: Impairment, rng: np.random.Generator) -> None:
+        self.wire_bytes = 0
+        self.counts: Counter[str] = Counter()
+        self.drops: Counter[str] = Counter()
+        self._way = Way(impairment, rng)
+        self._rng = rng
+        self._relay = FrameQueue(self.drops)
+        self._newest_us = 0
+        self._queue: deque[_Message] = deque()  # behind the relay; bounded by `queue_bytes`
+        self._queue_bytes = 0
+        self._ride_ends_s = self._advanced_s = -math.inf
+        self._under_way: deque[tuple[float, bytes]] = deque(maxlen=MAX_UNDER_WAY)
+
+    def change(self, impairment: Impairment, now: float) -> None:
+        """Let the way be another from now on; what waits leaves at the new rate."""
+        self._advance(now)
+        self._way.change(impairment)
+
+    def send(self, frame: Frame, now: float) -> None:
+        """Offer a frame to the relay."""
+        self._advance(now)
+        self.counts["sent"] += 1
+        if self._rng.random() < self._way.impairment.thin_ratio:
+            self.counts["thinned"] += 1
+        else:
+            self._offer(frame, None, now)
+
+    def send_voice(self, frame: Frame, now: float) -> None:
+        """Offer a voice packet to the relay, which lets it go first and drops it when it is old."""
+        self._advance(now)
+        self._offer(frame, VOICE_DEADLINE_S, now)
+
+    def _offer(self, frame: Frame, deadline_s: float | None, now: float) -> None:
+        self._newest_us = max(self._newest_us, frame.captured_us)
+        self._relay.put(QueuedFrame("", frame.stream, encode_frame(frame), now, deadline_s))
+        self._advance(now)
+
+    def arrivals(self, now: float) -> list[tuple[float, Frame]]:
+        """Take all frames that have come, with the time, in the order of arrival."""
+        self._advance(now)
+        arrived = []
+        while self._under_way and self._under_way[0][0] <= now:
+            arrival_s, data = self._under_way.popleft()
+            arrived += [
+                (arrival_s, frame) for frame in decode_media(data, lambda _: self._newest_us)
+            ]
+        return arrived
+
+    def _advance(self, now: float) -> None:
+        """Move what can move up to now: relay -> queue -> way."""
+        # What waited for a voice that did not come left when the wait was over.
+        self._fill_queue(min(max(self._ride_ends_s, self._advanced_s), now))
+        self._fill_queue(now)
+        self._advanced_s = now
+        while self._queue and self._way.free_s <= now:
+            message = self._queue.popleft()
+            self._queue_bytes -= message.num_bytes
+            leaves_s = max(self._way.free_s, message.offered_s)
+            arrival_s = self._way.transmit(message.num_bytes, leaves_s)
+            self._under_way.append((arrival_s, message.data))
+            self._fill_queue(leaves_s)
+
+    def _fill_queue(self, now: float) -> None:
+        """Let the relay write while its socket takes it."""
+        relay = self._relay
+        while (relay.has_ordered or (len(relay) and now >= self._ride_ends_s)) and (
+            not self._queue or self._queue_bytes < self._way.impairment.queue_bytes
+        ):
+            if relay.has_ordered:
+                self._ride_ends_s = now + RIDE_S
+            frames = [frame.data for frame in relay.take(MAX_MEDIA_MESSAGE_BYTES - 1, now)]
+            if not frames:
+                return
+            data = media_message(frames)
+            num_bytes = wire_bytes(len(data), is_masked=False)
+            self._queue.append(_Message(data, num_bytes, now))
+            self._queue_bytes += num_bytes
+            self.wire_bytes += num_bytes
 
 
 def deliver(
@@ -120,12 +236,12 @@ def deliver(
     encoder, decoder = ends
     sender = SenderClock()
     rng = np.random.default_rng(seed)
-    path = FramePath(scenario.calm, rng)
+    path = FramePath(CALM, rng)
     arrivals: list[DecodedFrame] = []
     voices: list[tuple[float, Frame]] = []
     spoken = deque(voice)
     sent = payload_bytes = 0
-    changes = [(schedule.begin_s, scenario.trouble), (schedule.end_s, scenario.calm)]
+    changes = [(schedule.begin_s, scenario.trouble), (schedule.end_s, CALM)]
 
     def receive(until_s: float) -> None:
         for arrived_s, frame in path.arrivals(until_s):
@@ -162,47 +278,47 @@ def deliver(
     return Delivery(
         arrivals=tuple(arrivals),
         counts={
-            **{name: path.counts[name] for name in ("sent", "thinned", "lost")},
+            **{name: path.counts[name] for name in ("sent", "thinned")},
             "dropped": path.drops.total(),
         },
         payload_bytes=payload_bytes,
         wire_bytes=path.wire_bytes,
-        base_delay_s=scenario.calm.delay_s,
+        base_delay_s=CALM.delay_s,
         voices=tuple(voices),
     )
 
 
-def play(delivery: Delivery, playout: Playout, schedule: Schedule) -> list[Tick]:
+def play(
+    delivery: Delivery,
+    playout: Playout,
+    schedule: Schedule,
+    heard_us: Callable[[float], int | None] = lambda now: None,
+) -> list[Tick]:
     """Show what came on a display.
 
     Args:
         playout: A fresh buffer.
+        heard_us: The moment of the voice that is heard at a refresh; asked in order.
 
     Returns:
         All refreshes of the run.
     """
-    samples = delivery.samples()
+    samples = {arrival.captured_us: arrival.sample for arrival in delivery.arrivals}
     ticks: list[Tick] = []
-    position = 0
+    waiting = deque(delivery.arrivals)
     for index in range(int(schedule.seconds * schedule.display_hz)):
         now = (index + DISPLAY_PHASE) / schedule.display_hz
-        while position < len(delivery.arrivals) and delivery.arrivals[position].arrived_s <= now:
-            receive_arrival(playout, delivery.arrivals[position], samples)
-            position += 1
-        played = playout.sample_at(now)
-        ticks.append(Tick(now_s=now, played=played, report=playout.report()))
+        while waiting and waiting[0].arrived_s <= now:
+            arrival = waiting.popleft()
+            frame = Frame(
+                stream=1,
+                sequence=arrival.number % SEQUENCE_MODULUS,
+                captured_us=arrival.captured_us,
+                payload=b"",
+            )
+            received = playout.sender.receive(frame, arrival.arrived_s)
+            playout.receive_frame(received.decoded(samples[received.captured_us]))
+        heard = heard_us(now)
+        played = playout.sample_at(now, heard)
+        ticks.append(Tick(now_s=now, played=played, heard_us=heard, report=playout.report()))
     return ticks
-
-
-def receive_arrival(
-    playout: Playout, arrival: DecodedFrame, samples: Mapping[int, LatentSample]
-) -> None:
-    """Give a face that came to a playout.
-
-    Args:
-        samples: As from `Delivery.samples`.
-    """
-    sequence = arrival.number % SEQUENCE_MODULUS
-    frame = Frame(stream=1, sequence=sequence, captured_us=arrival.captured_us, payload=b"")
-    received = playout.sender.receive(frame, arrival.arrived_s)
-    playout.receive_frame(received.decoded(samples[received.captured_us]))
