@@ -25,8 +25,7 @@ from pica_server.auth.tokens import KeyRing, admin_scope, admit, admit_upload, l
 from pica_server.config.proxies import is_in, is_loopback, networks
 from pica_server.config.relay import RelayConfig
 from pica_server.errors import AdmissionError, ClusterError, ListenError
-from pica_server.limits import SocketGuard
-from pica_server.net.descriptors import Descriptors, most_descriptors
+from pica_server.limits import SocketGuard, most_sockets
 from pica_server.net.pump import Pump
 from pica_server.net.socket import RelaySocket, bound_receive_buffer
 from pica_server.ops.certificate import Certificate
@@ -101,14 +100,16 @@ class Relay:
         limits = config.limits
         # Twice: of sockets that are closing, and of those that are told why they must.
         per_address = 2 * limits.connections_per_address
+        most, needed = most_sockets(), config.max_connections + limits.handshakes
+        self.is_short_of_descriptors = most < needed
         self._guard = SocketGuard(
             handshakes=limits.handshakes,
             per_address=per_address,
             per_s=limits.sockets_per_s,
             burst=limits.sockets_burst,
+            most=most,
         )
         self._silent: set[RelaySocket] = set()
-        self._descriptors = Descriptors(most_descriptors(), self.hub.stats.limits_hit)
         self._server: Server | None = None
         self._placement: RoomPlacement | None = None
         if config.cluster:
@@ -146,7 +147,6 @@ class Relay:
     async def __aenter__(self) -> Self:
         config = self.config
         self._pump.start()
-        asyncio.get_running_loop().set_exception_handler(self._on_error)
         try:
             self._server = await serve(
                 self._serve,
@@ -229,12 +229,6 @@ class Relay:
         response.headers.update(page.headers)
         return response
 
-    def _on_error(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-        """Take what no other handler takes: asyncio says once for each socket that there are too
-        many."""
-        if not self._descriptors.note_error(context.get("exception"), loop.time()):
-            loop.default_exception_handler(context)
-
     async def drain(self) -> None:
         """Send everybody away in good order, and return when they are gone.
 
@@ -271,7 +265,6 @@ class Relay:
         connection = RelaySocket(*args, **kwargs)
         connection.guard = self._guard
         connection.silent = self._silent
-        connection.descriptors = self._descriptors
         if self.certificate is not None:
             # Not the server's: the guard is to be asked before the dear work of a handshake begins.
             connection.tls = self.certificate.context

@@ -73,10 +73,9 @@ class RelayStats:
     limits_hit: Counter[str] = field(default_factory=Counter)
     """How often a limit was reached: ``bytes`` or ``metadata`` updates of a client,
     ``joins``, ``connections`` in all, ``address``, ``room``, ``control`` left unread; ``late``,
-    joins while the relay has too much to do; ``descriptors``, sockets for which there was none;
-    ``admission``, a join that its token did not allow; ``sockets`` that were cut at once, a
-    ``request`` that grew too long before it was a websocket; ``extra_frames``, pings and
-    fragments."""
+    joins while the relay has too much to do; ``admission``, a join that its token did not allow;
+    ``sockets`` that were cut at once, a ``request`` that grew too long before it was a websocket;
+    ``extra_frames``, pings and fragments."""
     closed: Counter[int] = field(default_factory=Counter)
     """Connections ended, by close code; 0 is any code that is not ours."""
     store: Counter[str] = field(default_factory=Counter)

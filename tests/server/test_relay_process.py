@@ -130,7 +130,7 @@ def test_signals_that_repeat_cost_no_numbers(name: signal.Signals) -> None:
 
 
 @pytest.mark.parametrize("tls", [False, True])
-def test_without_descriptors_it_says_so_in_one_line_and_goes_on(tls: bool, tmp_path: Path) -> None:
+def test_with_few_descriptors_it_says_so_and_goes_on(tls: bool, tmp_path: Path) -> None:
     words = [sys.executable, "-m", "pica_command", "relay", "--port", "0", "--avatar-store", "none"]
     if tls:  # another event loop
         path = write_certificate(tmp_path)
@@ -139,7 +139,9 @@ def test_without_descriptors_it_says_so_in_one_line_and_goes_on(tls: bool, tmp_p
         ["sh", "-c", 'ulimit -n 64; exec "$@"', "sh", *words], stderr=subprocess.PIPE, text=True
     )
     assert relay.stderr is not None
-    port = int(relay.stderr.readline().strip().rpartition(":")[2])
+    said = [relay.stderr.readline().strip() for _ in range(3)]
+    port = int(said[0].rpartition(":")[2])
+    assert said[2].startswith("few file descriptors")
     with ExitStack() as sockets:
         for _ in range(100):
             sockets.enter_context(socket.create_connection(("127.0.0.1", port), 1))
@@ -150,10 +152,8 @@ def test_without_descriptors_it_says_so_in_one_line_and_goes_on(tls: bool, tmp_p
             late.sendall(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n")
             assert late.recv(100).startswith(b"HTTP/1.1 200")
     relay.terminate()
-    lines = relay.communicate(timeout=30)[1].splitlines()
+    relay.communicate(timeout=30)
     assert relay.returncode == 0
-    assert len([line for line in lines if "out of file descriptors" in line]) == 1
-    assert "message of asyncio" not in "".join(lines)
 
 
 def test_a_relay_answers_health_checks_and_shows_its_numbers() -> None:

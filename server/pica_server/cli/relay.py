@@ -97,6 +97,9 @@ async def _run(options: RelayOptions, signals: "_Signals") -> dict[str, Any]:
             with _ready_file(options.ready_file, url):
                 _say("listening", f"listening on {url}", url=url)
                 _say_what_is_open(options.config, server.store)
+                if server.is_short_of_descriptors:
+                    fix = "raise `ulimit -n`, or lower --max-connections"
+                    _say("few descriptors", f"few file descriptors: {fix}")
                 first = await signals.get()
             if first == signal.SIGTERM and options.config.drain_s > 0:
                 num_open = server.hub.num_connections

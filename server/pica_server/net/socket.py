@@ -42,7 +42,6 @@ from pica_protocol.errors import CloseCode
 from pica_protocol.tls_buffer import bound_tls_buffer
 from pica_server.config.proxies import PROXY_HEADERS, Network, client_of, is_in, names_this_machine
 from pica_server.limits import SocketGuard, TokenBucket, address_group
-from pica_server.net.descriptors import Descriptors
 from pica_server.stats import RelayStats
 
 _WHOLE_BINARY: Final = 0x82
@@ -107,7 +106,6 @@ class RelaySocket(ServerConnection):
     """A websocket that is counted from its first moment, and cut at once if it is one too many.
 
     Attributes:
-        descriptors: Returns True if there are enough; None: not looked at.
         silent: Those of the relay that are admitted and have not asked for anything yet; it keeps
             itself in there.
         proxies: Whose word counts for who is behind them.
@@ -123,7 +121,6 @@ class RelaySocket(ServerConnection):
 
     guard: SocketGuard
     stats: RelayStats
-    descriptors: Descriptors | None = None
     silent: "set[RelaySocket]"
     proxies: Sequence[Network] = ()
     address = ""
@@ -153,10 +150,7 @@ class RelaySocket(ServerConnection):
         # Of whom a proxy speaks is not known yet; all the proxy's sockets are not one client's.
         self._counted_as = "" if is_in(peer, self.proxies) else address_group(peer)
         self.address = self._counted_as
-        sock, now = transport.get_extra_info("socket"), self.loop.time()
-        descriptors = self.descriptors
-        has_room = not (sock and descriptors) or descriptors.has_room_for(sock.fileno(), now)
-        self._is_admitted = has_room and self.guard.admit(self._counted_as, now)
+        self._is_admitted = self.guard.admit(self._counted_as, self.loop.time())
         if self._is_admitted:
             self.silent.add(self)
         if self.tls is None or not self._is_admitted:
