@@ -6,7 +6,6 @@ import importlib
 import json
 import subprocess
 import sys
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -78,11 +77,6 @@ def test_every_module_of_an_extra_is_called_as_we_think() -> None:
         assert importlib.util.find_spec(module) is not None, module
 
 
-def test_every_extra_of_a_command_exists() -> None:
-    for row in COMMANDS.values():
-        assert set(row.extras) <= EXTRAS
-
-
 def load_core_alone(name: str) -> Any:
     """Import as on a machine with the sender's packages and a broken driver."""
     if name == "pica_core.gl":
@@ -115,25 +109,6 @@ class BrokenGraphics:
     @staticmethod
     def create_context() -> None:
         raise GraphicsError("no context; install libegl1")
-
-
-def load_without_floats(name: str) -> Any:
-    """Import as on a machine whose driver draws no floats."""
-    info = {"GL_RENDERER": "Old GPU"}
-    context = SimpleNamespace(info=info, version_code=330, release=lambda: None)
-    if name == "pica_core.gl":
-        return SimpleNamespace(create_context=lambda: context, is_software=lambda name: False)
-    if name == "pica_client.render.gpu_decoder":
-        return SimpleNamespace(draws_floats=lambda context: False)
-    return importlib.import_module(name)
-
-
-def test_a_driver_that_draws_no_floats_leaves_decoding_to_the_processor() -> None:
-    found = examine(load_without_floats, has_display=False)
-    graphics = next(finding for finding in found if finding.subject == "OpenGL")
-    assert graphics.line == (
-        "ready    OpenGL: Old GPU, GL 3.3, no 32-bit float targets: the processor decodes faces"
-    )
 
 
 def test_the_doctor_names_the_fix_for_each_lack() -> None:

@@ -171,13 +171,6 @@ def test_what_the_viewer_carries_out_is_left(controls: Controls) -> None:
     assert controls.take_requests() == [Action.RECORD, Action.FULL_SCREEN]
 
 
-def test_a_held_key_counts_once(controls: Controls) -> None:
-    controls.frame(press(KEY.s))
-    for _ in range(20):
-        controls.frame()
-    assert controls.state.side == "statistics"
-
-
 def test_the_own_face_is_muted_and_frozen(controls: Controls) -> None:
     controls.state = ViewState(own_face="sent")
     steps = []

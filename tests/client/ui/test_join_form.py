@@ -33,14 +33,6 @@ def form_of(state: ViewState = FILLED) -> JoinForm:
     return JoinForm(replace(state), partial(link_of, ViewOptions()))
 
 
-def test_filled_fields_are_joined() -> None:
-    form = form_of()
-    form.join()
-    assert form.outcome == "join"
-    link = link_of(ViewOptions(), form.state)
-    assert (link.url, link.room, link.name) == (FILLED.url, "lobby", "Ada")
-
-
 @pytest.mark.parametrize(
     ("state", "error"),
     [

@@ -108,14 +108,3 @@ def test_a_name_follows_a_head_that_bows() -> None:
     assert straight is not None
     assert tilted is not None
     assert (tilted[0] + tilted[2]) / 2 > (straight[0] + straight[2]) / 2 + 5
-
-
-def test_two_people_who_lean_together_share_the_room_between_them() -> None:
-    heads, camera = seated("line", 2, (640, 360), None, ViewState())
-    apart = place_labels(heads, camera, LEAST_PX)
-    close = [heads[0], head_matrix(np.eye(4), [0, 0, 0], heads[0][:3, 3] + [0.3, 0, 0])]
-    together = place_labels(close, camera, LEAST_PX)
-    for before, after in zip(apart, together, strict=True):
-        assert before is not None
-        assert after is not None
-        assert after[2] - after[0] <= before[2] - before[0]

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from pica_client.errors import OptionError
 from pica_client.ui.recorder import KEY_FRAMES, Recorder, new_path, save_png
@@ -115,13 +114,6 @@ def test_names_count_up_and_a_folder_that_is_a_file_is_refused(tmp_path: Path) -
     assert new_path(tmp_path, "call", ".mp4").name == "call-0002.mp4"
     with pytest.raises(OptionError, match="cannot be made"):
         new_path(tmp_path / "call-0001.mp4", "call", ".mp4")
-
-
-def test_an_image_comes_back_as_it_was(tmp_path: Path) -> None:
-    image = np.random.default_rng(0).integers(0, 256, (20, 30, 3), np.uint8)
-    save_png(tmp_path / "a.png", image)
-    with Image.open(tmp_path / "a.png") as file:
-        np.testing.assert_array_equal(np.asarray(file), image)
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a disk that is always full")

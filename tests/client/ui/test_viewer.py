@@ -200,16 +200,6 @@ def test_how_the_call_stands_is_asked_for_twice_a_second_and_not_per_frame(
     assert asked == [1.0, 1.5]
 
 
-def test_a_key_changes_how_people_sit_and_the_picture_with_it(two: tuple[Faces, Viewer]) -> None:
-    _, viewer = two
-    step_until_decoded(viewer)
-    before = read(viewer)
-    do(viewer, *key("l"))
-    step_until_decoded(viewer, 2.0)
-    assert viewer.state.layout != "arc"
-    assert np.abs(read(viewer).astype(int) - before).max() > 30
-
-
 def test_a_click_on_a_head_brings_it_forward() -> None:
     with Viewer(Faces("ada", "grace"), replace(SMALL, size="640x360")) as viewer:
         step_until_decoded(viewer)
@@ -324,20 +314,6 @@ def test_muting_ones_own_face_is_told_and_shown() -> None:
         viewer.step(1.3)
         assert publisher.mode == "sent"
     controls.close()
-
-
-def test_a_call_is_recorded_and_a_frame_saved(tmp_path: Path) -> None:
-    av = pytest.importorskip("av")
-    options = replace(SMALL, record=tmp_path / "call.mp4")
-    ticks = iter(np.arange(0.0, 1e3, 0.01))
-    with Viewer(Faces("ada"), options, clock=lambda: float(next(ticks))) as viewer:
-        for step in range(5):
-            viewer.step(1.0 + step / 30)
-        viewer.save_image(tmp_path / "frame.png")
-    with av.open(str(tmp_path / "call.mp4")) as container:
-        assert sum(1 for _ in container.decode(video=0)) == 5
-    with Image.open(tmp_path / "frame.png") as image:
-        assert image.size == (160, 90)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere there is always a display")

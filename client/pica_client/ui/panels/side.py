@@ -232,11 +232,14 @@ def _row(
     signs = signs_of(person, is_encrypted=call.status.is_encrypted, volume=volume)
     gap = metrics.px(6)
     signs_width = sum(widgets.text_size(icon, TEXT_PT)[0] + gap for icon, _, _ in signs)
+    imgui.table_next_row(0, metrics.px(MENU_PT + 6))
     imgui.table_next_column()
-    if person.peer_id in speaking:
-        with widgets.type_size(SMALL_PT):
-            imgui.text_colored(palette.good, icons.ICON_FA_CIRCLE)
+    lower = imgui.get_cursor_pos_y() + metrics.px(3)  # in the middle of the button's height
+    imgui.set_cursor_pos_y(lower)
+    with widgets.type_size(10):
+        imgui.text_colored(palette.good, icons.ICON_FA_CIRCLE if person.peer_id in speaking else "")
     imgui.table_next_column()
+    imgui.set_cursor_pos_y(lower)
     imgui.push_style_var(imgui.StyleVar_.item_spacing, (gap, metrics.px(2)))
     room = imgui.get_content_region_avail().x
     name = f"{person.name} (you)" if person.is_self else person.name

@@ -43,7 +43,7 @@ from pica_client.ui.panels.overlay import (
 from pica_client.ui.state import ViewState
 from pica_client.ui.surface.style import metrics_for
 from pica_client.ui.surface.surface import ON_PICTURE
-from pica_client.ui.surface.widgets import as_drawn, shortened, text_size
+from pica_client.ui.surface.widgets import as_drawn
 
 pytestmark = pytest.mark.unit
 
@@ -237,14 +237,3 @@ def test_every_glyph_of_a_name_is_found(hand: Hand, name: str) -> None:
 )
 def test_a_name_that_runs_to_the_left_is_turned_round_and_joined(name: str, drawn: str) -> None:
     assert as_drawn(name) == drawn
-
-
-def test_a_long_name_is_cut_to_its_room(hand: Hand) -> None:
-    def show(metrics: object) -> list[object]:
-        cut = shortened("W" * 64, 120.0, 15.0)
-        assert cut.endswith("…")
-        assert text_size(cut, 15.0)[0] <= 120
-        assert shortened("Ada", 120.0, 15.0) == "Ada"
-        return []
-
-    hand.frame(show)
