@@ -13,7 +13,7 @@ from pica_core.types import FloatArray
 UNIT_VISIBLE_XYZ, UNIT_VISIBLE_UV, UNIT_POSITION, UNIT_EXPRESSION = 0, 1, 2, 3
 UNIT_UV_ENCODING, UNIT_U_ENCODING, UNIT_V_ENCODING = 4, 5, 6
 UNIT_SKIN, UNIT_STILL = 7, 8
-UNIT_ROOM, UNIT_LAYER, UNIT_LAYER_DEPTH = 0, 1, 2
+UNIT_ROOM, UNIT_LAYER = 0, 1
 _SAMPLERS = {
     "visible_xyz": UNIT_VISIBLE_XYZ,
     "visible_uv": UNIT_VISIBLE_UV,
@@ -26,7 +26,6 @@ _SAMPLERS = {
     "still_map": UNIT_STILL,
     "room": UNIT_ROOM,
     "layer": UNIT_LAYER,
-    "layer_depth": UNIT_LAYER_DEPTH,
 }
 """What shaders call these units."""
 

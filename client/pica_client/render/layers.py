@@ -41,18 +41,16 @@ class Layer:
             UNIT_VISIBLE_UV: context.texture(size, 2, dtype="nu2"),
         }
         """What the surface pass writes, keyed by texture unit."""
-        self.colour, self.depth = clamp(context.texture(size, 4)), context.depth_texture(size)
+        self.colour, self.depth = context.texture(size, 4), context.depth_texture(size)
         """Colours times how much of them is there, and that; depths, where 1 is nothing."""
         self.smooth = context.texture(size, 4)
         """The same colours, without stair-steps at the silhouette."""
-        self.depth.compare_func = ""
-        for texture in (*self.visible.values(), self.smooth, self.depth):
+        for texture in (*self.visible.values(), self.colour, self.smooth):
             clamp(texture, moderngl.NEAREST)
         self.empty = context.framebuffer([], self.depth)
         self.surface = context.framebuffer(list(self.visible.values()), self.depth)
         self.coloured = context.framebuffer([self.colour], self.depth)
-        self.smoothed = context.framebuffer([self.smooth], context.depth_renderbuffer(size))
-        """Depth 1 where silhouettes may be, else 0: what is tested here, is skipped by blocks."""
+        self.smoothed = context.framebuffer([self.smooth])
         self.look: Hashable = None
 
     def read(self, texture: moderngl.Texture) -> Array:

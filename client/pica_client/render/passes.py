@@ -13,7 +13,6 @@ from pica_client.render.gpu_avatar import MeshPrograms, upload_placeholder
 from pica_client.render.gpu_program import (
     UNIT_EXPRESSION,
     UNIT_LAYER,
-    UNIT_LAYER_DEPTH,
     UNIT_POSITION,
     UNIT_ROOM,
     UNIT_SKIN,
@@ -69,10 +68,8 @@ class DrawPasses:
         self._background = self._screen("background.frag")
         self._enlarge = self._screen("enlarge.frag")
         self._place = self._screen("place_head.frag")
-        self._near_edges = self._screen("near_edges.frag")
         self._smooth = self._screen("smooth_edges.frag")
-        for screen in (self._near_edges, self._smooth):
-            set_values(screen.program, rect=WHOLE_SCREEN)
+        set_values(self._smooth.program, rect=WHOLE_SCREEN)
         self.placeholder = upload_placeholder(context, self.mesh_programs)
         self._queries: list[moderngl.Query] = []
 
@@ -228,19 +225,12 @@ class DrawPasses:
         set_values(program, low_m=body.low_m, high_m=body.high_m)
 
     def smooth(self, heads: Sequence[LayeredHead]) -> None:
-        """Blur the stair-steps of silhouettes in copies of layers."""
-        context = self._context
-        context.disable(moderngl.CULL_FACE)
-        context.enable(moderngl.DEPTH_TEST)
+        """Copy layers without the stair-steps of silhouettes."""
+        self._context.disable(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
         for _, layer in heads:
             layer.smoothed.use()
             layer.colour.use(UNIT_LAYER)
-            layer.depth.use(UNIT_LAYER_DEPTH)
-            context.depth_func = "1"
-            self._near_edges.render(moderngl.TRIANGLE_STRIP, vertices=4)
-            context.depth_func = "=="
             self._smooth.render(moderngl.TRIANGLE_STRIP, vertices=4)
-        context.depth_func = "<"
 
     def place(self, images: Images, heads: Sequence[LayeredHead], *, is_smooth: bool) -> None:
         """Put the image together: the room, and over it all heads, the farthest first."""

@@ -234,7 +234,7 @@ def test_a_shader_that_the_driver_refuses_is_named(context: moderngl.Context) ->
         ("rect.vert", "pixel_decoder.frag"),
         ("rect.vert", "placeholder.frag"),
         ("textured.vert", "textured.frag"),
-        ("rect.vert", "near_edges.frag"),
+        ("rect.vert", "place_head.frag"),
         ("rect.vert", "smooth_edges.frag"),
         ("rect.vert", "background.frag"),
     ],
