@@ -16,7 +16,7 @@ from helpers.rig_toy import glb_bytes, glb_parts, toy_rig
 from pica_core.types import Array
 
 COMPONENT = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}
-KIND = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 16: "MAT4"}
+KIND = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 BLOCKS = 8
 
 
@@ -179,6 +179,61 @@ def skinned(rig: WildRig) -> None:
     rig.document["skins"] = [{"joints": [1], "inverseBindMatrices": matrices}]
 
 
+def jointed(rig: WildRig) -> None:
+    """Each vertex hangs on two joints; where these stand is what their inverse matrices undo."""
+    node = rig.document["nodes"][0]
+    upright = {key: node.pop(key) for key in ("rotation", "scale") if key in node}
+    count = len(rig.arrays[rig.primitives[0]["attributes"]["POSITION"]])
+    joints = np.tile(np.array([[0, 1, 0, 0]], "u1"), (count, 1))
+    share = np.linspace(0.1, 0.9, count)[:, None]
+    zero = np.zeros((count, 2))
+    weights = np.concatenate([share, 1 - share, zero], 1).astype("<f4")
+    more = {"JOINTS_0": rig.add(joints), "WEIGHTS_0": rig.add(weights)}
+    for primitive in rig.primitives:
+        primitive["attributes"] |= more
+    inverse = np.tile(np.eye(4), (2, 1, 1))
+    inverse[1, :3, 3] = -3.0, 2.0, 1.0
+    rig.document["nodes"] += [
+        {**upright, "children": [2]}, {"translation": [3.0, -2.0, -1.0]},
+    ]  # fmt: skip
+    node["skin"] = 0
+    rig.document["scenes"] = [{"nodes": [0, 1]}]
+    matrices = rig.add(inverse.swapaxes(1, 2).reshape(2, 16).astype("<f4"))
+    rig.document["skins"] = [{"joints": [1, 2], "inverseBindMatrices": matrices}]
+
+
+def tinted(rig: WildRig) -> None:
+    """A brighter picture, which a factor and colours of vertices darken."""
+    bright = np.rint(picture() * (0.9 * 0.8) ** (-1 / 2.2))
+    rig.image = png(bright.astype(np.uint8))
+    skin = rig.primitives[0]
+    material = rig.document["materials"][skin["material"]]
+    material["pbrMetallicRoughness"]["baseColorFactor"] = [0.9, 0.9, 0.9, 1.0]
+    count = len(rig.arrays[skin["attributes"]["POSITION"]])
+    skin["attributes"] = skin["attributes"] | {"COLOR_0": rig.add(np.full((count, 4), 0.8, "<f4"))}
+
+
+def named_by_targets(rig: WildRig) -> None:
+    names = rig.document["meshes"][0].pop("extras")["targetNames"]
+    for primitive in rig.primitives:
+        for name, target in zip(names, primitive.get("targets", []), strict=True):
+            target["extras"] = {"name": name}
+
+
+def open_at_rest(rig: WildRig) -> None:
+    """A shape that is set in the file, and undone in its vertices."""
+    at = rig.primitives[0]["attributes"]["POSITION"]
+    shape = np.zeros_like(rig.arrays[at])
+    shape[:, 2] = np.linspace(0, 0.02, len(shape))
+    rig.arrays[at] = rig.arrays[at] - shape
+    index = rig.add(shape)
+    for primitive in rig.primitives:
+        primitive["targets"] = [*primitive["targets"], {"POSITION": index}]
+    mesh = rig.document["meshes"][0]
+    mesh["extras"]["targetNames"] = [*mesh["extras"]["targetNames"], "Chin_Long"]
+    mesh["weights"] = [0.0] * (len(rig.primitives[0]["targets"]) - 1) + [1.0]
+
+
 def many_meshes(rig: WildRig) -> None:
     mesh = rig.document["meshes"][0]
     rig.document["meshes"] = [{**mesh, "primitives": [p]} for p in mesh["primitives"]]
@@ -214,8 +269,8 @@ def glasses(rig: WildRig) -> None:
 FORMS: dict[str, Callable[[WildRig], None]] = {
     form.__name__: form
     for form in (
-        repeated, mirrored, clamped, transformed, second_uv, quantized, skinned, many_meshes,
-        sparse, glasses,
+        repeated, mirrored, clamped, transformed, second_uv, quantized, skinned, jointed, tinted,
+        named_by_targets, open_at_rest, many_meshes, sparse, glasses,
     )
 }  # fmt: skip
 

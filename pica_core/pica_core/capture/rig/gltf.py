@@ -1,11 +1,12 @@
 """Read a rig from glTF (.glb, .vrm, .gltf): every mesh of the scene with its morph targets.
 
-Understood are triangles, node transforms, base colour images with their samplers and texture
-transforms, and materials that one sees through. A skinned mesh lies where its first joint puts it.
+Understood are triangles, node transforms, skins in the pose of their nodes, default weights, base
+colours (images with their samplers and texture transforms, factors, vertex colours), and materials
+that one sees through.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from struct import error as StructError
 from typing import Any
@@ -13,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pica_core.capture.rig.gltf_file import MAX_ELEMENTS, GltfFile, count_of, extension
+from pica_core.capture.rig.gltf_file import MAX_ELEMENTS, WIDTH, GltfFile, count_of, extension
 from pica_core.capture.rig.source import (
     RigImage,
     RigSource,
@@ -34,6 +35,10 @@ MALFORMED = (
     TypeError, ValueError,
 )  # fmt: skip
 """What entries raise that are missing or of another kind than they should be."""
+
+
+WHITE = RigImage(pixels=np.full((1, 1, 4), 255, np.uint8), wrap=("repeat", "repeat"))
+"""The picture of a material that has a colour alone."""
 
 
 def read_rig(path: Path) -> RigSource:
@@ -63,8 +68,23 @@ def _matrix(node: dict[str, Any]) -> Float64Array:
     return result
 
 
-def _placed_meshes(file: GltfFile) -> Iterator[tuple[dict[str, Any], Float64Array]]:
-    """Mesh and transform of every node of the scene."""
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Placed:
+    """A mesh of the scene.
+
+    Attributes:
+        places: Its node's transform ``[1, 4, 4]``, or those of its skin's joints ``[J, 4, 4]``.
+        weights: How far each morph target is open at rest.
+    """
+
+    mesh: dict[str, Any]
+    places: Float64Array
+    is_skinned: bool
+    weights: tuple[float, ...]
+
+
+def _placed_meshes(file: GltfFile) -> Iterator[_Placed]:
+    """Every mesh of the scene."""
     roots = list(range(len(file.root.get("nodes", []))))
     if file.root.get("scenes"):
         roots = file.item("scenes", file.root.get("scene", 0)).get("nodes", roots)
@@ -81,14 +101,17 @@ def _placed_meshes(file: GltfFile) -> Iterator[tuple[dict[str, Any], Float64Arra
         stack += [(k, worlds[index], depth + 1) for k in node.get("children", [])]
     for index, place in worlds.items():
         node = file.item("nodes", index)
-        if "mesh" in node:
-            if "skin" in node:  # the node's own transform counts for nothing
-                skin = file.item("skins", node["skin"])
-                joint, inverse = skin["joints"][0], skin.get("inverseBindMatrices")
-                place = worlds.get(joint, np.eye(4))
-                if inverse is not None:
-                    place = place @ file.accessor(inverse, 16)[0].reshape(4, 4).T
-            yield file.item("meshes", node["mesh"]), place
+        if "mesh" not in node:
+            continue
+        mesh, places = file.item("meshes", node["mesh"]), place[None]
+        if "skin" in node:  # the node's own transform counts for nothing
+            skin = file.item("skins", node["skin"])
+            places = np.stack([worlds.get(joint, np.eye(4)) for joint in skin["joints"]])
+            if "inverseBindMatrices" in skin:
+                inverse = file.accessor(skin["inverseBindMatrices"], 16).astype(np.float64)
+                places = places @ inverse.reshape(-1, 4, 4).swapaxes(1, 2)
+        weights = tuple(map(float, node.get("weights", mesh.get("weights", []))))
+        yield _Placed(mesh=mesh, places=places, is_skinned="skin" in node, weights=weights)
 
 
 def _target_names(
@@ -98,8 +121,10 @@ def _target_names(
         names = owner.get("extras", {}).get("targetNames", [])
         if count and len(names) == count:
             return [str(name) for name in names]
-    if not count:
-        return []
+    targets = primitive.get("targets", [])
+    names = [target.get("extras", {}).get("name") for target in targets]
+    if all(isinstance(name, str) for name in names):
+        return names
     raise CaptureError(
         f"{file.path}: mesh {mesh.get('name', '')!r} has {count} morph targets and no such list of "
         "names in extras.targetNames; export with names"
@@ -116,6 +141,8 @@ class _Material:
     transform: Float64Array
     """What moves texture coordinates, as ``uv @ [:2] + [2]``. ``[3, 2]``."""
     image: RigImage | None
+    colour: Float64Array
+    """Linear RGB that image and vertex colours are multiplied with. ``[3]``."""
     alpha: float
     """Opacity that the whole material has."""
     cutoff: float | None
@@ -123,8 +150,9 @@ class _Material:
 
 
 PLAIN = _Material(
-    name="default", uv="TEXCOORD_0", transform=np.eye(3, 2), image=None, alpha=1.0, cutoff=None
-)
+    name="default", uv="TEXCOORD_0", transform=np.eye(3, 2), image=None, colour=np.ones(3),
+    alpha=1.0, cutoff=None,
+)  # fmt: skip
 """What a primitive without a material has."""
 
 
@@ -138,13 +166,15 @@ def _material(file: GltfFile, index: int) -> _Material:
     sine, cosine = np.sin(turn), np.cos(turn)
     linear = scale @ np.array([[cosine, -sine], [sine, cosine]])
     offset = np.array(move.get("offset", [0.0, 0.0]), np.float64).reshape(1, 2)
+    factor = np.array(pbr.get("baseColorFactor", [1.0] * 4), np.float64).reshape(4)
     mode, cutoff = str(entry.get("alphaMode")), float(entry.get("alphaCutoff", CLEAR))
     return _Material(
         name=str(entry.get("name", f"material {index}")),
         uv=f"TEXCOORD_{move.get('texCoord', texture.get('texCoord', 0))}",
         transform=np.concatenate([linear, offset]),
         image=_image(file, texture["index"]) if "index" in texture else None,
-        alpha=float(pbr.get("baseColorFactor", [1.0] * 4)[3]),
+        colour=factor[:3],
+        alpha=float(factor[3]),
         cutoff={"MASK": cutoff, "BLEND": CLEAR}.get(mode),
     )
 
@@ -155,6 +185,9 @@ def _image(file: GltfFile, index: Any) -> RigImage:
     sampler = file.item("samplers", texture["sampler"]) if "sampler" in texture else {}
     wrap = WRAP[sampler.get("wrapS", 10497)], WRAP[sampler.get("wrapT", 10497)]
     number = other.get("source", texture.get("source"))
+    if number is None:
+        names = ", ".join(texture.get("extensions", {})) or "a source"
+        raise CaptureError(f"{file.path}: a texture needs {names}, which is not read here")
     image = file.item("images", number)
     data = file.resource(image["uri"]) if "uri" in image else None
     if data is None:
@@ -171,13 +204,14 @@ class _Builder:
         self.materials = [*(_material(file, k) for k in range(count)), PLAIN]
         self.positions: list[Float64Array] = []
         self.uv: list[Float64Array | None] = []
+        self.colours: list[Float64Array] = []
         self.faces: list[IntArray] = []
         self.material: list[IntArray] = []
         self.targets: list[tuple[str, slice, FloatArray]] = []
         self.count = 0
         self.shared: dict[tuple[Any, ...], slice] = {}
 
-    def add(self, place: Float64Array, mesh: dict[str, Any], primitive: dict[str, Any]) -> None:
+    def add(self, placed: _Placed, primitive: dict[str, Any]) -> None:
         """Add one primitive; primitives on the same vertices share them."""
         file = self.file
         if primitive.get("mode", TRIANGLES) != TRIANGLES:
@@ -188,15 +222,17 @@ class _Builder:
             raise CaptureError(f"{file.path}: materials {number} does not exist")
         look = self.materials[number]
         targets = primitive.get("targets", [])
-        names = _target_names(file, mesh, primitive, len(targets))
+        names = _target_names(file, placed.mesh, primitive, len(targets))
         at = [target.get("POSITION") for target in targets]
-        coordinates = attributes.get(look.uv)
-        move = place.tobytes(), look.transform.tobytes()
-        key = (attributes["POSITION"], coordinates, *at, *move)
+        used = [attributes.get(name) for name in ("POSITION", look.uv, "COLOR_0", "JOINTS_0")]
+        move = placed.places.tobytes(), look.transform.tobytes(), look.colour.tobytes()
+        key = (*used, *at, *move, placed.weights)
         if key not in self.shared:
             self.shared[key] = self._add_vertices(
-                attributes["POSITION"], coordinates, dict(zip(names, at, strict=True)), place, look
+                attributes, dict(zip(names, at, strict=True)), placed, look
             )
+        if look.image is None and ("COLOR_0" in attributes or (look.colour != 1).any()):
+            self.materials[number] = replace(look, image=WHITE)
         span = self.shared[key]
         count = span.stop - span.start
         index = np.arange(count)
@@ -208,48 +244,63 @@ class _Builder:
                 f"{index.max(initial=0)}; triangles of {count} vertices are needed"
             )
         faces = (index.reshape(-1, 3) + span.start).astype(np.int32)
-        self.faces.append(faces[:, ::-1] if np.linalg.det(place[:3, :3]) < 0 else faces)
+        is_mirrored = np.median(np.linalg.det(placed.places[:, :3, :3])) < 0
+        self.faces.append(faces[:, ::-1] if is_mirrored else faces)
         self.material.append(np.full(len(faces), number, np.int32))
 
     def _add_vertices(
         self,
-        position: int,
-        coordinates: int | None,
+        attributes: dict[str, Any],
         targets: dict[str, Any],
-        place: Float64Array,
+        placed: _Placed,
         look: _Material,
     ) -> slice:
-        file, linear = self.file, place[:3, :3].T
+        file = self.file
 
         def same_count(what: str, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
             if len(values) != len(points):
                 raise CaptureError(f"{file.path}: {len(points)} vertices, {len(values)} {what}")
             return values
 
-        points = file.accessor(position, 3).astype(np.float64)
+        points = file.accessor(attributes["POSITION"], 3).astype(np.float64)
         span = slice(self.count, self.count + len(points))
         check_counts(str(file.path), vertices=span.stop, faces=1, shapes=max(len(targets), 1))
-        self.positions.append(points @ linear + place[:3, 3])
+        place = placed.places[0]
+        if placed.is_skinned and "JOINTS_0" in attributes:
+            joints = same_count("joints", file.accessor(attributes["JOINTS_0"], 4))
+            shares = same_count("weights", file.accessor(attributes["WEIGHTS_0"], 4))
+            shares = shares.astype(np.float64) / np.maximum(shares.sum(1, keepdims=True), 1e-9)
+            place = sum(shares[:, k, None, None] * placed.places[joints[:, k]] for k in range(4))
+        linear = place[..., :3, :3]
+        points = np.einsum("...ij,...j->...i", linear, points) + place[..., :3, 3]
         uv: Float64Array | None = None
-        if coordinates is not None:
-            uv = same_count("texture coordinates", file.accessor(coordinates, 2).astype(np.float64))
+        if (at := attributes.get(look.uv)) is not None:
+            uv = same_count("texture coordinates", file.accessor(at, 2).astype(np.float64))
             uv = uv @ look.transform[:2] + look.transform[2]
         self.uv.append(uv)
+        colours = np.tile(look.colour, (len(points), 1))
+        if (at := attributes.get("COLOR_0")) is not None:
+            width = WIDTH[file.item("accessors", at)["type"]]
+            colours *= same_count("vertex colours", file.accessor(at, width))[:, :3]
+        self.colours.append(colours)
         self.count = span.stop
-        for name, index in targets.items():
+        for number, (name, index) in enumerate(targets.items()):
             if index is not None:
                 delta = same_count(f"in morph target {name!r}", file.accessor(index, 3))
-                moved = (delta.astype(np.float32) @ linear).astype(np.float32)
-                self.targets.append((name, span, moved))
+                moved = np.einsum("...ij,...j->...i", linear, delta.astype(np.float32))
+                self.targets.append((name, span, moved.astype(np.float32)))
+                if number < len(placed.weights):
+                    points = points + placed.weights[number] * moved
+        self.positions.append(points)
         return span
 
 
 def _read(file: GltfFile) -> RigSource:
     path = file.path
     builder = _Builder(file)
-    for mesh, place in _placed_meshes(file):
-        for primitive in mesh["primitives"]:
-            builder.add(place, mesh, primitive)
+    for placed in _placed_meshes(file):
+        for primitive in placed.mesh["primitives"]:
+            builder.add(placed, primitive)
     if not builder.faces:
         raise CaptureError(f"{path}: no triangles")
     check_counts(
@@ -280,6 +331,7 @@ def _read(file: GltfFile) -> RigSource:
         shapes=shapes,
         copyright=str(file.root.get("asset", {}).get("copyright", ""))[:500],
         images={k: m.image for k, m in enumerate(builder.materials) if m.image is not None},
+        colours=np.concatenate(builder.colours).astype(np.float32),
         see_through=_see_through(builder.materials, faces, material, uv),
     )
 

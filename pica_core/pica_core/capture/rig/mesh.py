@@ -148,6 +148,8 @@ class RigMesh:
         faces: Triangles, counter-clockwise from outside. int32 ``[F, 3]``.
         uv: Texture coordinates, v downwards, or None. float64 ``[T, 2]``.
         uv_faces: Triangles in `uv`, or None. int32 ``[F, 3]``.
+        colours: Linear RGB that images are multiplied with, at the corners of each triangle; None:
+            white. float32 ``[F, 3, 3]``.
         part: Index into `multiface.MATERIALS`. int32 ``[F]``.
         material: Index into the source's materials. int32 ``[F]``.
         eyes: Eyeballs found, left first.
@@ -165,6 +167,7 @@ class RigMesh:
     frame: RigFrame
     dropped: tuple[str, ...]
     marks: dict[str, Int64Array] = field(default_factory=dict)
+    colours: FloatArray | None = None
 
     def of_part(self, *names: str) -> BoolArray:
         """Vertices that faces of these materials use. bool ``[P]``."""
@@ -343,6 +346,7 @@ def build_mesh(source: RigSource, names: NameMap) -> RigMesh:
         eyes=moved_eyes,
         frame=frame,
         dropped=tuple(dropped),
+        colours=source.colours[uv_faces],
     )
 
 

@@ -48,6 +48,7 @@ class RigSource:
         shapes: What each shape adds to `positions` at a value of 1. float32 ``[V, 3]`` each.
         copyright: What the file says of its rights.
         images: Base colour image of a material, where the file has one.
+        colours: Linear RGB that images are multiplied with. float32 ``[V, 3]``.
         see_through: Triangles that hide nothing, such as lenses. bool ``[F]``.
     """
 
@@ -60,6 +61,7 @@ class RigSource:
     shapes: dict[str, FloatArray]
     copyright: str
     images: dict[int, RigImage]
+    colours: FloatArray
     see_through: BoolArray
 
 

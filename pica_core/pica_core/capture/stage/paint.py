@@ -145,6 +145,7 @@ PAINT: dict[str, Any] = {
 """Linear colours and marks of the synthetic skin (chosen)."""
 CORNER = {
     "vertex_uv": 2, "rest_m": 3, "local": 4, "source_uv": 2, "cover": 1, "strand": 3, "beard": 1,
+    "tint": 3,
 }  # fmt: skip
 """What the shader is told of each corner of a triangle, and in how many numbers."""
 
@@ -171,7 +172,9 @@ def paint(
     corner = head.chart.faces.ravel()
     rest = head.mesh.rest_m[head.chart.source]
     split = np.concatenate([head.chart.vertex_uv, rest, surface(head, growth)], 1)
-    data = np.concatenate([split[corner], _source_uv(head), split_hairs(head, growth)[corner]], 1)
+    hairs, colours = split_hairs(head, growth)[corner], head.mesh.colours
+    tint = np.ones((len(corner), 3)) if colours is None else colours[head.chart.face_source]
+    data = np.concatenate([split[corner], _source_uv(head), hairs, tint.reshape(-1, 3)], 1)
     corners = context.buffer(data.astype(np.float32).tobytes()), CORNER
     numbers = PAINT | look | _places(head) | {"has_growth": float(growth is not None)}
     part = split_parts(head)[head.chart.faces[:, 2]]

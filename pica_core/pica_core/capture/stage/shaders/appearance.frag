@@ -9,6 +9,7 @@ in vec3 rest_mm;
 // eye: direction from the centre, side.   teeth: 1 at an arch's dark end.   tongue: 0 root to 1 tip.   mouth lining: mm behind the lips
 in vec4 surface;
 in vec2 albedo_uv;
+in vec3 tinted;
 in vec3 strand_way;    // direction of hair
 in vec2 grown;         // coverage by hair, density of beard
 const int material_id = MATERIAL;   // a program each: software GL runs every branch
@@ -254,7 +255,7 @@ void main() {
         third = 0.5 * fine + 0.5 * thin;
     }
     vec2 folded = mix(albedo_uv, 1.0 - abs(mod(albedo_uv, 2.0) - 1.0), mirrored);
-    if (has_albedo > 0.5) rgb = pow(texture(albedo, folded).rgb, vec3(2.2));
+    if (has_albedo > 0.5) rgb = pow(texture(albedo, folded).rgb, vec3(2.2)) * tinted;
     colour_out = vec4(sqrt(clamp(rgb, 0.0, 1.0)), gloss);
     relief_out = vec4(height, translucent, third, 1.0);
 }
