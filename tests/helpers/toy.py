@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 
 from pica_core.avatar.decoder_layers import spec_tensor_shapes
 from pica_core.avatar.file import Avatar
-from pica_core.avatar.levels import exit_shapes, faces_name, level_sizes, sheet_rows
+from pica_core.avatar.levels import exit_shapes, faces_name, level_sizes
+from pica_core.avatar.linear import REGION
 from pica_core.avatar.manifest import Manifest, ViewSpan
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.avatar.variants import VARIANTS
 from pica_core.codec.latent_stream import LatentEncoder
-from pica_core.latent import LATENT_SHAPE
+from pica_core.latent import LATENT_SHAPE, NUM_LATENT
 from pica_core.train.stream_learning import RenderMetric, learn_profile
 from pica_core.types import FloatArray
 
 PAPER_SPEC = AvatarSpec(block="H2")
 """The paper's sizes; H2 is the block whose parameter count lies nearest to the paper's 5.47 M."""
 
+NUM_BASES, REACH_M = 6, 4e-3
+NUM_STILL = 2
+"""Regions of a toy's mesh that never move."""
 TOY_SPEC = AvatarSpec(uv_encoding_size=64, axis_encoding_size=200)
 """The shipped sizes but for smaller encoding maps: files of 1 MB, tests of milliseconds."""
 
@@ -112,9 +118,32 @@ def without_stream(avatar: Avatar) -> Avatar:
     return Avatar(avatar.manifest, tensors)
 
 
-def with_toy_levels(avatar: Avatar, *, seed: int = 8) -> Avatar:
-    """A toy avatar with exits of random weights, coarser grids as their meshes."""
+def with_bases(avatar: Avatar, *, seed: int = 4) -> Avatar:
+    """The same mesh at rest, whose vertices bases move: in regions of falling rank."""
     rng = np.random.default_rng(seed)
+    vertices_m = avatar.mean_vertices_m
+    rows = -(-len(vertices_m) // REGION)
+    moving = max(rows - NUM_STILL, 1)
+    rank = (moving - np.arange(rows)).clip(0, NUM_BASES).astype(np.int32)
+    sheet = np.resize(vertices_m, (rows * REGION, 3))
+    mix = rng.uniform(-1, 1, (rank.sum(), NUM_BASES)) * REACH_M / avatar.manifest.position_scale_m
+    tensors = {n: a for n, a in avatar.tensors.items() if not n.startswith("geometry.")}
+    tensors |= {
+        "linear.weight": rng.standard_normal((NUM_BASES, NUM_LATENT)).astype(np.float32) / 16,
+        "linear.bias": np.zeros(NUM_BASES, np.float32),
+        "linear.mix": mix.astype(np.float32),
+        "linear.basis": rng.uniform(-1, 1, (rank.sum(), REGION, 3)).astype(np.float32),
+        "linear.mean": sheet.reshape(rows, REGION, 3).astype(np.float32),
+        "linear.rank": rank,
+    }
+    spec = replace(avatar.spec, geometry="bases")
+    return Avatar(replace(avatar.manifest, spec=spec, variant="linear"), tensors)
+
+
+def with_toy_levels(avatar: Avatar, *, seed: int = 8) -> Avatar:
+    """A toy avatar with bases, and exits of random weights, coarser grids as their meshes."""
+    rng = np.random.default_rng(seed)
+    avatar = avatar if avatar.spec.geometry == "bases" else with_bases(avatar)
     tensors = dict(avatar.tensors)
     grid = round(len(tensors["mesh.vertex_uv"]) ** 0.5)
     *exits, full = level_sizes(avatar.spec)
@@ -123,18 +152,9 @@ def with_toy_levels(avatar: Avatar, *, seed: int = 8) -> Avatar:
         corner = kept.astype(np.int32)
         index = (corner[:, None] * grid + corner).reshape(-1).astype(np.int32)
         tensors[faces_name(level)] = index[grid_faces(len(corner), len(corner))]
-        rows = sheet_rows(len(index), level)
-        for name, shape in exit_shapes(avatar.spec, level, rows, 2).items():
-            inputs = shape[-1] / 3 if "geometry" in name else np.prod(shape[1:])
-            spread = np.sqrt(1.5 / inputs) if name.endswith("weight") else 0.05
+        for name, shape in exit_shapes(avatar.spec, level).items():
+            spread = np.sqrt(1.5 / np.prod(shape[1:])) if name.endswith("weight") else 0.05
             tensors[name] = (rng.standard_normal(shape) * spread).astype(np.float32)
-        if avatar.spec.geometry == "bases":
-            continue
-        rest = np.zeros((rows * level, 3), np.float32)
-        rest[: len(index)] = head_surface(*tensors["mesh.vertex_uv"][index].T)
-        tensors[f"level.{level}.geometry.mean"] = rest.reshape(rows, level, 3)
-        texel = rng.integers(level * level, size=(rows, level, 2))
-        tensors[f"level.{level}.geometry.texel"] = texel.astype(np.int32)
     return Avatar(avatar.manifest, tensors)
 
 

@@ -43,7 +43,6 @@ from pica_core.avatar.decoder_layers import spec_tensor_shapes
 from pica_core.avatar.levels import (
     STILL_NAME,
     check_indices,
-    check_sheets,
     faces_name,
     is_faces,
     is_index,
@@ -117,8 +116,8 @@ class Avatar:
         return textured_faces(self.level_faces(level), parts_of(self.tensors))
 
     def position_rows(self, level: int) -> int:
-        """Rows of what the geometry decoder makes at a level: of the position map at the full one,
-        of a sheet of vertices below it. Both have as many columns as the level has texels."""
+        """Rows of the position map, or of the sheet of a level's vertices where bases make them;
+        both have as many columns as the level has texels."""
         used = self.sheet_vertices(level)
         return level if used is None else sheet_rows(len(used), level)
 
@@ -135,12 +134,12 @@ class Avatar:
         """The vertices whose positions a decode at a level makes, by their numbers, in the order
         of its sheet; None where it makes a map."""
         faces = self.level_faces(level)
-        if level != self.spec.map_size:
-            used: IntArray = np.unique(faces)
-            return used
-        if self.spec.geometry == "bases":
+        if self.spec.geometry != "bases":
+            return None
+        if level == self.spec.map_size:
             return np.arange(len(self.tensors["mesh.vertex_uv"]), dtype=np.int32)
-        return None
+        used: IntArray = np.unique(faces)
+        return used
 
     def sheet_places(self, level: int) -> IntArray:
         """The vertex at each place of a sheet that bases make; the last one fills its last row."""
@@ -427,7 +426,6 @@ def _check_tensors(spec: AvatarSpec, tensors: Mapping[str, Array]) -> None:
             raise ValueError(f"tensor {STATIC_NAME} leaves 0 triangles of {name}; 1 is the least")
     if spec.geometry == "bases":
         check_linear(tensors)
-    check_sheets(spec, tensors)
 
 
 def _with_ordered_metadata(data: bytes) -> bytes:

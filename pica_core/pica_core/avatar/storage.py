@@ -36,8 +36,8 @@ _STORAGE: Mapping[str, Storage] = MappingProxyType(
     }
 )
 """How `save_avatar` stores these; decoder and encoder weights are fp16, gains 8 bits, the two
-SIRENs float32. A level's mean is stored like the full one, its weights per vertex or block of
-texels in 8 bits, its bias in fp16, the rest of it in float32.
+SIRENs float32. A level's weights per block of texels are stored in 8 bits, its bias in fp16, the
+rest of it in float32.
 
 8 bits over the range of a channel are 0.004 of that range; 16 bits over a head are 5 micrometres
 and over a UV 1/64 of a texel, where fp16 would be 60 micrometres and half a texel.
@@ -116,8 +116,8 @@ def check_finite(tensors: Mapping[str, Array]) -> None:
 
 def _usual(name: str) -> Storage:
     if name.startswith(LEVEL_PREFIX):
-        if name.endswith((".geometry.mean", ".geometry.weight", ".expression.local")):
-            return "u16" if name.endswith("mean") else "u8"
+        if name.endswith(".expression.local"):
+            return "u8"
         return "f16" if name.endswith(".expression.bias") else "f32"
     if name.endswith(".gain.weight"):
         return "u8"

@@ -102,26 +102,21 @@ def decoder_graph(avatar: Avatar, *, level: int | None = None, positions: bool =
 
 
 def _position_map(graph: GraphBuilder, avatar: Avatar, size: int, grid: str) -> None:
-    """The geometry decoder with the scale in its last weights and, at the full level, the bias of
-    its last layer in the mean."""
+    """The geometry decoder with the scale in its last weights, the bias of its last layer in the
+    mean."""
     tensors, scale = dict(avatar.tensors), np.float64(avatar.manifest.position_scale_m)
-    if size != avatar.spec.map_size:
-        mean = tensors[f"level.{size}.geometry.mean"]
-        value = _chain(graph, trunk_layers(avatar.spec, "geometry", size), tensors, grid)
-        value = _weigh_per_vertex(graph, avatar, size, value)
-    else:
-        mean, layers = tensors["geometry.mean"], decoder_layers(avatar.spec, "geometry")
-        last = [layer for layer in layers if layer.tensor_shapes()][-1]
-        tensors[f"{last.name}.weight"] = tensors[f"{last.name}.weight"] * scale
-        if last.has_bias:
-            bias = f"{last.name}.bias"
-            offset = tensors[bias] * scale
-            tensors[bias] = np.zeros_like(tensors[bias])
-            if last.kind == "conv1":  # four phases per channel, as `_expand_and_shuffle` says
-                phases = offset.reshape(-1, 2, 2).transpose(1, 2, 0)
-                offset = np.tile(phases, (size // 2, size // 2, 1))
-            mean = mean.astype(np.float64) + offset
-        value = _channel_last(graph, _chain(graph, layers, tensors, grid), size, POSITION_CHANNELS)
+    mean, layers = tensors["geometry.mean"], decoder_layers(avatar.spec, "geometry")
+    last = [layer for layer in layers if layer.tensor_shapes()][-1]
+    tensors[f"{last.name}.weight"] = tensors[f"{last.name}.weight"] * scale
+    if last.has_bias:
+        bias = f"{last.name}.bias"
+        offset = tensors[bias] * scale
+        tensors[bias] = np.zeros_like(tensors[bias])
+        if last.kind == "conv1":  # four phases per channel, as `_expand_and_shuffle` says
+            phases = offset.reshape(-1, 2, 2).transpose(1, 2, 0)
+            offset = np.tile(phases, (size // 2, size // 2, 1))
+        mean = mean.astype(np.float64) + offset
+    value = _channel_last(graph, _chain(graph, layers, tensors, grid), size, POSITION_CHANNELS)
     graph.add("Add", value, graph.floats(mean), output="position_map")
 
 
@@ -136,27 +131,6 @@ def _expression(avatar: Avatar, size: int) -> tuple[list[Layer], list[Layer], di
     bias = Layer("untied_bias", f"{name}.untied", out_channels, out_channels, size)
     tensors[f"{bias.name}.weight"] = tensors[f"{name}.bias"]
     return trunk_layers(avatar.spec, "expression", size), [last, bias], tensors
-
-
-def _weigh_per_vertex(graph: GraphBuilder, avatar: Avatar, size: int, value: str) -> str:
-    """The geometry's exit: for every vertex its own product of weights and trunk, ``[R, S, 3]``."""
-    prefix = f"level.{size}.geometry"
-    texel, weight = avatar.tensors[f"{prefix}.texel"], avatar.tensors[f"{prefix}.weight"]
-    rows, num_slots, num_texels = len(texel), texel.shape[0] * size, texel.shape[2]
-    weight = weight.reshape(num_slots, POSITION_CHANNELS, -1, num_texels).transpose(1, 3, 2, 0)
-    weight = weight.reshape(POSITION_CHANNELS, -1, num_slots)
-    weight = weight * np.float64(avatar.manifest.position_scale_m)
-    inputs = weight.shape[1]
-    # A lookup copies all channels of a texel at once; products and sums run along the vertices.
-    planes = graph.add("Reshape", value, graph.sizes(inputs // num_texels, size * size))
-    texels = graph.add("Transpose", planes, perm=[1, 0])
-    read = graph.add("Gather", texels, graph.constant(texel.reshape(-1)), axis=0)
-    read = graph.add("Reshape", read, graph.sizes(num_slots, inputs))
-    read = graph.add("Transpose", read, perm=[1, 0])
-    weighed = graph.add("Mul", read, graph.floats(weight))
-    summed = graph.add("ReduceSum", weighed, graph.sizes(1), keepdims=0)
-    planes = graph.add("Reshape", summed, graph.sizes(POSITION_CHANNELS, rows, size))
-    return graph.add("Transpose", planes, perm=[1, 2, 0])
 
 
 def _channel_last(

@@ -33,18 +33,13 @@ def decode_position_map(avatar: Avatar, latent: npt.ArrayLike, level: int | None
         level: One of the avatar's levels; None for the full one.
 
     Returns:
-        Position map, head frame, metres, float64 ``[S, S, 3]``; below the full level, and where
-        bases make them, the sheet of its vertices, ``[R, S, 3]``.
+        Position map, head frame, metres, float64 ``[S, S, 3]``; where bases make them, the sheet of
+        the level's vertices, ``[R, S, 3]``.
     """
     if avatar.spec.geometry == "bases":
         return _sheet(avatar, np.asarray(latent, np.float64), level)
-    offset, prefix = _decode(avatar, "geometry", np.asarray(latent, np.float64), level)
-    if prefix:
-        read = offset.reshape(len(offset), -1)[:, avatar.tensors[f"{prefix}geometry.texel"]]
-        weight = avatar.tensors[f"{prefix}geometry.weight"].astype(np.float64)
-        sizes = (*weight.shape[:2], POSITION_CHANNELS, len(offset), -1)
-        offset = np.einsum("yxdct,cyxt->dyx", weight.reshape(sizes), read)
-    mean = avatar.tensors[f"{prefix}geometry.mean"].astype(np.float64)
+    offset, _ = _decode(avatar, "geometry", np.asarray(latent, np.float64), level)
+    mean = avatar.tensors["geometry.mean"].astype(np.float64)
     return mean + avatar.manifest.position_scale_m * offset.transpose(1, 2, 0)
 
 

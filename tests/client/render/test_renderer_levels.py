@@ -24,7 +24,6 @@ from pica_core.camera import Camera, look_at
 from pica_core.errors import ShapeError
 from pica_core.gl import create_context
 from pica_core.reference.baseline import BaselineAvatar
-from pica_core.sampling import sample_vertices
 
 pytestmark = pytest.mark.render
 
@@ -346,7 +345,7 @@ def textured_toy() -> tuple[BaselineAvatar, np.ndarray, np.ndarray]:
     texel = (np.arange(64, dtype=np.float32) + 0.5) / 64
     u, v = np.meshgrid(texel, texel)
     colours = np.stack([u, v, np.full_like(u, 0.5)], axis=-1)
-    return mesh, sample_vertices(TOY.tensors["geometry.mean"], uv).astype(np.float32), colours
+    return mesh, TOY.mean_vertices_m, colours
 
 
 def renderer_with_texture(context: moderngl.Context, maps: Maps) -> Renderer:
@@ -362,7 +361,7 @@ def test_a_textured_head_shows_its_texture_where_the_other_kind_would_be(
     context: moderngl.Context, maps: Maps
 ) -> None:
     renderer = renderer_with_texture(context, maps)
-    renderer.update_maps("p0", TOY.tensors["geometry.mean"], None)
+    renderer.update_maps("p0", TOY.tensors["linear.mean"], None)
     renderer.draw([placed()], NEAR)
     _, uv, heads = renderer.read_surface()
     stats = renderer.draw([placed("painted")], NEAR, count_pixels=True)

@@ -54,8 +54,8 @@ def changed(name: str, array: Array | None) -> Avatar:
 
 
 def test_a_spec_may_have_exits_at_a_quarter_and_half_of_its_map() -> None:
-    assert level_sizes(AvatarSpec()) == (64, 128, 256)
-    assert level_sizes(AvatarSpec(map_size=32, hidden_channels=(4,))) == (16, 32)
+    assert level_sizes(AvatarSpec(geometry="bases")) == (64, 128, 256)
+    assert level_sizes(AvatarSpec()) == (256,)
 
 
 @pytest.mark.parametrize("block", BLOCKS)
@@ -102,20 +102,11 @@ def test_levels_come_back_from_a_file(toy_bytes: bytes) -> None:
         assert np.abs(loaded.tensors[name] - TOY.tensors[name]).max() <= 0.51 / 255 * spread, name
 
 
-def test_a_mean_keeps_sixteen_bits_and_convolutions_all_of_theirs(toy_bytes: bytes) -> None:
-    loaded = load_avatar(toy_bytes)
-    mean, weight = "level.64.geometry.mean", "level.128.expression.weight"
-    assert np.abs(loaded.tensors[mean] - TOY.tensors[mean]).max() < 5e-6
-    texel = "level.64.geometry.texel"
-    np.testing.assert_array_equal(loaded.tensors[texel], TOY.tensors[texel])
-    np.testing.assert_array_equal(loaded.tensors[weight], TOY.tensors[weight])
-
-
 def with_local(array: Array | None = None) -> Avatar:
     """The toy with weights of each block of texels on its coarsest level."""
     if array is None:
         random = np.random.default_rng(3)
-        array = random.standard_normal(local_shape(SPEC, 64)).astype(np.float32)
+        array = random.standard_normal(local_shape(TOY.spec, 64)).astype(np.float32)
     return changed(local_name(64), array)
 
 
@@ -146,19 +137,6 @@ def test_the_face_of_the_still_map_comes_back_from_a_file(tmp_path: Path) -> Non
     assert still_map(TOY) is None
 
 
-def test_a_sheet_that_does_not_fit_its_mesh_is_refused(tmp_path: Path) -> None:
-    large = np.arange(64, dtype=np.int32)[:63].reshape(-1, 3)
-    tensors = dict(TOY.tensors)
-    for name in ("mean", "weight", "texel"):
-        tensors[f"level.64.geometry.{name}"] = np.repeat(
-            tensors[f"level.64.geometry.{name}"], 2, axis=0
-        )
-    tensors[faces_name(64)] = large
-    message = r"level\.64\.geometry\.mean has 2 rows; the 63 vertices of level\.64\.faces need 1"
-    with pytest.raises(AvatarFileError, match=message):
-        save_avatar(tmp_path / "bad.pica", Avatar(TOY.manifest, tensors))
-
-
 def test_vertices_stand_in_the_middle_of_their_texels_row_by_row() -> None:
     found = sheet_uv(70, 64)
     assert sheet_rows(70, 64) == 2
@@ -168,7 +146,7 @@ def test_vertices_stand_in_the_middle_of_their_texels_row_by_row() -> None:
 
 
 def test_an_avatar_with_one_exit_alone_is_whole(tmp_path: Path) -> None:
-    lacking = {*exit_shapes(SPEC, 64, 1, 1), faces_name(64)}
+    lacking = {*exit_shapes(TOY.spec, 64), faces_name(64)}
     tensors = {name: array for name, array in TOY.tensors.items() if name not in lacking}
     save_avatar(tmp_path / "one.pica", Avatar(TOY.manifest, tensors))
     assert load_avatar(tmp_path / "one.pica").levels == (128, 256)
@@ -180,25 +158,21 @@ def test_half_a_level_is_refused(tmp_path: Path, name: str) -> None:
         save_avatar(tmp_path / "half.pica", changed(name, None))
 
 
-def test_a_mesh_without_its_level_is_refused(tmp_path: Path) -> None:
+def test_a_decoded_geometry_has_no_levels(tmp_path: Path) -> None:
     alone = {**PLAIN.tensors, faces_name(64): PLAIN.tensors["mesh.faces"][:4]}
-    with pytest.raises(AvatarFileError, match=r"level\.64\.expression\.bias is missing"):
+    with pytest.raises(AvatarFileError, match=r"'level\.64\.faces' is unknown"):
         save_avatar(tmp_path / "alone.pica", Avatar(PLAIN.manifest, alone))
 
 
 @pytest.mark.parametrize(
     ("name", "array", "message"),
     [
-        ("level.32.geometry.mean", np.zeros((32, 32, 3), np.float32), "'level.32.*is unknown"),
         ("level.64.surprise", np.zeros(3, np.float32), r"'level\.64\.surprise' is unknown"),
-        ("level.64.geometry.mean", np.zeros((2, 64, 3), np.float32), r"\[2, 64, .* is needed"),
-        ("level.64.geometry.texel", np.full((1, 64, 2), 4096, np.int32), "allowed are 0 to 4095"),
         ("level.128.expression.bias", np.zeros((4, 128), np.float32), r"\[4, 128, 128\]"),
         ("level.64.faces", np.full((9, 3), 64, np.int32), r"level\.64\.faces names vertices 64"),
         ("level.64.faces", np.zeros((0, 3), np.int32), "0 rows; allowed are 1 to"),
         ("level.64.faces", np.zeros((400_001, 3), np.int32), "400001 rows; allowed are 1 to"),
-        ("level.64.geometry.mean", np.full((1, 64, 3), np.nan, np.float32), "not finite"),
-        ("level.128.geometry.weight", np.full((1, 128, 48), 1e9, np.float32), "beyond 1e"),
+        ("level.64.expression.bias", np.full((4, 64, 64), np.nan, np.float32), "not finite"),
     ],
 )
 def test_a_level_tensor_that_does_not_fit_is_refused_by_name(

@@ -23,7 +23,12 @@ pytestmark = [pytest.mark.unit, pytest.mark.slow]
 @functools.cache
 def toy(block: str) -> Avatar:
     spec = AvatarSpec(block=block, uv_encoding_size=16, axis_encoding_size=20)
-    return with_toy_levels(make_toy_avatar(spec=spec, grid=4))
+    return make_toy_avatar(spec=spec, grid=4)
+
+
+@functools.cache
+def levelled(block: str) -> Avatar:
+    return with_toy_levels(toy(block))
 
 
 def run(model: bytes, **inputs: Array) -> list[Array]:
@@ -66,27 +71,20 @@ def test_the_decoder_graph_agrees_with_its_layers_run_in_numpy(block: str) -> No
 @pytest.mark.parametrize("level", [64, 128])
 @pytest.mark.parametrize("block", BLOCKS)
 def test_an_early_exit_agrees_with_its_layers_run_in_numpy(block: str, level: int) -> None:
-    avatar, inputs = toy(block), some_inputs()
+    avatar, inputs = levelled(block), some_inputs()
     position_map, expression_map = run(decoder_graph(avatar, level=level), **inputs)
     positions, expressions = decode_in_numpy(avatar, **inputs, level=level)
     assert position_map.shape == (1, level, 3)
     assert expression_map.shape == (level, level, 4)
     assert np.abs(position_map - positions).max() < tolerances.MAP_ONNX_M
     assert np.abs(expression_map - expressions).max() < tolerances.EXPRESSION_ONNX
-
-
-@pytest.mark.parametrize("level", [64, 128, 256])
-@pytest.mark.parametrize("block", BLOCKS)
-def test_the_expression_map_alone_is_nearly_the_one_of_both(block: str, level: int) -> None:
-    avatar, inputs = toy(block), some_inputs()
-    _, expressions = run(decoder_graph(avatar, level=level), **inputs)
     (alone,) = run(decoder_graph(avatar, level=level, positions=False), **inputs)
-    assert np.abs(alone - expressions).max() < tolerances.EXPRESSION_ONNX
+    assert np.abs(alone - expression_map).max() < tolerances.EXPRESSION_ONNX
 
 
 def test_a_level_that_the_avatar_lacks_has_no_graph() -> None:
-    with pytest.raises(ValueError, match="level is 32; this avatar has 64, 128, 256"):
-        decoder_graph(toy("G"), level=32)
+    with pytest.raises(ValueError, match="level is 64; this avatar has 256"):
+        decoder_graph(toy("G"), level=64)
 
 
 @pytest.mark.parametrize("block", BLOCKS)
@@ -107,12 +105,3 @@ def test_the_view_direction_changes_the_expression_map_alone() -> None:
     after = run(graph, latent=inputs["latent"], view_direction=np.array([[0.6, 0.0, 0.8]]))
     np.testing.assert_array_equal(before[0], after[0])
     assert np.abs(before[1] - after[1]).max() > 1e-3
-
-
-@pytest.mark.parametrize("value", [np.nan, 1e30])
-def test_a_hopeless_latent_decodes_to_maps_of_the_right_shape(value: float) -> None:
-    inputs = some_inputs()
-    inputs["latent"][:] = value
-    position_map, expression_map = run(decoder_graph(toy("G")), **inputs)
-    assert position_map.shape == (256, 256, 3)
-    assert expression_map.shape == (256, 256, 4)

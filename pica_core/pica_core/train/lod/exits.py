@@ -4,15 +4,11 @@ An exit is one linear layer and a map-sized bias behind a trunk that is not touc
 makes is linear in what is fitted, and the best exit is the solution of a system of equations:
 seconds, no learning rate, no seed but that of the faces it is fitted on.
 
-What is asked for:
-
-- *Geometry*: each vertex of the level's mesh is where the full map has it. It has weights of its
-  own over the texels of the trunk that are nearest to it, so vertices are fitted one by one.
-- *Expression*: at points of the surface, codes of the small map and of a still full one together
-  give the colours of the full one: differences of codes are weighed by the pixel decoder's own
-  slope there. The map is only ever read at points inside charts; texels that no point reads keep an
-  average of the full map. So a texel that two charts share is fitted to both. What one convolution
-  leaves, blocks of texels learn with weights of their own, on the coarsest level (`fit_local`).
+At points of the surface, codes of the small map and of a still full one together give the colours
+of the full one: differences of codes are weighed by the pixel decoder's own slope there. The map is
+only ever read at points inside charts; texels that no point reads keep an average of the full map.
+So a texel that two charts share is fitted to both. What one convolution leaves, blocks of texels
+learn with weights of their own, on the coarsest level (`fit_local`).
 """
 
 from collections.abc import Iterator
@@ -34,8 +30,6 @@ CHUNK = 8
 """Faces decoded at once."""
 RIDGE = 1e-6
 """Added to the diagonal of a system, as a share of its mean: keeps idle features quiet."""
-VERTEX_RIDGE = 1e-3
-"""The same for the weights of a vertex, as a share of the mean over all."""
 BLOCK_RIDGE = 1e-3
 """The same for the weights of a block of texels (1e-2 leaves 4 % more on one head)."""
 POINTS_PER_FACE = 1000
@@ -65,13 +59,11 @@ class FaceSet:
 
 
 class FrozenDecoder:
-    """One of an avatar's decoders, ``"geometry"`` or ``"expression"``, rebuilt from its file: full
-    maps and what exits find."""
+    """The expression decoder of an avatar, rebuilt from its file: full maps and what exits find."""
 
-    def __init__(self, avatar: Avatar, decoder: str) -> None:
-        self._decoder = decoder
+    def __init__(self, avatar: Avatar) -> None:
         self._spec = avatar.spec
-        self._module = MapDecoder(avatar.spec, decoder)
+        self._module = MapDecoder(avatar.spec, "expression")
         with torch.no_grad():
             for name, values in self._module.named_tensors().items():
                 values.copy_(torch.from_numpy(np.array(avatar.tensors[name])))
@@ -79,11 +71,10 @@ class FrozenDecoder:
     @torch.no_grad()
     def run(self, faces: FaceSet, level: int) -> Iterator[tuple[Tensor, Tensor]]:
         """Trunk ``[n, C, level, level]`` and decoder's output ``[n, C', S, S]``, chunk by chunk."""
-        end = len(trunk_layers(self._spec, self._decoder, level))
+        end = len(trunk_layers(self._spec, "expression", level))
         for start in range(0, len(faces), CHUNK):
-            grid, view = (values[start : start + CHUNK] for values in (faces.latents, faces.views))
-            if self._decoder == "expression":
-                grid = torch.cat([grid, tile_view_direction(view)], 1)
+            latent, view = (v[start : start + CHUNK] for v in (faces.latents, faces.views))
+            grid = torch.cat([latent, tile_view_direction(view)], 1)
             for step in self._module.steps[:end]:
                 grid = step(grid)
             trunk = grid
@@ -110,26 +101,6 @@ class MapExit:
         """Maps ``[N, C', level, level]`` from trunks ``[N, C, level, level]``."""
         maps = functional.conv2d(trunk, self.weight, padding=1) + self.bias
         return maps if self.local is None else maps + _weighed(self.local, trunk)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SheetExit:
-    """Fitted vertices: each from some texels of the trunk."""
-
-    texel: Tensor
-    """Row * level + column, int64 ``[V, T]``, the nearest first."""
-    weight: Tensor
-    """``[V, 3, C * T]``, the first channel's texels first."""
-    rest: Tensor
-    """``[V, 3]``, in the units of the decoder's output."""
-
-    def __call__(self, trunk: Tensor) -> Tensor:
-        """Vertices ``[N, V, 3]`` from trunks ``[N, C, level, level]``."""
-        return torch.einsum("nvf,vdf->nvd", self.read(trunk), self.weight) + self.rest
-
-    def read(self, trunk: Tensor) -> Tensor:
-        """What the weights multiply, ``[N, V, C * T]``."""
-        return trunk.flatten(2)[:, :, self.texel].permute(0, 2, 1, 3).flatten(2)
 
 
 def fit_convolution(
@@ -207,44 +178,6 @@ def _weighed(local: Tensor, trunk: Tensor) -> Tensor:
     """Trunks ``[N, C, S, S]`` weighed by each block's weights, ``[N, C', S, S]``."""
     own = local.repeat_interleave(LOCAL_TEXELS, 0).repeat_interleave(LOCAL_TEXELS, 1)
     return torch.einsum("ncyx,yxdc->ndyx", trunk, own)
-
-
-def fit_sheet(
-    decoder: FrozenDecoder,
-    faces: FaceSet,
-    level: int,
-    vertex_uv: Tensor,
-    rest: Tensor,
-    num_texels: int,
-) -> SheetExit:
-    """Fit every vertex by itself to where the decoder's own output has it.
-
-    Args:
-        level: Rows of the trunk.
-        vertex_uv: Where the vertices are in the full map, UV in [0, 1]. ``[V, 2]``.
-        rest: Map to add to the decoder's output, ``[3, S, S]``; it goes into the rest.
-        num_texels: That a vertex is made of, the nearest.
-    """
-    index, share = _taps(vertex_uv, level)
-    nearest = torch.argsort(share, dim=1, descending=True, stable=True)[:, :num_texels]
-    mean_trunk, mean_full = _means(decoder, faces, level)
-    width, outputs = mean_trunk.shape[0] * num_texels, mean_full.shape[0]
-    found = SheetExit(
-        texel=index.gather(1, nearest),
-        weight=torch.zeros(len(vertex_uv), outputs, width),
-        rest=sample_map((mean_full + rest)[None], vertex_uv)[0],
-    )
-    grams = torch.zeros(len(vertex_uv), width, width)
-    rights = torch.zeros(len(vertex_uv), width, outputs)
-    for trunk, full in decoder.run(faces, level):
-        read = found.read(trunk - mean_trunk).transpose(0, 1)
-        wanted = sample_map(full - mean_full, vertex_uv).transpose(0, 1)
-        grams += read.transpose(1, 2) @ read
-        rights += read.transpose(1, 2) @ wanted
-    floor = VERTEX_RIDGE * grams.diagonal(dim1=1, dim2=2).mean() * torch.eye(width)
-    weight = torch.linalg.solve(grams + floor, rights).transpose(1, 2).contiguous()
-    at_rest = torch.einsum("vf,vdf->vd", found.read(mean_trunk[None])[0], weight)
-    return replace(found, weight=weight, rest=found.rest - at_rest)
 
 
 def fit_map(points: Tensor, values: Tensor, start: Tensor) -> Tensor:

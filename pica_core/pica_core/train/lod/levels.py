@@ -22,7 +22,6 @@ from pica_core.avatar.levels import (
     STILL_NAME,
     faces_name,
     level_sizes,
-    sheet_rows,
 )
 from pica_core.avatar.linear import components_of, weights_of_latent
 from pica_core.capture.stage.expressions import stream_training_performances
@@ -33,11 +32,9 @@ from pica_core.train.lod.exits import (
     FaceSet,
     FrozenDecoder,
     MapExit,
-    SheetExit,
     colour_metric,
     fit_convolution,
     fit_local,
-    fit_sheet,
 )
 from pica_core.train.lod.judge import (
     PokeFinder,
@@ -91,10 +88,6 @@ class LevelOptions:
     mesh_ratios: tuple[float, ...] = (0.22, 0.35)
     """Triangles of the levels' meshes, the coarsest first, as shares of the full mesh (chosen: with
     0.16 nostrils of people tear at heads 300 pixels high: docs/architecture.md)."""
-    texels: tuple[int, ...] = (2, 1)
-    """Texels of the trunk per vertex, the coarsest level first (chosen: at 64, which weak machines
-    draw most of the time, one leaves 0.063 mm and two 0.042, and half of what pokes out; at 128 one
-    leaves 0.076 and two 0.046, but both would not fit into a file of 4 MB)."""
 
 
 def add_levels(
@@ -103,37 +96,25 @@ def add_levels(
     show: Callable[[str], None] = lambda _: None,
 ) -> Avatar:
     """Fit exits and simplify meshes for every level below the full one: the avatar with its levels
-    and its static surface marked."""
+    and its static surface marked; as it is where no bases make its vertices."""
     options = options or LevelOptions()
-    tensors = dict(avatar.tensors)
+    tensors, levels = dict(avatar.tensors), level_sizes(avatar.spec)[:-1]
+    if not levels:
+        return avatar
     faces = _draw_faces(avatar, options)
     full = _FullLevel(avatar, faces, options)
     show("meshes")
-    levels = level_sizes(avatar.spec)[:-1]
     mean_face = FaceSet(faces.latents.mean(dim=0, keepdim=True), torch.tensor([FRONT]))
-    ((_, (still,)),) = full.decoders["expression"].run(mean_face, levels[0])
+    ((_, (still,)),) = full.decoder.run(mean_face, levels[0])
     tensors[STILL_NAME] = mean_face.latents[0].permute(1, 2, 0).numpy().copy()
-    regions = looked_at(avatar, full.vertices_m)
-    meshes = _simplify(full, regions, options)[-len(levels) :]
-    for level, mesh, texels in zip(levels, meshes, options.texels[-len(levels) :], strict=True):
-        show(f"level {level}: {len(mesh)} triangles; exits")
-        geometry = None  # bases need no exit: they make a level's vertices as they are
-        if "geometry" in full.decoders:
-            rest = full.mean_map / avatar.manifest.position_scale_m
-            vertex_uv = full.vertex_uv[np.unique(mesh)]
-            geometry = fit_sheet(full.decoders["geometry"], faces, level, vertex_uv, rest, texels)
-        expression = fit_convolution(
-            full.decoders["expression"],
-            faces,
-            level,
-            full.points,
-            full.metric,
-            full.bias_points,
-            still,
+    for level, mesh in zip(levels, _simplify(full, options), strict=True):
+        show(f"level {level}: {len(mesh)} triangles; exit")
+        fitted = fit_convolution(
+            full.decoder, faces, level, full.points, full.metric, full.bias_points, still
         )
         if level == levels[0]:  # finer ones leave little, and their weights are four times as many
-            expression = fit_local(full.decoders["expression"], faces, level, expression)
-        tensors |= _exit_tensors(avatar, level, geometry, expression) | {faces_name(level): mesh}
+            fitted = fit_local(full.decoder, faces, level, fitted)
+        tensors |= _exit_tensors(level, fitted) | {faces_name(level): mesh}
     show("static surfaces")
     return mark_static(Avatar(avatar.manifest, tensors))
 
@@ -162,62 +143,39 @@ class _FullLevel:
     """The full model, rebuilt from its file, and what is known of its surface over the faces.
 
     Attributes:
-        vertex_uv: ``[V, 2]``.
         moving_vertices_m: Vertices at rest, and in some faces far from it and from each other, the
             farthest first, ``[K, V, 3]``.
         points: Points of the surface, UV, ``[P, 2]``: half of them spread over the area of the mesh
             at rest, half over the area of its UVs, which give mouth and eyes more room.
-        xyz_m: Where the points are at rest, ``[P, 3]``.
         bias_points: More such points, UV, ``[B, 2]``.
         metric: See `colour_metric`; float32.
     """
 
     def __init__(self, avatar: Avatar, faces: FaceSet, options: LevelOptions) -> None:
-        tensors = avatar.tensors
-        self.avatar = avatar
-        self.decoders = {name: FrozenDecoder(avatar, name) for name in avatar.spec.decoder_channels}
-        self.vertex_uv = torch.from_numpy(np.array(tensors["mesh.vertex_uv"]))
-        self._level = level_sizes(avatar.spec)[0]
-        shapes = self.vertices_m(faces)
-        # The mean map, not the mean of what is decoded: only there both sides of a seam meet.
-        rest = avatar.mean_vertices_m
-        self.moving_vertices_m = np.concatenate([rest[None], _far_apart(shapes, POKE_SHAPES)])
+        self.avatar, self.decoder = avatar, FrozenDecoder(avatar)
+        rest, far = avatar.mean_vertices_m, _far_apart(self.vertices_m(faces), POKE_SHAPES)
+        self.moving_vertices_m = np.concatenate([rest[None], far])
         rng = np.random.default_rng(0)
-        mesh = rest, tensors["mesh.vertex_uv"], tensors["mesh.faces"]
-        self.points, self.xyz_m = _scatter(*mesh, options.points, rng)
+        mesh = rest, avatar.tensors["mesh.vertex_uv"], avatar.tensors["mesh.faces"]
+        self.points, xyz_m = _scatter(*mesh, options.points, rng)
         some = rng.choice(len(faces), METRIC_FACES, replace=False)
-        chosen = FaceSet(faces.latents[some], faces.views[some])
-        codes = torch.cat(
-            [
-                sample_map(full, self.points)
-                for _, full in self.decoders["expression"].run(chosen, self._level)
-            ]
+        runs = self.decoder.run(
+            FaceSet(faces.latents[some], faces.views[some]), level_sizes(avatar.spec)[0]
         )
+        codes = torch.cat([sample_map(full, self.points) for _, full in runs])
         metric = colour_metric(
-            avatar, list(codes.double().numpy()), self.xyz_m, self.points.double().numpy()
+            avatar, list(codes.double().numpy()), xyz_m, self.points.double().numpy()
         )
         self.metric = torch.from_numpy(metric.astype(np.float32))
         self.bias_points, _ = _scatter(*mesh, options.bias_points, rng)
 
-    @property
-    def mean_map(self) -> Tensor:
-        """The mean map, metres, ``[3, S, S]``."""
-        return torch.from_numpy(np.array(self.avatar.tensors["geometry.mean"])).permute(2, 0, 1)
-
-    def vertices_m(self, faces: FaceSet, vertices: Array | None = None) -> Array:
-        """Vertices of faces, all or some by their numbers, metres, ``[N, V, 3]``."""
-        tensors, scale = self.avatar.tensors, self.avatar.manifest.position_scale_m
-        chosen = np.arange(len(self.vertex_uv)) if vertices is None else vertices
-        if "geometry" in self.decoders:
-            runs = self.decoders["geometry"].run(faces, self._level)
-            maps = (self.mean_map + scale * full for _, full in runs)
-            uv = self.vertex_uv[chosen]
-            decoded: Array = torch.cat([sample_map(each, uv) for each in maps]).numpy()
-            return decoded
+    def vertices_m(self, faces: FaceSet) -> Array:
+        """Vertices of faces, metres, ``[N, V, 3]``."""
+        tensors, mean_m = self.avatar.tensors, self.avatar.mean_vertices_m
         weights = weights_of_latent(tensors, faces.latents.permute(0, 2, 3, 1).numpy())
-        components = components_of(tensors, scale, chosen.astype(np.int32))
-        moved = np.tensordot(weights.astype(np.float32), components, axes=1)
-        return np.asarray(self.avatar.mean_vertices_m[chosen] + moved)
+        numbers = np.arange(len(mean_m), dtype=np.int32)
+        components = components_of(tensors, self.avatar.manifest.position_scale_m, numbers)
+        return np.asarray(mean_m + np.tensordot(weights.astype(np.float32), components, axes=1))
 
 
 def _far_apart(shapes: Array, count: int) -> Array:
@@ -246,7 +204,7 @@ def _scatter(
     return torch.from_numpy(uv.astype(np.float32)), xyz_m
 
 
-def _simplify(level: _FullLevel, regions: tuple[Array, ...], options: LevelOptions) -> list[Array]:
+def _simplify(level: _FullLevel, options: LevelOptions) -> list[Array]:
     """A mesh for each level, the coarsest first; each uses vertices of the next finer one.
 
     Where something pokes through the coarsest one, errors count more, and all are made again; those
@@ -254,15 +212,15 @@ def _simplify(level: _FullLevel, regions: tuple[Array, ...], options: LevelOptio
     """
     avatar, shapes_m = level.avatar, level.moving_vertices_m[: 1 + STRONG_SHAPES]
     full, uv = (np.array(avatar.tensors[f"mesh.{name}"]) for name in ("faces", "vertex_uv"))
-    importance = 1 + (np.array(IMPORTANCE) - 1) @ np.stack(regions)
+    regions = np.stack(looked_at(avatar, level.vertices_m))
+    importance = 1 + (np.array(IMPORTANCE) - 1) @ regions
     importance[~seen_vertices(shapes_m, full)] *= UNSEEN
     pokes = PokeFinder(level.moving_vertices_m, full)
-    map_size = None if avatar.spec.geometry == "bases" else avatar.spec.map_size
     least, found = np.inf, list[Array]()
     for _ in range(1 + MENDINGS):
         mesh, meshes = Simplifier(shapes_m, uv, full, importance), list[Array]()
         for ratio in reversed(options.mesh_ratios):
-            mesh.reduce(round(ratio * len(full)), map_size)
+            mesh.reduce(round(ratio * len(full)))
             meshes.insert(0, mesh.faces())
         most, near = pokes.find(meshes[0])
         if most < least:
@@ -274,25 +232,9 @@ def _simplify(level: _FullLevel, regions: tuple[Array, ...], options: LevelOptio
     return found
 
 
-def _exit_tensors(
-    avatar: Avatar, level: int, geometry: SheetExit | None, expression: MapExit
-) -> dict[str, Array]:
-    exits = {"expression.weight": expression.weight, "expression.bias": expression.bias}
-    if expression.local is not None:
-        exits["expression.local"] = expression.local.flatten(2)
-    if geometry is not None:
-        num_slots = level * sheet_rows(len(geometry.rest), level)
-
-        def sheet(values: Tensor) -> Tensor:
-            filled = torch.zeros(num_slots, values[0].numel(), dtype=values.dtype)
-            filled[: len(values)] = values.flatten(1)
-            return filled.reshape(-1, level, filled.shape[1])
-
-        mean_m = geometry.rest * avatar.manifest.position_scale_m
-        # Slots without a vertex repeat one: numbers far from the others would cost the
-        # rounding of all.
-        mean_m = torch.cat([mean_m, mean_m[-1:].expand(num_slots - len(mean_m), -1)])
-        exits["geometry.weight"] = sheet(geometry.weight)
-        exits["geometry.mean"] = sheet(mean_m)
-        exits["geometry.texel"] = sheet(geometry.texel).int()
-    return {f"{PREFIX}{level}.{name}": values.numpy().copy() for name, values in exits.items()}
+def _exit_tensors(level: int, fitted: MapExit) -> dict[str, Array]:
+    tensors = {"weight": fitted.weight, "bias": fitted.bias}
+    if fitted.local is not None:
+        tensors["local"] = fitted.local.flatten(2)
+    name = f"{PREFIX}{level}.expression"
+    return {f"{name}.{part}": values.numpy().copy() for part, values in tensors.items()}

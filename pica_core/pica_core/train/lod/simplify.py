@@ -5,14 +5,12 @@ Heckbert, "Surface Simplification Using Quadric Error Metrics", 1997, and "Simpl
 Color and Texture using Quadric Error Metrics", 1998). Ours, since libraries that do this move
 vertices, tear seams or come without binaries:
 
-- A collapse moves a vertex onto a neighbour: what stays is a subset, found in any position map.
+- A collapse moves a vertex onto a neighbour: what stays is a subset of the vertices.
 - The error is that of several shapes at once, at rest and in strong expressions, so a mouth that is
   a line at rest keeps what it needs to open; at rest it holds UVs as well as places.
 - Vertices in one place with several UVs (a seam) move together, each to the one of its own side, or
   not at all; a border or slit is only shortened along itself. So nothing tears.
 - No triangle may turn over, neither in space nor in UV.
-- Vertices that lie within a texel of the map go first: the map could not tell them apart. Vertices
-  that no map makes know nothing of it.
 """
 
 import heapq
@@ -36,8 +34,6 @@ UV_AREA_WEIGHT = 0.3
 With 0 lips at 64 look torn, with 1 temples show through the hair (seen on one avatar)."""
 BORDER_WEIGHT = 4.0
 """How much a border's own line counts against the surface beside it: lips and lids are borders."""
-LEAST_TEXELS = 2.0
-"""Edges shorter than this in the level's map count less, with the fourth power of their length."""
 LEAST_COSINE = (0.2, 0.0)
 """How far a triangle may turn by one collapse: at rest, and in the other shapes."""
 
@@ -83,21 +79,14 @@ class Simplifier:
         self._swallowed = self._pack_faces(whole)
         self._stamp = dict.fromkeys(self._around, 0)
         self._queue: list[tuple[float, int, int, int, int]] = []
-        self._map_size: int | None = None
 
     def faces(self) -> IntArray:
         """What is left: same vertices, same winding, neighbours together. int32 ``[F', 3]``."""
         return order_faces(np.array(list(self._triangles.values()), np.int32), self._uv)
 
-    def reduce(self, num_triangles: int, map_size: int | None) -> None:
-        """Collapse edges, cheapest first.
-
-        Args:
-            num_triangles: How many to stop at; seams and slits may need more.
-            map_size: Rows of the position map that vertices will be looked up in; None if they are
-                not.
-        """
-        self._map_size = map_size
+    def reduce(self, num_triangles: int) -> None:
+        """Collapse edges, cheapest first, down to so many triangles; seams and slits may need
+        more."""
         self._queue.clear()
         for a in self._around:
             for b in self._neighbours(a):
@@ -152,13 +141,9 @@ class Simplifier:
         """Queue the collapse of place a onto place b, if every side of a has one to go to."""
         moves = self._moves(a, b)
         if moves is not None:
-            cost = 0.0
-            for start, end in moves.items():
-                added = float(self._swallowed[start] @ self._goals[end])
-                if self._map_size is not None:
-                    texels = self._map_size * float(np.abs(self._uv[start] - self._uv[end]).max())
-                    added *= min(1.0, texels / LEAST_TEXELS) ** 4
-                cost += added
+            cost = sum(
+                float(self._swallowed[start] @ self._goals[end]) for start, end in moves.items()
+            )
             heapq.heappush(self._queue, (cost, a, b, self._stamp[a], self._stamp[b]))
 
     def _moves(self, a: int, b: int) -> dict[int, int] | None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from helpers.toy import grid_faces, make_toy_avatar
+from helpers.toy import grid_faces, make_toy_avatar, with_bases
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.model.decoders import sample_map
@@ -26,17 +26,14 @@ from pica_core.train.lod.simplify import Simplifier, weld
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
 
 
-SMALL = AvatarSpec(
-    block="H2", map_size=128, hidden_channels=(8, 6, 4), uv_encoding_size=16, axis_encoding_size=20
-)
-TOY = make_toy_avatar(grid=20, spec=SMALL)
+SMALL = AvatarSpec(hidden_channels=(8, 6, 6, 4), uv_encoding_size=16, axis_encoding_size=20)
+TOY = with_bases(make_toy_avatar(grid=20, spec=SMALL))
 QUICK = LevelOptions(
     faces=64,
     rounds=1,
     points=500,
     bias_points=10_000,
     mesh_ratios=(0.3, 0.6),
-    texels=(2, 2),
 )
 
 
@@ -56,7 +53,7 @@ def levelled() -> Avatar:
 
 def test_an_avatar_gets_every_level_and_keeps_all_else() -> None:
     avatar = levelled()
-    assert avatar.levels == (32, 64, 128)
+    assert avatar.levels == (64, 128, 256)
     for name, array in TOY.tensors.items():
         assert avatar.tensors[name] is array
 
@@ -65,7 +62,7 @@ def test_an_avatar_gets_every_level_and_keeps_all_else() -> None:
 
 
 def test_blocks_learn_what_a_convolution_leaves_and_keep_the_mean_face() -> None:
-    decoder, generator = FrozenDecoder(TOY, "expression"), torch.Generator().manual_seed(0)
+    decoder, generator = FrozenDecoder(TOY), torch.Generator().manual_seed(0)
     latents = torch.randn(64, 4, 8, 8, generator=generator)
     faces = FaceSet(latents, torch.nn.functional.normalize(torch.ones(64, 3)))
     size = TOY.spec.map_size
@@ -127,7 +124,7 @@ def test_a_flat_sheet_needs_few_triangles_and_keeps_its_corners() -> None:
     uv = np.stack([u, v], -1).reshape(-1, 2)
     flat = np.concatenate([uv, np.zeros((400, 1))], axis=1)
     mesh = Simplifier(flat[None], uv, grid_faces(20, 20))
-    mesh.reduce(40, map_size=256)
+    mesh.reduce(40)
     faces = mesh.faces()
     assert len(faces) <= 40
     assert {0, 19, 380, 399} <= set(faces.reshape(-1).tolist())
@@ -140,23 +137,9 @@ def test_a_crease_of_another_expression_is_kept() -> None:
     folded = flat.copy()
     folded[:, 2] = 0.3 * np.abs(uv[:, 0] - 0.5)
     mesh = Simplifier(np.stack([flat, folded]), uv, grid_faces(21, 21))
-    mesh.reduce(60, map_size=256)
+    mesh.reduce(60)
     used = uv[np.unique(mesh.faces())]
     assert (np.abs(used[:, 0] - 0.5) < 1e-6).sum() >= 2
-
-
-def test_vertices_within_a_texel_of_the_map_go_first() -> None:
-    u, v = np.meshgrid(np.linspace(0, 1, 33), np.linspace(0, 1, 33))
-    waves = 0.05 * np.sin(40 * u) * np.sin(40 * v)
-    shape = np.stack([u, v, waves], -1).reshape(-1, 3)
-    squeezed = np.where(u < 0.5, 0.1 * u, 1.9 * u - 0.9)  # half of the mesh in a twentieth of UV
-    uv = np.stack([squeezed, v], -1).reshape(-1, 2)
-    crowded = []
-    for map_size in (16, 256, None):
-        mesh = Simplifier(shape[None], uv, grid_faces(33, 33))
-        mesh.reduce(800, map_size)
-        crowded.append((uv[np.unique(mesh.faces()), 0] < 0.05).sum())
-    assert crowded[0] < 0.9 * crowded[1] <= 0.9 * crowded[2]
 
 
 # What is seen
