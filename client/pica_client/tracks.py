@@ -7,11 +7,10 @@ from pica_protocol.messages import Peer, Track
 FACE_TRACK: Final = "face"
 """Kind of the tracks whose payloads are latents."""
 FACE_KEY: Final = "face"
-"""The metadata key under which a peer says why its face stands still: "muted", "frozen" or
-`FACE_LOST`."""
+"""The metadata key under which a peer says why it sends no face: "muted" or `FACE_LOST`."""
 FACE_LOST: Final = "lost"
 """The tracker sees no face."""
-FaceMode = Literal["sent", "frozen", "muted"]
+FaceMode = Literal["sent", "muted"]
 
 RECORDS_KEY: Final = "records"
 """The metadata key under which a peer says `RECORDS_YES` while it keeps what it sees."""

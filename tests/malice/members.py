@@ -250,7 +250,7 @@ def subscribe(foe: Foe, now: float) -> None:
 
 def change_metadata(foe: Foe, now: float) -> None:
     """Say something else, in the worst case of others' keys."""
-    value = foe.rng.choice(("muted", "frozen", "x" * 64))
+    value = foe.rng.choice(("muted", "lost", "x" * 64))
     foe.tell(UpdateMetadata(metadata=(("face", value), ("voice", value))), now)
 
 

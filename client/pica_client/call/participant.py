@@ -38,10 +38,9 @@ STALE_AFTER_S: Final = 2.0
 """A face without a frame for this long is shown as stale."""
 FACE_NOTES: Final = {
     "muted": "face is off",
-    "frozen": "face is frozen",
     FACE_LOST: "no face in front of the tracker",
 }
-"""Why a face stands still, by what its owner says under `FACE_KEY`."""
+"""Why no face comes, by what its owner says under `FACE_KEY`."""
 
 Tell = Callable[[int, int], bool]
 """Subscribes to every so many frames of a stream, see `Subscribe`; False if the relay could not be

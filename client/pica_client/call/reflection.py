@@ -1,7 +1,7 @@
 """Our own face as the others get it: a call of one, fed with what is sent. Pure.
 
 The frames that leave are decoded and played out as a receiver does it. So what the codec takes
-away, and a face that is frozen or off, is seen here as it is seen there; what the network does to
+away, and a face that is off, is seen here as it is seen there; what the network does to
 it is not.
 """
 

@@ -43,8 +43,6 @@ MAX_NEWS: Final = 64
 SECRET_NEEDED: Final = "encrypted: the room's secret is needed"
 """Note on a member who encrypts when we do not."""
 
-_FACE_MODES: dict[str, FaceMode] = {"frozen": "frozen", "muted": "muted"}
-
 NewsKind = Literal["joined", "left", "away", "back", "records", "records no more"]
 
 
@@ -85,7 +83,7 @@ class Member:
     @property
     def face(self) -> FaceMode:
         """What becomes of the face, as far as its owner says."""
-        return _FACE_MODES.get(dict(self.peer.metadata).get(FACE_KEY, ""), "sent")
+        return "muted" if dict(self.peer.metadata).get(FACE_KEY) == "muted" else "sent"
 
     @property
     def is_voice_muted(self) -> bool:

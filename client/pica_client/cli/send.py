@@ -19,7 +19,6 @@ from pica_client.publish.own_face import DEFAULT_SOURCE
 from pica_client.publish.publisher import SenderConfig
 from pica_client.sources import open_source
 from pica_client.system import on_stop_signal
-from pica_client.tracks import FaceMode
 from pica_client.transport.config import LinkConfig, guest_name
 from pica_client.ui.options import check_voice, connect_timeout_s
 from pica_client.voice.publisher import VoicePublisher
@@ -31,7 +30,7 @@ try:
 except ImportError:  # Windows
     termios = tty = None  # type: ignore[assignment]
 
-HELP: Final = "keys: M mutes the face, F freezes it, T mutes the voice, K calibrates, Q leaves"
+HELP: Final = "keys: M mutes the face, T mutes the voice, K calibrates, Q leaves"
 NOTICE_PERIOD_S: Final = 0.1
 """How often notices of the controls are looked for."""
 
@@ -82,9 +81,9 @@ def send(options: SendOptions) -> dict[str, Any]:
 
     Reads expressions, encodes them and streams the latents.
 
-    Runs until Ctrl-C or for --seconds; in a terminal, M mutes the face, F freezes it, T mutes the
-    voice, K calibrates a tracker to a relaxed face, and Q leaves. It comes back by itself when the
-    relay goes away and returns.
+    Runs until Ctrl-C or for --seconds; in a terminal, M mutes the face, T mutes the voice, K
+    calibrates a tracker to a relaxed face, and Q leaves. It comes back by itself when the relay
+    goes away and returns.
     """
     check_voice(options.source, options.voice)
     link = LinkConfig(
@@ -133,7 +132,7 @@ def send(options: SendOptions) -> dict[str, Any]:
 
 
 class SendKeys:
-    """The keys of a terminal, as in the viewer: mute, freeze, calibrate, leave."""
+    """The keys of a terminal, as in the viewer: mute, calibrate, leave."""
 
     def __init__(
         self, controls: FaceControls, voice: VoicePublisher | None, leave: Callable[[], None]
@@ -144,9 +143,8 @@ class SendKeys:
         """Do what a key means at `now`, seconds; others mean nothing."""
         publisher, voice = self._controls.publisher, self._voice
         match key.lower():
-            case "m" | "f" as letter:
-                wanted: FaceMode = "muted" if letter == "m" else "frozen"
-                publisher.mode = "sent" if publisher.mode == wanted else wanted
+            case "m":
+                publisher.mode = "sent" if publisher.mode == "muted" else "muted"
                 say(f"your face is {publisher.mode}")
             case "t" if voice is not None:
                 voice.is_muted = not voice.is_muted

@@ -131,7 +131,6 @@ class Publisher:
         self._skipped = self._silent = 0
         self.mode: FaceMode = "sent"
         self._mode_before: FaceMode = "sent"
-        self._frozen: ExpressionFrame | None = None
         self._is_lost = False
         self._spoken: SpokenFace | None = None
         self._begin_s = 0.0
@@ -223,7 +222,7 @@ class Publisher:
         return self._last_sent_s - (self._first_sent_s or 0.0)
 
     def _tell_mode(self, link: Link) -> None:
-        """Let the others know why the face stands still."""
+        """Let the others know why no face is sent."""
         reason = self.mode if self.mode != "sent" else FACE_LOST if self._is_lost else ""
         if reason != self._told:
             self._told = reason
@@ -237,17 +236,12 @@ class Publisher:
             _log.warning(trouble or "the tracker is there again")
 
     def _face(self, time_s: float) -> ExpressionFrame:
-        """The face to send: the source's, or the last one of it."""
+        """The face to send: the source's, moved by the voice where that lacks one."""
         frame = self.seen = self.source.frame_at(time_s)
         if self._spoken is not None:
             frame = self._spoken.fill(frame, time_s)
         self._is_lost = not frame.has_face
-        if self.mode == "frozen" and self._frozen is not None:
-            return replace(self._frozen, captured_us=frame.captured_us)
-        if self.mode == "muted":
-            return replace(frame, has_face=False)
-        self._frozen = frame if frame.has_face else None
-        return frame
+        return replace(frame, has_face=False) if self.mode == "muted" else frame
 
     def _send_face(self, link: Link, time_s: float, now: float) -> None:
         """Sample, encode and offer one face."""

@@ -33,7 +33,6 @@ class Action(Enum):
 
     MUTE_VOICE = auto()
     MUTE_FACE = auto()
-    FREEZE_FACE = auto()
     CALIBRATE = auto()
     NEXT_LAYOUT = auto()
     RESET_VIEW = auto()
@@ -147,14 +146,6 @@ ACTIONS: Final[dict[Action, Row]] = {
         needs="face",
         off=(icons.ICON_FA_FACE_SMILE, "Hide your face", "plain"),
         on=(icons.ICON_FA_EYE_SLASH, "Show your face", "alert"),
-    ),
-    Action.FREEZE_FACE: Row(
-        keys=(_KEY.f,),
-        title="freeze own face",
-        toggle=("own_face", "frozen", "sent"),
-        needs="face",
-        off=(icons.ICON_FA_SNOWFLAKE, "Freeze your face", "plain"),
-        on=(icons.ICON_FA_SNOWFLAKE, "Let your face move", "accent"),
     ),
     Action.CALIBRATE: Row(keys=(_KEY.k,), title="calibrate the tracker", needs="face"),
     Action.PARTICIPANTS: Row(

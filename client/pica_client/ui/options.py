@@ -97,7 +97,7 @@ class ViewOptions:
     send: str | None = None
     """Send your own face as well: a source as in pica send; none only watches, the default with
     --url. Who joins by the form is seen, by performance:talk if nothing else is named here. M mutes
-    the face, F freezes it."""
+    the face."""
     own_avatar: str | None = None
     """Avatar of your own face: a shipped one by its name, or a .pica file; by default a shipped
     one that goes by the name."""

@@ -309,7 +309,7 @@ class Stay:
                 sound=CallSound(self._receiver.voice, self._sound),
                 window=self._window,
             ) as viewer:
-                # In a window a person looks on: they see who is ready, and no frozen frame.
+                # In a window a person looks on: they see who is ready, at once.
                 if self._window is None:
                     viewer.prepare()
                 begin_s = time.monotonic()

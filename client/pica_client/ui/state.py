@@ -22,9 +22,8 @@ from pica_client.ui.surface.style import Mode
 from pica_client.voice.sound.settings import SoundSettings
 from pica_core.files import replacing
 
-OwnFace = Literal["none", "sent", "frozen", "muted"]
-"""What becomes of the user's own face. none: there is none to send; frozen: the last expression
-goes on being sent; muted: nothing is."""
+OwnFace = Literal["none", "sent", "muted"]
+"""What becomes of the user's own face; none: there is none to send."""
 OwnVoice = Literal["none", "sent", "muted"]
 """What becomes of the user's own voice; none: there is none to send."""
 Side = Literal["none", "help", "participants", "settings", "statistics"]

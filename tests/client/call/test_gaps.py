@@ -137,7 +137,7 @@ def test_soon_after_a_thaw_the_face_is_that_of_now(call: Call, backlog_s: float)
 def test_a_face_is_away_while_its_tracker_sees_nobody(call: Call) -> None:
     send_frame(call, 0)
     statuses = []
-    for says in (FACE_LOST, "", "frozen"):
+    for says in (FACE_LOST, "", "odd"):
         metadata = ((FACE_KEY, says),)
         call.receive_event(PeerUpdated(peer_id="p1", metadata=metadata), now=0.0)
         statuses.append(call.faces(0.1)[0].status)

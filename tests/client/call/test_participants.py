@@ -95,7 +95,6 @@ def test_people_of_one_name_are_told_apart_and_keep_their_numbers() -> None:
     [
         (None, "no face yet"),
         (PeerUpdated(peer_id="p1", metadata=(("face", "muted"),)), "face is off"),
-        (PeerUpdated(peer_id="p1", metadata=(("face", "frozen"),)), "face is frozen"),
         (PeerUpdated(peer_id="p1", metadata=(("face", "odd"),)), "no face yet"),
         (PeerAway(peer_id="p1"), "connection lost"),
         (StreamMuted(stream=1, is_muted=True), "muted by an admin"),

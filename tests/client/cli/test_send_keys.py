@@ -50,10 +50,10 @@ def test_each_key_does_what_the_help_says(
     left: list[bool] = []
     keys = SendKeys(controls, voice, lambda: left.append(True))
     modes = []
-    for key in "mMffmtkx":
+    for key in "mMmtkx":
         keys.press(key, 0.0)
         modes.append(controls.publisher.mode)
-    assert modes[:5] == ["muted", "sent", "frozen", "sent", "muted"]
+    assert modes[:3] == ["muted", "sent", "muted"]
     assert voice.is_muted
     assert capsys.readouterr().err.splitlines()[-1] == "your voice is muted"
     assert controls.take_notices(0.1) == [
@@ -100,9 +100,9 @@ def test_keys_typed_for_another_job_are_not_read(
             assert os.read(program, 8) == b"m\n"  # as the shell does
             is_behind = False  # fg
             await asyncio.sleep(0.3)
-            os.write(user, b"f")
+            os.write(user, b"m")
             await asyncio.sleep(0.3)
-            assert controls.publisher.mode == "frozen"
+            assert controls.publisher.mode == "muted"
             is_behind = True  # Ctrl-Z and bg
             os.write(user, b"q")
             await asyncio.sleep(0.3)

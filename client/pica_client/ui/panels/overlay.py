@@ -53,7 +53,6 @@ SIGN_FLAGS = FIXED | imgui.WindowFlags_.no_inputs | imgui.WindowFlags_.no_bring_
 Line = tuple[str, Tone]
 OWN_SIGNS: dict[OwnFace, Line] = {
     "sent": ("Your face is sent", "good"),
-    "frozen": ("Your face is frozen", "warning"),
     "muted": ("Your face is not sent", "alert"),
 }
 RECORDING: Line = ("Recording", "alert")

@@ -178,7 +178,9 @@ def participants_panel(state: ViewState, call: CallView, metrics: Metrics) -> li
         if imgui.begin_table("people", 3):
             imgui.table_setup_column("speaks", imgui.TableColumnFlags_.width_fixed, metrics.px(10))
             imgui.table_setup_column("person", imgui.TableColumnFlags_.width_stretch)
-            imgui.table_setup_column("menu", imgui.TableColumnFlags_.width_fixed)
+            imgui.table_setup_column(
+                "menu", imgui.TableColumnFlags_.width_fixed, metrics.px(MENU_PT) + 2
+            )
             for person in status.participants:
                 requests += _row(person, state, call, metrics, speaking)
             imgui.end_table()
@@ -210,7 +212,6 @@ def signs_of(person: Participant, *, is_encrypted: bool, volume: float = 1.0) ->
         ),
         (person.is_recording, (icons.ICON_FA_CIRCLE, "alert", "Keeps what is seen here")),
         (person.face == "muted", (icons.ICON_FA_EYE_SLASH, "plain", "Face is off")),
-        (person.face == "frozen", (icons.ICON_FA_SNOWFLAKE, "plain", "Face is frozen")),
         (person.is_watching, (icons.ICON_FA_EYE, "plain", "Watches, and shows no face")),
         (person.is_verified, (icons.ICON_FA_LOCK, "good", "Encrypts, and knows the room's secret")),
         (is_unverified, (icons.ICON_FA_TRIANGLE_EXCLAMATION, "warning", "Not verified")),

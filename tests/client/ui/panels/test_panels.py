@@ -57,7 +57,6 @@ ALONE = CallView(status=replace(STATUS, participants=(ME,)))
 SIZES = [((320, 240), 1.0), ((1280, 720), 1.0), ((2560, 1440), 2.0)]
 BUTTONS = {
     "Hide your face": Action.MUTE_FACE,
-    "Freeze your face": Action.FREEZE_FACE,
     "Next layout": Action.NEXT_LAYOUT,
     "Record": Action.RECORD,
     "Participants": Action.PARTICIPANTS,
@@ -204,7 +203,7 @@ def test_notices_stand_for_a_while_and_loud_ones_longer() -> None:
     assert board.shown(10.0 + LOUD_NOTICE_S) == ()
 
 
-@pytest.mark.parametrize("mode", ["sent", "frozen", "muted"])
+@pytest.mark.parametrize("mode", ["sent", "muted"])
 def test_the_own_face_is_shown_where_there_is_room(hand: Hand, mode: str) -> None:
     state = replace(STATE, own_face=mode)  # type: ignore[arg-type]
     assert own_face_height(state, metrics_for((1280, 720))) > 80
