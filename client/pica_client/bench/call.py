@@ -6,21 +6,15 @@ what that does to rendered faces is measured by `playout`, on a virtual clock.
 
 What it does not show: real networks (all is loopback), displays, and more machines than one.
 Wall-clock numbers hold for this machine under its present load.
-
-Chosen, with the reason:
-- two decoding threads for all avatars: five peers need 150 decodes a second. One thread is enough
-  for block G (1 to 3 ms each; no difference was measured), two keep up with blocks of up to 10 ms;
-- a decode waits in a queue, first come first served, which drops nothing until it is full.
 """
 
 import asyncio
 import contextlib
-from collections import Counter
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from collections import Counter, deque
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from cyclopts import Parameter
@@ -30,21 +24,21 @@ from pica_client.bench.network.impairment import Impairment
 from pica_client.bench.network.proxy import ImpairedProxy
 from pica_client.call.call import Call, DueFrame
 from pica_client.decode.decoder import OnnxDecoder
+from pica_client.decode.pool import DecodePool
+from pica_client.decode.request import DecodeRequest
 from pica_client.endpoint.endpoint import Receiver
 from pica_client.errors import CallProcessError, OptionError
 from pica_client.local_call import local_call
-from pica_client.local_call.local_call import FrameTimes, latency_summary
 from pica_client.local_call.processes import Children
 from pica_client.output import say
-from pica_client.stats import describe_machine
+from pica_client.stats import describe_machine, summarise_ms
 from pica_client.transport.config import LinkConfig
 
 WARM_UP_S = 2.0
 """Between the last peer's first frame and the first that counts."""
 DECODE_THREADS = 2
-"""Decodes that may run at once (chosen: see above)."""
-MAX_DECODES_WAITING = 64
-"""Decodes waiting for a thread; newer ones are dropped and counted (chosen: 0.4 s of a call)."""
+"""Decodes that may run at once (chosen: five peers need 150 a second; one thread is enough for
+block G, two keep up with blocks of up to 10 ms)."""
 MAX_FRAMES = 200_000
 """Frames a bench remembers: 22 minutes of five peers at 30 a second."""
 FRONT = np.array([0, 0, 1], np.float32)
@@ -96,59 +90,58 @@ class BenchConfig:
         self.network.impairment()  # checks it
 
 
-class DecodeQueue:
-    """Decodes frames, first come first served, and remembers their times.
+class _Frame(NamedTuple):
+    """One frame's way, seconds on the clock that all processes of the call share. Encoding counts
+    as the relay's part, waiting for a decoder as decoding."""
 
-    Args:
-        library: Avatars whose decoders are built and warmed up here, which takes a while.
-    """
+    name: str
+    captured_s: float
+    arrived_s: float
+    released_s: float
+    decoded_s: float
+
+
+class _Decoding:
+    """Decodes every frame that is released, and remembers its way."""
 
     def __init__(self, library: AvatarLibrary) -> None:
-        self.frames: list[FrameTimes] = []
-        self.num_dropped = self.errors = 0
-        self._decoders = {name: OnnxDecoder(library.load(name)) for name in library.loaded()}
-        for decoder in self._decoders.values():
-            decoder.decode(np.zeros((8, 8, 4), np.float32), FRONT)
-        self._pool = ThreadPoolExecutor(DECODE_THREADS)
-        self._waiting: set[asyncio.Future[None]] = set()  # drops the newest when full
+        self.pool = DecodePool(OnnxDecoder, workers=DECODE_THREADS, prepares_ahead=False)
+        self.frames: deque[_Frame] = deque(maxlen=MAX_FRAMES)
+        self.errors = 0
+        self._library, self._slots = library, set[str]()
+        self._arrived_s: dict[tuple[str, int], float] = {}
 
     def submit(self, due: DueFrame) -> None:
-        """Queue a frame that was released now."""
-        if len(self._waiting) >= MAX_DECODES_WAITING:
-            self.num_dropped += 1
-            return
-        loop = asyncio.get_running_loop()
-        decode = loop.run_in_executor(self._pool, self._decode, due, loop.time(), loop.time)
-        self._waiting.add(decode)
-        decode.add_done_callback(self._finish)
-
-    def begin_window(self) -> None:
-        """Let the statistics begin here."""
-        self.frames.clear()
-        self.num_dropped = self.errors = 0
-
-    def close(self) -> None:
-        """Forget what waits."""
-        self._pool.shutdown(cancel_futures=True)
-
-    def _decode(self, due: DueFrame, released_s: float, clock: Callable[[], float]) -> None:
+        """Decode a frame that was released now."""
         frame = due.frame
-        self._decoders[due.avatar_id].decode(frame.sample.latent, FRONT)
-        if len(self.frames) < MAX_FRAMES:
-            self.frames.append(
-                FrameTimes(
-                    name=due.name,
-                    captured_us=frame.captured_us,
-                    arrived_s=frame.arrived_s,
-                    released_s=released_s,
-                    decoded_s=clock(),
-                )
-            )
+        if due.name not in self._slots:
+            self._slots.add(due.name)
+            self.pool.add(due.name, self._library.load(due.avatar_id))
+        self._arrived_s[due.name, frame.captured_us] = frame.arrived_s
+        self.pool.submit(due.name, DecodeRequest(frame.sample.latent, FRONT, frame.captured_us))
 
-    def _finish(self, decode: asyncio.Future[None]) -> None:
-        self._waiting.discard(decode)
-        if not decode.cancelled() and decode.exception() is not None:
-            self.errors += 1  # whatever a decoder raises, the call goes on and the count shows it
+    def collect(self) -> None:
+        """Take what has been decoded."""
+        for result in self.pool.take_results():
+            self.errors += result.maps is None
+            arrived_s = self._arrived_s.pop((result.slot, result.captured_us), None)
+            if arrived_s is not None:
+                here_s = arrived_s, result.submitted_s, result.finished_s
+                self.frames.append(_Frame(result.slot, result.captured_us / 1e6, *here_s))
+
+
+def _latency_summary(frames: Sequence[_Frame]) -> dict[str, Any]:
+    """Percentiles of the whole way and of its parts, in milliseconds. The parts of one frame add up
+    to its whole; percentiles of parts do not add up to that of the whole."""
+    parts = {
+        "relay": [frame.arrived_s - frame.captured_s for frame in frames],
+        "playout": [frame.released_s - frame.arrived_s for frame in frames],
+        "decode": [frame.decoded_s - frame.released_s for frame in frames],
+    }
+    return {
+        **summarise_ms(frame.decoded_s - frame.captured_s for frame in frames),
+        "parts": {name: summarise_ms(samples) for name, samples in parts.items()},
+    }
 
 
 def run_bench(config: BenchConfig, *, avatar_files: list[Path] | None = None) -> dict[str, Any]:
@@ -191,9 +184,9 @@ async def _measure_through(
         secret_file=local.secret_file,
     )
     receiver = Receiver(link, call)
-    queue = DecodeQueue(library)
+    decoding = _Decoding(library)
     loop = asyncio.get_running_loop()
-    tasks = [asyncio.create_task(each) for each in (receiver.run(), _release(receiver, queue))]
+    tasks = [asyncio.create_task(each) for each in (receiver.run(), _release(receiver, decoding))]
     try:
         deadline = loop.time() + local_call.JOIN_TIMEOUT_S
         while call.num_live < len(local.names):
@@ -207,21 +200,23 @@ async def _measure_through(
         await _pause(tasks, WARM_UP_S)
         begin_s = loop.time()
         call.begin_window(begin_s)
-        queue.begin_window()
+        decoding.frames.clear()
+        num_replaced = decoding.pool.num_replaced
         say(f"measuring {config.seconds:g} s of {len(local.names)} peers")
         while (left_s := begin_s + config.seconds - loop.time()) > 0:
             await _pause(tasks, min(left_s, local_call.CHECK_INTERVAL_S))
             local.check()
         received = receiver.stats(loop.time())
         seconds = loop.time() - begin_s
-        frames = [frame for frame in queue.frames if frame.captured_us >= begin_s * 1e6]
+        decoding.collect()
+        frames = [frame for frame in decoding.frames if frame.captured_s >= begin_s]
         receiver.stop()
         await tasks[0]
     finally:
         for task in tasks:
             task.cancel()
-        queue.close()
         await asyncio.gather(*tasks, return_exceptions=True)
+        decoding.pool.close()
     sent = await asyncio.to_thread(local.finish)
     decoded = Counter(frame.name for frame in frames)
     if local.crashed:
@@ -230,20 +225,20 @@ async def _measure_through(
         "peers": len(local.names),
         "decoded_peers": len(decoded),
         "seconds": round(seconds, 2),
-        "latency_ms": latency_summary(frames),
+        "latency_ms": _latency_summary(frames),
         "latents_per_s": {name: round(decoded[name] / seconds, 2) for name in local.names},
         "bitrate_bps": local_call.bitrates(sent),
-        "dropped": received["dropped"] + queue.num_dropped,
+        "dropped": received["dropped"] + decoding.pool.num_replaced - num_replaced,
         "concealed": received["concealed"],
         "errors": received["errors"]
-        + queue.errors
+        + decoding.errors
         + sum(result["errors"] for result in sent.values()),
         "playout_delay_ms": {peer["name"]: peer["playout_delay_ms"] for peer in received["peers"]},
         "machine": describe_machine(),
     }
 
 
-async def _release(receiver: Receiver, queue: DecodeQueue) -> None:
+async def _release(receiver: Receiver, decoding: _Decoding) -> None:
     """Hand each frame to the decoder when its time has come."""
     loop, call = asyncio.get_running_loop(), receiver.call
     while True:
@@ -252,8 +247,9 @@ async def _release(receiver: Receiver, queue: DecodeQueue) -> None:
             async with asyncio.timeout_at(call.next_timer()):
                 await receiver.arrived.wait()
         # A loop may fire a timer up to its clock's resolution too early: round up, not down.
+        decoding.collect()
         for due in call.due_frames(loop.time() + 1e-6):
-            queue.submit(due)
+            decoding.submit(due)
 
 
 async def _pause(

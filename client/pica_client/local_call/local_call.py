@@ -16,7 +16,6 @@ from pica_client.errors import AvatarLookupError, CallProcessError, OptionError
 from pica_client.local_call.processes import Child, Children, end_all
 from pica_client.publish.publisher import SenderConfig
 from pica_client.sources import open_source, start_later
-from pica_client.stats import summarise_ms
 from pica_client.voice.opus import available
 from pica_core.codec.latent_stream import DEFAULT_QUALITY
 
@@ -192,39 +191,3 @@ def require_all(names: Sequence[str], missing: Sequence[str], stage: LocalCall) 
             f"{len(missing)} of {len(names)} peers were not seen within {JOIN_TIMEOUT_S:g} s: "
             + ", ".join(missing)
         )
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class FrameTimes:
-    """One frame's way through the receiver, seconds on its clock.
-
-    Attributes:
-        name: Who sent it.
-        captured_us: When the tracker sampled it, on the clock that all processes here share.
-        arrived_s: It came off the socket.
-        released_s: The playout buffer let it go.
-        decoded_s: Its maps are there; waiting for a decoder is counted as decoding.
-    """
-
-    name: str
-    captured_us: int
-    arrived_s: float
-    released_s: float
-    decoded_s: float
-
-
-def latency_summary(frames: Sequence[FrameTimes]) -> dict[str, Any]:
-    """Percentiles of the whole way and of its parts, in milliseconds.
-
-    The parts of one frame add up to its whole; percentiles of parts do not add up to that of the
-    whole. Encoding counts as the relay's part.
-    """
-    parts = {
-        "relay": [frame.arrived_s - frame.captured_us / 1e6 for frame in frames],
-        "playout": [frame.released_s - frame.arrived_s for frame in frames],
-        "decode": [frame.decoded_s - frame.released_s for frame in frames],
-    }
-    return {
-        **summarise_ms(map(sum, zip(*parts.values(), strict=True))),
-        "parts": {name: summarise_ms(samples) for name, samples in parts.items()},
-    }
