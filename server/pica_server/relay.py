@@ -29,7 +29,8 @@ from pica_server.limits import SocketGuard, most_sockets
 from pica_server.net.pump import Pump
 from pica_server.net.socket import RelaySocket, bound_receive_buffer
 from pica_server.ops.certificate import Certificate
-from pica_server.ops.status_pages import PERIOD_S, LoopWatch, StatusPages
+from pica_server.ops.status_pages import StatusPages
+from pica_server.room.forwarding import PERIOD_S
 from pica_server.room.hub import Hub
 from pica_server.store.downloads import Downloads
 from pica_server.store.folder import AvatarFolder
@@ -120,11 +121,10 @@ class Relay:
                 bucket.Bucket(config.cluster), self.hub, self._follow, unix_time
             )
             self.hub.membership.placement = self._placement
-        self._watch = LoopWatch()
         admin_room = (
             None if keys is None else lambda token: admin_scope(keys, token, now=unix_time())
         )
-        self._pages = StatusPages(self.hub, self._watch, config, self.store, admin_room)
+        self._pages = StatusPages(self.hub, config, self.store, admin_room)
         self._watching: asyncio.TimerHandle | None = None
 
     @property
@@ -253,8 +253,7 @@ class Relay:
 
         def look() -> None:
             now = loop.time()
-            self._watch.note(due_s, now)
-            self.hub.note_turn(now - due_s, time.thread_time(), now)
+            self.hub.overload.note_turn(now - due_s, now)
             self.hub.handle_timer(now)
             self._pump.send_all()
             self._watch_later()

@@ -55,7 +55,7 @@ def relay(options: RelayOptions) -> dict[str, Any]:
     first line on stderr says where it listens.
 
     Returns:
-        Its statistics at the end; `forward_ms` holds percentiles of the forwarding latency.
+        Its statistics at the end; `forward_ms` holds bounds of percentiles of forwarding.
 
     Raises:
         ConfigurationError: The certificate cannot be used.

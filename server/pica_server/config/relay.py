@@ -125,10 +125,9 @@ class RelayConfig:
     origins: tuple[str, ...] = ()
     """Web pages that may connect, as https://HOST: a browser says where a page comes from. Programs
     say nothing, and may."""
-    open_metrics: bool = False
-    """Answer /metrics to all other machines too, not to this one alone."""
     metrics_to: tuple[str, ...] = ()
-    """Addresses or networks that /metrics is answered to besides this machine, as 10.0.0.0/8."""
+    """Addresses or networks that /metrics is answered to besides this machine, as 10.0.0.0/8;
+    0.0.0.0/0 is all."""
     avatar_store: str = "temporary"
     """Where avatar files are kept that clients give to each other: a folder; s3://BUCKET/FOLDER,
     with the extra `s3`; temporary, a folder that ends with the relay; none."""

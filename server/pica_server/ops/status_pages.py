@@ -2,7 +2,6 @@
 who is in its rooms. Pure."""
 
 import json
-from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from http import HTTPStatus
@@ -13,34 +12,14 @@ from pica_protocol.messages import Peer
 from pica_server.auth.tokens import ANY_ROOM
 from pica_server.config.relay import RelayConfig
 from pica_server.errors import AdmissionError
-from pica_server.ops.metrics import CONTENT_TYPE, metrics_text
 from pica_server.room.forwarding import CALM_S
 from pica_server.room.hub import Hub
 from pica_server.room.room import Room
+from pica_server.stats import CONTENT_TYPE, metrics_text
 from pica_server.store.store import AvatarStore
 
-PERIOD_S: Final = 0.05
-"""Between two looks (chosen: half of what is late, see `room.forwarding`)."""
-REMEMBERED_S: Final = 10.0
-"""How long a stall counts (chosen: a health check each ten seconds sees every stall)."""
 WORST_S: Final = 1.0
 """A timer later than this means that everybody's face froze for a second."""
-
-
-class LoopWatch:
-    """Remembers the latest delays of a timer that is set every ``PERIOD_S``."""
-
-    def __init__(self) -> None:
-        self._lateness: deque[tuple[float, float]] = deque(maxlen=round(REMEMBERED_S / PERIOD_S))
-
-    def note(self, due_s: float, now: float) -> None:
-        """Note when a timer fired that was due at ``due_s``."""
-        self._lateness.append((now, now - due_s))
-
-    def worst_s(self, now: float) -> float:
-        """Return the worst delay that is remembered."""
-        recent = (late for at, late in self._lateness if now - at <= REMEMBERED_S)
-        return max(recent, default=0.0)
 
 
 MAX_LISTED: Final = 1000
@@ -62,7 +41,6 @@ class StatusPages:
     """The pages of one relay."""
 
     _hub: Hub
-    _watch: LoopWatch
     _config: RelayConfig
     _store: AvatarStore | None = None
     _admin_room: Callable[[str], str] | None = None
@@ -80,7 +58,7 @@ class StatusPages:
         """
         match path:
             case "/healthz":
-                worst_s = self._watch.worst_s(now)
+                worst_s = self._hub.overload.worst_s(now)
                 trouble = f"stalled for {worst_s:.1f} s" if worst_s >= WORST_S else ""
                 # No reason to start it again: its rooms go on, and it comes back by itself.
                 return _verdict(trouble, self._placement_trouble)
@@ -92,7 +70,7 @@ class StatusPages:
                     return replace(page, headers={"Retry-After": f"{CALM_S:.0f}"})
                 is_full = self._hub.num_connections >= self._config.max_connections
                 return _verdict("full" if is_full else "", self._placement_trouble)
-            case "/metrics" if is_local or self._config.open_metrics:
+            case "/metrics" if is_local:
                 return Page(HTTPStatus.OK, self._metrics(now), CONTENT_TYPE)
             case "/rooms":
                 return self._rooms(authorization)
@@ -159,10 +137,9 @@ class StatusPages:
                     "1 while the event loop is late and no new peers are admitted.",
                     float(hub.overload.refuses(now)),
                 ),
-                "loop_busy_ratio": ("How much of the time the event loop works.", hub.busy_ratio),
                 "loop_lateness_seconds": (
                     "Worst delay of the event loop in ten seconds.",
-                    self._watch.worst_s(now),
+                    self._hub.overload.worst_s(now),
                 ),
             },
         )

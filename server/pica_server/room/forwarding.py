@@ -4,6 +4,7 @@ A relay that is late has more to do than it can: of several faces that one publi
 last turn of the event loop it then forwards the newest alone, and refuses newcomers (`Overload`).
 """
 
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final
@@ -20,6 +21,11 @@ from pica_server.room.room import EVERY_MOST, Room, Stream
 LATE_S: Final = 0.1
 """A turn of the event loop that takes longer sheds faces (chosen: three faces; a shorter one may be
 the machine's doing); two in a row are overload: newcomers are told to come later."""
+PERIOD_S: Final = 0.05
+"""Between two looks at the clock (chosen: half of what is late)."""
+REMEMBERED_S: Final = 10.0
+"""How long a stall counts (chosen: a health check each ten seconds sees every stall)."""
+MOST_TURNS: Final = round(REMEMBERED_S / PERIOD_S)
 CALM_S: Final = 5.0
 """Without such a turn until newcomers are let in again (chosen)."""
 
@@ -35,17 +41,24 @@ class Overload:
         self.sheds = False
         self._late_s = 0.0
         self._refuses_until_s = float("-inf")
+        self._worst: deque[tuple[float, float]] = deque(maxlen=MOST_TURNS)
 
     def note_turn(self, late_s: float, now: float) -> None:
         """Note how late the event loop has just been; one pause alone is no overload."""
         before_s, self._late_s = self._late_s, late_s
         self.sheds = late_s >= LATE_S
+        self._worst.append((now, late_s))
         if late_s >= LATE_S and before_s >= LATE_S:
             self._refuses_until_s = now + CALM_S
 
     def refuses(self, now: float) -> bool:
         """Whether newcomers are refused."""
         return now < self._refuses_until_s
+
+    def worst_s(self, now: float) -> float:
+        """Return by how much the event loop was late at worst in the last ten seconds."""
+        recent = (late_s for at, late_s in self._worst if now - at <= REMEMBERED_S)
+        return max(recent, default=0.0)
 
 
 class Forwarding:

@@ -38,18 +38,12 @@ from pica_server.room.outbox import OutboundMessage
 from pica_server.room.room import Room
 from pica_server.stats import RelayStats
 
-BUSY_PERIOD_S: Final = 0.25
-"""Time over which is counted how busy the event loop is (chosen)."""
 TELLING_SHARE: Final = 0.5
 """The share of a drain's time in which all are told; the rest is left for them to go (chosen)."""
 
 
 class Hub:
-    """The relay without its sockets.
-
-    Attributes:
-        busy_ratio: How much of the time the event loop has worked lately, 0 to 1.
-    """
+    """The relay without its sockets."""
 
     def __init__(
         self,
@@ -77,8 +71,6 @@ class Hub:
             new_secret,
         )
         self._config = config
-        self._load = (0.0, 0.0)
-        self.busy_ratio = 0.0
         self._departures: deque[tuple[float, str]] = deque()
 
     @property
@@ -111,15 +103,6 @@ class Hub:
         """Bytes of control messages that wait."""
         connections = self.connections.by_peer.values()
         return sum(each.outbox.waiting_control_bytes for each in connections)
-
-    def note_turn(self, late_s: float, processor_s: float, now: float) -> None:
-        """Note how late the event loop has just been, and what processor time it has used until
-        now, in seconds."""
-        before_s, since_s = self._load
-        if now - since_s >= BUSY_PERIOD_S:
-            self._load = (processor_s, now)
-            self.busy_ratio = (processor_s - before_s) / (now - since_s)
-        self.overload.note_turn(late_s, now)
 
     def connect(self, now: float, address: str = "") -> Connection:
         """Take a new websocket, see `Connections.connect`."""

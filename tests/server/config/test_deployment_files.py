@@ -18,7 +18,7 @@ from helpers.command_options import read_options
 from helpers.paths import ROOT
 from pica_server.config.relay import RelayConfig
 from pica_server.errors import ConfigurationError
-from pica_server.ops.status_pages import LoopWatch, StatusPages
+from pica_server.ops.status_pages import StatusPages
 from pica_server.room.hub import Hub
 
 pytestmark = pytest.mark.unit
@@ -125,7 +125,7 @@ def test_a_relay_of_the_compose_file_can_start_and_may_do_little(name: str) -> N
     config = relay_options(words, environment)
     assert config.cluster == "nats://nats:4222"
     assert config.public_url == f"ws://{name}:8765"
-    assert config.open_metrics
+    assert config.metrics_to
     assert service["read_only"]
     assert service["tmpfs"] == ["/tmp"]
     assert service["cap_drop"] == ["ALL"]
@@ -176,7 +176,7 @@ def test_the_relay_of_the_manifests_can_start_and_has_time_to_drain(tmp_path: Pa
     words = ["--config", str(relay_file(tmp_path)), "--public-url", "wss://relay-0.example.org"]
     config = relay_options(words, image_environment())
     assert config.keys is not None
-    assert not config.open_metrics
+    assert config.metrics_to == ("10.0.0.0/8",)
     assert container["ports"][0]["containerPort"] == config.port
     assert pod["terminationGracePeriodSeconds"] > config.drain_s
     mounts = {mount["mountPath"] for mount in container["volumeMounts"]}
@@ -193,7 +193,7 @@ def test_the_relay_of_the_manifests_can_start_and_has_time_to_drain(tmp_path: Pa
 def test_the_probes_of_the_relay_ask_pages_that_it_has(tmp_path: Path) -> None:
     words = ["--config", str(relay_file(tmp_path)), "--public-url", "wss://relay-0.example.org"]
     config = relay_options(words, {})
-    pages = StatusPages(Hub(config), LoopWatch(), config)
+    pages = StatusPages(Hub(config), config)
     (container,) = pod_of(MANIFESTS["StatefulSet", "relay"])["containers"]
     for probe, path in (
         ("startupProbe", "/healthz"),
@@ -209,7 +209,7 @@ def test_the_probes_of_the_relay_ask_pages_that_it_has(tmp_path: Path) -> None:
 def exported_series() -> set[str]:
     """Return the names of all series that /metrics has."""
     config = RelayConfig()
-    page = StatusPages(Hub(config), LoopWatch(), config).answer("/metrics", is_local=True, now=0.0)
+    page = StatusPages(Hub(config), config).answer("/metrics", is_local=True, now=0.0)
     assert page is not None
     names = set()
     for name, kind in re.findall(r"^# TYPE (\w+) (\w+)$", page.text, re.MULTILINE):

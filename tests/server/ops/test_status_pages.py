@@ -9,10 +9,9 @@ from helpers.members import FACE, VOICE, Member
 from pica_protocol.errors import CloseCode
 from pica_server.config.relay import LimitsConfig, RelayConfig
 from pica_server.errors import AdmissionError
-from pica_server.ops.metrics import BOUNDS_S, metrics_text
-from pica_server.ops.status_pages import MAX_LISTED, LoopWatch, Page, StatusPages
+from pica_server.ops.status_pages import MAX_LISTED, Page, StatusPages
 from pica_server.room.hub import Hub
-from pica_server.stats import RelayStats
+from pica_server.stats import BOUNDS_S, RelayStats, metrics_text
 
 pytestmark = pytest.mark.unit
 
@@ -35,10 +34,10 @@ def admin_room(token: str) -> str:
     return token
 
 
-def pages(config: RelayConfig | None = None) -> tuple[StatusPages, Hub, LoopWatch]:
+def pages(config: RelayConfig | None = None) -> tuple[StatusPages, Hub]:
     config = config or RelayConfig()
-    hub, watch = Hub(config), LoopWatch()
-    return StatusPages(hub, watch, config, None, admin_room), hub, watch
+    hub = Hub(config)
+    return StatusPages(hub, config, None, admin_room), hub
 
 
 def status(pages: StatusPages, path: str, now: float, *, is_local: bool = True) -> int | None:
@@ -47,10 +46,10 @@ def status(pages: StatusPages, path: str, now: float, *, is_local: bool = True) 
 
 
 def test_health_turns_bad_when_the_loop_stalls_and_good_when_that_is_over() -> None:
-    answers, _, watch = pages()
-    watch.note(due_s=1.0, now=1.2)
+    answers, hub = pages()
+    hub.overload.note_turn(0.2, now=1.2)
     assert status(answers, "/healthz", now=1.2) == 200
-    watch.note(due_s=1.7, now=2.9)
+    hub.overload.note_turn(1.2, now=2.9)
     page = answers.answer("/healthz", is_local=True, now=3.0)
     assert page == Page(HTTPStatus.SERVICE_UNAVAILABLE, "stalled for 1.2 s\n")
     assert status(answers, "/healthz", now=12.8) == 503
@@ -58,7 +57,7 @@ def test_health_turns_bad_when_the_loop_stalls_and_good_when_that_is_over() -> N
 
 
 def test_a_full_relay_is_not_ready_but_well() -> None:
-    answers, hub, _ = pages(RelayConfig(max_connections=1))
+    answers, hub = pages(RelayConfig(max_connections=1))
     assert status(answers, "/readyz", now=0.0) == 200
     hub.connect(now=0.0)
     assert status(answers, "/readyz", now=0.0) == 503
@@ -66,7 +65,7 @@ def test_a_full_relay_is_not_ready_but_well() -> None:
 
 
 def test_a_relay_that_sends_everybody_away_is_not_ready_but_well() -> None:
-    answers, hub, _ = pages()
+    answers, hub = pages()
     hub.drain(now=0.0)
     page = answers.answer("/readyz", is_local=True, now=0.0)
     assert page == Page(HTTPStatus.SERVICE_UNAVAILABLE, "draining\n")
@@ -74,20 +73,18 @@ def test_a_relay_that_sends_everybody_away_is_not_ready_but_well() -> None:
 
 
 def test_numbers_are_for_this_machine_unless_told_otherwise() -> None:
-    closed, _, _ = pages()
-    opened, _, _ = pages(RelayConfig(open_metrics=True))
+    closed, _ = pages()
     assert status(closed, "/metrics", now=0.0) == 200
     assert status(closed, "/metrics", now=0.0, is_local=False) == 403
-    assert status(opened, "/metrics", now=0.0, is_local=False) == 200
 
 
 def test_other_paths_are_for_websockets() -> None:
-    answers, _, _ = pages()
+    answers, _ = pages()
     assert status(answers, "/", now=0.0) is None
 
 
 def test_every_line_of_the_numbers_is_one_that_prometheus_reads() -> None:
-    answers, hub, _ = pages(RelayConfig(limits=LimitsConfig(connections_per_address=1)))
+    answers, hub = pages(RelayConfig(limits=LimitsConfig(connections_per_address=1)))
     for _ in range(2):
         Member(hub, "Ada", address="192.0.2.1")
     hub.stats.dropped["replaced"] += 3
@@ -123,7 +120,7 @@ def rooms(answers: StatusPages, authorization: str) -> tuple[int, Any]:
 
 
 def test_an_admin_sees_the_rooms_of_the_token_and_who_is_in_them() -> None:
-    answers, hub, _ = pages()
+    answers, hub = pages()
     ada = Member(hub, "Ada", tracks=(FACE, VOICE))
     Member(hub, "Bob", room="attic", tracks=())
     lobby = hub.room("lobby")
@@ -152,14 +149,14 @@ def test_an_admin_sees_the_rooms_of_the_token_and_who_is_in_them() -> None:
     [("", 401), ("lobby", 401), ("Basic lobby", 401), ("Bearer ", 401), ("Bearer nobody", 403)],
 )
 def test_rooms_are_shown_to_nobody_without_an_admins_token(authorization: str, status: int) -> None:
-    answers, _, _ = pages()
+    answers, _ = pages()
     found, headers = rooms(answers, authorization)
     assert found == status
     assert headers == ({"WWW-Authenticate": "Bearer"} if status == 401 else {})
 
 
 def test_the_list_of_rooms_is_bounded_and_says_when_it_is_cut() -> None:
-    answers, hub, _ = pages(RelayConfig(max_connections=2000, limits=LimitsConfig(joins_burst=2e3)))
+    answers, hub = pages(RelayConfig(max_connections=2000, limits=LimitsConfig(joins_burst=2e3)))
     for number in range(MAX_LISTED + 1):
         Member(hub, "Ada", room=f"r{number // 16}", tracks=())
     _, found = rooms(answers, "Bearer *")
