@@ -234,6 +234,26 @@ def open_at_rest(rig: WildRig) -> None:
     mesh["weights"] = [0.0] * (len(rig.primitives[0]["targets"]) - 1) + [1.0]
 
 
+def lines(rig: WildRig) -> None:
+    """A sheet behind the face, whose far side has the texture coordinates of the near one."""
+    at = rig.primitives[0]["attributes"]
+    start, count = len(rig.arrays[at["POSITION"]]), 8
+    near = np.stack([np.linspace(-0.04, 0.04, count), np.full(count, 0.02), np.zeros(count)], 1)
+    sheet = np.concatenate([near, near + np.array([0, 0, 0.03]), near + np.array([0, 0.02, 0.03])])
+    for index in {at["POSITION"], *(t["POSITION"] for t in rig.primitives[0]["targets"])}:
+        new = sheet if index == at["POSITION"] else 0 * sheet
+        rig.arrays[index] = np.concatenate([rig.arrays[index], new.astype("<f4")])
+    row = np.stack([np.linspace(0.3, 0.6, count), np.full(count, 0.5)], 1)
+    uv = np.concatenate([row, row + np.array([0, 0.1]), row + np.array([0, 0.1])]).astype("<f4")
+    rig.arrays[at["TEXCOORD_0"]] = np.concatenate([rig.arrays[at["TEXCOORD_0"]], uv])
+    faces = []
+    for first in (start, start + count):
+        for a in range(first, first + count - 1):
+            faces += [(a, a + 1, a + count), (a + 1, a + count + 1, a + count)]
+    index = rig.add(np.array(faces, "<u2").reshape(-1, 1))
+    rig.document["meshes"][0]["primitives"].append({**rig.primitives[0], "indices": index})
+
+
 def many_meshes(rig: WildRig) -> None:
     mesh = rig.document["meshes"][0]
     rig.document["meshes"] = [{**mesh, "primitives": [p]} for p in mesh["primitives"]]
@@ -270,7 +290,7 @@ FORMS: dict[str, Callable[[WildRig], None]] = {
     form.__name__: form
     for form in (
         repeated, mirrored, clamped, transformed, second_uv, quantized, skinned, jointed, tinted,
-        named_by_targets, open_at_rest, many_meshes, sparse, glasses,
+        named_by_targets, open_at_rest, lines, many_meshes, sparse, glasses,
     )
 }  # fmt: skip
 

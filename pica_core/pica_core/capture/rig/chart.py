@@ -136,6 +136,8 @@ USUAL_FILL = 0.55
 """Share of the square that islands cover in the end, about."""
 MAX_FOLDED = 0.1
 """Share of an island that may be folded over, at most; more and it gets new coordinates."""
+LEAST_AREA = 1e-5
+"""Area of a triangle in the plane, of the median, below which it is a line."""
 PADDING_TEXELS = 1
 """Empty texels between islands beyond those that bilinear lookup reads: it never mixes two."""
 
@@ -176,7 +178,8 @@ def make_islands(points: Float64Array, faces: IntArray) -> tuple[Float64Array, I
 def mend_islands(
     points: Float64Array, faces: IntArray, uv: Float64Array, uv_faces: IntArray
 ) -> tuple[Float64Array, IntArray, int]:
-    """Replace islands that lie on a point, on a line, or folded over themselves (mirrored halves).
+    """Replace islands that lie on a point, on a line, or folded over themselves (mirrored halves),
+    and single triangles that are lines: packers tear these off.
 
     Returns coordinates, triangles in them, and how many triangles got new ones.
     """
@@ -188,9 +191,9 @@ def mend_islands(
     ratio = flat / np.maximum(np.bincount(island, areas(points, faces)), 1e-12)
     usual = float(np.median(ratio[island]))
     bad = (flat <= 0) | (folded > MAX_FOLDED * flat) | (ratio < 1e-4 * usual)
-    if not bad.any():
+    mend = bad[island] | (np.abs(area) < LEAST_AREA * np.median(np.abs(area)))
+    if not mend.any():
         return uv, uv_faces, 0
-    mend = bad[island]
     new_uv, new_faces = make_islands(points, np.ascontiguousarray(faces[mend]))
     mended = uv_faces.copy()
     mended[mend] = new_faces + len(uv)
@@ -286,6 +289,7 @@ def _try(points: Float64Array, faces: IntArray) -> Float64Array | None:
     vertex, index, uv = atlas[0]
     placed = np.full((len(points), 2), np.nan)
     placed[vertex] = uv * [atlas.width / MAP_SIZE, atlas.height / MAP_SIZE]
-    if len(index) != len(faces) or np.isnan(placed).any():
+    # More vertices than before: one was torn off, and would draw its triangles over others.
+    if len(index) != len(faces) or len(vertex) > len(points) or np.isnan(placed).any():
         return None
     return placed
