@@ -135,7 +135,7 @@ Result = TypeVar("Result")
 
 PIXEL_FRAMES = 16
 """Frames whose pixels are decoded, unless said otherwise (chosen)."""
-HEAD_SIZE_M = (0.1, 2.0)
+HEAD_SIZE_M = (0.1, 4.0)
 """Diagonals of a head's bounding box that are believed: else units are wrong."""
 EXPRESSION_RANGE = (-0.5, 1.6)
 """Expression values that are believed; recordings reach 1.05."""
