@@ -30,7 +30,7 @@ class CallSound:
         self._set: SoundSettings | None = None
         self._volumes: Mapping[str, float] = {}
         self._talked_s = -TAIL_S
-        self._trouble = self._speaker = ""
+        self._trouble = ""
         self._track = Soundtrack()
 
     @property
@@ -66,13 +66,8 @@ class CallSound:
         if volumes != self._volumes:
             self._volumes = volumes
             self._sound.set_volumes(volumes)
-        state = self._sound.state
-        before, self._speaker = self._speaker, state.speaker.name or self._speaker
-        is_moved = before not in ("", self._speaker) and not wanted.sound.speaker
-        trouble, self._trouble = self._trouble, state.trouble
-        if self._trouble != trouble:
-            return self._trouble
-        return f"Voices come from {self._speaker!r} now" if is_moved else ""
+        before, self._trouble = self._trouble, self._sound.state.trouble
+        return self._trouble if self._trouble != before else ""
 
     def play_test(self) -> None:
         """Play something to hear that it can be heard."""

@@ -136,8 +136,6 @@ class ViewOptions:
     """Trust the certificates of this PEM file instead of the system's, at a wss:// address."""
     secret_file: Path | None = None
     """File with the room secret of an encrypted call: shows its participants alone."""
-    fetch: bool = True
-    """Get avatars that are not on this machine from the relay, and keep them."""
 
     def __post_init__(self) -> None:
         if not self.seconds >= 0:

@@ -244,10 +244,8 @@ class Stay:
         state.name = link.name
         state.enter()
         state.side = "statistics" if options.statistics else "none"
-        self._fetcher = None
-        if options.fetch:
-            tls = None if link.ca_file is None else trusting(link.ca_file)
-            self._fetcher = AvatarFetcher(library, lambda: self._receiver.link.url, tls=tls)
+        tls = None if link.ca_file is None else trusting(link.ca_file)
+        self._fetcher = AvatarFetcher(library, lambda: self._receiver.link.url, tls=tls)
         voice = sound if state.voice == "mic" else open_voice(state.voice or "none")
         self._hearing = None
         if (lacking := available()) is None:
@@ -255,7 +253,7 @@ class Stay:
         else:
             say(f"a call without sound: {lacking}")
         self._sound = sound if self._hearing is not None or voice is sound else None
-        self._call = Call(self._fetcher or library, ears=self._hearing)
+        self._call = Call(self._fetcher, ears=self._hearing)
         doing = "looking into" if face is None else f"in, as {link.name},"
         is_sealed = link.secret_file is not None
         self._publisher = None if face is None else face.publisher
@@ -269,7 +267,6 @@ class Stay:
             news=LinkNews(f"{doing} room {link.room} at {link.url}", say),
         )
         self._is_stopping = False
-        self._trouble = ""
 
     def stop(self) -> None:
         """Make `run` end."""
@@ -289,8 +286,7 @@ class Stay:
         options, state = self._options, self._state
         self._receiver.say_recording(options.viewer.record is not None)
         with ExitStack() as stack:
-            if self._fetcher is not None:
-                stack.callback(self._fetcher.close)
+            stack.callback(self._fetcher.close)
             if self._hearing is not None:
                 stack.callback(self._hearing.seat, ())
             stack.enter_context(self._receiver)
@@ -335,7 +331,7 @@ class Stay:
             "problems": [*problems, *outputs.failures],
             "received": received,
             "voice": None if self._hearing is None else self._hearing.stats(self._call),
-            "avatars_fetched": 0 if self._fetcher is None else self._fetcher.num_fetched,
+            "avatars_fetched": self._fetcher.num_fetched,
         }
 
     def _wait_for_peers(self) -> bool:
@@ -360,10 +356,6 @@ class Stay:
     def _should_stop(self) -> bool:
         """Return True once the stay is to end; raise what ended the network."""
         self._receiver.check()
-        trouble = "" if self._sound is None else self._sound.state.trouble
-        if trouble and trouble != self._trouble:
-            say(trouble)
-        self._trouble = trouble
         return self._is_stopping
 
 
