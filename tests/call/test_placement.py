@@ -141,38 +141,6 @@ def test_no_call_ends_when_nats_is_killed_and_comes_back_empty(
     asyncio.run(call())
 
 
-def test_rooms_that_were_made_twice_without_nats_become_one(
-    relays: list[RelayProcess], nats: NatsServer
-) -> None:
-    async def call() -> None:
-        nats.stop()
-        async with (
-            person("ada", relays[0], room="twice") as ada,
-            person("ben", relays[1], room="twice") as ben,
-        ):
-            assert ada.link.url != ben.link.url
-            await asyncio.to_thread(nats.start)
-            took_s = await until(lambda: are_together((ada, ben)))
-            report(f"together {took_s:.2f} s after NATS is back")
-            assert (ada.link.reconnects, ben.link.reconnects) == (0, 1)
-
-    asyncio.run(call())
-
-
-def test_a_relay_that_is_drained_hands_its_rooms_over(relays: list[RelayProcess]) -> None:
-    async def call() -> None:
-        async with AsyncExitStack() as stack:
-            made = await pairs(stack, relays[1:], 12)
-            relays[0].process.terminate()
-            await until(lambda: relays[0].process.poll() is not None)
-            took_s = await until(lambda: all(map(are_together, made)))
-            report(f"together {took_s:.2f} s after the relay has ended")
-            assert relays[0].process.returncode == 0
-            assert all(p.link.reconnects <= 1 for pair in made for p in pair)
-
-    asyncio.run(call())
-
-
 @pytest.mark.parametrize(
     ("url", "complaint"),
     [

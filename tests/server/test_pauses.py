@@ -3,9 +3,7 @@
 import asyncio
 import os
 import select
-import signal
 import socket
-from collections.abc import Iterator
 
 import pytest
 
@@ -14,7 +12,7 @@ from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
 from simnet.clock import current_network, in_virtual_time
 from simnet.peers import now, peer_in_room
-from simnet.relays import RelayProcess, start_relay
+from simnet.relays import RelayProcess
 
 pytestmark = pytest.mark.realtime
 
@@ -42,39 +40,6 @@ async def test_a_proxy_that_stalls_expels_nobody_whatever_their_rate() -> None:
         assert not bob.told(Closed)
         assert max(now() - at for at, _ in cleo.arrivals[-2:]) < 0.2
         assert cleo.delays_s[-1] < 0.01
-
-
-@pytest.fixture
-def relay() -> Iterator[RelayProcess]:
-    process = start_relay("--port", "0", "--limits.bytes-per-s", "24000")
-    assert process.stderr is not None
-    node = RelayProcess(process, process.stderr.readline().split()[-1])
-    yield node
-    process.send_signal(signal.SIGCONT)
-    process.kill()
-    process.communicate()
-
-
-def test_a_relay_that_was_stopped_expels_nobody_for_what_came_meanwhile(
-    relay: RelayProcess,
-) -> None:
-    """Of 40 messages a second that each may send, 30 a second pile up for three seconds."""
-
-    async def call() -> None:
-        async with peer_in_room(relay.url, "Ada") as ada, peer_in_room(relay.url, "Bob") as bob:
-            sending = asyncio.create_task(ada.publish(num_frames=150, fps=30))
-            await asyncio.sleep(0.5)
-            relay.freeze()
-            await asyncio.sleep(3.0)
-            relay.thaw()
-            await sending
-            await asyncio.sleep(0.5)
-            assert not ada.told(Closed)
-            # Of the faces that piled up the relay passes on the newest.
-            assert 60 <= len(bob.arrivals) <= 150
-            assert bob.arrivals[-1][1].sequence == 149
-
-    asyncio.run(call())
 
 
 def test_the_kernel_holds_little_for_a_relay_that_does_not_read(relay: RelayProcess) -> None:

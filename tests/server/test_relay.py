@@ -10,14 +10,10 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.typing import Origin, Subprotocol
 
 from pica_protocol import SUBPROTOCOL
-from pica_protocol.client_session import ClientSession
 from pica_protocol.errors import CloseCode
 from pica_protocol.messages import (
-    PeerAway,
-    PeerBack,
     PeerLeft,
     RemovePeer,
-    Subscribe,
 )
 from pica_protocol.session import Closed
 from pica_server.auth.tokens import Admission, KeyRing, load_keys, mint
@@ -25,7 +21,7 @@ from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
 from simnet.clock import current_network, in_virtual_time
 from simnet.network import Wire
-from simnet.peers import FACE, WirePeer, now, open_websocket, peer_in_room
+from simnet.peers import FACE, now, open_websocket, peer_in_room
 
 pytestmark = pytest.mark.call
 
@@ -177,45 +173,6 @@ async def test_without_a_list_no_web_page_may_connect() -> None:
             await connect(URL, origin=Origin("http://localhost"), proxy=None, subprotocols=PICA)
 
 
-NOBODY = "x"
-
-
-def test_with_keys_only_who_has_a_token_comes_in_and_the_newer_of_two_stays(
-    tmp_path: Path,
-) -> None:
-    path = tmp_path / "keys"
-    path.write_text(KeyRing.new_line())
-
-    def token(identity: str, room: str = "lobby", **grants: bool) -> str:
-        admission = Admission(identity=identity, **grants)  # type: ignore[arg-type]
-        return mint(load_keys(path), room, admission, now=1e9, lasts_s=60, starts_s=0)
-
-    @in_virtual_time
-    async def scenario() -> None:
-        async with (
-            Relay(RelayConfig(keys=path, host="0.0.0.0"), unix_time=lambda: 1e9) as relay,
-            peer_in_room(URL, "Ada", token=token("ada")) as ada,
-            peer_in_room(URL, "Deaf", token=token("deaf", may_subscribe=False)) as deaf,
-        ):
-            for pass_ in ("", NOBODY, token("ada", room="elsewhere")):
-                async with peer_in_room(URL, "Mallory", token=pass_) as mallory:
-                    assert (await mallory.until(Closed)).code == CloseCode.UNAUTHORIZED
-            viewer = token("viewer", may_publish=False)
-            async with peer_in_room(URL, "Viewer", token=viewer) as refused:
-                assert (await refused.until(Closed)).code == CloseCode.FORBIDDEN
-            await ada.send_frame(b"x")
-            deaf.session.tell(Subscribe(stream=ada.session.tracks[0].stream, every=4))
-            await deaf.flush()
-            await ada.send_frame(b"y")
-            async with peer_in_room(URL, "Ada again", token=token("ada")) as again:
-                assert (await ada.until(Closed)).code == CloseCode.REPLACED
-                assert [peer.name for peer in again.session.peers.values()] == ["Deaf"]
-            assert deaf.arrivals == []
-            assert relay.stats()["limits_hit"] == {"admission": 4}
-
-    scenario()
-
-
 @in_virtual_time
 async def test_frames_of_several_senders_share_a_message() -> None:
     async with (
@@ -245,49 +202,6 @@ async def test_a_fault_outside_any_message_is_logged_and_ends_one_connection(
             with pytest.raises(ConnectionClosed):
                 await websocket.recv()
     assert [record.message for record in caplog.records] == ["connection failed"]
-
-
-@in_virtual_time
-async def test_a_room_takes_no_more_than_its_capacity_however_many_join_at_once() -> None:
-    async def join(number: int) -> int | None:
-        async with open_websocket(URL) as websocket:
-            peer = WirePeer(websocket, ClientSession(room="r", name=f"{number}", now=now()))
-            reader = asyncio.create_task(peer.read())
-            await peer.flush()
-            await asyncio.sleep(5)
-            reader.cancel()
-            await asyncio.gather(reader, return_exceptions=True)
-            return None if peer.session.closed is None else peer.session.closed.code
-
-    async with Relay(RelayConfig(room_capacity=5)) as relay:
-        codes = await asyncio.gather(*(join(number) for number in range(40)))
-        assert relay.stats()["joins"] == 5
-    assert sorted(code or 0 for code in codes) == [0] * 5 + [CloseCode.ROOM_FULL] * 35
-
-
-@in_virtual_time
-async def test_a_peer_whose_network_died_comes_back_to_its_place() -> None:
-    network = current_network()
-    async with (
-        Relay(RelayConfig(ping_interval_s=1, close_timeout_s=1)),
-        peer_in_room(URL, "Bob") as bob,
-        peer_in_room("ws://train:8765", "Ada", resumable=True) as ada,
-    ):
-        peer_id, stream = ada.session.peer_id, ada.session.tracks[0].stream
-        await ada.send_frame(b"before")
-        network.cut("train")
-        await bob.until(PeerAway)
-        async with peer_in_room(URL, "Ada", resumable=True, ticket=ada.session.ticket) as again:
-            assert (again.session.peer_id, again.session.tracks[0].stream) == (peer_id, stream)
-            await bob.until(PeerBack)
-            await again.send_frame(b"after")
-            await asyncio.sleep(0.01)
-            assert [(f.payload, f.sequence) for _, f in bob.arrivals] == [
-                (b"before", 0),
-                (b"after", 1),
-            ]
-            assert bob.told(PeerLeft) == []
-        ada.websocket.transport.abort()
 
 
 def test_an_admin_lists_the_rooms_over_http_and_removes_somebody_by_a_message(
@@ -326,12 +240,3 @@ def test_an_admin_lists_the_rooms_over_http_and_removes_somebody_by_a_message(
             assert (await ada.until(Closed)).code == CloseCode.REMOVED
 
     scenario()
-
-
-@in_virtual_time
-async def test_a_relay_without_keys_lists_its_rooms_to_nobody() -> None:
-    async with Relay(RelayConfig()):
-        reader, writer = await asyncio.open_connection("relay", 8765)
-        writer.write(b"GET /rooms HTTP/1.1\r\nHost: localhost\r\n\r\n")
-        assert (await reader.read()).startswith(b"HTTP/1.1 403 ")
-        writer.close()

@@ -5,7 +5,6 @@ import json
 import os
 import signal
 import socket
-import struct
 import subprocess
 import sys
 import time
@@ -18,7 +17,6 @@ import pytest
 
 from helpers.certificates import write_certificate
 from pica_protocol.frames import Frame
-from pica_protocol.messages import PeerLeft
 from simnet.peers import peer_in_room
 
 pytestmark = pytest.mark.realtime
@@ -166,27 +164,6 @@ def test_a_relay_answers_health_checks_and_shows_its_numbers() -> None:
                 "text/plain; version=0.0.4; charset=utf-8"
             ]
             assert b"pica_open_connections 0.0\n" in reply.read()
-
-
-def test_a_killed_peer_is_reported_and_noise_on_the_port_hurts_nobody() -> None:
-    async def call(url: str) -> None:
-        host, port = url.removeprefix("ws://").split(":")
-        async with peer_in_room(url, "Ada") as ada, peer_in_room(url, "Bob") as bob:
-            with socket.create_connection((host, int(port))) as noise:
-                noise.sendall(b"\x16\x03\x01 this is not HTTP\r\n\r\n")
-            # As the kernel does for a killed process with unread data: a reset.
-            linger = struct.pack("ii", 1, 0)
-            sock = bob.websocket.transport.get_extra_info("socket")
-            sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, linger)
-            bob.websocket.transport.abort()
-            assert (await ada.until(PeerLeft)).reason == "lost"
-
-    with running_relay() as (process, url):
-        asyncio.run(call(url))
-        process.send_signal(signal.SIGTERM)
-        _, stderr = process.communicate(timeout=30)
-    assert process.returncode == 0
-    assert "Traceback" not in stderr
 
 
 @pytest.mark.parametrize(

@@ -19,8 +19,7 @@ from pica_client.errors import OptionError, RelayRefusedError
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.connect import RelayConnect
 from pica_client.transport.link import Link
-from pica_protocol.frames import Frame
-from pica_protocol.messages import Joined, Track
+from pica_protocol.messages import Joined
 from pica_protocol.tls_buffer import bound_tls_buffer
 from pica_server.config.relay import LimitsConfig, RelayConfig
 from pica_server.errors import ConfigurationError
@@ -132,37 +131,6 @@ def test_new_connections_get_the_new_certificate_and_a_call_goes_on(
             assert link.reconnects == 0
             link.leave()
             await running
-
-    asyncio.run(call())
-
-
-def test_a_call_goes_through_tls(cert: Path) -> None:
-    num_frames = 100
-
-    async def call() -> None:
-        config = RelayConfig(port=0, tls_cert=cert, tls_key=key_of(cert))
-        joined: asyncio.Queue[object] = asyncio.Queue()
-        frames: asyncio.Queue[bytes] = asyncio.Queue()
-
-        def note(event: object, now: float) -> None:
-            if isinstance(event, Joined):
-                joined.put_nowait(event)
-            elif isinstance(event, Frame):
-                frames.put_nowait(event.payload)
-
-        async with Relay(config) as relay, asyncio.timeout(60):
-            there = LinkConfig(url=relay.url, room="r", ca_file=cert)
-            links = [Link(there, (Track(kind="face"),), on_event=note) for _ in range(2)]
-            running = [asyncio.create_task(link.run()) for link in links]
-            for _ in links:
-                await joined.get()
-            # In step, so that none replaces another; the writers must wait for TLS, and go on.
-            for i in range(num_frames):
-                links[0].send_frame(bytes([i]) * 1000, captured_us=i)
-                assert await frames.get() == bytes([i]) * 1000
-            for link in links:
-                link.leave()
-            await asyncio.gather(*running)
 
     asyncio.run(call())
 

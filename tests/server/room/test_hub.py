@@ -134,16 +134,6 @@ def test_frames_are_counted_one_by_one_however_many_share_a_message() -> None:
     assert hub.stats.frames_in == 9
 
 
-def test_a_publisher_of_too_many_bytes_is_closed() -> None:
-    hub = hub_of_limits(bytes_per_s=2000, burst_s=2)
-    ada = Member(hub, "Ada")
-    ada.send_frame(bytes(1000), now=1.0)
-    assert closed_code(ada) is None
-    ada.send_frame(bytes(1100), now=1.0)
-    assert closed_code(ada) == CloseCode.TOO_FAST
-    assert hub.stats.limits_hit == {"bytes": 1}
-
-
 def test_more_joins_than_the_relay_takes_are_told_to_come_later() -> None:
     hub = hub_of_limits(joins_per_s=1, joins_burst=3)
     guests = [Member(hub, f"Guest {i}", now=1.0) for i in range(5)]

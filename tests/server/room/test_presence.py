@@ -8,10 +8,8 @@ from helpers.members import FACE, VOICE, Member, counting_secrets, hub_with
 from pica_protocol.client_session import Ticket
 from pica_protocol.errors import CloseCode
 from pica_protocol.frames import Frame
-from pica_protocol.limits import check_name
 from pica_protocol.messages import (
     Bye,
-    Join,
     Joined,
     Message,
     PeerAway,
@@ -245,15 +243,6 @@ def test_the_others_learn_who_somebody_is_and_whether_their_name_is_assured() ->
     assert (ada.session.name, bob.session.name) == ("Ada", "Bob")
     (seen,) = ada.session.peers.values()
     assert (seen.name, seen.identity, seen.is_name_assured) == ("Bob", "b-1", False)
-
-
-def test_nobody_comes_in_under_a_name_that_draws_nothing() -> None:
-    for name in (" ", "\u3164", "\u0301", "\u2800 \ufe0f"):
-        with pytest.raises(ValueError, match=r"join\.name must"):
-            Join(room="lobby", name=name)
-        with pytest.raises(ValueError, match="name must"):
-            check_name("name", name)
-    assert Join(room="lobby", name="e\u0301").name == "e\u0301"
 
 
 def test_nobody_is_kept_while_a_relay_drains() -> None:

@@ -5,8 +5,6 @@ import errno
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from websockets.exceptions import ConnectionClosed
 
 from helpers.store_peers import (
@@ -86,40 +84,6 @@ async def test_who_does_not_speak_the_protocol_is_closed_with_a_code(
         assert (await talk(relay, messages)).code == code
         assert (await upload(relay, FILE)).code == CloseCode.NORMAL
     assert left_in(tmp_path) == {f"{ID}.pica"}
-
-
-PIECES = st.sampled_from(
-    [OFFER, *chunks_of(FILE), b"\x03x", b"\x01\x80", encode_message(Bye(code=1000)), "text"]
-)
-
-
-@settings(max_examples=40)
-@given(st.lists(PIECES | st.binary(max_size=40), max_size=8))
-def test_whatever_is_said_to_the_store_ends_with_a_documented_code(
-    messages: list[bytes | str],
-) -> None:
-    documented = {
-        CloseCode.NORMAL,
-        CloseCode.MALFORMED,
-        CloseCode.UNEXPECTED_MESSAGE,
-        CloseCode.HANDSHAKE_TIMEOUT,
-        CloseCode.TOO_SLOW,
-        CloseCode.UNFIT_FILE,
-    }
-
-    async def say() -> None:
-        # Who says too little has it held against them soon.
-        config, limits = {"handshake_timeout_s": 0.3}, {"grace_s": 0.05}
-        async with store_relay(config=config, **limits) as relay:
-            assert (await talk(relay, messages)).code in documented
-            assert relay.store is not None
-            assert relay.store.used_bytes in (0, len(FILE))
-            assert (
-                relay.store.num_free_bytes + relay.store.used_bytes
-                == relay.store.config.quota_bytes
-            )
-
-    asyncio.run(say())
 
 
 @pytest.mark.asyncio
