@@ -3,7 +3,9 @@
 import asyncio
 import os
 import select
+import signal
 import socket
+from collections.abc import Iterator
 
 import pytest
 
@@ -12,7 +14,7 @@ from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
 from simnet.clock import current_network, in_virtual_time
 from simnet.peers import now, peer_in_room
-from simnet.relays import RelayProcess
+from simnet.relays import RelayProcess, start_relay
 
 pytestmark = pytest.mark.realtime
 
@@ -40,6 +42,17 @@ async def test_a_proxy_that_stalls_expels_nobody_whatever_their_rate() -> None:
         assert not bob.told(Closed)
         assert max(now() - at for at, _ in cleo.arrivals[-2:]) < 0.2
         assert cleo.delays_s[-1] < 0.01
+
+
+@pytest.fixture
+def relay() -> Iterator[RelayProcess]:
+    process = start_relay("--port", "0", "--limits.bytes-per-s", "24000")
+    assert process.stderr is not None
+    node = RelayProcess(process, process.stderr.readline().split()[-1])
+    yield node
+    process.send_signal(signal.SIGCONT)
+    process.kill()
+    process.communicate()
 
 
 def test_the_kernel_holds_little_for_a_relay_that_does_not_read(relay: RelayProcess) -> None:
