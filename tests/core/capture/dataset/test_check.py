@@ -14,7 +14,7 @@ from PIL import Image
 
 from helpers.small_capture import render_capture
 from pica_core.camera import look_at
-from pica_core.capture.dataset.check import check_capture, silhouette_problem
+from pica_core.capture.dataset.check import check_capture, view_problem
 from pica_core.capture.stage.synth import RenderOptions
 from pica_core.cli.capture import CheckOptions, check
 from pica_core.errors import CaptureError
@@ -123,8 +123,8 @@ def deepen(path: Path) -> None:
             "lies before the depth|lies on the depth",
         ),
         ("depth/{segment}/left/{name}.png", Path.unlink, "the file is missing"),
-        ("mask/{segment}/front/{name}.png", repaint("L", 0), "beside the mask"),
-        ("mask/{segment}/front/{name}.png", repaint("L", 1), "overlap by"),
+        ("mask/{segment}/front/{name}.png", repaint("L", 0), "not where depth is"),
+        ("mask/{segment}/front/{name}.png", repaint("L", 1), "not where depth is"),
         ("tracked_mesh/{segment}/{name}.bin", Path.unlink, "No such file"),
         ("tracked_mesh/{segment}/{name}.bin", set_nan, "not all finite"),
         ("tracked_mesh/{segment}/{name}.bin", in_metres, "are its units mm"),
@@ -136,7 +136,7 @@ def deepen(path: Path) -> None:
             "ends early|incomplete",
         ),
         ("KRT", lambda path: cut(path, 200), "numbers are needed"),
-        ("KRT", swap_cameras, "beside the mask|overlap by"),
+        ("KRT", swap_cameras, "beside the head|lies before|lies on"),
         ("expressions.csv", replace("jawOpen", "jawAjar"), "column 'jawOpen' is missing"),
         ("expressions.csv", lambda path: cut(path, 1500), "row cannot be read|has no row|split"),
         ("capture.json", lambda path: cut(path, 99), "not JSON"),
@@ -231,7 +231,7 @@ def test_the_command_tells_people_and_programs(
 
 
 @pytest.mark.parametrize(("turned_away", "is_fine"), [(True, True), (False, False)])
-def test_only_what_faces_the_camera_has_to_lie_on_the_mask(
+def test_only_what_faces_the_camera_has_to_lie_on_the_head(
     turned_away: bool, is_fine: bool
 ) -> None:
     camera = look_at(
@@ -248,10 +248,10 @@ def test_only_what_faces_the_camera_has_to_lie_on_the_mask(
     beside = square[:, ::-1] if turned_away else square
     faces = np.concatenate([square, beside + 4])
     seen, _ = camera.project(0.1 * corner)
-    mask = np.zeros((64, 64), np.uint8)
+    depth_m = np.zeros((64, 64), np.float32)
     (left, top), (right, bottom) = seen.min(0).astype(int), seen.max(0).astype(int)
-    mask[top:bottom, left:right] = 1
+    depth_m[top:bottom, left:right] = 1
 
-    problem = silhouette_problem(camera, vertices, faces, mask)
+    problem = view_problem(camera, vertices, faces, depth_m)
 
     assert (problem is None) == is_fine
