@@ -18,7 +18,6 @@ from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.avatar.linear import Bases
 from pica_core.camera import Camera
 from pica_core.capture.stage.synth import Poses, read_picture, read_poses
-from pica_core.capture.stage.tracked_topology import COVER
 from pica_core.latent import LATENT_CHANNELS
 from pica_core.model.encoder import hold_log_variance, reparameterise
 from pica_core.model.interface import AvatarModel, DecodedMesh, ExpressionEncoder, flat_latent
@@ -304,9 +303,8 @@ class Objectives:
         topology = data.meshes.topology(self.model.topology)
         weights = vertex_importance(topology, config.region_weight, config.lid_weight)
         if data.meshes.source == "tracked":
-            covered = {COVER: 1.0} if self.model.topology == "tracked" else {}
             tracked = data.meshes.topology("tracked")
-            weights = tracked.by_region({MASKED_REGION: 0.0, **covered}, 1.0).astype(np.float32)
+            weights = tracked.by_region({MASKED_REGION: 0.0}, 1.0).astype(np.float32)
         return torch.from_numpy(weights)
 
     def _mesh(self, mesh: DecodedMesh, frames: list[int]) -> Tensor:

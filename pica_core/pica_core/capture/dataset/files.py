@@ -90,13 +90,11 @@ class Take:
     Attributes:
         segment: Name, unique within a capture.
         arkit: Values of the captured moments. float32 ``[T, 52]``.
-        history: Values of a few moments before each, the latest first. float32 ``[T, K, 52]``.
         split: ``train`` or ``test``.
     """
 
     segment: str
     arkit: FloatArray
-    history: FloatArray
     split: str
 
 

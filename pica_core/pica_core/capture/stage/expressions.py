@@ -252,8 +252,6 @@ TAKE_FRAMES = 40
 """Captured frames of a take, at most."""
 STRIDE = 5
 """Every so many frames of a performance one is captured."""
-HISTORY = 3
-"""How many moments before a captured one are kept."""
 FIRST_TEST_TAKE = 500
 
 
@@ -273,7 +271,7 @@ def sample_takes(num_frames: int, seed: int) -> list[Take]:
         per_kind = [total // len(kinds) + (k < total % len(kinds)) for k in range(len(kinds))]
         for (label, make), count in zip(kinds, per_kind, strict=True):
             takes += _takes(label, make, count, split, seed)
-    takes[0].arkit[0] = takes[0].history[0] = 0.0
+    takes[0].arkit[0] = 0.0
     num_test_eyes = round(num_eyes * TEST_SHARE)
     for split, count in (("train", num_eyes - num_test_eyes), ("test", num_test_eyes)):
         takes += _takes("EYE", lids_and_gaze, count, split, seed)
@@ -292,14 +290,8 @@ def _takes(
         random = np.random.default_rng([seed, code, index])
         performed = make(random, size * STRIDE + 20)
         moments = 10 + STRIDE * np.arange(size)
-        takes.append(
-            Take(
-                segment=f"{label}{index:03d}",
-                arkit=performed[moments],
-                history=performed[moments[:, None] - np.arange(1, HISTORY + 1)],
-                split=split,
-            )
-        )
+        segment = f"{label}{index:03d}"
+        takes.append(Take(segment=segment, arkit=performed[moments], split=split))
     return takes
 
 
@@ -341,9 +333,7 @@ def own_take(values: FloatArray, count: int) -> Take:
     for _ in range(count):
         chosen.append(int(np.argmax(distance)))
         distance = np.minimum(distance, np.linalg.norm(values - values[chosen[-1]], axis=1))
-    moments = np.sort(chosen)
-    before = np.maximum(moments[:, None] - np.arange(1, HISTORY + 1), 0)
-    return Take(segment="OWN000", arkit=values[moments], history=values[before], split="train")
+    return Take(segment="OWN000", arkit=values[np.sort(chosen)], split="train")
 
 
 TEMPOS = (1, 2, 4)

@@ -75,8 +75,7 @@ class Subject:
         self_shadow: False leaves out shadow of the face on itself, which takes seconds to measure.
 
     Attributes:
-        topology: The mesh that `pose` moves. A tracker cannot follow the regions that are named
-            ``mouth_interior``; `render_subject` leaves them out of the tracked mesh.
+        topology: The mesh that `pose` moves.
     """
 
     def __init__(

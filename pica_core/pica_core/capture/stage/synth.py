@@ -36,7 +36,7 @@ from pica_core.capture.stage.expressions import (
 )
 from pica_core.capture.stage.subject import Subject
 from pica_core.capture.stage.tracked_topology import NUM_VERTICES, track_topology
-from pica_core.capture.stage.tracker import SimulatedTracker, head_to_world, lagged_arkit
+from pica_core.capture.stage.tracker import SimulatedTracker, head_to_world
 from pica_core.errors import CaptureError, check_ranges
 from pica_core.types import ByteArray, FloatArray
 
@@ -127,10 +127,7 @@ OPENING = (
     blend(mouthSmile=0.9),
     blend(mouthPucker=0.9),
 )
-"""Expressions that the tracked mesh is chosen by: at rest, lips and lids hide much of themselves.
-"""
-LEAST_LAG = 0.003
-"""Smaller differences of a lagging expression are not worth posing a head for."""
+"""Expressions that the tracked mesh is chosen by: at rest, lips and lids hide much."""
 _USED = "not empty, and no interrupted render of the same options; name another directory"
 
 
@@ -244,10 +241,7 @@ class _Rendering:
         """Draw and write one frame; its tracked mesh comes last."""
         frame, time_s = f"{index:06d}", index * STRIDE / RATE_HZ
         arkit = take.arkit[index]
-        behind = lagged_arkit(arkit, take.history[index])
-        is_late = self.tracker.lag_weight.any() and np.abs(behind - arkit).max() > LEAST_LAG
-        lagged = self.subject.pose(behind) if is_late else None
-        exact = self.subject.pose(arkit)  # which is what is drawn
+        exact = self.subject.pose(arkit)
         pose = head_to_world(self.options.seed, number, time_s)
         views = []
         for camera in self.cameras:
@@ -269,8 +263,7 @@ class _Rendering:
         multiface.write_aside(
             self.out / multiface.transform_path(take.segment, frame), text.encode()
         )
-        places, late = exact[self.tracked], (exact if lagged is None else lagged)[self.tracked]
-        tracked = self.tracker.follow(places, late, number, time_s)
+        tracked = self.tracker.follow(exact[self.tracked], number, time_s)
         truth = multiface.mesh_path(take.segment, frame, multiface.TRUTH_MESH)
         multiface.write_aside(self.out / truth, _millimetres(exact).tobytes())
         self.writer.finish()

@@ -1,9 +1,8 @@
 """What a face tracker gets wrong, put on exact vertices: sub-millimetre, as good trackers are.
 
-- A smooth error over the face that drifts with time: part of it stays for the whole capture (a
-  template that does not quite fit), the rest wanders over half a second. Errors along the surface
-  are larger than across it: images hold a surface better than they hold its sliding.
-- Lag where lips move fast: a tracker that smooths over time is behind.
+A smooth error over the face drifts with time: part of it stays for the whole capture (a template
+that does not quite fit), the rest wanders over half a second. Errors along the surface are larger
+than across it: images hold a surface better than they hold its sliding.
 
 Amounts by region are in `SPREAD_MM`; they are chosen, not measured on a tracker. `capture.json`
 states what came of them, and `docs/capture.md` shows it.
@@ -14,7 +13,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from pica_core.capture.dataset.files import Topology
-from pica_core.capture.triangles import nearest, vertex_normals
+from pica_core.capture.triangles import vertex_normals
 from pica_core.types import Float64Array, FloatArray, Int64Array
 
 WAVES = 3
@@ -63,11 +62,6 @@ LASTING_SHARE = 0.35
 """Share of the variance that stays through the capture."""
 ACROSS = 0.5
 """How much of the error across the surface is left."""
-LAG = 0.13
-"""Share of the previous thirtieth of a second that a lagging lip keeps: a first-order filter with a
-time constant of 16 ms."""
-LAG_REACH_M = 0.012
-"""How far from the lips the lag fades."""
 LIMIT_MM = 0.98
 """No vertex is farther off than this."""
 
@@ -89,45 +83,18 @@ class SimulatedTracker:
         _, first, number = np.unique(places, return_index=True, return_inverse=True)
         self._one_point = first[number.reshape(-1)]
         self._spread_m = 0.001 * topology.by_region(SPREAD_MM, ELSEWHERE_MM)[:, None]
-        self.lag_weight = _lag_weight(topology, rest_m)
 
-    def follow(
-        self, exact_m: FloatArray, lagged_m: FloatArray, take: int, time_s: float
-    ) -> FloatArray:
-        """What the tracker says of its vertices: metres, float32 ``[Vt, 3]``.
-
-        Args:
-            exact_m: The tracked vertices where they are, metres. ``[Vt, 3]``.
-            lagged_m: Where they would be for `lagged_arkit`.
-        """
+    def follow(self, exact_m: FloatArray, take: int, time_s: float) -> FloatArray:
+        """What the tracker says of its vertices, which are at `exact_m`: metres, ``[Vt, 3]``."""
         random = np.random.default_rng([self._seed, 0x7AC5, take])
         drift = smooth_signals(random, 3 * FIELD_WAVES, DRIFT_S, time_s)
         strengths = np.sqrt(LASTING_SHARE) * self._lasting + np.sqrt(1 - LASTING_SHARE) * drift
         error = self._field @ strengths.reshape(-1, 3) * self._spread_m
         normals = vertex_normals(exact_m, self._faces)
         error -= (1 - ACROSS) * (error * normals).sum(axis=1, keepdims=True) * normals
-        error += self.lag_weight[:, None] * (lagged_m.astype(np.float64) - exact_m)
         limit = 0.001 * LIMIT_MM
         error *= limit / np.sqrt(limit**2 + (error**2).sum(axis=1, keepdims=True))
         return (exact_m + error[self._one_point]).astype(np.float32)
-
-
-def lagged_arkit(arkit: FloatArray, history: FloatArray) -> FloatArray:
-    """The expression that a lagging tracker still shows, of now ``[52]`` and of one, two ...
-    thirtieths of a second ago ``[K, 52]``."""
-    result = np.asarray(history[-1], np.float32)
-    for values in [*history[-2::-1], arkit]:
-        result = (LAG * result + (1 - LAG) * values).astype(np.float32)
-    return result
-
-
-def _lag_weight(topology: Topology, rest_m: FloatArray) -> Float64Array:
-    """1 at the lips, 0 from three times `LAG_REACH_M` on. float64 ``[Vt]``."""
-    lips = topology.region("lips")
-    if not lips.any():
-        return np.zeros(len(rest_m))
-    distance = nearest(rest_m, rest_m[lips])[1]
-    return np.where(distance > 3 * LAG_REACH_M, 0.0, np.exp(-((distance / LAG_REACH_M) ** 2)))
 
 
 TURN_DEG = (2.5, 3.5, 1.5)

@@ -58,7 +58,6 @@ def test_the_moments_of_an_own_take_that_differ_most_are_taken(tmp_path: Path) -
 
     assert take.split == "train"
     np.testing.assert_allclose(take.arkit.max(1), [0.9, 0.8, 0.79], atol=1e-3)
-    np.testing.assert_allclose(take.history[2, :, 9], [0.8, 0, 0], atol=1e-3)
 
 
 def test_a_take_of_pica_track_is_read(tmp_path: Path) -> None:
