@@ -22,7 +22,6 @@ from pica_client.avatars import fetch as avatar_fetch
 from pica_client.avatars.fetch import AvatarCache, AvatarFetcher, DownloadError, download, store_url
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.avatars.upload import AvatarGiver, PushError, push_avatar
-from pica_client.errors import OptionError
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.connect import trusting
 from pica_core.avatar.file import Avatar, load_avatar, save_avatar
@@ -323,14 +322,6 @@ async def test_a_refused_avatar_says_why_and_whether_later_will_help(toy: Avatar
     with pytest.raises(PushError, match="no answer") as caught:
         await push("ws://127.0.0.1:9", toy.path)
     assert caught.value.is_worth_retrying
-
-
-@pytest.mark.asyncio
-async def test_files_that_cannot_be_read_are_named(toy: AvatarFile, tmp_path: Path) -> None:
-    with pytest.raises(AvatarFileError, match=r"nowhere\.pica: cannot be read"):
-        await push("ws://127.0.0.1:9", tmp_path / "nowhere.pica")
-    with pytest.raises(OptionError, match="token-file"):
-        await push("ws://127.0.0.1:9", toy.path, token_file=tmp_path / "nowhere")
 
 
 @pytest.mark.asyncio

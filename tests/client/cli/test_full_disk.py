@@ -16,7 +16,7 @@ from pica_client.e2ee.secret import RoomSecret, load_secret, save_secret
 from pica_client.errors import OptionError
 from pica_client.output import writing_whole
 from pica_client.ui.recorder import save_png
-from pica_core.avatar.file import load_avatar, save_avatar
+from pica_core.avatar.file import save_avatar
 from pica_core.errors import AvatarFileError
 from pica_server.auth.tokens import load_keys
 from pica_server.cli.token import TokenOptions, token
@@ -67,12 +67,6 @@ def test_what_was_there_stays_whole(
     with room_for(1000), pytest.raises(refusal):
         write(path)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_an_avatar_measured_into_its_own_file_is_read_again(tmp_path: Path) -> None:
-    save_avatar(tmp_path / "a.pica", make_toy_avatar())
-    save_avatar(tmp_path / "a.pica", load_avatar(tmp_path / "a.pica"))
-    assert load_avatar(tmp_path / "a.pica").manifest.name
 
 
 def test_half_a_secret_does_not_stand_in_the_way_of_the_next_try(tmp_path: Path) -> None:

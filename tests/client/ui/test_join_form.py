@@ -137,11 +137,6 @@ NEVER_AT_THE_FORM = {
 }
 
 
-def caused(error: Exception, cause: BaseException) -> Exception:
-    error.__cause__ = cause
-    return error
-
-
 def test_every_close_code_that_ends_a_join_has_words_and_a_remedy() -> None:
     final = {code for code in CloseCode if not is_worth_retrying(code)} - NEVER_AT_THE_FORM
     assert final <= REFUSALS.keys()
@@ -150,24 +145,11 @@ def test_every_close_code_that_ends_a_join_has_words_and_a_remedy() -> None:
         assert remedy.endswith(".")
 
 
-@pytest.mark.parametrize(
-    ("cause", "said"),
-    [
-        (ConnectionRefusedError(111, "Connect call failed"), "No relay answers"),
-        (socket.gaierror(-2, "Name or service not known"), "no computer of that name"),
-        (ssl.SSLCertVerificationError("self-signed"), "certificate is not trusted"),
-        (ssl.SSLError("wrong version number"), "does not encrypt"),
-        (EOFError("stream ended"), "not a PiCA relay"),
-        (TimeoutError(), "No relay answers"),
-    ],
-)
-def test_what_the_network_says_is_put_into_words(cause: Exception, said: str) -> None:
-    middle = caused(RelayUnreachableError("inner"), cause)
-    trouble = explain(caused(RelayUnreachableError("no relay answers at ws://x"), middle))
-    assert said in trouble.what
-    assert trouble.remedy
-    assert trouble.details == "no relay answers at ws://x"
-    assert "Errno" not in trouble.what + trouble.remedy
+def unreachable(cause: BaseException) -> Exception:
+    """What joining raises where the network said something, two steps down."""
+    middle, error = RelayUnreachableError("inner"), RelayUnreachableError("no relay at ws://x")
+    middle.__cause__, error.__cause__ = cause, middle
+    return error
 
 
 @pytest.mark.parametrize(
@@ -181,6 +163,12 @@ def test_what_the_network_says_is_put_into_words(cause: Exception, said: str) ->
         (OptionError("name must not be empty"), "enter your name"),
         (OptionError("ca-file x: No such file"), "CA file cannot be used"),
         (RuntimeError("boom"), "did not work"),
+        (unreachable(ConnectionRefusedError(111, "Connect call failed")), "No relay answers"),
+        (unreachable(TimeoutError()), "No relay answers"),
+        (unreachable(socket.gaierror(-2, "Name or service not known")), "no computer of that name"),
+        (unreachable(ssl.SSLCertVerificationError("self-signed")), "certificate is not trusted"),
+        (unreachable(ssl.SSLError("wrong version number")), "does not encrypt"),
+        (unreachable(EOFError("stream ended")), "not a PiCA relay"),
     ],
 )
 def test_errors_of_joining_are_put_into_words(error: Exception, said: str) -> None:

@@ -230,22 +230,6 @@ def test_who_comes_moves_the_others_aside_step_by_step() -> None:
         assert middle_of(viewer, 1) == pytest.approx(640 - ways[-1], abs=2)
 
 
-def test_a_click_on_the_bar_is_not_one_on_the_head_behind_it() -> None:
-    with Viewer(
-        Faces("ada"),
-        replace(SMALL, size="640x360"),
-        state=ViewState(layout="grid"),
-    ) as viewer:
-        do(viewer, point(320, 100), lambda io: io.add_mouse_wheel_event(0, 40))
-        step_until_decoded(viewer, 0.5)
-        do(viewer, point(320, 340))
-        step_until_decoded(viewer)
-        step_until_decoded(viewer, 1.1)
-        assert viewer.pick(320, 340) == 0
-        click(viewer, 320, 340, 1.2)
-        assert viewer.state.pinned is None
-
-
 def test_the_help_covers_nobody() -> None:
     source = Faces(*"abcde")
     options = replace(SMALL, size="1280x720")

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations, pairwise
 
+import numpy as np
 import pytest
 from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
@@ -14,10 +15,6 @@ from helpers.hand import Hand, open_hand, point
 from pica_client.call.participants import Participant
 from pica_client.call.status import CallStatus
 from pica_client.publish.face_controls import TrackerPreview
-from pica_client.render.scene import head_rect_px
-from pica_client.render.seats import LAYOUTS, Layout, plan_seats
-from pica_client.render.views import ViewState as Orbit
-from pica_client.render.views import plan_camera
 from pica_client.ui.actions import Action
 from pica_client.ui.call_view import (
     LOUD_NOTICE_S,
@@ -31,17 +28,15 @@ from pica_client.ui.call_view import (
 from pica_client.ui.panels.bar import control_bar, leave_question
 from pica_client.ui.panels.overlay import (
     NO_FACE,
+    OWN_PT,
     banner,
     call_signs,
-    free_shares,
     names,
     own_face,
-    own_face_height,
     own_signs,
     signs,
 )
 from pica_client.ui.state import ViewState
-from pica_client.ui.surface.style import metrics_for
 from pica_client.ui.surface.surface import ON_PICTURE
 from pica_client.ui.surface.widgets import as_drawn
 
@@ -150,19 +145,6 @@ def test_room_and_recordings_stand_on_the_picture() -> None:
     ]
 
 
-@pytest.mark.parametrize("layout", LAYOUTS)
-def test_on_a_small_picture_no_head_reaches_into_the_signs(layout: Layout) -> None:
-    free = free_shares(STATE, CALL, metrics_for((320, 240)))
-    for count in (1, 2, 5, 7):
-        for pinned in (None, 0):
-            plan = plan_seats(layout, count, 320 / 240, pinned=pinned, free=free)
-            camera = plan_camera(plan, Orbit(), 320, 240)
-            for seat in plan.seats:
-                rect = head_rect_px(camera, seat)
-                assert rect is not None
-                assert rect[1] >= free.top * 240 - 4
-
-
 def test_signs_stand_beside_and_below_each_other_on_any_picture() -> None:
     long = "No sound: " + "something is away, " * 9
     call = replace(CALL, notices=(Notice(long, "alert"), Notice("Ada left", "plain")))
@@ -203,12 +185,16 @@ def test_notices_stand_for_a_while_and_loud_ones_longer() -> None:
     assert board.shown(10.0 + LOUD_NOTICE_S) == ()
 
 
-@pytest.mark.parametrize("mode", ["sent", "muted"])
-def test_the_own_face_is_shown_where_there_is_room(hand: Hand, mode: str) -> None:
-    state = replace(STATE, own_face=mode)  # type: ignore[arg-type]
-    assert own_face_height(state, metrics_for((1280, 720))) > 80
-    call = replace(CALL, own=OwnFaceView(texture=1, seen=TrackerPreview(True, None)))
-    assert hand.frame(lambda metrics: own_face(state, call, metrics)) == []
+def test_the_own_face_stands_beside_what_the_camera_sees(hand: Hand) -> None:
+    picture = np.zeros((48, 64, 3), np.uint8)
+    own = OwnFaceView(texture=1, camera=2, seen=TrackerPreview(True, picture))
+    call = replace(CALL, own=own)
+    for shows_self, width in ((False, 0), (True, 2 * 4 / 3 * OWN_PT)):
+        state = replace(STATE, shows_self=shows_self)
+        for _ in range(2):
+            hand.frame(lambda metrics, state=state: own_face(state, call, metrics))  # type: ignore[misc]
+        window = imgui.internal.find_window_by_name("own face")
+        assert (window.size.x if window else 0) == pytest.approx(width, abs=12)
 
 
 SCRIPTS = ["Ada", "Ольга", "Ελένη", "李小龍 さくら 김", "שרה", "مريم", "กานดา", "आशा", "Ani 😀🎉"]
