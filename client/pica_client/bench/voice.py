@@ -83,12 +83,14 @@ class _Ear:
         sounds: What came out, 20 ms each.
         moments: When each sample was captured; NaN where nothing was heard. ``[ticks, FRAME]``.
         counted: (time, played, concealed, stretched) after each tick.
+        is_loud: Whether speech was in the last 20 ms, each time that `heard_us` was asked.
     """
 
     def __init__(self, packets: Sequence[tuple[float, Frame]]) -> None:
         self.sounds: list[FloatArray] = []
         self.moments: list[Array] = []
         self.counted: list[tuple[float, int, int, int]] = []
+        self.is_loud: list[bool] = []
         self.cpu_s = 0.0
         self._buffer, self._voice = JitterBuffer(OpusDecoder()), HeardVoice()
         self._waiting = deque(packets)
@@ -108,6 +110,7 @@ class _Ear:
             self.moments.append(moments)
             self.counted.append((tick_s, report.played, report.concealed, report.stretched))
         self.cpu_s += time.process_time() - begin_s
+        self.is_loud.append(bool(self.sounds) and float(np.std(self.sounds[-1])) > SPOKEN_RMS)
         return self._voice.at(now)
 
     @property
@@ -215,8 +218,10 @@ def _timing(ear: _Ear, ticks: Sequence[Tick], loud: Array, schedule: Schedule) -
     is_troubled = (counted[:, 0] >= begin_s) & (counted[:, 0] < end_s)
     delays_s, counts = ear.delays_s[is_troubled], counted[is_troubled]
     skews, num_held = [], 0
-    for tick in ticks:
-        if tick.played is None or tick.heard_us is None or not begin_s <= tick.now_s < end_s:
+    for tick, is_loud in zip(ticks, ear.is_loud, strict=True):
+        if tick.played is None or tick.heard_us is None or not is_loud:
+            continue
+        if not begin_s <= tick.now_s < end_s:
             continue
         place = int((tick.heard_us - CLOCK_OFFSET_US) / 1e6 / FRAME_S)
         if 0 <= place < len(loud) and loud[place]:
