@@ -14,16 +14,18 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pica_core.capture.rig.cards import cut
 from pica_core.capture.rig.gltf_file import MAX_ELEMENTS, WIDTH, GltfFile, count_of, extension
 from pica_core.capture.rig.source import (
     RigImage,
     RigSource,
     check_counts,
     check_source,
+    opacity_at,
     open_image,
 )
 from pica_core.errors import CaptureError
-from pica_core.types import BoolArray, Float64Array, FloatArray, IntArray
+from pica_core.types import Array, Float64Array, FloatArray, Int64Array, IntArray
 
 TRIANGLES = 4
 MAX_NODE_DEPTH = 64
@@ -312,7 +314,6 @@ def _read(file: GltfFile) -> RigSource:
     shapes: dict[str, FloatArray] = {}
     for name, span, delta in builder.targets:
         shapes.setdefault(name, np.zeros((builder.count, 3), np.float32))[span] += delta
-    faces = np.concatenate(builder.faces)
     material = np.concatenate(builder.material)
     names = [look.name for look in builder.materials]
     if material.max() < len(names) - 1:
@@ -321,10 +322,10 @@ def _read(file: GltfFile) -> RigSource:
     if any(part is not None for part in builder.uv):  # what has none gets islands of its own
         each = zip(builder.uv, builder.positions, strict=True)
         uv = np.concatenate([np.zeros((len(p), 2)) if part is None else part for part, p in each])
-    return RigSource(
+    source = RigSource(
         path=path,
         positions=np.concatenate(builder.positions),
-        faces=faces,
+        faces=np.concatenate(builder.faces),
         uv=uv,
         materials=tuple(names),
         face_material=material,
@@ -332,25 +333,40 @@ def _read(file: GltfFile) -> RigSource:
         copyright=str(file.root.get("asset", {}).get("copyright", ""))[:500],
         images={k: m.image for k, m in enumerate(builder.materials) if m.image is not None},
         colours=np.concatenate(builder.colours).astype(np.float32),
-        see_through=_see_through(builder.materials, faces, material, uv),
     )
+    for index, look in enumerate(builder.materials):
+        if look.cutoff is not None and (source.face_material == index).any():
+            source = _cut(source, index, look.alpha, look.cutoff)
+    return source
 
 
-def _see_through(
-    materials: list[_Material], faces: IntArray, material: IntArray, uv: Float64Array | None
-) -> BoolArray:
-    """Triangles of lenses, tear films and cut-out cards whose middle hides little. bool ``[F]``."""
-    clear = np.zeros(len(faces), np.bool_)
-    for index, look in enumerate(materials):
-        mine = np.flatnonzero(material == index)
-        if look.cutoff is None:
-            continue
-        alpha = np.full(len(mine), look.alpha)
-        if look.image is not None and uv is not None:
-            opacity = look.image.pixels[..., 3]
-            height, width = opacity.shape
-            place = np.mod(uv[faces[mine]].mean(1), 1.0) * [width, height]
-            column, row = np.minimum(place, [width - 1, height - 1]).astype(np.int64).T
-            alpha *= opacity[row, column] / 255
-        clear[mine] = alpha < look.cutoff
-    return clear
+def _cut(source: RigSource, index: int, alpha: float, cutoff: float) -> RigSource:
+    """Leave of a material what hides what is behind: of lenses nothing, of cards their picture."""
+    mine = np.flatnonzero(source.face_material == index)
+    faces, image, uv = source.faces[mine], source.images.get(index), source.uv
+
+    def opacity(chosen: Int64Array, points: Float64Array) -> Float64Array:
+        if image is None or uv is None:
+            return np.full((len(chosen), len(points)), alpha)
+        return alpha * opacity_at(image, np.einsum("kc,ncd->nkd", points, uv[faces[chosen]]))
+
+    whole, at, weights, pieces = cut(faces, opacity, cutoff)
+
+    def grown(values: Array) -> Array:
+        more = np.einsum("nc,ncd->nd", weights, values[at])
+        return np.concatenate([values, more.astype(values.dtype)])
+
+    keep = np.ones(len(source.faces), np.bool_)
+    keep[mine[~whole]] = False
+    vertices, kept = len(source.positions) + len(at), int(keep.sum()) + len(pieces)
+    check_counts(str(source.path), vertices=vertices, faces=kept, shapes=len(source.shapes))
+    numbers = (pieces + len(source.positions)).astype(np.int32)
+    return replace(
+        source,
+        positions=grown(source.positions),
+        faces=np.concatenate([source.faces[keep], numbers]),
+        uv=None if uv is None else grown(uv),
+        face_material=np.append(source.face_material[keep], np.full(len(pieces), index, np.int32)),
+        shapes={name: grown(delta) for name, delta in source.shapes.items()},
+        colours=grown(source.colours),
+    )

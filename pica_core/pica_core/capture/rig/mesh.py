@@ -309,7 +309,7 @@ def build_mesh(source: RigSource, names: NameMap) -> RigMesh:
     faces = group[source.faces].astype(np.int32)
     uv_faces, material = source.faces, source.face_material
     overlay = [k for k, name in enumerate(source.materials) if OVERLAY.search(name)]
-    shown = ~np.isin(material, overlay) & ~source.see_through
+    shown = ~np.isin(material, overlay)
     shown &= (faces != np.roll(faces, 1, axis=1)).all(1)
     if not shown.any():
         raise CaptureError(f"{source.path}: no face is left without transparent materials")
@@ -319,7 +319,8 @@ def build_mesh(source: RigSource, names: NameMap) -> RigMesh:
     named[faces[shown & np.isin(material, called)]] = True
     eyes, hidden = _find_eyes(rest, motion, label, middle_x, named)
     shown &= ~hidden[faces].any(1)
-    dropped = [source.materials[k] for k in np.unique(material) if not shown[material == k].any()]
+    remaining = np.unique(material[shown])
+    dropped = [name for k, name in enumerate(source.materials) if k not in remaining]
     faces, material, uv_faces = faces[shown], material[shown], uv_faces[shown]
     part = _parts(source, material, faces, len(rest), eyes)
     offset = np.array(EYES_AT_M) - _eye_point(rest, motion, eyes, middle_x)

@@ -9,10 +9,11 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
+from scipy.ndimage import map_coordinates
 
 from pica_core.capture.dataset.files import IMAGE_FORMATS
 from pica_core.errors import CaptureError
-from pica_core.types import BoolArray, ByteArray, Float64Array, FloatArray, IntArray
+from pica_core.types import ByteArray, Float64Array, FloatArray, IntArray
 
 MAX_VERTICES = 500_000
 MAX_FACES = 1_000_000
@@ -49,7 +50,6 @@ class RigSource:
         copyright: What the file says of its rights.
         images: Base colour image of a material, where the file has one.
         colours: Linear RGB that images are multiplied with. float32 ``[V, 3]``.
-        see_through: Triangles that hide nothing, such as lenses. bool ``[F]``.
     """
 
     path: Path
@@ -62,7 +62,6 @@ class RigSource:
     copyright: str
     images: dict[int, RigImage]
     colours: FloatArray
-    see_through: BoolArray
 
 
 def check_counts(where: str, *, vertices: int, faces: int, shapes: int) -> None:
@@ -104,7 +103,6 @@ def check_source(source: RigSource) -> RigSource:
         source,
         faces=source.faces[keep],
         face_material=source.face_material[keep],
-        see_through=source.see_through[keep],
     )
 
 
@@ -128,3 +126,18 @@ def open_image(where: str, data: bytes) -> ByteArray:
             return np.asarray(image.convert("RGBA"))
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise CaptureError(f"{where}: not a complete image ({error})") from error
+
+
+def opacity_at(image: RigImage, uv: Float64Array) -> Float64Array:
+    """Opacity 0 to 1 of an image at texture coordinates ``[..., 2]``, linear between pixels."""
+    fold = {
+        "repeat": lambda t: np.mod(t, 1.0),
+        "mirror": lambda t: 1 - np.abs(np.mod(t, 2.0) - 1),
+        "clamp": lambda t: np.clip(t, 0.0, 1.0),
+    }
+    opacity = image.pixels[..., 3]
+    height, width = opacity.shape
+    column, row = (fold[how](uv[..., axis]) for axis, how in enumerate(image.wrap))
+    at = [row * height - 0.5, column * width - 0.5]
+    found: Float64Array = map_coordinates(opacity, at, np.float64, order=1, mode="nearest")
+    return found / 255
