@@ -5,7 +5,6 @@ What moves between the websockets and the hub, `pica_server.net.pump` moves.
 
 import asyncio
 import logging
-import math
 import secrets
 import socket
 import time
@@ -40,6 +39,9 @@ from pica_server.store.uploads import Uploads
 if TYPE_CHECKING:
     from pica_server.placement.placement import RoomPlacement
 
+_RECEIVE_BUFFER_BYTES = 4096
+"""Bytes of one client that the kernel may hold for the relay, and may round up (chosen: when it is
+full, clients thin what they send; what is under way on a long line is no more, either)."""
 _MAX_QUEUED_MESSAGES = 16
 """Messages read ahead from one websocket before its socket is left alone."""
 _WRITE_LIMIT_BYTES = 1  # of 0, TLS of the standard library would make no end of waiting
@@ -69,7 +71,7 @@ class Relay:
         self.config = config
         keys: KeyRing | None = None
         if config.keys is not None:
-            keys = load_keys(config.keys, max_token_s=config.max_token_s or math.inf)
+            keys = load_keys(config.keys)
         self.hub = Hub(
             config,
             None if keys is None else lambda join: admit(keys, join, now=unix_time()),
@@ -174,7 +176,7 @@ class Relay:
                 "choose another --port (0 takes a free one) or --host"
             ) from error
         for sock in self._server.sockets:
-            bound_receive_buffer(sock, config.receive_buffer_bytes)
+            bound_receive_buffer(sock, _RECEIVE_BUFFER_BYTES)
         if self._placement is not None:
             try:
                 await self._placement.start(config.public_url or self.url)

@@ -9,7 +9,6 @@ keeping the old one in the file until its last token has expired.
 
 import base64
 import binascii
-import math
 import os
 import secrets
 import stat
@@ -64,14 +63,10 @@ class KeyRing:
     """Signing keys by id, the newest last.
 
     The file has one key on each line, its id and its secret in base64url; ``#`` begins a comment.
-
-    Attributes:
-        max_token_s: The longest time that a token signed with one of them may hold to be taken.
     """
 
     def __init__(self, keys: Mapping[str, bytes]) -> None:
         self._keys = dict(keys)
-        self.max_token_s = math.inf
 
     @classmethod
     def parse(cls, text: str) -> "KeyRing":
@@ -120,8 +115,8 @@ class KeyRing:
         return self._keys.get(key_id)
 
 
-def load_keys(path: Path, *, max_token_s: float = math.inf) -> KeyRing:
-    """Read a key file; a token that holds for longer than ``max_token_s`` is not taken.
+def load_keys(path: Path) -> KeyRing:
+    """Read a key file.
 
     Raises:
         KeyFileError: It cannot be read, or used, or anybody may write their own key into it.
@@ -129,14 +124,12 @@ def load_keys(path: Path, *, max_token_s: float = math.inf) -> KeyRing:
     try:
         if os.name == "posix" and path.stat().st_mode & stat.S_IWOTH:
             raise KeyFileError("anybody can write keys into it: make new ones, for its owner")
-        keys = KeyRing.parse(text_of_file(path.read_bytes()))
+        return KeyRing.parse(text_of_file(path.read_bytes()))
     except (OSError, UnicodeDecodeError) as error:
         what = error.strerror if isinstance(error, OSError) else "no text"
         raise KeyFileError(f"--keys {path}: {what}") from error
     except KeyFileError as error:
         raise KeyFileError(f"--keys {path}: {error}") from error
-    keys.max_token_s = max_token_s
-    return keys
 
 
 def mint(
@@ -288,8 +281,6 @@ def _claims_that_hold(keys: KeyRing, token: str, now: float) -> Mapping[str, Any
         raise _unauthorized("the token does not hold yet")
     if now >= ends_s + LEEWAY_S:
         raise _unauthorized("the token has expired")
-    if ends_s - begins_s > keys.max_token_s:
-        raise _unauthorized(f"the token holds for longer than {keys.max_token_s:g} s")
     return claims
 
 

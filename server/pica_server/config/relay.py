@@ -107,9 +107,6 @@ class RelayConfig:
     keys: Path | None = None
     """File of the keys that join tokens are signed with, see `pica token`. With it no one joins
     without a token."""
-    max_token_s: Annotated[float, Range(0, 1e9)] = 0.0
-    """The longest time that a token may hold, in seconds from its beginning to its end, to be taken
-    here; 0 takes any."""
     insecure: bool = False
     """Without keys, listen beyond this machine although anybody who reaches the port may join any
     room."""
@@ -149,15 +146,6 @@ class RelayConfig:
     """Seconds between the pings that find silent peers; a pong is due within the same time."""
     close_timeout_s: Annotated[float, Range(0.05, 600)] = 2.0
     """Seconds a closing handshake may take before the socket is cut."""
-    send_buffer_bytes: Annotated[int, Range(2048, 16_777_216)] = 16_384
-    """Bytes of one connection that the kernel may hold; what waits there is stale and cannot be
-    replaced by newer frames. The kernel may round it up."""
-    receive_buffer_bytes: Annotated[int, Range(2048, 16_777_216)] = 4096
-    """Bytes of one client that the kernel may hold for the relay; when it is full, clients thin
-    what they send. What one client may have under way on a long line is no more, either. The kernel
-    may round it up."""
-    max_control_bytes: Annotated[int, Range(65_536, 16_777_216)] = 262_144
-    """Bytes of control messages that may wait for one peer before it is closed."""
     resume_grace_s: Annotated[float, Range(0, 600)] = 10.0
     """Seconds for which the place of a peer is kept whose connection broke; 0 keeps none."""
     drain_s: Annotated[float, Range(0, 3600)] = 20.0

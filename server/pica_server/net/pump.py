@@ -31,6 +31,9 @@ from pica_server.room.connections import Connection
 from pica_server.room.hub import Hub
 from pica_server.room.outbox import OutboundMessage
 
+_SEND_BUFFER_BYTES = 16_384
+"""Bytes of one connection that the kernel may hold, and may round up (chosen: what waits there is
+stale and cannot be replaced by newer frames)."""
 _UNSENT_BYTES = 512
 """Unsent bytes in the kernel's buffer (chosen: 64 ms of a voice at 64 kbit/s would wait behind
 them)."""
@@ -94,7 +97,7 @@ class Pump:
     async def serve(self, websocket: RelaySocket) -> None:
         """Serve one websocket of a call until it has ended."""
         sock = websocket.transport.get_extra_info("socket")
-        set_tcp_option(sock, socket.SOL_SOCKET, socket.SO_SNDBUF, self._config.send_buffer_bytes)
+        set_tcp_option(sock, socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
         if hasattr(socket, "TCP_NOTSENT_LOWAT"):
             set_tcp_option(sock, socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, _UNSENT_BYTES)
         hub, began_s = self._hub, self._now()

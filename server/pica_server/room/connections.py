@@ -116,7 +116,7 @@ class Connections:
         """
         config, limits = self.config, self.config.limits
         session = ServerSession(software=SOFTWARE, now=now, timeout_s=config.handshake_timeout_s)
-        outbox = Outbox(config.max_control_bytes, self.stats.dropped)
+        outbox = Outbox(self.stats.dropped)
         serial = next(self._serials)
         peer_id = f"p{serial}"
         connection = Connection(serial, session, outbox, limits, address, now, peer_id)

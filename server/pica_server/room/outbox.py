@@ -20,6 +20,8 @@ from pica_protocol.frames import media_message
 from pica_protocol.limits import MAX_MEDIA_MESSAGE_BYTES
 from pica_server.errors import OutboxFullError
 
+MAX_CONTROL_BYTES: Final = 262_144
+"""Control messages that may wait for one peer before it is closed (chosen: twice the largest)."""
 SLOW_S: Final = 5.0
 """How long a receiver counts as slow after its socket was full (chosen)."""
 SLOW_MESSAGE_BYTES: Final = 480
@@ -56,7 +58,6 @@ class Outbox:
     __slots__ = (
         "_control",
         "_drops",
-        "_max_control_bytes",
         "_queue",
         "_slow_until_s",
         "fresh",
@@ -64,14 +65,12 @@ class Outbox:
         "waiting_control_bytes",
     )
 
-    def __init__(self, max_control_bytes: int, drops: Counter[str]) -> None:
+    def __init__(self, drops: Counter[str]) -> None:
         """Begin empty.
 
         Args:
-            max_control_bytes: Control messages that may wait.
             drops: Where frames that are dropped for slowness are counted, by reason.
         """
-        self._max_control_bytes = max_control_bytes
         self._drops = drops
         self._control: deque[OutboundMessage] | None = None
         self.waiting_control_bytes = 0
@@ -111,7 +110,7 @@ class Outbox:
         Raises:
             OutboxFullError: The receiver has let too many pile up; nothing was queued.
         """
-        if self.waiting_control_bytes + len(data) > self._max_control_bytes:
+        if self.waiting_control_bytes + len(data) > MAX_CONTROL_BYTES:
             raise OutboxFullError(
                 f"{self.waiting_control_bytes} bytes of control messages wait unread"
             )

@@ -269,18 +269,6 @@ def test_a_key_file_that_anybody_may_write_is_refused(tmp_path: Path) -> None:
     assert load_keys(path)
 
 
-def test_a_token_that_holds_for_longer_than_the_relay_takes_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "keys"
-    path.write_text(KeyRing.new_line())
-    keys = load_keys(path, max_token_s=3600)
-    for lasts_s, complaint in ((3600, None), (3601, "holds for longer than 3600 s")):
-        minted = mint(keys, "lobby", ADA, now=NOW, lasts_s=lasts_s, starts_s=0)
-        expected = pytest.raises(AdmissionError, match=complaint) if complaint else None
-        with expected or contextlib.nullcontext():
-            # Also when it would end soon: what was given for a year is not taken on its last day.
-            admit(keys, join(minted), now=NOW + lasts_s - 1)
-
-
 @pytest.mark.parametrize(
     ("field", "value", "complaint"),
     [

@@ -17,6 +17,7 @@ from pica_server.auth.tokens import Admission
 from pica_server.config.relay import LimitsConfig, RelayConfig
 from pica_server.errors import AdmissionError
 from pica_server.room.hub import Hub
+from pica_server.room.outbox import MAX_CONTROL_BYTES
 
 pytestmark = pytest.mark.unit
 
@@ -59,13 +60,13 @@ def test_a_foreign_stream_closes_its_sender_and_forwards_none_of_it() -> None:
 
 def test_a_peer_that_lets_control_pile_up_is_closed_and_the_rest_is_told() -> None:
     limits = LimitsConfig(joins_burst=10_000)
-    config = RelayConfig(max_control_bytes=65_536, room_capacity=64, limits=limits)
+    config = RelayConfig(room_capacity=64, limits=limits)
     hub, (ada, bob) = hub_with("Ada", "Bob", config=config)
-    for i in range(1000):  # people come and go; Bob does not read
+    for i in range(2500):  # people come and go; Bob does not read
         guest = Member(hub, f"Guest {i}", now=1.0)
         hub.disconnect(guest.connection, 1006, "", now=1.0)
         ada.listen(now=1.0)
-        assert bob.connection.outbox.waiting_control_bytes <= 65_536 + 200
+        assert bob.connection.outbox.waiting_control_bytes <= MAX_CONTROL_BYTES + 200
     assert bob.connection.closed is not None
     assert bob.connection.closed.code == CloseCode.TOO_SLOW
     assert bob.session.peer_id not in ada.session.peers
@@ -215,7 +216,7 @@ def test_who_whispers_too_much_is_not_heard_for_a_while() -> None:
 
 
 def test_whispers_do_not_get_a_slow_reader_closed() -> None:
-    hub, (ada, bob) = hub_with("Ada", "Bob", config=RelayConfig(max_control_bytes=65_536))
+    hub, (ada, bob) = hub_with("Ada", "Bob")
     for second in range(60):
         for _ in range(100):
             ada.session.tell(Whisper(peer_id=bob.session.peer_id, data=bytes(512)))

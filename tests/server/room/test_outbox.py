@@ -6,11 +6,9 @@ from pica_protocol.frame_queue import QueuedFrame
 from pica_protocol.frames import Frame, decode_media, encode_frame
 from pica_protocol.limits import MAX_MEDIA_MESSAGE_BYTES
 from pica_server.errors import OutboxFullError
-from pica_server.room.outbox import SLOW_MESSAGE_BYTES, SLOW_S, Outbox
+from pica_server.room.outbox import MAX_CONTROL_BYTES, SLOW_MESSAGE_BYTES, SLOW_S, Outbox
 
 pytestmark = pytest.mark.unit
-
-LIMIT = 100
 
 
 def put(outbox: Outbox, stream: int, sequence: int = 0, size: int = 10, now: float = 0.0) -> None:
@@ -25,7 +23,7 @@ def taken(outbox: Outbox, now: float = 0.0) -> list[tuple[int, int]]:
 
 
 def test_a_receiver_that_keeps_up_gets_all_frames_of_a_turn_in_one_message() -> None:
-    outbox = Outbox(LIMIT, Counter())
+    outbox = Outbox(Counter())
     for stream, sequence in ((1, 0), (2, 0), (1, 1)):
         put(outbox, stream, sequence)
     assert taken(outbox) == [(1, 0), (2, 0), (1, 1)]
@@ -34,7 +32,7 @@ def test_a_receiver_that_keeps_up_gets_all_frames_of_a_turn_in_one_message() -> 
 
 def test_a_slow_receiver_gets_the_newest_frames_in_short_messages() -> None:
     drops: Counter[str] = Counter()
-    outbox = Outbox(LIMIT, drops)
+    outbox = Outbox(drops)
     outbox.note_full(now=0.0)
     for sequence in range(3):
         for stream in range(1, 5):
@@ -46,7 +44,7 @@ def test_a_slow_receiver_gets_the_newest_frames_in_short_messages() -> None:
 
 
 def test_a_message_to_a_slow_receiver_is_short() -> None:
-    outbox = Outbox(LIMIT, Counter())
+    outbox = Outbox(Counter())
     outbox.note_full(now=0.0)
     for stream in range(1, 200):
         put(outbox, stream, size=2)
@@ -56,7 +54,7 @@ def test_a_message_to_a_slow_receiver_is_short() -> None:
 
 
 def test_control_goes_before_frames_and_in_order() -> None:
-    outbox = Outbox(LIMIT, Counter())
+    outbox = Outbox(Counter())
     put(outbox, 1)
     outbox.put_control(b"first")
     outbox.put_control(b"second")
@@ -66,7 +64,7 @@ def test_control_goes_before_frames_and_in_order() -> None:
 
 
 def test_no_message_is_longer_than_the_limit() -> None:
-    outbox = Outbox(LIMIT, Counter())
+    outbox = Outbox(Counter())
     for stream in range(1, 41):
         put(outbox, stream, size=1184)
     streams = []
@@ -77,25 +75,29 @@ def test_no_message_is_longer_than_the_limit() -> None:
 
 
 def test_control_above_the_limit_is_refused_and_what_waited_is_kept() -> None:
-    outbox = Outbox(LIMIT, Counter())
-    outbox.put_control(bytes(60))
-    with pytest.raises(OutboxFullError, match="60 bytes"):
+    outbox = Outbox(Counter())
+    outbox.put_control(bytes(MAX_CONTROL_BYTES - 40))
+    with pytest.raises(OutboxFullError, match="bytes of control"):
         outbox.put_control(bytes(41))
-    assert outbox.waiting_control_bytes == 60
+    assert outbox.waiting_control_bytes == MAX_CONTROL_BYTES - 40
 
 
 def test_last_words_are_queued_whatever_the_limit_and_frames_are_dropped() -> None:
-    outbox = Outbox(LIMIT, Counter())
-    outbox.put_control(bytes(100))
+    outbox = Outbox(Counter())
+    outbox.put_control(bytes(MAX_CONTROL_BYTES))
     put(outbox, 1)
     assert outbox.finish([b"goodbye"]) == 1
     messages = [outbox.take(0.0) for _ in range(3)]
-    assert [message and message.data for message in messages] == [bytes(100), b"goodbye", None]
+    assert [message and message.data for message in messages] == [
+        bytes(MAX_CONTROL_BYTES),
+        b"goodbye",
+        None,
+    ]
 
 
 @pytest.mark.parametrize("is_slow", [False, True])
 def test_what_waits_of_a_stream_that_stops_is_dropped(is_slow: bool) -> None:
-    outbox = Outbox(LIMIT, Counter())
+    outbox = Outbox(Counter())
     if is_slow:
         outbox.note_full(now=0.0)
     put(outbox, 1)
