@@ -45,6 +45,8 @@ REGION = SHEET_COLUMNS
 """Vertices of a region, a row of the sheet."""
 RANK = PREFIX + "rank"
 MAX_BASES = 128
+MAX_COMPONENTS = 4_000_000
+"""Vertices times bases (chosen: four times what the shipped heads have; 48 MB in memory)."""
 MAX_DIRECTIONS = 8192
 """Directions of all regions (chosen: seven times what the shipped heads have; 6 MB in a file)."""
 
@@ -58,6 +60,11 @@ def linear_shapes(
     for what, count, limit in (("rows", mix[0], MAX_DIRECTIONS), ("columns", mix[1], MAX_BASES)):
         if not 1 <= count <= limit:
             raise ValueError(f"tensor linear.mix has {count} {what}; allowed are 1 to {limit}")
+    if (total := num_vertices * mix[1]) > MAX_COMPONENTS:
+        raise ValueError(
+            f"tensor linear.mix has {mix[1]} columns for {num_vertices} vertices, "
+            f"{total} components; at most {MAX_COMPONENTS} are allowed"
+        )
     directions, count, rows = mix[0], mix[1], -(-num_vertices // REGION)
     return {
         f"{PREFIX}weight": (count, NUM_LATENT),

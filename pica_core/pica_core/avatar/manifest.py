@@ -16,7 +16,9 @@ MAX_TEXT = 200
 MAX_CARD_ENTRIES = 64
 MAX_CARD_TEXT = 2000
 MAX_POSITION_SCALE_M = 10.0
-MAX_EXTENT_M = 10.0
+MAX_EXTENT_M = 0.45
+"""How far an avatar reaches from its head's origin along an axis: a bust takes 0.21 m to a side and
+0.40 m down, and what is drawn stays in the box, so that none sits in another's seat."""
 MAX_MAP_SIZE = 512
 MAX_DECODE_MULTIPLY_ADDS = 256_000_000
 """What a decode of both maps may take (chosen: eight times what the shipped avatars take, twice

@@ -26,6 +26,7 @@ from pica_core.avatar.file import (
     load_avatar,
     save_avatar,
 )
+from pica_core.avatar.linear import linear_shapes
 from pica_core.avatar.manifest import MAX_DECODE_MULTIPLY_ADDS, MAX_PIXEL_MULTIPLY_ADDS
 from pica_core.avatar.spec import BLOCKS, AvatarSpec
 from pica_core.avatar.variants import VARIANTS, pixel_codec_cost
@@ -173,7 +174,8 @@ def test_a_hostile_header_is_refused(text: bytes) -> None:
         ("variant", "unheard_of", "variant"),
         ("position_scale_m", 1e9, "position_scale_m"),
         ("position_scale_m", "1", "position_scale_m"),
-        ("bounds_min_m", [1, 1, 1], "bounds_min_m is not below"),
+        ("bounds_min_m", [0.4, 0.4, 0.4], "bounds_min_m is not below"),
+        ("bounds_max_m", [0.7, 0.2, 0.2], "a number from -0.45 to 0.45"),  # another's seat
         ("view_span", [5, 40, -20, 20], "view from the front"),
         ("view_span", [-40, 40, -20], "must be 4 numbers"),
         ("view_span", [-40, 400, -20, 20], "a number from -180 to 180"),
@@ -190,6 +192,12 @@ def test_a_manifest_out_of_its_limits_is_refused(
     changed = with_manifest(toy_bytes, lambda manifest: manifest.update({field: value}))
     with pytest.raises(AvatarFileError, match=message):
         load_avatar(changed)
+
+
+def test_bases_of_more_components_than_fit_into_memory_are_refused_unread() -> None:
+    assert linear_shapes({"linear.mix": (8192, 64)}, 60_000)
+    with pytest.raises(ValueError, match="25600000 components; at most 4000000"):
+        linear_shapes({"linear.mix": (8192, 128)}, 200_000)
 
 
 @pytest.mark.parametrize(
