@@ -10,26 +10,18 @@ import asyncio
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.call.call import Call
 from pica_client.endpoint.endpoint import Receiver, Sender
-from pica_client.publish.publisher import SenderConfig
-from pica_client.sources import open_source
+from pica_client.publish.publisher import SenderConfig, open_face
 from pica_client.transport.config import LinkConfig
-from pica_core.avatar.file import avatar_id, load_avatar
-from pica_core.avatar.shipped import shipped_avatar_files
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
 
 
 async def main() -> None:
     loop = asyncio.get_running_loop()
-    file, library = shipped_avatar_files()[0], AvatarLibrary()
+    library = AvatarLibrary()
     async with Relay(RelayConfig(port=0)) as relay:
-        sender = Sender(
-            SenderConfig(seconds=2.0),
-            LinkConfig(url=relay.url, name="Ada"),
-            open_source("performance:talk"),
-            load_avatar(file),
-            avatar_id(file),
-        )
+        link, config = LinkConfig(url=relay.url, name="Ada"), SenderConfig(seconds=2.0)
+        sender = Sender(link, open_face("performance:talk", link, library, print, config=config))
         call = Call(library)
         receiver = Receiver(LinkConfig(url=relay.url, name="me"), call)
         receiving, sending = asyncio.create_task(receiver.run()), asyncio.create_task(sender.run())

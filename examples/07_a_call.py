@@ -9,16 +9,14 @@ import asyncio
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.call.call import Call
 from pica_client.endpoint.endpoint import Receiver, Sender
-from pica_client.publish.publisher import SenderConfig
-from pica_client.sources import open_source
+from pica_client.publish.publisher import SenderConfig, open_face
 from pica_client.stats import percentile
 from pica_client.transport.config import LinkConfig
-from pica_core.avatar.file import avatar_id, load_avatar
-from pica_core.avatar.shipped import shipped_avatar_files
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
 
 NAMES = ("Ada", "Ben", "Cho")
+CONFIG = SenderConfig(seconds=2.0)
 
 
 async def main() -> None:
@@ -29,15 +27,10 @@ async def main() -> None:
         call = Call(library)
         receiver = Receiver(LinkConfig(url=relay.url, name="me"), call)
         receiving = asyncio.create_task(receiver.run())
+        links = [LinkConfig(url=relay.url, name=name) for name in NAMES]
         senders = [
-            Sender(
-                SenderConfig(seconds=2.0),
-                LinkConfig(url=relay.url, name=name),
-                open_source(f"performance:talk#{seed}"),
-                load_avatar(file),
-                avatar_id(file),
-            )
-            for seed, (name, file) in enumerate(zip(NAMES, shipped_avatar_files(), strict=False))
+            Sender(link, open_face(f"performance:talk#{seed}", link, library, print, config=CONFIG))
+            for seed, link in enumerate(links)
         ]
         sending = asyncio.gather(*(sender.run() for sender in senders))
         while not sending.done():

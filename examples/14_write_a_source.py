@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from pica_client.endpoint.endpoint import Sender
-from pica_client.publish.publisher import SenderConfig
+from pica_client.publish.publisher import Outgoing, Publisher, SenderConfig
 from pica_client.transport.config import LinkConfig
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT, ExpressionFrame
 from pica_core.avatar.file import avatar_id, load_avatar
@@ -41,7 +41,10 @@ async def main() -> None:
     async with Relay(RelayConfig(port=0)) as relay:
         link = LinkConfig(url=relay.url, name="Nod")
         config = SenderConfig(seconds=2.0)
-        stats = await Sender(config, link, Nodding(), load_avatar(file), avatar_id(file)).run()
+        face = Publisher(config, Nodding(), load_avatar(file), avatar_id(file))
+        sender = Sender(link, Outgoing(face=face))
+        await sender.run()
+    stats = sender.stats()
     print(
         f"{stats['sent']} frames sent, {stats['silent']} not needed, {stats['payload_bps']} bit/s"
     )

@@ -12,7 +12,7 @@ import struct
 import time
 
 from pica_client.endpoint.endpoint import Sender
-from pica_client.publish.publisher import SenderConfig
+from pica_client.publish.publisher import Outgoing, Publisher, SenderConfig
 from pica_client.sources.live.tracker import UdpTracker
 from pica_client.sources.registry import open_live
 from pica_client.transport.config import LinkConfig
@@ -45,18 +45,15 @@ async def main() -> None:
     assert isinstance(source, UdpTracker)
     async with Relay(RelayConfig(port=0)) as relay:
         phone = asyncio.create_task(play_phone(source.port))
-        sender = Sender(
-            SenderConfig(seconds=2.0),
-            LinkConfig(url=relay.url, name="Ada"),
-            source,
-            load_avatar(file),
-            avatar_id(file),
-        )
+        config = SenderConfig(seconds=2.0)
+        face = Publisher(config, source, load_avatar(file), avatar_id(file))
+        sender = Sender(LinkConfig(url=relay.url, name="Ada"), Outgoing(face=face))
         sending = asyncio.create_task(sender.run())
         await asyncio.sleep(1.0)
         jaw = source.frame_at(time.monotonic()).arkit[ARKIT_INDEX["jawOpen"]]
         print(f"the jaw is open by {jaw:.2f}; shown {source.face.delay_s * 1000:.0f} ms after")
-        stats = await sending
+        await sending
+        stats = sender.stats()
         phone.cancel()
     print(f"{source.face.counters['taken']} samples came, {stats['sent']} faces went")
 

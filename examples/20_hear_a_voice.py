@@ -5,21 +5,19 @@ nothing in silence.
 """
 
 import asyncio
+from dataclasses import replace
 
 import numpy as np
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.call.call import Call
 from pica_client.endpoint.endpoint import Receiver, Sender
-from pica_client.publish.publisher import SenderConfig
-from pica_client.sources import open_source
+from pica_client.publish.publisher import SenderConfig, open_face
 from pica_client.transport.config import LinkConfig
 from pica_client.voice.opus import OpusDecoder
 from pica_client.voice.packet import level_of
 from pica_client.voice.publisher import VoicePublisher
 from pica_client.voice.source import SoundSource, shipped_speech
-from pica_core.avatar.file import avatar_id, load_avatar
-from pica_core.avatar.shipped import shipped_avatar_files
 from pica_protocol.frames import Frame
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
@@ -27,27 +25,22 @@ from pica_server.relay import Relay
 
 async def main() -> None:
     heard: list[tuple[Frame, float]] = []
-    library, file = AvatarLibrary(), shipped_avatar_files()[0]
+    library = AvatarLibrary()
     async with Relay(RelayConfig(port=0)) as relay:
         receiver = Receiver(
             LinkConfig(url=relay.url, name="me"),
             Call(library),
             on_voice=lambda peer_id, packet, arrived_s: heard.append((packet, arrived_s)),
-            takes_faces=False,
         )
         receiving = asyncio.create_task(receiver.run())
-        sender = Sender(
-            SenderConfig(seconds=3.0),
-            LinkConfig(url=relay.url, name="Ada"),
-            open_source("performance:talk"),
-            load_avatar(file),
-            avatar_id(file),
-            voice=VoicePublisher(SoundSource(shipped_speech())),
-        )
-        sent = await sender.run()
+        link, config = LinkConfig(url=relay.url, name="Ada"), SenderConfig(seconds=3.0)
+        own = open_face("performance:talk", link, library, print, config=config)
+        sender = Sender(link, replace(own, voice=VoicePublisher(SoundSource(shipped_speech()))))
+        await sender.run()
         receiver.stop()
         await receiving
     library.close()
+    sent = sender.stats()
 
     decoder = OpusDecoder()  # a jitter buffer stands here in a call: it decides what is heard when
     parts = [decoder.decode(packet.payload) for packet, _ in heard]

@@ -21,9 +21,7 @@ from pica_client.call.call import Call
 from pica_client.call.faces import FaceState
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.endpoint.endpoint import Receiver, Sender
-from pica_client.publish.own_face import FaceChoice, open_own_face
-from pica_client.publish.publisher import SenderConfig
-from pica_client.sources import open_source
+from pica_client.publish.publisher import open_face
 from pica_client.transport.config import LinkConfig
 from pica_core.avatar.file import avatar_id, save_avatar
 from pica_server.auth.tokens import Admission, KeyRing, mint
@@ -55,14 +53,10 @@ async def hold_call(relay: Relay, folder: Path, *, also_views: bool = False) -> 
     identity = avatar_id(path)
     link = LinkConfig(url=relay.url, name="stranger")
     own = AvatarLibrary(shipped=[])
-    face = open_own_face(FaceChoice(avatar=str(path)), link, own, lambda line: None)
-    assert face is not None
-    giver = face.giver
+    outgoing = open_face("performance:talk", link, own, lambda line: None, avatar=str(path))
+    giver = outgoing.giver
     assert giver is not None
-    sender: Sender | Receiver = Receiver(link, Call(own), publisher=face.publisher, giver=giver)
-    if not also_views:
-        source = open_source("performance:talk")
-        sender = Sender(SenderConfig(), link, source, own.load(identity), identity, giver=giver)
+    sender = Receiver(link, Call(own), outgoing) if also_views else Sender(link, outgoing)
     library = AvatarLibrary(shipped=[])
     fetcher = AvatarFetcher(library, lambda: relay.url, cache=AvatarCache(folder / "cache"))
     call = Call(fetcher)

@@ -9,7 +9,6 @@ virtual clock: delays are those of the network and of our own waiting.
 from __future__ import annotations
 
 import asyncio
-import random
 from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
@@ -139,7 +138,7 @@ def make_sender(url: str, avatar: Avatar, seconds: float) -> Sender:
 
 def make_receiver(url: str, avatar: Avatar) -> Receiver:
     call = Call(LoadedAvatars({AVATAR_ID: avatar}))
-    return Receiver(config(url, "viewer"), call, rng=random.Random(1))
+    return Receiver(config(url, "viewer"), call)
 
 
 class Display:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import random
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -18,7 +17,7 @@ from helpers.toy import make_toy_avatar
 from pica_client.call.call import Call
 from pica_client.e2ee.secret import RoomSecret, save_secret
 from pica_client.endpoint.endpoint import LinkNews, Receiver, Sender
-from pica_client.publish.publisher import SenderConfig
+from pica_client.publish.publisher import Outgoing, Publisher, SenderConfig
 from pica_client.sources import open_source
 from pica_client.transport.config import LinkConfig
 from pica_server.config.relay import RelayConfig
@@ -83,7 +82,7 @@ async def break_calls(
         )
         call = Call(LoadedAvatars(AVATARS))
         viewer = config("viewer", "viewer", secret_file)
-        receiver = Receiver(viewer, call, rng=random.Random(1))
+        receiver = Receiver(viewer, call)
         display = Display(call)
         sending = asyncio.create_task(run_senders(senders))
         receiving = asyncio.create_task(receiver.run())
@@ -112,7 +111,7 @@ async def test_a_sender_without_a_window_says_that_it_is_in_that_the_relay_went_
     link = replace(config("ada", "ada"), connect_timeout_s=None)
     source = open_source("performance:talk")
     sender = Sender(
-        SenderConfig(), link, source, avatar, avatar_id, rng=random.Random(2), news=news
+        link, Outgoing(face=Publisher(SenderConfig(), source, avatar, avatar_id)), news=news
     )
     sending = asyncio.create_task(sender.run())
     await asyncio.sleep(3)

@@ -25,7 +25,7 @@ from pica_client.publish.publisher import SenderConfig
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.link import Link
 from pica_protocol.frames import Frame
-from pica_protocol.messages import Joined, PeerLeft, Track, Whisper
+from pica_protocol.messages import Joined, PeerLeft, Subscribe, Track, Whisper
 from pica_protocol.session import ClientEvent
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
@@ -60,7 +60,6 @@ class Sealed:
             LinkConfig(url=f"ws://{host}:8765", room="r", name=name),
             (Track(kind="face"),) if publishes else (),
             on_event=self._take,
-            rng=chance,
             guard=self.guard,
         )
         self.frames: list[tuple[float, Frame]] = []
@@ -161,7 +160,7 @@ async def test_the_relay_thins_what_it_cannot_read() -> None:
             await asyncio.sleep(2)
             (stream,) = ben.streams()
             for every in (2, 4, 0, 1):
-                ben.link.subscribe(stream, every)
+                ben.link.tell(Subscribe(stream=stream, every=every))
                 await asyncio.sleep(0.1)
                 ben.frames.clear()
                 await asyncio.sleep(2)

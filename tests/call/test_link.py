@@ -20,6 +20,7 @@ from pica_protocol.messages import (
     MutePeer,
     PeerJoined,
     StreamMuted,
+    Subscribe,
     Whisper,
 )
 from pica_protocol.session import ClientEvent, Closed
@@ -51,7 +52,7 @@ class Seen:
 def make_link(connect_timeout_s: float | None = 3.0) -> tuple[Link, Seen]:
     seen = Seen()
     config = LinkConfig(url=URL, room="r", connect_timeout_s=connect_timeout_s)
-    return Link(config, on_event=seen.take, rng=random.Random(0)), seen
+    return Link(config, on_event=seen.take), seen
 
 
 @in_virtual_time
@@ -138,7 +139,7 @@ def test_two_seconds_of_wrong_keys_end_no_call(tmp_path: Path) -> None:
         loop = asyncio.get_running_loop()
         seen = Seen()
         config = LinkConfig(url=URL, room="r", token_file=token_file)
-        link = Link(config, on_event=seen.take, rng=random.Random(0))
+        link = Link(config, on_event=seen.take)
         running = asyncio.create_task(link.run())
         for keys, seconds in ((right, 10.0), (wrong, 2.0), (right, 10.0)):
             async with Relay(RelayConfig(keys=keys), unix_time=lambda: 1e9 + loop.time()):
@@ -235,8 +236,8 @@ async def test_frames_are_refused_while_nobody_listens() -> None:
     link, _ = make_link()
     assert not link.send_frame(b"x", 1)
     assert not link.is_joined
-    assert not link.subscribe(1, 1)
-    assert not link.whisper("p1", b"x")
+    assert not link.tell(Subscribe(stream=1, every=1))
+    assert not link.tell(Whisper(peer_id="p1", data=b"x"))
 
 
 @in_virtual_time
@@ -248,9 +249,9 @@ async def test_subscriptions_and_whispers_go_through_the_relay() -> None:
         running = asyncio.create_task(link.run())
         ada = (await bob.until(PeerJoined)).peer
         bobs = bob.session.tracks[0].stream
-        assert link.whisper(bob.session.peer_id, b"key")
+        assert link.tell(Whisper(peer_id=bob.session.peer_id, data=b"key"))
         assert await bob.until(Whisper) == Whisper(peer_id=ada.peer_id, data=b"key")
-        assert link.subscribe(bobs, 0)
+        assert link.tell(Subscribe(stream=bobs, every=0))
         await asyncio.sleep(0.001)
         await bob.send_frame(b"unseen")
         bob.session.tell(Whisper(peer_id=ada.peer_id, data=b"answer"))
@@ -282,7 +283,7 @@ def test_a_link_shows_its_token_and_reads_a_fresh_one_when_it_comes_back(tmp_pat
         loop = asyncio.get_running_loop()
         config = LinkConfig(url=URL, room="r", token_file=token_file)
         seen = Seen()
-        link = Link(config, on_event=seen.take, rng=random.Random(0))
+        link = Link(config, on_event=seen.take)
         running = asyncio.create_task(link.run())
         for minted_s in (0, 100):
             write_token(1e9 + minted_s)
@@ -323,7 +324,7 @@ def test_an_admins_link_mutes_and_bars_and_tells_what_is_muted(tmp_path: Path) -
     async def scenario() -> None:
         seen = Seen()
         config = LinkConfig(url=URL, room="r", token=token("olga", may_admin=True))
-        link = Link(config, on_event=seen.take, rng=random.Random(0))
+        link = Link(config, on_event=seen.take)
         assert not link.is_admin
         async with (
             Relay(RelayConfig(keys=path), unix_time=lambda: 1e9),
@@ -332,9 +333,9 @@ def test_an_admins_link_mutes_and_bars_and_tells_what_is_muted(tmp_path: Path) -
             running = asyncio.create_task(link.run())
             await seen.joined.wait()
             assert link.is_admin
-            link.moderate(MutePeer(peer_id=ada.session.peer_id, kind="face", is_muted=True))
+            link.tell(MutePeer(peer_id=ada.session.peer_id, kind="face", is_muted=True))
             await ada.until(StreamMuted)
-            link.moderate(BarIdentity(identity="ada", is_barred=True))
+            link.tell(BarIdentity(identity="ada", is_barred=True))
             closed = await ada.until(Closed)
             assert closed.reason == "an admin has removed you from the room"
             link.leave()

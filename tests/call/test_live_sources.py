@@ -20,7 +20,7 @@ from helpers.toy import make_toy_avatar
 from pica_client.call.call import Call
 from pica_client.cli.track import CalibrateOptions, TrackOptions, calibrate, track
 from pica_client.endpoint.endpoint import Receiver, Sender
-from pica_client.publish.publisher import SenderConfig
+from pica_client.publish.publisher import Outgoing, Publisher, SenderConfig
 from pica_client.sources.live.tracker import UdpOptions, UdpTracker
 from pica_client.sources.registry import decoder_of, open_live
 from pica_client.transport.config import LinkConfig
@@ -84,27 +84,21 @@ def test_trackers_of_every_kind_are_in_one_call() -> None:
             async with Relay(RelayConfig(port=0)) as relay:
                 receiver = Receiver(LinkConfig(url=relay.url, name="me"), call)
                 receiving = asyncio.create_task(receiver.run())
-                sending = [
-                    asyncio.create_task(
-                        Sender(
-                            SenderConfig(seconds=2.0),
-                            LinkConfig(url=relay.url, name=kind),
-                            source,
-                            AVATAR,
-                            AVATAR_ID,
-                        ).run()
-                    )
-                    for kind, source in sources.items()
-                ]
-                while not all(each.done() for each in sending):
+                config, senders = SenderConfig(seconds=2.0), []
+                for kind, source in sources.items():
+                    face = Publisher(config, source, AVATAR, AVATAR_ID)
+                    link = LinkConfig(url=relay.url, name=kind)
+                    senders.append(Sender(link, Outgoing(face=face)))
+                sending = asyncio.gather(*(sender.run() for sender in senders))
+                while not sending.done():
                     await asyncio.sleep(0.01)
                     for due in call.due_frames(loop.time()):
                         frames[due.name] += 1
                 delays = {kind: source.face.delay_s for kind, source in sources.items()}
                 receiver.stop()
                 await receiving
-                for each in sending:
-                    assert each.result()["sent"] > 20
+                await sending
+                assert all(sender.stats()["sent"] > 20 for sender in senders)
         open_live("livelink", f"127.0.0.1:{port}").close()  # a sender that ends frees its port
         return frames, delays
 

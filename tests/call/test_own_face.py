@@ -6,7 +6,6 @@ On the virtual clock, through the real relay.
 from __future__ import annotations
 
 import asyncio
-import random
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -22,8 +21,9 @@ from pica_client.call.status import CallStatus
 from pica_client.endpoint.endpoint import Receiver
 from pica_client.endpoint.monitor import CallMonitor
 from pica_client.errors import RelayRefusedError
-from pica_client.publish.publisher import FaceMode, Publisher, SenderConfig
+from pica_client.publish.publisher import Outgoing, Publisher, SenderConfig
 from pica_client.sources import open_source
+from pica_client.tracks import FaceMode
 from pica_client.transport.config import LinkConfig
 from pica_server.auth.tokens import Admission, KeyRing, mint
 from pica_server.config.relay import RelayConfig
@@ -49,8 +49,7 @@ class Person:
         self.receiver = Receiver(
             LinkConfig(url=f"ws://{name}:{port}", room="kitchen", name=name),
             Call(LoadedAvatars({AVATAR_ID: AVATAR})),
-            publisher=self.publisher,
-            rng=random.Random(1),
+            Outgoing(face=self.publisher),
         )
         self.monitor = CallMonitor(self.receiver)
         self.seen: list[FaceState] = []
@@ -219,7 +218,7 @@ async def test_a_typed_token_opens_the_door_or_says_why_not(is_right: bool) -> N
         async with Relay(RelayConfig(port=0, keys=path), unix_time=lambda: 1e9) as relay:
             port = relay.url.rpartition(":")[2]
             link = LinkConfig(url=f"ws://ada:{port}", room="kitchen", name="Ada", token=token)
-            receiver = Receiver(link, Call(LoadedAvatars({})), rng=random.Random(1))
+            receiver = Receiver(link, Call(LoadedAvatars({})))
             if not is_right:
                 with pytest.raises(RelayRefusedError):
                     await receiver.run()

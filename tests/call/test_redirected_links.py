@@ -1,7 +1,6 @@
 """Links that a relay redirects, on the virtual clock: by a drain, or as the answer to a join."""
 
 import asyncio
-import random
 
 import pytest
 from websockets.asyncio.server import ServerConnection, serve
@@ -39,7 +38,7 @@ def make_link(
         connect_timeout_s=connect_timeout_s,
         redirect_hosts=redirect_hosts,
     )
-    return Link(config, on_event=take, rng=random.Random(0)), joined
+    return Link(config, on_event=take), joined
 
 
 @in_virtual_time

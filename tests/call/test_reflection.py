@@ -13,7 +13,7 @@ from helpers.stream_toy import stream_avatar
 from pica_client.call.call import Call
 from pica_client.call.reflection import Reflection
 from pica_client.endpoint.endpoint import Receiver
-from pica_client.publish.publisher import Publisher, SenderConfig
+from pica_client.publish.publisher import Outgoing, Publisher, SenderConfig
 from pica_client.sources import open_source
 from pica_client.transport.config import LinkConfig
 from pica_core.avatar.arkit import ExpressionFrame
@@ -49,7 +49,7 @@ async def test_ones_own_face_is_what_the_others_see_and_not_what_the_tracker_saw
         mine = Receiver(
             LinkConfig(url=f"ws://ada:{port}", name="Ada"),
             Call(LoadedAvatars({})),
-            publisher=publisher,
+            Outgoing(face=publisher),
         )
         theirs = Receiver(LinkConfig(url=f"ws://ben:{port}", name="Ben"), others)
         running = [asyncio.create_task(each.run()) for each in (mine, theirs)]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import random
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -32,7 +31,7 @@ class Viewer:
     """Somebody who watches."""
 
     def __init__(self, link: LinkConfig, avatars: LoadedAvatars) -> None:
-        self.receiver = Receiver(link, Call(avatars), rng=random.Random(1))
+        self.receiver = Receiver(link, Call(avatars))
         self.status = CallMonitor(self.receiver).status
 
     def listed(self) -> dict[str, Participant]:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import asyncio
 import json
 import math
-import random
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -130,7 +129,7 @@ async def hold_call(
         config = SenderConfig(seconds=seconds + 1)
         senders = make_senders([link[n] for n in names], list(avatars.items()), config=config)
         call = Call(LoadedAvatars(avatars))
-        receiver = Receiver(link["viewer"], call, rng=random.Random(1))
+        receiver = Receiver(link["viewer"], call)
         pool = CountedPool()
         with CountedRenderer(context, SIZE) as renderer:
             planner = FramePlanner(Scheduler())

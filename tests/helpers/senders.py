@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import random
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pica_client.endpoint.endpoint import Sender
 from pica_client.local_call.local_call import peer_sources
-from pica_client.publish.publisher import SenderConfig
+from pica_client.publish.publisher import Outgoing, Publisher, SenderConfig
 from pica_client.sources import Source, open_source
 from pica_client.transport.config import LinkConfig
 from pica_core.avatar.file import Avatar
@@ -40,7 +39,6 @@ def make_senders(
     *,
     config: SenderConfig,
     sources: Sequence[Source] | None = None,
-    seed: int = 0,
 ) -> list[Sender]:
     """One sender per link, avatars and sources dealt in turn.
 
@@ -49,15 +47,13 @@ def make_senders(
         avatars: Hash and avatar, at least one.
         config: Rate and duration of all.
         sources: What they play; `DEFAULT_SOURCES` by default.
-        seed: Of what chance there is.
     """
     played = sources or [open_source(text) for text in peer_sources(None, len(links))]
     senders = []
     for index, link in enumerate(links):
         identity, avatar = avatars[index % len(avatars)]
-        rng = random.Random(f"{seed}/{index}")
         source = played[index % len(played)]
-        senders.append(Sender(config, link, source, avatar, identity, rng=rng))
+        senders.append(Sender(link, Outgoing(face=Publisher(config, source, avatar, identity))))
     return senders
 
 
@@ -68,5 +64,6 @@ async def run_senders(senders: Sequence[Sender]) -> list[dict[str, Any]]:
         Their statistics, in order.
     """
     async with asyncio.TaskGroup() as tasks:
-        running = [tasks.create_task(sender.run()) for sender in senders]
-    return [task.result() for task in running]
+        for sender in senders:
+            tasks.create_task(sender.run())
+    return [sender.stats() for sender in senders]

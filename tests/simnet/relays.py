@@ -4,7 +4,6 @@ Real processes, a real NATS, real links: nothing here is simulated, so times are
 """
 
 import asyncio
-import random
 import signal
 import subprocess
 import sys
@@ -96,8 +95,7 @@ class Person:
         self.others: dict[str, str] = {}
         self.has_joined = False
         config = LinkConfig(url=url, room=room, name=name, connect_timeout_s=10.0)
-        tracks, rng = (Track(kind="face"),), random.Random(name)
-        self.link = Link(config, tracks, on_event=self._note, rng=rng)
+        self.link = Link(config, (Track(kind="face"),), on_event=self._note)
 
     def sees(self, *names: str) -> bool:
         """Return True if exactly these are in the room with them."""

@@ -25,7 +25,7 @@ from pica_core.avatar.file import Avatar
 from pica_core.codec.latent_stream import LatentDecoder
 from pica_core.errors import LatentError, ProfileError
 from pica_protocol.frames import Frame
-from pica_protocol.messages import Peer, Track
+from pica_protocol.messages import Peer, Subscribe, Track
 
 LOWER_AFTER_S: Final = 0.5
 """Less is asked for when nothing more was wanted for so long (chosen: longer than a glance
@@ -42,9 +42,8 @@ FACE_NOTES: Final = {
 }
 """Why no face comes, by what its owner says under `FACE_KEY`."""
 
-Tell = Callable[[int, int], bool]
-"""Subscribes to every so many frames of a stream, see `Subscribe`; False if the relay could not be
-told."""
+Tell = Callable[[Subscribe], bool]
+"""Tells the relay; returns False if that was not possible."""
 
 
 class StreamState(Enum):
@@ -170,7 +169,7 @@ class Participant:
         is_more = _rate(self._wanted) > _rate(self.told)
         if not is_more and now < self._lower_s:
             return self._lower_s if self._lower_s < math.inf else None
-        if not tell(self.track.stream, self._wanted):
+        if not tell(Subscribe(stream=self.track.stream, every=self._wanted)):
             return now + RETRY_S
         if not is_more:
             self._lowered_s = now

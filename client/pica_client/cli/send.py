@@ -4,20 +4,18 @@ import asyncio
 import os
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, closing, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Final
 
 from cyclopts import Parameter
 
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.avatars.upload import GiveAvatar, choose_own_avatar
+from pica_client.avatars.upload import GiveAvatar
 from pica_client.endpoint.endpoint import LinkNews, Sender
 from pica_client.output import say
 from pica_client.publish.face_controls import FaceControls
-from pica_client.publish.own_face import DEFAULT_SOURCE
-from pica_client.publish.publisher import SenderConfig
-from pica_client.sources import open_source
+from pica_client.publish.publisher import DEFAULT_SOURCE, SenderConfig, open_face
 from pica_client.system import on_stop_signal
 from pica_client.transport.config import LinkConfig, guest_name
 from pica_client.ui.options import check_voice, connect_timeout_s
@@ -96,33 +94,34 @@ def send(options: SendOptions) -> dict[str, Any]:
         ca_file=options.ca_file,
         redirect_hosts=options.redirect_hosts,
     )
-    source = open_source(options.source, person=link.name)
     voice = open_voice(options.voice, cleans=options.clean)
     is_sealed = link.secret_file is not None
-    publisher = None if voice is None else VoicePublisher(voice, is_sealed=is_sealed)
     with closing(AvatarLibrary()) as library:
-        own = choose_own_avatar(options.avatar, link.name, library)
+        own = open_face(
+            options.source,
+            link,
+            library,
+            say,
+            avatar=options.avatar,
+            give=options.give_avatar,
+            config=options.sender,
+        )
+    face = own.face
+    assert face is not None
+    if voice is not None:
+        own = replace(own, voice=VoicePublisher(voice, is_sealed=is_sealed))
     where = f"room {link.room} at {link.url}"
     news = LinkNews(f"sending {options.source} as {link.name} to {where}", say)
-    giver = own.giver(link, say, options.give_avatar)
 
     async def run() -> dict[str, Any]:
-        sender = Sender(
-            options.sender,
-            link,
-            source,
-            own.avatar,
-            own.identity,
-            giver=giver,
-            news=news,
-            voice=publisher,
-        )
+        sender = Sender(link, own, news=news)
         loop = asyncio.get_running_loop()
-        controls = FaceControls(sender.publisher, link.name, options.source)
-        keys = SendKeys(controls, publisher, sender.stop)
+        controls = FaceControls(face, link.name, options.source)
+        keys = SendKeys(controls, own.voice, sender.stop)
         with on_stop_signal(lambda: loop.call_soon_threadsafe(sender.stop)), closing(controls):
             async with keys.read(0):
-                return await sender.run()
+                await sender.run()
+        return sender.stats()
 
     if options.wait:
         say(f"waiting for {where}")

@@ -6,25 +6,20 @@ the connection, is counted, and the link comes back; what breaks a payload is co
 
 import asyncio
 import contextlib
-import random
 import threading
 from collections.abc import Callable, Coroutine, Sequence
 from typing import Any, Final, Self
 
-from pica_client.avatars.upload import AvatarGiver
 from pica_client.call.call import Call
 from pica_client.e2ee.status import SealStatus
-from pica_client.publish.publisher import Publisher, SenderConfig
-from pica_client.sources import Source
+from pica_client.publish.publisher import Outgoing, Publisher
 from pica_client.tracks import FACE_TRACK, RECORDS_KEY, RECORDS_YES
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.link import Link
 from pica_client.transport.timers import wait_until
-from pica_client.voice.publisher import VoicePublisher
 from pica_client.voice.receiver import OnVoice, VoiceReceiver
-from pica_core.avatar.file import Avatar
 from pica_protocol.errors import is_worth_retrying
-from pica_protocol.messages import Joined, Moderation, Peer, PeerJoined, Track
+from pica_protocol.messages import Joined, Moderation, Peer, PeerJoined, Subscribe, Track
 from pica_protocol.session import ClientEvent, Closed
 
 CHECK_INTERVAL_S: Final = 0.25
@@ -69,30 +64,19 @@ class Endpoint:
     """A link, and the face and the voice that go over it.
 
     Attributes:
-        publisher: Sends a face, if there is one; the relay does not send it back.
-        voice: Sends a voice, if there is one.
-        giver: Gives the avatar's file to each relay that we join, if there is one.
+        own: What is sent; the relay does not send it back.
     """
 
     def __init__(
-        self,
-        link_config: LinkConfig,
-        *,
-        publisher: Publisher | None = None,
-        voice: VoicePublisher | None = None,
-        giver: AvatarGiver | None = None,
-        news: LinkNews | None = None,
-        rng: random.Random | None = None,
+        self, link_config: LinkConfig, own: Outgoing, *, news: LinkNews | None = None
     ) -> None:
-        """Prepare; see `Link` for rng. `news` hears of the link."""
-        self.publisher = publisher
-        self.voice = voice
-        self.giver = giver
+        """Prepare. `news` hears of the link."""
+        self.own = own
         self._news = news
-        if publisher is not None:
-            publisher.listen_to(voice)
-        tracks = tuple(each.track for each in (publisher, voice) if each is not None)
-        self.link = Link(link_config, tracks, on_event=self._on_event, rng=rng)
+        if own.face is not None:
+            own.face.listen_to(own.voice)
+        tracks = tuple(each.track for each in (own.face, own.voice) if each is not None)
+        self.link = Link(link_config, tracks, on_event=self._on_event)
         self._stopping = asyncio.Event()
         self._loop: asyncio.AbstractEventLoop | None = None
 
@@ -100,8 +84,13 @@ class Endpoint:
         """Leave the room; any thread may call it."""
         self._call_soon(self._leave)
 
-    async def _stay(self) -> None:
-        """Stay in the room until `stop`, or until the publisher has sent for its time; once."""
+    async def run(self) -> None:
+        """Stay in the room until `stop`, or until the face was sent for its configured time; once.
+
+        Raises:
+            RelayError: The relay is not there, or will not have us.
+            Exception: What the source of the face or of the voice raised.
+        """
         if self._loop is not None:
             raise RuntimeError(f"a {type(self).__name__} is good for one call")
         self._loop = asyncio.get_running_loop()
@@ -114,18 +103,18 @@ class Endpoint:
         except ExceptionGroup as errors:
             raise errors.exceptions[0] from None
         finally:
-            if self.publisher is not None:
-                self.publisher.close()
-            if self.giver is not None:
-                await self.giver.close()
+            if self.own.face is not None:
+                self.own.face.close()
+            if self.own.giver is not None:
+                await self.own.giver.close()
 
     def _work(self) -> list[Coroutine[Any, Any, None]]:
         """What runs beside the link."""
         work = []
-        if self.publisher is not None:
-            work.append(self._publish(self.publisher))
-        if self.voice is not None:
-            work.append(self.voice.pace(self.link, self._stopping))
+        if self.own.face is not None:
+            work.append(self._publish(self.own.face))
+        if self.own.voice is not None:
+            work.append(self.own.voice.pace(self.link, self._stopping))
         return work
 
     async def _publish(self, publisher: Publisher) -> None:
@@ -137,11 +126,11 @@ class Endpoint:
         self.link.leave()
 
     def _on_event(self, event: ClientEvent, now: float) -> None:
-        for own in (self.publisher, self.voice):
+        for own in (self.own.face, self.own.voice):
             if own is not None:
                 own.receive_event(event)
-        if isinstance(event, Joined) and self.giver is not None:
-            self.giver.begin(self.link.url)
+        if isinstance(event, Joined) and self.own.giver is not None:
+            self.own.giver.begin(self.link.url)
         if isinstance(event, PeerJoined | Joined):
             self._decline([event.peer] if isinstance(event, PeerJoined) else event.peers)
         if self._news is not None:
@@ -152,14 +141,14 @@ class Endpoint:
         for peer in peers:
             for track in peer.tracks:
                 if not self._wants(track, peer):
-                    self.link.subscribe(track.stream, 0)
+                    self.link.tell(Subscribe(stream=track.stream, every=0))
 
     def _wants(self, track: Track, peer: Peer) -> bool:
         """Return True if a track of a newcomer is used here: the first face, voices that are heard;
         by a sender none."""
         return False
 
-    def _call_soon(self, action: Callable[[], None]) -> None:
+    def _call_soon(self, action: Callable[[], object]) -> None:
         """Call something on the loop; at once as long as there is none."""
         if self._loop is None:
             action()
@@ -170,10 +159,10 @@ class Endpoint:
     def _own_stats(self) -> dict[str, Any]:
         counters, guard = self.link.counters, self.link.guard
         return {
-            "voice": None if self.voice is None else self.voice.stats(),
+            "voice": None if self.own.voice is None else self.own.voice.stats(),
             "reconnects": self.link.reconnects,
             "resumes": counters.resumes,
-            "avatar_given": "" if self.giver is None else self.giver.outcome,
+            "avatar_given": "" if self.own.giver is None else self.own.giver.outcome,
             "seal": None if guard is None else guard.stats(),
         }
 
@@ -181,36 +170,13 @@ class Endpoint:
 class Sender(Endpoint):
     """Publishes a face, and a voice with it, and takes nothing of the others."""
 
-    publisher: Publisher
-
     def __init__(
-        self,
-        config: SenderConfig,
-        link_config: LinkConfig,
-        source: Source,
-        avatar: Avatar,
-        avatar_identity: str,
-        *,
-        voice: VoicePublisher | None = None,
-        giver: AvatarGiver | None = None,
-        news: LinkNews | None = None,
-        rng: random.Random | None = None,
+        self, link_config: LinkConfig, own: Outgoing, *, news: LinkNews | None = None
     ) -> None:
-        """Prepare; see `Publisher` and `Endpoint`."""
-        publisher = Publisher(config, source, avatar, avatar_identity)
-        super().__init__(
-            link_config, publisher=publisher, voice=voice, giver=giver, news=news, rng=rng
-        )
-
-    async def run(self) -> dict[str, Any]:
-        """Send until `stop`, or for the configured time; once. Returns `stats`.
-
-        Raises:
-            RelayError: The relay is not there, or will not have us.
-            Exception: What the source of the face or of the voice raised.
-        """
-        await self._stay()
-        return self.stats()
+        """Prepare; see `Endpoint`. There must be a face."""
+        assert own.face is not None
+        self.publisher = own.face
+        super().__init__(link_config, own, news=news)
 
     def stats(self) -> dict[str, Any]:
         """What was sent so far, and the link's side of it."""
@@ -242,36 +208,25 @@ class Receiver(Endpoint):
         self,
         link_config: LinkConfig,
         call: Call,
+        own: Outgoing | None = None,
         *,
         on_voice: OnVoice | None = None,
-        takes_faces: bool = True,
-        publisher: Publisher | None = None,
-        voice: VoicePublisher | None = None,
-        giver: AvatarGiver | None = None,
         news: LinkNews | None = None,
-        rng: random.Random | None = None,
     ) -> None:
         """Prepare; see `Endpoint`. ``on_voice`` is handed the voices of the others, see `OnVoice`;
-        without it none are sent to us, and without ``takes_faces`` no faces."""
-        super().__init__(
-            link_config, publisher=publisher, voice=voice, giver=giver, news=news, rng=rng
-        )
+        without it none are sent to us."""
+        super().__init__(link_config, own or Outgoing(), news=news)
         self.call = call
         self.voices = VoiceReceiver(on_voice)
         self.arrived = asyncio.Event()
         self.is_recording = False
         self.late_s = 0.0
-        self._takes_faces = takes_faces
         self._subscribed = asyncio.Event()
         self._started = threading.Event()
         self._thread: threading.Thread | None = None
         self._error: BaseException | None = None
         call.set_own_name(link_config.name)
         call.connect(self)
-
-    async def run(self) -> None:
-        """Receive until `stop`; once. Raises as `Sender.run` does."""
-        await self._stay()
 
     def check(self) -> None:
         """Raise what ended the thread, if anything did, as `run` does."""
@@ -281,7 +236,7 @@ class Receiver(Endpoint):
     def moderate(self, message: Moderation) -> None:
         """Ask the relay to remove, mute or bar a member, if our token allows it; from any
         thread."""
-        self._call_soon(lambda: self.link.moderate(message))
+        self._call_soon(lambda: self.link.tell(message))
 
     def say_recording(self, is_recording: bool) -> None:
         """Tell the others whether what is seen here is kept; any thread may call it."""
@@ -311,7 +266,7 @@ class Receiver(Endpoint):
             "errors": stats["errors"] + counters.errors,
             "received_wire_bytes": counters.received_wire_bytes,
             "voices": self.voices.stats(),
-            "sent": None if self.publisher is None else self.publisher.stats(),
+            "sent": None if self.own.face is None else self.own.face.stats(),
         }
 
     def __enter__(self) -> Self:
@@ -346,8 +301,7 @@ class Receiver(Endpoint):
 
     def _wants(self, track: Track, peer: Peer) -> bool:
         first = next((each for each in peer.tracks if each.kind == FACE_TRACK), None)
-        is_face = track == first and self._takes_faces
-        return is_face or self.voices.is_wanted(track.stream)
+        return track == first or self.voices.is_wanted(track.stream)
 
     async def _tell_subscriptions(self) -> None:
         """Tell the relay how much of each stream is wanted, when that changes and when it is
@@ -356,8 +310,8 @@ class Receiver(Endpoint):
         while True:
             self._subscribed.clear()
             timer = None  # outside the room, wait for the next join
-            if self.link.is_joined and self._takes_faces:
-                timer = self.call.tell_subscriptions(self.link.subscribe, now)
+            if self.link.is_joined:
+                timer = self.call.tell_subscriptions(self.link.tell, now)
             now = await wait_until(self._subscribed, timer)
 
     async def _time_loop(self) -> None:

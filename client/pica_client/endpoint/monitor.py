@@ -68,7 +68,7 @@ class CallMonitor:
             own_quality=own_quality(list(quality.values()), self._sent_quality(now, is_busy)),
             is_admin=receiver.link.is_admin,
             muted_by_admin=self._muted_by_admin,
-            own_trouble="" if receiver.publisher is None else receiver.publisher.trouble,
+            own_trouble="" if receiver.own.face is None else receiver.own.face.trouble,
             peers=peers,
             summary=self._summary(now, peers),
         )
@@ -81,7 +81,7 @@ class CallMonitor:
 
     def _own(self, name: str) -> Participant:
         """Ourselves, as the others see us."""
-        publisher, voice = self._receiver.publisher, self._receiver.voice
+        publisher, voice = self._receiver.own.face, self._receiver.own.voice
         return Participant(
             peer_id="",
             name=name,
@@ -97,12 +97,12 @@ class CallMonitor:
 
     @property
     def _muted_by_admin(self) -> str:
-        own = {"face": self._receiver.publisher, "voice": self._receiver.voice}
+        own = {"face": self._receiver.own.face, "voice": self._receiver.own.voice}
         return " and ".join(kind for kind, each in own.items() if each and each.is_muted_by_admin)
 
     def _sent_quality(self, now: float, is_busy: bool) -> Quality:
         """How the network takes our own frames; unknown while we send none."""
-        publisher, num_replaced = self._receiver.publisher, self._receiver.link.num_replaced
+        publisher, num_replaced = self._receiver.own.face, self._receiver.link.num_replaced
         if publisher is None:
             return "unknown"
         if is_busy:

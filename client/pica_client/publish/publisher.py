@@ -11,13 +11,16 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Final
 
+from pica_client.avatars.library import AvatarLibrary
+from pica_client.avatars.upload import AvatarGiver, GiveAvatar, choose_own_avatar
 from pica_client.errors import OptionError, check_ranges
-from pica_client.sources import Source, Tracker
+from pica_client.sources import Source, Tracker, open_source
 from pica_client.sources.source import Unseen
 from pica_client.stats import Samples
 from pica_client.tracks import FACE_KEY, FACE_LOST, FACE_TRACK, FaceMode
+from pica_client.transport.config import LinkConfig
 from pica_client.transport.link import Link
 from pica_client.transport.timers import wait_until
 from pica_client.voice.mouth import SpokenFace
@@ -275,3 +278,46 @@ class Publisher:
             self.num_sent += 1
             self._payload_bytes += len(coded.payload)
             self._encode.add(encode_s)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Outgoing:
+    """What one end of a call sends; by default nothing."""
+
+    face: Publisher | None = None
+    voice: VoicePublisher | None = None
+    giver: AvatarGiver | None = None
+    """Gives the avatar's file to each relay that we join."""
+
+
+DEFAULT_SOURCE: Final = "performance:talk"
+"""Default source."""
+
+
+def open_face(
+    source: str,
+    link: LinkConfig,
+    library: AvatarLibrary,
+    say: Callable[[str], None],
+    *,
+    avatar: str | None = None,
+    give: GiveAvatar = "auto",
+    config: SenderConfig | None = None,
+) -> Outgoing:
+    """Make a face ready to be sent.
+
+    Args:
+        source: What plays it, as `sources.open_source` takes it.
+        avatar: A shipped one by its name, or a .pica file; None takes one by the wearer's name.
+        give: Whether the relay gets the avatar's file.
+        config: How fast and how long.
+
+    Raises:
+        SourceError: The source cannot be opened.
+        AvatarLookupError: The avatar is not there.
+        AvatarFileError: It must not be used.
+    """
+    own = choose_own_avatar(avatar, link.name, library)
+    played = open_source(source, person=link.name)
+    face = Publisher(config or SenderConfig(), played, own.avatar, own.identity)
+    return Outgoing(face=face, giver=own.giver(link, say, give))

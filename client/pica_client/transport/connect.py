@@ -1,16 +1,17 @@
-"""Websockets to a relay: small buffers, no compression, and what an error means."""
+"""Websockets to a relay: small buffers, no compression, and what it means when one fails or
+ends."""
 
 import asyncio
 import ipaddress
+import logging
 import math
 import socket
 import ssl
-from collections.abc import Callable, Generator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
-from urllib.parse import urlsplit
+from urllib.parse import SplitResult, urlsplit
 from urllib.request import getproxies, proxy_bypass
 
 from websockets.asyncio.client import ClientConnection, connect
@@ -28,10 +29,15 @@ from websockets.proxy import get_proxy
 from websockets.typing import Subprotocol
 from websockets.uri import parse_uri
 
-from pica_client.errors import OptionError
+from pica_client.errors import OptionError, RelayRefusedError
+from pica_client.transport.config import LinkConfig
 from pica_protocol import SUBPROTOCOL
+from pica_protocol.errors import CloseCode, is_worth_retrying, may_pass
 from pica_protocol.limits import MAX_CONTROL_BYTES
+from pica_protocol.session import Closed
 from pica_protocol.tls_buffer import bound_tls_buffer
+
+_log = logging.getLogger(__name__)
 
 SOFTWARE: Final = "pica-telepresence"
 CLOSE_TIMEOUT_S: Final = 1.0
@@ -52,13 +58,6 @@ CHECK_S: Final = 0.55
 MAX_UNANSWERED: Final = 3
 """Checks without an answer before the connection is left (chosen: a dead path is left after 2.2 to
 2.75 s, and an answer may take 1.65 s)."""
-FIRST_WAIT_S: Final = 0.25
-"""Before the first new attempt (chosen: a relay that restarts is back within a second)."""
-LONGEST_AWAY_S: Final = 1.0
-"""Longest wait between two attempts at a relay that does not answer: it is found within this time
-of its return."""
-LONGEST_REFUSED_S: Final = 8.0
-"""Longest wait after a relay answered and did not keep us: it may have too much to do."""
 CONNECT_ERRORS: Final = (OSError, EOFError, WebSocketException, UnicodeError, ImportError)
 """Errors of the network, of an address and of a proxy; see `refusal` and `trouble`."""
 _NOT_TLS: Final = ("WRONG_VERSION_NUMBER", "RECORD_LAYER_FAILURE", "PACKET_LENGTH_TOO_LONG")
@@ -115,7 +114,7 @@ class RelayWebsocket(ClientConnection):
 class RelayConnect(connect):
     """`connect` with our settings, which stays at the address that it was given.
 
-    A relay redirects by its goodbye, which `transport.refusals` judges; HTTP would send us
+    A relay redirects by its goodbye, which `redirect_of` judges; HTTP would send us
     anywhere.
     """
 
@@ -160,15 +159,6 @@ class RelayConnect(connect):
     def process_redirect(self, exc: Exception) -> Exception | str:
         """Follow no redirect of HTTP."""
         return exc
-
-
-def waits(random: Callable[[], float], longest_s: float) -> Generator[float]:
-    """Yield waits that double up to a bound, each shortened by chance to no less than half: it
-    spreads the return of a full room over time."""
-    nominal_s = FIRST_WAIT_S
-    while True:
-        yield nominal_s * (0.5 + 0.5 * random())
-        nominal_s = min(2 * nominal_s, longest_s)
 
 
 async def watch(websocket: RelayWebsocket) -> None:
@@ -250,3 +240,70 @@ def trouble(error: BaseException, url: str) -> str:
     proxy = proxy_of(url)
     way = f" by the proxy {urlsplit(proxy).hostname}" if proxy else ""
     return f"{str(error) or 'no answer'}{way}"
+
+
+def breaks_protocol(closed: Closed) -> bool:
+    """Return True if a connection ended because one end broke the protocol."""
+    return closed.code in (CloseCode.MALFORMED, CloseCode.UNEXPECTED_MESSAGE)
+
+
+def refusal_of(url: str, closed: Closed) -> RelayRefusedError | None:
+    """Return what it means that a relay closed a connection, or None: come back at once."""
+    # What we could not read may have been a passing fault of the relay: try again, slower.
+    if is_worth_retrying(closed.code) or (breaks_protocol(closed) and not closed.is_remote):
+        return None
+    return RelayRefusedError(
+        f"{url}: the relay said no: {closed.reason or 'no reason'} (code {closed.code})",
+        may_pass=may_pass(closed.code),
+        code=closed.code,
+    )
+
+
+def redirect_of(closed: Closed | None, current: str, config: LinkConfig) -> str:
+    """Return the other relay that a connection ended with, if we may go there, or "".
+
+    The address in a goodbye is not to be trusted: following it blindly, we would contact any
+    machine that we can reach, those of our own network among them, and join there with our token.
+    So we follow
+
+        to a host of our configuration                  any port, no path but ours
+        over wss:// to another name of the same domain  its certificate proves that it is
+
+    and not from ``wss://`` to ``ws://``. Of "a.example.org" the domain is "example.org"; a name
+    without a dot after its first part has none.
+    """
+    if closed is None or closed.code != CloseCode.GOING_AWAY or not closed.url:
+        return ""
+    refused = refused_redirect(closed.url, current, config)
+    if refused:
+        _log.warning("the relay redirects us; not following: %s", refused)
+    return "" if refused else closed.url
+
+
+def refused_redirect(target: str, current: str, config: LinkConfig) -> str:
+    """Return why we do not follow a redirect, or "".
+
+    Args:
+        target: The address, as `pica_protocol.limits.check_url` lets it through.
+        current: The address of the relay that names it.
+    """
+    there, own = urlsplit(target), urlsplit(config.url)
+    if urlsplit(current).scheme == "wss" and there.scheme != "wss":
+        return "connections are not encrypted there"
+    if there.path.rstrip("/") not in ("", own.path.rstrip("/")) or there.query or there.fragment:
+        return "it has a path that is not ours"
+    if there.hostname in (own.hostname, *map(str.lower, config.redirect_hosts)):
+        return ""
+    if there.scheme == "wss" and _domain(there) == _domain(own) != "":
+        return ""
+    return "it is neither a host of ours (--redirect-hosts) nor, over wss://, a name of its domain"
+
+
+def _domain(url: SplitResult) -> str:
+    """Return the domain that a host's name belongs to, or ""."""
+    domain = (url.hostname or "").partition(".")[2]
+    try:
+        ipaddress.ip_address(url.hostname or "")
+    except ValueError:
+        return domain if "." in domain else ""
+    return ""

@@ -6,9 +6,12 @@ later: a frame offered without a connection is refused, because a late face is w
 
 A link that lost the connection comes back to the place it had, if the relay still keeps it; else it
 joins again, with another id. Either way its owner gets a ``Joined`` and begins its streams again.
-The library connects again and again (`connect` as an iterator); a connection on which nothing comes
-is pinged, and left if that is not answered. A relay may send us to another one, and a refusal ends
-the link unless it may pass and we were in the room (`refusals`).
+A connection on which nothing comes is pinged, and left if that is not answered. A relay may send us
+to another one.
+
+A refusal that waiting cannot mend is final. The rest may pass (`pica_protocol.errors.may_pass`): an
+older connection of ours still holds the place, a key file or a clock is being corrected. At the
+first join these end the link at once all the same; later it tries again for `RETURN_S`.
 
 Time is that of the event loop, which for asyncio's own loops is `time.monotonic`. On one machine
 all processes share that clock (Linux CLOCK_MONOTONIC, macOS and Windows likewise), so benches there
@@ -19,8 +22,7 @@ import asyncio
 import logging
 import math
 import random
-from collections.abc import AsyncGenerator, Callable, Sequence
-from contextlib import aclosing
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Final, cast
 
 from websockets.exceptions import ConnectionClosed
@@ -30,18 +32,17 @@ from pica_client.stats import wire_bytes
 from pica_client.transport.config import LinkConfig, read_token, shown_name
 from pica_client.transport.connect import (
     CONNECT_ERRORS,
-    LONGEST_AWAY_S,
-    LONGEST_REFUSED_S,
     SOFTWARE,
     LinkCounters,
     RelayConnect,
     RelayWebsocket,
+    breaks_protocol,
+    redirect_of,
     refusal,
+    refusal_of,
     trouble,
-    waits,
     watch,
 )
-from pica_client.transport.refusals import Refusals, breaks_protocol, redirect_of, refusal_of
 from pica_client.transport.timers import time_after, wait_until
 from pica_protocol import SUBPROTOCOL
 from pica_protocol.client_session import ClientSession, Ticket
@@ -52,8 +53,6 @@ from pica_protocol.messages import (
     FromMember,
     Joined,
     Metadata,
-    Moderation,
-    Subscribe,
     Track,
     UpdateMetadata,
     Whisper,
@@ -68,9 +67,18 @@ _log = logging.getLogger(__name__)
 EventHandler = Callable[[ClientEvent, float], None]
 
 SETTLED_S: Final = 5.0
-"""A stay that lasted this long was a good one: the next waits begin with `FIRST_WAIT_S`."""
-MAX_REDIRECTS: Final = 3
-"""Redirects followed at once with no good stay between them; then as slowly as after refusals."""
+"""After a stay that lasted this long waits begin with `FIRST_WAIT_S`, and a redirect is followed at
+once; other waits double."""
+FIRST_WAIT_S: Final = 0.25
+"""Before the first new attempt (chosen: a relay that restarts is back within a second)."""
+LONGEST_AWAY_S: Final = 1.0
+"""Longest wait between two attempts at a relay that does not answer: it is found within this time
+of its return."""
+LONGEST_REFUSED_S: Final = 8.0
+"""Longest wait after a relay answered and did not keep us: it may have too much to do."""
+RETURN_S: Final = 60.0
+"""So long a link that was in the room is refused before that is final (chosen: old connections end
+after 20 s, and a clock or a key file is corrected within a minute or not by itself)."""
 TELL_INTERVAL_S: Final = 1.0
 """Between two changes of our metadata: the relay takes no more for long."""
 
@@ -89,14 +97,12 @@ class Link:
         tracks: tuple[Track, ...] = (),
         *,
         on_event: EventHandler | None = None,
-        rng: random.Random | None = None,
         guard: "Guard | None" = None,
     ) -> None:
         """Prepare; `run` does the work.
 
         Args:
             on_event: Called on the event loop for every event of every session, if given.
-            rng: Spreads reconnects; seeded by tests.
             guard: Seals what we send and opens what comes; by default one for the secret of the
                 configuration, and without a secret everything is plain.
 
@@ -115,15 +121,12 @@ class Link:
         self.guard = guard
         self._tracks = tracks
         self._on_event = on_event
-        self._random = (rng or random.Random()).random
-        self._refused_waits = waits(self._random, LONGEST_REFUSED_S)
-        self._num_redirects = 0
-        self._refusals = Refusals()
+        self._wait_s = FIRST_WAIT_S
+        self._refused_since_s: float | None = None
         self._trouble: Exception | None = None
         self._staying: asyncio.Task[None] | None = None
         self._first_join: asyncio.Timeout | None = None
         self._session: ClientSession | None = None
-        self._closed: Closed | None = None
         self._wake = asyncio.Event()
         self._is_leaving = False
         self._num_replaced = 0  # on connections that are over
@@ -171,27 +174,21 @@ class Link:
         self._wake.set()
         return True
 
-    def subscribe(self, stream: int, every: int) -> bool:
-        """Ask the relay for a share of a stream: all of it (1), each second or fourth frame, or
-        none (0).
+    def tell(self, message: FromMember) -> bool:
+        """Say something to the relay, or through it to another peer.
 
-        It ends with the connection: ask again after each ``Joined``.
+        Subscriptions end with the connection: ask again after each ``Joined``. A whisper may be
+        lost on its way.
 
         Returns:
-            False if it could not be told: not joined, or the network takes nothing.
+            False if it could not be said: not joined, or the network takes nothing.
         """
-        return self._tell(Subscribe(stream=stream, every=every))
-
-    def whisper(self, peer_id: str, data: bytes) -> bool:
-        """Send opaque bytes to one peer in the room; it gets a ``Whisper`` with our peer id.
-
-        It may be lost on its way: when the peer has just gone, or when we whisper more than the
-        relay allows. Returns as `subscribe`.
-
-        Raises:
-            ValueError: More than ``MAX_WHISPER_BYTES``, or no peer id.
-        """
-        return self._tell(Whisper(peer_id=peer_id, data=data))
+        session = self._session
+        if session is None or not session.can_queue:
+            return False
+        session.tell(message)
+        self._wake.set()
+        return True
 
     def describe(self, key: str, value: str) -> None:
         """Set an entry of our metadata, which all others see, now and after each join; "" takes it
@@ -206,24 +203,11 @@ class Link:
         self._metadata = metadata
         self._wake.set()
 
-    def moderate(self, message: Moderation) -> None:
-        """Ask the relay to remove, mute or bar a member; dropped while nothing can be sent."""
-        self._tell(message)
-
     @property
     def is_admin(self) -> bool:
         """Whether our token lets us moderate the room that we are in."""
         session = self._session  # another thread may ask
         return session is not None and session.is_admin
-
-    def _tell(self, message: FromMember) -> bool:
-        """Have the session take one more message, if it can, and let the writer look."""
-        session = self._session
-        if session is None or not session.can_queue:
-            return False
-        self._wake.set()
-        session.tell(message)
-        return True
 
     def leave(self) -> None:
         """Make `run` leave the room and return."""
@@ -251,15 +235,11 @@ class Link:
     async def _stay(self) -> None:
         """Stay connected; `run` says what may be raised."""
         self._read_token()  # a file that cannot be read is told at once
-        limit_s, target = self.config.connect_timeout_s, ""
+        limit_s = self.config.connect_timeout_s
         try:
             async with asyncio.timeout(limit_s) as self._first_join:
                 while not self._is_leaving:
-                    self.url = target or self.config.url
-                    try:
-                        target = await self._stay_at(self.url)
-                    except RelayUnreachableError:  # the relay that we were sent to
-                        target = ""
+                    self.url = await self._visit(self.url)
         except TimeoutError as error:
             raise RelayUnreachableError(
                 f"no relay answers at {self.config.url} (tried for {limit_s:g} s: "
@@ -267,66 +247,58 @@ class Link:
                 "start one with `pica relay`, or wait for it with --wait"
             ) from (self._trouble or error)
 
-    async def _stay_at(self, url: str) -> str:
-        """Connect to one relay again and again.
+    async def _visit(self, url: str) -> str:
+        """Connect to a relay once, and stay as long as that lasts; then wait until the next try.
 
         Returns:
-            The relay that it sent us to; "": return to the configured one.
+            The relay to try next: this one, that to which it sends us, or the configured one.
         """
         loop = asyncio.get_running_loop()
+        joined_s, target, longest_s = None, "", LONGEST_REFUSED_S
         try:
-            connecting = RelayConnect(
-                url,
-                self.config.ca_file,
-                process_exception=self._process_exception,
-                reconnect_delays=lambda: waits(self._random, LONGEST_AWAY_S),
-            )
+            websocket = await RelayConnect(url, self.config.ca_file)
         except CONNECT_ERRORS as error:
-            raise RelayRefusedError(f"{url}: {refusal(error)}") from error
-        websockets = cast(AsyncGenerator[RelayWebsocket], aiter(connecting))
-        async with aclosing(websockets):
-            async for websocket in websockets:
-                joined_s, self._closed = None, None
-                try:
-                    joined_s = await self._talk(websocket)
-                except (RelayRefusedError, OptionError) as error:
-                    self._trouble = error
-                    self._refusals.receive(error, loop.time())
-                if self._is_leaving:
-                    return ""
-                is_settled = joined_s is not None and loop.time() - joined_s >= SETTLED_S
-                if is_settled:
-                    self._num_redirects = 0
-                    self._refused_waits = waits(self._random, LONGEST_REFUSED_S)
-                target = redirect_of(self._closed, url, self.config)
-                if target and self._num_redirects < MAX_REDIRECTS:
-                    self._num_redirects += 1
-                    return target
-                await asyncio.sleep(next(self._refused_waits))
-                if target or (joined_s is None and url != self.config.url):
-                    return target
-        return ""
+            if url != self.config.url:
+                return self.config.url
+            if reason := refusal(error):
+                raise RelayRefusedError(f"{url}: {reason}") from error
+            _log.debug("relay not reached", extra={"error": type(error).__name__})
+            self._trouble, longest_s = RelayUnreachableError(trouble(error, url)), LONGEST_AWAY_S
+            self._trouble.__cause__ = error
+        else:
+            try:
+                joined_s, closed = await self._talk(cast(RelayWebsocket, websocket))
+                target = redirect_of(closed, url, self.config)
+            except (RelayRefusedError, OptionError) as error:
+                self._trouble = error
+                self._note_refusal(error, loop.time())
+        if joined_s is not None and loop.time() - joined_s >= SETTLED_S:
+            self._wait_s = FIRST_WAIT_S
+        if not self._is_leaving and not (target and self._wait_s == FIRST_WAIT_S):
+            # Chance spreads the return of a full room over time.
+            await asyncio.sleep(min(self._wait_s, longest_s) * (0.5 + 0.5 * random.random()))
+        self._wait_s = min(2 * self._wait_s, longest_s)
+        return target or (self.config.url if joined_s is None else url)
 
-    def _process_exception(self, error: Exception) -> Exception | None:
-        """Return what ends the attempts to connect, or None: try again."""
-        if not isinstance(error, CONNECT_ERRORS):
-            return error
-        _log.debug("relay not reached", extra={"error": type(error).__name__})
-        self._trouble = RelayUnreachableError(trouble(error, self.url))
-        self._trouble.__cause__ = error
-        if self.url != self.config.url:
-            return self._trouble
-        reason = refusal(error)
-        return RelayRefusedError(f"{self.url}: {reason}") if reason else None
+    def _note_refusal(self, error: RelayRefusedError | OptionError, now: float) -> None:
+        """Take a refusal, or the trouble with our own token file, and raise it if it is the end: at
+        the first join, or if waiting cannot mend it."""
+        is_final = isinstance(error, RelayRefusedError) and not error.may_pass
+        if is_final or not self.counters.connects:
+            raise error
+        if self._refused_since_s is None:
+            self._refused_since_s = now
+        if now - self._refused_since_s >= RETURN_S:
+            raise type(error)(f"{error}; tried to come back for {RETURN_S:g} s") from error
 
     def _read_token(self) -> str:
         return self.config.token or read_token(self.config.token_file)
 
-    async def _talk(self, websocket: RelayWebsocket) -> float | None:
+    async def _talk(self, websocket: RelayWebsocket) -> tuple[float | None, Closed | None]:
         """One connection from its first byte to its last.
 
         Returns:
-            When it joined the room, or None if it never did.
+            When it joined the room, None if it never did; and how it ended.
 
         Raises:
             RelayRefusedError: The relay will not have us.
@@ -363,7 +335,7 @@ class Link:
                     joined_s = now
                     if self._first_join is not None:
                         self._first_join.reschedule(None)
-                    self._refusals.note_joined()
+                    self._refused_since_s = None
                     self.counters.connects += 1
                     self.counters.resumes += event.resumed
                 passed = [event]
@@ -388,13 +360,13 @@ class Link:
             self._num_replaced += num_late(session)
             # In case we are cancelled: no socket outlives its link.
             websocket.transport.abort()
-        self._closed = closed = session.closed
+        closed = session.closed
         if closed is not None and not self._is_leaving:
             _log.info("connection to the relay ended", extra={"code": closed.code})
             self.counters.errors += breaks_protocol(closed)
             if (refused := refusal_of(url, closed)) is not None:
                 raise refused
-        return joined_s
+        return joined_s, closed
 
     async def _read(
         self,

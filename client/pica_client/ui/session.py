@@ -23,7 +23,7 @@ from pica_client.endpoint.hearing import Hearing
 from pica_client.errors import ClientError, OptionError, RelayUnreachableError
 from pica_client.output import check_writable, say
 from pica_client.publish.face_controls import FaceControls
-from pica_client.publish.own_face import DEFAULT_SOURCE, FaceChoice, OutgoingFace, open_own_face
+from pica_client.publish.publisher import DEFAULT_SOURCE, Outgoing, open_face
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.connect import trusting
 from pica_client.ui.call_sound import CallSound
@@ -140,10 +140,14 @@ def link_of(options: ViewOptions, state: ViewState) -> LinkConfig:
     )
 
 
-def face_of(options: ViewOptions, state: ViewState) -> FaceChoice:
-    """Return the face that is asked for."""
+def open_own(
+    options: ViewOptions, state: ViewState, link: LinkConfig, library: AvatarLibrary
+) -> Outgoing:
+    """Make the face ready that is asked for; raises as `open_face` does."""
+    if not state.source:
+        return Outgoing()
     avatar = state.avatar.strip() or None
-    return FaceChoice(source=state.source or "", avatar=avatar, give=options.give_avatar)
+    return open_face(state.source, link, library, say, avatar=avatar, give=options.give_avatar)
 
 
 def view_calls(
@@ -167,7 +171,7 @@ def view_calls(
 
     Raises:
         GraphicsError: There is no way to draw.
-        ClientError: Without a form, what else `Stay` or `open_own_face` raises.
+        ClientError: Without a form, what else `Stay` or `open_own` raises.
     """
     form = JoinForm(state, partial(link_of, options))
     state.can_rejoin = asks
@@ -184,7 +188,7 @@ def view_calls(
             link = link_of(options, state)
             if options.token_file is not None and not link.token and link.token_file is None:
                 say(f"token-file is not sent to {link.url}; --url {link.url} would send it")
-            opening = pool.submit(open_own_face, face_of(options, state), link, library, say)
+            opening = pool.submit(open_own, options, state, link, library)
             try:
                 if lobby is not None and not lobby.wait("Getting your avatar …", opening.done):
                     return None
@@ -217,7 +221,7 @@ class Stay:
 
     Args:
         state: What the user wants; as they left it once `run` has returned.
-        face: The user's own; None only watches.
+        own: What the user sends.
         window: To show it in, which stays open; None opens a new one.
         sound: Plays and captures, and goes on afterwards.
         waiting: Called again and again until we are in the room; False gives up.
@@ -232,7 +236,7 @@ class Stay:
         state: ViewState,
         link: LinkConfig,
         library: AvatarLibrary,
-        face: OutgoingFace | None,
+        own: Outgoing,
         window: Window | None,
         sound: SoundProcess,
         waiting: Callable[[], bool] | None,
@@ -254,16 +258,17 @@ class Stay:
             say(f"a call without sound: {lacking}")
         self._sound = sound if self._hearing is not None or voice is sound else None
         self._call = Call(self._fetcher, ears=self._hearing)
-        doing = "looking into" if face is None else f"in, as {link.name},"
+        doing = "looking into" if own.face is None else f"in, as {link.name},"
         is_sealed = link.secret_file is not None
-        self._publisher = None if face is None else face.publisher
+        self._publisher = own.face
         self._receiver = Receiver(
             link,
             self._call,
-            voice=None if voice is None else VoicePublisher(voice, is_sealed=is_sealed),
+            replace(
+                own,
+                voice=None if voice is None else VoicePublisher(voice, is_sealed=is_sealed),
+            ),
             on_voice=None if self._hearing is None else self._hearing.receive,
-            publisher=self._publisher,
-            giver=None if face is None else face.giver,
             news=LinkNews(f"{doing} room {link.room} at {link.url}", say),
         )
         self._is_stopping = False
@@ -302,7 +307,7 @@ class Stay:
                 state=state,
                 receiver=self._receiver,
                 controls=controls,
-                sound=CallSound(self._receiver.voice, self._sound),
+                sound=CallSound(self._receiver.own.voice, self._sound),
                 window=self._window,
             ) as viewer:
                 # In a window a person looks on: they see who is ready, at once.
@@ -359,10 +364,10 @@ class Stay:
         return self._is_stopping
 
 
-def _let_go(opening: Future[OutgoingFace | None]) -> None:
+def _let_go(opening: Future[Outgoing]) -> None:
     """Free a tracker's port once its stay is over."""
-    if opening.exception() is None and (face := opening.result()) is not None:
-        face.publisher.close()
+    if opening.exception() is None and (face := opening.result().face) is not None:
+        face.close()
 
 
 def _path(text: str) -> Path | None:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from pica_client.call.participant import LOWER_INTERVAL_S, Participant
 from pica_client.call.roster import Member
-from pica_protocol.messages import SHARES, Peer, Track
+from pica_protocol.messages import SHARES, Peer, Subscribe, Track
 
 pytestmark = pytest.mark.unit
 
@@ -26,8 +26,8 @@ def told(participant: Participant, now: float, *, can_tell: bool = True) -> int 
     """What the relay is told now."""
     said = []
 
-    def tell(stream: int, every: int) -> bool:
-        said.append(every)
+    def tell(message: Subscribe) -> bool:
+        said.append(message.every)
         return can_tell
 
     participant.tell_subscription(tell, now)

@@ -16,12 +16,12 @@ from pica_client.call.call import Call
 from pica_client.call.connection_quality import StreamHealth
 from pica_client.endpoint.endpoint import Receiver
 from pica_client.endpoint.monitor import CallMonitor
-from pica_client.publish.publisher import Publisher, SenderConfig
+from pica_client.publish.publisher import Outgoing, Publisher, SenderConfig
 from pica_client.sources.source import Unseen
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.link import Link
 from pica_core.avatar.arkit import ExpressionFrame
-from pica_protocol.messages import Track
+from pica_protocol.messages import FromMember, Subscribe, Track
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
 from simnet.clock import in_virtual_time
@@ -45,7 +45,9 @@ class Breaking(Unseen):
 
 
 def make_receiver(url: str, publisher: Publisher | None = None) -> Receiver:
-    return Receiver(LinkConfig(url=url, name="me"), Call(LoadedAvatars({})), publisher=publisher)
+    return Receiver(
+        LinkConfig(url=url, name="me"), Call(LoadedAvatars({})), Outgoing(face=publisher)
+    )
 
 
 def test_a_source_that_fails_ends_the_call_and_is_closed() -> None:
@@ -84,8 +86,9 @@ def test_a_receiver_says_that_it_is_good_for_one_call() -> None:
 def test_what_the_drawing_thread_wants_is_told_by_the_networks_thread() -> None:
     told: queue.Queue[tuple[str, int]] = queue.Queue()
 
-    def subscribe(stream: int, every: int) -> bool:
-        told.put((threading.current_thread().name, every))
+    def tell(message: FromMember) -> bool:
+        assert isinstance(message, Subscribe)
+        told.put((threading.current_thread().name, message.every))
         return True
 
     async def call() -> None:
@@ -93,7 +96,7 @@ def test_what_the_drawing_thread_wants_is_told_by_the_networks_thread() -> None:
             bob = Link(LinkConfig(url=relay.url, name="Bob"), (FACE,))
             talking = asyncio.create_task(bob.run())
             receiver = make_receiver(relay.url)
-            receiver.link.subscribe = subscribe  # type: ignore[method-assign]
+            receiver.link.tell = tell  # type: ignore[method-assign]
             with receiver:
                 await asyncio.to_thread(until, receiver.call.names)
                 (peer_id,) = receiver.call.names()

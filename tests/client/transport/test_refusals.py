@@ -2,51 +2,22 @@
 
 from __future__ import annotations
 
-import itertools
-
 import pytest
 
-from pica_client.errors import OptionError, RelayRefusedError
 from pica_client.transport.config import LinkConfig
-from pica_client.transport.connect import waits
-from pica_client.transport.refusals import RETURN_S, Refusals, refusal_of, refused_redirect
+from pica_client.transport.connect import refusal_of, refused_redirect
 from pica_protocol.errors import CloseCode
 from pica_protocol.session import Closed
 
 pytestmark = pytest.mark.unit
 
-FULL = RelayRefusedError("full", may_pass=True)
-
-
-def test_a_first_join_is_refused_at_once() -> None:
-    with pytest.raises(RelayRefusedError, match="full"):
-        Refusals().receive(FULL, 0.0)
-
-
-def test_a_link_that_was_in_the_room_tries_for_a_minute_after_each_join() -> None:
-    refusals = Refusals()
-    refusals.note_joined()
-    refusals.receive(OptionError("no token"), 0.0)
-    refusals.note_joined()
-    for now in (100.0, 100.0 + RETURN_S - 1):
-        refusals.receive(FULL, now)
-    with pytest.raises(RelayRefusedError, match="full; tried to come back for 60 s"):
-        refusals.receive(FULL, 100.0 + RETURN_S)
-
 
 @pytest.mark.parametrize("code", [CloseCode.FORBIDDEN, CloseCode.REMOVED, CloseCode.REPLACED])
 def test_what_waiting_cannot_mend_is_final(code: CloseCode) -> None:
-    refusals = Refusals()
-    refusals.note_joined()
     refused = refusal_of("ws://a", Closed(code=code, reason="no", is_remote=True))
     assert refused is not None
-    with pytest.raises(RelayRefusedError, match=rf"ws://a: the relay said no: no \(code {code}\)"):
-        refusals.receive(refused, 0.0)
-
-
-def test_waits_double_up_to_a_bound_and_chance_halves_them_at_most() -> None:
-    assert list(itertools.islice(waits(lambda: 1.0, 8.0), 7)) == [0.25, 0.5, 1, 2, 4, 8, 8]
-    assert next(waits(lambda: 0.0, 8.0)) == pytest.approx(0.125)
+    assert not refused.may_pass
+    assert str(refused) == f"ws://a: the relay said no: no (code {code})"
 
 
 @pytest.mark.parametrize(
