@@ -14,8 +14,7 @@ class WebcamOptions:
     """Options of `pica webcam setup`."""
 
     source: Annotated[str, Parameter(name="from")] = URL
-    """Where the face landmarker lies: an address, a face_landmarker.task, or a wheel that holds
-    one."""
+    """Where the face landmarker lies: an address, or a face_landmarker.task."""
 
 
 def webcam_setup(options: WebcamOptions) -> dict[str, Any]:

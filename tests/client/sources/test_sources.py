@@ -10,7 +10,7 @@ import pytest
 from helpers.paths import SHARED_DATA
 from pica_client.errors import SourceError
 from pica_client.sources import Recording, open_source
-from pica_client.sources.livelink_csv import load_livelink_csv
+from pica_client.sources.registry import load_livelink_csv
 from pica_client.sources.rotation import rotation_vector_from_yaw_pitch_roll
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES
 

