@@ -143,12 +143,3 @@ def unwrap_time_us(ticks: int, near_us: int) -> int:
 def sequence_distance(sequence: int, reference: int) -> int:
     """Return how far ``sequence`` is ahead of ``reference``, in -32768..32767, across the wrap."""
     return (sequence - reference + SEQUENCE_MODULUS // 2) % SEQUENCE_MODULUS - SEQUENCE_MODULUS // 2
-
-
-def unwrap_sequence(sequence: int, near: int) -> int:
-    """Return the number nearest to ``near`` that is ``sequence`` modulo 65536.
-
-    A receiver does this once, on arrival, with the newest number of the stream so far; a frame
-    from before the first one may become a negative number.
-    """
-    return near + sequence_distance(sequence, near)

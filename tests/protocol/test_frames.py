@@ -10,7 +10,6 @@ from pica_protocol.errors import RemoteProtocolError
 from pica_protocol.frames import (
     HEADER_BYTES,
     MAX_PAYLOAD_BYTES,
-    SEQUENCE_MODULUS,
     TICK_MODULUS,
     TICK_US,
     Frame,
@@ -19,7 +18,6 @@ from pica_protocol.frames import (
     media_message,
     scan_frames,
     sequence_distance,
-    unwrap_sequence,
     unwrap_time_us,
 )
 from pica_protocol.limits import MAX_FRAME_BYTES, MAX_MEDIA_MESSAGE_BYTES
@@ -96,31 +94,6 @@ def test_sequences_are_compared_across_the_wrap(
     sequence: int, reference: int, distance: int
 ) -> None:
     assert sequence_distance(sequence, reference) == distance
-
-
-@pytest.mark.parametrize(
-    ("sequence", "near", "number"),
-    [
-        (7, 5, 7),
-        (0, 65_535, 65_536),
-        (65_535, 65_536, 65_535),
-        (65_530, 3, -6),
-        (3, -6, 3),
-        (1, 10 * 65_536, 10 * 65_536 + 1),
-        (32_767, 0, 32_767),
-        (32_768, 0, -32_768),
-    ],
-)
-def test_a_sequence_is_unwrapped_to_the_nearest_number(
-    sequence: int, near: int, number: int
-) -> None:
-    assert unwrap_sequence(sequence, near) == number
-
-
-@given(st.integers(-(2**40), 2**40), st.integers(-32_768, 32_767))
-def test_a_number_within_half_the_wrap_is_found_again(near: int, distance: int) -> None:
-    number = near + distance
-    assert unwrap_sequence(number % SEQUENCE_MODULUS, near) == number
 
 
 @given(time_us=st.integers(0, 10**12), error_us=st.integers(-100_000_000, 100_000_000))

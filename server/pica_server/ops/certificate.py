@@ -55,22 +55,6 @@ class Certificate:
         return tuple(stamps)
 
 
-def trusting(flag: str, ca_file: Path | None) -> ssl.SSLContext:
-    """Return the TLS settings of a client that trusts the system's certificates and a file's.
-
-    Raises:
-        ConfigurationError: The file cannot be read; ``flag`` is the setting that names it.
-    """
-    context = ssl.create_default_context()
-    if ca_file is not None:
-        try:
-            context.load_verify_locations(ca_file)
-        except OSError as error:
-            what = error.strerror or "no certificates in it"
-            raise ConfigurationError(f"{flag} {ca_file}: {what}") from error
-    return context
-
-
 def _context(cert: Path, key: Path) -> ssl.SSLContext:
     for flag, path in (("tls-cert", cert), ("tls-key", key)):
         try:
