@@ -8,8 +8,7 @@ from pica_client.call.connection_quality import (
     StreamHealth,
     own_quality,
 )
-from pica_client.call.participants import Participant, list_participants
-from pica_client.call.status import CallStatus, PeerStatus
+from pica_client.call.status import CallStatus, PeerStatus, Person, list_participants
 from pica_client.endpoint.endpoint import Receiver
 from pica_protocol.invite import Invite, make_link
 
@@ -79,10 +78,10 @@ class CallMonitor:
         late_before_s, self._late_before_s = self._late_before_s, late_s
         return late_s - late_before_s > BUSY_RATIO * (now - before_s)
 
-    def _own(self, name: str) -> Participant:
+    def _own(self, name: str) -> Person:
         """Ourselves, as the others see us."""
         publisher, voice = self._receiver.own.face, self._receiver.own.voice
-        return Participant(
+        return Person(
             peer_id="",
             name=name,
             is_self=True,

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 
-from pica_client.call.participants import Participant
+from pica_client.call.status import Person
 from pica_client.ui.state import OwnVoice, ViewState
 from pica_client.voice.publisher import VoicePublisher
 from pica_client.voice.sound.process import SoundProcess
@@ -46,7 +46,7 @@ class CallSound:
         """How loud each is who sends a voice, by peer id; see `VoiceMixer.levels`."""
         return {} if self._sound is None else self._sound.state.levels
 
-    def follow(self, wanted: ViewState, people: Iterable[Participant], now: float) -> str:
+    def follow(self, wanted: ViewState, people: Iterable[Person], now: float) -> str:
         """Do what the user wants; gives what has just gone wrong with a device, else nothing."""
         if self._own is not None:
             if wanted.is_heard:

@@ -9,8 +9,7 @@ from collections.abc import Callable
 
 from imgui_bundle import imgui
 
-from pica_client.call.participants import notices
-from pica_client.call.status import CallStatus, PeerStatus
+from pica_client.call.status import CallStatus, PeerStatus, notices
 from pica_client.render.seats import FreeShares
 from pica_client.ui.actions import Request
 from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter

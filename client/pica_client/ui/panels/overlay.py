@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
 
-from pica_client.call.participants import duration_text, joined_names, recorders
+from pica_client.call.status import duration_text, joined_names, recorders
 from pica_client.render.scene import Rect
 from pica_client.render.seats import MAX_FREE, FreeShares
 from pica_client.ui.actions import TALK_KEY, Request

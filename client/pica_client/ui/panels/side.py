@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
 
-from pica_client.call.participants import Participant, duration_text
+from pica_client.call.status import Person, duration_text
 from pica_client.ui.actions import Action, Request, help_lines
 from pica_client.ui.call_view import CallView, PersonView
 from pica_client.ui.panels.bar import BAR_PT
@@ -192,7 +192,7 @@ def participants_panel(state: ViewState, call: CallView, metrics: Metrics) -> li
     return requests
 
 
-def signs_of(person: Participant, *, is_encrypted: bool, volume: float = 1.0) -> list[Sign]:
+def signs_of(person: Person, *, is_encrypted: bool, volume: float = 1.0) -> list[Sign]:
     """Return what is shown beside a name."""
     is_banned = "voice" in person.muted_kinds
     is_unverified = is_encrypted and not person.is_self and not person.is_verified
@@ -221,7 +221,7 @@ def signs_of(person: Participant, *, is_encrypted: bool, volume: float = 1.0) ->
 
 
 def _row(
-    person: Participant,
+    person: Person,
     state: ViewState,
     call: CallView,
     metrics: Metrics,
@@ -263,7 +263,7 @@ def _row(
     return requests
 
 
-def _menu(person: Participant, state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
+def _menu(person: Person, state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
     requests: list[Request] = []
     if imgui.begin_popup(f"menu {person.peer_id}"):
         pin = "Unpin" if state.pinned == person.place else "Pin"
@@ -292,7 +292,7 @@ def _item(icon: str, text: str) -> bool:
     return imgui.menu_item_simple(f"{icon}  {text}")
 
 
-def _moderation(person: Participant, state: ViewState) -> list[Request]:
+def _moderation(person: Person, state: ViewState) -> list[Request]:
     """What an admin may do to a participant."""
     requests: list[Request] = []
     kinds = (

@@ -12,8 +12,7 @@ from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
 
 from helpers.hand import Hand, open_hand, point
-from pica_client.call.participants import Participant
-from pica_client.call.status import CallStatus
+from pica_client.call.status import CallStatus, Person
 from pica_client.publish.face_controls import TrackerPreview
 from pica_client.ui.actions import Action
 from pica_client.ui.call_view import (
@@ -43,9 +42,9 @@ from pica_client.ui.surface.widgets import as_drawn
 pytestmark = pytest.mark.unit
 
 STATE = ViewState(own_face="sent")
-ME = Participant(peer_id="", name="Me", is_self=True)
-ADA = Participant(peer_id="p1", place=1, name="Ada")
-BEN = Participant(peer_id="p2", name="Ben", is_watching=True, is_recording=True)
+ME = Person(peer_id="", name="Me", is_self=True)
+ADA = Person(peer_id="p1", place=1, name="Ada")
+BEN = Person(peer_id="p2", name="Ben", is_watching=True, is_recording=True)
 STATUS = CallStatus(participants=(ME, ADA, BEN), room="standup", duration_s=247.0)
 CALL = CallView(people=(PersonView(peer_id="p1", name="Ada"),), status=STATUS)
 ALONE = CallView(status=replace(STATUS, participants=(ME,)))

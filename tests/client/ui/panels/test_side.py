@@ -11,8 +11,7 @@ from imgui_bundle import imgui
 
 from helpers.hand import Hand, open_hand
 from pica_client.call.connection_quality import StreamHealth
-from pica_client.call.participants import Participant
-from pica_client.call.status import AvatarFigures, CallStatus, PeerStatus
+from pica_client.call.status import AvatarFigures, CallStatus, PeerStatus, Person
 from pica_client.publish.face_controls import TrackerPreview
 from pica_client.ui.actions import Action, Request
 from pica_client.ui.call_view import CallView, Notice, OwnFaceView, Panel, PersonView
@@ -32,9 +31,9 @@ from pica_protocol.messages import BarIdentity, MutePeer, RemovePeer
 pytestmark = pytest.mark.unit
 
 INVITATION = "pica://relay.example/standup"
-ME = Participant(peer_id="", name="Me", is_self=True)
-ADA = Participant(peer_id="p1", place=3, name="Ada", has_voice=True, identity="ada-1")
-BEN = Participant(peer_id="p2", name="Ben", is_watching=True, is_recording=True)
+ME = Person(peer_id="", name="Me", is_self=True)
+ADA = Person(peer_id="p1", place=3, name="Ada", has_voice=True, identity="ada-1")
+BEN = Person(peer_id="p2", name="Ben", is_watching=True, is_recording=True)
 STATUS = CallStatus(
     participants=(ME, ADA, BEN), room="standup", invitation=INVITATION, duration_s=247.0
 )
@@ -124,7 +123,7 @@ def test_the_code_to_read_aloud_stands_in_groups(hand: Hand) -> None:
     ],
 )
 def test_signs_beside_a_name(
-    person: Participant, volume: float, is_encrypted: bool, signs: list[str]
+    person: Person, volume: float, is_encrypted: bool, signs: list[str]
 ) -> None:
     found = signs_of(person, is_encrypted=is_encrypted, volume=volume)
     assert [icon for icon, _, _ in found] == [getattr(icons, f"ICON_FA_{sign}") for sign in signs]

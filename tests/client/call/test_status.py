@@ -9,15 +9,15 @@ import pytest
 from helpers.senders import LoadedAvatars
 from helpers.toy import make_toy_avatar, toy_payload
 from pica_client.call.call import Call
-from pica_client.call.participants import (
-    Participant,
+from pica_client.call.roster import News
+from pica_client.call.status import (
+    Person,
     duration_text,
     joined_names,
     list_participants,
     notices,
     recorders,
 )
-from pica_client.call.roster import News
 from pica_protocol.frames import Frame
 from pica_protocol.messages import (
     Joined,
@@ -34,7 +34,7 @@ from pica_protocol.messages import (
 pytestmark = pytest.mark.unit
 
 TOY_ID = "a" * 64
-OWN = Participant(peer_id="", name="Me", is_self=True)
+OWN = Person(peer_id="", name="Me", is_self=True)
 
 
 class AvatarOnItsWay(LoadedAvatars):
@@ -55,7 +55,7 @@ def call_with(*peers: Peer, avatars: LoadedAvatars | None = None) -> Call:
     return call
 
 
-def listed(call: Call, now: float = 1.0) -> dict[str, Participant]:
+def listed(call: Call, now: float = 1.0) -> dict[str, Person]:
     return {each.name: each for each in list_participants(OWN, call.room(now), {"p1": "poor"})}
 
 
@@ -115,7 +115,7 @@ def test_an_avatar_on_its_way_is_a_reason() -> None:
 
 
 def test_a_watcher_is_said_to_watch_and_a_poor_connection_is_told_last() -> None:
-    ada = Participant(peer_id="p1", name="Ada", is_watching=True)
+    ada = Person(peer_id="p1", name="Ada", is_watching=True)
     assert ada.line == "watching"
     assert replace(ada, note="connection lost").line == "connection lost"
     assert replace(ada, is_watching=False, quality="poor").line == "poor connection"
