@@ -137,22 +137,22 @@ class RelayStats:
         return {**counted, "forward_ms": forward_ms}
 
 
-def metrics_text(stats: RelayStats, gauges: Mapping[str, tuple[str, float]]) -> str:
-    """Return the page; ``gauges`` are so now: name without prefix to explanation and value."""
+def metrics_text(stats: RelayStats, gauges: Mapping[str, float]) -> str:
+    """Return the page; ``gauges`` are so now, by name without prefix."""
     registry = CollectorRegistry()
     registry.register(_Page(stats, gauges))
     return generate_latest(registry).decode()
 
 
 class _Page(Collector):
-    def __init__(self, stats: RelayStats, gauges: Mapping[str, tuple[str, float]]) -> None:
+    def __init__(self, stats: RelayStats, gauges: Mapping[str, float]) -> None:
         self._stats = stats
         self._gauges = gauges
 
     def collect(self) -> Iterator[Metric]:
         """Return the counters and what is so now."""
-        for name, (text, value) in self._gauges.items():
-            yield GaugeMetricFamily(f"pica_{name}", text, value)
+        for name, value in self._gauges.items():
+            yield GaugeMetricFamily(f"pica_{name}", name, float(value))
         for name, count in self._stats.counters().items():
             if isinstance(count, int):
                 yield CounterMetricFamily(f"pica_{name}", name, count)

@@ -117,32 +117,19 @@ class StatusPages:
         is_up = placement is not None and placement.is_up
         store = self._store
         used_bytes, num_free_bytes = (store.used_bytes, store.num_free_bytes) if store else (0, 0)
-        return metrics_text(
-            hub.stats,
-            {
-                "avatars": ("Files in the avatar store.", store.num_avatars if store else 0),
-                "avatar_store_bytes": ("Bytes of those files.", used_bytes),
-                "avatar_store_free_bytes": ("Left of the store's quota.", num_free_bytes),
-                "placement_up": ("1 while NATS places rooms on relays.", float(is_up)),
-                "placement_relays": ("Relays that are alive, with this one.", num_relays),
-                "open_connections": ("Connections that are open now.", hub.num_connections),
-                "rooms": ("Rooms with peers in them.", hub.num_rooms),
-                "draining": ("1 while everybody is sent away.", float(hub.connections.is_draining)),
-                "waiting_frames": ("Frames that wait for receivers.", hub.num_waiting_frames),
-                "waiting_control_bytes": (
-                    "Bytes of control messages that wait for receivers.",
-                    hub.num_waiting_control_bytes,
-                ),
-                "overload": (
-                    "1 while the event loop is late and no new peers are admitted.",
-                    float(hub.overload.refuses(now)),
-                ),
-                "loop_lateness_seconds": (
-                    "Worst delay of the event loop in ten seconds.",
-                    self._hub.overload.worst_s(now),
-                ),
-            },
-        )
+        gauges = {
+            "avatars": store.num_avatars if store else 0,
+            "avatar_store_bytes": used_bytes,
+            "avatar_store_free_bytes": num_free_bytes,
+            "placement_up": is_up,
+            "placement_relays": num_relays,
+            "open_connections": hub.num_connections,
+            "rooms": hub.num_rooms,
+            "draining": hub.connections.is_draining,
+            "overload": hub.overload.refuses(now),
+            "loop_lateness_seconds": hub.overload.worst_s(now),
+        }
+        return metrics_text(hub.stats, gauges)
 
 
 def _verdict(trouble: str, note: str = "") -> Page:

@@ -92,18 +92,6 @@ class Hub:
         """Return a room, or None if no peer is in it here."""
         return self.membership.rooms.get(name)
 
-    @property
-    def num_waiting_frames(self) -> int:
-        """Frames that wait for their receivers."""
-        connections = self.connections.by_peer.values()
-        return sum(each.outbox.waiting_frames for each in connections)
-
-    @property
-    def num_waiting_control_bytes(self) -> int:
-        """Bytes of control messages that wait."""
-        connections = self.connections.by_peer.values()
-        return sum(each.outbox.waiting_control_bytes for each in connections)
-
     def connect(self, now: float, address: str = "") -> Connection:
         """Take a new websocket, see `Connections.connect`."""
         return self.connections.connect(now, address)
