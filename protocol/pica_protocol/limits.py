@@ -8,6 +8,7 @@ import codecs
 import re
 import unicodedata
 from collections.abc import Sized
+from typing import Any
 from urllib.parse import urlsplit
 
 MAX_FRAME_BYTES = 1200
@@ -173,3 +174,16 @@ def clipped_reason(reason: str) -> str:
     """Make any text fit the limits of a close reason: printable, at most 120 bytes of UTF-8."""
     clean = "".join(char if char.isprintable() else " " for char in reason)
     return clean.encode("utf-8", "replace")[:MAX_REASON_BYTES].decode("utf-8", "ignore")
+
+
+def bound_tls_buffer(transport: Any) -> bool:
+    """Let TLS, if there is any, write no further ahead than one message; return whether there is.
+
+    The limits of a TLS transport of asyncio hold for what is not encrypted yet; the plain transport
+    under it takes 64 KiB more, which is seconds of a slow reader's time. The standard library has
+    no public way to it; a test notices when this one ends.
+    """
+    plain = getattr(getattr(transport, "_ssl_protocol", None), "_transport", None)
+    if plain is not None:
+        plain.set_write_buffer_limits(high=0)
+    return plain is not None

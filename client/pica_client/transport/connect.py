@@ -33,9 +33,8 @@ from pica_client.errors import OptionError, RelayRefusedError
 from pica_client.transport.config import LinkConfig
 from pica_protocol import SUBPROTOCOL
 from pica_protocol.errors import CloseCode, is_worth_retrying, may_pass
-from pica_protocol.limits import MAX_CONTROL_BYTES
+from pica_protocol.limits import MAX_CONTROL_BYTES, bound_tls_buffer
 from pica_protocol.session import Closed
-from pica_protocol.tls_buffer import bound_tls_buffer
 
 _log = logging.getLogger(__name__)
 

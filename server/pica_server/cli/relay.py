@@ -71,7 +71,7 @@ def _loop_factory(options: RelayOptions) -> Callable[[], asyncio.AbstractEventLo
     """Choose uvloop where it can be had: a quarter less processor time (docs/results.md).
 
     With TLS the standard loop stays: in uvloop nothing bounds what is written ahead of a slow
-    reader, see `pica_protocol.tls_buffer`.
+    reader, see `pica_protocol.limits`.
     """
     if sys.platform == "win32" or options.config.tls_cert is not None:
         return None

@@ -39,7 +39,7 @@ except ImportError:  # the library was installed without its C extension
     from websockets.utils import apply_mask
 
 from pica_protocol.errors import CloseCode
-from pica_protocol.tls_buffer import bound_tls_buffer
+from pica_protocol.limits import bound_tls_buffer
 from pica_server.config.proxies import PROXY_HEADERS, Network, client_of, is_in, names_this_machine
 from pica_server.limits import SocketGuard, TokenBucket, address_group
 from pica_server.stats import RelayStats

@@ -19,8 +19,8 @@ from pica_client.errors import OptionError, RelayRefusedError
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.connect import RelayConnect
 from pica_client.transport.link import Link
+from pica_protocol.limits import bound_tls_buffer
 from pica_protocol.messages import Joined
-from pica_protocol.tls_buffer import bound_tls_buffer
 from pica_server.config.relay import LimitsConfig, RelayConfig
 from pica_server.errors import ConfigurationError
 from pica_server.ops.certificate import Certificate
