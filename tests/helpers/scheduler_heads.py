@@ -66,6 +66,6 @@ def choose(head: Head, budget_s: float = AMPLE_S) -> Choice:
     return plan(head, budget_s=budget_s).choices[head.slot]
 
 
-def detail(choice: Choice) -> tuple[int, int]:
+def detail(choice: Choice) -> tuple[float, int, int]:
     """How fine a head is drawn."""
-    return choice.level, choice.mesh_level
+    return choice.scale, choice.level, choice.mesh_level

@@ -26,6 +26,8 @@ MAX_FADE = 0.75
 """A head that has faded completely can still be made out."""
 EDGE_PX = 1
 """A smoothed silhouette reaches so far beyond the pixels that a head covers."""
+NO_ROWS = (-2.0, -1.0, -2.0, -1.0)
+"""Those of a head that does not fade."""
 WHOLE = (0.0, 1.0)
 """The share of a head that no other level is mixed into."""
 
@@ -103,10 +105,13 @@ class ShownHead:
     """The part of the image that the head may cover."""
     matrix: FloatArray
     """Clip space of the view from the head frame, ``[4, 4]``."""
+    scale: float
+    """Share of the image's resolution that it is drawn with."""
     opacity: float
     """Before the room, 0 to 1."""
-    fading_row: float
-    """Row of the image below which some of it may fade into the room."""
+    fading_rows: tuple[float, ...]
+    """Rows of the image at which nothing is left of that side of it which fades first, and from
+    which all is there; then those of the side that fades last."""
     body: Body | TexturedHead
     levels: tuple[ShownLevel, ...]
     """One, or two while levels are mixed; none of a head that is a texture as a whole."""
@@ -114,15 +119,10 @@ class ShownHead:
     """All that its layer depends on."""
 
     @property
-    def viewport(self) -> tuple[int, int, int, int]:
-        """Where its view lies, seen from the corner of its rectangle."""
-        left, bottom, width, height = viewport(self.view)
-        return left - self.rect[0], bottom - self.rect[1], width, height
-
-    @property
     def size(self) -> tuple[int, int]:
-        """Columns and rows of its rectangle."""
-        return viewport(self.rect)[2:]
+        """Columns and rows that it is drawn in."""
+        columns, rows = viewport(self.rect)[2:]
+        return math.ceil(self.scale * columns), math.ceil(self.scale * rows)
 
 
 def list_heads(
@@ -238,27 +238,30 @@ def _shown(
         view=view,
         rect=rect,
         matrix=matrix,
-        fading_row=_fading_row(body, matrix, view),
+        scale=placement.scale,
+        fading_rows=_fading_rows(body, matrix, view),
         opacity=1 - min(max(placement.fade, 0.0), 1.0) * MAX_FADE,
         body=body,
         levels=levels,
-        look=(entry.version, matrix.tobytes(), rect, tuple(parts)),
+        look=(entry.version, matrix.tobytes(), rect, placement.scale, tuple(parts)),
     )
 
 
-def _fading_row(body: Body | TexturedHead, matrix: FloatArray, view: PixelRect) -> float:
+def _fading_rows(
+    body: Body | TexturedHead, matrix: FloatArray, view: PixelRect
+) -> tuple[float, ...]:
+    """See `ShownHead.fading_rows`."""
     if body.fade_m == WHOLE_M:
-        return 0.0
-    height_m = body.fade_m[1]
-    corners = [(x, height_m, z, 1) for x, _, z in (body.low_m, body.high_m)]
-    corners += [
-        (corners[0][0], height_m, corners[1][2], 1),
-        (corners[1][0], height_m, corners[0][2], 1),
+        return NO_ROWS
+    low, high = body.low_m, body.high_m
+    corners = [
+        (x, y, z, 1) for y in body.fade_m for x in (low[0], high[0]) for z in (low[2], high[2])
     ]
     _, y, _, w = np.matmul(np.array(corners), matrix.T).T
     _, bottom, _, rows = viewport(view)
-    share = float((y / np.maximum(w, NEAR_M)).max())
-    return bottom + rows * min(share + 1, 2.0) / 2
+    heights = bottom + rows * (np.clip(y / np.maximum(w, NEAR_M), -2, 2).reshape(2, -1) + 1) / 2
+    (gone, whole), (last, first) = heights.max(axis=1).tolist(), heights.min(axis=1).tolist()
+    return gone, whole + 1, last, first + 1
 
 
 def _levels(entry: RenderSlot, body: Body, placement: Placement) -> tuple[ShownLevel, ...]:

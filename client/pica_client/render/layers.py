@@ -11,7 +11,7 @@ import moderngl
 import numpy as np
 
 from pica_client.render.gpu_program import UNIT_VISIBLE_UV, UNIT_VISIBLE_XYZ, clamp
-from pica_core.types import Array
+from pica_core.types import Array, FloatArray
 
 PixelRect = tuple[int, int, int, int]
 """Left, bottom, right, top in pixels of the whole image, rows counted from the bottom as GL
@@ -25,14 +25,17 @@ view that turns draws it in every frame (llvmpipe, 1280 x 720, five seats: 22 ms
 
 
 class Layer:
-    """One head as one view sees it; its lower left pixel is that of the head's rectangle.
+    """One head as one view sees it; its lower left corner is that of the head's rectangle.
+
+    Args:
+        scale: Its pixels for each of the image.
 
     Attributes:
         look: All that what was drawn last depends on.
     """
 
-    def __init__(self, context: moderngl.Context, size: tuple[int, int]) -> None:
-        self.size = size
+    def __init__(self, context: moderngl.Context, size: tuple[int, int], scale: float) -> None:
+        self.size, self.scale = size, scale
         self.visible = {
             UNIT_VISIBLE_XYZ: context.texture(size, 4, dtype="f4"),
             # 16 bits a coordinate: 1/7 of an entry of a table of 10,000, while a pixel of a head
@@ -45,8 +48,9 @@ class Layer:
         """Colours times how much of them is there, and that; depths, where 1 is nothing."""
         self.smooth = context.texture(size, 4)
         """The same colours, without stair-steps at the silhouette."""
-        for texture in (*self.visible.values(), self.colour, self.smooth):
+        for texture in (*self.visible.values(), self.colour):
             clamp(texture, moderngl.NEAREST)
+        clamp(self.smooth, moderngl.NEAREST if scale == 1 else moderngl.LINEAR)
         self.empty = context.framebuffer([], self.depth)
         self.surface = context.framebuffer(list(self.visible.values()), self.depth)
         self.coloured = context.framebuffer([self.colour], self.depth)
@@ -58,12 +62,23 @@ class Layer:
         kind = np.dtype(f"<{texture.dtype.removeprefix('n')}")
         return np.frombuffer(texture.read(), kind).reshape(*self.size[::-1], -1)
 
-    def serves(self, size: tuple[int, int]) -> bool:
+    def serves(self, size: tuple[int, int], scale: float) -> bool:
         """Return True if a head of so many columns and rows fits, and does not leave most empty."""
-        return self.size == layer_size(size) or all(
+        fits = all(
             side <= own <= side + 2 * SIDE_STEP_PX
             for side, own in zip(size, self.size, strict=True)
         )
+        return scale == self.scale and (fits or self.size == layer_size(size))
+
+    def crop(self, rect: PixelRect, view: PixelRect) -> FloatArray:
+        """Clip space of the layer from that of a view of the image, for a head that may cover a
+        rectangle of the image. ``[4, 4]``."""
+        matrix = np.eye(4, dtype=np.float32)
+        sides = zip(viewport(view)[2:], view[:2], rect[:2], self.size, strict=True)
+        for axis, (side, start, corner, own) in enumerate(sides):
+            matrix[axis, axis] = side * self.scale / own
+            matrix[axis, 3] = (2 * (start - corner) + side) * self.scale / own - 1
+        return matrix
 
 
 def layer_size(size: tuple[int, int]) -> tuple[int, int]:

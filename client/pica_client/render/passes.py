@@ -133,12 +133,11 @@ class DrawPasses:
             layer.empty.use()
             layer.empty.clear(depth=1.0)
             layer.surface.use()
-            layer.surface.viewport = head.viewport
             for number, shown in enumerate(head.levels, start=1):
                 is_shared = shown.share != WHOLE
                 program = programs.sharing if is_shared else programs.whole
                 shown.position.texture.use(UNIT_POSITION)
-                self._set_head(program, head)
+                self._set_head(program, head, layer)
                 rows = shown.position.first_row, shown.position.num_rows
                 set_values(program, slot=float(number), position_rows=rows)
                 if is_shared:
@@ -186,7 +185,7 @@ class DrawPasses:
             set_values(body.shade.program, expression_rows=(*rows, is_change))
         for unit, texture in layer.visible.items():
             texture.use(unit)
-        self._begin(layer, (0, 0, *layer.size))
+        layer.coloured.use()
         # Only where some mesh lies before the far plane: whole blocks of others are skipped before
         # any program runs.
         self._context.depth_func, layer.coloured.depth_mask = ">", False
@@ -207,21 +206,17 @@ class DrawPasses:
             program, texture, vertices = self.mesh_programs.static, body.skin, static
             share = head.levels[number].share
             set_values(program, share=share, corner=head.rect[:2])
-        self._begin(layer, head.viewport)
+        layer.coloured.use()
         self._context.depth_func, layer.coloured.depth_mask = "<", True
         self._context.enable(moderngl.CULL_FACE)
         texture.use(UNIT_SKIN)
-        self._set_head(program, head)
+        self._set_head(program, head, layer)
         set_values(program, shown=body.fade_m)
         vertices.render()
 
-    def _begin(self, layer: Layer, viewport: tuple[int, int, int, int]) -> None:
-        layer.coloured.viewport = viewport
-        layer.coloured.use()
-
-    def _set_head(self, program: moderngl.Program, head: ShownHead) -> None:
-        body = head.body
-        set_matrix(program, "clip_from_head", head.matrix)
+    def _set_head(self, program: moderngl.Program, head: ShownHead, layer: Layer) -> None:
+        body, crop = head.body, layer.crop(head.rect, head.view)
+        set_matrix(program, "clip_from_head", np.matmul(crop, head.matrix))
         set_values(program, low_m=body.low_m, high_m=body.high_m)
 
     def smooth(self, heads: Sequence[LayeredHead]) -> None:
@@ -248,9 +243,12 @@ class DrawPasses:
                 self._place.program,
                 rect=clip_rect(head.rect, images.size),
                 within=(left / width, bottom / height, columns / width, rows / height),
-                filled=(columns / layer.size[0], rows / layer.size[1]),
+                filled=tuple(
+                    layer.scale * side / own
+                    for side, own in zip((columns, rows), layer.size, strict=True)
+                ),
                 opacity=head.opacity,
-                fading=head.fading_row,
+                fading=head.fading_rows,
             )
             self._place.render(moderngl.TRIANGLE_STRIP, vertices=4)
         context.disable(moderngl.BLEND)

@@ -343,7 +343,7 @@ class Renderer(Closing):
         kept: dict[tuple[str, int], Layer] = {}
         for head in heads:
             layer = self._layers.get((head.slot, head.view[0]))
-            if layer is not None and layer.serves(head.size):
+            if layer is not None and layer.serves(head.size, head.scale):
                 kept[head.slot, head.view[0]] = layer
         with freeing(self._context) if len(kept) < len(self._layers) else nullcontext():
             self._unbind()
@@ -351,7 +351,8 @@ class Renderer(Closing):
             self._layers = kept
         for head in heads:
             if (head.slot, head.view[0]) not in kept:
-                kept[head.slot, head.view[0]] = Layer(self._context, layer_size(head.size))
+                size = layer_size(head.size)
+                kept[head.slot, head.view[0]] = Layer(self._context, size, head.scale)
         return [(head, kept[head.slot, head.view[0]]) for head in heads]
 
     def read_image(self) -> Image:
@@ -386,10 +387,16 @@ class Renderer(Closing):
         for head, layer in self._farthest_first:
             left, bottom, columns, rows = viewport(head.rect)
             image = np.s_[bottom : bottom + rows, left : left + columns]
-            own = (layer.read(layer.depth)[:rows, :columns] < 1).all(axis=2)
+            drawn = np.ix_(
+                *(
+                    (layer.scale * (np.arange(side) + 0.5)).astype(np.intp)
+                    for side in (rows, columns)
+                )
+            )
+            own = (layer.read(layer.depth)[drawn] < 1).all(axis=2)
             heads[image][own] = self._shown.index((head, layer))
             for found, unit in ((xyz_m, UNIT_VISIBLE_XYZ), (uv, UNIT_VISIBLE_UV)):
-                values = layer.read(layer.visible[unit])[:rows, :columns]
+                values = layer.read(layer.visible[unit])[drawn]
                 found[image][own] = values[own][:, : found.shape[2]]
         return xyz_m[::-1], uv[::-1] / np.float32(65535), heads[::-1]
 

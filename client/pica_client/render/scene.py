@@ -30,6 +30,8 @@ class Placement:
     """Head frame to world, float32 ``[4, 4]`` for column vectors."""
     fade: float = 0.0
     """0 is as it is, 1 has faded into the room: for stale faces."""
+    scale: float = 1.0
+    """Share of the image's resolution that it is drawn with, to be enlarged."""
     mesh_level: int | None = None
     """Level whose mesh to draw with the full maps; None for the full one. Maps of other levels are
     always drawn with their own."""

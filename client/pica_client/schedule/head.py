@@ -36,6 +36,8 @@ class Choice(NamedTuple):
     """What to decode now, at `level`; "expression" with the latent of the maps that are there."""
     mesh_level: int
     """Level of the triangles: that of the maps; with full maps also a coarser one."""
+    scale: float
+    """Share of the image's resolution that it is drawn with."""
     every: int
     """Which frames of its stream to ask for: 1 is all, 2 or 4 each second or fourth, 0 none."""
     cost_s: float
@@ -139,6 +141,7 @@ class Head:
             self.shown_mesh = choice.mesh_level
         return replace(
             placement,
+            scale=choice.scale,
             mesh_level=self.shown_mesh,
             mesh_before=self.mesh_before,
             is_same_maps=self.is_same_maps,

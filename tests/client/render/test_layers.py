@@ -165,6 +165,21 @@ def test_what_others_paint_over_an_image_does_not_stay(stage: Stage) -> None:
     np.testing.assert_array_equal(stage.kept.read_image(), before)
 
 
+@pytest.mark.parametrize("scale", [0.75, 0.5])
+def test_a_head_of_lower_resolution_is_enlarged_to_where_it_was(stage: Stage, scale: float) -> None:
+    renderer, size = stage.kept, (480, 200)
+    renderer.resize(size)
+    images, covered = [], []
+    for share in (1.0, scale):
+        rest = Placement(slot="p0", world_from_head=np.eye(4, dtype=np.float32), scale=share)
+        stats = renderer.draw([rest], camera(size), room=ROOM, count_pixels=True)
+        covered.append(renderer.read_surface()[2] == 0)
+        images.append(renderer.read_image().astype(int))
+    assert stats.shaded_pixels == pytest.approx(scale**2 * covered[0].sum(), rel=0.03)
+    assert (covered[0] != covered[1]).mean() < 0.01
+    assert np.abs(images[0] - images[1]).mean() < 1
+
+
 @given(st.integers(0, 2**32 - 1), st.floats(0, 0.03))
 def test_an_outline_holds_vertices_wherever_they_go(seed: int, slack_m: float) -> None:
     rng = np.random.default_rng(seed)

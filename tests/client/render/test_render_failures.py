@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 import os
 import subprocess
 import sys
@@ -18,6 +19,7 @@ import pytest
 from helpers.toy import make_toy_avatar
 from pica_client.errors import ShaderError
 from pica_client.render import gpu_avatar
+from pica_client.render.layers import layer_size
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.scene import Placement, head_matrix
 from pica_core.avatar.spec import AvatarSpec
@@ -122,7 +124,7 @@ def test_from_behind_below_and_above_the_visible_side_is_shaded_once(
 def test_a_head_that_fills_the_screen_shades_each_pixel_once(context: moderngl.Context) -> None:
     renderer = renderer_with(context, 1)
     stats = renderer.draw([placed("p0")], camera_at(0, 0, 0.25, fov=0.2), count_pixels=True)
-    assert stats.shaded_pixels == SIZE[0] * SIZE[1]
+    assert stats.shaded_pixels == math.prod(layer_size(SIZE))
     assert (renderer.read_surface()[2] == 0).all()
 
 

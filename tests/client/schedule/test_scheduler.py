@@ -45,7 +45,7 @@ def test_a_near_talking_head_gets_everything_while_there_is_time() -> None:
 def test_detail_follows_the_height_on_the_screen() -> None:
     heights = (30, 100, 300, 1000)
     found = [detail(choose(view(head_px=px, held_level=None))) for px in heights]
-    assert found == [(64, 64), (128, 128), (256, 128), (256, 256)]
+    assert found == [(1, 64, 64), (1, 128, 128), (1, 256, 128), (1, 256, 256)]
 
 
 def test_a_head_that_rests_is_not_decoded_again() -> None:
@@ -87,7 +87,7 @@ def test_where_time_is_short_listeners_are_drawn_less_often_before_anybody_is_co
     free = scheduler.plan(people, AMPLE_S, NOW_S)
     short = scheduler.plan(people, 0.7 * free.cost_s, NOW_S + FRAME_S)
     assert (free.is_short, short.is_short) == (False, True)
-    assert [detail(choice) for choice in short.choices.values()] == [(256, 128)] * 5
+    assert [detail(choice) for choice in short.choices.values()] == [(1, 256, 128)] * 5
     assert short.cost_s < 0.7 * free.cost_s
 
 
@@ -189,7 +189,7 @@ def test_heads_of_one_height_lose_detail_one_after_the_other() -> None:
     found = set()
     for share in np.linspace(1, 0.6, 30):
         choices = plan(*(view(name) for name in names), budget_s=share * whole_s).choices
-        found.add(sum(choice.level == 64 for choice in choices.values()))
+        found.add(sum(choice.scale < 1 for choice in choices.values()))
     assert found == {0, 1, 2, 3, 4}
 
 
@@ -208,8 +208,8 @@ def test_two_heads_that_sway_side_by_side_do_not_take_detail_from_each_other() -
 
 def test_detail_that_the_budget_took_comes_back_with_the_budget() -> None:
     scheduler, head = Scheduler(), view(head_px=1000)
-    assert scheduler.plan([head], 0.0, 1.0).choices["ada"].mesh_level == 64
-    assert scheduler.plan([head], AMPLE_S, 2.0).choices["ada"].mesh_level == 256
+    assert detail(scheduler.plan([head], 0.0, 1.0).choices["ada"]) == (0.5, 64, 64)
+    assert detail(scheduler.plan([head], AMPLE_S, 2.0).choices["ada"]) == (1, 256, 256)
 
 
 def test_a_head_that_leaves_is_wanted_a_while_longer_and_then_not_at_all() -> None:
