@@ -1,72 +1,42 @@
-"""A relay beside other servers under one load in one run.
-
-naive, naive-uvloop   read a message and broadcast it, with the same library
-echo                  what the load generator can do at most
+"""A relay beside a naive one, which reads a message and broadcasts it with the same library, under
+one load in one run.
 
     python tests/rivals/comparison.py --rooms 60
 
-prints the relay's figures beside those of the naive relay.
+prints the relay's figures, and under ``compare`` those of the naive relay.
 """
 
 import argparse
 import json
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
-from pica_client.bench.harness import check_names
 from pica_client.bench.relay.bench import RelayBenchConfig, Target, measure, relay_target
 from pica_client.bench.relay.processes import START_TIMEOUT_S, Workers, share_cores
 from pica_client.local_call.processes import Children
 from pica_client.stats import describe_machine
 from pica_client.system import terminate_as_interrupt
 
-RIVALS: Final = ("naive", "naive-uvloop", "echo")
-HERE: Final = Path(__file__).parent
+NAIVE: Final = Path(__file__).parent / "naive.py"
 
 
-def run_comparison(config: RelayBenchConfig, compare: Sequence[str] = ()) -> dict[str, Any]:
-    """Measure the relay and other servers.
-
-    Args:
-        config: The load.
-        compare: Some of `RIVALS`.
+def run_comparison(config: RelayBenchConfig) -> dict[str, Any]:
+    """Measure the relay and the naive one, each on the same core.
 
     Returns:
-        What `pica bench relay` gives, and the same by name under ``compare``.
+        What `pica bench relay` gives, and the same of the naive relay under ``compare``.
 
     Raises:
-        ClientError: A name is unknown, or a server does not let everybody in.
+        ClientError: A server does not let everybody in.
     """
-    check_names("compare", compare, RIVALS)
     with Workers() as workers, Children() as children:
         with relay_target(config, children) as target:
             result = measure(config, target, workers, "relay")
-        result["compare"] = {}
-        for name in compare:
-            with _rival(name, result, config, workers) as target:
-                result["compare"][name] = measure(config, target, workers, name)
-    return result | {"machine": describe_machine()}
-
-
-@contextmanager
-def _rival(
-    name: str, result: dict[str, Any], config: RelayBenchConfig, workers: Workers
-) -> Iterator[Target]:
-    """A server to compare with, on the relay's core."""
-    core, _ = share_cores()
-    if name == "echo":
-        copies = config.peers - 1
-        per_message = result["frames_per_message"] or 1
-        # As many in a message as the relay puts there, rounded down to what divides.
-        fitting = [n for n in range(1, copies + 1) if copies % n == 0 and n <= per_message + 0.25]
-        worker = workers.start(HERE / "echo.py", str(copies), str(fitting[-1]), core=core)
-    else:
-        words = name.split("-")[1:]
-        worker = workers.start(HERE / "naive.py", *words, core=core)
-    yield Target(url=worker.line(START_TIMEOUT_S), pid=worker.pid)
-    workers.stop([worker])
+        worker = workers.start(NAIVE, core=share_cores()[0])
+        target = Target(url=worker.line(START_TIMEOUT_S), pid=worker.pid)
+        compare = {"naive": measure(config, target, workers, "naive")}
+        workers.stop([worker])
+    return result | {"compare": compare, "machine": describe_machine()}
 
 
 def main() -> None:
@@ -77,7 +47,7 @@ def main() -> None:
     options = parser.parse_args()
     load = RelayBenchConfig(rooms=options.rooms, seconds=options.seconds)
     with terminate_as_interrupt():
-        print(json.dumps(run_comparison(load, ("naive",))))
+        print(json.dumps(run_comparison(load)))
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
 """A relay as one would write it first, to compare with: read a message, ``broadcast`` it.
 
 ``python tests/rivals/naive.py`` uses the same websockets library and the same protocol,
-so that the same load can join, and nothing else: no queue of its own, no drop rule, no layers, no
-keyframes for latecomers, no limits, no shared messages. A receiver that does not read makes it
+so that the same load can join, and nothing else: no queue of its own, no drop rule, no limits, no
+shared messages. A receiver that does not read makes it
 grow. It is no server to run.
 """
 
@@ -83,13 +83,8 @@ async def run() -> None:
 
 
 def main() -> None:
-    """Run on the standard loop, or on the one that the first argument names."""
-    if sys.argv[1:] == ["uvloop"]:
-        import uvloop
-
-        uvloop.run(run())
-    else:
-        asyncio.run(run())
+    """Run on the standard loop."""
+    asyncio.run(run())
 
 
 if __name__ == "__main__":
