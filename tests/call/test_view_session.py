@@ -141,16 +141,18 @@ def test_one_comes_again_under_another_name(
     state.window_size = (960, 720)
     stay = replace(OPTIONS, seconds=20, viewer=ViewerOptions())
     with contextlib.closing(AvatarLibrary()) as library:
-        view_calls(stay, state, library, without_signals, kept=kept, asks=True)
+        view_calls(stay, state, library, without_signals, kept)
     assert ClickingWindow.todo == []
     assert (kept.load().name, state.name) == ("Ada", "Ada Lovelace")
 
 
 def test_one_can_leave_at_the_form(
-    window_of: Callable[[list[Event]], None], library: AvatarLibrary
+    window_of: Callable[[list[Event]], None], library: AvatarLibrary, tmp_path: Path
 ) -> None:
     window_of([press(imgui.Key.escape)])
-    result = view_calls(OPTIONS, state_at(NOBODY), library, without_signals, asks=True)
+    result = view_calls(
+        OPTIONS, state_at(NOBODY), library, without_signals, PreferencesFile(tmp_path)
+    )
     assert result["frames_rendered"] == 0
 
 
@@ -158,6 +160,7 @@ def test_a_relay_that_is_not_there_is_said_in_the_form(
     window_of: Callable[[list[Event]], None],
     library: AvatarLibrary,
     monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
 ) -> None:
     window_of([press(imgui.Key.enter)])
     state = state_at(NOBODY, "Ada")
@@ -168,7 +171,7 @@ def test_a_relay_that_is_not_there_is_said_in_the_form(
         form.outcome = "leave"
 
     monkeypatch.setattr(JoinForm, "refuse", refuse)
-    view_calls(OPTIONS, state, library, without_signals, asks=True)
+    view_calls(OPTIONS, state, library, without_signals, PreferencesFile(tmp_path))
     assert len(refusals) == 1
     assert f"no relay answers at {NOBODY}" in refusals[0]
 
@@ -183,7 +186,7 @@ def test_who_joins_by_the_form_is_in_the_call_and_found_again_next_time(
     kept = PreferencesFile(tmp_path)
     state = state_at(relay_url, "Ada")
     state.token = "a-secret"
-    result = view_calls(OPTIONS, state, library, without_signals, kept=kept, asks=True)
+    result = view_calls(OPTIONS, state, library, without_signals, kept)
     assert result["frames_rendered"] > 0
     found = kept.load()
     assert (found.url, found.room, found.name, found.layout) == (
@@ -196,12 +199,10 @@ def test_who_joins_by_the_form_is_in_the_call_and_found_again_next_time(
 
 
 def test_an_address_on_the_command_line_needs_no_form(
-    library: AvatarLibrary, relay_url: str, tmp_path: Path
+    library: AvatarLibrary, relay_url: str
 ) -> None:
-    kept = PreferencesFile(tmp_path)
-    result = view_calls(HEADLESS, state_at(relay_url), library, without_signals, kept=kept)
+    result = view_calls(HEADLESS, state_at(relay_url), library, without_signals)
     assert result["frames_rendered"] > 0
-    assert kept.load().url == relay_url
 
 
 def test_a_stay_begins_without_what_held_for_the_people_of_another(
@@ -251,19 +252,11 @@ def test_what_the_command_line_says_comes_before_what_was_kept(tmp_path: Path) -
     kept = PreferencesFile(tmp_path)
     sent = ViewState(url="ws://old", room="old", name="Old", voice="none", source="webcam")
     kept.save(sent)
-    state = first_state(ViewOptions(room="new", voice="speech"), kept, asks=True)
+    state = first_state(ViewOptions(room="new", voice="speech"), kept)
     assert (state.url, state.room, state.name) == ("ws://old", "new", "Old")
     assert (state.source, state.voice) == ("webcam", "speech")
     for said, source in (("vmc", "vmc"), ("none", "")):
-        assert first_state(ViewOptions(send=said), kept, asks=True).source == source
-
-
-def test_without_the_form_nothing_of_it_is_taken_from_the_last_call(tmp_path: Path) -> None:
-    kept = PreferencesFile(tmp_path)
-    kept.save(ViewState(url="ws://old", room="old", name="Old", source="webcam", layout="grid"))
-    state = first_state(ViewOptions(url="ws://new"), kept)
-    assert (state.url, state.room, state.name) == ("ws://new", "lobby", "viewer")
-    assert (state.source, state.voice, state.layout) == ("", "none", "grid")
+        assert first_state(ViewOptions(send=said), kept).source == source
 
 
 def test_an_invite_link_leads_where_it_says() -> None:
@@ -278,6 +271,6 @@ def test_a_token_file_that_is_not_for_the_relay_of_a_link_is_said_to_stay(
 ) -> None:
     link = relay_url.replace("ws://", "pica://") + "/fun?plain=1"
     options = replace(HEADLESS, link=link, token_file=tmp_path / "not there")
-    view_calls(options, first_state(options, None, asks=False), library, without_signals)
+    view_calls(options, first_state(options, None), library, without_signals)
     line = f"token-file is not sent to {relay_url}; --url {relay_url} would send it"
     assert capsys.readouterr().err.count(line) == 1

@@ -117,7 +117,7 @@ def _view_arguments(config: DemoConfig, stage: local_call.LocalCall) -> list[str
     if config.headless:
         # There is no listener: the voices are played, and measured, without a sound.
         return [*arguments, "--speaker", "none", "--headless"]
-    return [*arguments, "--statistics", "--no-preferences"]
+    return [*arguments, "--statistics"]
 
 
 def _watch(config: DemoConfig, stage: local_call.LocalCall, viewer: Child) -> None:

@@ -22,13 +22,13 @@ def view(options: ViewOptions) -> dict[str, Any]:
     from pica_client.ui.session import first_state, view_calls
     from pica_client.ui.state import PreferencesFile
 
-    kept = PreferencesFile() if options.preferences and not is_headless else None
     asks = not is_headless and bool(options.link or not options.url) and has_display()
-    state = first_state(options, kept, asks=asks)
+    kept = PreferencesFile() if asks else None
+    state = first_state(options, kept)
     with closing(AvatarLibrary()) as library:
         for name in (options.avatar or "").split(","):
             if name:
                 library.load(library.find(name))
-        result = view_calls(options, state, library, on_stop_signal, asks=asks, kept=kept)
+        result = view_calls(options, state, library, on_stop_signal, kept)
     say(f"drew {result['frames_rendered']} images at {result['render_fps']} a second")
     return result

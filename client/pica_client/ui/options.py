@@ -128,8 +128,6 @@ class ViewOptions:
     """Begin to draw once so many peers are seen."""
     statistics: bool = False
     """Show the statistics from the start; S toggles them, H shows all keys."""
-    preferences: bool = True
-    """Begin as the last call in a window ended, and remember how this one ends."""
     token_file: Path | None = None
     """File with the join token that the relay of --url wants, see pica token."""
     ca_file: Path | None = None

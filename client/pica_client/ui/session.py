@@ -44,8 +44,6 @@ DEFAULT_ROOM = "lobby"
 DEFAULT_NAME = "viewer"
 WATCH = "none"
 """What ``--send`` is given by a user who only watches."""
-OF_THE_FORM = ("ca_file", "secret_file", "avatar", "source", "voice")
-"""Without the form these come from the command line alone, and are not kept."""
 POLL_S = 0.02
 EXPECT_TIMEOUT_S = 30.0
 """How long the peers of ``--expect`` are waited for."""
@@ -56,23 +54,17 @@ Stopping = Callable[[Callable[[], None]], AbstractContextManager[None]]
 """Makes a signal call what it is given, for the length of a block."""
 
 
-def first_state(
-    options: ViewOptions, kept: PreferencesFile | None, *, asks: bool = False
-) -> ViewState:
+def first_state(options: ViewOptions, kept: PreferencesFile | None) -> ViewState:
     """Return what the command line gives, else what was kept, else defaults.
 
     Args:
-        kept: The preferences; None takes none, and keeps none.
-        asks: A form asks, with all this in its fields.
+        kept: What a form that asks remembers; None: no form asks.
 
     Raises:
         OptionError: An option cannot be right.
     """
+    asks = kept is not None
     state = ViewState() if kept is None else kept.load()
-    if not asks:
-        for name in ("url", "room", "name", "avatar", "ca_file", "secret_file"):
-            setattr(state, name, "")
-        state.source = state.voice = None
     given = {"url": options.url, "room": options.room, "name": options.name}
     given |= {"avatar": options.own_avatar, "layout": options.layout}
     given |= {name: str(getattr(options, name) or "") for name in ("ca_file", "secret_file")}
@@ -155,16 +147,14 @@ def view_calls(
     state: ViewState,
     library: AvatarLibrary,
     stopping: Stopping,
-    *,
-    asks: bool = False,
     kept: PreferencesFile | None = None,
 ) -> dict[str, Any]:
     """Stay in the room that the state names, or that a form asks for, until the user leaves.
 
     Args:
         stopping: How signals end it.
-        asks: A form in a window asks where to go.
-        kept: Where preferences go afterwards.
+        kept: Where preferences go afterwards, when a form in a window asks where to go; None: no
+            form asks.
 
     Returns:
         As `Stay.run`; `NOTHING_SHOWN` when the user left at the form.
@@ -174,11 +164,11 @@ def view_calls(
         ClientError: Without a form, what else `Stay` or `open_own` raises.
     """
     form = JoinForm(state, partial(link_of, options))
-    state.can_rejoin = asks
+    state.can_rejoin = kept is not None
     with ExitStack() as stack:
         window = lobby = None
         sound = stack.enter_context(closing(SoundProcess(state.sound)))
-        if asks:
+        if kept is not None:
             window = stack.enter_context(Window(state.window_size))
             lobby = stack.enter_context(Lobby(window, library, None if available() else sound))
         pool = stack.enter_context(ThreadPoolExecutor(1, thread_name_prefix="own-face"))
@@ -209,7 +199,7 @@ def view_calls(
                 continue
             if result is not None:
                 if kept is not None:
-                    kept.save(state, leaving=() if asks else OF_THE_FORM)
+                    kept.save(state)
                 if not state.wants_rejoin:
                     return result
             form.ask_again()

@@ -6,7 +6,7 @@ user, password or query, tokens are not kept at all.
 """
 
 import json
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
@@ -166,18 +166,10 @@ class PreferencesFile:
             self._warn(f"{self.path}: preferences cannot be used, taking defaults: {reason}")
             return ViewState()
 
-    def save(self, state: ViewState, *, leaving: Collection[str] = ()) -> None:
+    def save(self, state: ViewState) -> None:
         """Replace the file, whole or not at all. When it cannot be written, the user is told and
-        the call goes on.
-
-        Args:
-            leaving: Names of what stays as it is in the file.
-        """
-        before = self.load() if leaving else state
-        kept = {
-            each.name: getattr(before if each.name in leaving else state, each.name)
-            for each in fields(Preferences)
-        }
+        the call goes on."""
+        kept = {each.name: getattr(state, each.name) for each in fields(Preferences)}
         kept |= {"url": _without_secrets(state.url), "sound": asdict(state.sound)}
         try:
             make_private(self.path.parent)

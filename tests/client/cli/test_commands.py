@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 from helpers.toy import make_toy_avatar
-from pica_client.local_call.local_call import FrameTimes, latency_summary
 from pica_command.main import main
 from pica_core.avatar import shipped
 from pica_core.avatar.file import save_avatar
@@ -98,13 +97,3 @@ def test_a_build_without_avatars_says_so_in_one_line(
     assert capsys.readouterr().err == (
         "pica send: no avatar ships with this package; name one with --avatar FILE\n"
     )
-
-
-def test_the_parts_of_a_frames_latency_add_up_to_its_whole() -> None:
-    frame = FrameTimes(
-        name="Ada", captured_us=1_000_000, arrived_s=1.004, released_s=1.010, decoded_s=1.013
-    )
-    summary = latency_summary([frame])
-    assert summary["p99"] == pytest.approx(13)
-    parts = {name: values["p99"] for name, values in summary["parts"].items()}
-    assert parts == pytest.approx({"relay": 4, "playout": 6, "decode": 3})

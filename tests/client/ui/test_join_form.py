@@ -88,7 +88,7 @@ def test_an_invite_link_takes_a_token_file_to_no_other_relay(
     relay: str | None, link: str, is_sent: bool, tmp_path: Path
 ) -> None:
     options = ViewOptions(url=relay, link=link, token_file=tmp_path / "token")
-    assert (link_of(options, first_state(options, None, asks=False)).token_file is None) != is_sent
+    assert (link_of(options, first_state(options, None)).token_file is None) != is_sent
 
 
 def test_a_certificate_file_is_for_addresses_that_use_one(tmp_path: Path) -> None:

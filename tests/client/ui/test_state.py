@@ -92,12 +92,6 @@ def test_what_belongs_to_one_call_and_its_token_are_not_kept(kept: Kept) -> None
     assert "abc" not in kept.file.path.read_text()
 
 
-def test_fields_may_stay_as_they_are_in_the_file(kept: Kept) -> None:
-    kept.file.save(KEPT)
-    kept.file.save(replace(KEPT, voice="none", room="other"), leaving=("voice",))
-    assert (kept.file.load().voice, kept.file.load().room) == ("mic", "other")
-
-
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(
     kept: Kept, monkeypatch: pytest.MonkeyPatch
 ) -> None:
