@@ -96,8 +96,6 @@ HEAD_SIZE_M = (0.1, 4.0)
 """Diagonals of a head's bounding box that are believed: else units are wrong."""
 EXPRESSION_RANGE = (-0.5, 1.6)
 """Expression values that are believed; recordings reach 1.05."""
-SAME_EXPRESSION = 1e-4
-"""Expressions that differ by less in every value are the same."""
 
 
 def check_capture(directory: Path, pixel_frames: int = PIXEL_FRAMES) -> dict[str, Any]:
@@ -180,26 +178,13 @@ class _Check:
                 self.add(multiface.KRT, f"{name}: principal point {at} outside of {size}")
 
     def split(self, capture: Capture) -> None:
-        """Segments, expressions or meshes that are in both splits."""
+        """Splits without frames, and segments that are in both."""
         train, test = (capture.frames_of(split) for split in files.SPLITS)
         for split, frames in (("train", train), ("test", test)):
             if not frames:
                 self.add(capture.path, f"no frame is for {split}ing")
         for segment in sorted({each.segment for each in train} & {each.segment for each in test}):
             self.add(segment, "the segment is in both splits")
-
-        def key(frame: CaptureFrame) -> bytes:
-            if capture.has_expressions:
-                rounded = np.rint(capture.arkit(frame) / SAME_EXPRESSION)
-                return bytes(rounded.astype(np.int64))
-            return (capture.path / multiface.mesh_path(frame.segment, frame.name)).read_bytes()
-
-        known = {self.attempt(key, frame): frame for frame in train}
-        known.pop(None, None)  # what cannot be read is a problem already
-        for frame in test:
-            if (twin := known.get(self.attempt(key, frame))) is not None:
-                what = f"the same expression is for training in {twin.segment} {twin.name}"
-                self.add(f"{frame.segment} {frame.name}", what)
 
     def frame(self, capture: Capture, frame: CaptureFrame) -> int:
         """Everything about a frame but pixels; returns how many images there are."""

@@ -246,26 +246,22 @@ class Request:
 
 
 class CaptureReader(AbstractContextManager["CaptureReader"]):
-    """A capture behind a cache of `max_bytes`, which threads fill. Use it from one thread.
+    """A capture behind a cache of about `max_bytes`, which threads fill. Use it from one thread.
 
     The least recently used arrays go first, so memory does not depend on the size of the capture.
 
     Attributes:
-        bad: What is wrong with requests that could not be read.
-        kept_bytes: What is in memory, or reserved for what is being decoded.
-        decoded: How many arrays were decoded.
+        max_arrays: How many are kept, or being decoded, at most.
+        bad: Requests that could not be read.
     """
 
     def __init__(self, capture: Capture, max_bytes: int = MAX_BYTES) -> None:
         self.capture = capture
-        self.max_bytes = max_bytes
-        self.bad: dict[Request, str] = {}
-        self.kept_bytes = self.decoded = 0
+        pixels = max(camera.width * camera.height for camera in capture.cameras)
+        self.max_arrays = max(max_bytes // (4 * max(pixels, capture.texture_size**2)), 1)
+        self.bad: set[Request] = set()
         self._pool = ThreadPoolExecutor(THREADS, thread_name_prefix="decode")
         self._kept: OrderedDict[Request, Future[Array]] = OrderedDict()
-        pixels = max(camera.width * camera.height for camera in capture.cameras)
-        self._sizes = {"image": 3 * pixels, "depth": 4 * pixels}  # bytes of a decoded array
-        self._sizes["texture"] = 3 * capture.texture_size**2
 
     def __exit__(self, *error: object) -> None:
         self._pool.shutdown(wait=True, cancel_futures=True)
@@ -273,8 +269,7 @@ class CaptureReader(AbstractContextManager["CaptureReader"]):
     def ask(self, requests: Iterable[Request]) -> None:
         """Have arrays decoded that will be read soon, in this order."""
         for request in requests:
-            if request not in self.bad:
-                self._begin(request)
+            self._begin(request)
 
     def read(self, request: Request) -> Array:
         """An array; do not write into it.
@@ -285,10 +280,8 @@ class CaptureReader(AbstractContextManager["CaptureReader"]):
         try:
             return self._begin(request).result()
         except CaptureError as error:
-            if self._kept.pop(request, None) is not None:
-                self.kept_bytes -= self._sizes[request.kind]
             if request not in self.bad:
-                self.bad[request] = str(error)
+                self.bad.add(request)
                 log.warning("%s; left out, %d so far", error, len(self.bad))
             raise
 
@@ -296,14 +289,11 @@ class CaptureReader(AbstractContextManager["CaptureReader"]):
         """Have an array decoded, if it is not there, and keep it in place of the oldest."""
         if request in self._kept:
             self._kept.move_to_end(request)
-            return self._kept[request]
-        future = self._kept[request] = self._pool.submit(self._decode, request)
-        self.decoded += 1
-        self.kept_bytes += self._sizes[request.kind]
-        while self.kept_bytes > self.max_bytes:
-            oldest, _ = self._kept.popitem(last=False)
-            self.kept_bytes -= self._sizes[oldest.kind]
-        return future
+        else:
+            self._kept[request] = self._pool.submit(self._decode, request)
+            if len(self._kept) > self.max_arrays:
+                self._kept.popitem(last=False)
+        return self._kept[request]
 
     def _decode(self, request: Request) -> Array:
         capture, frame = self.capture, self.capture.frames[request.frame]

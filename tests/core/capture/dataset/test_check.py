@@ -179,19 +179,6 @@ def test_a_segment_in_both_splits_is_a_leak(damaged: Path) -> None:
     assert {"where": name, "what": "the segment is in both splits"} in problems
 
 
-def test_an_expression_in_both_splits_is_a_leak(damaged: Path) -> None:
-    path = damaged / "expressions.csv"
-    lines = path.read_text().splitlines()
-    test = next(at for at, line in enumerate(lines) if ",test," in line)
-    train = next(line for line in lines if ",train," in line)
-    lines[test] = ",".join(lines[test].split(",")[:3] + train.split(",")[3:])
-    path.write_text("\n".join(lines) + "\n")
-
-    problems = check_capture(damaged)["problems"]
-
-    assert any("the same expression is for training in" in problem["what"] for problem in problems)
-
-
 def test_any_damage_at_all_ends_in_a_result(damaged: Path, rendered: Path) -> None:
     random = np.random.default_rng(0)
     files = sorted(path.relative_to(rendered) for path in rendered.rglob("*") if path.is_file())
