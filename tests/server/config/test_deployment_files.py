@@ -31,7 +31,6 @@ MANIFESTS = {
     for path in sorted((DOCKER / "kubernetes").glob("*.yaml"))
     for one in yaml.safe_load_all(path.read_text())
 }
-WORKLOADS = [one for kind, one in MANIFESTS.items() if kind[0] in ("Deployment", "StatefulSet")]
 RELAYS = {name: one for name, one in COMPOSE["services"].items() if name.startswith("relay")}
 CLIENTS = {name: one for name, one in COMPOSE["services"].items() if "profiles" in one}
 # A command of our own finds what it opens only where it runs.
@@ -70,15 +69,6 @@ class TestDockerfiles:
                     assert (ROOT / source).exists(), source
                     assert source not in ignored
 
-    def test_all_that_the_wheel_is_made_of_is_copied(self, path: Path) -> None:
-        build = tomllib.loads((ROOT / "pyproject.toml").read_text())
-        packages = build["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]
-        copied = " ".join(arguments for name, arguments in instructions(path) if name == "COPY")
-        for needed in [build["project"]["readme"], *build["project"]["license-files"]]:
-            assert needed in copied
-        for package in packages:
-            assert package.split("/")[0] in copied.split()
-
     def test_the_extras_exist(self, path: Path) -> None:
         extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
         named = re.findall(r"'\.\[([a-z,]+)\]'", path.read_text())
@@ -99,23 +89,6 @@ def test_the_relays_image_refuses_to_be_open_by_mistake() -> None:
     assert (config.host, config.port) == ("0.0.0.0", 8765)
 
 
-@pytest.mark.parametrize("name", COMPOSE["services"])
-def test_images_of_others_are_pinned_and_ports_are_for_this_machine(name: str) -> None:
-    service = COMPOSE["services"][name]
-    if "build" in service:
-        context = (DOCKER / service["build"]["context"]).resolve()
-        assert (context / service["build"]["dockerfile"]).is_file()
-    else:
-        assert re.fullmatch(r"[a-z/]+:v?\d+\.\d+\.\d+(-[a-z]+)?", service["image"])
-    for port in service.get("ports", []):
-        assert port.startswith("127.0.0.1:")
-    for volume in service.get("volumes", []):
-        source = volume.split(":")[0]
-        assert (DOCKER / source).exists() or source in COMPOSE["volumes"]
-    needed = service.get("depends_on", [])
-    assert set(needed) <= set(COMPOSE["services"])
-
-
 @pytest.mark.parametrize("name", RELAYS)
 def test_a_relay_of_the_compose_file_can_start_and_may_do_little(name: str) -> None:
     service = RELAYS[name]
@@ -126,9 +99,6 @@ def test_a_relay_of_the_compose_file_can_start_and_may_do_little(name: str) -> N
     assert config.cluster == "nats://nats:4222"
     assert config.public_url == f"ws://{name}:8765"
     assert config.metrics_to
-    assert service["read_only"]
-    assert service["tmpfs"] == ["/tmp"]
-    assert service["cap_drop"] == ["ALL"]
     assert int(service["stop_grace_period"].removesuffix("s")) > config.drain_s
     assert service["ports"][0].endswith(":8765")
 
@@ -143,22 +113,6 @@ def test_the_clients_of_the_compose_file_have_options_that_exist(name: str) -> N
 def pod_of(workload: dict[str, Any]) -> dict[str, Any]:
     pod: dict[str, Any] = workload["spec"]["template"]["spec"]
     return pod
-
-
-@pytest.mark.parametrize("workload", WORKLOADS, ids=lambda one: one["metadata"]["name"])
-class TestWorkloads:
-    def test_it_may_do_little(self, workload: dict[str, Any]) -> None:
-        pod = pod_of(workload)
-        assert pod["automountServiceAccountToken"] is False
-        assert pod["securityContext"]["runAsNonRoot"] is True
-        assert pod["securityContext"]["runAsUser"] > 0
-        for container in pod["containers"]:
-            context = container["securityContext"]
-            assert context["readOnlyRootFilesystem"] is True
-            assert context["allowPrivilegeEscalation"] is False
-            assert context["capabilities"] == {"drop": ["ALL"]}
-            assert "memory" in container["resources"]["limits"]
-            assert re.search(r":\d+\.\d+\.\d+", container["image"])
 
 
 def relay_file(tmp_path: Path) -> Path:
