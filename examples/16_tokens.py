@@ -9,8 +9,8 @@ import base64
 import json
 
 from pica_protocol.messages import Join
-from pica_server.auth.tokens import Admission, KeyRing, admit, mint
 from pica_server.errors import AdmissionError
+from pica_server.tokens import Admission, KeyRing, admit, mint
 
 NOW = 1_800_000_000.0
 HOUR_S = 3600.0

@@ -36,7 +36,7 @@ from pica_client.transport.link import Link
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Joined, Peer, PeerJoined
 from pica_protocol.session import ClientEvent
-from pica_server.auth.tokens import Admission, KeyRing, load_keys, mint
+from pica_server.tokens import Admission, KeyRing, load_keys, mint
 
 NAMES = ("ada", "bob", "cleo")
 CALM_S = 4.0

@@ -20,7 +20,6 @@ from pica_protocol import SUBPROTOCOL
 from pica_protocol.errors import CloseCode
 from pica_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
 from pica_protocol.store import AVATARS_PATH, STORE_SUBPROTOCOL
-from pica_server.auth.tokens import KeyRing, admin_scope, admit, admit_upload, load_keys
 from pica_server.config.proxies import is_in, is_loopback, networks
 from pica_server.config.relay import RelayConfig
 from pica_server.errors import AdmissionError, ClusterError, ListenError
@@ -35,6 +34,7 @@ from pica_server.store.downloads import Downloads
 from pica_server.store.folder import AvatarFolder
 from pica_server.store.store import AvatarStore
 from pica_server.store.uploads import Uploads
+from pica_server.tokens import KeyRing, admin_scope, admit, admit_upload, load_keys
 
 if TYPE_CHECKING:
     from pica_server.placement.placement import RoomPlacement

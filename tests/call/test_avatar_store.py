@@ -24,8 +24,8 @@ from pica_client.endpoint.endpoint import Receiver, Sender
 from pica_client.publish.publisher import open_face
 from pica_client.transport.config import LinkConfig
 from pica_core.avatar.file import avatar_id, save_avatar
-from pica_server.auth.tokens import Admission, KeyRing, mint
 from pica_server.relay import Relay
+from pica_server.tokens import Admission, KeyRing, mint
 
 pytestmark = pytest.mark.call
 

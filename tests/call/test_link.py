@@ -24,9 +24,9 @@ from pica_protocol.messages import (
     Whisper,
 )
 from pica_protocol.session import ClientEvent, Closed
-from pica_server.auth.tokens import Admission, KeyRing, load_keys, mint
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
+from pica_server.tokens import Admission, KeyRing, load_keys, mint
 from simnet.clock import current_network, in_virtual_time
 from simnet.peers import FACE, peer_in_room
 

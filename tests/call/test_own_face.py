@@ -25,9 +25,9 @@ from pica_client.publish.publisher import Outgoing, Publisher, SenderConfig
 from pica_client.sources import open_source
 from pica_client.tracks import FaceMode
 from pica_client.transport.config import LinkConfig
-from pica_server.auth.tokens import Admission, KeyRing, mint
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
+from pica_server.tokens import Admission, KeyRing, mint
 from simnet.clock import current_network, in_virtual_time
 from simnet.network import Wire
 

@@ -36,12 +36,12 @@ from pica_protocol.messages import (
     Whisper,
 )
 from pica_protocol.session import Closed, State
-from pica_server.auth.tokens import Admission
 from pica_server.config.relay import RelayConfig
 from pica_server.errors import AdmissionError
 from pica_server.room.connections import Connection
 from pica_server.room.hub import Hub
 from pica_server.room.outbox import OutboundMessage
+from pica_server.tokens import Admission
 
 STEP_S = 1 / 50
 SECONDS = 2.0

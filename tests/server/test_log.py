@@ -22,8 +22,8 @@ from websockets.exceptions import ConnectionClosed
 from pica_protocol import SUBPROTOCOL
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Whisper
-from pica_server.auth.tokens import Admission, KeyRing, load_keys, mint
 from pica_server.log import LINES_AT_ONCE, MOST_WAITING, Level, Style, logging_to, say
+from pica_server.tokens import Admission, KeyRing, load_keys, mint
 from simnet.peers import FACE, peer_in_room
 
 pytestmark = pytest.mark.realtime

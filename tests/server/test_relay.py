@@ -16,9 +16,9 @@ from pica_protocol.messages import (
     RemovePeer,
 )
 from pica_protocol.session import Closed
-from pica_server.auth.tokens import Admission, KeyRing, load_keys, mint
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
+from pica_server.tokens import Admission, KeyRing, load_keys, mint
 from simnet.clock import current_network, in_virtual_time
 from simnet.network import Wire
 from simnet.peers import FACE, now, open_websocket, peer_in_room

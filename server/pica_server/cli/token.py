@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from pica_protocol.invite import Invite, make_link
-from pica_server.auth.tokens import ANY_AVATAR, Admission, KeyRing, load_keys, mint
 from pica_server.errors import ConfigurationError, KeyFileError
+from pica_server.tokens import ANY_AVATAR, Admission, KeyRing, load_keys, mint
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -9,7 +9,6 @@ from typing import Any, Final
 
 from pica_protocol.errors import CloseCode
 from pica_protocol.messages import Peer
-from pica_server.auth.tokens import ANY_ROOM
 from pica_server.config.relay import RelayConfig
 from pica_server.errors import AdmissionError
 from pica_server.room.forwarding import CALM_S
@@ -17,6 +16,7 @@ from pica_server.room.hub import Hub
 from pica_server.room.room import Room
 from pica_server.stats import CONTENT_TYPE, metrics_text
 from pica_server.store.store import AvatarStore
+from pica_server.tokens import ANY_ROOM
 
 WORST_S: Final = 1.0
 """A timer later than this means that everybody's face froze for a second."""

@@ -29,7 +29,6 @@ from pica_protocol.messages import (
     Whisper,
 )
 from pica_protocol.session import Closed, ServerEvent
-from pica_server.auth.tokens import Admission
 from pica_server.config.relay import RelayConfig
 from pica_server.room.connections import MESSAGE_COST_BYTES, Connection, Connections
 from pica_server.room.forwarding import Forwarding, Overload
@@ -37,6 +36,7 @@ from pica_server.room.membership import Membership
 from pica_server.room.outbox import OutboundMessage
 from pica_server.room.room import Room
 from pica_server.stats import RelayStats
+from pica_server.tokens import Admission
 
 TELLING_SHARE: Final = 0.5
 """The share of a drain's time in which all are told; the rest is left for them to go (chosen)."""

@@ -27,12 +27,12 @@ from pica_protocol.messages import (
     UpdateMetadata,
 )
 from pica_protocol.session import Closed
-from pica_server.auth.tokens import Admission
 from pica_server.errors import AdmissionError, RoomFullError
 from pica_server.limits import MOST_REMEMBERED, TokenBucket
 from pica_server.room.connections import MODERATION_COST, UPDATE_COST, Connection, Connections
 from pica_server.room.forwarding import CALM_S, Forwarding, Overload
 from pica_server.room.room import BAR, Room
+from pica_server.tokens import Admission
 
 OWN_JOINS_PER_S: Final = 1.0
 OWN_JOINS_BURST: Final = 10.0

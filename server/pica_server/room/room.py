@@ -11,8 +11,8 @@ from typing import Any, Final, TypeVar
 from pica_protocol.frame_queue import QueuedFrame
 from pica_protocol.limits import MAX_STREAM
 from pica_protocol.messages import SHARES, Join, Joined, Metadata, Peer, Track
-from pica_server.auth.tokens import Admission
 from pica_server.errors import RoomFullError
+from pica_server.tokens import Admission
 
 _T = TypeVar("_T")
 

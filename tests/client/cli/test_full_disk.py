@@ -18,9 +18,9 @@ from pica_client.output import writing_whole
 from pica_client.ui.recorder import save_png
 from pica_core.avatar.file import save_avatar
 from pica_core.errors import AvatarFileError
-from pica_server.auth.tokens import load_keys
 from pica_server.cli.token import TokenOptions, token
 from pica_server.errors import KeyFileError
+from pica_server.tokens import load_keys
 
 pytestmark = pytest.mark.unit
 

@@ -13,11 +13,11 @@ from pica_protocol.messages import (
     RemovePeer,
     StreamMuted,
 )
-from pica_server.auth.tokens import Admission
 from pica_server.config.relay import RelayConfig
 from pica_server.room.connections import MODERATION_COST, TOLD_AT_ONCE
 from pica_server.room.hub import Hub
 from pica_server.room.room import MAX_DECISIONS, Room
+from pica_server.tokens import Admission
 
 pytestmark = pytest.mark.unit
 

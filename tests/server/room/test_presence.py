@@ -20,9 +20,9 @@ from pica_protocol.messages import (
     UpdateMetadata,
 )
 from pica_protocol.session import State
-from pica_server.auth.tokens import Admission
 from pica_server.config.relay import LimitsConfig, RelayConfig
 from pica_server.room.hub import Hub
+from pica_server.tokens import Admission
 
 pytestmark = pytest.mark.unit
 

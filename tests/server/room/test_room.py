@@ -4,9 +4,9 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from pica_protocol.messages import SHARES, Join, Joined, Track
-from pica_server.auth.tokens import Admission
 from pica_server.errors import RoomFullError
 from pica_server.room.room import Room
+from pica_server.tokens import Admission
 
 pytestmark = pytest.mark.unit
 

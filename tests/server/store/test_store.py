@@ -20,13 +20,13 @@ from helpers.store_peers import (
 from pica_protocol.codec import encode_message
 from pica_protocol.errors import CloseCode
 from pica_protocol.store import Offer
-from pica_server.auth.tokens import Admission, KeyRing, mint
 from pica_server.config.relay import RelayConfig, StoreConfig
 from pica_server.errors import StoreError
 from pica_server.relay import Relay
 from pica_server.store import folder
 from pica_server.store.folder import AvatarFolder
 from pica_server.store.store import AvatarStore
+from pica_server.tokens import Admission, KeyRing, mint
 
 pytestmark = pytest.mark.call
 

@@ -13,7 +13,9 @@ from hypothesis import strategies as st
 from pica_protocol.errors import CloseCode
 from pica_protocol.invite import Invite, parse_link
 from pica_protocol.messages import Join, Track
-from pica_server.auth.tokens import (
+from pica_server.cli.token import TokenOptions, token
+from pica_server.errors import AdmissionError, ConfigurationError, KeyFileError
+from pica_server.tokens import (
     ANY_AVATAR,
     AUDIENCE,
     Admission,
@@ -23,8 +25,6 @@ from pica_server.auth.tokens import (
     load_keys,
     mint,
 )
-from pica_server.cli.token import TokenOptions, token
-from pica_server.errors import AdmissionError, ConfigurationError, KeyFileError
 
 pytestmark = pytest.mark.unit
 

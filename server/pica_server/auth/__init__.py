@@ -1,1 +1,0 @@
-"""Join tokens: who may enter which room."""
