@@ -7,12 +7,11 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from pica_core.avatar.decoder_layers import spec_tensor_shapes
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.levels import exit_shapes, faces_name, level_sizes
 from pica_core.avatar.linear import REGION
 from pica_core.avatar.manifest import Manifest, ViewSpan
-from pica_core.avatar.spec import AvatarSpec
+from pica_core.avatar.spec import AvatarSpec, spec_tensor_shapes
 from pica_core.avatar.variants import VARIANTS
 from pica_core.codec.latent_stream import LatentEncoder
 from pica_core.latent import LATENT_SHAPE, NUM_LATENT

@@ -13,8 +13,7 @@ from pica_client.decode.onnx_runtime import onnxruntime
 from pica_client.decode.request import DecodedMaps, Parts
 from pica_client.errors import OptionError
 from pica_core.avatar.file import Avatar
-from pica_core.graphs.baseline_graph import baseline_graph
-from pica_core.graphs.onnx_graph import decoder_graph
+from pica_core.graphs.onnx_graph import baseline_graph, decoder_graph
 from pica_core.reference.baseline import BaselineAvatar
 from pica_core.types import FloatArray
 

@@ -18,10 +18,10 @@ from typing import Literal
 
 import numpy as np
 
-from pica_core.avatar.decoder_layers import decoder_layers
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.levels import local_name
 from pica_core.avatar.linear import PREFIX, RANK, REGION
+from pica_core.avatar.spec import decoder_layers
 from pica_core.latent import NUM_LATENT
 from pica_core.types import Array, FloatArray
 

@@ -39,7 +39,6 @@ import safetensors
 import safetensors.numpy
 
 from pica_core.avatar.arkit import NUM_ARKIT
-from pica_core.avatar.decoder_layers import spec_tensor_shapes
 from pica_core.avatar.levels import (
     STILL_NAME,
     check_indices,
@@ -52,7 +51,7 @@ from pica_core.avatar.levels import (
 )
 from pica_core.avatar.linear import check_linear, linear_shapes
 from pica_core.avatar.manifest import Manifest
-from pica_core.avatar.spec import AvatarSpec
+from pica_core.avatar.spec import AvatarSpec, spec_tensor_shapes
 from pica_core.avatar.static import NAME as STATIC_NAME
 from pica_core.avatar.static import decoded_faces, parts_of, static_shape, textured_faces
 from pica_core.avatar.storage import check_finite, to_memory, to_storage

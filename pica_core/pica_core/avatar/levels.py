@@ -31,9 +31,8 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from pica_core.avatar.decoder_layers import trunk_channels
 from pica_core.avatar.linear import RANK
-from pica_core.avatar.spec import AvatarSpec
+from pica_core.avatar.spec import AvatarSpec, trunk_channels
 from pica_core.latent import LATENT_SHAPE, LATENT_SIZE
 from pica_core.types import Array, FloatArray
 

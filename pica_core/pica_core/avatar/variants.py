@@ -19,8 +19,7 @@ from math import prod
 from types import MappingProxyType
 from typing import Literal
 
-from pica_core.avatar.decoder_layers import decoder_layers, spec_tensor_shapes
-from pica_core.avatar.spec import AvatarSpec
+from pica_core.avatar.spec import AvatarSpec, decoder_layers, spec_tensor_shapes
 
 TopologyName = Literal["dense", "tracked"]
 Network = Literal["pixel_codec", "deep_appearance"]

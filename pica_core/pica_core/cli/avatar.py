@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 
 from pica_core.avatar.arkit import NUM_ARKIT
-from pica_core.avatar.decoder_layers import decoder_layers
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import avatar_id, load_avatar
 from pica_core.avatar.shipped import avatar_file
+from pica_core.avatar.spec import decoder_layers
 from pica_core.avatar.variants import pixel_codec_cost
 from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder
 from pica_core.errors import AvatarFileError
-from pica_core.reference.pixel import count_parameters
+from pica_core.reference.decoders import count_parameters
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

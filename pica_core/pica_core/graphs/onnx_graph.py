@@ -30,19 +30,86 @@ machine (`docs/architecture.md` has more; H2 gains nothing):
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
+import onnx
+from onnx import TensorProto, helper, numpy_helper
 
-from pica_core.avatar.decoder_layers import Layer, LayerKind, decoder_layers, trunk_layers
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.levels import local_name, spread_local
 from pica_core.avatar.linear import PREFIX as LINEAR_PREFIX
 from pica_core.avatar.linear import RANK, REGION, components_of
-from pica_core.avatar.spec import LEAKY_SLOPE, POSITION_CHANNELS, VIEW_CHANNELS
-from pica_core.graphs.graph_builder import GraphBuilder, Shape
+from pica_core.avatar.spec import (
+    LEAKY_SLOPE,
+    POSITION_CHANNELS,
+    RGB_CHANNELS,
+    VIEW_CHANNELS,
+    Layer,
+    LayerKind,
+    decoder_layers,
+    trunk_layers,
+)
 from pica_core.latent import LATENT_SHAPE, LATENT_SIZE, NUM_LATENT
+from pica_core.reference.baseline import FIRST_SIZE, BaselineAvatar
 from pica_core.types import Array
+
+OPSET = 17
+"""Newer operator sets lack ONNX Runtime's fused CPU kernels for some of what we use."""
+IR_VERSION = 8
+
+Shape = list[int | str]
+
+
+@dataclass(slots=True)
+class GraphBuilder:
+    """Nodes and initialisers under construction. Values are named by the node that makes them."""
+
+    nodes: list[onnx.NodeProto] = field(default_factory=list)
+    initialisers: list[onnx.TensorProto] = field(default_factory=list)
+
+    def constant(self, array: npt.ArrayLike) -> str:
+        """A constant of the array's own type."""
+        name = f"constant_{len(self.initialisers)}"
+        values = np.ascontiguousarray(array)
+        self.initialisers.append(numpy_helper.from_array(values, name))
+        return name
+
+    def floats(self, array: npt.ArrayLike) -> str:
+        """A constant in float32."""
+        return self.constant(np.asarray(array, np.float32))
+
+    def sizes(self, *sizes: int) -> str:
+        """A constant list of int64, as shapes and axes are."""
+        return self.constant(np.array(sizes, np.int64))
+
+    def add(self, operator: str, *inputs: str, output: str | None = None, **attributes: Any) -> str:
+        """Add a node with one output and return that value's name."""
+        name = f"{operator}_{len(self.nodes)}"
+        made = output or f"{name}_out"
+        self.nodes.append(helper.make_node(operator, inputs, [made], name=name, **attributes))
+        return made
+
+    def serialise(self, inputs: dict[str, Shape], outputs: dict[str, Shape]) -> bytes:
+        """The model with float32 inputs and outputs of these names and shapes."""
+
+        def infos(shapes: dict[str, Shape]) -> list[onnx.ValueInfoProto]:
+            return [
+                helper.make_tensor_value_info(name, TensorProto.FLOAT, shape)
+                for name, shape in shapes.items()
+            ]
+
+        graph = helper.make_graph(
+            self.nodes, "pica", infos(inputs), infos(outputs), self.initialisers
+        )
+        model = helper.make_model(
+            graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION
+        )
+        serialised: bytes = model.SerializeToString()
+        return serialised
+
 
 TURN_CONVOLUTION_SIZE = 64
 """Rows from which on a narrowing 3x3 convolution is written as a transposed one."""
@@ -226,3 +293,48 @@ def _by_regions(
             pieces.append(graph.floats(np.zeros((1, count * columns))))
         first = last
     return graph.add("Concat", *pieces, axis=1)
+
+
+def baseline_graph(baseline: BaselineAvatar) -> bytes:
+    """The baseline's decoder with its layers as they stand, one operator each: of ``latent`` [1,
+    256] and ``view_direction`` [1, 3] ``vertices`` [V, 3] in metres and ``texture`` [T, T, 3].
+
+    Fully connected layers are Gemms with the weights as they stand; convolutions are transposed
+    convolutions with an Add for the untied bias.
+
+    Returns:
+        Serialised model, float32; the texture is sRGB with 1.0 white, row 0 is v = 0, not clamped.
+    """
+    graph, spec, tensors = GraphBuilder(), baseline.spec, baseline.tensors
+
+    def connect(name: str, value: str, output: str | None = None) -> str:
+        weight, bias = (graph.floats(tensors[f"{name}.{part}"]) for part in ("weight", "bias"))
+        return graph.add("Gemm", value, weight, bias, transB=1, output=output)
+
+    def leaky(value: str) -> str:
+        return graph.add("LeakyRelu", value, alpha=LEAKY_SLOPE)
+
+    code = leaky(connect("latent", "latent"))
+    vertices = connect("mesh", code)
+    shape = graph.sizes(spec.num_vertices, 3)
+    graph.add("Reshape", vertices, shape, output="vertices")
+    view = leaky(connect("view", "view_direction"))
+    value = leaky(connect("grid", graph.add("Concat", code, view, axis=1)))
+    shape = graph.sizes(1, spec.num_latent, FIRST_SIZE, FIRST_SIZE)
+    value = graph.add("Reshape", value, shape)
+    for index in range(len(spec.channels)):
+        weight = graph.floats(tensors[f"texture.{index}.weight"])
+        value = graph.add("ConvTranspose", value, weight, strides=[2, 2], pads=[1] * 4)
+        value = graph.add("Add", value, graph.floats(tensors[f"texture.{index}.bias"][None]))
+        if index + 1 < len(spec.channels):
+            value = leaky(value)
+    size = spec.texture_size
+    last = graph.add("Transpose", value, perm=[0, 2, 3, 1])
+    graph.add("Reshape", last, graph.sizes(size, size, RGB_CHANNELS), output="texture")
+    return graph.serialise(
+        {"latent": [1, spec.num_latent], "view_direction": [1, VIEW_CHANNELS]},
+        {
+            "vertices": [spec.num_vertices, 3],
+            "texture": [size, size, RGB_CHANNELS],
+        },
+    )

@@ -14,8 +14,9 @@ import torch
 from torch import Tensor
 
 from pica_core.avatar.spec import AvatarSpec
-from pica_core.avatar.variants import ModelCost, TopologyName, pixel_codec_cost
+from pica_core.avatar.variants import VARIANTS, ModelCost, TopologyName, Variant, pixel_codec_cost
 from pica_core.model import interface
+from pica_core.model.baseline import DeepAppearanceModel
 from pica_core.model.decoders import (
     MapDecoder,
     sample_map,
@@ -23,7 +24,7 @@ from pica_core.model.decoders import (
     tile_view_direction,
 )
 from pica_core.model.encoder import make_encoder
-from pica_core.model.interface import ModelOptions
+from pica_core.model.interface import AvatarModel, FacePrior, ModelOptions
 from pica_core.model.linear import LinearEncoder, LinearGeometry
 from pica_core.model.pixel_decoder import PixelDecoder
 
@@ -122,3 +123,28 @@ class PixelCodecAvatar(interface.AvatarModel):
             "pixel": [*pixel.xyz.parameters(), *pixel.colour.parameters()],
             "encoding": list(pixel.encoding.parameters()),
         }
+
+
+def make_model(
+    variant: str,
+    spec: AvatarSpec,
+    prior: FacePrior,
+    options: ModelOptions,
+) -> AvatarModel:
+    """Build a model of `VARIANTS`.
+
+    Args:
+        spec: Sizes of the full model; the row replaces its encoding and geometry.
+
+    Raises:
+        ValueError: An unknown variant or encoder.
+    """
+    if variant not in VARIANTS:
+        raise ValueError(f"variant is {variant!r}; known are {', '.join(VARIANTS)}")
+    row: Variant = VARIANTS[variant]
+    spec = replace(spec, encoding=row.encoding, geometry=row.geometry)
+    match row.network:
+        case "pixel_codec":
+            return PixelCodecAvatar(spec, prior, options, topology=row.topology)
+        case "deep_appearance":
+            return DeepAppearanceModel(spec, prior, options)

@@ -8,8 +8,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from pica_core.avatar.decoder_layers import Layer, decoder_layers
-from pica_core.avatar.spec import LEAKY_SLOPE, AvatarSpec
+from pica_core.avatar.spec import LEAKY_SLOPE, AvatarSpec, Layer, decoder_layers
 from pica_core.latent import LATENT_SIZE
 from pica_core.model.interface import Surface
 

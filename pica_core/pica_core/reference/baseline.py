@@ -29,8 +29,7 @@ from pica_core.avatar.file import Avatar, check_shapes
 from pica_core.avatar.spec import POSITION_CHANNELS, RGB_CHANNELS, VIEW_CHANNELS
 from pica_core.errors import check_ranges
 from pica_core.latent import NUM_LATENT
-from pica_core.reference.decoders import FRONT, decode_expression_map
-from pica_core.reference.pixel import decode_pixels
+from pica_core.reference.decoders import FRONT, decode_expression_map, decode_pixels
 from pica_core.sampling import sample_bilinear
 from pica_core.types import Array, FloatArray, IntArray
 

@@ -13,8 +13,8 @@ from typing import Any, Literal
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.avatar.variants import VARIANTS
 from pica_core.errors import CheckpointError, TrainingOptionError, check_ranges
+from pica_core.model.avatar import make_model
 from pica_core.model.interface import AvatarModel, FacePrior, ModelOptions
-from pica_core.model.variants import make_model
 
 MeshSource = Literal["truth", "tracked"]
 

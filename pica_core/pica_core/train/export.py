@@ -26,7 +26,7 @@ from pica_core.model.pixel_decoder import XYZ_UNIT_M
 from pica_core.train.data.images import view_direction
 from pica_core.train.data.meshes import rasterise_uv
 from pica_core.train.data.training import TrainingData
-from pica_core.train.eval.evaluate import ModelEvaluator, Picture, mean_mse
+from pica_core.train.evaluate import ModelEvaluator, Picture, mean_mse
 from pica_core.train.stream_learning import RenderMetric, learn_profile
 from pica_core.train.train import Trainer
 from pica_core.types import BoolArray, Float64Array, FloatArray, IntArray

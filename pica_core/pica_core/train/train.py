@@ -32,8 +32,7 @@ from pica_core.avatar.variants import VARIANTS
 from pica_core.errors import CheckpointError, TrainingDivergedError
 from pica_core.model.interface import AvatarModel
 from pica_core.train.config import TrainConfig
-from pica_core.train.data.prior import face_prior
-from pica_core.train.data.training import TrainingData
+from pica_core.train.data.training import TrainingData, face_prior
 from pica_core.train.objectives import LOSSES, Draw, Objectives
 from pica_core.train.raster import Rasteriser
 

@@ -19,7 +19,6 @@ from hypothesis import strategies as st
 from helpers.stream_toy import other_profile, toy_profile
 from helpers.toy import make_toy_avatar, without_stream
 from pica_core.avatar import file as avatar_file
-from pica_core.avatar.decoder_layers import spec_tensor_shapes
 from pica_core.avatar.file import (
     Avatar,
     avatar_id,
@@ -28,7 +27,7 @@ from pica_core.avatar.file import (
 )
 from pica_core.avatar.linear import linear_shapes
 from pica_core.avatar.manifest import MAX_DECODE_MULTIPLY_ADDS, MAX_PIXEL_MULTIPLY_ADDS
-from pica_core.avatar.spec import BLOCKS, AvatarSpec
+from pica_core.avatar.spec import BLOCKS, AvatarSpec, spec_tensor_shapes
 from pica_core.avatar.variants import VARIANTS, pixel_codec_cost
 from pica_core.errors import AvatarFileError, ProfileError
 

@@ -13,7 +13,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from helpers.toy import make_toy_avatar, with_toy_levels
-from pica_core.avatar.decoder_layers import decoder_layers, trunk_channels, trunk_layers
 from pica_core.avatar.file import Avatar, load_avatar, save_avatar
 from pica_core.avatar.levels import (
     STILL_NAME,
@@ -25,7 +24,7 @@ from pica_core.avatar.levels import (
     sheet_rows,
     sheet_uv,
 )
-from pica_core.avatar.spec import BLOCKS, AvatarSpec
+from pica_core.avatar.spec import BLOCKS, AvatarSpec, decoder_layers, trunk_channels, trunk_layers
 from pica_core.errors import AvatarFileError
 from pica_core.reference.decoders import FRONT, decode_expression_map, still_map
 from pica_core.types import Array

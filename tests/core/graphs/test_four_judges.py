@@ -21,8 +21,7 @@ from pica_core.avatar.spec import BLOCKS, AvatarSpec
 from pica_core.graphs.onnx_graph import decoder_graph
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.interface import ModelOptions, Surface
-from pica_core.reference.decoders import decode_expression_map
-from pica_core.reference.pixel import count_parameters, decode_pixels
+from pica_core.reference.decoders import count_parameters, decode_expression_map, decode_pixels
 from pica_core.sampling import sample_bilinear
 from pica_core.train.export import avatar_tensors
 from pica_core.train.lod.exits import FaceSet, FrozenDecoder, MapExit

@@ -10,10 +10,10 @@ from helpers.toy import grid_faces
 from helpers.trainable import toy_prior
 from pica_client.decode.onnx_runtime import onnxruntime
 from pica_core.avatar.spec import AvatarSpec
-from pica_core.graphs.baseline_graph import baseline_graph
+from pica_core.graphs.onnx_graph import baseline_graph
+from pica_core.model.avatar import make_model
 from pica_core.model.baseline import USUAL_INPUTS, Connected, DeepAppearanceModel
 from pica_core.model.interface import ModelOptions, flat_latent
-from pica_core.model.variants import make_model
 from pica_core.reference.baseline import (
     BaselineAvatar,
     baseline_channels,

@@ -8,8 +8,7 @@ from torch import nn
 
 from helpers.toy import PAPER_SPEC
 from helpers.trainable import toy_prior
-from pica_core.avatar.decoder_layers import decoder_layers
-from pica_core.avatar.spec import BLOCKS, AvatarSpec
+from pica_core.avatar.spec import BLOCKS, AvatarSpec, decoder_layers
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.decoders import MapDecoder, sample_map
 from pica_core.model.encoder import PaperEncoder

@@ -18,7 +18,7 @@ from pica_core.avatar.manifest import DRAWN_VARIANTS, Manifest, ViewSpan
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.avatar.variants import FULL, TABLE_1, TABLE_2, VARIANTS
 from pica_core.errors import AvatarFileError
-from pica_core.model.avatar import PixelCodecAvatar
+from pica_core.model.avatar import PixelCodecAvatar, make_model
 from pica_core.model.interface import (
     AvatarModel,
     ExpressionEncoder,
@@ -27,8 +27,7 @@ from pica_core.model.interface import (
     Surface,
     flat_latent,
 )
-from pica_core.model.variants import make_model
-from pica_core.reference.pixel import decode_pixels, encode_surface
+from pica_core.reference.decoders import decode_pixels, encode_surface
 from pica_core.train.export import avatar_tensors
 
 pytestmark = pytest.mark.train

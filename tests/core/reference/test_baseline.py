@@ -12,10 +12,9 @@ from pica_client.decode.onnx_runtime import onnxruntime
 from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.spec import AvatarSpec
-from pica_core.graphs.baseline_graph import baseline_graph
+from pica_core.graphs.onnx_graph import baseline_graph
 from pica_core.reference.baseline import BaselineAvatar, BaselineSpec, baseline_like
-from pica_core.reference.decoders import decode_expression_map
-from pica_core.reference.pixel import decode_pixels
+from pica_core.reference.decoders import decode_expression_map, decode_pixels
 from pica_core.sampling import sample_bilinear, sample_vertices
 from pica_core.types import Array
 

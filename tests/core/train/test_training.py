@@ -24,7 +24,7 @@ from pica_core.train.config import PRESETS, TrainConfig
 from pica_core.train.data.images import view_direction
 from pica_core.train.data.meshes import rasterise_uv
 from pica_core.train.data.training import TrainingData
-from pica_core.train.eval.evaluate import evaluate, mean_mse
+from pica_core.train.evaluate import evaluate, mean_mse
 from pica_core.train.export import fill_unseen, make_avatar
 from pica_core.train.train import open_trainer, rate_ratio, read_checkpoint
 from pica_core.types import FloatArray

@@ -16,7 +16,7 @@ from pica_core.errors import CheckpointError, TrainingOptionError, check_ranges
 from pica_core.train.cli.train import RUN_FILE
 from pica_core.train.config import TrainConfig
 from pica_core.train.data.training import TrainingData
-from pica_core.train.eval.evaluate import Split, bootstrap_interval, evaluate
+from pica_core.train.evaluate import Split, bootstrap_interval, evaluate
 from pica_core.train.train import open_trainer, read_checkpoint
 
 Row = Mapping[str, Any]

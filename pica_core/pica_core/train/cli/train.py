@@ -21,7 +21,7 @@ from pica_core.errors import CaptureError, CheckpointError, TrainingOptionError,
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.train.config import PRESETS, TrainConfig
 from pica_core.train.data.training import TrainingData
-from pica_core.train.eval.evaluate import ModelEvaluator, evaluate, mean_mse
+from pica_core.train.evaluate import ModelEvaluator, evaluate, mean_mse
 from pica_core.train.export import (
     EVALUATION_FILE,
     joint_map,

@@ -36,13 +36,13 @@ from pica_core.train.lod.exits import (
     fit_convolution,
     fit_local,
 )
-from pica_core.train.lod.judge import (
+from pica_core.train.lod.simplify import Simplifier
+from pica_core.train.lod.surface import (
     PokeFinder,
     looked_at,
+    mark_static,
     seen_vertices,
 )
-from pica_core.train.lod.simplify import Simplifier
-from pica_core.train.lod.static import mark_static
 from pica_core.types import Array
 
 NOISE_RATIO = 0.1

@@ -19,9 +19,9 @@ from pica_core.train.lod.exits import (
     fit_local,
     fit_map,
 )
-from pica_core.train.lod.judge import PokeFinder, seen_vertices
 from pica_core.train.lod.levels import LevelOptions, add_levels
 from pica_core.train.lod.simplify import Simplifier, weld
+from pica_core.train.lod.surface import PokeFinder, seen_vertices
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
 
@@ -40,7 +40,7 @@ QUICK = LevelOptions(
 @pytest.fixture(autouse=True)
 def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Judge levels by pictures of 128 pixels instead of 384: they take most of the time."""
-    monkeypatch.setattr("pica_core.train.lod.judge.IMAGE_SIZE", 128)
+    monkeypatch.setattr("pica_core.train.lod.surface.IMAGE_SIZE", 128)
 
 
 @functools.cache

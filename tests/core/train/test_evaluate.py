@@ -21,7 +21,7 @@ from pica_core.train.cli.eval import EvalOptions, eval_runs
 from pica_core.train.cli.train import RUN_FILE, TrainOptions, train
 from pica_core.train.config import PRESETS
 from pica_core.train.data.training import TrainingData
-from pica_core.train.eval.evaluate import (
+from pica_core.train.evaluate import (
     BEST_PSNR_DB,
     bootstrap_interval,
     change_mse,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from pica_core.train.cli.eval import distribution_table, error_table
-from pica_core.train.eval.evaluate import bootstrap_interval
+from pica_core.train.evaluate import bootstrap_interval
 
 pytestmark = pytest.mark.unit
 

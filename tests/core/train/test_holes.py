@@ -15,7 +15,7 @@ from pica_core.capture.dataset.multiface import mesh_path
 from pica_core.capture.stage.synth import RenderOptions
 from pica_core.train.config import PRESETS
 from pica_core.train.data.training import TrainingData
-from pica_core.train.eval.evaluate import evaluate, successor
+from pica_core.train.evaluate import evaluate, successor
 from pica_core.train.train import open_trainer
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]

@@ -9,7 +9,7 @@ from helpers.small_capture import render_small
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.train.config import PRESETS
 from pica_core.train.data.training import TrainingData
-from pica_core.train.eval.evaluate import evaluate
+from pica_core.train.evaluate import evaluate
 from pica_core.train.export import EVALUATION_FILE, model_card
 from pica_core.train.train import open_trainer
 

@@ -1,1 +1,0 @@
-"""Held-out error of finished runs by the paper's protocol."""
