@@ -137,10 +137,8 @@ def make_model(
         spec: Sizes of the full model; the row replaces its encoding and geometry.
 
     Raises:
-        ValueError: An unknown variant or encoder.
+        ValueError: An unknown encoder.
     """
-    if variant not in VARIANTS:
-        raise ValueError(f"variant is {variant!r}; known are {', '.join(VARIANTS)}")
     row: Variant = VARIANTS[variant]
     spec = replace(spec, encoding=row.encoding, geometry=row.geometry)
     match row.network:

@@ -25,9 +25,8 @@ import numpy as np
 
 from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.avatar.expression_encoder import ExpressionEncoder
-from pica_core.avatar.file import Avatar, check_shapes
+from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import POSITION_CHANNELS, RGB_CHANNELS, VIEW_CHANNELS
-from pica_core.errors import check_ranges
 from pica_core.latent import NUM_LATENT
 from pica_core.reference.decoders import FRONT, decode_expression_map, decode_pixels
 from pica_core.sampling import sample_bilinear
@@ -48,13 +47,6 @@ class BaselineSpec:
     num_vertices: int = 7306
     channels: tuple[int, ...] = (NUM_LATENT, 64, 64, 32, 32, 16, 16, RGB_CHANNELS)
     """Output channels of the transposed convolutions."""
-
-    def __post_init__(self) -> None:
-        check_ranges(self, num_latent=(1, 4096), num_vertices=(1, 200_000))
-        if not 1 <= len(self.channels) <= 8 or not all(1 <= c <= 4096 for c in self.channels):
-            raise ValueError(f"channels are {self.channels}; 1 to 8 layers of 1 to 4096 are needed")
-        if self.channels[-1] != RGB_CHANNELS:
-            raise ValueError(f"channels end in {self.channels[-1]}; colours have {RGB_CHANNELS}")
 
     @property
     def texture_size(self) -> int:
@@ -116,14 +108,6 @@ class BaselineAvatar:
     """Lower corner of all positions, head frame, metres."""
     bounds_max_m: tuple[float, float, float]
     """Upper corner of all positions, head frame, metres."""
-
-    def __post_init__(self) -> None:
-        shapes = {name: array.shape for name, array in self.tensors.items()}
-        check_shapes(shapes, self.spec.tensor_shapes())
-        if self.vertex_uv.shape != (self.spec.num_vertices, 2):
-            raise ValueError(f"vertex_uv is {self.vertex_uv.shape}; one row a vertex is needed")
-        if self.faces.min() < 0 or self.faces.max() >= self.spec.num_vertices:
-            raise ValueError("faces name vertices that are not there")
 
 
 def baseline_channels(texture_size: int) -> tuple[int, ...]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import pickle
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -27,7 +26,7 @@ from pica_core.avatar.file import (
 )
 from pica_core.avatar.linear import linear_shapes
 from pica_core.avatar.manifest import MAX_DECODE_MULTIPLY_ADDS, MAX_PIXEL_MULTIPLY_ADDS
-from pica_core.avatar.spec import BLOCKS, AvatarSpec, spec_tensor_shapes
+from pica_core.avatar.spec import BLOCKS, AvatarSpec
 from pica_core.avatar.variants import VARIANTS, pixel_codec_cost
 from pica_core.errors import AvatarFileError, ProfileError
 
@@ -105,13 +104,6 @@ def test_saving_the_same_avatar_again_gives_the_same_identity(tmp_path: Path) ->
     assert len(identities) == 1
 
 
-@pytest.mark.parametrize("block", BLOCKS)
-def test_the_spec_fixes_every_tensor_of_every_block(block: str) -> None:
-    shapes = spec_tensor_shapes(AvatarSpec(block=block))
-    assert shapes["pixel.0.weight"] == (8, 16)
-    assert shapes["geometry.mean"] == (256, 256, 3)
-
-
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(AvatarFileError, match=r"nobody\.pica: cannot be read"):
         load_avatar(tmp_path / "nobody.pica")
@@ -140,11 +132,6 @@ def test_bytes_after_the_end_are_refused(toy_bytes: bytes) -> None:
 def test_a_giant_header_length_is_refused_before_anything_is_allocated() -> None:
     with pytest.raises(AvatarFileError, match="header of 18446744073709551615 bytes"):
         load_avatar(b"\xff" * 64)
-
-
-def test_a_pickle_is_not_an_avatar() -> None:
-    with pytest.raises(AvatarFileError):
-        load_avatar(pickle.dumps({"weights": [1.0] * 100}))
 
 
 def test_a_safetensors_file_without_manifest_is_not_an_avatar() -> None:
@@ -395,9 +382,6 @@ def test_a_stream_with_tables_that_the_file_does_not_hold_is_refused_by_name(nam
     [
         ("table_index", lambda array: None, r"tensor stream\.table_index is missing"),
         ("analysis", lambda array: array.astype(np.float32), r"stream\.analysis is stored as F32"),
-        ("analysis", lambda array: array.astype(np.int32), r"stream\.analysis is int32"),
-        ("synthesis", lambda array: array[:4], r"stream\.synthesis is int16 \[4, 256\]"),
-        ("table_index", lambda array: np.repeat(array, 40, 0), r"has 320 rows"),
         ("table_index", with_place((0, 0), 200), r"stream\.table_index spans"),
     ],
 )
@@ -408,14 +392,7 @@ def test_tables_that_do_not_fit_are_refused_by_name(
         load_avatar(with_stream_tensor(stream_bytes, f"stream.{name}", change))
 
 
-def test_a_table_that_nobody_knows_is_refused(stream_bytes: bytes, toy_bytes: bytes) -> None:
+def test_a_table_that_nobody_knows_is_refused() -> None:
     tensors = {**WITH_STREAM.tensors, "stream.surprise": np.zeros(3, np.int32)}
     with pytest.raises(AvatarFileError, match=r"stream\.surprise is missing or unknown"):
         save_avatar(Path("unwritten.pica"), Avatar(TOY.manifest, tensors))
-    stored = safetensors.numpy.load(toy_bytes)
-    alone = safetensors.numpy.save(
-        {k: v for k, v in stored.items() if not k.startswith("stream.") or k == "stream.mean"},
-        split(toy_bytes)[0]["__metadata__"],
-    )
-    with pytest.raises(AvatarFileError, match=r"stream\.analysis is missing or unknown"):
-        load_avatar(alone)

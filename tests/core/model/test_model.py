@@ -6,11 +6,10 @@ import pytest
 import torch
 from torch import nn
 
-from helpers.toy import PAPER_SPEC
 from helpers.trainable import toy_prior
-from pica_core.avatar.spec import BLOCKS, AvatarSpec, decoder_layers
+from pica_core.avatar.spec import AvatarSpec
 from pica_core.model.avatar import PixelCodecAvatar
-from pica_core.model.decoders import MapDecoder, sample_map
+from pica_core.model.decoders import sample_map
 from pica_core.model.encoder import PaperEncoder
 from pica_core.model.interface import ModelOptions, Surface, flat_latent, grid_of_latent
 from pica_core.model.pixel_decoder import PixelDecoder
@@ -28,41 +27,6 @@ def count(module: nn.Module) -> int:
 def small_avatar() -> PixelCodecAvatar:
     torch.manual_seed(0)
     return PixelCodecAvatar(SMALL, toy_prior(scale_m=0.01), UNIFORM)
-
-
-def test_the_papers_decoder_has_its_5_47_million_parameters_within_half_a_percent() -> None:
-    decoders = count(MapDecoder(PAPER_SPEC, "geometry")) + count(
-        MapDecoder(PAPER_SPEC, "expression")
-    )
-
-    assert abs(decoders + count(PixelDecoder(PAPER_SPEC)) - 5_470_000) < 0.005 * 5_470_000
-
-
-@pytest.mark.parametrize("block", BLOCKS)
-@pytest.mark.parametrize(("decoder", "channels"), [("geometry", (4, 3)), ("expression", (7, 4))])
-def test_decoders_turn_the_latent_grid_into_maps_of_256(
-    block: str, decoder: str, channels: tuple[int, int]
-) -> None:
-    module = MapDecoder(AvatarSpec(block=block), decoder)
-
-    with torch.no_grad():
-        output = module(torch.zeros(2, channels[0], 8, 8))
-
-    assert output.shape == (2, channels[1], 256, 256)
-
-
-@pytest.mark.parametrize("block", BLOCKS)
-def test_named_tensors_have_the_shapes_of_the_avatar_file(block: str) -> None:
-    spec = AvatarSpec(block=block)
-    wanted = {
-        name: shape
-        for layer in decoder_layers(spec, "geometry")
-        for name, shape in layer.tensor_shapes().items()
-    }
-
-    tensors = MapDecoder(spec, "geometry").named_tensors()
-
-    assert {name: tuple(values.shape) for name, values in tensors.items()} == wanted
 
 
 def test_the_papers_encoder_gives_mean_and_variance_of_an_8_by_8_by_4_latent() -> None:

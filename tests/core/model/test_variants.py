@@ -38,16 +38,6 @@ OPTIONS = ModelOptions(encoding_amplitude=1.0, texture_contrast=0.0, texture_siz
 NUM_PIXELS = 500
 DECODED = [name for name, row in VARIANTS.items() if row.geometry == "decoder"]
 """Rows of any map size; those with bases have tests of their own (`graphs/test_bases_judges`)."""
-PIXEL_PARAMETERS = {
-    "full": 307,
-    "coarse": 307,
-    "no_uv": 307 - 8 * 8,
-    "uv_nope": 307 - 6 * 8,
-    "nerf_pe": 307 + 32 * 8,
-    "pe_2d": 307 - 4 * 8,
-    "pe_1d": 307 - 4 * 8,
-}
-"""Of the final sine network: each input that is more or less is 8 weights more or less."""
 
 
 def small_model(variant: str) -> AvatarModel:
@@ -138,17 +128,6 @@ def test_torch_colours_pixels_as_the_reference_does(variant: str) -> None:
     assert np.abs(by_torch - reference).max() <= PIXEL_FLOAT32
 
 
-@pytest.mark.parametrize("variant", ["full", "uv_nope", "nerf_pe", "pe_2d", "pe_1d"])
-def test_where_a_pixel_lies_on_the_surface_changes_its_colour(variant: str) -> None:
-    _, avatar = exported(variant)
-    codes, xyz_m, uv = some_pixels()
-
-    here = decode_pixels(avatar.spec, avatar.tensors, codes, xyz_m, uv)
-    there = decode_pixels(avatar.spec, avatar.tensors, codes, xyz_m, 1 - uv)
-
-    assert np.abs(here - there).max() > 0.01
-
-
 def test_sinusoids_are_forty_and_run_through_whole_turns() -> None:
     spec = replace(SMALL, encoding="sinusoids")
     code = encode_surface(spec, {}, np.array([[0.25, 0.5], [0.0, 0.0]]), np.float64)
@@ -176,11 +155,6 @@ def test_a_file_whose_encoding_is_not_its_variants_is_refused(tmp_path: Path) ->
 
     with pytest.raises(AvatarFileError, match=r"spec\.encoding is 'joint'; variant full"):
         save_avatar(tmp_path / "v.pica", wrong)
-
-
-def test_an_unknown_variant_is_refused_by_name() -> None:
-    with pytest.raises(ValueError, match="variant is 'fuller'; known are full"):
-        make_model("fuller", SMALL, PRIOR, OPTIONS)
 
 
 @pytest.mark.parametrize("variant", DECODED)

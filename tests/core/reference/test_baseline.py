@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -38,21 +36,6 @@ def run(graph: bytes, latent: Array, view: Array) -> list[Array]:
         ["vertices", "texture"], {k: v.astype(np.float32) for k, v in feeds.items()}
     )
     return outputs
-
-
-def random_baseline(spec: BaselineSpec) -> BaselineAvatar:
-    rng = np.random.default_rng(1)
-    return BaselineAvatar(
-        spec=spec,
-        tensors={
-            name: rng.standard_normal(shape).astype(np.float32) * np.float32(0.5)
-            for name, shape in spec.tensor_shapes().items()
-        },
-        vertex_uv=np.zeros((spec.num_vertices, 2), np.float32),
-        faces=np.array([[0, 1, 2]], np.int32),
-        bounds_min_m=(-1, -1, -1),
-        bounds_max_m=(1, 1, 1),
-    )
 
 
 def test_the_published_sizes_have_17_4_million_parameters_and_755_million_multiply_adds() -> None:
@@ -101,31 +84,3 @@ def test_the_mesh_is_the_level_nearest_to_the_published_one() -> None:
     sizes = {level: len(avatar.level_faces(level)) for level in avatar.levels}
     assert min(sizes, key=lambda level: abs(sizes[level] - 10_936)) == 128
     assert len(baseline_like(avatar).faces) == sizes[128]
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"num_latent": 0}, "num_latent is 0"),
-        ({"num_vertices": 10**6}, "num_vertices is 1000000"),
-        ({"channels": (4, 4)}, "channels end in 4"),
-        ({"channels": ()}, "channels are"),
-    ],
-)
-def test_a_spec_out_of_its_limits_is_refused(change: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        BaselineSpec(**change)
-
-
-def test_a_baseline_whose_tensors_do_not_fit_is_refused() -> None:
-    good = random_baseline(SMALL)
-    tensors = {**good.tensors, "mesh.bias": np.zeros(3, np.float32)}
-    with pytest.raises(ValueError, match=r"mesh\.bias has shape \[3\]; \[15\]"):
-        BaselineAvatar(
-            spec=SMALL,
-            tensors=tensors,
-            vertex_uv=good.vertex_uv,
-            faces=good.faces,
-            bounds_min_m=good.bounds_min_m,
-            bounds_max_m=good.bounds_max_m,
-        )
