@@ -23,8 +23,7 @@ from pica_client.bench.network.impairment import BY_NAME, SCENARIOS
 from pica_client.bench.network.stream_trial import Delivery, Face, Schedule, Tick, deliver, play
 from pica_client.errors import OptionError, check_ranges
 from pica_client.output import say
-from pica_client.playout.buffer import Playout
-from pica_client.playout.config import PlayoutConfig
+from pica_client.playout.buffer import Playout, PlayoutConfig
 from pica_client.render.drawing import Drawing, drawn_mse
 from pica_client.sources import open_source
 from pica_client.stats import percentile

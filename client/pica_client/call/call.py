@@ -20,7 +20,7 @@ from pica_client.call.faces import FaceState, FaceStatus
 from pica_client.call.participant import Participant, Tell
 from pica_client.call.roster import SECRET_NEEDED, Member, RoomState, Roster
 from pica_client.e2ee.status import SealState, SealStatus
-from pica_client.playout.config import PlayoutConfig
+from pica_client.playout.buffer import PlayoutConfig
 from pica_client.stats import Samples
 from pica_client.tracks import FACE_TRACK
 from pica_core.avatar.file import Avatar

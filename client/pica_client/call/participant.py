@@ -18,8 +18,7 @@ from typing import Any, Final
 
 from pica_client.call.connection_quality import StreamHealth
 from pica_client.call.roster import Member
-from pica_client.playout.buffer import PlayedFace, Playout, PlayoutReport
-from pica_client.playout.config import PlayoutConfig
+from pica_client.playout.buffer import PlayedFace, Playout, PlayoutConfig, PlayoutReport
 from pica_client.tracks import FACE_KEY, FACE_LOST
 from pica_core.avatar.file import Avatar
 from pica_core.codec.latent_stream import LatentDecoder

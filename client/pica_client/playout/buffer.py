@@ -11,10 +11,10 @@ Theory of operation. Every part has its module:
 
     sender_clock     a frame's sequence and capture time -> its place on one even time line,
                      whatever the sender's clock does
-    transit          that time line -> our clock: the transit of the fastest frames, how much longer
-                     the others take, how often they come, which were lost
-    motion           the frames in order, the face's path through them, and back to it
-    playhead         the moment of the time line that the display is at
+                     and that time line -> our clock: the transit of the fastest frames, how much
+                     longer the others take, how often they come, which were lost
+    motion           the moment of the time line that the display is at, the frames in order, the
+                     face's path through them, and back to it
 
 A frame captured at t is due at
 
@@ -35,12 +35,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields, replace
 
-from pica_client.playout.config import PlayoutConfig
-from pica_client.playout.motion import Correction, Timeline
-from pica_client.playout.playhead import Playhead
-from pica_client.playout.sender_clock import SenderClock
-from pica_client.playout.transit import FrameInterval
+from pica_client.playout.motion import COAST_S, Correction, Playhead, Timeline
+from pica_client.playout.sender_clock import FrameInterval, SenderClock
 from pica_core.codec.latent_stream import DecodedFrame, LatentSample
+from pica_core.errors import check_ranges
 
 MAX_LAG_S = 0.03
 """Most that a face whose frames are late lets its voice go ahead (chosen: with a step of the
@@ -52,6 +50,28 @@ STILL_S = 2.5
 """How long a still face is believed without another word (chosen: two lost heartbeats)."""
 MAX_LED_S = 2.0
 """A voice farther from its face is of another clock, or of a sender that lies."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PlayoutConfig:
+    """How patient a playout buffer is, and how it moves a face."""
+
+    floor_s: float = 0.004
+    """Least delay on top of the measured jitter (chosen: what a busy event loop adds between two
+    frames)."""
+    floor_intervals: float = 1.0
+    """Least delay of `sample_at`, in frame intervals: with one, the next frame is there when the
+    face begins to move towards it."""
+    ceiling_s: float = 0.2
+    """Longest delay (chosen: with 50 ms of network still above the 150 ms of G.114, so worse jitter
+    is better concealed than waited for)."""
+    blend_s: float = 0.15
+    """Time in which the face goes over to its path after it had to leave it (chosen: a blink)."""
+
+    def __post_init__(self) -> None:
+        small = dict.fromkeys(("ceiling_s", "floor_intervals", "blend_s"), (0, 10))
+        check_ranges(self, **small)
+        check_ranges(self, floor_s=(0, self.ceiling_s))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -66,9 +86,6 @@ class PlayedFace:
     """The newest frame that went into it."""
     is_concealed: bool
     """Whether the frame that should be shown by now is not there."""
-    age_s: float
-    """Age of information: time since the moment shown, less the fastest transit (which clocks
-    cannot tell from their offset)."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -102,7 +119,8 @@ class PlayoutReport:
     interval_s: float = 0.0
     """Time between two frames that arrive; 0 until two have come."""
     age_s: float = 0.0
-    """`PlayedFace.age_s` of the last face."""
+    """Age of information of the last face: time since the moment shown, less the fastest transit,
+    which clocks cannot tell from their offset."""
 
     @property
     def concealed_ratio(self) -> float:
@@ -134,9 +152,9 @@ class Playout:
         self._num_shown = self._concealed = 0
         self._missed_s = self._last_transit_s = 0.0
         self.sender, self._num_jumps = SenderClock(), 0
-        self._timeline = Timeline(config.extrapolate_s)
+        self._timeline = Timeline()
         self._interval = FrameInterval()
-        self._media = Playhead(config.leap_s)
+        self._media = Playhead()
         self._correction = Correction(config.blend_s)
         self._shown: LatentSample | None = None  # the last face of `sample_at`
         self._end_s = math.inf  # where it had stopped to move, on the time line
@@ -302,7 +320,7 @@ class Playout:
         Args:
             due_s: Frames captured before it should have come by now.
         """
-        config, timeline, interval_s = self.config, self._timeline, self._interval.interval_s
+        timeline, interval_s = self._timeline, self._interval.interval_s
         held, following, transit = timeline.held, timeline.following, self.sender.transit
         assert held is not None
         assert transit is not None
@@ -315,7 +333,7 @@ class Playout:
             known_s += min(max(past_s, 0.0), STILL_S)
             is_concealed = past_s > STILL_S
         else:
-            self._end_s = held.media_s + config.extrapolate_s
+            self._end_s = held.media_s + COAST_S
             # By now the next frame should have come, had it been as late as we wait for: half an
             # interval is granted for a tracker that is not so regular.
             granted_s = max(self._target_s(is_displayed=True) - transit.jitter_s, 0.0)
@@ -328,5 +346,4 @@ class Playout:
             captured_us=held.captured_us + round((known_s - held.media_s) * 1e6),
             newest=newest,
             is_concealed=is_concealed,
-            age_s=self._age_s,
         )

@@ -1,5 +1,9 @@
-"""The frames of a stream in order, the path of a face through them, and what takes it back to its
-path without a snap. Pure.
+"""Which moment of a stream the display is at, the frames of the stream in order, the path of a face
+through them, and what takes it back to its path without a snap. Pure.
+
+The moment that should be shown moves when the playout delay changes. Following it at once would be
+seen: so the display's time runs a little faster or slower until it is there, and never backwards.
+Only where that would take too long it leaps forwards.
 
 Between two frames the face moves evenly from one to the other. Where the next frame is too far
 away, or not there, it coasts: it goes on as it last moved, ever slower, and rests after a while. It
@@ -10,6 +14,7 @@ Latent, rotation vector and position each move on a straight line: two frames ar
 that the head's turn between them differs from the shortest arc by less than is seen.
 """
 
+import math
 from bisect import bisect_left, bisect_right
 from operator import attrgetter
 from typing import Literal, NamedTuple
@@ -32,6 +37,27 @@ tracker (chosen: one frame of the usual stream and less)."""
 UNSEEN = 1e-5
 """A difference below this, in any unit, is none."""
 
+COAST_S = 1 / 15
+"""Time after which a face without a next frame rests (measured on latents of the performances and
+of the range-of-motion recording: the error after gaps of 33 to 330 ms is least between 33 and
+130 ms)."""
+LEAP_S = 0.25
+"""A display this far behind leaps, and the face goes over as after a gap."""
+UNSEEN_S = 0.001
+"""A display that is less far behind is not seen as such."""
+FASTER, SLOWER = 0.1, 0.25
+"""Shares by which display time runs faster to catch up (chosen: speech 10 % faster looks natural)
+and slower to fall back: more, for frames are late meanwhile."""
+LED_RATE = 1.0
+"""The same where a voice leads: it has been stretched already, and says how fast time goes."""
+LED_LEAP_S = 0.04
+"""A display this far behind the voice that leads it leaps: lips may be 45 ms late (ITU-R
+BT.1359)."""
+SMOOTHING = 0.1
+"""Weight of a new display interval in the mean."""
+MAX_STEP_S = 0.25
+"""A longer step is a pause of the display."""
+
 Insertion = Literal["new", "late", "duplicate", "misplaced"]
 """misplaced: captured before a frame of a lower number, or after one of a higher."""
 
@@ -53,7 +79,7 @@ def blend(before: LatentSample, after: LatentSample, weight: float) -> LatentSam
     )
 
 
-def coasted_s(past_s: float, limit_s: float) -> float:
+def coasted_s(past_s: float, limit_s: float = COAST_S) -> float:
     """How far a motion goes in some time that slows down evenly and rests after `limit_s`: the time
     in which it would have gone as far at full speed, at most half of `limit_s`."""
     if past_s >= limit_s:
@@ -118,15 +144,9 @@ class Correction:
 
 
 class Timeline:
-    """Frames shown and to be shown.
+    """Frames shown and to be shown."""
 
-    Args:
-        coast_s: Time after which a face without a next frame rests.
-
-    """
-
-    def __init__(self, coast_s: float) -> None:
-        self._coast_s = coast_s
+    def __init__(self) -> None:
         self._frames: list[DecodedFrame] = []  # shown ones first; both bounded
         self._num_shown = 0
 
@@ -223,7 +243,7 @@ class Timeline:
     def _coasted(self, place: int, past_s: float, interval_s: float) -> LatentSample:
         """The face some time after a frame, as if there were no next one."""
         frame = self._frames[place]
-        if frame.sample.is_still or past_s <= 0 or self._coast_s <= 0 or place == 0:
+        if frame.sample.is_still or past_s <= 0 or place == 0:
             return frame.sample
         base = place - 1
         while base and frame.media_s - self._frames[base].media_s < MIN_BASE_S:
@@ -233,5 +253,59 @@ class Timeline:
         is_known = 0 < gap_s <= MAX_GAP_S or self._frames[base].sample.is_still
         if not is_known or way_s <= 0:
             return frame.sample
-        weight = 1 + coasted_s(past_s, self._coast_s) / max(way_s, MIN_BASE_S)
+        weight = 1 + coasted_s(past_s) / max(way_s, MIN_BASE_S)
         return blend(self._frames[base].sample, frame.sample, weight)
+
+
+class Step(NamedTuple):
+    """The step from one display time to the next."""
+
+    elapsed_s: float
+    """Time that passed on our clock."""
+    moved_s: float
+    """How far the moment shown went on; where it leapt, how far it would have gone."""
+    is_leap: bool = False
+
+
+class Playhead:
+    """The display's time of one stream.
+
+    Attributes:
+        position_s: The moment shown, on the stream's time line; minus infinity before the first.
+        step_s: Mean time between two display times.
+    """
+
+    def __init__(self) -> None:
+        self.position_s = -math.inf
+        self.step_s = 0.0
+        self._now = -math.inf
+
+    def advance(self, now: float, target_s: float, end_s: float, *, is_led: bool = False) -> Step:
+        """Go on to a display time.
+
+        Args:
+            now: Our clock.
+            target_s: The moment that should be shown.
+            end_s: The moment up to which the face last shown had moved: where the display stands
+                still beyond it, falling back that far is not seen.
+            is_led: Whether the target is what a voice says just now, rather than what is waited.
+        """
+        if self.position_s == -math.inf:
+            self.position_s, self._now = target_s, now
+            return Step(0.0, 0.0)
+        elapsed_s = max(now - self._now, 0.0)
+        self._now = max(now, self._now)
+        if elapsed_s <= MAX_STEP_S:
+            self.step_s += SMOOTHING * (elapsed_s - self.step_s)
+        before_s = self.position_s
+        behind_s = target_s - before_s - elapsed_s
+        faster, slower = (LED_RATE, LED_RATE) if is_led else (FASTER, SLOWER)
+        if behind_s > max(LED_LEAP_S if is_led else LEAP_S, UNSEEN_S):
+            self.position_s = target_s
+            return Step(elapsed_s, elapsed_s, is_leap=True)
+        rate = min(max(behind_s, -slower * elapsed_s), faster * elapsed_s)
+        position_s = before_s + elapsed_s + rate
+        if end_s < position_s and target_s < position_s:
+            position_s = max(target_s, min(end_s, position_s))
+        self.position_s = position_s
+        return Step(elapsed_s, max(position_s - before_s, 0.0))

@@ -1,4 +1,5 @@
-"""From what a frame says of itself to its place on one even time line. Pure.
+"""From what a frame says of itself to its place on one even time line, and what the arrivals of a
+stream tell: how long frames take, how late some are, how often they come, which were lost. Pure.
 
 A frame names a sequence, which wraps and may begin again, and a capture time on the sender's clock,
 which may jump. Here it gets a `number` that never wraps and a `media_s` that goes on as our own
@@ -7,7 +8,6 @@ clock does, whatever the sender's does.
 A frame that does not follow from the newest one is the first of a new beginning:
 
     what is wrong                                         what has happened
-    far faster than the fastest and than the newest one   the clock was set forward
     captured before the newest, of a later sequence       the clock was set back
     captured after the newest, of an earlier sequence     the sender began again
     the sequence of the newest, another capture time      the sender began again
@@ -18,20 +18,49 @@ The time line goes on from there as if the frame had come the fastest way. A fra
 itself makes two beginnings, its own and that of the next one: it is seen for a moment in the stream
 of the sender who sent it. The numbers leap by more than `RESTART_FRAMES`: what is missing there was
 not lost.
+A clock that is set forward needs no rule: its frames are the fastest from then on, and those before
+are too late to be waited for.
+
+The transit of a frame is its arrival on our clock minus its capture on the sender's: network delay
+plus an unknown offset between two clocks. The network only ever adds, so the lowest transit of the
+last seconds is that of the fastest way. The window forgets, so a clock that drifts, a longer route
+and a standing queue are followed without being measured: 200 parts in a million are 1 ms in it.
+
+How far a transit lies above the fastest is the frame's lateness. What counts are delays, not
+frames: those that a stall held back come in one burst, and only the first of them tells how long it
+was. Two windows rate, and the longer wait counts: the slow one forgets trouble after some seconds,
+the fast one needs only three delays in a second.
 """
 
-from pica_client.playout.transit import RESTART_FRAMES, Transit
-from pica_core.codec.latent_stream import ReceivedFrame
-from pica_protocol.frames import Frame, sequence_distance
+from __future__ import annotations
 
-FUTURE_S = 0.5
-"""A frame this much faster than the fastest, and than the newest, is of another clock (chosen: more
-than twice the usual ceiling of the delay; smaller steps the transit follows by itself). After a
-stall at the very beginning frames are faster than the fastest one by one."""
+import math
+from bisect import bisect_left, bisect_right, insort
+from collections import deque
+from itertools import pairwise, takewhile
+from typing import NamedTuple
+
+from pica_core.codec.latent_stream import DecodedFrame, ReceivedFrame
+from pica_protocol.frames import Frame, sequence_distance
 
 LATE_S = 10.0
 """A frame of an earlier sequence that is later than this belongs to another beginning (chosen: a
 link that was dead for so long has been closed)."""
+WINDOW_S = 6.0
+"""Time that is remembered: so long the delay stays up after trouble (chosen: short enough that a
+call is fresh again soon, long enough to hold a share of 95 %)."""
+ATTACK_S, ATTACK_QUANTILE, ATTACK_MIN_DELAYS = 1.0, 0.9, 10
+"""The fast window, the share of it that is waited for, and how many delays say something of it."""
+CAPACITY = 2048
+"""Frames that the window holds; it drops its oldest beyond (chosen: 6 s at 240 fps and some)."""
+MAX_DELAY_S = 1.0
+"""A longer delay is not waited for at all: this machine slept, or the network stood."""
+RESTART_FRAMES = 1000
+"""A sequence this far behind is not late, and one this far ahead is no gap but a new beginning
+(chosen: four seconds at 240 fps)."""
+NUM_GAPS = 16
+"""Gaps the interval is the median of (chosen: with a third of the frames lost it still stands, and
+it follows a thinned stream after eight frames)."""
 
 
 class SenderClock:
@@ -49,7 +78,6 @@ class SenderClock:
         self._quantile = quantile
         # The newest frame, and the place of its clock on the time line.
         self._number = self._sequence = self._captured_us = 0
-        self._transit_s = 0.0
         self._origin_us, self._origin_s = 0, 0.0
 
     def media_s(self, captured_us: int) -> float:
@@ -71,7 +99,7 @@ class SenderClock:
         media_s, number = self.media_s(frame.captured_us), self._number + ahead
         if ahead >= 0:
             self._number, self._sequence = number, frame.sequence
-            self._captured_us, self._transit_s = frame.captured_us, now - media_s
+            self._captured_us = frame.captured_us
         return ReceivedFrame(
             number=number,
             captured_us=frame.captured_us,
@@ -86,7 +114,130 @@ class SenderClock:
         later_us = frame.captured_us - self._captured_us
         if abs(ahead) > RESTART_FRAMES or ahead * later_us < 0 or (ahead == 0 and later_us != 0):
             return True
-        transit_s = now - self.media_s(frame.captured_us)
-        late_s = transit_s - self.transit.fastest_s
-        is_future = max(late_s, transit_s - self._transit_s) < -FUTURE_S
-        return is_future or (ahead < 0 and late_s > LATE_S)
+        late_s = now - self.media_s(frame.captured_us) - self.transit.fastest_s
+        return ahead < 0 and late_s > LATE_S
+
+
+class _Arrival(NamedTuple):
+    arrived_s: float
+    transit_s: float
+    is_alone: bool
+
+
+class Transit:
+    """How long the frames of one stream take.
+
+    Attributes:
+        fastest_s: Our clock minus the sender's for a frame that nothing delays.
+        jitter_s: Lateness that should be waited for.
+    """
+
+    def __init__(self, transit_s: float, *, quantile: float = 0.95) -> None:
+        self.fastest_s, self.jitter_s = transit_s, 0.0
+        self._quantile = quantile
+        self._arrivals: deque[_Arrival] = deque()
+        self._ordered: list[float] = []  # their transits
+        self._delays: list[float] = []  # the same of those that came alone
+        self._last = (-math.inf, -math.inf)  # arrived_s, media_s
+
+    def forget(self) -> None:
+        """Begin again at the fastest transit: what was late by another clock says nothing."""
+        for kept in (self._arrivals, self._ordered, self._delays):
+            kept.clear()
+
+    def receive(self, media_s: float, arrived_s: float) -> None:
+        """Take a frame into account."""
+        transit_s = arrived_s - media_s
+        last_arrived_s, last_media_s = self._last
+        is_burst = arrived_s - last_arrived_s < 0.5 * (media_s - last_media_s)
+        self._last = (arrived_s, media_s)
+        arrivals, ordered, delays = self._arrivals, self._ordered, self._delays
+        while arrivals and (
+            arrivals[0].arrived_s < arrived_s - WINDOW_S or len(arrivals) >= CAPACITY
+        ):
+            old = arrivals.popleft()
+            del ordered[bisect_left(ordered, old.transit_s)]
+            if old.is_alone:
+                del delays[bisect_left(delays, old.transit_s)]
+        is_alone = not is_burst or not arrivals
+        arrivals.append(_Arrival(arrived_s, transit_s, is_alone))
+        insort(ordered, transit_s)
+        if is_alone:
+            insort(delays, transit_s)
+        self.fastest_s = ordered[0]
+        begin_s, longest_s = arrived_s - ATTACK_S, self.fastest_s + MAX_DELAY_S
+        slow = delays[: bisect_right(delays, longest_s)]
+        fast = sorted(
+            each.transit_s
+            for each in takewhile(lambda each: each.arrived_s >= begin_s, reversed(arrivals))
+            if each.is_alone and each.transit_s <= longest_s
+        )
+        wait_s = _quantile(slow, self._quantile) if slow else self.fastest_s
+        if len(fast) >= ATTACK_MIN_DELAYS:
+            wait_s = max(wait_s, _quantile(fast, ATTACK_QUANTILE))
+        self.jitter_s = max(wait_s - self.fastest_s, 0.0)
+
+
+def _quantile(ordered: list[float], share: float) -> float:
+    """The least of some rising values that this share of them does not exceed."""
+    return ordered[math.ceil(share * len(ordered)) - 1]
+
+
+class _Seen(NamedTuple):
+    number: int
+    media_s: float
+    is_still: bool
+    interval_s: float
+
+
+class FrameInterval:
+    """Interval and losses of one stream.
+
+    A stream is thinned on its way when less of it is wanted, so a hole in the sequence is no loss
+    by itself. After thinning the frames that are left come at an even, longer interval; a lost
+    frame leaves a gap among frames that come closer. So a hole is counted when it leaves the window
+    with the longer of two intervals, that of its end and that of now.
+
+    Attributes:
+        interval_s: Between two frames that arrive; 0 until two have come.
+        num_lost: Frames known to be lost.
+    """
+
+    def __init__(self) -> None:
+        self.interval_s, self.num_lost = 0.0, 0
+        self._recent: list[_Seen] = []  # in order of their numbers; drops the oldest
+
+    def receive(self, frame: DecodedFrame) -> None:
+        """Take a frame into account that did not come before."""
+        recent = self._recent
+        place = bisect_left(recent, (frame.number,))
+        if not place and len(recent) >= NUM_GAPS:
+            return  # its hole has been counted already
+        is_still = frame.sample.is_still
+        insort(recent, _Seen(frame.number, frame.media_s, is_still, self.interval_s))
+        # What follows a still frame is a silence on purpose, and no gap.
+        gaps = sorted(
+            after.media_s - before.media_s
+            for before, after in pairwise(recent)
+            if not before.is_still and after.media_s > before.media_s
+        )
+        if gaps:
+            self.interval_s = gaps[(len(gaps) - 1) // 2]
+        if len(recent) > NUM_GAPS:
+            before, after = recent.pop(0), recent[0]
+            if not before.is_still:
+                num_skipped = after.number - before.number - 1
+                gap_s = after.media_s - before.media_s
+                self.num_lost += self.num_missing(num_skipped, gap_s, after.interval_s)
+
+    def pause(self) -> None:
+        """Note that the stream is stopped on purpose: what follows the last frame is no gap."""
+        if self._recent:
+            self._recent[-1] = self._recent[-1]._replace(is_still=True)
+
+    def num_missing(self, num_skipped: int, gap_s: float, least_interval_s: float = 0.0) -> int:
+        """Return how many of the skipped frames the interval would have put into a gap."""
+        interval_s = max(self.interval_s, least_interval_s)
+        if interval_s <= 0 or not 0 < num_skipped < RESTART_FRAMES:
+            return 0
+        return min(num_skipped, max(round(gap_s / interval_s) - 1, 0))

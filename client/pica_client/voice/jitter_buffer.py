@@ -5,7 +5,7 @@
     moment                    when they leave it, and when they were captured
 
 Theory of operation. Sequence, capture time and transit are judged by what the playout of faces
-judges them by (`playout.sender_clock`, `transit`), so jumps, drift and tricks of strangers end
+judges them by (`playout.sender_clock`), so jumps, drift and tricks of strangers end
 there. What was captured at t should be played at
 
     t + fastest transit + delay               delay = one frame + jitter, 30 to 200 ms
@@ -37,8 +37,7 @@ from typing import Protocol
 import numpy as np
 
 from pica_client.errors import VoiceError
-from pica_client.playout.sender_clock import SenderClock
-from pica_client.playout.transit import RESTART_FRAMES, Transit
+from pica_client.playout.sender_clock import RESTART_FRAMES, SenderClock, Transit
 from pica_client.voice import stretch
 from pica_client.voice.packet import FRAME_S
 from pica_client.voice.packet import FRAME_SAMPLES as FRAME
