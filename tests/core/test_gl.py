@@ -41,15 +41,3 @@ def test_an_interrupt_waits_until_a_program_is_linked() -> None:
     finally:
         signal.signal(signal.SIGINT, before)
         context.release()
-
-
-def test_an_ignored_interrupt_stays_ignored() -> None:
-    context = create_context()
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        interrupted: Any = InterruptedWhileLinking(context)
-        assert link_program(interrupted, vertex=VERTEX, fragment=FRAGMENT) is interrupted.linked
-        assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
-    finally:
-        signal.signal(signal.SIGINT, before)
-        context.release()

@@ -87,12 +87,6 @@ def test_a_row_without_blendshapes_is_a_moment_without_a_face(tmp_path: Path) ->
     assert recording.frame_at(0.9 / 30).arkit[ARKIT_INDEX["jawOpen"]] == pytest.approx(0.5)
 
 
-def test_head_angles_become_a_rotation_vector(tmp_path: Path) -> None:
-    row = take_row("10:00:00:00.000", HeadYaw=0.3)
-    recording = load_livelink_csv(write_take(tmp_path / "turn.csv", [row]))
-    assert recording.frame_at(5.0).rotation == pytest.approx([0, 0.3, 0])
-
-
 def test_yaw_pitch_and_roll_compose_from_the_outside_in() -> None:
     def turn(axis: int, angle: float) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
         first, second = [(1, 2), (2, 0), (0, 1)][axis]

@@ -41,8 +41,8 @@ def test_few_real_moments_lie_beyond_what_is_trained_on(seed: int) -> None:
     assert (real > highest + 0.02).any(1).mean() < 0.15  # 0.45 before shapes came in crowds
 
 
-def csv_of(values: FloatArray, names: tuple[str, ...] = ARKIT_NAMES) -> str:
-    header = ",".join(("Timecode", "BlendShapeCount", *names))
+def csv_of(values: FloatArray) -> str:
+    header = ",".join(("Timecode", "BlendShapeCount", *ARKIT_NAMES))
     return "\n".join(
         [header, *("0:0:0:0,61," + ",".join(f"{v:.4f}" for v in row) for row in values)]
     )
@@ -72,11 +72,8 @@ def test_a_take_of_pica_track_is_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (csv_of(np.zeros((2, 51), np.float32), ARKIT_NAMES[1:]), r"lacks 1 of 54 columns \(eyeB"),
-        ("time,AU01_r,AU02_r\n0,1,2\n", "lacks 54 of 54 columns"),
         (csv_of(np.full((2, 52), np.nan, np.float32)), "no moment with a face"),
-        (csv_of(np.zeros((2, 52), np.float32)) + ",7", "line 3: has 55 of 54 values"),
-        ("", "lacks 54"),
+        ("time,AU01_r,AU02_r\n0,1,2\n", "lacks 54 of 54 columns"),
         ("PK\x03\x04nothing", "not a complete archive"),
     ],
 )
