@@ -26,9 +26,7 @@ from pica_client.render.layers import (
     Images,
     Layer,
     PixelRect,
-    area_px,
     clip_rect,
-    common_part,
     viewport,
 )
 from pica_client.render.room import Room, lens_of
@@ -88,9 +86,8 @@ class DrawPasses:
         images: Images,
         views: Sequence[tuple[Camera, PixelRect]],
         room: Room,
-        parts: Sequence[PixelRect],
     ) -> None:
-        """Draw parts of the room as each view sees it into the image that frames begin with."""
+        """Draw the room as each view sees it into the image that frames begin with."""
         program = self._background.program
         members: dict[str, Any] = {name: program[name] for name in program}
         seats = np.zeros((members["seats"].array_length, 4), np.float32)
@@ -115,11 +112,7 @@ class DrawPasses:
             images.room.use()
             images.small_room_image.use(0)
             set_values(self._enlarge.program, rect=clip_rect(rect, images.size))
-            for part in parts:
-                if not area_px(common_part(rect, part)):
-                    continue
-                images.room.scissor = viewport(common_part(rect, part))
-                self._enlarge.render(moderngl.TRIANGLE_STRIP, vertices=4)
+            self._enlarge.render(moderngl.TRIANGLE_STRIP, vertices=4)
 
     def surfaces(self, heads: Sequence[LayeredHead]) -> None:
         """Keep, per pixel of each layer, what of its head is nearest.

@@ -39,7 +39,6 @@ from pica_client.render.draw_list import (
     View,
     count_draws,
     list_heads,
-    rect_in_view,
 )
 from pica_client.render.gpu_avatar import WeightsPlace, upload_avatar
 from pica_client.render.gpu_maps import MapSeries, MapView
@@ -48,14 +47,11 @@ from pica_client.render.gpu_textured import TexturedHead
 from pica_client.render.layers import (
     Images,
     Layer,
-    PixelRect,
-    area_px,
-    common_part,
     layer_size,
     viewport,
 )
 from pica_client.render.passes import DrawPasses, LayeredHead
-from pica_client.render.room import EMPTY_ROOM, STILL, Room, changed_glows, lens_of
+from pica_client.render.room import EMPTY_ROOM, STILL, Room, lens_of
 from pica_client.render.scene import Placement
 from pica_client.system import Closing
 from pica_core.avatar.file import Avatar
@@ -325,18 +321,9 @@ class Renderer(Closing):
             (lens_of(eye), eye.rotation.tobytes(), eye.translation_m.tobytes(), rect)
             for eye, rect in seen
         ]
-        before, self._drawn_room = self._drawn_room, (room, eyes)
-        if (room, eyes) == before:
-            return
-        parts: list[PixelRect] = []
-        for camera, view in seen:
-            is_same_view = before is not None and before[1] == eyes
-            glows = changed_glows(before[0], room, camera) if before and is_same_view else None
-            for left, bottom, right, top in [(0.0, 0.0, 1.0, 1.0)] if glows is None else glows:
-                clip = 2 * left - 1, 2 * bottom - 1, 2 * right - 1, 2 * top - 1
-                part = common_part(rect_in_view(clip, view), view)
-                parts += [part] if area_px(part) else []
-        self._passes.draw_room(self._images, seen, room, parts)
+        if (room, eyes) != self._drawn_room:
+            self._passes.draw_room(self._images, seen, room)
+            self._drawn_room = room, eyes
 
     def _with_layers(self, heads: Sequence[ShownHead]) -> list[LayeredHead]:
         """Heads with the layers that they are drawn into; what no head needs any more is freed."""
