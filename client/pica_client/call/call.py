@@ -121,17 +121,17 @@ class Call:
                         if seat.stays(present.get(peer_id)):
                             seat.join_again(now)
                         else:
-                            self._remove(peer_id, now, is_lost=True)
+                            self._remove(peer_id)
                     for peer in peers:
                         self._add(peer)
                 case messages.PeerJoined(peer=peer):
                     self._add(peer)
-                case messages.PeerLeft(peer_id=peer_id, reason=reason):
-                    self._remove(peer_id, now, is_lost=reason == "lost")
+                case messages.PeerLeft(peer_id=peer_id):
+                    self._remove(peer_id)
                 case _:
                     pass  # a closed session is the link's affair
             for peer_id, seat in self._seats.items():
-                seat.update(self._roster.member(peer_id), now)
+                seat.member = self._roster.member(peer_id)
             members = self._roster.members
         if self._ears is not None:
             self._ears.seat(members)
@@ -243,20 +243,18 @@ class Call:
             self.skews_s.clear()
             self.delays_s.clear()
             for seat in self._seats.values():
-                seat.begin_window(now)
+                seat.begin_window()
 
     def stats(self, now: float) -> dict[str, Any]:
         """How the stream of each person came in since `begin_window`, or since the call began.
 
-        A person who left and came back is counted once; `longest_gap_ms` is how long a face stood
-        still that was expected to move, also if it does so now, or was lost and came back to
-        another seat.
+        A person who left and came back is counted once.
         """
         with self._lock:
             begin_s = self._window_begin_s
             seconds = None if begin_s is None else now - begin_s
-            peers = [seat.stats(seconds, now) for seat in self._departed]
-            peers += [seat.stats(seconds, now) for seat in self._seats.values()]
+            peers = [seat.stats(seconds) for seat in self._departed]
+            peers += [seat.stats(seconds) for seat in self._seats.values()]
             return {
                 "seconds": None if seconds is None else round(seconds, 3),
                 "peers": peers,
@@ -284,10 +282,9 @@ class Call:
                     seat.succeed(former)
                 return  # one face a person
 
-    def _remove(self, peer_id: str, now: float, *, is_lost: bool) -> None:
+    def _remove(self, peer_id: str) -> None:
         seat = self._seats.pop(peer_id, None)
         if seat is not None:
-            seat.leave(now, is_lost=is_lost)
             self._by_stream.pop(seat.track.stream, None)
             self._departed.append(seat)
 

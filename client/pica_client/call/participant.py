@@ -4,7 +4,6 @@
 state here is that of the stream:
 
     JOINING --a frame--> LIVE --nothing is wanted--> PAUSED --something is wanted--> JOINING
-    any of them --the peer leaves--> GONE
 
 How much is wanted goes up at once and down late, so a head that comes and goes at the edge of the
 screen costs a message or two a second at most, and its stream is there whenever it is seen.
@@ -53,7 +52,6 @@ class StreamState(Enum):
     LIVE = "live"
     PAUSED = "paused"
     """The relay was told to send nothing."""
-    GONE = "gone"
 
 
 @dataclass(kw_only=True, slots=True)
@@ -62,10 +60,6 @@ class StreamWindow:
 
     received: int = 0
     payload_bytes: int = 0
-    longest_gap_s: float = 0.0
-    """Longest time without a frame that has ended."""
-    silent_since_s: float | None = None
-    """When the gap began that is still open: with the last frame; None: no frame is expected."""
     before: PlayoutReport = field(default_factory=PlayoutReport)
 
 
@@ -95,11 +89,6 @@ class Participant:
 
     # Who it is
 
-    def update(self, member: Member, now: float) -> None:
-        """Take what the roster knows of the peer by now."""
-        self.member = member
-        self._note_silence(now)
-
     def stays(self, peer: Peer | None) -> bool:
         """Return True if the peer that has this id after we joined again is the same one.
 
@@ -121,13 +110,6 @@ class Participant:
             former.window,
             before=PlayoutReport().since(counted),
         )
-
-    def leave(self, now: float, *, is_lost: bool) -> None:
-        """Note that the peer has left; if it was lost, the gap goes on when it comes back."""
-        since_s = self.window.silent_since_s
-        self._note_gap(now, is_expected=False)
-        self.window.silent_since_s = since_s if is_lost else None
-        self.state = StreamState.GONE
 
     @property
     def note(self) -> str:
@@ -176,7 +158,6 @@ class Participant:
         if self.told == 0:
             self.playout.pause()
             self.state = StreamState.PAUSED
-            self._note_silence(now)
         else:
             self._resume(now)
         return None
@@ -193,7 +174,6 @@ class Participant:
             self.state = StreamState.JOINING
             if self.last_arrival_s is not None:
                 self.last_arrival_s = now
-            self._note_silence(now)
 
     # The stream
 
@@ -226,7 +206,6 @@ class Participant:
                 self.playout.pause()  # what the relay had kept: the hole behind it is no loss
             self.state = StreamState.LIVE
         self.last_arrival_s = now
-        self._note_gap(now, is_expected=self._expects_frames)
         self.window.received += 1
         self.window.payload_bytes += len(frame.payload)
         self._payload_bytes += len(frame.payload)
@@ -243,10 +222,9 @@ class Participant:
 
     # Statistics
 
-    def begin_window(self, now: float) -> None:
+    def begin_window(self) -> None:
         """Begin the statistics here."""
         self.window = StreamWindow(before=self.playout.report())
-        self._note_silence(now)
 
     def health(self) -> StreamHealth:
         """What judges the connection."""
@@ -256,17 +234,13 @@ class Participant:
             is_paused=self.member.is_away or self._is_muted,
         )
 
-    def stats(self, seconds: float | None, now: float) -> dict[str, Any]:
+    def stats(self, seconds: float | None) -> dict[str, Any]:
         """How the person's stream came in, over all their seats.
 
         Args:
             seconds: So long ago was `begin_window`; None: there was none, so since the call began.
-            now: The time, up to which a gap counts that is still open, unless they are gone.
         """
         window = self.window
-        gap_s = window.longest_gap_s
-        if self.state is not StreamState.GONE and window.silent_since_s is not None:
-            gap_s = max(gap_s, now - window.silent_since_s)
         report = self.playout.report().since(window.before)
         counted = ("lost", "late", "concealed", "duplicates", "refused", "restarts")
         return {
@@ -274,7 +248,6 @@ class Participant:
             "received": window.received,
             "latents_per_s": round(window.received / seconds, 2) if seconds else None,
             "payload_bps": round(window.payload_bytes * 8 / seconds) if seconds else None,
-            "longest_gap_ms": round(gap_s * 1e3, 1),
             **{name: getattr(report, name) for name in counted},
             "concealed_ratio": round(report.concealed_ratio, 4),
             "playout_delay_ms": round(report.delay_s * 1e3, 2),
@@ -293,23 +266,6 @@ class Participant:
     @property
     def _is_muted(self) -> bool:
         return self._is_muted_by_admin or self._face_mode == "muted"
-
-    @property
-    def _expects_frames(self) -> bool:
-        return self.state is not StreamState.PAUSED and not self._is_muted
-
-    def _note_gap(self, now: float, *, is_expected: bool) -> None:
-        """End the gap that is open, and begin another if a next frame is to be expected."""
-        window = self.window
-        if window.silent_since_s is not None:
-            window.longest_gap_s = max(window.longest_gap_s, now - window.silent_since_s)
-        window.silent_since_s = now if is_expected else None
-
-    def _note_silence(self, now: float) -> None:
-        """Note that it may have changed whether the stream stands still on purpose."""
-        if self._expects_frames != (self.window.silent_since_s is not None):
-            is_expected = self._expects_frames and self.last_arrival_s is not None
-            self._note_gap(now, is_expected=is_expected)
 
 
 def _rate(every: int) -> float:

@@ -151,7 +151,6 @@ def test_rates_are_counted_from_the_beginning_of_the_window(call: Call) -> None:
     assert stats["seconds"] == 2.0
     assert ada["latents_per_s"] == 30.0
     assert ada["payload_bps"] == 30 * len(toy_payload(TOY, 1.0)) * 8
-    assert ada["longest_gap_ms"] == pytest.approx(33.3, abs=0.1)
 
 
 def test_what_is_wrong_with_a_stream_stands_in_its_statistics(call: Call) -> None:
