@@ -1,12 +1,13 @@
 """How far the mesh of an avatar reaches: room beside it and where it fades follow from it."""
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
 
 from pica_core.avatar.file import Avatar
-from pica_core.types import Array, Float64Array, FloatArray
+from pica_core.types import Array, FloatArray
 
 WHOLE_M = (-1e6, -1e6 + 1.0)
 """Heights of what does not fade."""
@@ -25,6 +26,8 @@ OUTLINE_MARGIN_M = 0.004
 """An outline is so much wider than what it holds: shoulders bulge so far between its directions."""
 NUM_LOOKED = 600
 """Directions in which an outline is checked: a spike of 0.3 m is missed by a millimetre."""
+LOOKED_AT_ONCE = 2000
+"""Vertices: what comes of more of them leaves the processor's cache (a fifth of the time)."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -63,7 +66,7 @@ def fade_heights_m(lower_m: float) -> tuple[float, float]:
 def outline_of(vertices_m: FloatArray, slack_m: float = 0.0) -> FloatArray:
     """Points that hold vertices ``[V, 3]`` between them wherever these go within a distance: the
     outermost in each of many directions, moved outwards. float32 ``[NUM_OUTLINE, 3]``."""
-    sound_m = vertices_m[np.isfinite(vertices_m).all(axis=1)]
+    sound_m = vertices_m[np.isfinite(vertices_m).all(axis=1)].astype(np.float32)
     if not len(sound_m):
         sound_m = np.zeros((1, 3), np.float32)
     directions = _directions(NUM_OUTLINE)
@@ -71,19 +74,21 @@ def outline_of(vertices_m: FloatArray, slack_m: float = 0.0) -> FloatArray:
     outline_m: FloatArray = outermost_m + (slack_m + OUTLINE_MARGIN_M) * directions
     # A spike between the directions is found by looking in many more.
     looked = _directions(NUM_LOOKED)
-    wanted_m = np.matmul(looked, sound_m.T).max(axis=1) + slack_m
-    missing_m = wanted_m - np.matmul(looked, outline_m.T).max(axis=1)
-    wider_m: FloatArray = outline_m + max(missing_m.max(), 0.0) * directions
-    return wider_m.astype(np.float32)
+    parts = np.array_split(sound_m, -(-len(sound_m) // LOOKED_AT_ONCE))
+    reach_m = np.max([np.matmul(looked, part.T).max(axis=1) for part in parts], axis=0)
+    missing_m = reach_m + slack_m - np.matmul(looked, outline_m.T).max(axis=1)
+    wider_m: FloatArray = outline_m + max(float(missing_m.max()), 0.0) * directions
+    return wider_m
 
 
-def _directions(count: int) -> Float64Array:
+@cache
+def _directions(count: int) -> FloatArray:
     """Unit vectors that are spread evenly, ``[count, 3]``."""
     index = np.arange(count)
     height, turn = 1 - (2 * index + 1) / count, index * np.pi * (3 - 5**0.5)
     level = np.sqrt(1 - height**2)
-    spread: Float64Array = np.stack([level * np.cos(turn), height, level * np.sin(turn)], axis=1)
-    return spread
+    spread = np.stack([level * np.cos(turn), height, level * np.sin(turn)], axis=1)
+    return spread.astype(np.float32)
 
 
 def box_corners(low_m: npt.ArrayLike, high_m: npt.ArrayLike) -> FloatArray:
