@@ -287,24 +287,8 @@ def chart_codec() -> None:
     fill_in("codec", table(rows, columns), source_line(line))
 
 
-def chart_playout() -> None:
-    """Fill in what each playout policy makes of each network condition."""
-    line = read_lines("playout")[-1]
-    cells: dict[str, Row] = defaultdict(dict)
-    for row in line["result"]["rows"]:
-        figures = (row["mse"], row["added_delay_ms_p95"], row["longest_gap_ms"])
-        cells[row["scenario"]][row["policy"]] = "{:.1f} / {:.0f} / {:.0f}".format(*figures)
-    columns: dict[str, Column] = {
-        "condition": "condition",
-        "adaptive": "adaptive",
-        "fixed 100 ms": "fixed",
-    }
-    rows = [{"condition": name} | row for name, row in cells.items()]
-    fill_in("playout", table(rows, columns), source_line(line))
-
-
 def chart_voice() -> None:
-    """Fill in intelligibility, delay and skew of a voice under network conditions."""
+    """Fill in what arrives of a voice and its face under network conditions."""
     line = read_lines("voice")[-1]
     columns: dict[str, Column] = {
         "condition": "condition",
@@ -313,6 +297,8 @@ def chart_voice() -> None:
         "mouth to ear p50/p95, ms": lambda row: joined(row["mouth_to_ear_ms"], ("p50", "p95"), 0),
         "skew p95, ms": lambda row: f"{row['skew_ms']['p95']:.0f}",
         "concealed": "{concealed_ratio:.1%}",
+        "face: MSE": lambda row: f"{row['face_mse']:.1f}",
+        "still, ms": "{face_still_ms:.0f}",
     }
     fill_in("voice", table(line["result"]["rows"], columns), source_line(line))
 

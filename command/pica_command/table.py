@@ -87,7 +87,6 @@ GROUPS: Final[dict[str, dict[str, Command]]] = {
         "bench codec": Command("pica_client.cli.bench:bench_codec", ("bench",)),
         "bench decode": Command("pica_client.cli.bench:bench_decode", ("bench",)),
         "bench drive": Command("pica_client.cli.bench:bench_drive", ("bench",)),
-        "bench playout": Command("pica_client.cli.bench:bench_playout", ("bench",)),
         "bench relay": Command("pica_client.cli.bench_relay:bench_relay"),
         "bench scene": Command("pica_client.cli.bench:bench_scene", ("bench",)),
         "bench voice": Command("pica_client.cli.bench:bench_voice", ("bench",)),

@@ -2,7 +2,7 @@
 
 A row is one profile on one source, at 30 frames a second; its latents are decoded and drawn at some
 moments and compared with the drawing of the uncoded latent. What it does not show: networks (`pica
-bench playout`), and people: the avatars are synthetic, and only the recording is of a face. An
+bench voice`), and people: the avatars are synthetic, and only the recording is of a face. An
 error of 8 bits and of the pixels that change owner at edges is in every `mse`: about 0.2.
 """
 

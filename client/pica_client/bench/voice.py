@@ -4,35 +4,41 @@ every machine with the same libopus (processor time apart).
 
 Voice and face share one way; figures are of the troubled third of the run. PESQ is of the sound as
 it leaves the loudspeaker; for STOI each piece of sound is laid back to the moment when it was
-captured. `skew_ms` is the moment of the face less that of the voice. What it does not show:
-devices, real networks (see `network.impairment`), people: the speech is synthetic, and PESQ and
-STOI stand for listeners.
+captured. `skew_ms` is the moment of the face less that of the voice. `face_mse` is against the true
+face at the moment that should be shown, with the head where it truly was. What it does not show:
+devices, real networks (see `network.impairment`), people: speech, performances and avatars are
+synthetic, and PESQ and STOI stand for listeners.
 """
 
 import time
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from itertools import groupby
 from typing import Annotated, Any
 
 import numpy as np
 from cyclopts import Parameter
 
 from pica_client.bench.harness import Words, check_names, report
+from pica_client.bench.head import FaceRenderer
 from pica_client.bench.network.impairment import BY_NAME, SCENARIOS
 from pica_client.bench.network.stream_trial import (
     CLOCK_OFFSET_US,
     DISPLAY_PHASE,
     VOICE_STREAM,
+    Delivery,
+    Face,
     Schedule,
     Tick,
     deliver,
     play,
 )
-from pica_client.bench.playout import open_ends, true_face
 from pica_client.errors import check_ranges
 from pica_client.output import say
 from pica_client.playout.buffer import Playout
+from pica_client.render.drawing import drawn_mse
+from pica_client.sources import open_source
 from pica_client.stats import percentile
 from pica_client.voice.jitter_buffer import JitterBuffer
 from pica_client.voice.opus import OpusDecoder, OpusEncoder
@@ -41,7 +47,9 @@ from pica_client.voice.packet import FRAME_SAMPLES as FRAME
 from pica_client.voice.packet import SAMPLE_RATE_HZ as RATE_HZ
 from pica_client.voice.sound.settings import HeardVoice
 from pica_client.voice.source import resampled, shipped_speech
+from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
+from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, LatentSample, StreamConfig
 from pica_core.types import Array, FloatArray
 from pica_protocol.frames import SEQUENCE_MODULUS, Frame
 
@@ -53,6 +61,8 @@ SCORE_HZ = 16_000
 """What PESQ and STOI take."""
 FILL_S = 0.015
 """Holes up to this long are periods of the pitch that were left out."""
+SIZE_PX = 192
+"""Rows and columns of a picture of the face."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -67,6 +77,8 @@ class BenchVoiceConfig:
     """Names of troubles, separated by commas; all by default."""
     schedule: Annotated[Schedule, Parameter(name="*")] = field(default_factory=Schedule)
     """When frames are captured and shown."""
+    renders_per_s: float = 10.0
+    """Refreshes whose pictures are compared, a second."""
     seed: int = 0
     """Seed of the network and of the room's noise."""
 
@@ -74,6 +86,7 @@ class BenchVoiceConfig:
         check_names("scenario", self.scenarios, BY_NAME)
         check_ranges(self.schedule, seconds=(9, 600))
         check_ranges(self, kbps=(6, 128), seed=(0, 2**32))
+        check_ranges(self, renders_per_s=(0.5, self.schedule.display_hz))
 
 
 class _Ear:
@@ -122,34 +135,85 @@ class _Ear:
 
 
 def run_bench_voice(config: BenchVoiceConfig, avatar: Avatar) -> dict[str, Any]:
-    """Run all scenarios."""
-    schedule = config.schedule
+    """Run all scenarios.
+
+    Raises:
+        ProfileError: The avatar has no stream profile.
+        SourceError: The source cannot be read.
+        GraphicsError: No GL context; names the fix.
+    """
+    schedule, profile = config.schedule, avatar.stream_profile()
     sound = _speech(schedule.seconds, config.seed)
     frames = sound[: len(sound) // FRAME * FRAME].reshape(-1, FRAME)
     loud = np.sqrt(np.mean(np.square(frames), axis=1)) > SPOKEN_RMS
-
-    face = true_face(config.source, avatar)
+    face = _true_face(config.source, avatar)
     chosen = [BY_NAME[name] for name in config.scenarios] or list(SCENARIOS)
     rows = []
     begin_s = time.process_time()
     voice = _packets(sound, config.kbps * 1000)
     encode_s = time.process_time() - begin_s
-    for scenario in chosen:
-        ends = open_ends(avatar, schedule.fps)
-        delivery = deliver(face, ends, scenario, schedule, seed=config.seed, voice=voice)
-        ear = _Ear(delivery.voices)
-        ticks = play(delivery, Playout(), schedule, ear.heard_us)
-        rows.append(
-            {
-                "condition": scenario.name,
-                "wire_bps": round(delivery.wire_bytes * 8 / schedule.seconds),
-                **_quality(sound, ear, schedule),
-                **_timing(ear, ticks, loud, schedule),
-                "cpu_ms_per_s": round((encode_s + ear.cpu_s) / schedule.seconds * 1e3, 2),
-            }
-        )
-        say(f"{scenario.name}: {scenario.note}")
+    with FaceRenderer(avatar, size_px=SIZE_PX, views=("front",)) as renderer:
+        for scenario in chosen:
+            ends = LatentEncoder(profile, StreamConfig(fps=schedule.fps)), LatentDecoder(profile)
+            delivery = deliver(face, ends, scenario, schedule, seed=config.seed, voice=voice)
+            ear = _Ear(delivery.voices)
+            ticks = play(delivery, Playout(), schedule, ear.heard_us)
+            cpu_ms_per_s = (encode_s + ear.cpu_s) / schedule.seconds * 1e3
+            rows.append(
+                {
+                    "condition": scenario.name,
+                    "wire_bps": round(delivery.wire_bytes * 8 / schedule.seconds),
+                    **delivery.counts,
+                    **_quality(sound, ear, schedule),
+                    **_timing(ear, ticks, loud, schedule),
+                    **_pictures(ticks, delivery, face, renderer, config),
+                    "cpu_ms_per_s": round(cpu_ms_per_s, 2),
+                }
+            )
+            say(f"{scenario.name}: {scenario.note}")
     return report(config, rows, avatar=avatar.manifest.name)
+
+
+def _true_face(source: str, avatar: Avatar) -> Face:
+    """The face that a source shows, as a function of time."""
+    opened, encoder = open_source(source), ExpressionEncoder(avatar)
+
+    def face(time_s: float) -> LatentSample:
+        frame = opened.frame_at(time_s)
+        return LatentSample(
+            latent=encoder.encode(frame.arkit),
+            rotation=frame.rotation,
+            translation_m=frame.translation_m,
+        )
+
+    return face
+
+
+def _pictures(
+    ticks: Sequence[Tick],
+    delivery: Delivery,
+    face: Face,
+    renderer: FaceRenderer,
+    config: BenchVoiceConfig,
+) -> dict[str, Any]:
+    """Error, delay and longest standstill of the face in the troubled third."""
+    schedule = config.schedule
+    troubled = [tick for tick in ticks if schedule.begin_s <= tick.now_s < schedule.end_s]
+    errors = []
+    for tick in troubled[:: max(round(schedule.display_hz / config.renders_per_s), 1)]:
+        if tick.played is not None:
+            true = face(tick.now_s - delivery.base_delay_s - tick.report.delay_s)
+            pose = true.rotation, true.translation_m
+            shown = renderer.draw(tick.played.sample.latent, *pose)
+            errors.append(drawn_mse(shown, renderer.draw(true.latent, *pose)))
+    runs = groupby(troubled, key=lambda tick: tick.played and tick.played.captured_us)
+    longest = max(sum(1 for _ in run) for _, run in runs)
+    delays_s = [t.now_s - t.shown_s - delivery.base_delay_s for t in troubled if t.played]
+    return {
+        "face_mse": round(float(np.mean(errors)), 3) if errors else None,
+        "face_delay_ms": _ms(delays_s, 50, 95),
+        "face_still_ms": round(longest / schedule.display_hz * 1e3, 1),
+    }
 
 
 def _speech(seconds: float, seed: int) -> FloatArray:

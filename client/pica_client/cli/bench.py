@@ -10,7 +10,6 @@ from pica_client.bench.codec import CodecConfig, run_codec_bench
 from pica_client.bench.decode import DecodeBenchConfig, run_decode_bench
 from pica_client.bench.drive import DriveBenchConfig, run_drive_bench
 from pica_client.bench.harness import say_rows
-from pica_client.bench.playout import BenchPlayoutConfig, run_bench_playout
 from pica_client.bench.scene import SceneBenchConfig, run_scene_bench
 from pica_client.bench.voice import BenchVoiceConfig, run_bench_voice
 from pica_client.local_call.local_call import choose_avatars
@@ -86,15 +85,6 @@ def bench_drive(avatars: AvatarChoice, options: DriveBenchConfig) -> Result:
     return result
 
 
-def bench_playout(avatars: AvatarChoice, options: BenchPlayoutConfig) -> Result:
-    """Measure what the playout makes of troubled networks: rendered error, delay, recovery.
-
-    Runs on a virtual clock and needs no network. Compares the receiver's playout with a fixed
-    buffer of 100 ms and with none.
-    """
-    return run_bench_playout(options, avatars.load()[0])
-
-
 def bench_scene(avatars: AvatarChoice, options: SceneBenchConfig) -> Result:
     """Measure a scene of talking heads: its cost, and the error that the scheduler leaves.
 
@@ -114,7 +104,8 @@ def bench_scene(avatars: AvatarChoice, options: SceneBenchConfig) -> Result:
 
 
 def bench_voice(avatars: AvatarChoice, options: BenchVoiceConfig) -> Result:
-    """Measure what arrives of a voice and its face on troubled networks: quality, delay, lip-sync.
+    """Measure what arrives of a voice and its face on troubled networks: quality, delay, lip-sync,
+    the error of the picture.
 
     Runs on a virtual clock and needs neither network nor sound card.
     """

@@ -10,7 +10,7 @@ from pica_client.bench.network.stream_trial import Schedule
 from pica_client.bench.voice import BenchVoiceConfig, run_bench_voice
 from pica_client.errors import OptionError
 
-pytestmark = [pytest.mark.call, pytest.mark.skipif(available() is not None, reason="no libopus")]
+pytestmark = [pytest.mark.render, pytest.mark.skipif(available() is not None, reason="no libopus")]
 
 
 def test_a_clean_voice_is_clear_and_fresh_and_a_stalled_one_in_step_with_its_face():
@@ -25,6 +25,11 @@ def test_a_clean_voice_is_clear_and_fresh_and_a_stalled_one_in_step_with_its_fac
     assert clean["stoi"] > 0.97
     assert clean["mouth_to_ear_ms"]["p95"] <= 120
     assert clean["concealed_ratio"] == 0
+    assert clean["face_mse"] < 4
+    assert clean["face_delay_ms"]["p95"] <= 100
+    assert clean["face_still_ms"] <= 67
+    # 300 ms of silence, less what the voice waits.
+    assert 150 < stalled["face_still_ms"] < 350
     for row in (clean, stalled):
         assert row["skew_ms"]["p95"] <= 40
         assert row["skew_ms"]["earliest"] >= -45

@@ -53,7 +53,7 @@ def avatar(tmp_path: Path) -> str:
         (["bench", "call", "--seconds", "-1"], "seconds is -1; above 0"),
         (["bench", "call", "--source", "performance:sing"], "performance 'sing' is unknown"),
         (["bench", "call", "--loss", "1"], "loss_ratio is 1; 0 to 0.9 is allowed"),
-        (["bench", "playout", "--scenarios", "storm"], "scenario 'storm' is unknown; known are"),
+        (["bench", "voice", "--scenarios", "storm"], "scenario 'storm' is unknown; known are"),
     ],
 )
 def test_bad_input_is_one_line_with_the_fix_and_exit_status_two(
