@@ -9,6 +9,7 @@ from pathlib import Path
 
 from pica_client.errors import OptionError
 from pica_core.files import replacing
+from pica_protocol.limits import printable
 
 
 @contextmanager
@@ -113,4 +114,4 @@ def make_folder(path: Path) -> None:
 
 def say(text: str) -> None:
     """Tell the user something; results for programs go to stdout, all else here."""
-    print(text, file=sys.stderr, flush=True)
+    print(printable(text), file=sys.stderr, flush=True)

@@ -98,7 +98,8 @@ def _report(error: BaseException, name: str | None, words: list[str]) -> int:
     if DEBUG_FLAG in words or kind == "bug":
         traceback.print_exception(error)
     if kind != "bug":
-        print(f"{title}: {message}", file=sys.stderr)
+        shown = "".join(char if char.isprintable() or char == "\n" else " " for char in message)
+        print(f"{title}: {shown}", file=sys.stderr)
     if JSON_FLAG in words:
         described = {"kind": kind, "message": message, "command": title, "exit_code": code}
         print(json.dumps({"error": described | more}), flush=True)

@@ -170,9 +170,14 @@ def quoted(value: object) -> str:
     return text if len(text) <= 40 else f"{text[:37]}..."
 
 
+def printable(text: str) -> str:
+    """Return a text in which nothing steers the terminal that shows it; lines stay lines."""
+    return "".join(char if char.isprintable() or char == "\n" else " " for char in text)
+
+
 def clipped_reason(reason: str) -> str:
     """Make any text fit the limits of a close reason: printable, at most 120 bytes of UTF-8."""
-    clean = "".join(char if char.isprintable() else " " for char in reason)
+    clean = printable(reason).replace("\n", " ")
     return clean.encode("utf-8", "replace")[:MAX_REASON_BYTES].decode("utf-8", "ignore")
 
 

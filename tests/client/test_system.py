@@ -10,6 +10,7 @@ from platformdirs.macos import MacOS
 from platformdirs.unix import Unix
 
 from pica_client.avatars.fetch import AvatarCache
+from pica_client.output import say
 from pica_client.system import cache_folder, preferences_folder
 from pica_client.ui.state import PreferencesFile, ViewState
 
@@ -81,3 +82,10 @@ def test_what_is_kept_of_a_user_is_for_their_eyes_alone(
         (preferences_folder() / "preferences.json", 0o600),
     ):
         assert stat.S_IMODE(path.stat().st_mode) == mode
+
+
+def test_what_strangers_call_themselves_steers_no_terminal(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    say("several faces: \x1b[2J\x1b]0;evil\x07é, Ünal\nnext \x9b31m")
+    assert capsys.readouterr().err == "several faces:  [2J ]0;evil é, Ünal\nnext  31m\n"

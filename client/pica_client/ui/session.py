@@ -4,7 +4,6 @@ A stay is one receiver from end to end: network in a thread, decoding in others,
 one. Where a form asks, it comes again with the reason when the relay refuses.
 """
 
-import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -317,7 +316,7 @@ class Stay:
                 if controls is not None:
                     state.source = controls.source
         for problem in problems:
-            print(problem, file=sys.stderr)
+            say(problem)
         return {
             **drawn,
             "ok": not outputs.failures,
