@@ -74,7 +74,7 @@ def test_what_is_kept_of_a_user_is_for_their_eyes_alone(
     for folder in (cache_folder(), preferences_folder()):
         folder.mkdir(parents=True)
         folder.chmod(0o755)
-    AvatarCache()
+    AvatarCache().keep("5" * 64, b"an avatar")
     PreferencesFile().save(ViewState(name="Ada"))
     for path, mode in (
         (cache_folder(), 0o700),
