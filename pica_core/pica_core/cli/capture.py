@@ -141,18 +141,9 @@ def person(options: PersonOptions) -> dict[str, Any]:
         f"{who.sex}, {who.age} years, skin {who.skin:g}, hair {who.hair} {who.hair_colour}, "
         f"beard {who.beard}, eyes {who.eyes}, {who.clothes} {who.clothes_colour}"
     )
-    notes: list[str] = []
-
-    def make(side: int) -> PersonSubject:
-        subject = PersonSubject(who, bake_size=side)
-        for note in subject.notes:
-            console.print(note)
-        notes.extend(subject.notes)
-        return subject
-
-    made = _render(console, make, options, options.out)
+    made = _render(console, lambda side: PersonSubject(who, bake_size=side), options, options.out)
     write_aside(options.out / FILE, who.as_json().encode())
-    return made | {"notes": notes, "person": str(options.out / FILE)}
+    return made | {"person": str(options.out / FILE)}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -55,11 +55,6 @@ DEPTH_UNIT_M = 0.0001
 MILLIMETRES = 1000.0
 
 
-def describe_masks() -> dict[str, str]:
-    """Names of a mask's values, as `capture.json` holds them."""
-    return {"0": "background"} | {str(k + 1): name for k, name in enumerate(MATERIALS)}
-
-
 def image_path(kind: str, segment: str, camera: str, frame: str) -> Path:
     """Relative path of an ``images``, ``depth`` or ``mask`` file."""
     return Path(kind) / segment / camera / f"{frame}.png"

@@ -26,7 +26,6 @@ from pica_core.capture.rig.guards import EyeSurface, PoseGuard, outwards
 from pica_core.capture.rig.mesh import RigMesh
 from pica_core.capture.stage.paint import Growth
 from pica_core.capture.triangles import face_normals, nearest, unfolded, vertex_normals
-from pica_core.errors import CaptureError
 from pica_core.types import Array, BoolArray, Float64Array, FloatArray, Int64Array
 
 COLUMNS, ROWS = 72, 22
@@ -246,25 +245,9 @@ FAST_M, FREE_M = 0.006, 0.020
 ever: neither of them moves, and skin would come through."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Dressed:
-    """A mesh with hair and clothes, and what painting needs to know of them."""
-
-    mesh: RigMesh
-    growth: Growth
-    notes: tuple[str, ...]
-    """What did not fit and was left out, in words."""
-
-
-def dress(mesh: RigMesh, person: Person) -> Dressed:
-    """Dress a bare head.
-
-    Raises:
-        CaptureError: The mesh has no texture coordinates or no eyes to find the head by.
-    """
-    if mesh.uv is None or mesh.uv_faces is None or not mesh.eyes:
-        raise CaptureError("a person needs a head with texture coordinates and eyeballs")
-    features, notes = find_features(mesh), list[str]()
+def dress(mesh: RigMesh, person: Person) -> tuple[RigMesh, Growth]:
+    """A bare head of the face model with hair and clothes, and what painting needs to know."""
+    features = find_features(mesh)
     mesh = close_lips(close_lids(mesh, features), features)
     PoseGuard(mesh, features, mend=True).apply(mesh.rest_m)
     skin = mesh.of_part("skin")
@@ -277,9 +260,6 @@ def dress(mesh: RigMesh, person: Person) -> Dressed:
         offset = rest - [0.0, float(np.mean(features.mouth.y)), CAVITY_Z]
         inside |= (normals * offset).sum(1) < 0.3 * np.linalg.norm(offset, axis=1)
     coverage = cover(rest, skin, features.regions["ears"], style)
-    if not style.bare and np.count_nonzero(coverage > 0.5) < 50:
-        notes.append(f"hair {person.hair} does not fit: no scalp was found; bald")
-        style, coverage = STYLES["bald"], np.full(len(rest), -1.0)
     beard, thick = grow_beard(rest, ~skin | inside, features, person.beard)
     cloth = dress_surface(rest[skin], CUTS[person.clothes], person.seed)
     raised = raise_cap(rest, normals, coverage, style, person.seed)
@@ -306,11 +286,8 @@ def dress(mesh: RigMesh, person: Person) -> Dressed:
         mesh = _add(mesh, sheet.surface, "hair", sheet.root)
         hairs = np.concatenate([hairs, np.pad(sheet.tangent, ((0, 0), (1, 1)))])
         strand = np.concatenate([strand, sheet.strand])
-    return Dressed(
-        mesh=mesh,
-        growth=Growth(hairs=hairs.astype(np.float32), strand=strand.astype(np.float32)),
-        notes=tuple(notes),
-    )
+    growth = Growth(hairs=hairs.astype(np.float32), strand=strand.astype(np.float32))
+    return mesh, growth
 
 
 def grow_beard(

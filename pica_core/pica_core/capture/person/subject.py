@@ -14,10 +14,11 @@ from pica_core.capture.person.choices import (
     SKIN_TONES,
     Person,
 )
-from pica_core.capture.person.dress import Dressed, dress
+from pica_core.capture.person.dress import dress
 from pica_core.capture.person.model import RIGHTS, read_model
 from pica_core.capture.rig.head import RigHead
 from pica_core.capture.rig.names import map_names
+from pica_core.capture.stage.paint import Growth
 from pica_core.capture.stage.subject import BAKE_SIZE, Subject
 
 GREY = np.array((0.28, 0.27, 0.26))
@@ -58,8 +59,7 @@ class PersonSubject(Subject):
         self_shadow: bool = True,
         coarse: bool = False,
     ) -> None:
-        head, dressed = make_head(person, coarse=coarse)
-        self.notes = dressed.notes
+        head, growth = make_head(person, coarse=coarse)
         super().__init__(
             head,
             {
@@ -68,17 +68,17 @@ class PersonSubject(Subject):
                 "person": asdict(person),
             },
             look=paint(person),
-            growth=dressed.growth,
+            growth=growth,
             bake_size=bake_size,
             self_shadow=self_shadow,
         )
 
 
 @functools.lru_cache(maxsize=8)
-def make_head(person: Person, *, coarse: bool = False) -> tuple[RigHead, Dressed]:
-    """The posable head of a person, seconds of work. It does not change, so calls share it."""
+def make_head(person: Person, *, coarse: bool = False) -> tuple[RigHead, Growth]:
+    """The posable head of a person, seconds of work, and its hair; calls share them."""
     mesh = read_model(coarse=coarse).mesh(person.coefficients)
-    dressed = dress(mesh, person)
+    dressed, growth = dress(mesh, person)
     moved = np.abs(mesh.motion_m).max((1, 2)) > 0
     names = map_names([name for name, moves in zip(ARKIT_NAMES, moved, strict=True) if moves])
-    return RigHead(dressed.mesh, names, f"{person.sex}, {person.age}"), dressed
+    return RigHead(dressed, names, f"{person.sex}, {person.age}"), growth

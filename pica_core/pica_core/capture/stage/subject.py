@@ -14,8 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_core.camera import Camera
-from pica_core.capture.dataset.files import MAP_SIZE
-from pica_core.capture.dataset.multiface import describe_masks
+from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.rig.features import LID_M
 from pica_core.capture.rig.gltf import read_rig
 from pica_core.capture.rig.head import RigHead, make_rig
@@ -91,7 +90,8 @@ class Subject:
     ) -> None:
         self.head, self.name, self.topology = head, head.name, head.topology
         self._about = {"head": head.name, **about}
-        self._about |= {"position_map_size": MAP_SIZE, "mask": describe_masks()}
+        names = ("background", *MATERIALS)
+        self._about["mask"] = {str(value): name for value, name in enumerate(names)}
         self._albedo, self._look, self._growth = albedo or {}, look or {}, growth
         self._bake_size, self._self_shadow = bake_size, self_shadow
         self._context: Any = None

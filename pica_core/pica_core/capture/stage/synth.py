@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pica_core.capture.dataset import multiface
-from pica_core.capture.dataset.files import Take, Topology, load_image, read_arrays, read_tracked
+from pica_core.capture.dataset.files import Take, load_image, read_arrays
 from pica_core.capture.dataset.writer import (
     BackgroundWriter,
     depth_units,
@@ -301,8 +301,7 @@ def _render(
                 rendering = rendering or _Rendering(subject, options, out, writer)
                 rendering.draw_frame(take, number, index)
             progress(done, options.frames)
-    tracked, _ = read_tracked(out, len(subject.topology.vertex_uv))
-    write_tables(out, takes, _describe(subject, options, tracked))
+    write_tables(out, takes, _describe(subject, options))
     num_test = sum(take.split == "test" for _, take, _ in frames)
     return {
         "frames": len(frames),
@@ -331,7 +330,7 @@ def _pose(subject: Subject, options: RenderOptions, out: Path) -> None:
     write_poses(out, Poses(arkit, np.stack(meshes), tuple(camera.name for camera in views)))
 
 
-def _describe(subject: Subject, options: RenderOptions, tracked: Topology) -> dict[str, Any]:
+def _describe(subject: Subject, options: RenderOptions) -> dict[str, Any]:
     """What `capture.json` says."""
     return {
         **subject.describe(),
@@ -343,16 +342,9 @@ def _describe(subject: Subject, options: RenderOptions, tracked: Topology) -> di
             "depth": f"{multiface.DEPTH_UNIT_M * multiface.MILLIMETRES:g} mm",
             "images": "sRGB 8 bit",
         },
-        "tracked_mesh": {
-            "what": "a subset of the exact vertices with a simulated tracker's errors",
-            "num_vertices": len(tracked.vertex_uv),
-        },
-        "truth_mesh": "the rendered surface",
+        "tracked_mesh": "a subset of the exact vertices with a simulated tracker's errors",
         "width": options.size_px[0],
         "height": options.size_px[1],
         "texture_size": options.texture_size,
-        "topology": multiface.TOPOLOGY,
-        "tracked_topology": multiface.TRACKED_TOPOLOGY,
-        "num_vertices": len(subject.topology.vertex_uv),
         "evaluation_views": list(EVALUATION_VIEWS),
     }
