@@ -16,6 +16,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from scipy.sparse import csr_array, eye_array
+from scipy.sparse.linalg import cg
 from torch import Tensor
 from torch.nn import functional
 
@@ -189,29 +191,14 @@ def fit_map(points: Tensor, values: Tensor, start: Tensor) -> Tensor:
         start: Map to begin with and to keep where no point reads, ``[C, S, S]``.
     """
     size = start.shape[-1]
-    index, share = _taps(points.double(), size)
-
-    def read(texels: Tensor) -> Tensor:
-        return (texels[index] * share[..., None]).sum(1)
-
-    def spread(seen: Tensor) -> Tensor:
-        out = torch.zeros(size * size, seen.shape[1], dtype=torch.float64)
-        return out.index_add_(
-            0, index.reshape(-1), (seen[:, None] * share[..., None]).flatten(0, 1)
-        )
-
-    first = start.double().flatten(1).T
-    found = first.clone()
-    residual = spread(values.double() - read(found))
-    direction, length = residual.clone(), residual.square().sum(0)
-    for _ in range(MAP_STEPS):
-        image = spread(read(direction)) + PRIOR * direction
-        step = length / (direction * image).sum(0).clamp_min(1e-300)
-        found += step * direction
-        residual -= step * image
-        before, length = length, residual.square().sum(0)
-        direction = residual + length / before.clamp_min(1e-300) * direction
-    return found.T.reshape(start.shape).float()
+    index, share = (part.numpy() for part in _taps(points.double(), size))
+    rows = np.arange(0, index.size + 1, index.shape[1])
+    read = csr_array((share.ravel(), index.ravel(), rows), (len(index), size * size))
+    normal = read.T @ read + PRIOR * eye_array(size * size)
+    found = start.double().flatten(1).numpy()
+    left = values.double().numpy().T - found @ read.T
+    steps = [cg(normal, each @ read, rtol=1e-9, maxiter=MAP_STEPS)[0] for each in left]
+    return torch.from_numpy(found + np.stack(steps)).reshape(start.shape).float()
 
 
 def colour_metric(
