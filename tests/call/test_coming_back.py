@@ -15,7 +15,6 @@ import pytest
 from helpers.senders import LoadedAvatars, make_senders, run_senders
 from helpers.toy import make_toy_avatar
 from pica_client.call.call import Call
-from pica_client.e2ee.secret import RoomSecret, save_secret
 from pica_client.endpoint.endpoint import LinkNews, Receiver, Sender
 from pica_client.publish.publisher import Outgoing, Publisher, SenderConfig
 from pica_client.sources import open_source
@@ -181,19 +180,3 @@ async def test_a_way_that_died_without_a_word_costs_three_seconds(broken: str) -
     assert display.statuses(11.0, 19.0) == {"live"}
     assert (sent if broken == "ada" else received)["resumes"] == 1
     assert stats["resumes"] == {"resumed": 1}
-
-
-@pytest.mark.parametrize("broken", ["ada", "viewer"])
-def test_an_encrypted_call_goes_on_after_a_break(broken: str, tmp_path: Path) -> None:
-    secret_file = tmp_path / "secret"
-    save_secret(secret_file, RoomSecret(bytes(range(32))))
-
-    @in_virtual_time
-    async def hold() -> None:
-        display, sent, received, _ = await break_calls(broken, secret_file=secret_file)
-        assert sent["resumes"] == (broken == "ada")
-        assert len(display.peer_ids) == 1
-        assert display.statuses(9.5, 19.0) == {"live"}
-        assert received["seal"]["forged"] == 0  # type: ignore[index]
-
-    hold()

@@ -8,20 +8,14 @@ import random
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from itertools import pairwise
-from pathlib import Path
 
 import pytest
 
 pytest.importorskip("cryptography", reason="needs the extra seal")
 
-from helpers.senders import LoadedAvatars, make_senders
-from pica_client.avatars.library import AvatarLibrary
-from pica_client.call.call import Call
 from pica_client.e2ee.frames import FACE_BYTES
 from pica_client.e2ee.guard import Guard
-from pica_client.e2ee.secret import RoomSecret, save_secret
-from pica_client.endpoint.endpoint import Receiver
-from pica_client.publish.publisher import SenderConfig
+from pica_client.e2ee.secret import RoomSecret
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.link import Link
 from pica_protocol.frames import Frame
@@ -211,49 +205,3 @@ async def test_everybody_reads_again_after_the_relay_came_back() -> None:
             assert len(peer.frames) == 2 * FPS
             peer.link.leave()
         await asyncio.gather(*tasks)
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_a_coded_face_is_seen_by_a_late_joiner_in_one_round_trip_and_one_frame(
-    tmp_path: Path, seed: int
-) -> None:
-    secret_file = tmp_path / "secret"
-    save_secret(secret_file, SECRET)
-    library = AvatarLibrary()
-    identity = library.find(library.names[0])
-    avatar = library.load(identity)
-    library.close()
-
-    def link(name: str) -> LinkConfig:
-        url = f"ws://{name}:8765"
-        return LinkConfig(url=url, room="r", name=name, secret_file=secret_file)
-
-    @in_virtual_time
-    async def call() -> None:
-        loop = asyncio.get_running_loop()
-        for name, delay_s in (("ada", 0.04), ("late", 0.07)):
-            wire = Wire(delay_s=delay_s)
-            current_network().route(name, up=wire, down=wire)
-        async with Relay(RelayConfig(port=8765)):
-            (sender,) = make_senders(
-                [link("ada")], [(identity, avatar)], config=SenderConfig(seconds=12)
-            )
-            sending = asyncio.create_task(sender.run())
-            await asyncio.sleep(5 + seed / 70)  # anywhere between two frames
-            receiver = Receiver(link("late"), Call(LoadedAvatars({identity: avatar})))
-            receiving = asyncio.create_task(receiver.run())
-            await receiver.arrived.wait()
-            assert receiver.is_connected
-            joined_s = loop.time()
-            while receiver.call.num_live == 0:
-                receiver.arrived.clear()
-                await receiver.arrived.wait()
-            assert loop.time() - joined_s <= 2 * (0.04 + 0.07) + 1 / 30 + 1e-6
-            await sending
-            stats = receiver.stats(loop.time())
-            assert stats["errors"] == stats["seal"]["forged"] == stats["seal"]["replayed"] == 0
-            assert stats["seal"]["opened"] >= 100
-            receiver.stop()
-            await receiving
-
-    call()
