@@ -60,15 +60,6 @@ class Outputs:
         self.failures.append(failure)
         say(failure)
 
-    def write_text(self, path: Path, text: str) -> bool:
-        """Write a file; return whether that was possible."""
-
-        def write() -> None:
-            with writing_whole(path) as unfinished:
-                unfinished.write_text(text)
-
-        return self.attempt(write)
-
 
 def check_writable(path: Path | None, suffix: str = "") -> None:
     """Refuse before the work what could not be written after it. Writes nothing.

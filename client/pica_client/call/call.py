@@ -219,17 +219,6 @@ class Call:
         with self._lock:
             return sum(seat.last_arrival_s is not None for seat in self._seats.values())
 
-    @property
-    def num_waiting(self) -> int:
-        """Frames held by all playout buffers together."""
-        with self._lock:
-            return sum(seat.playout.num_waiting for seat in self._seats.values())
-
-    def names(self) -> dict[str, str]:
-        """Name by peer id of everybody with a face."""
-        with self._lock:
-            return {peer_id: seat.member.peer.name for peer_id, seat in self._seats.items()}
-
     def health(self) -> dict[str, StreamHealth]:
         """How the stream of each peer with a face stands, by peer id; counters since it began."""
         with self._lock:

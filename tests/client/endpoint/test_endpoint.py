@@ -98,8 +98,8 @@ def test_what_the_drawing_thread_wants_is_told_by_the_networks_thread() -> None:
             receiver = make_receiver(relay.url)
             receiver.link.tell = tell  # type: ignore[method-assign]
             with receiver:
-                await asyncio.to_thread(until, receiver.call.names)
-                (peer_id,) = receiver.call.names()
+                await asyncio.to_thread(until, receiver.call.health)
+                (peer_id,) = receiver.call.health()
                 for every in (4, 1):  # nothing else wakes the network's thread
                     receiver.call.subscribe(peer_id, every, time.monotonic())
                     found = await asyncio.to_thread(told.get, timeout=PATIENCE_S)
