@@ -32,17 +32,7 @@ def voice_track() -> Track:
 
 
 def voice_of(peer: Peer) -> Track | None:
-    """Return the first voice of a peer, or None."""
-    return next((track for track in peer.tracks if track.kind == VOICE_TRACK), None)
-
-
-def voice_refusal(track: Track) -> str:
-    """Return in words why a voice cannot be heard here, or "".
-
-    An empty ``profile`` is Opus in packets of 20 ms; another codec would name itself there.
-    """
-    if track.profile:
-        return f"their voice is of a codec that is not known here ({track.profile[:8]})"
-    if track.policy != "ordered":
-        return f"their voice says that old packets are replaced by new ones ({track.policy})"
-    return ""
+    """Return the first voice of a peer, or None; one with a profile is of a codec that is not known
+    here."""
+    voices = (each for each in peer.tracks if each.kind == VOICE_TRACK and not each.profile)
+    return next(voices, None)

@@ -18,11 +18,10 @@ import pytest
 from helpers.senders import LoadedAvatars, make_senders
 from pica_client.call.call import Call
 from pica_client.call.faces import FaceState
-from pica_client.endpoint.endpoint import Receiver, Sender
+from pica_client.endpoint.endpoint import OnVoice, Receiver, Sender
 from pica_client.publish.publisher import SenderConfig
 from pica_client.sources import open_source
 from pica_client.transport.config import LinkConfig
-from pica_client.voice.receiver import OnVoice
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar, load_avatar
 from pica_server.config.relay import RelayConfig

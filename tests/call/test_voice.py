@@ -17,7 +17,7 @@ from pica_client.e2ee.secret import RoomSecret, save_secret
 from pica_client.endpoint.endpoint import Receiver
 from pica_client.publish.publisher import Outgoing, Publisher, SenderConfig
 from pica_client.sources import open_source
-from pica_client.tracks import VOICE_KEY, VOICE_TRACK, voice_track
+from pica_client.tracks import VOICE_KEY, voice_track
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.link import Link
 from pica_client.voice import opus
@@ -26,7 +26,6 @@ from pica_client.voice.publisher import VoicePublisher
 from pica_client.voice.source import TURN_S, SoundSource
 from pica_core.avatar.file import load_avatar
 from pica_protocol.frames import Frame
-from pica_protocol.messages import Track
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
 from simnet.clock import current_network, in_virtual_time
@@ -162,26 +161,6 @@ async def test_a_mute_lets_the_frame_that_was_begun_out_and_says_so() -> None:
             assert again[0].captured_us - ben.packets[muted - 1].captured_us > 1_900_000
             for person in (ada, ben):
                 person.receiver.stop()
-
-
-@in_virtual_time
-async def test_a_voice_of_a_codec_that_nobody_knows_is_refused_in_words() -> None:
-    async with Relay(RelayConfig(port=0)) as relay:
-        ben = Person(relay.url, "ben")
-        port = relay.url.rpartition(":")[2]
-        strange = Track(kind=VOICE_TRACK, policy="ordered", deadline_ms=200, profile="c" * 64)
-        ada = Link(LinkConfig(url=f"ws://ada:{port}", room="kitchen", name="ada"), (strange,))
-        async with asyncio.TaskGroup() as tasks:
-            tasks.create_task(ada.run())
-            tasks.create_task(ben.receiver.run())
-            for _ in range(100):
-                ada.send_frame(b"\x20strange", 20_000, track=strange)
-                await asyncio.sleep(0.02)
-            ada.leave()
-            refused = list(ben.receiver.voices.refused.values())
-            ben.receiver.stop()
-        assert ben.heard == {}
-        assert refused == ["their voice is of a codec that is not known here (cccccccc)"]
 
 
 @in_virtual_time

@@ -13,15 +13,18 @@ from typing import Any, Final, Self
 from pica_client.call.call import Call
 from pica_client.e2ee.status import SealStatus
 from pica_client.publish.publisher import Outgoing, Publisher
-from pica_client.tracks import FACE_TRACK, RECORDS_KEY, RECORDS_YES
+from pica_client.tracks import FACE_TRACK, RECORDS_KEY, RECORDS_YES, voice_of
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.link import Link
 from pica_client.transport.timers import wait_until
-from pica_client.voice.receiver import OnVoice, VoiceReceiver
 from pica_protocol.errors import is_worth_retrying
-from pica_protocol.messages import Joined, Moderation, Peer, PeerJoined, Subscribe, Track
+from pica_protocol.frames import Frame
+from pica_protocol.messages import Joined, Moderation, Peer, PeerJoined, PeerLeft, Subscribe, Track
 from pica_protocol.session import ClientEvent, Closed
 
+OnVoice = Callable[[str, Frame, float], None]
+"""Takes a peer's id, a packet of its voice, see `voice.packet`, and when it arrived, seconds of our
+clock. Called on the network's thread, for every packet in the order of arrival."""
 CHECK_INTERVAL_S: Final = 0.25
 """Time between two timers that tell whether this machine is too busy."""
 JOIN_TIMEOUT_S: Final = 5.0
@@ -217,7 +220,8 @@ class Receiver(Endpoint):
         without it none are sent to us."""
         super().__init__(link_config, own or Outgoing(), news=news)
         self.call = call
-        self.voices = VoiceReceiver(on_voice)
+        self._on_voice, self._num_heard = on_voice, 0
+        self._voices: dict[int, str] = {}  # peer ids by stream; bounded by the protocol's peers
         self.arrived = asyncio.Event()
         self.is_recording = False
         self.late_s = 0.0
@@ -265,7 +269,7 @@ class Receiver(Endpoint):
             **self._own_stats(),
             "errors": stats["errors"] + counters.errors,
             "received_wire_bytes": counters.received_wire_bytes,
-            "voices": self.voices.stats(),
+            "voice_packets": self._num_heard,
             "sent": None if self.own.face is None else self.own.face.stats(),
         }
 
@@ -291,7 +295,7 @@ class Receiver(Endpoint):
         return [*super()._work(), self._time_loop(), self._tell_subscriptions()]
 
     def _on_event(self, event: ClientEvent, now: float) -> None:
-        if self.voices.receive_event(event, now):
+        if self._take_voice(event, now):
             return
         self.call.receive_event(event, now)
         super()._on_event(event, now)
@@ -301,7 +305,29 @@ class Receiver(Endpoint):
 
     def _wants(self, track: Track, peer: Peer) -> bool:
         first = next((each for each in peer.tracks if each.kind == FACE_TRACK), None)
-        return track == first or self.voices.is_wanted(track.stream)
+        return track == first or (self._on_voice is not None and track == voice_of(peer))
+
+    def _take_voice(self, event: ClientEvent, now: float) -> bool:
+        """Follow the voices in the room; return True if an event was a voice's alone."""
+        match event:
+            case Frame(stream=stream) if stream in self._voices:
+                if self._on_voice is not None:
+                    self._num_heard += 1
+                    self._on_voice(self._voices[stream], event, now)
+                return True
+            case Joined(peers=peers):
+                self._voices.clear()
+                came: tuple[Peer, ...] = peers
+            case PeerJoined(peer=peer):
+                came = (peer,)
+            case PeerLeft(peer_id=peer_id):
+                self._voices = {s: each for s, each in self._voices.items() if each != peer_id}
+                return False
+            case _:
+                return False
+        found = ((voice_of(peer), peer.peer_id) for peer in came)
+        self._voices |= {track.stream: peer_id for track, peer_id in found if track}
+        return False
 
     async def _tell_subscriptions(self) -> None:
         """Tell the relay how much of each stream is wanted, when that changes and when it is
