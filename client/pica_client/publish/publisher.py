@@ -22,7 +22,7 @@ from pica_client.stats import Samples
 from pica_client.tracks import FACE_KEY, FACE_LOST, FACE_TRACK, FaceMode
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.link import Link
-from pica_client.transport.timers import wait_until
+from pica_client.transport.timers import sleep_until
 from pica_client.voice.mouth import SpokenFace
 from pica_client.voice.publisher import VoicePublisher
 from pica_core.avatar.arkit import ExpressionFrame
@@ -190,7 +190,7 @@ class Publisher:
         begin_s, joined_s = loop.time(), math.inf
         pacer, self._begin_s = Pacer(self.config.fps, begin_s), begin_s
         while not stopping.is_set():
-            now = await wait_until(stopping, pacer.due_s)
+            now = await sleep_until(pacer.due_s)
             if stopping.is_set():
                 return
             if link.is_joined:

@@ -379,8 +379,11 @@ class Link:
         while session.closed is None:
             timer = session.next_timer()
             try:
-                async with asyncio.timeout_at(timer):
+                if timer is None:  # in the room; a limit for each message costs as much as the rest
                     data = await websocket.recv()
+                else:
+                    async with asyncio.timeout_at(timer):
+                        data = await websocket.recv()
             except TimeoutError:
                 now = time_after(timer)
                 handle(session.handle_timer(now), now)

@@ -13,7 +13,7 @@ import numpy as np
 
 from pica_client.errors import OptionError, SourceError
 from pica_client.output import say
-from pica_client.transport.timers import wait_until
+from pica_client.transport.timers import sleep_until
 from pica_client.voice.packet import FRAME_S, FRAME_SAMPLES
 from pica_client.voice.packet import SAMPLE_RATE_HZ as RATE_HZ
 from pica_client.voice.publisher import VoiceSource
@@ -51,7 +51,7 @@ class SoundSource:
         index = at = 0
         while True:
             captured_s = begin_s + index * FRAME_S
-            now = await wait_until(stopping, captured_s + FRAME_S)
+            now = await sleep_until(captured_s + FRAME_S)
             if stopping.is_set():
                 return
             if math.floor(captured_s / TURN_S) % self._num_turns == self._turn:
