@@ -81,8 +81,8 @@ def test_a_calm_voice_is_played_as_it_is_a_frame_and_a_half_after_the_fastest():
     assert best > 0.98 * np.dot(middle, middle)
 
 
-@pytest.mark.parametrize("late_s", [0.03, 0.08, 0.15])
-def test_the_delay_grows_with_the_lateness_of_packets_and_stays_below_the_ceiling(late_s: float):
+@pytest.mark.parametrize("late_s", [0.03, 0.15])
+def test_the_delay_grows_in_silence_with_the_lateness_of_packets_up_to_the_ceiling(late_s: float):
     rng = np.random.default_rng(1)
     sound = with_pauses(hum(12))
     buffer = JitterBuffer(SpokenDecoder(sound))
@@ -90,9 +90,12 @@ def test_the_delay_grows_with_the_lateness_of_packets_and_stays_below_the_ceilin
         (usual_arrival_s(i) + late_s * rng.random() for i in range(590)), max
     )
 
-    _, delays_s = play(buffer, [(time, packet(i)) for i, time in enumerate(times)], 11.5)
+    played, delays_s = play(buffer, [(time, packet(i)) for i, time in enumerate(times)], 11.5)
 
     report = buffer.report()
+    assert report.stretched > 0
+    loud = np.abs(played) > 0.01
+    assert loud.mean() == pytest.approx((np.abs(sound) > 0.01).mean(), abs=0.04)
     assert FRAME_S + 0.5 * late_s < report.target_s <= 0.2
     fastest_s = FRAME_S + NETWORK_S + CODEC_DELAY_S
     assert np.median(delays_s[-200:]) == pytest.approx(fastest_s + report.target_s, abs=0.03)
@@ -130,21 +133,6 @@ def test_a_voice_that_begins_in_a_stall_waits_no_longer_than_the_ceiling_after_i
     _, delays_s = play(JitterBuffer(SpokenDecoder(with_pauses(hum(6)))), arrivals, 5.5)
 
     assert max(delays_s[-150:]) < FRAME_S + NETWORK_S + CEILING_S + CODEC_DELAY_S
-
-
-def test_a_delay_that_changes_is_changed_in_silence_where_there_is_one():
-    sound = with_pauses(hum(10))
-    buffer = JitterBuffer(SpokenDecoder(sound))
-    late = {i: 0.06 for i in range(101, 490, 13)}
-    arrivals = [(usual_arrival_s(i) + late.get(i, 0.0), packet(i)) for i in range(490)]
-
-    played, _ = play(buffer, arrivals, 9.5)
-
-    report = buffer.report()
-    assert report.target_s > 0.07
-    assert report.stretched > 0
-    loud = np.abs(played) > 0.01
-    assert loud.mean() == pytest.approx((np.abs(sound) > 0.01).mean(), abs=0.04)
 
 
 def test_lost_packets_are_concealed_by_the_codec_and_time_goes_on():
