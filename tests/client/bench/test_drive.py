@@ -11,19 +11,17 @@ from helpers.paths import ROOT
 from helpers.small_capture import small_head
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.bench.drive import (
-    DriveBenchConfig,
-    part_map,
-    read_parts,
-    run_drive_bench,
-    same_vertices,
-)
-from pica_client.bench.drive_steps import (
     LIDS,
     OFFSET,
+    DriveBenchConfig,
     as_offset_person,
     calibration_of,
     live_values,
+    part_map,
     perfect_tracker,
+    read_parts,
+    run_drive_bench,
+    same_vertices,
     values_of,
 )
 from pica_client.sources import open_source
