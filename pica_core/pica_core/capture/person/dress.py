@@ -326,8 +326,6 @@ def grow_beard(
 
 def _add(mesh: RigMesh, more: Surface, part: str, root: int | None) -> RigMesh:
     """A mesh with one more part, which moves with a vertex or not at all."""
-    assert mesh.uv is not None
-    assert mesh.uv_faces is not None
     points, faces, uv, uv_faces = more.points, more.faces, more.uv, more.uv_faces
     # Rings of a sheet enclose a volume; those of a garment are open, and face away from the neck.
     if (face_normals(points, faces) * (points[faces[:, 0]] - points.mean(0))).sum() < 0:

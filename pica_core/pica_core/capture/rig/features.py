@@ -179,7 +179,7 @@ def _inner_parts(mesh: RigMesh, view: FrontView, mouth: Mouth | None) -> IntArra
     centre = mesh.rest_m[mesh.faces].mean(1)
     hidden = visibility([mesh.rest_m], mesh.faces) < HIDDEN
     tongue = part == MATERIALS.index("tongue")
-    if tongue.any() and mesh.uv_faces is not None and mesh.uv is not None:
+    if tongue.any():
         # One material for gums and tongue: the tongue is what lies inside the arches.
         label = components(mesh.uv_faces, len(mesh.uv))[mesh.uv_faces[:, 0]]
         wide = np.abs(mesh.rest_m[mesh.faces[tongue].ravel(), 0]).max()

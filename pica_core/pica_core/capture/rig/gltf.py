@@ -205,7 +205,7 @@ class _Builder:
         count = len(file.root.get("materials", []))
         self.materials = [*(_material(file, k) for k in range(count)), PLAIN]
         self.positions: list[Float64Array] = []
-        self.uv: list[Float64Array | None] = []
+        self.uv: list[Float64Array] = []
         self.colours: list[Float64Array] = []
         self.faces: list[IntArray] = []
         self.material: list[IntArray] = []
@@ -275,7 +275,7 @@ class _Builder:
             place = sum(shares[:, k, None, None] * placed.places[joints[:, k]] for k in range(4))
         linear = place[..., :3, :3]
         points = np.einsum("...ij,...j->...i", linear, points) + place[..., :3, 3]
-        uv: Float64Array | None = None
+        uv = np.zeros((len(points), 2))  # what has none gets islands of its own
         if (at := attributes.get(look.uv)) is not None:
             uv = same_count("texture coordinates", file.accessor(at, 2).astype(np.float64))
             uv = uv @ look.transform[:2] + look.transform[2]
@@ -318,15 +318,11 @@ def _read(file: GltfFile) -> RigSource:
     names = [look.name for look in builder.materials]
     if material.max() < len(names) - 1:
         names.pop()  # PLAIN is not needed
-    uv: Float64Array | None = None
-    if any(part is not None for part in builder.uv):  # what has none gets islands of its own
-        each = zip(builder.uv, builder.positions, strict=True)
-        uv = np.concatenate([np.zeros((len(p), 2)) if part is None else part for part, p in each])
     source = RigSource(
         path=path,
         positions=np.concatenate(builder.positions),
         faces=np.concatenate(builder.faces),
-        uv=uv,
+        uv=np.concatenate(builder.uv),
         materials=tuple(names),
         face_material=material,
         shapes=shapes,
@@ -346,7 +342,7 @@ def _cut(source: RigSource, index: int, alpha: float, cutoff: float) -> RigSourc
     faces, image, uv = source.faces[mine], source.images.get(index), source.uv
 
     def opacity(chosen: Int64Array, points: Float64Array) -> Float64Array:
-        if image is None or uv is None:
+        if image is None:
             return np.full((len(chosen), len(points)), alpha)
         return alpha * opacity_at(image, np.einsum("kc,ncd->nkd", points, uv[faces[chosen]]))
 
@@ -365,7 +361,7 @@ def _cut(source: RigSource, index: int, alpha: float, cutoff: float) -> RigSourc
         source,
         positions=grown(source.positions),
         faces=np.concatenate([source.faces[keep], numbers]),
-        uv=None if uv is None else grown(uv),
+        uv=grown(uv),
         face_material=np.append(source.face_material[keep], np.full(len(pieces), index, np.int32)),
         shapes={name: grown(delta) for name, delta in source.shapes.items()},
         colours=grown(source.colours),

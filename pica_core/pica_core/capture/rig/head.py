@@ -9,7 +9,7 @@ import numpy.typing as npt
 from pica_core.avatar.arkit import ARKIT_INDEX, EYE_PITCH_DOWN, EYE_PITCH_UP, EYE_YAW
 from pica_core.capture.dataset.files import Topology
 from pica_core.capture.dataset.multiface import MATERIALS
-from pica_core.capture.rig.chart import PackedChart, make_islands, mend_islands, pack
+from pica_core.capture.rig.chart import PackedChart, mend_islands, pack
 from pica_core.capture.rig.features import Features, Limits, find_features
 from pica_core.capture.rig.guards import PoseGuard
 from pica_core.capture.rig.mesh import RigMesh, build_mesh
@@ -85,12 +85,7 @@ class RigHead:
     def __init__(self, mesh: RigMesh, names: NameMap, name: str) -> None:
         self.name, self.mesh, self.names = name, mesh, names
         self.features = find_features(mesh)
-        uv, uv_faces = mesh.uv, mesh.uv_faces
-        if uv is None or uv_faces is None:
-            uv, uv_faces = make_islands(mesh.rest_m, mesh.faces)
-            self.mended = len(mesh.faces)
-        else:
-            uv, uv_faces, self.mended = mend_islands(mesh.rest_m, mesh.faces, uv, uv_faces)
+        uv, uv_faces, self.mended = mend_islands(mesh.rest_m, mesh.faces, mesh.uv, mesh.uv_faces)
         seen = visibility(_revealing_poses(mesh), mesh.faces)
         need = texel_need(mesh, self.features, seen)
         skin = self.features.part == MATERIALS.index("skin")

@@ -146,8 +146,8 @@ class RigMesh:
         rest_m: Neutral vertices. float64 ``[P, 3]``.
         motion_m: What each ARKit shape adds at 1. float32 ``[52, P, 3]``.
         faces: Triangles, counter-clockwise from outside. int32 ``[F, 3]``.
-        uv: Texture coordinates, v downwards, or None. float64 ``[T, 2]``.
-        uv_faces: Triangles in `uv`, or None. int32 ``[F, 3]``.
+        uv: Texture coordinates, v downwards, 0 where there are none. float64 ``[T, 2]``.
+        uv_faces: Triangles in `uv`. int32 ``[F, 3]``.
         colours: Linear RGB that images are multiplied with, at the corners of each triangle; None:
             white. float32 ``[F, 3, 3]``.
         part: Index into `multiface.MATERIALS`. int32 ``[F]``.
@@ -159,8 +159,8 @@ class RigMesh:
     rest_m: Float64Array
     motion_m: FloatArray
     faces: IntArray
-    uv: Float64Array | None
-    uv_faces: IntArray | None
+    uv: Float64Array
+    uv_faces: IntArray
     part: IntArray
     material: IntArray
     eyes: tuple[Eyeball, ...]
@@ -341,7 +341,7 @@ def build_mesh(source: RigSource, names: NameMap) -> RigMesh:
         motion_m=np.ascontiguousarray(motion[:, used]),
         faces=again.reshape(-1, 3).astype(np.int32),
         uv=source.uv,
-        uv_faces=uv_faces if source.uv is not None else None,
+        uv_faces=uv_faces,
         part=part,
         material=material,
         eyes=moved_eyes,

@@ -43,8 +43,8 @@ class RigSource:
         positions: Vertices of the neutral face, there twice where texture coordinates part.
             float64 ``[V, 3]``.
         faces: Triangles as indices into `positions`. int32 ``[F, 3]``.
-        uv: Texture coordinates with v downwards, or None. Beyond [0, 1] images go on as their
-            `wrap` says. float64 ``[V, 2]``.
+        uv: Texture coordinates with v downwards, 0 where there are none. Beyond [0, 1] images go
+            on as their `wrap` says. float64 ``[V, 2]``.
         face_material: Index into `materials`. int32 ``[F]``.
         shapes: What each shape adds to `positions` at a value of 1. float32 ``[V, 3]`` each.
         copyright: What the file says of its rights.
@@ -55,7 +55,7 @@ class RigSource:
     path: Path
     positions: Float64Array
     faces: IntArray
-    uv: Float64Array | None
+    uv: Float64Array
     materials: tuple[str, ...]
     face_material: IntArray
     shapes: dict[str, FloatArray]
@@ -91,13 +91,12 @@ def check_source(source: RigSource) -> RigSource:
         if not np.isfinite(delta).all():
             row = int(np.flatnonzero(~np.isfinite(delta).all(1))[0])
             raise CaptureError(f"{where}: vertex {row} of shape {name!r} is not finite")
-    if source.uv is not None:
-        if not np.isfinite(source.uv).all():
-            raise CaptureError(f"{where}: texture coordinates are not all finite")
-        if (far := np.abs(source.uv).max()) > 100:
-            raise CaptureError(
-                f"{where}: texture coordinates reach {far:.3g}; tiles up to 100 are allowed"
-            )
+    if not np.isfinite(source.uv).all():
+        raise CaptureError(f"{where}: texture coordinates are not all finite")
+    if (far := np.abs(source.uv).max()) > 100:
+        raise CaptureError(
+            f"{where}: texture coordinates reach {far:.3g}; tiles up to 100 are allowed"
+        )
     keep = (source.faces != np.roll(source.faces, 1, axis=1)).all(1)
     return replace(
         source,

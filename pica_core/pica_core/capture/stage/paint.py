@@ -224,8 +224,6 @@ def _places(head: RigHead) -> dict[str, Any]:
 def _source_uv(head: RigHead) -> FloatArray:
     """The file's own texture coordinates of each triangle's corners. float32 ``[3F, 2]``."""
     mesh, chart = head.mesh, head.chart
-    if mesh.uv is None or mesh.uv_faces is None:
-        return np.zeros((3 * len(chart.faces), 2), np.float32)
     return mesh.uv[mesh.uv_faces[chart.face_source]].reshape(-1, 2).astype(np.float32)
 
 

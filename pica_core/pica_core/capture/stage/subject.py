@@ -344,7 +344,7 @@ class RigSubject(Subject):
         super().__init__(
             head,
             describe_rig(path, source, head),
-            albedo=source.images if source.uv is not None else {},
+            albedo=source.images,
             bake_size=bake_size,
             self_shadow=self_shadow,
         )

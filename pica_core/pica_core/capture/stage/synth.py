@@ -109,8 +109,8 @@ def read_poses(folder: Path, num_vertices: int) -> Poses | None:
     if not path.is_file():
         return None
     found = read_arrays(path)
-    if missing := {"arkit", "rest_m", "offsets_mm", "cameras"} - found.keys():
-        raise CaptureError(f"{path}: field {min(missing)!r} is missing; render the capture again")
+    if found.keys() != {"arkit", "rest_m", "offsets_mm", "cameras"}:
+        raise CaptureError(f"{path}: holds {', '.join(found)}; render the capture again")
     arkit, cameras = found["arkit"], tuple(found["cameras"].tolist())
     vertices_m = found["rest_m"] + found["offsets_mm"].astype(np.float32) / np.float32(1000)
     if vertices_m.shape != (len(arkit), num_vertices, 3):

@@ -15,7 +15,6 @@ than across it: images hold a surface better than they hold its sliding. Amounts
 """
 
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial.transform import Rotation
@@ -149,16 +148,6 @@ def smooth_signals(
     return np.cos(frequency * time_s + phase).sum(axis=0) * np.sqrt(2.0 / WAVES)
 
 
-def smooth_field(
-    random: np.random.Generator, points_m: npt.NDArray[np.floating], scale_m: float
-) -> Float64Array:
-    """Weights at points ``[V, 3]`` of `FIELD_WAVES` strengths of unit variance, whose sum changes
-    over `scale_m`. float64 ``[V, 48]``."""
-    direction = random.normal(0.0, 1.0 / scale_m, (3, FIELD_WAVES))
-    phase = random.uniform(0.0, 2 * np.pi, FIELD_WAVES)
-    return np.sqrt(2.0 / FIELD_WAVES) * np.cos(points_m.astype(np.float64) @ direction + phase)
-
-
 SPREAD_MM: dict[str, float] = {
     "hair": 0.32,
     "collar": 0.32,
@@ -196,7 +185,10 @@ class SimulatedTracker:
     ) -> None:
         random = np.random.default_rng([seed, 0x7AC4])
         self._seed = seed
-        self._field = smooth_field(random, rest_m, FIELD_SCALE_M)
+        direction = random.normal(0.0, 1.0 / FIELD_SCALE_M, (3, FIELD_WAVES))
+        phase = random.uniform(0.0, 2 * np.pi, FIELD_WAVES)
+        waves = np.cos(rest_m.astype(np.float64) @ direction + phase)
+        self._field = np.sqrt(2.0 / FIELD_WAVES) * waves
         self._lasting = random.normal(size=3 * FIELD_WAVES)
         self._faces = topology.faces
         _, first, number = np.unique(places, return_index=True, return_inverse=True)
