@@ -173,20 +173,13 @@ class Endpoint:
 class Sender(Endpoint):
     """Publishes a face, and a voice with it, and takes nothing of the others."""
 
-    def __init__(
-        self, link_config: LinkConfig, own: Outgoing, *, news: LinkNews | None = None
-    ) -> None:
-        """Prepare; see `Endpoint`. There must be a face."""
-        assert own.face is not None
-        self.publisher = own.face
-        super().__init__(link_config, own, news=news)
-
     def stats(self) -> dict[str, Any]:
         """What was sent so far, and the link's side of it."""
-        seconds, counters = self.publisher.seconds_sent, self.link.counters
+        face, counters = self.own.face, self.link.counters
+        seconds = 0.0 if face is None else face.seconds_sent
         return {
             "name": self.link.config.name,
-            **self.publisher.stats(),
+            **({} if face is None else face.stats()),
             **self._own_stats(),
             "replaced": self.link.num_replaced,
             "wire_bytes": counters.sent_wire_bytes,
