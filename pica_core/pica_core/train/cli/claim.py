@@ -1,6 +1,5 @@
 """`pica bench claim`: the default model beside `full` and `baseline`, on any heads."""
 
-import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,10 +8,9 @@ from typing import Any, Literal
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.rig.gltf import read_rig
 from pica_core.cli.capture import RigOptions, rig
-from pica_core.errors import CaptureError, CheckpointError, TrainingOptionError, check_ranges
-from pica_core.train.cli.train import RUN_FILE, TrainOptions, VariantName, train
-from pica_core.train.data.training import spaced
-from pica_core.train.export import EVALUATION_FILE
+from pica_core.errors import CaptureError, TrainingOptionError, check_ranges
+from pica_core.train.cli.train import TrainOptions, VariantName, train
+from pica_core.train.train import CHECKPOINT
 
 OURS, THEIRS = "linear", "baseline"
 """What is claimed to lie below what."""
@@ -25,8 +23,8 @@ class ClaimOptions:
     rigs: tuple[Path, ...]
     """Heads: .glb files or folders of OBJ files with blendshapes, or finished captures."""
     out: Path = Path("claim")
-    """Folder of captures and runs. What is finished there is measured and not made again, and what
-    was stopped goes on."""
+    """Folder of captures and runs. What is finished there is measured again and not made again, and
+    what was stopped goes on."""
     variants: tuple[VariantName, ...] = ("linear", "full", "baseline")
     """Models to train, rows of docs/training.md."""
     preset: Literal["tiny", "small", "long"] = "small"
@@ -115,31 +113,20 @@ def _capture(path: Path, options: ClaimOptions) -> Path:
 def _run(
     capture: Path, variant: VariantName, seed: int, options: ClaimOptions
 ) -> list[dict[str, Any]]:
-    """Rows of one run, which is trained and measured as far as it is not yet."""
+    """Rows of one run, which goes on where it was stopped, and is measured."""
     folder = options.out / f"{capture.name}-{variant}-{seed}"
-    found: list[dict[str, Any]] = []
-    if (folder / EVALUATION_FILE).exists():
-        noted = json.loads((folder / RUN_FILE).read_text())
-        for name, wanted in (("preset", options.preset), ("capture", str(capture.resolve()))):
-            if noted[name] != wanted:
-                raise CheckpointError(
-                    f"{folder}: trained with {name} {noted[name]}, not {wanted}; use another --out"
-                )
-        found = json.loads((folder / EVALUATION_FILE).read_text())
-    if not _is_whole(found, capture, options.eval_frames):
-        trained = train(
-            TrainOptions(
-                capture=capture,
-                out=folder,
-                variant=variant,
-                preset=options.preset,
-                seed=seed,
-                resume=(folder / "checkpoint.pt").exists(),
-                eval_frames=options.eval_frames,
-                threads=options.threads,
-            )
+    found = train(
+        TrainOptions(
+            capture=capture,
+            out=folder,
+            variant=variant,
+            preset=options.preset,
+            seed=seed,
+            resume=(folder / CHECKPOINT).exists(),
+            eval_frames=options.eval_frames,
+            threads=options.threads,
         )
-        found = trained["rows"]
+    )["rows"]
     live = {row["view"]: row["mse"] for row in found if row["source"] == "driver"}
     return [
         {
@@ -158,15 +145,6 @@ def _run(
         for row in found
         if row["source"] == "encoder"
     ]
-
-
-def _is_whole(rows: list[dict[str, Any]], capture: Path, eval_frames: int) -> bool:
-    """Whether rows of a run are of as many frames as are asked for."""
-    if not rows:
-        return False
-    held_out = [frame.index for frame in Capture.open(capture).frames_of("test")]
-    num_frames: int = max(row["frames"] + row.get("unreadable", 0) for row in rows)
-    return num_frames == len(spaced(held_out, eval_frames))
 
 
 def _mean(values: list[float | None]) -> float | None:

@@ -116,9 +116,9 @@ def train(options: TrainOptions) -> dict[str, Any]:
     if options.resume:
         _check_variant(options.out, config.variant)
     with open_trainer(data, config, options.out, device=_device(options.device)) as trainer:
-        _note_run(options, config, data.capture.identity)
         if options.resume:
             trainer.restore()
+        _note_run(options, config, data.capture.identity)
         _run_with_progress(trainer)
         rows = evaluate(trainer, max_frames=options.eval_frames)
         steps = trainer.step
