@@ -194,9 +194,11 @@ def signs(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
         place = (edge, edge + number * step)
         _sign(f"call {number}", line, place, (0.0, 0.0), metrics, columns / 4 - edge)
     found, top = banner(call), edge
-    for number, line in enumerate([*([found] if found else []), *call.notices]):
+    # A notice keeps its window, which knows its height from its second frame on.
+    middle = [("banner", found)] if found else []
+    for name, line in (*middle, *((each.text, each) for each in call.notices)):
         place = (columns / 2, top)
-        top += _sign(f"news {number}", line, place, (0.5, 0.0), metrics, columns / 2) + step / 6
+        top += _sign(name, line, place, (0.5, 0.0), metrics, columns / 2) + step / 6
     if state.is_recording:
         _sign("recording", RECORDING, (columns - edge, rows - edge), (1.0, 1.0), metrics, columns)
     for number, line in enumerate(own_signs(state, call)):
