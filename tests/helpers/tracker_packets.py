@@ -91,14 +91,3 @@ def ifacialmocap(
     shapes = "".join(f"{name}{separator}{value}|" for name, value in values.items())
     angles = ",".join(f"{each:g}" for each in head)
     return f"{shapes}=head#{angles}|rightEye#0,0,0|leftEye#0,0,0|".encode()
-
-
-def packet_of(kind: str, arkit: Mapping[str, float], frame: int, fps: int = 60) -> bytes:
-    """A datagram of a kind of live source for a face by ARKit's names."""
-    capital = {name[0].upper() + name[1:]: value for name, value in arkit.items()}
-    if kind == "livelink":
-        return live_link(capital, frame=frame, fps=fps)
-    if kind == "vmc":
-        return vmc(capital, seconds=frame / fps)
-    separator = "&" if kind == "facemotion3d" else "-"
-    return ifacialmocap({name: round(100 * v) for name, v in arkit.items()}, separator=separator)

@@ -39,10 +39,6 @@ class RelayProcess:
         """Stop it without ending it."""
         self.process.send_signal(signal.SIGSTOP)
 
-    def thaw(self) -> None:
-        """Let it go on."""
-        self.process.send_signal(signal.SIGCONT)
-
     def page(self, path: str) -> str:
         """Fetch a status page; blocks."""
         with urllib.request.urlopen(f"http{self.url[2:]}{path}", timeout=5) as response:

@@ -22,7 +22,6 @@ from pica_core.avatar.manifest import Manifest
 from pica_core.avatar.static import NAME as STATIC_PARTS
 from pica_core.camera import Camera, look_at
 from pica_core.capture.stage.dome import dome_cameras
-from pica_core.codec.latent_stream import LatentSample
 from pica_core.gl import create_context
 from pica_core.types import BoolArray, FloatArray, Image
 
@@ -136,10 +135,6 @@ class FaceRenderer(Closing):
             maps = self._decoder.decode(latent, view_direction(matrix, camera.centre_m))
             drawings.append(self._renderer.draw(maps, camera, matrix))
         return Drawing(*map(np.stack, zip(*drawings, strict=True)))
-
-    def draw_sample(self, sample: LatentSample) -> Drawing:
-        """Draw a face at the pose that came with it."""
-        return self.draw(sample.latent, sample.rotation, sample.translation_m)
 
     def surfaces(self, latent: FloatArray, level: int) -> Iterator[Surface]:
         """Draw a face at rest of a level from every view, and say what each pixel shows."""
