@@ -1,7 +1,7 @@
 """What is drawn behind the people, as far as it depends on them and on the camera. Pure.
 
 A `Room` is drawn when it or the camera changes, and copied otherwise: so it costs next to nothing
-as long as the view is not turned and nobody begins to speak.
+as long as the view is not turned and no participant begins to speak.
 """
 
 from dataclasses import dataclass
