@@ -141,7 +141,7 @@ def apply_style(style: imgui.Style, metrics: Metrics) -> None:
         (clear, "tab_selected_overline tab_dimmed_selected_overline"),
         (palette.line, "border separator table_border_light"),
         (palette.field, "frame_bg button header checkbox_selected_bg"),
-        (palette.field, "tab_selected tab_dimmed_selected"),
+        (palette.field, "tab_selected tab_dimmed_selected table_header_bg"),
         (palette.field_hovered, "frame_bg_hovered frame_bg_active button_hovered"),
         (palette.field_hovered, "header_hovered tab_hovered scrollbar_grab"),
         (palette.accent, "button_active header_active check_mark slider_grab"),
