@@ -7,7 +7,7 @@ FOLDER holds ``ict_head.glb`` (neutral and expressions), ``generic_neutral_mesh.
 Layers over the eyes are left out. Places are stored in steps, as differences along the vertices;
 the largest errors are printed. Charts, marks and the coarse mesh are kept from the file that stands
 there: islands were stretched by a density-equalising flow, the coarse triangles chosen by quadrics,
-and ears and neck marked on the mean head, by this repository as of commit b39c6fb8.
+and ears and neck marked on the mean head, by this repository as of commit 1f1d1a9d.
 
 Source: Li et al., "Learning Formation of Physically-Based Face Attributes", CVPR 2020. MIT licence,
     Copyright (c) 2020 USC Institute for Creative Technologies.

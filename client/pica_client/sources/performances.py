@@ -11,7 +11,7 @@ with jumps at blinks, values in [0, 1], and mouthClose never more than 0.07 abov
 corrective: alone it is nonsense).
 
 ``performances.npz`` holds a minute of several players each, as differences along the time in steps
-of `STEP`; their generator is this module as of commit 96c98f91.
+of `STEP`; their generator is this module as of commit 75a96e61.
 """
 
 from functools import cache
