@@ -58,8 +58,8 @@ def write_rig(path: Path) -> None:
         nonlocal binary
         data = values.astype("<f4" if component == 5126 else "<u4").tobytes()
         views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": len(data)})
-        accessors.append({"bufferView": len(views) - 1, "componentType": component})
-        accessors[-1] |= {"type": kind, "count": len(values)}
+        entry = {"bufferView": len(views) - 1, "componentType": component, "type": kind}
+        accessors.append({**entry, "count": len(values)})
         binary += data
         return len(accessors) - 1
 
@@ -69,9 +69,10 @@ def write_rig(path: Path) -> None:
     primitives, start = [], 0
     for number, (own, _, quads) in enumerate(parts):
         triangles = start + np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
-        primitive = {"attributes": {"POSITION": position, "TEXCOORD_0": texture}}
-        primitive |= {"indices": add(triangles.reshape(-1, 1), "SCALAR", 5125)}
-        primitives.append(primitive | {"targets": targets, "material": min(number, 1)})
+        attributes = {"POSITION": position, "TEXCOORD_0": texture}
+        indices = add(triangles.reshape(-1, 1), "SCALAR", 5125)
+        material = {"indices": indices, "material": min(number, 1)}
+        primitives.append({"attributes": attributes, "targets": targets, **material})
         start += len(own)
     buffer = "data:application/octet-stream;base64," + base64.b64encode(binary).decode()
     document = {
