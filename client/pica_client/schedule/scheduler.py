@@ -107,6 +107,8 @@ class Scheduler:
         self._is_short = False
         self._since_s = 0.0
         self._now = -math.inf
+        # Of this frame, by slot and shrink: one plan asks some eight times for each head.
+        self._known_places: dict[tuple[str, float], tuple[int, int]] = {}
 
     def plan(self, heads: Sequence[Head], budget_s: float, now: float) -> Plan:
         """Choose what everybody gets in the frame that begins now; each head is told.
@@ -116,6 +118,7 @@ class Scheduler:
             budget_s: What decodes, uploads and drawing of this frame may take, seconds.
         """
         self._since_s, self._now = min(now - self._now, self.options.listener_s), now
+        self._known_places.clear()
         seen = sorted((head for head in heads if head.sight.is_visible), key=_lowest_first)
         shrinks = self._fit(seen, budget_s)
         spent_s = self._draw_s(seen, shrinks)
@@ -163,7 +166,7 @@ class Scheduler:
 
     def level(self, head: Head) -> int:
         """The level of the maps that a head gets while there is time."""
-        return head.avatar.levels[self._places(head, 1.0)[0]]
+        return head.avatar.levels[self._find_places(head, 1.0)[0]]
 
     def _fit(self, seen: Sequence[Head], budget_s: float) -> list[float]:
         """How many times smaller each head must count, the lowest first."""
@@ -192,7 +195,13 @@ class Scheduler:
         return min(self._since_s / (self.options.listener_s if is_resting else FACE_S), 1.0)
 
     def _places(self, head: Head, shrink: float) -> tuple[int, int]:
-        """Places, among the avatar's levels, of the maps and of the mesh."""
+        """Places, among the avatar's levels, of the maps and of the mesh in this frame."""
+        key = head.slot, shrink
+        if key not in self._known_places:
+            self._known_places[key] = self._find_places(head, shrink)
+        return self._known_places[key]
+
+    def _find_places(self, head: Head, shrink: float) -> tuple[int, int]:
         levels, options = head.avatar.levels, self.options
         top = len(levels) - 1
         height = head.sight.head_px / shrink
