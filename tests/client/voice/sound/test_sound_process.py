@@ -60,7 +60,7 @@ def test_sound_that_begins_again_leaves_no_thread_of_the_process_before(
     sound.set_volumes({})
     assert begun.read_text()
     assert begun.read_text()
-    # Whoever would begin it a third time waits here until it is closed.
+    # A third start waits here until it is closed.
     sound.close()
     for thread in threading.enumerate():
         if thread.name == "sound":
