@@ -68,8 +68,7 @@ class Downloads:
         if store is None:
             return _refusal(HTTPStatus.NOT_IMPLEMENTED, "this relay keeps no avatars")
         if request.method != "GET":
-            text = "use GET; uploads: pica avatar push"
-            return _refusal(HTTPStatus.METHOD_NOT_ALLOWED, text, Allow="GET")
+            return _refusal(HTTPStatus.METHOD_NOT_ALLOWED, "use GET", Allow="GET")
         if not is_avatar_id(identity):
             return _refusal(HTTPStatus.NOT_FOUND, "an avatar's id is its SHA-256, in 64 digits")
         try:
