@@ -343,10 +343,15 @@ class Renderer(Closing):
         return [(head, kept[head.slot, head.view[0]]) for head in heads]
 
     def read_image(self) -> Image:
-        """The last frame, uint8 ``[H, W, 3]``, top row first. Waits for the GPU.
+        """The last frame, uint8 ``[H, W, 3]``, top row first: the colours of `read_pixels`."""
+        return self.read_pixels()[..., :3]
+
+    def read_pixels(self) -> Image:
+        """The last frame as it lies in memory, uint8 ``[H, W, 4]``, top row first. Waits for the
+        GPU.
 
         What is returned is a view of the rows as GL stores them and cannot be written: copying it
-        (4 ms at 1280 x 720) is left to what needs it, away from the drawing thread.
+        is left to what needs it, away from the drawing thread.
 
         Raises:
             GraphicsError: The driver has lost the context or ran out of memory.
@@ -357,7 +362,7 @@ class Renderer(Closing):
         # Four components are read as they lie in memory; three would be repacked pixel by pixel.
         data = self._images.final.read(components=4)
         image: Image = np.frombuffer(data, np.uint8).reshape(height, width, 4)
-        return image[::-1, :, :3]
+        return image[::-1]
 
     def read_surface(self) -> tuple[FloatArray, FloatArray, npt.NDArray[np.int32]]:
         """What the last frame shows, top row first; for tests and picking.

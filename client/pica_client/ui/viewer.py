@@ -262,11 +262,11 @@ class Viewer(Closing):
             self._scheduler.costs.observe_draw(frame.num_triangles, frame.shaded_px, seconds)
         image = None
         if self._window is None:
-            image = self._renderer.read_image()  # waits for the GPU: the draw time is a true one
+            image = self._renderer.read_pixels()  # waits for the GPU: the draw time is a true one
         self._meter.add("draw", self._clock() - begin_s)
         self._note_recording()
         if self._recorder is not None:
-            shown = self._renderer.read_image() if image is None else image
+            shown = self._renderer.read_pixels() if image is None else image
             try:
                 self._recorder.write(shown, now)
             except OptionError as error:

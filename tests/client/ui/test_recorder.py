@@ -19,7 +19,7 @@ pytestmark = pytest.mark.unit
 
 
 def grey(level: int, size: tuple[int, int] = (64, 48)) -> np.ndarray:
-    return np.full((size[1], size[0], 3), level, np.uint8)
+    return np.full((size[1], size[0], 4), level, np.uint8)
 
 
 def frames_of(path: Path) -> list[tuple[float, int]]:
@@ -91,7 +91,7 @@ from pathlib import Path
 from pica_client.ui.recorder import Recorder
 recorder = Recorder(Path(sys.argv[1]), (64, 48))
 for index in range(300):
-    recorder.write(np.full((48, 64, 3), index % 200, np.uint8), index / 30)
+    recorder.write(np.full((48, 64, 4), index % 200, np.uint8), index / 30)
 os._exit(9)
 """
 
@@ -120,7 +120,7 @@ def test_names_count_up_and_a_folder_that_is_a_file_is_refused(tmp_path: Path) -
 @pytest.mark.parametrize("num_frames", [2, 300])
 def test_a_full_disk_ends_the_recording_with_its_name(num_frames: int) -> None:
     recorder = Recorder(Path("/dev/full"), (64, 48))
-    noise = np.random.default_rng(0).integers(0, 255, (48, 64, 3), np.uint8)
+    noise = np.random.default_rng(0).integers(0, 255, (48, 64, 4), np.uint8)
 
     def record() -> None:
         for index in range(num_frames):
@@ -148,7 +148,7 @@ def test_sound_is_in_step_with_the_pictures(tmp_path: Path) -> None:
         for picture in range(round(seconds * fps)):
             now = begin_s + picture / fps
             shade = 255 if 101.0 <= now < 102.0 else 0
-            recorder.write(np.full((48, 64, 3), shade, np.uint8), now)
+            recorder.write(np.full((48, 64, 4), shade, np.uint8), now)
             while (at_s := begin_s + 0.02 * sent) < now + 0.1:
                 sent += 1
                 both = np.stack([tone(1000.0, 101.0, at_s)] * 2, axis=1)
