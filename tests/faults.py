@@ -29,7 +29,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pica_client.bench.relay.processes import relay_metrics
+from pica_client.bench.relay.bench import relay_metrics
 from pica_client.output import say
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.link import Link

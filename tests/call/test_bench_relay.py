@@ -10,7 +10,7 @@ from rivals.comparison import run_comparison
 pytestmark = pytest.mark.realtime
 
 if os.name == "nt":
-    pytest.skip("the load generator waits on pipes and sockets together", allow_module_level=True)
+    pytest.skip("the load generator needs poll", allow_module_level=True)
 
 KEYS = {
     *("rooms", "peers", "fps", "seconds", "delivered_per_s", "forward_ms", "dropped"),

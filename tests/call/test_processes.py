@@ -18,7 +18,6 @@ from helpers.senders import LoadedAvatars
 from helpers.toy import make_toy_avatar
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.bench.call import BenchConfig, run_bench
-from pica_client.bench.relay.processes import Workers
 from pica_client.call.call import Call
 from pica_client.endpoint.endpoint import Receiver
 from pica_client.errors import CallProcessError, RelayUnreachableError
@@ -107,8 +106,6 @@ def test_no_process_of_ours_runs_a_module_that_lies_in_the_current_folder(
     sound = SoundProcess()
     sound.set_volumes({})
     sound.close()
-    with Workers() as workers:
-        workers.start("swarm", "{}").wait(time.monotonic() + PATIENCE_S)
     assert not Path("was-run").exists()
 
 

@@ -8,11 +8,12 @@ prints the relay's figures, and under ``compare`` those of the naive relay.
 
 import argparse
 import json
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any, Final
 
 from pica_client.bench.relay.bench import RelayBenchConfig, Target, measure, relay_target
-from pica_client.bench.relay.processes import START_TIMEOUT_S, Workers, share_cores
 from pica_client.local_call.processes import Children
 from pica_client.stats import describe_machine
 from pica_client.system import terminate_as_interrupt
@@ -29,13 +30,14 @@ def run_comparison(config: RelayBenchConfig) -> dict[str, Any]:
     Raises:
         ClientError: A server does not let everybody in.
     """
-    with Workers() as workers, Children() as children:
-        with relay_target(config, children) as target:
-            result = measure(config, target, workers, "relay")
-        worker = workers.start(NAIVE, core=share_cores()[0])
-        target = Target(url=worker.line(START_TIMEOUT_S), pid=worker.pid)
-        compare = {"naive": measure(config, target, workers, "naive")}
-        workers.stop([worker])
+    with Children() as children, relay_target(config, children) as target:
+        result = measure(config, target, "relay")
+    pipe = subprocess.PIPE
+    with subprocess.Popen([sys.executable, NAIVE], stdin=pipe, stdout=pipe, text=True) as naive:
+        assert naive.stdout is not None
+        url = naive.stdout.readline().strip()
+        compare = {"naive": measure(config, Target(url=url, pid=naive.pid), "naive")}
+        # The end of the block closes its standard input, and so ends it.
     return result | {"compare": compare, "machine": describe_machine()}
 
 

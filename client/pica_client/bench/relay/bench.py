@@ -1,35 +1,28 @@
 """`pica bench relay`: rooms full of simulated peers, and what they cost the relay.
 
 Every peer is a real websocket that publishes one stream and receives those of the others in its
-room (`peer`), all in one process (`swarm`). Without an address the bench starts a relay of its own
-on a core of its own. What it does not show: real networks, TLS (unless --url says wss), slow
+room (`peer`); `swarm` drives all of them. Without an address the bench starts a relay of its own on
+a core of its own. What it does not show: real networks, TLS (unless --url says wss), slow
 receivers.
 """
 
-import json
+import os
 import time
+import urllib.error
+import urllib.request
 from bisect import bisect_left
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import accumulate
+from pathlib import Path
 from typing import Any, Final
 
 from pica_client.bench.harness import Arguments
-from pica_client.bench.relay.peer import JOIN_TIMEOUT_S, STEP_US
-from pica_client.bench.relay.processes import (
-    START_TIMEOUT_S,
-    Workers,
-    cpu_s,
-    memory_bytes,
-    pin,
-    relay_metrics,
-    share_cores,
-    summed,
-)
-from pica_client.bench.relay.swarm import DRAIN_S, SwarmConfig
-from pica_client.errors import CallProcessError, check_ranges
-from pica_client.local_call.processes import Children
+from pica_client.bench.relay.peer import STEP_US
+from pica_client.bench.relay.swarm import Swarm
+from pica_client.errors import check_ranges
+from pica_client.local_call.processes import START_TIMEOUT_S, Children
 from pica_client.output import say
 from pica_client.stats import describe_machine
 from pica_client.transport.config import check_address
@@ -39,8 +32,6 @@ SETTLE_S: Final = 1.5
 OWN_JOINS_PER_S: Final = 400.0
 FOREIGN_JOINS_PER_S: Final = 40.0
 """Of a relay that runs already; its limits allow so many."""
-PATIENCE_S: Final = 30.0
-"""Seconds that an answer of the swarm may take beyond the time of its work."""
 NO_LIMITS: Final = (
     *("--limits.joins-per-s", "100000", "--limits.joins-burst", "100000"),
     *("--limits.handshakes", "4096"),
@@ -83,122 +74,19 @@ class Target:
     """The id of its process, if it runs here and is ours."""
     has_metrics: bool = False
 
-
-class Load:
-    """Peers that join one server, send and count."""
-
-    def __init__(self, config: RelayBenchConfig, target: Target, workers: Workers) -> None:
-        """Start the process; no peer has joined yet."""
-        self.target = target
-        self._config, self._workers = config, workers
-        self._rate = FOREIGN_JOINS_PER_S if target.pid is None else OWN_JOINS_PER_S
-        swarm = SwarmConfig(
-            url=target.url,
-            rooms=[self.room(index) for index in range(config.rooms)],
-            peers=config.peers,
-            fps=config.fps,
-            joins_per_s=self._rate,
-            seed=config.seed,
-        )
-        self._idle_bytes = None if target.pid is None else memory_bytes(target.pid)
-        self._swarm = workers.start("swarm", json.dumps(asdict(swarm)), core=share_cores()[1])
-
-    @property
-    def num_connections(self) -> int:
-        """Number of peers."""
-        return self._config.rooms * self._config.peers
-
-    def room(self, index: int) -> str:
-        """The name of a room, by its number from 0."""
-        return f"load-{self._config.seed}-{index}"
-
-    def connect(self) -> None:
-        """Wait until all peers are in their rooms.
-
-        Raises:
-            CallProcessError: Some were refused.
-        """
-        answer = self._swarm.answer(self.num_connections / self._rate + JOIN_TIMEOUT_S + PATIENCE_S)
-        if answer["live"] < self.num_connections:
-            raise CallProcessError(
-                f"{answer['live']} of {self.num_connections} peers joined; the others were closed "
-                f"with {answer['closed'] or 'no code'}: see the limits of the relay"
-            )
-
-    def measure(self) -> dict[str, Any]:
-        """Let all peers send for a while; return the figures."""
-        target, seconds = self.target, self._config.seconds
-        begin_s = time.monotonic() + SETTLE_S
-        end_s = begin_s + seconds
-        self._swarm.order(json.dumps([begin_s, end_s]))
-        readings = []
-        for moment_s in (begin_s, end_s):
-            time.sleep(max(moment_s - time.monotonic(), 0.0))
-            metrics = relay_metrics(target.url) if target.has_metrics else {}
-            cpu = None if target.pid is None else cpu_s(target.pid)
-            readings.append((metrics, cpu, time.monotonic()))
-        counted = self._swarm.answer(DRAIN_S + PATIENCE_S)
-        (before, cpu_before, at_before), (after, cpu_after, at_after) = readings
-        metrics = {name: value - before.get(name, 0.0) for name, value in after.items()}
-        cpu_ratio = None
-        if cpu_before is not None and cpu_after is not None:
-            cpu_ratio = (cpu_after - cpu_before) / (at_after - at_before)
-        overload = round(after.get("pica_overload", 0.0))
-        return self._figures(counted, metrics, cpu_ratio) | {"overload": overload}
-
-    def leave(self) -> None:
-        """End the process."""
-        self._workers.stop([self._swarm])
-
-    def _figures(
-        self, counted: dict[str, Any], metrics: dict[str, float], cpu_ratio: float | None
-    ) -> dict[str, Any]:
-        config = self._config
-        missing = counted["sent"] * (config.peers - 1) - counted["received"]
-        delivered_per_s = counted["received"] / config.seconds
-        held = None if self.target.pid is None else memory_bytes(self.target.pid)
-        per_connection = None
-        if self._idle_bytes is not None and held is not None:
-            per_connection = round(max(held - self._idle_bytes, 0) / self.num_connections)
-        messages = summed(metrics, "pica_messages_out_total")
-        frames = summed(metrics, "pica_frames_out_total")
-        return {
-            "rooms": config.rooms,
-            "peers": config.peers,
-            "fps": config.fps,
-            "seconds": config.seconds,
-            "connections": self.num_connections,
-            "delivered_per_s": round(delivered_per_s, 1),
-            "sent_per_s": round(counted["sent"] / config.seconds, 1),
-            "forward_ms": percentiles(counted["latency"]),
-            "dropped": round(summed(metrics, "pica_frames_dropped_total")) if metrics else missing,
-            "late": round(metrics.get('pica_frames_dropped_total{reason="late"}', 0.0)),
-            "missing": missing,
-            "blocked": counted["blocked"],
-            "relay_cpu_s_per_1000": None
-            if cpu_ratio is None or not delivered_per_s
-            else round(cpu_ratio / delivered_per_s * 1000, 5),
-            "relay_cpu_ratio": None if cpu_ratio is None else round(cpu_ratio, 3),
-            "bytes_per_connection": per_connection,
-            "frames_per_message": round(frames / messages, 2) if messages else None,
-            "errors": sum(counted["closed"].values()),
-            "close_codes": counted["closed"],
-            "generator_cpu_ratio": round(counted["cpu_ratio"], 3),
-            "generator_turn_ms": percentiles(counted["turn"]),
-        }
+    def read(self) -> "Reading":
+        """Return what it counts and costs at this moment."""
+        metrics = relay_metrics(self.url) if self.has_metrics else {}
+        return Reading(metrics, None if self.pid is None else cpu_s(self.pid), time.monotonic())
 
 
-def percentiles(steps: Mapping[str, int]) -> dict[str, float | None]:
-    """Percentiles of a histogram of steps of `STEP_US`, upper edges, in milliseconds."""
-    counts = {int(step): count for step, count in steps.items()}
-    ordered = sorted(counts)
-    seen = list(accumulate(counts[step] for step in ordered))
-    found: dict[str, float | None] = {}
-    for percent in (50, 95, 99):
-        place = bisect_left(seen, seen[-1] * percent / 100) if seen else None
-        ms = None if place is None else round((ordered[place] + 1) * STEP_US / 1e3, 3)
-        found[f"p{percent}"] = ms
-    return found
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What a server has counted and used until a moment."""
+
+    metrics: Mapping[str, float]
+    cpu_s: float | None
+    at_s: float
 
 
 def run_relay_bench(config: RelayBenchConfig) -> dict[str, Any]:
@@ -207,14 +95,12 @@ def run_relay_bench(config: RelayBenchConfig) -> dict[str, Any]:
     Raises:
         ClientError: The relay does not answer, or refuses peers.
     """
-    with Workers() as workers, Children() as children, relay_target(config, children) as target:
-        return measure(config, target, workers, "relay") | {"machine": describe_machine()}
+    with Children() as children, relay_target(config, children) as target:
+        return measure(config, target, "relay") | {"machine": describe_machine()}
 
 
 @contextmanager
-def relay_target(
-    config: RelayBenchConfig, children: Children, limits: Sequence[str] = NO_LIMITS
-) -> Iterator[Target]:
+def relay_target(config: RelayBenchConfig, children: Children) -> Iterator[Target]:
     """The relay under load: the one at the address, or one of our own on its own core."""
     if config.url is not None:
         yield Target(url=config.url, has_metrics=bool(relay_metrics(config.url)))
@@ -222,10 +108,9 @@ def relay_target(
     relay, url = children.start_relay(
         *("--max-connections", str(config.rooms * config.peers + 64)),
         *("--room-capacity", str(max(config.peers + 2, 16))),
-        *limits,
+        *NO_LIMITS,
         *config.relay_arguments,
     )
-    pin(relay.pid, share_cores()[0])
     try:
         yield Target(url=url, pid=relay.pid, has_metrics=True)
     finally:
@@ -233,17 +118,37 @@ def relay_target(
         relay.wait(time.monotonic() + START_TIMEOUT_S)
 
 
-def measure(
-    config: RelayBenchConfig, target: Target, workers: Workers, name: str
-) -> dict[str, Any]:
-    """Load one server as the configuration says; `name` is what it is called on stderr."""
-    load = Load(config, target, workers)
-    try:
-        load.connect()
-        say(f"{name}: {load.num_connections} peers in {config.rooms} rooms")
-        result = load.measure()
-    finally:
-        load.leave()
+def measure(config: RelayBenchConfig, target: Target, name: str) -> dict[str, Any]:
+    """Load one server as the configuration says; `name` is what it is called on stderr.
+
+    Raises:
+        ClientError: It does not answer, or refuses peers.
+    """
+    swarm, num_peers = Swarm(fps=config.fps, seed=config.seed), config.rooms * config.peers
+    rooms = [f"load-{config.seed}-{index}" for index in range(config.rooms)]
+    idle_bytes = None if target.pid is None else memory_bytes(target.pid)
+    with _own_cores(target.pid):
+        try:
+            swarm.join(
+                target.url,
+                rooms,
+                config.peers,
+                FOREIGN_JOINS_PER_S if target.pid is None else OWN_JOINS_PER_S,
+            )
+            say(f"{name}: {num_peers} peers in {config.rooms} rooms")
+            swarm.send(SETTLE_S)
+            before, own_cpu_s = target.read(), time.process_time()
+            swarm.measure(config.seconds)
+            own_cpu_s = time.process_time() - own_cpu_s
+            after = target.read()
+            swarm.drain(swarm.tally.sent * (config.peers - 1))
+            held_bytes = None if target.pid is None else memory_bytes(target.pid)
+        finally:
+            swarm.close()
+    result = figures(config, swarm, before, after)
+    if idle_bytes is not None and held_bytes is not None:
+        result["bytes_per_connection"] = round(max(held_bytes - idle_bytes, 0) / num_peers)
+    result["generator_cpu_ratio"] = round(own_cpu_s / config.seconds, 3)
     forward = result["forward_ms"]
     say(
         f"{name}: {result['delivered_per_s']:,.0f} frames/s delivered, forwarding p50 "
@@ -251,3 +156,112 @@ def measure(
         f"{result['relay_cpu_s_per_1000']} s per 1,000"
     )
     return result
+
+
+def figures(
+    config: RelayBenchConfig, swarm: Swarm, before: Reading, after: Reading
+) -> dict[str, Any]:
+    """Return what a measurement between two readings has found."""
+    tally = swarm.tally
+    metrics = {name: value - before.metrics.get(name, 0.0) for name, value in after.metrics.items()}
+    missing = tally.sent * (config.peers - 1) - tally.received
+    delivered_per_s = tally.received / config.seconds
+    cpu_ratio = None
+    if before.cpu_s is not None and after.cpu_s is not None:
+        cpu_ratio = (after.cpu_s - before.cpu_s) / (after.at_s - before.at_s)
+    messages = summed(metrics, "pica_messages_out_total")
+    frames = summed(metrics, "pica_frames_out_total")
+    return {
+        "rooms": config.rooms,
+        "peers": config.peers,
+        "fps": config.fps,
+        "seconds": config.seconds,
+        "connections": config.rooms * config.peers,
+        "delivered_per_s": round(delivered_per_s, 1),
+        "sent_per_s": round(tally.sent / config.seconds, 1),
+        "forward_ms": percentiles(tally.latency),
+        "dropped": round(summed(metrics, "pica_frames_dropped_total")) if metrics else missing,
+        "late": round(metrics.get('pica_frames_dropped_total{reason="late"}', 0.0)),
+        "missing": missing,
+        "blocked": tally.blocked,
+        "relay_cpu_s_per_1000": None
+        if cpu_ratio is None or not delivered_per_s
+        else round(cpu_ratio / delivered_per_s * 1000, 5),
+        "relay_cpu_ratio": None if cpu_ratio is None else round(cpu_ratio, 3),
+        "bytes_per_connection": None,
+        "frames_per_message": round(frames / messages, 2) if messages else None,
+        "errors": tally.codes.total(),
+        "close_codes": {str(code): count for code, count in tally.codes.items()},
+        "generator_turn_ms": percentiles(swarm.turns),
+        "overload": round(after.metrics.get("pica_overload", 0.0)),
+    }
+
+
+def percentiles(steps: Mapping[int, int]) -> dict[str, float | None]:
+    """Percentiles of a histogram of steps of `STEP_US`, upper edges, in milliseconds."""
+    ordered = sorted(steps)
+    seen = list(accumulate(steps[step] for step in ordered))
+    found: dict[str, float | None] = {}
+    for percent in (50, 95, 99):
+        place = bisect_left(seen, seen[-1] * percent / 100) if seen else None
+        ms = None if place is None else round((ordered[place] + 1) * STEP_US / 1e3, 3)
+        found[f"p{percent}"] = ms
+    return found
+
+
+@contextmanager
+def _own_cores(server: int | None) -> Iterator[None]:
+    """Let a server of ours and the load run on one core each while the block runs, where that can
+    be had."""
+    cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
+    if server is None or len(cores) < 2:
+        yield
+        return
+    os.sched_setaffinity(server, {max(cores)})
+    os.sched_setaffinity(0, {min(cores)})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, cores)
+
+
+def cpu_s(pid: int) -> float | None:
+    """Processor time that a process has used, of user and system; None where that is not told."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return None
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def memory_bytes(pid: int) -> int | None:
+    """Resident memory of a process; None where that is not told."""
+    try:
+        pages = Path(f"/proc/{pid}/statm").read_text().split()[1]
+    except OSError:
+        return None
+    return int(pages) * os.sysconf("SC_PAGE_SIZE")
+
+
+def relay_metrics(url: str) -> dict[str, float]:
+    """What the relay itself counts, by Prometheus name and labels; empty if it does not tell us."""
+    page = url.replace("ws", "http", 1).rstrip("/") + "/metrics"
+    try:
+        opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+        with opener.open(page, timeout=5.0) as response:
+            text = response.read(1 << 20).decode()
+    except (OSError, ValueError):
+        return {}
+    values = {}
+    for line in text.splitlines():
+        name, _, value = line.rpartition(" ")
+        if name and not line.startswith("#"):
+            values[name] = float(value)
+    return values
+
+
+def summed(metrics: Mapping[str, float], name: str) -> float:
+    """Return the sum of a family over its labels."""
+    return sum(
+        value for key, value in metrics.items() if key == name or key.startswith(f"{name}{{")
+    )

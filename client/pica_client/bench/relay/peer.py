@@ -69,7 +69,7 @@ class Tally:
 
     def __init__(self) -> None:
         self.begin_us = self.end_us = self.now_us = 0
-        self.sent = self.blocked = self.received = self.bytes_in = 0
+        self.sent = self.blocked = self.received = 0
         self.latency: Counter[int] = Counter()
         self.codes: Counter[int] = Counter()
 
@@ -158,7 +158,6 @@ class SwarmPeer:
         elif self._handshake is not None:
             self._shake_hands(self._handshake, data, now)
         else:
-            self._tally.bytes_in += len(data)
             self._tally.now_us = time.monotonic_ns() // 1000
             self._read_messages(self._rest + data if self._rest else data, now)
 

@@ -1,41 +1,27 @@
 import random
 import socket
-from typing import Any, cast
 
 import pytest
 
-from pica_client.bench.relay import bench, peer
-from pica_client.bench.relay.bench import Load, RelayBenchConfig, Target
+from pica_client.bench.relay import peer
+from pica_client.bench.relay.bench import Reading, RelayBenchConfig, figures
 from pica_client.bench.relay.peer import STEP_US, SwarmPeer, Tally
-from pica_client.bench.relay.processes import Workers
+from pica_client.bench.relay.swarm import Swarm
 from pica_client.errors import OptionError
 from pica_protocol.frames import MEDIA_KIND, decode_media
 
 pytestmark = pytest.mark.unit
 
 
-class Swarm:
-    """Stands for the workers and the process that they start, of two peers that lose a frame."""
-
-    def start(self, *_: object, **__: object) -> "Swarm":
-        return self
-
-    def order(self, _: str) -> None:
-        pass
-
-    def answer(self, _: float) -> dict[str, Any]:
-        counts = {"sent": 10, "received": 9, "blocked": 0, "cpu_ratio": 0.1}
-        return {**counts, "latency": {"10": 8, "100": 1}, "turn": {}, "closed": {}}
-
-
-def test_what_a_server_without_metrics_did_not_pass_on_was_dropped(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(bench, "SETTLE_S", 0.0)
+def test_what_a_server_without_metrics_did_not_pass_on_was_dropped() -> None:
+    swarm = Swarm(fps=30.0, seed=0)
+    swarm.tally.sent, swarm.tally.received = 10, 9
+    swarm.tally.latency.update({10: 8, 100: 1})
+    nothing = Reading({}, None, 0.0)
     config = RelayBenchConfig(rooms=1, peers=2, seconds=0.5)
-    figures = Load(config, Target(url="ws://relay"), cast("Workers", Swarm())).measure()
-    assert (figures["dropped"], figures["missing"]) == (1, 1)
-    assert figures["forward_ms"] == {"p50": 0.11, "p95": 1.01, "p99": 1.01}
+    found = figures(config, swarm, nothing, nothing)
+    assert (found["dropped"], found["missing"]) == (1, 1)
+    assert found["forward_ms"] == {"p50": 0.11, "p95": 1.01, "p99": 1.01}
 
 
 def test_a_peer_sends_frames_of_the_protocol_with_the_sizes_of_a_face(
