@@ -1,17 +1,18 @@
 """Render a tiny capture of a person of the face model: what a camera dome would record.
 
 You learn what training reads: images of several calibrated cameras, a tracked mesh and an
-average texture per frame, depth, and the expression of each frame. The contact sheet shows all
-of it.
+average texture per frame, depth, and the expression of each frame.
 """
 
 import sys
 import tempfile
 from pathlib import Path
 
+import numpy as np
+from PIL import Image
+
 from pica_core.capture.dataset.check import check_capture
 from pica_core.capture.dataset.dataset import Capture
-from pica_core.capture.dataset.sheet import write_sheet
 from pica_core.capture.person.choices import draw_person
 from pica_core.capture.person.subject import PersonSubject
 from pica_core.capture.stage.synth import RenderOptions, render_subject
@@ -34,4 +35,6 @@ with tempfile.TemporaryDirectory() as folder:
         print(f"{split}: {len(capture.frames_of(split))} frames")
     problems = check_capture(Path(folder))["problems"]
     print(f"{len(problems)} problems found")
-    write_sheet(Path(folder), OUT / "capture.png")
+    frame = capture.frames[1]
+    shown = [capture.image(frame, name) for name in capture.cameras_of(frame)]
+    Image.fromarray(np.concatenate(shown, axis=1)).save(OUT / "capture.png")

@@ -12,8 +12,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
-from pica_core.capture.dataset.sheet import write_sheet
+from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.stage.subject import RigSubject
 from pica_core.capture.stage.synth import RenderOptions, render_subject
 
@@ -88,13 +89,15 @@ def write_rig(path: Path) -> None:
 
 
 with tempfile.TemporaryDirectory() as temporary:
-    rig, capture = Path(temporary, "toy.gltf"), Path(temporary, "capture")
+    rig, folder = Path(temporary, "toy.gltf"), Path(temporary, "capture")
     write_rig(rig)
     subject = RigSubject(rig, bake_size=512, self_shadow=False)
     about = subject.describe()["rig"]
     print(f"mapped: {', '.join(about['mapped'])}")
     print(f"left out: {', '.join(about['ignored'])}; {len(about['missing'])} shapes are missing")
     options = RenderOptions(frames=4, cameras=2, size="128x128", texture_size=64)
-    counts = render_subject(lambda: subject, options, capture)
+    counts = render_subject(lambda: subject, options, folder)
+    capture = Capture.open(folder)
     print(f"{counts['images']} images")
-    write_sheet(capture, OUT / "rig.png")
+    shown = [capture.image(frame, "front") for frame in capture.frames]
+    Image.fromarray(np.concatenate(shown, axis=1)).save(OUT / "rig.png")

@@ -74,7 +74,6 @@ GROUPS: Final[dict[str, dict[str, Command]]] = {
         "capture check": Command("pica_core.cli.capture:check", ("capture",)),
         "capture person": Command("pica_core.cli.capture:person", ("capture",)),
         "capture rig": Command("pica_core.cli.capture:rig", ("capture",)),
-        "capture sheet": Command("pica_core.cli.capture:sheet", ("capture",)),
         "train": Command("pica_core.train.cli.train:train", ("train",)),
         "export": Command("pica_core.train.cli.train:export", ("train",)),
         "eval": Command("pica_core.train.cli.eval:eval_runs", ("train",)),

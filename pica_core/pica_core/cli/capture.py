@@ -1,4 +1,4 @@
-"""`pica capture`: render people and rigs into captures, check captures and draw their sheets."""
+"""`pica capture`: render people and rigs into captures, and check captures."""
 
 import time
 from collections.abc import Callable
@@ -12,7 +12,6 @@ from rich.progress import Progress as ProgressBar
 
 from pica_core.capture.dataset.check import PIXEL_FRAMES, check_capture
 from pica_core.capture.dataset.multiface import write_aside
-from pica_core.capture.dataset.sheet import write_sheet
 from pica_core.capture.person.choices import NAMED, Person, draw_person, read_person
 from pica_core.capture.person.subject import PersonSubject
 from pica_core.capture.stage.subject import RigSubject, Subject
@@ -58,16 +57,6 @@ class CheckOptions:
     frames every file is checked by its name, size and header."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class SheetOptions:
-    """Options of `pica capture sheet`."""
-
-    capture: Path = field(kw_only=False)
-    """Capture directory to look at."""
-    out: Path
-    """PNG to write."""
-
-
 def check(options: CheckOptions) -> dict[str, Any]:
     """Find what is wrong with a capture."""
     result = check_capture(options.capture, options.pixel_frames)
@@ -84,13 +73,6 @@ def check(options: CheckOptions) -> dict[str, Any]:
         f"cameras, {result['images']} images",
         markup=False,
     )
-    return result
-
-
-def sheet(options: SheetOptions) -> dict[str, Any]:
-    """Draw a contact sheet of a capture."""
-    result = write_sheet(options.capture, options.out)
-    Console(stderr=True).print(f"contact sheet in {options.out}")
     return result
 
 

@@ -1,1 +1,1 @@
-"""Captures on disk in the Multiface layout: read, written, checked, shown on a sheet."""
+"""Captures on disk in the Multiface layout: read, written and checked."""

@@ -16,12 +16,10 @@ import numpy as np
 
 from pica_core.capture.dataset import files, multiface
 from pica_core.errors import CaptureError
-from pica_core.types import ByteArray, Float64Array, Int64Array
+from pica_core.types import Float64Array, Int64Array
 
 HELD_OUT_EVERY = 10
 """Segments, in the order of their names, of which the fifth is for testing."""
-GAMMA = 1.5
-"""Brightening of a picture that is to be looked at (chosen)."""
 
 
 def is_published(root: Path) -> bool:
@@ -145,14 +143,3 @@ def published_topology(
         raise CaptureError(f"{path}: a texture coordinate is not finite")
     topology = files.Topology(vertex_uv=uv, faces=faces.reshape(-1, 3).astype(np.int32), regions={})
     return topology, np.ascontiguousarray(pairs[:, 0]), count
-
-
-def displayable(image: ByteArray) -> ByteArray:
-    """A raw, greenish picture made fit to be looked at; training takes images as they are.
-
-    Channels are scaled so that their 99th percentiles agree, then brightened by `GAMMA`.
-    """
-    values = image.astype(np.float32)
-    bright = np.maximum(np.percentile(values.reshape(-1, 3), 99, axis=0), 1.0)
-    scaled = np.clip(values / bright, 0.0, 1.0) ** np.float32(1.0 / GAMMA)
-    return np.rint(255.0 * scaled).astype(np.uint8)
