@@ -23,7 +23,6 @@ from pica_client.local_call.processes import Children
 from pica_client.render.gpu_decoder import choose_decoder
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.views import stereo_cameras
-from pica_client.schedule.frame_planner import FramePlanner
 from pica_client.schedule.scheduler import Scheduler
 from pica_client.transport.config import LinkConfig
 from pica_client.ui.avatar_presenter import AvatarPresenter
@@ -45,8 +44,7 @@ def watch(context: moderngl.Context, screen: moderngl.Framebuffer, url: str) -> 
         Renderer(context, SIZE, RenderOptions(fade_busts=True)) as renderer,
     ):
         shaders = choose_decoder("auto", context, renderer)  # with a GPU, instead of the pool
-        planner = FramePlanner(Scheduler())
-        presenter = AvatarPresenter(call, renderer, pool, planner, shaders=shaders)
+        presenter = AvatarPresenter(call, renderer, pool, Scheduler(), shaders=shaders)
         num_frames, ready_s = 0, float("inf")
         while (now := time.monotonic()) < ready_s + SETTLE_S:
             receiver.check()  # raises what went wrong on its thread

@@ -26,9 +26,8 @@ from pica_client.call.call import Call
 from pica_client.endpoint.endpoint import Receiver
 from pica_client.publish.publisher import SenderConfig
 from pica_client.render.scene import Placement, head_matrix
-from pica_client.schedule.frame_planner import FramePlanner
 from pica_client.schedule.head import Head
-from pica_client.schedule.scheduler import Scheduler
+from pica_client.schedule.scheduler import Scheduler, requests_of
 from pica_client.sources.performances import make_performance
 from pica_client.transport.config import LinkConfig
 from pica_client.ui.avatar_presenter import AvatarPresenter
@@ -81,7 +80,7 @@ def test_five_talking_heads_stay_within_their_budget(
     distance_cm: int, context: moderngl.Context, avatars: dict[str, Avatar]
 ) -> None:
     people = list(avatars.values())
-    pool, planner = CountedPool(), FramePlanner(Scheduler())
+    pool, scheduler = CountedPool(), Scheduler()
     heads = [Head(slot=f"head-{index}", avatar=each) for index, each in enumerate(people)]
     encoders = [ExpressionEncoder(avatar) for avatar in people]
     faces = [make_performance("talk", seed=i, start_s=2.3 * i) for i in range(len(people))]
@@ -98,15 +97,15 @@ def test_five_talking_heads_stay_within_their_budget(
                 head.world_from_head = head_matrix(seat, face.rotation, face.translation_m)
                 head.latent = encoders[index].encode(face.arkit)
                 head.captured_us = round(now * 1e6)
-            planner.plan(heads, [camera], SIZE, math.inf, now)
-            for head, request in planner.requests(heads, now):
+            scheduler.plan_view(heads, [camera], SIZE, math.inf, now)
+            for head, request in requests_of(heads, now):
                 pool.submit(head.slot, request)
             by_slot = {head.slot: head for head in heads}
             for result in pool.take_results():
                 assert result.maps is not None
                 maps = result.maps.position_map, result.maps.expression_map
                 renderer.update_maps(result.slot, *maps)
-                planner.note_decoded(by_slot[result.slot], result, 0.0, now)
+                scheduler.note_decoded(by_slot[result.slot], result, 0.0, now)
             placements = [
                 head.dressed(Placement(slot=head.slot, world_from_head=head.world_from_head), now)
                 for head in heads
@@ -132,8 +131,7 @@ async def hold_call(
         receiver = Receiver(link["viewer"], call)
         pool = CountedPool()
         with CountedRenderer(context, SIZE) as renderer:
-            planner = FramePlanner(Scheduler())
-            presenter = AvatarPresenter(call, renderer, pool, planner, clock=lambda: 0.0)  # type: ignore[arg-type]
+            presenter = AvatarPresenter(call, renderer, pool, Scheduler(), clock=lambda: 0.0)  # type: ignore[arg-type]
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(run_senders(senders))
                 receiving = tasks.create_task(receiver.run())

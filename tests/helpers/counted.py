@@ -1,6 +1,6 @@
 """What drawing a call costs, in counts: the same on every machine, whatever else it does.
 
-A planner that never measures plans by expected costs, and decodes run at once on this thread.
+A scheduler that never measures plans by expected costs, and decodes run at once on this thread.
 """
 
 from __future__ import annotations

@@ -27,9 +27,8 @@ from pica_client.render.drawing import Drawing, drawn_mse, read_drawing
 from pica_client.render.gpu_decoder import GpuDecoder
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.scene import Placement, head_matrix, view_direction
-from pica_client.schedule.frame_planner import FramePlanner
 from pica_client.schedule.head import Head
-from pica_client.schedule.scheduler import Scheduler
+from pica_client.schedule.scheduler import Scheduler, requests_of
 from pica_client.sources.performances import make_performance
 from pica_client.system import Closing
 from pica_core.avatar.expression_encoder import ExpressionEncoder
@@ -91,7 +90,7 @@ class _Case:
     distance_cm: float
     is_scheduled: bool
     heads: list[Head] = field(default_factory=list)
-    planner: FramePlanner = field(default_factory=lambda: FramePlanner(Scheduler()))
+    scheduler: Scheduler = field(default_factory=Scheduler)
     frame: int = 0
     levels: Counter[str] = field(default_factory=Counter)
     pixels: int = 0
@@ -207,7 +206,7 @@ class _Bench(Closing):
         case.triangles = stats.num_triangles
         if case.is_scheduled:
             shaded_px = sum(head.sight.visible_px for head in case.heads)
-            case.planner.scheduler.costs.observe_draw(stats.num_triangles, shaded_px, draw_s)
+            case.scheduler.costs.observe_draw(stats.num_triangles, shaded_px, draw_s)
         if has_error:
             shown = read_drawing(self._renderer)
             truth = self._draw_truth(case.heads, camera)
@@ -234,11 +233,11 @@ class _Bench(Closing):
         requests = [(head, _whole(head, camera)) for head in case.heads]
         if case.is_scheduled:
             begin_s = time.perf_counter()
-            plan = case.planner.plan(case.heads, [camera], self._config.size, math.inf, now)
-            requests = case.planner.requests(case.heads, now)
+            case.scheduler.plan_view(case.heads, [camera], self._config.size, math.inf, now)
+            requests = requests_of(case.heads, now)
             took["plan"] = (time.perf_counter() - begin_s) * 1e3
-            shown = [choice for choice in plan.choices.values() if choice.cost_s > 0]
-            case.levels.update(str(choice.level) for choice in shown)
+            shown = [head.choice for head in case.heads if head.sight.is_visible]
+            case.levels.update(str(choice.level) for choice in shown if choice is not None)
         took["decodes"] = sum(1.0 if each.parts == "both" else 0.5 for _, each in requests)
         if self._config.decode == "gpu":
             self._decode_in_shaders(case, requests, now, took)
@@ -257,7 +256,7 @@ class _Bench(Closing):
             if case.is_scheduled:
                 took_s, level, parts = decoded.wall_s, maps.level, request.parts
                 result = DecodeResult(slot, maps, None, finished_s=took_s, level=level, parts=parts)
-                case.planner.note_decoded(head, result, uploaded.wall_s, now)
+                case.scheduler.note_decoded(head, result, uploaded.wall_s, now)
 
     def _decode_in_shaders(
         self,
@@ -275,7 +274,7 @@ class _Bench(Closing):
         took["decode"] = (time.perf_counter() - begin_s) * 1e3
         heads = {head.slot: head for head, _ in requests}
         for result in results if case.is_scheduled else ():
-            case.planner.note_decoded(heads[result.slot], result, 0.0, now)
+            case.scheduler.note_decoded(heads[result.slot], result, 0.0, now)
 
     def _draw_truth(self, heads: Sequence[Head], camera: Camera) -> Drawing:
         """What should be shown: everybody's newest latent at the full level."""

@@ -1,22 +1,26 @@
 """One head of a call: what is seen of it, what was asked of its decoder, how it is drawn. Pure.
 
 A head is kept from frame to frame by the code that draws it, and is forgotten with it. In each
-frame its owner places it, the frame planner looks at it, and the scheduler chooses what it gets.
+frame its owner places it, `see_heads` finds what cameras see of it, and the scheduler chooses what
+it gets.
 
 When maps of another level arrive, or the mesh changes, the new ones fade in over `BLEND_S`: a level
 that comes and goes is never a jump of the picture.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import reduce
 from typing import Literal, NamedTuple
 
 import numpy as np
 
 from pica_client.decode.request import DecodeRequest
-from pica_client.render.scene import Placement
-from pica_client.schedule.visibility import NOTHING, Sight
+from pica_client.render.scene import FAR_M, NEAR_M, Placement, view_direction
+from pica_client.schedule.visibility import NOTHING, Sight, look
 from pica_core.avatar.file import Avatar
+from pica_core.camera import Camera
 from pica_core.latent import LATENT_SHAPE
 from pica_core.types import FloatArray
 
@@ -25,6 +29,8 @@ Decode = Literal["none", "expression", "both"]
 BLEND_S = 0.12
 """How long maps of another level take to fade in (chosen: the eye sees no step, and the mixed face
 is gone before it could lag behind the voice)."""
+UNLIKE = 1e3
+"""Change of a latent that nothing can be compared with."""
 
 
 class Choice(NamedTuple):
@@ -40,10 +46,6 @@ class Choice(NamedTuple):
     """Share of the image's resolution that it is drawn with."""
     every: int
     """Which frames of its stream to ask for: 1 is all, 2 or 4 each second or fourth, 0 none."""
-    cost_s: float
-    """Its share of the plan's cost."""
-    is_limited: bool
-    """Whether the budget kept something from it."""
 
 
 @dataclass(kw_only=True, slots=True, eq=False)
@@ -104,6 +106,20 @@ class Head:
         """Level of the maps that were asked for last; None before the first."""
         return None if self.asked is None else self.asked.level
 
+    def measure_motion(self) -> None:
+        """Find how far its latent and its view have moved since what was asked for. A latent of a
+        wrong shape has moved far: the decoder is to refuse it."""
+        self.latent_change, self.view_turn_rad = 0.0, 0.0
+        if self.asked is None:
+            return
+        if self.latent.shape == self.asked.latent.shape:
+            moved = (self.latent - self.asked.latent).ravel()
+            self.latent_change = math.sqrt(float(moved.dot(moved)) / moved.size)
+        else:
+            self.latent_change = UNLIKE
+        cosine = float(self.view_direction.dot(self.asked.view_direction))
+        self.view_turn_rad = math.acos(min(max(cosine, -1.0), 1.0))
+
     def request(self, now: float) -> DecodeRequest | None:
         """What its choice decodes, None for nothing; it counts as asked for."""
         choice = self.choice
@@ -152,3 +168,27 @@ class Head:
         """What is shown now fades out."""
         self.mesh_before, self.is_same_maps = self.shown_mesh, is_same_maps
         self.blend_from_s = now
+
+
+def see_heads(heads: Sequence[Head], cameras: Sequence[Camera], size_px: tuple[int, int]) -> None:
+    """Tell each head what cameras see of it and how far it has moved; two eyes see it from between
+    them.
+
+    Args:
+        cameras: One, or both eyes'.
+        size_px: Columns and rows of one eye's image.
+    """
+    if not heads:
+        return
+    matrices = np.array([head.world_from_head for head in heads], np.float64)
+    boxes = [head.avatar.manifest for head in heads]
+    low_m, high_m = [box.bounds_min_m for box in boxes], [box.bounds_max_m for box in boxes]
+    eyes = [
+        look(np.matmul(camera.clip_from_world(NEAR_M, FAR_M), matrices), low_m, high_m, size_px)
+        for camera in cameras
+    ]
+    middle_m = np.mean([camera.centre_m for camera in cameras], axis=0)
+    for head, *sights in zip(heads, *eyes, strict=True):
+        head.sight = reduce(Sight.with_eye, sights)
+        head.view_direction = view_direction(head.world_from_head, middle_m)
+        head.measure_motion()

@@ -2,7 +2,7 @@
 
 Between a source of faces, a pool of decoders and a renderer; knows no window and no loop:
 
-    presenter = AvatarPresenter(source, renderer, pool, FramePlanner(Scheduler()))
+    presenter = AvatarPresenter(source, renderer, pool, Scheduler())
     scene = presenter.arrange(now, renderer.size)       # who sits where
     presenter.decide(scene, (scene.camera,), budget_s)  # what is decoded from now on
     presenter.collect(now)                              # what has been decoded goes to the GPU
@@ -31,9 +31,8 @@ from pica_client.render.renderer import Renderer
 from pica_client.render.room import Room
 from pica_client.render.scene import Placement, head_matrix
 from pica_client.render.seats import LAYOUTS, SHOULDERS_M, FreeShares, Layout, SeatPlan, plan_seats
-from pica_client.schedule.frame_planner import FramePlanner
 from pica_client.schedule.head import Head
-from pica_client.schedule.scheduler import Plan
+from pica_client.schedule.scheduler import LISTENER_S, Plan, Scheduler, requests_of
 from pica_client.stats import Samples, Summary
 from pica_client.ui.state import ViewState
 from pica_core.avatar.bust import bust_of
@@ -162,7 +161,7 @@ class AvatarPresenter:
     Args:
         pool: Where they are decoded; its slots are peer ids.
         shaders: Where those are decoded whom it takes; None: all in the pool.
-        planner: Says what is decoded, and how finely it is drawn.
+        scheduler: Says what is decoded, and how finely it is drawn.
         levels: How loud each is who sends a voice, by peer id; see `VoiceMixer.levels`.
         clock: Seconds, monotonic; see `viewer.Viewer`.
 
@@ -176,7 +175,7 @@ class AvatarPresenter:
         source: FaceSource,
         renderer: Renderer,
         pool: DecodePool,
-        planner: FramePlanner,
+        scheduler: Scheduler,
         *,
         shaders: GpuDecoder | None = None,
         meter: Meter | None = None,
@@ -188,7 +187,7 @@ class AvatarPresenter:
         self._renderer = renderer
         self._pool = pool
         self._shaders = shaders
-        self._planner = planner
+        self._scheduler = scheduler
         self._meter = meter or Meter()
         self._levels = levels
         self._clock = clock
@@ -241,9 +240,7 @@ class AvatarPresenter:
                 is_loud = levels[face.peer_id] < AUDIBLE_LEVEL
                 entry.heard_s = now if is_loud else entry.heard_s or -math.inf
             # Listeners take turns, so that images cost alike.
-            turn = math.floor(
-                now / self._planner.scheduler.options.listener_s + number / len(faces)
-            )
+            turn = math.floor(now / LISTENER_S + number / len(faces))
             face = self._taken(entry, face, turn, now)
             shown.append(face)
             placements.append(
@@ -288,9 +285,9 @@ class AvatarPresenter:
             head.is_listening = not peer.is_speaking(scene.now)
             heads.append(head)
         size = (cameras[0].width, cameras[0].height)
-        plan = self._planner.plan(heads, cameras, size, budget_s, scene.now)
+        plan = self._scheduler.plan_view(heads, cameras, size, budget_s, scene.now)
         self._is_short = plan.is_short
-        for head, request in self._planner.requests(heads, scene.now):
+        for head, request in requests_of(heads, scene.now):
             self._decoder_of(self._peers[head.slot]).submit(head.slot, request)
             self._peers[head.slot].is_awaited = True
         for slot, choice in plan.choices.items():
@@ -315,7 +312,7 @@ class AvatarPresenter:
             maps = result.maps
             self._renderer.update_maps(result.slot, maps.position_map, maps.expression_map)
             upload_s = self._clock() - begin_s
-            self._planner.note_decoded(entry.head, result, upload_s, now)
+            self._scheduler.note_decoded(entry.head, result, upload_s, now)
             ahead_s = max(now - result.submitted_s, 0.0) + self._image_s
             self._ahead_s += AHEAD_SMOOTHING * (min(ahead_s, MAX_IMAGE_S) - self._ahead_s)
             self._meter.add("upload", upload_s)

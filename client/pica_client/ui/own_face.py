@@ -8,7 +8,6 @@ from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.pool import DecodePool
 from pica_client.publish.face_controls import FaceControls
 from pica_client.render.renderer import Renderer, RenderOptions
-from pica_client.schedule.frame_planner import FramePlanner
 from pica_client.schedule.scheduler import Scheduler
 from pica_client.ui.avatar_presenter import AvatarPresenter
 from pica_client.ui.call_view import OwnFaceView
@@ -35,9 +34,7 @@ class SelfView:
     ) -> None:
         self._renderer = Renderer(context, (16, 12), options)
         self._pool = DecodePool(OnnxDecoder)
-        self._presenter = AvatarPresenter(
-            reflection.call, self._renderer, self._pool, FramePlanner(Scheduler())
-        )
+        self._presenter = AvatarPresenter(reflection.call, self._renderer, self._pool, Scheduler())
         self._looked_s = -PERIOD_S
         self._shown = OwnFaceView()
 

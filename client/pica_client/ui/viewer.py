@@ -32,7 +32,6 @@ from pica_client.render.draw_clock import DrawClock
 from pica_client.render.gpu_decoder import choose_decoder
 from pica_client.render.renderer import DrawStats, Renderer, RenderOptions
 from pica_client.render.scene import pick_head
-from pica_client.schedule.frame_planner import FramePlanner
 from pica_client.schedule.scheduler import Plan, Scheduler
 from pica_client.system import Closing, videos_folder
 from pica_client.ui.actions import Action, Request, apply, keyboard, mouse
@@ -152,7 +151,7 @@ class Viewer(Closing):
                 source,
                 self._renderer,
                 self._pool,
-                FramePlanner(self._scheduler),
+                self._scheduler,
                 shaders=shaders,
                 meter=self._meter,
                 levels=self._sound.levels,

@@ -22,7 +22,6 @@ from pica_client.errors import OptionError
 from pica_client.render import gpu_decoder
 from pica_client.render.gpu_decoder import GpuDecoder, choose_decoder, draws_floats
 from pica_client.render.renderer import Renderer
-from pica_client.schedule.frame_planner import FramePlanner
 from pica_client.schedule.scheduler import Scheduler
 from pica_client.ui.avatar_presenter import AvatarPresenter
 from pica_core.avatar.file import Avatar, load_avatar
@@ -219,8 +218,7 @@ def test_a_call_looks_alike_whoever_decodes(context: moderngl.Context) -> None:
     for choice in ("cpu", "gpu"):
         with Renderer(context, (320, 180)) as renderer, DecodePool(OnnxDecoder) as pool:
             shaders = choose_decoder(choice, context, renderer)
-            planner = FramePlanner(Scheduler())
-            presenter = AvatarPresenter(TwoFaces(), renderer, pool, planner, shaders=shaders)
+            presenter = AvatarPresenter(TwoFaces(), renderer, pool, Scheduler(), shaders=shaders)
             scene = presenter.arrange(1.0, renderer.size)
             presenter.decide(scene, (scene.camera,), 1.0)
             pool.wait_idle(30.0)

@@ -29,7 +29,6 @@ def learn(costs: CostModel, num_frames: int = 200, seed: int = 1, noise: float =
 
 def test_before_anything_is_measured_the_expected_holds() -> None:
     costs = CostModel()
-    assert costs.decode_s("", 256, "both") >= expected_decode_s(256, "both")
     assert costs.draw == DrawCost()
     levels = [costs.decode_s("", level, "both") for level in (64, 128, 256, 512)]
     assert levels == sorted(levels)
@@ -40,31 +39,14 @@ def test_a_decode_costs_the_median_of_what_was_measured_lately() -> None:
     costs = CostModel()
     for seconds in (0.002, 0.0021, 0.0019, 0.002, 0.5):
         costs.observe_decode("", 256, "both", seconds)
-    for _ in range(9):
-        costs.observe_upload(256, "both", 0.0004)
-    assert costs.decode_s("", 256, "both") == pytest.approx(0.0024)
+    assert costs.decode_s("", 256, "both") == 0.002
 
 
-def test_a_level_that_was_never_decoded_is_expected_to_be_as_slow_as_the_machine() -> None:
+@pytest.mark.parametrize("model", ["", "other"])
+def test_what_was_never_decoded_is_expected_to_be_as_slow_as_the_machine(model: str) -> None:
     costs = CostModel()
-    for level in (64, 256):
-        costs.observe_upload(level, "both", 1e-7)
     costs.observe_decode("", 256, "both", 3 * expected_decode_s(256, "both"))
-    assert costs.decode_s("", 64, "both") == pytest.approx(
-        3 * expected_decode_s(64, "both"), rel=1e-3
-    )
-    assert costs.decode_s("other", 64, "both") == pytest.approx(
-        3 * expected_decode_s(64, "both"), rel=1e-3
-    )
-
-
-def test_finer_is_never_taken_to_be_cheaper() -> None:
-    costs = CostModel()
-    costs.observe_decode("", 64, "both", 0.01)
-    costs.observe_decode("", 256, "both", 0.001)
-    costs.observe_decode("", 256, "expression", 0.02)
-    assert costs.decode_s("", 256, "both") >= costs.decode_s("", 64, "both") >= 0.01
-    assert costs.decode_s("", 256, "both") >= costs.decode_s("", 256, "expression") >= 0.02
+    assert costs.decode_s(model, 64, "both") == pytest.approx(3 * expected_decode_s(64, "both"))
 
 
 def test_the_parts_of_drawing_are_told_apart_by_scenes_that_change() -> None:
@@ -114,7 +96,6 @@ def test_nonsense_is_no_measurement(seconds: float) -> None:
     before = costs.draw, costs.decode_s("", 64, "both")
     costs.observe_draw(1000, 1000, seconds)
     costs.observe_decode("", 64, "both", seconds)
-    costs.observe_upload(64, "both", seconds)
     assert (costs.draw, costs.decode_s("", 64, "both")) == before
 
 

@@ -15,7 +15,6 @@ from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.pool import DecodePool
 from pica_client.render.renderer import Renderer
 from pica_client.render.seats import LAYOUTS, Layout
-from pica_client.schedule.frame_planner import FramePlanner
 from pica_client.schedule.scheduler import Scheduler
 from pica_client.ui import avatar_presenter
 from pica_client.ui.avatar_presenter import AvatarPresenter
@@ -52,7 +51,7 @@ def test_the_usage_that_the_module_shows_draws_whoever_is_there() -> None:
     shown = (avatar_presenter.__doc__ or "").split("\n\n")[2]
     context = create_context()
     with Renderer(context, (80, 60)) as renderer, DecodePool(OnnxDecoder) as pool:
-        names = {each.__name__: each for each in (AvatarPresenter, FramePlanner, Scheduler)} | {
+        names = {each.__name__: each for each in (AvatarPresenter, Scheduler)} | {
             "source": OneFace(),
             "renderer": renderer,
             "pool": pool,
@@ -72,8 +71,7 @@ def test_a_scene_says_which_layouts_there_is_room_for(
 ) -> None:
     context = create_context()
     with Renderer(context, (160, 90)) as renderer, DecodePool(OnnxDecoder) as pool:
-        planner = FramePlanner(Scheduler())
-        presenter = AvatarPresenter(OneFace(count), renderer, pool, planner)
+        presenter = AvatarPresenter(OneFace(count), renderer, pool, Scheduler())
         assert presenter.arrange(1.0, (90, 160)).layouts == layouts
     context.release()
 
@@ -97,9 +95,8 @@ def test_listeners_keep_their_faces_for_longer_only_where_drawing_is_short(
     spoken = {"p1": 0}
     seen: dict[str, set[bytes]] = {"p1": set(), "p2": set()}
     with Renderer(context, (160, 90)) as renderer, DecodePool(OnnxDecoder) as pool:
-        planner = FramePlanner(Scheduler())
         presenter = AvatarPresenter(
-            MovingFaces(2), renderer, pool, planner, levels=lambda: {**spoken, "p2": 127}
+            MovingFaces(2), renderer, pool, Scheduler(), levels=lambda: {**spoken, "p2": 127}
         )
         for image in range(31):
             now = 1 + image / 30
