@@ -62,7 +62,7 @@ class Tally:
     """Counts of the frames captured between two moments, for all peers of a process.
 
     Attributes:
-        now_us: When the last read was.
+        now_us: When the last read was, in whole ticks of the wire.
         latency: Frames received, by steps of `STEP_US` from capture to receipt.
         codes: Websocket close codes of connections that the relay ended.
     """
@@ -158,7 +158,7 @@ class SwarmPeer:
         elif self._handshake is not None:
             self._shake_hands(self._handshake, data, now)
         else:
-            self._tally.now_us = time.monotonic_ns() // 1000
+            self._tally.now_us = time.monotonic_ns() // 1000 // TICK_US * TICK_US
             self._read_messages(self._rest + data if self._rest else data, now)
 
     def _shake_hands(self, handshake: ClientProtocol, data: bytes, now: float) -> None:

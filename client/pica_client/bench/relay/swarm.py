@@ -16,6 +16,7 @@ from typing import Final
 
 from pica_client.bench.relay.peer import JOIN_TIMEOUT_S, STEP_US, SwarmPeer, Tally
 from pica_client.errors import CallProcessError
+from pica_protocol.frames import TICK_US
 
 NAP_S: Final = 0.0002
 """Between two looks at the sockets under load: adds as much to the latencies at most (chosen)."""
@@ -83,8 +84,9 @@ class Swarm:
 
     def measure(self, seconds: float) -> None:
         """Send for a while, and count the frames that were captured meanwhile."""
-        self.tally.begin_us = time.monotonic_ns() // 1000
-        self.tally.end_us = self.tally.begin_us + int(seconds * 1e6)
+        # Whole ticks, as capture times come back from the wire.
+        self.tally.begin_us = (time.monotonic_ns() // 1000 // TICK_US + 1) * TICK_US
+        self.tally.end_us = self.tally.begin_us + round(seconds * 1e6 / TICK_US) * TICK_US
         self.send(seconds)
 
     def drain(self, expected: int) -> None:
