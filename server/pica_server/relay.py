@@ -31,7 +31,6 @@ from pica_server.ops.status_pages import StatusPages
 from pica_server.room.forwarding import PERIOD_S
 from pica_server.room.hub import Hub
 from pica_server.store.downloads import Downloads
-from pica_server.store.folder import AvatarFolder
 from pica_server.store.store import AvatarStore
 from pica_server.store.uploads import Uploads
 from pica_server.tokens import KeyRing, admin_scope, admit, admit_upload, load_keys
@@ -87,7 +86,7 @@ class Relay:
 
         self.store: AvatarStore | None = None
         if config.avatar_store != "none":
-            self.store = AvatarStore(AvatarFolder(config.avatar_store), config.store)
+            self.store = AvatarStore(config.avatar_store, config.store)
         counts = self.hub.stats.store
         self._transfers: set[RelaySocket] = set()
         self._downloads = Downloads(self.store, counts, self._transfers, config.origins)

@@ -4,7 +4,6 @@ import asyncio
 import gc
 import logging
 import os
-import re
 import signal
 import stat
 import sys
@@ -128,11 +127,10 @@ def _say_what_is_open(config: RelayConfig, store: "AvatarStore | None") -> None:
     elif os.name == "posix" and config.keys.stat().st_mode & stat.S_IROTH:
         _say("keys open", "anybody on this machine can read the key file: chmod 600 it")
     if store is not None:
-        place = re.sub(r"(?<=://)[^/@\s]*@", "***@", config.avatar_store)  # without a password
         num_avatars = store.num_avatars
         _say(
             "avatar store",
-            f"avatar store {place}: {num_avatars} avatars",
+            f"avatar store {config.avatar_store}: {num_avatars} avatars",
             avatars=num_avatars,
         )
 

@@ -126,8 +126,8 @@ class RelayConfig:
     """Addresses or networks that /metrics is answered to besides this machine, as 10.0.0.0/8;
     0.0.0.0/0 is all."""
     avatar_store: str = "temporary"
-    """Where avatar files are kept that clients give to each other: a folder; s3://BUCKET/FOLDER,
-    with the extra `s3`; temporary, a folder that ends with the relay; none."""
+    """Where avatar files are kept that clients give to each other: a folder; temporary, a folder
+    that ends with the relay; none."""
     cluster: str = ""
     """Spread rooms over all relays with this NATS, as nats://HOST:4222; it needs JetStream. Several
     servers of one NATS cluster with commas between. See docs/operating.md."""

@@ -1,27 +1,37 @@
 """The avatar store: files by the SHA-256 of their bytes, so that a stranger can be seen by all.
 
 Receivers hash and check what they get, and so need not trust the relay. The store takes care of how
-much it takes; what is inside of a file is not looked at.
+much it takes; what is inside of a file is not looked at. A file is there under its final name whole
+or not at all. Names are made of an id that was checked to be 64 hexadecimal digits, and of nothing
+else.
 
-What blocks (disk and network) happens in threads of the store. It knows no websocket; `downloads`
-and `uploads` are the ways out and in.
+What blocks happens in threads of the store. It knows no websocket; `downloads` and `uploads` are
+the ways out and in.
 """
 
 import asyncio
 import errno
 import hashlib
+import os
+import secrets
+import stat
 from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Final, TypeVar
 
 from pica_protocol.errors import CloseCode
+from pica_protocol.store import is_avatar_id
 from pica_server.config.relay import StoreConfig
-from pica_server.errors import StoreRefusalError
-from pica_server.store.folder import AvatarFolder
+from pica_server.errors import StoreError, StoreRefusalError
 
 NUM_THREADS: Final = 4
+SUFFIX: Final = ".pica"
+TEMPORARY: Final = "temporary"
+"""Names a folder that ends with the relay."""
 
 _NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _T = TypeVar("_T")
@@ -54,17 +64,41 @@ class Slots:
 
 
 class AvatarStore:
-    """Files by id, within a quota."""
+    """Files by id in one folder, within a quota."""
 
-    def __init__(self, folder: AvatarFolder, config: StoreConfig) -> None:
+    def __init__(self, where: str, config: StoreConfig) -> None:
         """Look what is there.
 
+        Args:
+            where: A folder, or ``temporary``.
+
         Raises:
-            StoreError: The folder cannot be used.
+            StoreError: The folder cannot be used, or holds more files than it may.
         """
         self.config = config
-        self._folder = folder
-        self._sizes = folder.prepare(config.max_avatars)  # bounded by max_avatars
+        self._temporary: TemporaryDirectory[str] | None = None
+        if where == TEMPORARY:
+            self._temporary = TemporaryDirectory(prefix="pica-avatars-")
+            where = self._temporary.name
+        self._folder = Path(where).expanduser().absolute()
+        self._sizes: dict[str, int] = {}  # bounded by max_avatars
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            self._write("trial", b"trial")
+            (self._folder / "trial").unlink()
+            for identity in (path.stem for path in self._folder.glob(f"*{SUFFIX}")):
+                if is_avatar_id(identity) and (size := self._size(identity)) is not None:
+                    self._sizes[identity] = size
+        except OSError as error:
+            raise StoreError(
+                f"--avatar-store {where} cannot be written: {error.strerror or error}; "
+                "give the relay a folder of its own, or none"
+            ) from error
+        if len(self._sizes) > config.max_avatars:
+            raise StoreError(
+                f"--avatar-store {where} holds more than {config.max_avatars} avatars; "
+                "raise --store.max-avatars, or remove some"
+            )
         self._free_s = 0.0
         """When all bytes that had a turn are through, at the rate of the configuration."""
         self._reserved_bytes = self._num_reserved = 0
@@ -92,7 +126,7 @@ class AvatarStore:
         Raises:
             OSError: The folder does not answer.
         """
-        size = await self._in_thread(lambda: self._folder.size(identity))
+        size = await self._in_thread(lambda: self._size(identity))
         if size is None:
             self._sizes.pop(identity, None)
         elif len(self._sizes) < self.config.max_avatars:
@@ -105,7 +139,13 @@ class AvatarStore:
         Raises:
             OSError: It is not there any more, or shorter.
         """
-        data = await self._in_thread(lambda: self._folder.read(identity, begin, end))
+
+        def read() -> bytes:
+            with self._path(identity).open("rb") as file:
+                file.seek(begin)
+                return file.read(end - begin)
+
+        data = await self._in_thread(read)
         if len(data) != end - begin:
             raise OSError(errno.EIO, "a file is shorter than it was")
         return data
@@ -153,7 +193,7 @@ class AvatarStore:
             if hashlib.sha256(data).hexdigest() != identity:
                 reason = "its SHA-256 is not the one that was offered"
                 raise StoreRefusalError(reason, CloseCode.UNFIT_FILE)
-            self._folder.keep(identity, data)
+            self._write(self._path(identity).name, data)
 
         try:
             await self._in_thread(check_and_keep)
@@ -164,15 +204,34 @@ class AvatarStore:
         self._sizes[identity] = len(data)
 
     def close(self) -> None:
-        """End the threads and clear up."""
+        """End the threads, and delete what was temporary."""
         self._threads.shutdown(wait=True, cancel_futures=True)
-        self._folder.close()
+        if self._temporary is not None:
+            self._temporary.cleanup()
+
+    def _path(self, identity: str) -> Path:
+        if not is_avatar_id(identity):
+            raise ValueError("nothing but an id is ever joined to a path")
+        return self._folder / f"{identity}{SUFFIX}"
+
+    def _size(self, identity: str) -> int | None:
+        """Return a file's size; None if it is not there, or leads elsewhere as a link does."""
+        with suppress(FileNotFoundError):
+            status = self._path(identity).lstat()
+            return status.st_size if stat.S_ISREG(status.st_mode) else None
+        return None
+
+    def _write(self, name: str, data: bytes | bytearray) -> None:
+        """Write a whole file."""
+        unfinished = self._folder / f"{secrets.token_hex(16)}.part"
+        try:
+            with unfinished.open("xb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())  # else a crash could leave a whole name on half a file
+            unfinished.replace(self._folder / name)
+        finally:
+            unfinished.unlink(missing_ok=True)
 
     async def _in_thread(self, action: Callable[[], _T]) -> _T:
-        """Run what blocks; what a driver raises becomes an OSError, as a folder raises it."""
-        try:
-            return await asyncio.get_running_loop().run_in_executor(self._threads, action)
-        except (OSError, StoreRefusalError):
-            raise
-        except Exception as error:
-            raise OSError(f"{type(error).__name__}: {error}") from error
+        return await asyncio.get_running_loop().run_in_executor(self._threads, action)

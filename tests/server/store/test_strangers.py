@@ -2,6 +2,7 @@
 
 import asyncio
 import errno
+import os
 from pathlib import Path
 
 import pytest
@@ -24,7 +25,6 @@ from pica_protocol.errors import CloseCode
 from pica_protocol.messages import Bye, Hello
 from pica_protocol.store import Offer, encode_chunk
 from pica_server.config.relay import StoreConfig
-from pica_server.store.folder import AvatarFolder
 from pica_server.store.store import AvatarStore
 from simnet.peers import peer_in_room
 
@@ -117,7 +117,7 @@ async def test_what_lies_in_the_folder_under_another_name_is_not_given(tmp_path:
     for name in ("notes.txt", f"{ID}.pica.bak", f"x{ID}.pica"):
         (tmp_path / name).write_bytes(FILE)
     (tmp_path / ("cd" * 32 + ".pica")).symlink_to("/etc/passwd")
-    store = AvatarStore(AvatarFolder(str(tmp_path)), StoreConfig())
+    store = AvatarStore(str(tmp_path), StoreConfig())
     assert store.num_avatars == 0
     store.close()
 
@@ -206,24 +206,20 @@ async def test_a_full_disk_is_a_full_store_and_costs_nobody_a_call(
         raise OSError(errno.ENOSPC, "No space left on device")
 
     async with store_relay(tmp_path) as relay, peer_in_room(relay.url, "Ada") as ada:
-        monkeypatch.setattr(AvatarFolder, "keep", no_room)
+        monkeypatch.setattr(os, "fsync", no_room)
         assert (await upload(relay, FILE)).code == CloseCode.STORE_FULL
         assert ada.session.closed is None
     assert left_in(tmp_path) == set()
 
 
 @pytest.mark.asyncio
-async def test_a_place_that_breaks_is_a_fault_of_the_relay_without_details(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def broken(*_: object) -> None:
-        raise PermissionError(errno.EACCES, "Permission denied", str(tmp_path))
-
-    async with store_relay(tmp_path) as relay:
-        monkeypatch.setattr(AvatarFolder, "keep", broken)
+async def test_a_place_that_breaks_is_a_fault_of_the_relay_without_details(tmp_path: Path) -> None:
+    folder = tmp_path / "store"
+    async with store_relay(folder) as relay:
+        folder.rmdir()
+        folder.write_bytes(b"no folder any more")
         outcome = await upload(relay, FILE)
         assert (outcome.code, outcome.reason) == (CloseCode.INTERNAL_ERROR, "the store has a fault")
-        monkeypatch.setattr(AvatarFolder, "size", broken)
         reply = await ask(relay, f"/avatars/{ID}")
         assert (reply.status, str(tmp_path).encode() in reply.body) == (503, False)
 
