@@ -9,8 +9,7 @@ These figures compare a face with its truth, both posed by the same values:
                        Silhouettes do not count, the error of the picture has them.
     region_errors_mm   mean distance of a region's vertices from where they should be
 
-Pictures of parts are masks as captures hold them: 0 where no head is, else the part's index in
-`MATERIALS` + 1.
+Pictures of parts hold 0 where no head is, else the part's index in `MATERIALS` + 1.
 """
 
 from collections.abc import Mapping
@@ -35,7 +34,7 @@ _REGIONS: Final = {
 
 
 def vertex_parts(regions: Mapping[str, BoolArray], num_vertices: int) -> ByteArray:
-    """The part of each vertex, as the pixels of a mask say it: index in `MATERIALS` + 1.
+    """The part of each vertex, as pictures of parts hold it: index in `MATERIALS` + 1.
 
     A triangle is of its last corner's part.
 

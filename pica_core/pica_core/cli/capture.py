@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as ProgressBar
 
-from pica_core.capture.dataset.check import PIXEL_FRAMES, check_capture
+from pica_core.capture.dataset.check import check_capture
 from pica_core.capture.dataset.multiface import write_aside
 from pica_core.capture.person.choices import NAMED, Person, draw_person, read_person
 from pica_core.capture.person.subject import PersonSubject
@@ -52,14 +52,11 @@ class CheckOptions:
 
     capture: Path = field(kw_only=False)
     """Capture directory: one of ours, or a Multiface directory as published."""
-    pixel_frames: int = PIXEL_FRAMES
-    """Frames whose images are decoded and compared with mesh and depth; 0 for all. Of the other
-    frames every file is checked by its name, size and header."""
 
 
 def check(options: CheckOptions) -> dict[str, Any]:
     """Find what is wrong with a capture."""
-    result = check_capture(options.capture, options.pixel_frames)
+    result = check_capture(options.capture)
     console = Console(stderr=True, highlight=False, soft_wrap=True)
     for problem in result["problems"][:SHOWN_PROBLEMS]:
         console.print(f"{problem['where']}: {problem['what']}", markup=False)

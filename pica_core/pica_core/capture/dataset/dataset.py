@@ -91,7 +91,6 @@ class Capture:
         self._cameras = {camera.name: camera for camera in self.cameras}
         self.has_truth = (path / multiface.TRUTH_MESH).is_dir()
         self.has_depth = (path / "depth").is_dir()
-        self.has_masks = (path / "mask").is_dir()
         self.has_expressions = arkit is not None
         self._listed: dict[Path, frozenset[str]] = {}
         self._use_frames(frames, arkit)
@@ -185,10 +184,6 @@ class Capture:
     def image(self, frame: CaptureFrame, camera: str) -> ByteArray:
         """sRGB image as stored, row 0 on top. uint8 ``[H, W, 3]``."""
         return self._load("images", "RGB", frame, camera)
-
-    def mask(self, frame: CaptureFrame, camera: str) -> ByteArray:
-        """0 for background, else material id + 1 at the pixel's centre. uint8 ``[H, W]``."""
-        return self._load("mask", "L", frame, camera)
 
     def depth_m(self, frame: CaptureFrame, camera: str) -> FloatArray:
         """Depth along the camera axis at pixel centres, 0 where empty. float32 ``[H, W]``."""

@@ -51,12 +51,6 @@ class CaptureFrame:
     """``train`` or ``test``."""
 
 
-def spread_evenly(frames: tuple[CaptureFrame, ...], count: int) -> list[CaptureFrame]:
-    """So many frames, or all if there are no more, from the first to the last."""
-    chosen = np.linspace(0, len(frames) - 1, min(count, len(frames))).round().astype(int)
-    return [frames[index] for index in np.unique(chosen)]
-
-
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Topology:
     """What all meshes of a capture share.
@@ -115,7 +109,7 @@ def load_image(path: Path, mode: str, size: tuple[int, int] | None) -> Array:
     """Decode an image.
 
     Args:
-        mode: ``RGB``, ``L``, or ``I;16`` for 16 bit.
+        mode: ``RGB``, or ``I;16`` for 16 bit.
         size: Columns and rows that it must have; None takes any.
     """
     with _opened(path, mode, size) as image:

@@ -11,7 +11,6 @@ What is missing, damaged or cannot be written is a `CaptureError` that names the
     unwrapped_uv_SIZE/SEG/average/FRAME.png   upside down, as in the original
   additions
     depth/SEG/CAM/FRAME.png               16 bit, 0.1 mm along the camera axis, 0 = empty
-    mask/SEG/CAM/FRAME.png                8 bit, 0 = background, else material id + 1
     expressions.csv                       segment, frame, split, 52 ARKit values
     capture.json                          units, source, licence, split, sizes, topology
     topology.npz                          vertex_uv, faces, region masks of the mesh that is drawn
@@ -46,7 +45,7 @@ TRACKED_TOPOLOGY = "tracked_topology.npz"
 MARKER = "render.json"
 """There while a capture is being rendered."""
 MATERIALS = ("skin", "eye", "teeth", "tongue", "mouth_bag", "collar", "hair")
-"""Material ids, in the order that the appearance shaders know; masks hold id + 1."""
+"""Material ids, in the order that the appearance shaders know."""
 TRUTH_MESH = "truth_mesh"
 SCHEMA = 1
 MAX_KRT = 1e6
@@ -56,7 +55,7 @@ MILLIMETRES = 1000.0
 
 
 def image_path(kind: str, segment: str, camera: str, frame: str) -> Path:
-    """Relative path of an ``images``, ``depth`` or ``mask`` file."""
+    """Relative path of an ``images`` or ``depth`` file."""
     return Path(kind) / segment / camera / f"{frame}.png"
 
 

@@ -14,7 +14,6 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_core.camera import Camera
-from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.rig.features import LID_M
 from pica_core.capture.rig.gltf import read_rig
 from pica_core.capture.rig.head import RigHead, make_rig
@@ -51,7 +50,7 @@ class View:
     Attributes:
         image: sRGB, row 0 on top. uint8 ``[H, W, 3]``.
         depth_m: Distance along the camera axis at pixel centres, 0 where empty. float32 ``[H, W]``.
-        mask: 0 background, else material id + 1 (`multiface.MATERIALS`). uint8 ``[H, W]``.
+        mask: 0 background, else material id + 1 (`MATERIALS`). uint8 ``[H, W]``.
     """
 
     image: ByteArray
@@ -90,8 +89,6 @@ class Subject:
     ) -> None:
         self.head, self.name, self.topology = head, head.name, head.topology
         self._about = {"head": head.name, **about}
-        names = ("background", *MATERIALS)
-        self._about["mask"] = {str(value): name for value, name in enumerate(names)}
         self._albedo, self._look, self._growth = albedo or {}, look or {}, growth
         self._bake_size, self._self_shadow = bake_size, self_shadow
         self._context: Any = None
@@ -263,7 +260,7 @@ class Subject:
         framebuffer = self._framebuffer("sum", size, size)
         framebuffer.clear(0.0, 0.0, 0.0, 0.0)
         program = self._unwrap.program
-        set_uniforms(program, {"image": 0, "geometry": 1, "tolerance_m": DEPTH_TOLERANCE_M})
+        set_uniforms(program, {"image": 0, "seen_m": 1, "tolerance_m": DEPTH_TOLERANCE_M})
         framebuffer.use()
         c.enable_only(moderngl.BLEND)
         c.blend_func = moderngl.ONE, moderngl.ONE
@@ -281,21 +278,19 @@ class Subject:
         return result.astype(np.uint8), seen
 
     def _upload_view(self, view: View) -> tuple[Any, Any]:
-        """A view's image, and its depth with its mask, as textures; row 0 at the bottom."""
-        h, w = view.mask.shape
+        """A view's image and its depth as textures; row 0 at the bottom."""
+        h, w = view.depth_m.shape
         if (w, h) not in self._view_textures:
             c = self._context
-            pair = c.texture((w, h), 3), c.texture((w, h), 2, dtype="f4")
+            pair = c.texture((w, h), 3), c.texture((w, h), 1, dtype="f4")
             pair[1].filter = (moderngl.NEAREST, moderngl.NEAREST)
             for texture in pair:
                 texture.repeat_x = texture.repeat_y = False
             self._view_textures[w, h] = pair
-        image, geometry = self._view_textures[w, h]
-        both = np.empty((h, w, 2), np.float32)
-        both[..., 0], both[..., 1] = view.depth_m[::-1], view.mask[::-1]
+        image, depth = self._view_textures[w, h]
         image.write(np.ascontiguousarray(view.image[::-1]), alignment=1)
-        geometry.write(both)
-        return image, geometry
+        depth.write(np.ascontiguousarray(view.depth_m[::-1]))
+        return image, depth
 
 
 def _lid_edges(head: RigHead) -> Iterator[tuple[Int64Array, Int64Array, Int64Array]]:

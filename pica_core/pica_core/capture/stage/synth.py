@@ -254,7 +254,6 @@ class _Rendering:
             views.append((in_head, view))
             for kind, make in (
                 ("images", partial(np.asarray, view.image)),
-                ("mask", partial(np.asarray, view.mask)),
                 ("depth", partial(depth_units, view.depth_m)),
             ):
                 path = multiface.image_path(kind, take.segment, camera.name, frame)

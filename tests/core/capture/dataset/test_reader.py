@@ -29,7 +29,6 @@ def test_a_published_directory_is_read_as_it_is(original: Path) -> None:
     assert capture.is_published
     assert not capture.has_depth
     assert not capture.has_truth
-    assert not capture.has_masks
     assert len(capture.frames) == 12
     assert (capture.cameras[0].width, capture.cameras[0].height) == (WIDTH, HEIGHT)
     frame = capture.frames[5]

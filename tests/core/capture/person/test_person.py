@@ -182,4 +182,4 @@ def test_a_person_becomes_a_capture_with_all_that_was_chosen(tmp_path: Path) -> 
     assert (person.hair, person.age, person.seed) == ("buzz", 50, 9)
     assert capture.info["person"]["hair"] == "buzz"
     assert "MIT" in capture.info["licence"]
-    assert capture.mask(capture.frames[0], "front").max() > 0
+    assert capture.depth_m(capture.frames[0], "front").max() > 0
