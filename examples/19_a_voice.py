@@ -8,7 +8,7 @@ Run it with: python examples/19_a_voice.py
 import random
 
 from pica_client.voice.mixer import VoiceMixer
-from pica_client.voice.opus import OpusDecoder, OpusEncoder, available
+from pica_client.voice.opus import OpusEncoder, available
 from pica_client.voice.packet import FRAME_S, FRAME_SAMPLES
 from pica_client.voice.source import shipped_speech
 from pica_protocol.frames import Frame
@@ -39,7 +39,7 @@ def main() -> None:
     sent_bytes = sum(len(packet.payload) for _, packet in arrivals)
     arrivals.sort(key=lambda arrival: arrival[0])
 
-    mixer = VoiceMixer(OpusDecoder)
+    mixer = VoiceMixer()
     mixer.seat({"ann": -0.6})  # radians: to the left
     loudest = 126
     for tick in range(round(SECONDS / FRAME_S)):
@@ -48,13 +48,15 @@ def main() -> None:
             arrived_s, packet = arrivals.pop(0)
             mixer.receive("ann", packet, arrived_s)
         mixer.mix(now)  # 20 ms for both ears
-        loudest = min(loudest, mixer.levels().get("ann", 126))
-        if tick % 50 == 0 and "ann" in mixer.moments():
-            leaves_s, captured_us, _ = mixer.moments()["ann"]
-            said_s, level = leaves_s - captured_us / 1e6, mixer.levels()["ann"]
-            print(f"{now:4.1f} s: said {said_s:.3f} s ago; ann at -{level} dB")
+        ann = mixer.voices().get("ann")
+        if ann is not None and ann.moment is not None:
+            loudest = min(loudest, ann.level)
+            leaves_s, captured_us, _ = ann.moment
+            if tick % 50 == 0:
+                said_s = leaves_s - captured_us / 1e6
+                print(f"{now:4.1f} s: said {said_s:.3f} s ago; ann at -{ann.level} dB")
     print(f"{sent_bytes * 8 / SECONDS / 1e3:.1f} kbit/s, at most -{loudest} dB")
-    print(mixer.stats()["ann"])
+    print(mixer.voices()["ann"].report)
 
 
 if __name__ == "__main__":

@@ -3,13 +3,13 @@ virtual clock, with the real codec, jitter buffer and playout, so every figure c
 every machine with the same libopus (processor time apart).
 
 Voice and face share one way; figures are of the troubled third of the run. PESQ is of the sound as
-it leaves the loudspeaker; for STOI each piece of sound is laid back to the moment when it was
-captured. `skew_ms` is the moment of the face less that of the voice. `face_mse` is against the true
-face at the moment that should be shown, with the head where it truly was. What it does not show:
-devices, real networks (see `network.impairment`), people: speech, performances and avatars are
-synthetic, and PESQ and STOI stand for listeners.
+it leaves the loudspeaker. `skew_ms` is the moment of the face less that of the voice. `face_mse` is
+against the true face at the moment that should be shown, with the head where it truly was. What it
+does not show: devices, real networks (see `network.impairment`), people: speech, performances and
+avatars are synthetic, and PESQ stands for listeners.
 """
 
+import math
 import time
 from collections import deque
 from collections.abc import Iterable, Sequence
@@ -40,12 +40,11 @@ from pica_client.playout.buffer import Playout
 from pica_client.render.drawing import drawn_mse
 from pica_client.sources import open_source
 from pica_client.stats import percentile
-from pica_client.voice.jitter_buffer import JitterBuffer
+from pica_client.voice.jitter_buffer import HeardVoice, JitterBuffer
 from pica_client.voice.opus import OpusDecoder, OpusEncoder
 from pica_client.voice.packet import FRAME_S, PACKET_FRAMES
 from pica_client.voice.packet import FRAME_SAMPLES as FRAME
 from pica_client.voice.packet import SAMPLE_RATE_HZ as RATE_HZ
-from pica_client.voice.sound.settings import HeardVoice
 from pica_client.voice.source import resampled, shipped_speech
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
@@ -58,9 +57,7 @@ ROOM_RMS = 0.001
 SPOKEN_RMS = 0.005
 """Above it there is speech."""
 SCORE_HZ = 16_000
-"""What PESQ and STOI take."""
-FILL_S = 0.015
-"""Holes up to this long are periods of the pitch that were left out."""
+"""What PESQ takes."""
 SIZE_PX = 192
 """Rows and columns of a picture of the face."""
 
@@ -90,18 +87,18 @@ class BenchVoiceConfig:
 
 
 class _Ear:
-    """A receiver's voice, pulled every 20 ms. Moments are seconds of the sender's clock.
+    """A receiver's voice, pulled every 20 ms.
 
     Attributes:
         sounds: What came out, 20 ms each.
-        moments: When each sample was captured; NaN where nothing was heard. ``[ticks, FRAME]``.
+        delays_s: How old each was when it left the loudspeaker; NaN where nothing was heard.
         counted: (time, played, concealed, stretched) after each tick.
         is_loud: Whether speech was in the last 20 ms, each time that `heard_us` was asked.
     """
 
     def __init__(self, packets: Sequence[tuple[float, Frame]]) -> None:
         self.sounds: list[FloatArray] = []
-        self.moments: list[Array] = []
+        self.delays_s: list[float] = []
         self.counted: list[tuple[float, int, int, int]] = []
         self.is_loud: list[bool] = []
         self.cpu_s = 0.0
@@ -116,22 +113,15 @@ class _Ear:
                 arrived_s, packet = self._waiting.popleft()
                 buffer.receive(packet, arrived_s)
             self.sounds.append(buffer.pull(tick_s))
-            report, moments = buffer.report(), np.full(FRAME, np.nan)
+            report, captured_s = buffer.report, math.nan
             if buffer.moment is not None:
                 self._voice.receive(buffer.moment)
-                moments = (buffer.moments_us - CLOCK_OFFSET_US) / 1e6
-            self.moments.append(moments)
+                captured_s = (buffer.moment[1] - CLOCK_OFFSET_US) / 1e6
+            self.delays_s.append(tick_s - captured_s)
             self.counted.append((tick_s, report.played, report.concealed, report.stretched))
         self.cpu_s += time.process_time() - begin_s
         self.is_loud.append(bool(self.sounds) and float(np.std(self.sounds[-1])) > SPOKEN_RMS)
         return self._voice.at(now)
-
-    @property
-    def delays_s(self) -> Array:
-        """How old the sound of each tick is when it leaves the loudspeaker."""
-        return np.array(
-            [now - each[0] for (now, *_), each in zip(self.counted, self.moments, strict=True)]
-        )
 
 
 def run_bench_voice(config: BenchVoiceConfig, avatar: Avatar) -> dict[str, Any]:
@@ -164,7 +154,7 @@ def run_bench_voice(config: BenchVoiceConfig, avatar: Avatar) -> dict[str, Any]:
                     "condition": scenario.name,
                     "wire_bps": round(delivery.wire_bytes * 8 / schedule.seconds),
                     **delivery.counts,
-                    **_quality(sound, ear, schedule),
+                    "pesq": _pesq(sound, ear, schedule),
                     **_timing(ear, ticks, loud, schedule),
                     **_pictures(ticks, delivery, face, renderer, config),
                     "cpu_ms_per_s": round(cpu_ms_per_s, 2),
@@ -241,38 +231,20 @@ def _packets(sound: FloatArray, bitrate: int) -> list[tuple[float, Frame]]:
     return packets
 
 
-def _quality(sound: FloatArray, ear: _Ear, schedule: Schedule) -> dict[str, Any]:
-    """PESQ and STOI of the troubled third."""
+def _pesq(sound: FloatArray, ear: _Ear, schedule: Schedule) -> float | None:
+    """PESQ of the troubled third; None where nothing that sounds like an utterance is left."""
     from pesq import PesqError, pesq
-    from pystoi import stoi
 
-    size, heard = len(sound), np.concatenate(ear.sounds)
-    moments = np.concatenate(ear.moments)
-    fits = (moments >= 0) & (moments < (size - 1) / RATE_HZ)  # false for NaN
-    places = np.round(moments[fits] * RATE_HZ).astype(np.int64)
-    back, is_there = np.zeros(size, np.float32), np.zeros(size, bool)
-    back[places], is_there[places] = heard[fits], True
-    _fill_holes(back, is_there)
-    cut = slice(int(schedule.begin_s * RATE_HZ), int(schedule.end_s * RATE_HZ))
-    true, laid = (resampled(each[cut], RATE_HZ, SCORE_HZ) for each in (sound, back))
+    begin, end = int(schedule.begin_s * RATE_HZ), int(schedule.end_s * RATE_HZ)
     # Sample k of the sound leaves the loudspeaker at the first tick's time plus k samples.
     shift = round((np.nanmedian(ear.delays_s) - ear.counted[0][0]) * RATE_HZ)
-    played = heard[cut.start + shift : cut.stop + shift]
-    played = np.pad(played, (0, cut.stop - cut.start - len(played)))
+    played = np.concatenate(ear.sounds)[begin + shift : end + shift]
+    played = np.pad(played, (0, end - begin - len(played)))
+    true, played = (resampled(each, RATE_HZ, SCORE_HZ) for each in (sound[begin:end], played))
     try:
-        score = round(float(pesq(SCORE_HZ, true, resampled(played, RATE_HZ, SCORE_HZ), "wb")), 2)
-    except PesqError:  # nothing that sounds like an utterance is left
-        score = None
-    return {"pesq": score, "stoi": round(float(stoi(true, laid, SCORE_HZ)), 3)}
-
-
-def _fill_holes(sound: FloatArray, is_there: Array) -> None:
-    """Go on with the sample before where a period was left out."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[1], is_there.astype(np.int8), [1]])))
-    for begin, end in zip(edges[::2], edges[1::2], strict=True):
-        if begin > 0 and end - begin <= FILL_S * RATE_HZ:
-            piece = sound[max(begin - (end - begin), 0) : begin]
-            sound[end - len(piece) : end] = piece
+        return round(float(pesq(SCORE_HZ, true, played, "wb")), 2)
+    except PesqError:
+        return None
 
 
 def _timing(ear: _Ear, ticks: Sequence[Tick], loud: Array, schedule: Schedule) -> dict[str, Any]:
@@ -280,7 +252,7 @@ def _timing(ear: _Ear, ticks: Sequence[Tick], loud: Array, schedule: Schedule) -
     begin_s, end_s = schedule.begin_s, schedule.end_s
     counted = np.array(ear.counted)
     is_troubled = (counted[:, 0] >= begin_s) & (counted[:, 0] < end_s)
-    delays_s, counts = ear.delays_s[is_troubled], counted[is_troubled]
+    delays_s, counts = np.array(ear.delays_s)[is_troubled], counted[is_troubled]
     skews, num_held = [], 0
     for tick, is_loud in zip(ticks, ear.is_loud, strict=True):
         if tick.played is None or tick.heard_us is None or not is_loud:

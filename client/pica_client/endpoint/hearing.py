@@ -46,13 +46,14 @@ class Hearing:
 
         ``mouth_to_ear_ms`` means something only where sender and receiver share a clock.
         """
-        voices, speaker = self._sound.stats(), self._sound.state.speaker
+        state = self._sound.state
+        voices = {peer_id: voice.report for peer_id, voice in state.voices.items()}
         ratios = [voice.concealed_ratio for voice in voices.values()]
         return {
             "skew_ms": call.skews_s.summary_ms(),
             "mouth_to_ear_ms": call.delays_s.summary_ms(),
             "concealed_ratio": round(sum(ratios) / len(ratios), 4) if ratios else None,
-            "loudspeaker": speaker.name,
-            "trouble": speaker.note or available() or "",
+            "loudspeaker": state.speaker.name,
+            "trouble": state.speaker.note or available() or "",
             "voices": {peer_id: asdict(voice) for peer_id, voice in voices.items()},
         }

@@ -43,8 +43,9 @@ class CallSound:
         return None if self._sound is None else self._sound.state
 
     def levels(self) -> Mapping[str, int]:
-        """How loud each is who sends a voice, by peer id; see `VoiceMixer.levels`."""
-        return {} if self._sound is None else self._sound.state.levels
+        """How loud each voice is, by peer id; see `voice.packet.level_of`."""
+        voices = {} if self._sound is None else self._sound.state.voices
+        return {peer_id: voice.level for peer_id, voice in voices.items()}
 
     def follow(self, wanted: ViewState, people: Iterable[Person], now: float) -> str:
         """Do what the user wants; gives what has just gone wrong with a device, else nothing."""
@@ -83,15 +84,14 @@ class CallSound:
         if self._own is not None:
             self._own.listeners.append(self._keep_own)
         if self._sound is not None:
-            self._sound.on_mixed = self._keep_mix
-            self._sound.hand_on(True)
+            self._sound.hand_mix_to(self._keep_mix)
         return self._track
 
     def _end_track(self, track: Soundtrack) -> None:
         if self._own is not None:
             self._own.listeners.remove(self._keep_own)
         if self._sound is not None:
-            self._sound.hand_on(False)
+            self._sound.hand_mix_to(None)
 
     def _keep_own(self, sound: FloatArray, captured_us: int) -> None:
         self._track.add("own", sound, captured_us / 1e6)

@@ -29,22 +29,22 @@ where it stopped and is then spoken faster, as long as it is not `LEAP_S` behind
 """
 
 import math
-from bisect import bisect_left
+from bisect import insort
+from collections import deque
 from dataclasses import dataclass
 from operator import attrgetter
-from typing import Protocol
 
 import numpy as np
 
 from pica_client.errors import VoiceError
 from pica_client.playout.sender_clock import RESTART_FRAMES, SenderClock, Transit
 from pica_client.voice import stretch
+from pica_client.voice.opus import OpusDecoder
 from pica_client.voice.packet import FRAME_S
 from pica_client.voice.packet import FRAME_SAMPLES as FRAME
 from pica_client.voice.packet import SAMPLE_RATE_HZ as RATE_HZ
-from pica_client.voice.sound.settings import Moment
 from pica_core.codec.latent_stream import ReceivedFrame
-from pica_core.types import Array, Float64Array, FloatArray
+from pica_core.types import Array, FloatArray
 from pica_protocol.frames import Frame
 
 MAX_CONCEALED = 5
@@ -78,37 +78,48 @@ QUIET_ERROR_S, VOICED_ERROR_S = 0.003, 0.012
 """Wrong delay that is changed in silence, and in the middle of speech (chosen: a frame of 20 ms is
 less often missed, and lips do not show it)."""
 
+NUM_MOMENTS = 64
+"""Moments of a voice that are known: 1.3 s, more than a loudspeaker's latency."""
+HELD_S = 0.5
+"""A voice of which nothing was mixed for so long is not heard any more (chosen)."""
 
-class Decoder(Protocol):
-    """What makes sound of packets; `voice.opus.OpusDecoder` does."""
+Moment = tuple[float, float, float]
+"""When 20 ms of a voice leave the loudspeaker, our clock, and when its first and its last sample
+were captured, microseconds of the sender's."""
 
-    def decode(self, payload: bytes | None) -> FloatArray:
-        """The sound of a packet; without a payload `FRAME` samples that conceal a loss."""
+
+class HeardVoice:
+    """Which moment of one voice is heard, by what was mixed of it."""
+
+    def __init__(self) -> None:
+        self._mixed: deque[Moment] = deque(maxlen=NUM_MOMENTS)
+
+    def receive(self, moment: Moment) -> None:
+        """Take what was mixed last."""
+        self._mixed.append(moment)
+
+    def at(self, now: float) -> int | None:
+        """The moment that leaves the loudspeaker at `now`, microseconds of the sender's clock; None
+        while there is none. What stands still, as in a stall, is heard at one moment."""
+        for leaves_s, first, last in reversed(tuple(self._mixed)):  # another thread adds to it
+            if leaves_s <= now:
+                share = min((now - leaves_s) / FRAME_S, 2.0)
+                return round(first + share * (last - first)) if now < leaves_s + HELD_S else None
+        return None
 
 
 @dataclass(kw_only=True, slots=True)
 class JitterBufferReport:
-    """Counters since the voice began, and how it stands."""
+    """Counters since the voice began."""
 
-    received: int = 0
     lost: int = 0
-    """Packets that never came, or were dropped because too many waited."""
-    late: int = 0
-    """Packets that came after their moment."""
-    refused: int = 0
-    """Packets that the codec does not take."""
+    """Packets that never came, came too late, or were refused by the codec."""
     played: int = 0
     """Frames decoded from packets."""
     concealed: int = 0
     """Frames made up where speech should have been."""
     stretched: int = 0
     """Ticks made shorter or longer."""
-    leaps: int = 0
-    delay_s: float = 0.0
-    """What the sound waits beyond the fastest transit."""
-    target_s: float = 0.0
-    """What it should wait."""
-    jitter_s: float = 0.0
 
     @property
     def concealed_ratio(self) -> float:
@@ -121,43 +132,47 @@ class JitterBuffer:
     """The jitter buffer of one voice; see the module for how it works.
 
     Attributes:
-        moments_us: When each sample of the last tick was captured, sender's clock. ``[FRAME]``.
+        report: How the voice came in.
+        waiting: Packets to be played, by number; at most `MAX_PACKETS`.
         moment: When the last tick leaves the loudspeaker, and its samples' moments; None while
             nothing is heard.
     """
 
-    def __init__(self, decoder: Decoder) -> None:
+    def __init__(self, decoder: OpusDecoder) -> None:
+        self.report = JitterBufferReport()
+        self.waiting: list[ReceivedFrame] = []
+        self.moment: Moment | None = None
         self._decoder = decoder
         self._sender = SenderClock(quantile=JITTER_QUANTILE)
         self._wait_s = self._fastest_s = math.inf  # to sound, and here, with the clocks' offset
-        self._report = JitterBufferReport()
-        self._waiting: list[ReceivedFrame] = []  # by number; at most MAX_PACKETS
         self._last_number: int | None = None
         self._end_s = 0.0  # of what the packets up to the last one told
         self._packet_s = FRAME_S  # how long the last one was
-        self._stood_in_s = 0.0  # for how much of what is missing after it there is a stand-in
         self._fifo = np.zeros((2, 0))  # samples, and the moment of each on the time line
         self._is_quiet, self._floor_rms = True, FIRST_FLOOR_RMS
-        self._num_broken = 0
         self._num_concealed = 0  # in a row
-        self._num_stood = 0  # of these, while time stood still
         self._is_starved = False  # silence stands where speech should be
         self._behind_s, self._rest_ticks = 0.0, 0
         self._offset_us = 0.0
-        self.moments_us: Float64Array = np.zeros(FRAME)
-        self.moment: Moment | None = None
         self._last_arrival_s = self._aimed_s = -math.inf
 
     def receive(self, packet: Frame, now: float) -> None:
         """Take a packet that arrived at `now`."""
-        self._report.received += 1
         self._last_arrival_s = now
-        self._place(self._sender.receive(packet, now))
-
-    def restart(self) -> None:
-        """Forget what waits: the voice was muted, and begins again with its next packet."""
-        self._waiting.clear()
-        self._is_quiet, self._is_starved, self._num_concealed = True, False, 0
+        received = self._sender.receive(packet, now)
+        transit, last = self._sender.transit, self._last_number
+        assert transit is not None
+        if last is not None and received.number > last + RESTART_FRAMES:
+            # It was muted, and begins again: what waits is forgotten.
+            self.waiting.clear()
+            self._is_quiet, self._is_starved, self._num_concealed = True, False, 0
+            self._last_number = last = None
+        transit.receive(received.media_s, received.arrived_s)
+        self._aim(transit, received.arrived_s)
+        is_late = last is not None and received.number <= last
+        if not is_late and received.number not in [each.number for each in self.waiting]:
+            insort(self.waiting, received, key=attrgetter("number"))
+            del self.waiting[:-MAX_PACKETS]
 
     def pull(self, now: float, latency_s: float = 0.0) -> FloatArray:
         """The next `FRAME` samples, float32.
@@ -167,8 +182,7 @@ class JitterBuffer:
                 drift of the loudspeaker's clock, and is stretched away.
             latency_s: Until the first sample leaves the loudspeaker.
         """
-        transit = self._sender.transit
-        if transit is None:
+        if self._wait_s == math.inf:  # no packet has come yet
             return np.zeros(FRAME, np.float32)
         should_s = now - self._wait_s
         self._leap(should_s)
@@ -176,27 +190,11 @@ class JitterBuffer:
         self._stretch(should_s)
         self._fill(FRAME, should_s)
         out, self._fifo = self._fifo[:, :FRAME], self._fifo[:, FRAME:]
-        self._report.delay_s = now - transit.fastest_s - float(out[1, 0])
-        self.moments_us = (out[1] - CODEC_DELAY_S) * 1e6 + self._offset_us
-        first, last = map(float, self.moments_us[[0, -1]])
+        first, last = ((out[1, [0, -1]] - CODEC_DELAY_S) * 1e6 + self._offset_us).tolist()
         is_heard = now - self._last_arrival_s <= SILENT_S
         self.moment = (now + latency_s, first, last) if is_heard else None
         sound: FloatArray = out[0].astype(np.float32)
         return sound
-
-    def report(self) -> JitterBufferReport:
-        """Counters since the voice began, and how it stands; do not change it."""
-        report = self._report
-        report.refused = self._num_broken
-        if (transit := self._sender.transit) is not None:
-            report.target_s = self._wait_s - transit.fastest_s
-            report.jitter_s = transit.jitter_s
-        return report
-
-    @property
-    def num_waiting(self) -> int:
-        """Packets that wait to be played."""
-        return len(self._waiting)
 
     def _aim(self, transit: Transit, now: float) -> None:
         """Wait longer at once, and less slowly.
@@ -219,52 +217,32 @@ class JitterBuffer:
         released_s = excess_s * (1 - math.exp(-elapsed_s / RELEASE_S))
         self._wait_s = max(self._wait_s - released_s, needed_s)
 
-    def _place(self, received: ReceivedFrame) -> None:
-        transit, last, report = self._sender.transit, self._last_number, self._report
-        assert transit is not None
-        if last is not None and received.number > last + RESTART_FRAMES:
-            self.restart()
-            self._last_number = last = None
-        transit.receive(received.media_s, received.arrived_s)
-        self._aim(transit, received.arrived_s)
-        place = bisect_left(self._waiting, received.number, key=attrgetter("number"))
-        if last is not None and received.number <= last:
-            report.late += 1
-        elif self._waiting[place : place + 1] and self._waiting[place].number == received.number:
-            return
-        else:
-            self._waiting.insert(place, received)
-            if len(self._waiting) > MAX_PACKETS:
-                report.lost += 1
-                del self._waiting[0]
-
     def _leap(self, should_s: float) -> None:
         """Leave out what is far too old, if there is something newer."""
-        if not self._waiting or self._behind(should_s) <= LEAP_S:
+        if not self.waiting or self._behind(should_s) <= LEAP_S:
             return
-        while len(self._waiting) > 1 and self._waiting[0].media_s + self._packet_s <= should_s:
-            self._report.lost += 1
-            del self._waiting[0]
-        if self._waiting[0].media_s + self._packet_s <= should_s:
+        while len(self.waiting) > 1 and self.waiting[0].media_s + self._packet_s <= should_s:
+            self.report.lost += 1
+            del self.waiting[0]
+        if self.waiting[0].media_s + self._packet_s <= should_s:
             return  # the newest is old as well, and better than nothing
-        self._report.leaps += 1
         left, self._fifo = self._fifo[0, : stretch.FADE], self._fifo[:, :0]
-        self._last_number, self._behind_s = self._waiting[0].number - 1, 0.0
-        self._end_s = self._waiting[0].media_s
+        self._last_number, self._behind_s = self.waiting[0].number - 1, 0.0
+        self._end_s = self.waiting[0].media_s
         self._decode_next()
         self._fifo[0, : len(left)] = stretch.crossfade(left, self._fifo[0, : len(left)])
 
     def _behind(self, should_s: float) -> float:
         """How much later than it should be the next sound is played."""
         waits_s = self._fifo.shape[1] / RATE_HZ
-        if self._waiting and not self._is_gap:
-            return should_s + waits_s - self._waiting[0].media_s
+        if self.waiting and not self._is_gap:
+            return should_s + waits_s - self.waiting[0].media_s
         return should_s - float(self._fifo[1, 0]) if waits_s else 0.0
 
     @property
     def _is_gap(self) -> bool:
         """Whether the next packet was captured after a silence."""
-        return self._waiting[0].media_s > self._end_s + 0.25 * FRAME_S
+        return self.waiting[0].media_s > self._end_s + 0.25 * FRAME_S
 
     def _fill(self, num_samples: int, should_s: float) -> None:
         """Make sure that so many samples can be played."""
@@ -273,27 +251,23 @@ class JitterBuffer:
 
     def _append_next(self, due_s: float) -> None:
         """Append something that should be played at that moment of the time line."""
-        if not self._waiting:
-            if self._is_quiet or self._num_concealed >= MAX_CONCEALED:
-                self._is_starved |= not self._is_quiet
-                begin_s, rate = (self._end_s, 0.0) if self._is_starved else (due_s, 1.0)
-                self._append_silence(begin_s, FRAME, rate)
-            else:
-                self._num_stood += 1
+        if not self.waiting:
+            if not self._is_quiet and self._num_concealed < MAX_CONCEALED:
                 self._conceal(self._end_s)
+                return
+            self._is_starved |= not self._is_quiet
+            begin_s, rate = (self._end_s, 0.0) if self._is_starved else (due_s, 1.0)
+            self._append_silence(begin_s, FRAME, rate)
             return
-        following, last = self._waiting[0], self._last_number
+        following, last = self.waiting[0], self._last_number
         num_missing = 0 if last is None else following.number - last - 1
-        is_hole = self._is_gap and self._stood_in_s + 0.001 < num_missing * self._packet_s
-        if is_hole and (self._num_stood or self._num_concealed < MAX_CONCEALED):
-            if self._num_stood:
-                self._num_stood -= 1  # what was made up stands for what is lost, as turns out now
-            else:
-                self._conceal(self._end_s)
-            self._stood_in_s += FRAME_S
+        # What was made up while nothing was there stands for what is lost, as turns out now.
+        num_frames = min(round(num_missing * self._packet_s / FRAME_S), MAX_CONCEALED)
+        if self._is_gap and self._num_concealed < num_frames:
+            self._conceal(self._end_s)
             self._end_s += FRAME_S
         elif (last is None or self._is_gap) and following.media_s > due_s + 0.001:
-            self._report.lost += num_missing
+            self.report.lost += num_missing
             self._last_number = following.number - 1
             wait_s = following.media_s - due_s
             self._append_silence(due_s, min(round(wait_s * RATE_HZ), FRAME))
@@ -305,38 +279,33 @@ class JitterBuffer:
         self._fifo = np.concatenate([self._fifo, np.stack([sound, moments])], axis=1)
 
     def _append_silence(self, begin_s: float, num_samples: int, rate: float = 1.0) -> None:
-        self._report.concealed += self._is_starved
+        self.report.concealed += self._is_starved
         self._append(np.zeros(num_samples), begin_s, rate)
 
     def _conceal(self, begin_s: float) -> None:
         self._num_concealed += 1
-        self._report.concealed += 1
-        rate = 1.0 if self._waiting else 0.0  # with nothing there, time stands still
-        try:
-            sound = self._decoder.decode(None)
-        except VoiceError:
-            sound = np.zeros(FRAME, np.float32)
-        self._append(sound, begin_s, rate)
+        self.report.concealed += 1
+        rate = 1.0 if self.waiting else 0.0  # with nothing there, time stands still
+        self._append(self._decoder.decode(None), begin_s, rate)
 
     def _decode_next(self) -> None:
-        packet, last = self._waiting.pop(0), self._last_number
-        self._report.lost += 0 if last is None else packet.number - last - 1
-        self._last_number, self._stood_in_s = packet.number, 0.0
+        packet, last = self.waiting.pop(0), self._last_number
+        self.report.lost += 0 if last is None else packet.number - last - 1
+        self._last_number = packet.number
         self._offset_us = packet.captured_us - packet.media_s * 1e6
-        self._end_s = packet.media_s + FRAME_S
         self._is_starved = False
         try:
             sound = self._decoder.decode(packet.payload)
         except VoiceError:
-            self._num_broken += 1
+            self.report.lost += 1
+            self._end_s = packet.media_s + FRAME_S
             self._conceal(packet.media_s)
             return
         self._packet_s = len(sound) / RATE_HZ
         self._end_s = packet.media_s + self._packet_s
-        self._num_concealed = self._num_stood = 0
-        self._report.played += len(sound) // FRAME
-        ending = sound[-FRAME:]
-        rms = float(np.sqrt(np.mean(np.square(ending))))
+        self._num_concealed = 0
+        self.report.played += len(sound) // FRAME
+        rms = _rms(sound[-FRAME:])
         self._floor_rms = min(rms, self._floor_rms * FLOOR_RISE + 1e-6)
         self._is_quiet = self._sounds_quiet(rms)
         self._append(sound, packet.media_s)
@@ -349,12 +318,12 @@ class JitterBuffer:
         self._behind_s += 0.3 * (self._behind(should_s) - self._behind_s)
         behind_s = self._behind_s
         if behind_s > 0:  # what is left out must be there
-            while self._fifo.shape[1] < FRAME + stretch.NEEDED and self._waiting:
+            while self._fifo.shape[1] < FRAME + stretch.NEEDED and self.waiting:
                 if self._is_gap:
                     break
                 self._decode_next()
         sound = self._fifo[0, : stretch.NEEDED]
-        is_quiet = self._sounds_quiet(float(np.sqrt(np.mean(np.square(sound)))))
+        is_quiet = self._sounds_quiet(_rms(sound))
         self._rest_ticks -= 1
         least_s = QUIET_ERROR_S if is_quiet else VOICED_ERROR_S
         if abs(behind_s) < least_s or (self._rest_ticks > 0 and not is_quiet):
@@ -368,6 +337,11 @@ class JitterBuffer:
             return
         change = stretch.shorten if behind_s > 0 else stretch.lengthen
         self._fifo = change(self._fifo, lag)
-        self._report.stretched += 1
+        self.report.stretched += 1
         self._behind_s -= lag / RATE_HZ * np.sign(behind_s)
         self._rest_ticks = 1 if abs(behind_s) > 0.1 else 2 if abs(behind_s) > 0.04 else 4
+
+
+def _rms(sound: Array) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(np.square(sound))))

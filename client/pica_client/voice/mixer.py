@@ -7,12 +7,14 @@ what is heard on its own. `mix` is called every 20 ms.
 import math
 import threading
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
-from pica_client.voice.jitter_buffer import Decoder, JitterBuffer, JitterBufferReport
+from pica_client.voice.jitter_buffer import JitterBuffer
+from pica_client.voice.opus import OpusDecoder
 from pica_client.voice.packet import FRAME_SAMPLES, MAX_LEVEL, level_of
-from pica_client.voice.sound.settings import MAX_VOLUME, Moment
+from pica_client.voice.sound.settings import MAX_VOLUME, MixedVoice
 from pica_client.voice.stretch import crossfade
 from pica_core.types import Array, FloatArray
 from pica_protocol.frames import Frame
@@ -58,7 +60,7 @@ def _heard(whole: Array, azimuth_rad: float) -> Array:
 class _Voice:
     """One person's voice at this end."""
 
-    def __init__(self, decoder: Decoder) -> None:
+    def __init__(self, decoder: OpusDecoder) -> None:
         self.buffer = JitterBuffer(decoder)
         self.seat = _Seat()
         self.level = MAX_LEVEL
@@ -75,7 +77,7 @@ class VoiceMixer:
             recording. float32 ``[FRAME_SAMPLES, 2]``.
     """
 
-    def __init__(self, make_decoder: Callable[[], Decoder]) -> None:
+    def __init__(self, make_decoder: Callable[[], OpusDecoder] = OpusDecoder) -> None:
         self.volume, self.level = 1.0, MAX_LEVEL
         self.is_spatial = True
         self.on_mixed: Callable[[FloatArray, float], None] | None = None
@@ -133,21 +135,13 @@ class VoiceMixer:
             self.on_mixed(limited, now + latency_s)
         return limited
 
-    def moments(self) -> dict[str, Moment]:
-        """What was mixed last of each voice that can be heard."""
+    def voices(self) -> dict[str, MixedVoice]:
+        """What was mixed last of each voice, by peer id."""
         with self._lock:
-            found = {peer_id: voice.buffer.moment for peer_id, voice in self._voices.items()}
-        return {peer_id: moment for peer_id, moment in found.items() if moment is not None}
-
-    def levels(self) -> dict[str, int]:
-        """How loud each voice was in the last 20 ms: decibels below full scale, 0 to 126."""
-        with self._lock:
-            return {peer_id: voice.level for peer_id, voice in self._voices.items()}
-
-    def stats(self) -> dict[str, JitterBufferReport]:
-        """How each voice came in, by peer id."""
-        with self._lock:
-            return {peer_id: voice.buffer.report() for peer_id, voice in self._voices.items()}
+            return {
+                peer_id: MixedVoice(voice.level, voice.buffer.moment, replace(voice.buffer.report))
+                for peer_id, voice in self._voices.items()
+            }
 
 
 def limit(sound: Array) -> Array:

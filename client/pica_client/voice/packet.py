@@ -21,9 +21,9 @@ FRAME_S: Final = FRAME_US / 1e6
 """What is captured and played at once."""
 PACKET_FRAMES: Final = 2
 """Frames in one packet, at most (chosen: two cost 20 ms of delay and save what surrounds every
-other message, 63 bytes each 40 ms; PESQ and STOI are the same)."""
+other message, 63 bytes each 40 ms; PESQ is the same)."""
 MAX_OPUS_BYTES: Final = 1000
-"""The longest packet that is decoded (chosen; 128 kbit/s take 640 bytes)."""
+"""The longest packet that is encoded (chosen; 128 kbit/s take 640 bytes)."""
 MAX_LEVEL: Final = 126
 """The softest level, see `level_of`."""
 

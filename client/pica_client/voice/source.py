@@ -2,7 +2,7 @@
 
 import asyncio
 import math
-import struct
+import wave
 from collections.abc import AsyncIterator
 from importlib.resources import as_file, files
 from importlib.util import find_spec
@@ -64,35 +64,14 @@ class SoundSource:
             index += 1 + (math.floor(late) if late * FRAME_S > _LATEST_S else 0)
 
 
-class MicrophoneSource:
-    """A microphone; a `publisher.VoiceSource`. What is wrong with it is said whenever that changes.
-
-    Args:
-        name: Of the device; empty is the system's default.
-        cleans: Whether to take noise out of it, where the extra ``echo`` is installed.
-    """
-
-    def __init__(self, name: str, *, cleans: bool) -> None:
-        settings = SoundSettings(microphone=name, speaker=NO_DEVICE, cleans=cleans)
-        self._sound = SoundProcess(settings)
-        self._sound.on_trouble = lambda note: say(note or "the microphone is there again")
-
-    async def frames(self, stopping: asyncio.Event) -> AsyncIterator[tuple[FloatArray, int]]:
-        """Return 20 ms after 20 ms; see `VoiceSource.frames`."""
-        try:
-            async for frame in self._sound.frames(stopping):
-                yield frame
-        finally:
-            await asyncio.to_thread(self._sound.close)
-
-
 def open_voice(text: str, *, cleans: bool = True) -> VoiceSource | None:
     """Open what the option ``--voice`` names; None: no voice.
 
     Args:
         text: ``none``; ``speech``, the sentences that ship, or ``speech#K/N``, the K-th of N who
             take turns with them; ``mic``, the system's microphone, or ``mic:NAME``; or a WAV file.
-        cleans: See `MicrophoneSource`.
+        cleans: Whether to take noise out of what the microphone hears, where the extra ``echo`` is
+            installed. What is wrong with the microphone is said whenever that changes.
 
     Raises:
         ModuleNotFoundError: A microphone needs the extra ``voice``.
@@ -105,7 +84,9 @@ def open_voice(text: str, *, cleans: bool = True) -> VoiceSource | None:
     if kind == "mic":
         if find_spec("soundcard") is None:
             raise ModuleNotFoundError(NO_LIBRARY, name="soundcard")
-        return MicrophoneSource(device, cleans=cleans)
+        sound = SoundProcess(SoundSettings(microphone=device, speaker=NO_DEVICE, cleans=cleans))
+        sound.on_trouble = lambda note: say(note or "the microphone is there again")
+        return sound
     name, mark, turns = text.partition("#")
     if name != "speech":
         return SoundSource(read_wav(Path(text)))
@@ -133,47 +114,21 @@ def read_wav(path: Path) -> FloatArray:
         SourceError: It is no WAV file of 16 bits a sample, or longer than `MAX_SECONDS`.
     """
     try:
-        with path.open("rb") as file:
-            content = file.read(MAX_SECONDS * MAX_RATE_HZ * 4)
-    except OSError as error:
-        raise SourceError(f"{path}: no WAV file of PCM sound: {error.strerror}") from error
-    form, data = _wav_chunks(content)
-    if form is None:
-        raise SourceError(f"{path}: no WAV file of PCM sound")
-    channels, rate_hz, bits = form
-    if bits != 16:
-        raise SourceError(f"{path}: {bits} bits a sample; 16 are needed")
+        with wave.open(str(path), "rb") as file:
+            channels, width, rate_hz, *_ = file.getparams()
+            data = file.readframes(MAX_SECONDS * MAX_RATE_HZ)
+    except (OSError, EOFError, wave.Error) as error:
+        raise SourceError(f"{path}: no WAV file of PCM sound: {error}") from error
+    if width != 2:
+        raise SourceError(f"{path}: {8 * width} bits a sample; 16 are needed")
     if not MIN_RATE_HZ <= rate_hz <= MAX_RATE_HZ:
         raise SourceError(f"{path}: {rate_hz} Hz; {MIN_RATE_HZ} to {MAX_RATE_HZ} are allowed")
-    samples = np.frombuffer(data[: len(data) // 2 * 2], "<i2")
-    if len(samples) < max(channels, 1) or not channels:
-        raise SourceError(f"{path}: no sound in it")
-    if len(samples) > MAX_SECONDS * rate_hz * channels:
-        seconds = len(samples) / rate_hz / channels
-        raise SourceError(f"{path}: {seconds:.0f} s; {MAX_SECONDS} at most")
-    sound = samples[: len(samples) // channels * channels].reshape(-1, channels).mean(axis=1)
+    frames = np.frombuffer(data[: len(data) // (2 * channels) * 2 * channels], "<i2")
+    sound = frames.reshape(-1, channels).mean(axis=1)
+    if not 0 < len(sound) <= MAX_SECONDS * rate_hz:
+        seconds = len(sound) / rate_hz
+        raise SourceError(f"{path}: {seconds:.0f} s of sound; above 0 to {MAX_SECONDS} are played")
     return resampled((sound / 32768).astype(np.float32), rate_hz, RATE_HZ)
-
-
-_PCM, _EXTENSIBLE = 1, 0xFFFE
-"""Tags of a WAV file's format; the extensible one holds the true tag in its GUID."""
-
-
-def _wav_chunks(content: bytes) -> tuple[tuple[int, int, int] | None, bytes]:
-    """Channels, rate in Hz and bits of a sample, if this is PCM sound; and its bytes."""
-    form, at = None, 12
-    while content[:4] == b"RIFF" and content[8:12] == b"WAVE" and at + 8 <= len(content):
-        name, size = struct.unpack_from("<4sI", content, at)
-        body = content[at + 8 : at + 8 + size]
-        if name == b"data":
-            return form, body or content[at + 8 :]
-        if name == b"fmt " and len(body) >= 16:
-            tag, channels, rate_hz, _, _, bits = struct.unpack_from("<HHIIHH", body)
-            if tag == _EXTENSIBLE and len(body) >= 26:
-                (tag,) = struct.unpack_from("<H", body, 24)
-            form = (channels, rate_hz, bits) if tag == _PCM else None
-        at += 8 + size + size % 2
-    return None, b""
 
 
 def resampled(sound: FloatArray, rate_hz: int, to_hz: int) -> FloatArray:

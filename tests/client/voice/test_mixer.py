@@ -70,10 +70,10 @@ def test_who_left_is_forgotten_and_no_more_people_are_heard_than_fit():
     mixer = mixer_of(hum(1))
     for index in range(MAX_VOICES + 3):
         mixer.receive(f"peer{index}", packet(0), 0.1)
-    assert len(mixer.levels()) == MAX_VOICES
+    assert len(mixer.voices()) == MAX_VOICES
     mixer.seat({"peer1": 0.0})
     mixer.mix(0.2)
-    assert set(mixer.levels()) == {"peer1"}
+    assert set(mixer.voices()) == {"peer1"}
 
 
 def test_the_mix_is_handed_on_as_it_leaves_the_loudspeaker():
@@ -92,7 +92,7 @@ def test_an_echo_of_what_is_played_is_taken_out_of_the_microphone():
     speech = shipped_speech()[: 4 * SAMPLE_RATE_HZ]
     echo = np.zeros_like(speech)
     echo[2880:] = 0.5 * speech[:-2880]
-    canceller = EchoCanceller(gain_control=False)
+    canceller = EchoCanceller()
     canceller.set_delay(0.06)
     left = []
     for played, heard_back in zip(

@@ -1,6 +1,5 @@
 """Sounds of files that are sent as a voice: of any rate and number of channels, or refused."""
 
-import struct
 import wave
 from pathlib import Path
 
@@ -34,10 +33,6 @@ def test_any_rate_and_number_of_channels_become_48_khz_of_one(
     assert np.abs(sound - expected)[1000:-1000].max() < 0.01
 
 
-def cut(path: Path, num_bytes: int) -> None:
-    path.write_bytes(path.read_bytes()[:num_bytes])
-
-
 def test_what_is_no_wav_file_is_refused_in_one_line(tmp_path: Path) -> None:
     path = tmp_path / "a.wav"
     for data in (b"", b"RIFF", b"\0" * 100, b"ID3 an MP3" * 20, b"RIFF\xff\xff\xff\xffWAVEfmt "):
@@ -53,39 +48,22 @@ def test_what_is_no_wav_file_is_refused_in_one_line(tmp_path: Path) -> None:
     with wave.open(str(path), "wb") as file:
         file.setparams((1, 2, 8_000, 0, "NONE", ""))
         file.writeframes(bytes(2 * 8_000 * (MAX_SECONDS + 1)))
-    with pytest.raises(SourceError, match=f"{MAX_SECONDS} at most"):
+    with pytest.raises(SourceError, match=f"to {MAX_SECONDS} are played"):
         read_wav(path)
 
 
-@pytest.mark.parametrize("num_bytes", [0, 0xFFFFFFFF])
-def test_a_length_that_was_never_written_is_that_of_the_file(
-    tmp_path: Path, num_bytes: int
-) -> None:
+def test_a_length_that_was_never_written_is_that_of_the_file(tmp_path: Path) -> None:
     path = wav(tmp_path / "a.wav", 48_000, 1)
     content = bytearray(path.read_bytes())
-    content[40:44] = num_bytes.to_bytes(4, "little")
+    content[40:44] = b"\xff" * 4
     path.write_bytes(content)
     assert len(read_wav(path)) == 24_000
-
-
-@pytest.mark.parametrize(("subtype", "is_read"), [(1, True), (3, False)])
-def test_pcm_is_read_under_the_extensible_tag(tmp_path: Path, subtype: int, is_read: bool) -> None:
-    path = wav(tmp_path / "a.wav", 48_000, 1)
-    content = path.read_bytes()
-    guid = subtype.to_bytes(2, "little") + bytes.fromhex("000000001000800000aa00389b71")
-    form = b"\xfe\xff" + content[22:36] + struct.pack("<HHI", 22, 16, 4) + guid
-    path.write_bytes(content[:16] + struct.pack("<I", len(form)) + form + content[36:])
-    if is_read:
-        assert len(read_wav(path)) == 24_000
-    else:
-        with pytest.raises(SourceError, match="no WAV file of PCM"):
-            read_wav(path)
 
 
 def test_a_file_that_is_cut_off_is_played_as_far_as_it_goes_or_refused(tmp_path: Path) -> None:
     for num_bytes in (44, 45, 46, 47, 1001):
         path = wav(tmp_path / "a.wav")
-        cut(path, num_bytes)
+        path.write_bytes(path.read_bytes()[:num_bytes])
         try:
             sound = read_wav(path)
         except SourceError:

@@ -101,7 +101,11 @@ class _Device(ABC):
             try:
                 if self._is_changed.is_set() or (stream is None and time.monotonic() >= retry_s):
                     self._is_changed.clear()
-                    stream = self._changed(stream)
+                    before, stream = stream, None
+                    if before is not None:
+                        before.__exit__(None, None, None)
+                    self._num_frames = 0
+                    stream, self.state = self._open(self._wanted)
                 if stream is None:
                     self._idle()
                 else:
@@ -115,20 +119,6 @@ class _Device(ABC):
                 retry_s = time.monotonic() + (AT_ONCE_S if is_lost else RETRY_S)
         if stream is not None:
             stream.__exit__(None, None, None)
-
-    def _changed(self, before: Any) -> Any:
-        """Open the wanted device and close the one before, which goes on where that fails."""
-        try:
-            stream, state = self._open(self._wanted)
-        except Exception as error:
-            if before is None:
-                raise
-            self.state = replace(self.state, note=f"{self.state.name!r} goes on: {error}")
-            return before
-        self.state, self._num_frames = state, 0
-        if before is not None:
-            before.__exit__(None, None, None)
-        return stream
 
     def _idle(self) -> None:
         """Pass the time of a frame without a device."""

@@ -11,8 +11,8 @@ from collections import defaultdict
 from collections.abc import AsyncIterator, Callable, Mapping
 from typing import Any, Final
 
-from pica_client.voice.jitter_buffer import JitterBufferReport
-from pica_client.voice.sound.settings import DeviceState, HeardVoice, SoundSettings, SoundState
+from pica_client.voice.jitter_buffer import HeardVoice
+from pica_client.voice.sound.settings import DeviceState, SoundSettings, SoundState
 from pica_client.voice.sound.worker import Outbox
 from pica_core.types import FloatArray
 from pica_protocol.frames import Frame
@@ -30,19 +30,16 @@ class SoundProcess:
 
     Attributes:
         state: How sound stood a moment ago.
-        on_mixed: Is given what is mixed and when it leaves the loudspeaker, as
-            `VoiceMixer.on_mixed`, on a thread of its own; `hand_on` switches it.
         on_frame: Is given what the microphone captures while it is used, 20 ms and when the first
-            sample was captured, microseconds, on that thread.
+            sample was captured, microseconds, on a thread of its own.
         on_trouble: Is given what is wrong with a device whenever that changes, on that thread;
             empty: nothing.
     """
 
     def __init__(self, settings: SoundSettings | None = None) -> None:
         self.state = SoundState()
-        self.on_mixed: Callable[[FloatArray, float], None] = lambda sound, leaves_s: None
+        self._on_mixed: Callable[[FloatArray, float], None] | None = None
         self.on_trouble: Callable[[str], None] = lambda trouble: None
-        self._stats: Mapping[str, JitterBufferReport] = {}
         self._lock = threading.Lock()
         self._process: subprocess.Popen[bytes] | None = None
         self._reading: threading.Thread | None = None
@@ -77,9 +74,11 @@ class SoundProcess:
         """Make people louder or softer, by peer id: 1 is as sent, 0 mutes them here."""
         self._last("set_volumes", dict(volumes))
 
-    def hand_on(self, is_wanted: bool) -> None:
-        """Call `on_mixed` from now on, or no longer."""
-        self._last("hand_on", is_wanted)
+    def hand_mix_to(self, on_mixed: Callable[[FloatArray, float], None] | None) -> None:
+        """Give something what is mixed from now on and when it leaves the loudspeaker, as
+        `VoiceMixer.on_mixed`, on that thread; None: nothing."""
+        self._on_mixed = on_mixed
+        self._last("hand_on", on_mixed is not None)
 
     def receive(self, peer_id: str, packet: Frame, arrived_s: float) -> None:
         """Take a packet of a peer's voice."""
@@ -118,10 +117,6 @@ class SoundProcess:
         """The moment of a peer's voice that leaves the loudspeaker; see `HeardVoice`."""
         voice = self._heard.get(peer_id)
         return None if voice is None else voice.at(now)
-
-    def stats(self) -> Mapping[str, JitterBufferReport]:
-        """How each voice came in, by peer id, half a second ago."""
-        return self._stats
 
     def close(self) -> None:
         """End it; twice is once."""
@@ -189,14 +184,13 @@ class SoundProcess:
         match message:
             case SoundState():
                 before, self.state = self.state, message
-                self._stats = message.stats or self._stats
-                for peer_id, moment in message.moments.items():
-                    self._heard[peer_id].receive(moment)
+                for peer_id, voice in message.voices.items():
+                    if voice.moment is not None:
+                        self._heard[peer_id].receive(voice.moment)
                 if message.trouble != before.trouble:
                     self.on_trouble(message.trouble)
             case ("captured", sound, captured_us):
                 self.on_frame(sound, captured_us)
             case ("mixed", sound, leaves_s):
-                self.on_mixed(sound, leaves_s)
-            case _:
-                pass
+                if self._on_mixed is not None:
+                    self._on_mixed(sound, leaves_s)

@@ -1,12 +1,12 @@
 """What the user sets of sound, and how sound stands. Pure data, which also travels by pickle."""
 
-from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Final
 
 from pica_client.errors import OptionError
-from pica_client.voice.packet import FRAME_S, MAX_LEVEL
+from pica_client.voice.jitter_buffer import JitterBufferReport, Moment
+from pica_client.voice.packet import MAX_LEVEL
 
 MAX_VOLUME: Final = 4.0
 """Largest volume of one voice or of all: 12 dB."""
@@ -14,10 +14,6 @@ MAX_DEVICE_NAME: Final = 256
 NO_DEVICE: Final = "none"
 """The loudspeaker that makes no sound: voices are played all the same, and can be recorded."""
 NO_LIBRARY: Final = "no sound system: SoundCard is not installed; install the extra voice"
-NUM_MOMENTS: Final = 64
-"""Moments of a voice that are known: 1.3 s, more than a loudspeaker's latency."""
-HELD_S: Final = 0.5
-"""A voice of which nothing was mixed for so long is not heard any more (chosen)."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -62,29 +58,15 @@ class DeviceState:
     """What the device and its system say of themselves; 0 where they do not."""
 
 
-Moment = tuple[float, float, float]
-"""When 20 ms of a voice leave the loudspeaker, our clock, and when its first and its last sample
-were captured, microseconds of the sender's."""
+@dataclass(frozen=True, slots=True)
+class MixedVoice:
+    """One voice in the last 20 ms."""
 
-
-class HeardVoice:
-    """Which moment of one voice is heard, by what was mixed of it."""
-
-    def __init__(self) -> None:
-        self._mixed: deque[Moment] = deque(maxlen=NUM_MOMENTS)
-
-    def receive(self, moment: Moment) -> None:
-        """Take what was mixed last."""
-        self._mixed.append(moment)
-
-    def at(self, now: float) -> int | None:
-        """The moment that leaves the loudspeaker at `now`, microseconds of the sender's clock; None
-        while there is none. What stands still, as in a stall, is heard at one moment."""
-        for leaves_s, first, last in reversed(tuple(self._mixed)):  # another thread adds to it
-            if leaves_s <= now:
-                share = min((now - leaves_s) / FRAME_S, 2.0)
-                return round(first + share * (last - first)) if now < leaves_s + HELD_S else None
-        return None
+    level: int
+    """How loud it was, see `voice.packet.level_of`."""
+    moment: Moment | None
+    """None while nothing is heard of it."""
+    report: JitterBufferReport
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -101,12 +83,8 @@ class SoundState:
     microphones: tuple[str, ...] = ()
     cleaning: str = ""
     """Why the microphone cannot be cleaned of echo; empty: it can."""
-    levels: Mapping[str, int] = field(default_factory=dict)
-    """How loud each voice was, by peer id, see `voice.packet.level_of`."""
-    moments: Mapping[str, Moment] = field(default_factory=dict)
-    """What was just mixed of each voice that is heard, by peer id."""
-    stats: Mapping[str, Any] = field(default_factory=dict)
-    """See `VoiceMixer.stats`; twice a second."""
+    voices: Mapping[str, MixedVoice] = field(default_factory=dict)
+    """By peer id."""
 
     @property
     def trouble(self) -> str:

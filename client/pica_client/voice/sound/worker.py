@@ -25,7 +25,6 @@ import numpy as np
 
 from pica_client.errors import VoiceError
 from pica_client.voice.mixer import VoiceMixer
-from pica_client.voice.opus import OpusDecoder
 from pica_client.voice.packet import FRAME_SAMPLES, SAMPLE_RATE_HZ
 from pica_client.voice.sound.devices import RETRY_S, Loudspeaker, Microphone, microphones, speakers
 from pica_client.voice.sound.settings import SoundSettings, SoundState
@@ -33,7 +32,6 @@ from pica_core.types import Array, FloatArray
 
 MAX_WAITING = 500
 """Messages that wait for the other end, which reads as fast as it can; more are dropped."""
-STATS_TICKS = 25
 NICENESS = -10
 """Sound must come in time, and takes little of it; where the system lets us say so."""
 PART = FRAME_SAMPLES // 2
@@ -70,14 +68,13 @@ class Outbox:
 
 class EchoCanceller:
     """Takes out of a microphone what the loudspeaker put into it, and noise, and evens out its
-    loudness: WebRTC's own, in the `livekit` wheel. `play` and `clean` may be on threads of their
-    own.
+    loudness: WebRTC's own, in the `livekit` wheel. `play` and `clean` are on threads of their own.
 
     Raises:
         VoiceError: The extra is missing; names the line that installs it.
     """
 
-    def __init__(self, *, gain_control: bool = True) -> None:
+    def __init__(self) -> None:
         try:
             from livekit import rtc
         except ImportError as error:
@@ -89,7 +86,7 @@ class EchoCanceller:
             echo_cancellation=True,
             noise_suppression=True,
             high_pass_filter=True,
-            auto_gain_control=gain_control,
+            auto_gain_control=True,
         )
         self._lock = threading.Lock()
 
@@ -127,7 +124,7 @@ class SoundWorker:
 
     def __init__(self, outbox: Outbox) -> None:
         self._outbox = outbox
-        self._mixer = mixer = VoiceMixer(OpusDecoder)
+        self._mixer = mixer = VoiceMixer()
         self.receive, self.seat, self.set_volumes = mixer.receive, mixer.seat, mixer.set_volumes
         self._loudspeaker = Loudspeaker(self._mixer)
         self._loudspeaker.on_played = self._played
@@ -135,7 +132,6 @@ class SoundWorker:
         self._canceller: EchoCanceller | None = None
         self._no_cleaning = ""
         self._names: tuple[tuple[str, ...], tuple[str, ...]] = ((), ())
-        self._ticks = 0
         self._stopping = threading.Event()
 
     def __enter__(self) -> Self:
@@ -187,16 +183,13 @@ class SoundWorker:
         if canceller is not None and microphone is not None:
             canceller.set_delay(speaker.latency_s + microphone.state.latency_s)
             canceller.play(sound)
-        self._ticks += 1
         state = SoundState(
             speaker=speaker,
             speaker_level=mixer.level,
             speakers=self._names[0],
             microphones=self._names[1],
             cleaning=self._no_cleaning,
-            levels=mixer.levels(),
-            moments=mixer.moments(),
-            stats=mixer.stats() if self._ticks % STATS_TICKS == 0 else {},
+            voices=mixer.voices(),
         )
         if microphone is not None:
             state = replace(state, microphone=microphone.state, microphone_level=microphone.level)

@@ -45,8 +45,7 @@ def test_another_loudspeaker_takes_over_and_one_unplugged_is_replaced(
     sound: SoundProcess,
 ) -> None:
     leaves_s: list[float] = []
-    sound.on_mixed = lambda mix, at_s: leaves_s.append(at_s)
-    sound.hand_on(True)
+    sound.hand_mix_to(lambda mix, at_s: leaves_s.append(at_s))
     sound.follow(SoundSettings(speaker="Mono44k"))
     assert until(lambda: sound.state.speaker.name == "Mono44k")
     assert until(lambda: len(leaves_s) > 20)
@@ -65,7 +64,9 @@ def test_what_is_said_is_heard_seen_on_meters_and_followed_by_faces(sound: Sound
     assert until(lambda: sound.state.microphone.name == "Monitor of Speaker")
     sound.seat({"ann": 0.0})
     assert max(say(sound, 2.0)) < 40
-    now = sound.state.moments["ann"][0]
+    moment = sound.state.voices["ann"].moment
+    assert moment is not None
+    now = moment[0]
     heard_us = sound.heard_us("ann", now)
     assert heard_us is not None
     assert 0.0 < now - heard_us / 1e6 < 0.6
@@ -75,7 +76,7 @@ def test_what_is_said_is_heard_seen_on_meters_and_followed_by_faces(sound: Sound
     sound.set_volumes({"ann": 1.0})
     sound.play_test()
     assert until(lambda: sound.state.microphone_level < 40)
-    assert set(sound.stats()) == {"ann"}
+    assert set(sound.state.voices) == {"ann"}
     sound.use_microphone(False)
 
 

@@ -1,4 +1,4 @@
-"""A sound library that cannot be imported, for two threads at once; microphones that are busy."""
+"""A sound library that cannot be imported, for two threads at once; times of a microphone."""
 
 import sys
 import threading
@@ -39,7 +39,7 @@ class Stream:
     latency = 0.12
 
     def __init__(self) -> None:
-        self.now, self.is_open = 100.0, True
+        self.now = 100.0
 
     def record(self, count: int) -> np.ndarray:
         self.now += count / SAMPLE_RATE_HZ
@@ -47,41 +47,18 @@ class Stream:
         return np.zeros((count, 1), np.float32)
 
     def __exit__(self, *_: object) -> None:
-        self.is_open = False
+        """It is closed."""
 
 
 @pytest.fixture
 def stream(monkeypatch: pytest.MonkeyPatch) -> Stream:
-    """That of "there", one of two microphones; the other, "busy", is refused."""
+    """That of "there", the only microphone."""
     stream = Stream()
-
-    def refuse(*_: object, **__: object) -> None:
-        raise OSError("device is busy")
-
     there = SimpleNamespace(name="there", recorder=lambda *_, **__: nullcontext(stream))
-    busy = SimpleNamespace(name="busy", recorder=refuse)
-    card = SimpleNamespace(all_microphones=lambda: [there, busy], default_microphone=lambda: there)
+    card = SimpleNamespace(all_microphones=lambda: [there], default_microphone=lambda: there)
     monkeypatch.setattr(devices, "_soundcard", lambda: card)
     monkeypatch.setattr(devices, "time", SimpleNamespace(monotonic=lambda: stream.now))
     return stream
-
-
-def test_a_microphone_goes_on_where_the_next_one_cannot_be_opened(stream: Stream) -> None:
-    opened, goes_on = threading.Event(), threading.Event()
-    microphone = Microphone(
-        lambda *_: (goes_on if microphone.state.note else opened).set(), "there"
-    )
-    microphone.start()
-    try:
-        assert opened.wait(20)
-        microphone.choose("busy")
-        assert goes_on.wait(20)
-        assert microphone.state.name == "there"
-        assert microphone.state.note == "'there' goes on: device is busy"
-        assert stream.is_open
-    finally:
-        microphone.stop()
-    assert not stream.is_open
 
 
 def test_each_frame_that_is_given_says_when_it_was_captured(stream: Stream) -> None:

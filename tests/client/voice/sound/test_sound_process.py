@@ -87,6 +87,7 @@ def test_a_sender_hears_its_microphone_and_is_told_what_is_wrong_with_it(
         async for _, captured_us in microphone.frames(stopping):
             stopping.set()
             found = captured_us
+        microphone.close()
         return found
 
     assert asyncio.run(hear()) == 1_234_567

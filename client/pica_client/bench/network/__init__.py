@@ -1,1 +1,0 @@
-"""Troubled networks for benches: a model on a virtual clock, and a proxy on loopback."""
