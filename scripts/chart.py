@@ -293,7 +293,6 @@ def chart_voice() -> None:
     columns: dict[str, Column] = {
         "condition": "condition",
         "PESQ": lambda row: None if row["pesq"] is None else f"{row['pesq']:.2f}",
-        "STOI": "{stoi:.3f}",
         "mouth to ear p50/p95, ms": lambda row: joined(row["mouth_to_ear_ms"], ("p50", "p95"), 0),
         "skew p95, ms": lambda row: f"{row['skew_ms']['p95']:.0f}",
         "concealed": "{concealed_ratio:.1%}",
@@ -320,7 +319,6 @@ def chart_drive() -> None:
         "MSE at 64 / 128 / 256": cell("mse", "{:.1f}"),
         "lids, mm": lambda row: f"{row['levels'][-1]['lid_mm']:.2f}",
         "lips, mm": lambda row: f"{row['levels'][-1]['lip_mm']:.2f}",
-        "poke at 64": lambda row: f"{row['levels'][0]['poke_ratio']:.3%}",
     }
     rows = [{"avatar": avatar, "levels": each} for avatar, each in levels.items()]
     fill_in("drive", table(rows, columns), source_line(lines[-1]))

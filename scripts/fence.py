@@ -102,7 +102,7 @@ def _scene(result: dict[str, Any]) -> Figures:
 
 
 def _drive(result: dict[str, Any]) -> Figures:
-    keys = ("mse", "lid_mm", "lip_mm", "poke_ratio")
+    keys = ("mse", "lid_mm", "lip_mm")
     return {f"{key}_{row['level']}": row[key] for row in result["rows"] for key in keys}
 
 

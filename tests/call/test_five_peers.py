@@ -19,7 +19,7 @@ import pytest
 
 from helpers.senders import LoadedAvatars, make_senders, run_senders
 from helpers.toy import make_toy_avatar
-from pica_client.bench.network.impairment import Impairment
+from pica_client.bench.impairment import Impairment
 from pica_client.call.call import Call
 from pica_client.endpoint.endpoint import Receiver
 from pica_client.publish.publisher import SenderConfig

@@ -17,7 +17,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from pica_client.bench.network.impairment import Impairment, Way
+from pica_client.bench.impairment import Impairment, Way
 from simnet.transport import SimTransport
 
 _FIRST_FREE_PORT = 40_000

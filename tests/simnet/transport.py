@@ -2,7 +2,7 @@
 
 Modelled: write buffers with high and low water marks, a bounded window between the two programs (a
     reader that pauses fills it, and then blocks the writer), half-close, reset, and a network that
-    swallows everything without a word (``cut``). See ``bench.network.impairment`` for what is not.
+    swallows everything without a word (``cut``). See ``bench.impairment`` for what is not.
 """
 
 import asyncio
@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from pica_client.bench.network.impairment import Way
+from pica_client.bench.impairment import Way
 
 SEGMENT_BYTES = 1448
 """Payload of one TCP segment on Ethernet."""

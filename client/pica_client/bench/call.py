@@ -1,7 +1,7 @@
 """The same call as the demo's without drawing: every latent that the playout buffer lets go is
 decoded, and the time from the tracker's sample to the decoded maps is what counts.
 
-With an impairment the receiver sits behind a proxy that makes its network worse (`network.proxy`);
+With an impairment the receiver sits behind a proxy that makes its network worse (`proxy`);
 what that does to rendered faces is measured by `playout`, on a virtual clock.
 
 What it does not show: real networks (all is loopback), displays, and more machines than one.
@@ -20,8 +20,8 @@ import numpy as np
 from cyclopts import Parameter
 
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.bench.network.impairment import Impairment
-from pica_client.bench.network.proxy import ImpairedProxy
+from pica_client.bench.impairment import Impairment
+from pica_client.bench.proxy import ImpairedProxy
 from pica_client.call.call import Call, DueFrame
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.pool import DecodePool

@@ -1,27 +1,14 @@
 """Avatars under live drive, against the head itself at the same values.
 
-The truth is a rig, or a person of the face model, posed by what a source does. The
-avatar is driven by the same values and shown at each level of detail.
+The truth is a rig, or a person of the face model, posed by what a source does. The avatar is driven
+by the same values and shown at each level of detail. They reach its expression encoder as they are
+(`driver`), and through the latent stream at its usual quality (`codec`).
 
-A source's values reach the avatar through one of `STAGES`:
-
-    driver        the values as they are, to the expression encoder
-    codec         the same, through the latent stream at its usual quality
-    live          the values as a tracker sends them 60 times a second, through smoothing and
-                  resampling, then the stream
-    offset        the same of a person whose squint and smile are `OFFSET` at rest and whose lids
-                  go from `LIDS[0]` to `LIDS[1]`
-    calibrated    the same person after `pica calibrate`
-
-A live face is looked at for the moment at which it was seen, so what is left is what smoothing does
-to it. The tracker is perfect but for the offset, which is added to what the face does.
-
-Distances are of the vertices of lids and lips; `poke_ratio` is the share of the head's pixels that
-show another part than the truth within a pixel. What it does not show: people. The truth is
+Distances are of the vertices of lids and lips. What it does not show: people. The truth is
 synthetic, a tracker's own mistakes are not part of it, and delay is no error here.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -35,39 +22,16 @@ from pica_client.errors import OptionError, check_ranges
 from pica_client.output import say
 from pica_client.render.drawing import masked_mse
 from pica_client.sources import Source, open_source
-from pica_client.sources.live.calibration import BLINKS, Calibration, calibrate
-from pica_client.sources.live.live_face import LiveFace, TrackerSample
-from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
-from pica_core.capture.dataset.files import Topology
-from pica_core.capture.face_errors import poking, region_errors_mm, vertex_parts
+from pica_core.capture.face_errors import region_errors_mm
 from pica_core.capture.stage.subject import Subject
-from pica_core.capture.triangles import signed_areas, spread_samples
 from pica_core.codec.latent_stream import LatentSample, StreamConfig
-from pica_core.types import ByteArray, FloatArray, Image, IntArray
+from pica_core.types import FloatArray, Image, IntArray
 
 VIEWS = ("front", "left")
 REGIONS = ("lids", "lips")
-STAGES: Final = ("driver", "codec", "live", "offset", "calibrated")
-TRACKER_FPS: Final = 60
-ARRIVES_AFTER_S: Final = (0.004, 0.012)
-"""Shortest and longest way of a sample to us, seconds, in turn."""
-OFFSET: Final = 0.2
-"""What squint and smile of the offset person are at rest."""
-LIDS: Final = (0.1, 0.8)
-"""Blink of the offset person with open and with closed eyes."""
-_OFFSET_SHAPES: Final = [
-    ARKIT_INDEX[f"{name}{side}"]
-    for name in ("eyeSquint", "mouthSmile")
-    for side in ("Left", "Right")
-]
-Person = Callable[[FloatArray], FloatArray]
-"""What a tracker says of a face ``[52]``."""
-PART_MAP_SIZE = 1024
-SAMPLES_PER_TEXEL = 3
-GROWN_TEXELS = 16
-"""How far charts of the map of parts bleed: a coarse mesh reaches a little beyond them."""
+STAGES: Final = ("driver", "codec")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -77,7 +41,7 @@ class DriveBenchConfig:
     sources: Words = ("performance:talk", "performance:listen", "performance:range_of_motion")
     """What the person does, separated by commas; csv:FILE or take:FILE for recordings."""
     stages: Words = STAGES
-    """Which of driver, codec, live, offset and calibrated."""
+    """Which of driver and codec."""
     rig: Path | None = None
     """The rig that the avatar was made of."""
     person: Path | None = None
@@ -100,12 +64,10 @@ class _Truth(NamedTuple):
 
     Attributes:
         images: From each view, uint8 ``[views, H, W, 3]``.
-        parts: As masks of captures, uint8 ``[views, H, W]``.
         vertices_m: float32 ``[V, 3]``.
     """
 
     images: Image
-    parts: ByteArray
     vertices_m: FloatArray
 
 
@@ -113,7 +75,6 @@ class _Shown(NamedTuple):
     """Errors of one moment as an avatar shows it, by view and by region."""
 
     mse: list[float]
-    poke_ratio: list[float]
     region_mm: dict[str, float]
 
 
@@ -149,10 +110,10 @@ def _measure(config: DriveBenchConfig, avatar: Avatar) -> list[dict[str, Any]]:
     with FaceRenderer(avatar, size_px=config.image_size, views=VIEWS) as renderer:
         compare = _Comparison(avatar, subject, renderer)
         for source in config.sources:
+            values = values_of(open_source(source), num_frames)
             for stage in config.stages:
                 say(f"{name}: {source}: {stage}")
-                values = stage_values(stage, open_source(source), num_frames)
-                latents = shown_latents(avatar, values, coded=stage != "driver")
+                latents = shown_latents(avatar, values, coded=stage == "codec")
                 for level in avatar.levels:
                     shown = [
                         compare(latents[moment], level, true)
@@ -217,8 +178,7 @@ def same_vertices(faces: IntArray, wanted: IntArray) -> IntArray | None:
 def _draw_truth(subject: Subject, arkit: FloatArray, config: DriveBenchConfig) -> _Truth:
     vertices_m = subject.pose(arkit)
     views = [subject.draw(camera) for camera in evaluation_cameras(VIEWS, config.image_size)]
-    images, masks = zip(*((view.image, view.mask) for view in views), strict=True)
-    return _Truth(np.stack(images), np.stack(masks), vertices_m)
+    return _Truth(np.stack([view.image for view in views]), vertices_m)
 
 
 class _Comparison:
@@ -235,20 +195,16 @@ class _Comparison:
         known = order >= 0
         regions = {name: mask[order] & known for name, mask in subject.topology.regions.items()}
         self._regions = {name: regions[name] for name in REGIONS}
-        uv, faces = (avatar.tensors[f"mesh.{name}"] for name in ("vertex_uv", "faces"))
-        self._parts = part_map(Topology(vertex_uv=uv, faces=faces, regions=regions))
 
     def __call__(self, latent: FloatArray, level: int, truth: _Truth) -> _Shown:
         """One moment at a level."""
         surfaces = list(self._renderer.surfaces(latent, level))
-        errors, pokes = [], []
-        for surface, image, parts in zip(surfaces, truth.images, truth.parts, strict=True):
-            shown = np.where(surface.covered, read_parts(self._parts, surface.uv), 0)
-            where = poking(shown.astype(np.uint8), parts)
-            pokes.append(float(where.sum() / max(np.count_nonzero(parts), 1)))
-            errors.append(masked_mse(image, surface.image, surface.covered))
+        errors = [
+            masked_mse(image, surface.image, surface.covered)
+            for surface, image in zip(surfaces, truth.images, strict=True)
+        ]
         region_mm = self._region_errors(surfaces[0].position_map, level, truth.vertices_m)
-        return _Shown(errors, pokes, region_mm)
+        return _Shown(errors, region_mm)
 
     def _region_errors(
         self, position_map: FloatArray, level: int, truth_m: FloatArray
@@ -259,99 +215,15 @@ class _Comparison:
         return region_errors_mm(vertices_m, truth_m[self._order[used]], regions)
 
 
-def part_map(topology: Topology, size: int = PART_MAP_SIZE) -> ByteArray:
-    """The part of each place of a UV layout, as `vertex_parts` numbers them. uint8 ``[S, S]``."""
-    uv, faces = topology.vertex_uv * size, topology.faces
-    parts = vertex_parts(topology.regions, len(uv))[faces[:, 2]]
-    count = np.ceil(SAMPLES_PER_TEXEL * np.abs(signed_areas(uv, faces))).astype(np.int64) + 1
-    which, u, v = spread_samples(count)
-    corners = uv[faces[which]]
-    at = (1 - u - v)[:, None] * corners[:, 0] + u[:, None] * corners[:, 1]
-    at += v[:, None] * corners[:, 2]
-    columns, rows = np.clip(at.astype(np.int64), 0, size - 1).T
-    found = np.zeros((size, size), np.uint8)
-    found[rows, columns] = parts[which]
-    for _ in range(GROWN_TEXELS):
-        around = np.pad(found, 1)
-        for beside in (around[:-2, 1:-1], around[2:, 1:-1], around[1:-1, :-2], around[1:-1, 2:]):
-            found = np.where(found == 0, beside, found)
-    return found
-
-
-def read_parts(parts: ByteArray, uv: FloatArray) -> ByteArray:
-    """The parts at texture coordinates ``[..., 2]``, by the nearest texel."""
-    size = len(parts)
-    place = np.clip((uv * size).astype(np.int64), 0, size - 1)
-    return parts[place[..., 1], place[..., 0]]
-
-
 def _row(shown: Sequence[_Shown]) -> dict[str, Any]:
     mse = np.concatenate([each.mse for each in shown])
-    pokes = np.concatenate([each.poke_ratio for each in shown])
     mm = {name: np.mean([each.region_mm[name] for each in shown]) for name in REGIONS}
     return {
         "mse": round(float(mse.mean()), 3),
         "p95_mse": round(float(np.percentile(mse, 95)), 3),
         "lid_mm": round(float(mm["lids"]), 4),
         "lip_mm": round(float(mm["lips"]), 4),
-        "poke_ratio": round(float(pokes.mean()), 6),
-        "p95_poke_ratio": round(float(np.percentile(pokes, 95)), 6),
-        "most_poke_ratio": round(float(pokes.max()), 6),
     }
-
-
-def as_offset_person(arkit: FloatArray) -> FloatArray:
-    """What a tracker says of the offset person. float32 ``[52]`` both."""
-    said = arkit.copy()
-    said[_OFFSET_SHAPES] = np.minimum(said[_OFFSET_SHAPES] + OFFSET, 1.0)
-    said[list(BLINKS)] = LIDS[0] + (LIDS[1] - LIDS[0]) * said[list(BLINKS)]
-    return said
-
-
-def calibration_of(person: Person) -> Calibration:
-    """What `pica calibrate` learns of a person."""
-    rest, closed = np.zeros((2, NUM_ARKIT), np.float32)
-    closed[list(BLINKS)] = 1.0
-    return calibrate([person(rest)], [person(closed)])
-
-
-def live_values(
-    look: Callable[[float], TrackerSample],
-    num_frames: int,
-    calibration: Calibration | None,
-) -> FloatArray:
-    """A face as a live sender has it, for the moments of `FPS`.
-
-    Args:
-        look: What the tracker says of a moment, seconds; asked in order.
-
-    Returns:
-        float32 ``[T, 52]``; row t is the face as it was seen at t / `FPS` seconds.
-    """
-    face, pushed = LiveFace(calibration), 0
-    values = []
-    for number in range(num_frames):
-        # Asked at the moment at which the face of this frame's time is shown.
-        while True:
-            now = number / FPS + face.delay_s
-            way_s = ARRIVES_AFTER_S[pushed % len(ARRIVES_AFTER_S)]
-            if pushed / TRACKER_FPS + way_s > now and pushed:
-                break
-            face.push(look(pushed / TRACKER_FPS), pushed / TRACKER_FPS + way_s)
-            pushed += 1
-        values.append(face.face_at(now).arkit)
-    return np.stack(values)
-
-
-def perfect_tracker(source: Source, person: Person) -> Callable[[float], TrackerSample]:
-    """A tracker that says what a source does, as it would of a person."""
-
-    def look(seen_s: float) -> TrackerSample:
-        frame = source.frame_at(seen_s)
-        arkit = person(frame.arkit)
-        return TrackerSample(tracker_s=seen_s, arkit=arkit, has_face=frame.has_face)
-
-    return look
 
 
 def values_of(source: Source, num_frames: int) -> FloatArray:
@@ -380,12 +252,3 @@ def shown_latents(avatar: Avatar, arkit: FloatArray, *, coded: bool) -> FloatArr
     samples = [LatentSample(latent=each, rotation=still, translation_m=still) for each in latents]
     coded_stream = code_stream(profile, StreamConfig(fps=FPS), samples)
     return np.stack([sample.latent for sample in coded_stream.shown])
-
-
-def stage_values(stage: str, source: Source, num_frames: int) -> FloatArray:
-    """The values that a stage hands to the expression encoder. float32 ``[T, 52]``."""
-    if stage in ("driver", "codec"):
-        return values_of(source, num_frames)
-    person = np.copy if stage == "live" else as_offset_person
-    calibration = calibration_of(person) if stage == "calibrated" else None
-    return live_values(perfect_tracker(source, person), num_frames, calibration)

@@ -4,8 +4,6 @@ stage."""
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
-from functools import cached_property
 from typing import NamedTuple
 
 import moderngl
@@ -19,7 +17,6 @@ from pica_client.render.scene import head_matrix, view_direction
 from pica_client.system import Closing
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.manifest import Manifest
-from pica_core.avatar.static import NAME as STATIC_PARTS
 from pica_core.camera import Camera, look_at
 from pica_core.capture.stage.dome import dome_cameras
 from pica_core.gl import create_context
@@ -74,18 +71,16 @@ def gl_context() -> Iterator[moderngl.Context]:
 
 
 class Surface(NamedTuple):
-    """A face from one view, and what lies under its pixels.
+    """A face from one view.
 
     Attributes:
         image: uint8 ``[H, W, 3]``.
         covered: Where the head is. bool ``[H, W]``.
-        uv: Texture coordinates of what a pixel shows, float32 ``[H, W, 2]``.
         position_map: What was decoded, float32 ``[R, S, 3]``.
     """
 
     image: Image
     covered: BoolArray
-    uv: FloatArray
     position_map: FloatArray
 
 
@@ -106,15 +101,6 @@ class FaceRenderer(Closing):
         self._decoder = OnnxDecoder(avatar)
         self._context = create_context()
         self._renderer = HeadRenderer(self._context, avatar, size_px)
-        self._avatar, self._size_px = avatar, size_px
-
-    @cached_property
-    def _decoded(self) -> HeadRenderer:
-        """Draws all of the head by its pixel decoder: static pixels have no texture coordinates."""
-        tensors = {
-            name: data for name, data in self._avatar.tensors.items() if name != STATIC_PARTS
-        }
-        return HeadRenderer(self._context, replace(self._avatar, tensors=tensors), self._size_px)
 
     def draw(
         self,
@@ -137,13 +123,11 @@ class FaceRenderer(Closing):
         return Drawing(*map(np.stack, zip(*drawings, strict=True)))
 
     def surfaces(self, latent: FloatArray, level: int) -> Iterator[Surface]:
-        """Draw a face at rest of a level from every view, and say what each pixel shows."""
+        """Draw a face of a level from every view, without a head pose."""
         for camera in self._cameras:
             maps = self._decoder.decode(latent, view_direction(HEAD, camera.centre_m), level)
-            drawing = self._renderer.draw(maps, camera)
-            self._decoded.draw(maps, camera)
             assert maps.position_map is not None  # both maps were asked for
-            yield Surface(*drawing, self._decoded.read_uv(), maps.position_map)
+            yield Surface(*self._renderer.draw(maps, camera), maps.position_map)
 
     def close(self) -> None:
         """Give the GL context back."""

@@ -25,7 +25,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-from pica_client.bench.network.impairment import Impairment, Way
+from pica_client.bench.impairment import Impairment, Way
 from pica_client.stats import TCP_IP_HEADER_BYTES
 
 SEGMENT_BYTES = 1448

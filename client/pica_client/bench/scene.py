@@ -13,7 +13,7 @@ import time
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 import moderngl
 import numpy as np
@@ -24,13 +24,11 @@ from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.request import DecodeRequest, DecodeResult
 from pica_client.errors import OptionError, check_ranges
 from pica_client.render.drawing import Drawing, drawn_mse, read_drawing
-from pica_client.render.gpu_decoder import GpuDecoder
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.scene import Placement, head_matrix, view_direction
 from pica_client.schedule.head import Head
 from pica_client.schedule.scheduler import Scheduler, requests_of
 from pica_client.sources.performances import make_performance
-from pica_client.system import Closing
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
 from pica_core.camera import Camera
@@ -67,8 +65,6 @@ class SceneBenchConfig:
     """Turns of each case, of five frames each."""
     performance: str = "talk"
     """What everybody does: talk, listen or range-of-motion."""
-    decode: Literal["cpu", "gpu"] = "cpu"
-    """Where heads are decoded: by ONNX Runtime, or in shaders, all of a frame at once."""
 
     def __post_init__(self) -> None:
         if not self.avatars or not all(1 <= count <= 16 for count in self.avatars):
@@ -106,14 +102,15 @@ def run_scene_bench(config: SceneBenchConfig, avatars: Sequence[Avatar]) -> dict
     Raises:
         GraphicsError: No GL context.
     """
-    with gl_context() as context, _Bench(context, config, avatars) as bench:
+    with gl_context() as context:
+        bench = _Bench(context, config, avatars)
         cases = bench.cases()
         turns = take_turns(cases, bench.turn, rounds=config.rounds, warm_up=1)
         rows = [bench.row(case, found) for case, found in zip(cases, turns, strict=True)]
         return report(config, rows, summary=summarise(rows), gl_renderer=bench.gl_renderer)
 
 
-class _Bench(Closing):
+class _Bench:
     """The heads, on the GPU twice: as they are treated, and as they should look."""
 
     def __init__(
@@ -137,15 +134,6 @@ class _Bench(Closing):
             for kind in ("head", "truth"):
                 self._renderer.add_avatar(f"{kind}-{index}", avatar)
         self.gl_renderer = self._renderer.gl_renderer
-        self._shaders = GpuDecoder(context, self._renderer.show_maps)
-        if config.decode == "gpu":
-            for index, avatar in enumerate(self._avatars):
-                if not self._shaders.add(f"head-{index}", avatar):
-                    raise OptionError(f"avatar {avatar.manifest.name!r}: shaders do not decode it")
-
-    def close(self) -> None:
-        """Give back what shaders hold."""
-        self._shaders.close()
 
     def cases(self) -> list[_Case]:
         """Every scene and one head that fills the screen, without and with the scheduler."""
@@ -239,9 +227,6 @@ class _Bench(Closing):
             shown = [head.choice for head in case.heads if head.sight.is_visible]
             case.levels.update(str(choice.level) for choice in shown if choice is not None)
         took["decodes"] = sum(1.0 if each.parts == "both" else 0.5 for _, each in requests)
-        if self._config.decode == "gpu":
-            self._decode_in_shaders(case, requests, now, took)
-            return
         for head, request in requests:
             slot = head.slot
             decoder = self._decoders[int(slot.partition("-")[2])]
@@ -257,24 +242,6 @@ class _Bench(Closing):
                 took_s, level, parts = decoded.wall_s, maps.level, request.parts
                 result = DecodeResult(slot, maps, None, finished_s=took_s, level=level, parts=parts)
                 case.scheduler.note_decoded(head, result, uploaded.wall_s, now)
-
-    def _decode_in_shaders(
-        self,
-        case: _Case,
-        requests: Sequence[tuple[Head, DecodeRequest]],
-        now: float,
-        took: dict[str, float],
-    ) -> None:
-        """Decode what is wanted on the GPU, where it stays."""
-        begin_s = time.perf_counter()
-        for head, request in requests:
-            self._shaders.submit(head.slot, request)
-        results = self._shaders.take_results()
-        wait_for_gpu(self._context)
-        took["decode"] = (time.perf_counter() - begin_s) * 1e3
-        heads = {head.slot: head for head, _ in requests}
-        for result in results if case.is_scheduled else ():
-            case.scheduler.note_decoded(heads[result.slot], result, 0.0, now)
 
     def _draw_truth(self, heads: Sequence[Head], camera: Camera) -> Drawing:
         """What should be shown: everybody's newest latent at the full level."""

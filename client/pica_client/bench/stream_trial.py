@@ -1,8 +1,8 @@
 """One stream of one face through one trouble, on a virtual clock: what comes when, and what a
 playout policy then shows. Pure: no socket, no sleep; the same seed gives the same result.
 
-    delivery = deliver(face, ends, scenario, schedule, seed=0)      sender, relay, network, decoder
-    ticks = play(delivery, Playout(config), schedule)               playout and display
+    delivery = deliver(face, encoder, scenario, schedule, seed=0)   sender, relay, network
+    ticks = play(delivery, decoder, Playout(), schedule)            decoder, playout, display
 
 The trouble lasts from the end of the first third of the schedule to the end of the second. The
 frames that come do not depend on the policy, so all policies are given the very same ones.
@@ -27,12 +27,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pica_client.bench.network.impairment import CALM, Impairment, Scenario, Way
+from pica_client.bench.impairment import CALM, Impairment, Scenario, Way
 from pica_client.errors import check_ranges
 from pica_client.playout.buffer import PlayedFace, Playout, PlayoutReport
-from pica_client.playout.sender_clock import SenderClock
 from pica_client.stats import wire_bytes
-from pica_core.codec.latent_stream import DecodedFrame, LatentDecoder, LatentEncoder, LatentSample
+from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, LatentSample
 from pica_protocol.client_session import RIDE_S
 from pica_protocol.frame_queue import FrameQueue, QueuedFrame
 from pica_protocol.frames import (
@@ -52,8 +51,7 @@ VOICE_DEADLINE_S = 0.2
 Face = Callable[[float], LatentSample]
 """The true face at a moment of the sender's clock, seconds."""
 
-VOICE_STREAM = 2
-"""The stream of a voice beside the face's, which is 1."""
+FACE_STREAM, VOICE_STREAM = 1, 2
 CLOCK_OFFSET_US = 5_000_000_000
 """The sender's clock is ahead of the receiver's: nothing may depend on the difference."""
 DISPLAY_PHASE = 0.37
@@ -89,12 +87,10 @@ class Schedule:
 class Delivery:
     """What came over the network."""
 
-    arrivals: tuple[DecodedFrame, ...]
-    """What could be decoded, in the order of arrival."""
+    faces: tuple[tuple[float, Frame], ...]
+    """Frames that came, each with its time of arrival."""
     counts: Mapping[str, int]
     """Frames that were sent, thinned and dropped."""
-    payload_bytes: int
-    """What was sent."""
     wire_bytes: int
     """What went on to the receiver, with all headers."""
     base_delay_s: float
@@ -218,38 +214,30 @@ class FramePath:
 
 def deliver(
     face: Face,
-    ends: tuple[LatentEncoder, LatentDecoder],
+    encoder: LatentEncoder,
     scenario: Scenario,
     schedule: Schedule,
     *,
     seed: int = 0,
     voice: Sequence[tuple[float, Frame]] = (),
 ) -> Delivery:
-    """Send a face through a scenario and decode what comes.
+    """Send a face through a scenario.
 
     Args:
-        ends: Both ends of a codec, fresh.
+        encoder: A fresh one.
         scenario: The trouble in the middle third.
         voice: Packets of a voice that goes along, of `VOICE_STREAM`, each with the time when it is
             sent, in order.
     """
-    encoder, decoder = ends
-    sender = SenderClock()
-    rng = np.random.default_rng(seed)
-    path = FramePath(CALM, rng)
-    arrivals: list[DecodedFrame] = []
-    voices: list[tuple[float, Frame]] = []
+    path = FramePath(CALM, np.random.default_rng(seed))
+    came: dict[int, list[tuple[float, Frame]]] = {FACE_STREAM: [], VOICE_STREAM: []}
     spoken = deque(voice)
-    sent = payload_bytes = 0
+    sent = 0
     changes = [(schedule.begin_s, scenario.trouble), (schedule.end_s, CALM)]
 
     def receive(until_s: float) -> None:
         for arrived_s, frame in path.arrivals(until_s):
-            if frame.stream == VOICE_STREAM:
-                voices.append((arrived_s, frame))
-                continue
-            received = sender.receive(frame, arrived_s)
-            arrivals.append(received.decoded(decoder.decode(received.payload)))
+            came[frame.stream].append((arrived_s, frame))
 
     for index in range(round(schedule.seconds * schedule.fps)):
         now = index / schedule.fps
@@ -266,30 +254,29 @@ def deliver(
         if coded is None:
             continue
         frame = Frame(
-            stream=1,
+            stream=FACE_STREAM,
             sequence=sent % SEQUENCE_MODULUS,
             captured_us=captured_us,
             payload=coded.payload,
         )
         path.send(frame, now)
         sent += 1
-        payload_bytes += len(coded.payload)
     receive(schedule.seconds)
     return Delivery(
-        arrivals=tuple(arrivals),
+        faces=tuple(came[FACE_STREAM]),
         counts={
             **{name: path.counts[name] for name in ("sent", "thinned")},
             "dropped": path.drops.total(),
         },
-        payload_bytes=payload_bytes,
         wire_bytes=path.wire_bytes,
         base_delay_s=CALM.delay_s,
-        voices=tuple(voices),
+        voices=tuple(came[VOICE_STREAM]),
     )
 
 
 def play(
     delivery: Delivery,
+    decoder: LatentDecoder,
     playout: Playout,
     schedule: Schedule,
     heard_us: Callable[[float], int | None] = lambda now: None,
@@ -297,27 +284,20 @@ def play(
     """Show what came on a display.
 
     Args:
-        playout: A fresh buffer.
+        decoder: A fresh one, as is the buffer.
         heard_us: The moment of the voice that is heard at a refresh; asked in order.
 
     Returns:
         All refreshes of the run.
     """
-    samples = {arrival.captured_us: arrival.sample for arrival in delivery.arrivals}
     ticks: list[Tick] = []
-    waiting = deque(delivery.arrivals)
+    waiting = deque(delivery.faces)
     for index in range(int(schedule.seconds * schedule.display_hz)):
         now = (index + DISPLAY_PHASE) / schedule.display_hz
-        while waiting and waiting[0].arrived_s <= now:
-            arrival = waiting.popleft()
-            frame = Frame(
-                stream=1,
-                sequence=arrival.number % SEQUENCE_MODULUS,
-                captured_us=arrival.captured_us,
-                payload=b"",
-            )
-            received = playout.sender.receive(frame, arrival.arrived_s)
-            playout.receive_frame(received.decoded(samples[received.captured_us]))
+        while waiting and waiting[0][0] <= now:
+            arrived_s, frame = waiting.popleft()
+            received = playout.sender.receive(frame, arrived_s)
+            playout.receive_frame(received.decoded(decoder.decode(received.payload)))
         heard = heard_us(now)
         played = playout.sample_at(now, heard)
         ticks.append(Tick(now_s=now, played=played, heard_us=heard, report=playout.report()))

@@ -5,7 +5,7 @@ every machine with the same libopus (processor time apart).
 Voice and face share one way; figures are of the troubled third of the run. PESQ is of the sound as
 it leaves the loudspeaker. `skew_ms` is the moment of the face less that of the voice. `face_mse` is
 against the true face at the moment that should be shown, with the head where it truly was. What it
-does not show: devices, real networks (see `network.impairment`), people: speech, performances and
+does not show: devices, real networks (see `impairment`), people: speech, performances and
 avatars are synthetic, and PESQ stands for listeners.
 """
 
@@ -22,8 +22,8 @@ from cyclopts import Parameter
 
 from pica_client.bench.harness import Words, check_names, report
 from pica_client.bench.head import FaceRenderer
-from pica_client.bench.network.impairment import BY_NAME, SCENARIOS
-from pica_client.bench.network.stream_trial import (
+from pica_client.bench.impairment import BY_NAME, SCENARIOS
+from pica_client.bench.stream_trial import (
     CLOCK_OFFSET_US,
     DISPLAY_PHASE,
     VOICE_STREAM,
@@ -144,10 +144,10 @@ def run_bench_voice(config: BenchVoiceConfig, avatar: Avatar) -> dict[str, Any]:
     encode_s = time.process_time() - begin_s
     with FaceRenderer(avatar, size_px=SIZE_PX, views=("front",)) as renderer:
         for scenario in chosen:
-            ends = LatentEncoder(profile, StreamConfig(fps=schedule.fps)), LatentDecoder(profile)
-            delivery = deliver(face, ends, scenario, schedule, seed=config.seed, voice=voice)
+            encoder = LatentEncoder(profile, StreamConfig(fps=schedule.fps))
+            delivery = deliver(face, encoder, scenario, schedule, seed=config.seed, voice=voice)
             ear = _Ear(delivery.voices)
-            ticks = play(delivery, Playout(), schedule, ear.heard_us)
+            ticks = play(delivery, LatentDecoder(profile), Playout(), schedule, ear.heard_us)
             cpu_ms_per_s = (encode_s + ear.cpu_s) / schedule.seconds * 1e3
             rows.append(
                 {

@@ -54,7 +54,7 @@ def bench_call(options: BenchConfig) -> Result:
 def bench_codec(avatars: AvatarChoice, options: CodecConfig) -> Result:
     """Measure what the latent stream's bits buy: bitrate against rendered error.
 
-    Compares our qualities, whole and thinned, with 16-bit floats.
+    Compares all qualities, and one of them thinned.
     """
     result = run_codec_bench(options, avatars.load()[0])
     say_rows(result["rows"], "source profile payload_bps mse change_mse")
@@ -69,19 +69,19 @@ def bench_decode(avatars: AvatarChoice, options: DecodeBenchConfig) -> Result:
     result = run_decode_bench(options, avatars.load()[0])
     say_rows(
         result["rows"],
-        "work model level parts threads distance_cm ms p95 cpu_ms spread mse pixels triangles "
+        "work model level parts threads distance_cm ms p95 cpu_ms spread pixels triangles "
         "over_baseline",
     )
     return result
 
 
 def bench_drive(avatars: AvatarChoice, options: DriveBenchConfig) -> Result:
-    """Measure what a live face becomes at every level: picture, lids, lips, what pokes out.
+    """Measure what a driven face becomes at every level: picture, lids, lips.
 
     The truth is the person or the rig itself, at the same values.
     """
     result = run_drive_bench(options, avatars.load())
-    say_rows(result["rows"], "avatar source stage level mse p95_mse lid_mm lip_mm poke_ratio")
+    say_rows(result["rows"], "avatar source stage level mse p95_mse lid_mm lip_mm")
     return result
 
 

@@ -69,11 +69,6 @@ class HeadRenderer:
         """What was drawn last."""
         return read_drawing(self._renderer)
 
-    def read_uv(self) -> FloatArray:
-        """Texture coordinates of the decoded pixels of the last drawing; static ones have none.
-        ``[H, W, 2]``."""
-        return self._renderer.read_surface()[1]
-
 
 def read_drawing(renderer: Renderer) -> Drawing:
     """What a renderer drew last."""

@@ -18,36 +18,10 @@ from typing import Final
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.types import BoolArray, ByteArray, FloatArray
 
 REACH_PX: Final = 1
 """How far an edge may be off before it counts, pixels: who owns a pixel at an edge is chance."""
-_REGIONS: Final = {
-    "mouth_interior": "mouth_bag",  # teeth and tongue are of it, and named after it
-    "teeth": "teeth",
-    "tongue": "tongue",
-    "eyeballs": "eye",
-    "collar": "collar",
-    "hair": "hair",
-}
-
-
-def vertex_parts(regions: Mapping[str, BoolArray], num_vertices: int) -> ByteArray:
-    """The part of each vertex, as pictures of parts hold it: index in `MATERIALS` + 1.
-
-    A triangle is of its last corner's part.
-
-    Args:
-        regions: Named vertex sets of a topology, bool ``[V]`` each; those that are absent are not
-            told from skin.
-        num_vertices: V.
-    """
-    parts = np.full(num_vertices, MATERIALS.index("skin") + 1, np.uint8)
-    for region, part in _REGIONS.items():
-        if region in regions:
-            parts[regions[region]] = MATERIALS.index(part) + 1
-    return parts
 
 
 def poking(shown: ByteArray, truth: ByteArray) -> BoolArray:

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pica_client.bench.network.impairment import CALM, SCENARIOS, Impairment, Way
-from pica_client.bench.network.stream_trial import FramePath
+from pica_client.bench.impairment import CALM, SCENARIOS, Impairment, Way
+from pica_client.bench.stream_trial import FramePath
 from pica_client.errors import OptionError
 from pica_protocol.frames import Frame
 

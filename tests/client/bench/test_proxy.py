@@ -9,8 +9,8 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from pica_client.bench.network.impairment import Impairment
-from pica_client.bench.network.proxy import ImpairedProxy
+from pica_client.bench.impairment import Impairment
+from pica_client.bench.proxy import ImpairedProxy
 
 pytestmark = pytest.mark.realtime
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from helpers.toy import make_toy_avatar
-from pica_client.bench.network.impairment import BY_NAME, CALM, Scenario
-from pica_client.bench.network.stream_trial import Delivery, Schedule, deliver, play
+from pica_client.bench.impairment import BY_NAME, CALM, Scenario
+from pica_client.bench.stream_trial import Delivery, Schedule, deliver, play
 from pica_client.playout.buffer import Playout
 from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, LatentSample
 
@@ -29,14 +29,14 @@ def face(time_s: float) -> LatentSample:
 
 def deliver_face(scenario: str | Scenario, *, seed: int = 0) -> Delivery:
     chosen = BY_NAME[scenario] if isinstance(scenario, str) else scenario
-    return deliver(face, (LatentEncoder(PROFILE), LatentDecoder(PROFILE)), chosen, SHORT, seed=seed)
+    return deliver(face, LatentEncoder(PROFILE), chosen, SHORT, seed=seed)
 
 
 def test_the_trouble_begins_and_ends_with_the_middle_third() -> None:
     scenario = replace(BY_NAME["jitter-0"], trouble=replace(CALM, delay_s=0.3))
     delivery = deliver_face(scenario)
     transit = {
-        arrival.number: arrival.arrived_s - arrival.number / 30 for arrival in delivery.arrivals
+        frame.sequence: arrived_s - frame.sequence / 30 for arrived_s, frame in delivery.faces
     }
     assert transit[89] == pytest.approx(0.02)
     assert transit[90] == pytest.approx(0.3)
@@ -46,8 +46,8 @@ def test_the_trouble_begins_and_ends_with_the_middle_third() -> None:
 
 def test_on_a_calm_network_every_frame_is_shown_in_time() -> None:
     delivery = deliver_face("jitter-0")
-    assert len(delivery.arrivals) == 270
-    ticks = play(delivery, Playout(), SHORT)
+    assert len(delivery.faces) == 270
+    ticks = play(delivery, LatentDecoder(PROFILE), Playout(), SHORT)
     assert len(ticks) == 540
     shown = [tick for tick in ticks if tick.now_s > 1]
     assert all(tick.played is not None and not tick.played.is_concealed for tick in shown)
@@ -55,7 +55,7 @@ def test_on_a_calm_network_every_frame_is_shown_in_time() -> None:
 
 
 def test_nothing_shown_before_the_first_frame_is_no_face() -> None:
-    ticks = play(deliver_face("jitter-0"), Playout(), SHORT)
+    ticks = play(deliver_face("jitter-0"), LatentDecoder(PROFILE), Playout(), SHORT)
     assert ticks[0].played is None
     with pytest.raises(ValueError, match="nothing is shown"):
         _ = ticks[0].shown_s

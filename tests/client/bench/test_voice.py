@@ -5,7 +5,7 @@ from pica_client.voice.opus import available
 pytest.importorskip("pesq", reason="extra bench")
 
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.bench.network.stream_trial import Schedule
+from pica_client.bench.stream_trial import Schedule
 from pica_client.bench.voice import BenchVoiceConfig, run_bench_voice
 from pica_client.errors import OptionError
 

@@ -3,14 +3,8 @@
 import numpy as np
 import pytest
 
-from helpers.small_capture import small_head
 from pica_core.capture.dataset.multiface import MATERIALS
-from pica_core.capture.face_errors import (
-    poking,
-    region_errors_mm,
-    vertex_parts,
-)
-from pica_core.capture.stage.paint import split_parts
+from pica_core.capture.face_errors import poking, region_errors_mm
 
 pytestmark = pytest.mark.unit
 
@@ -45,12 +39,6 @@ def test_silhouettes_do_not_count_and_no_head_is_no_fault() -> None:
     assert not poking(np.full_like(truth, SKIN), truth).any()
     assert not poking(np.zeros_like(truth), truth).any()
     assert not poking(truth, np.zeros_like(truth)).any()
-
-
-def test_parts_of_a_head_are_the_materials_of_its_masks() -> None:
-    head = small_head()
-    parts = vertex_parts(head.topology.regions, len(head.topology.vertex_uv))
-    assert (parts == split_parts(head) + 1).mean() > 0.97
 
 
 def test_region_errors_are_means_over_their_own_vertices() -> None:
