@@ -3,19 +3,15 @@
 A take is low rank, as real faces are: a few visemes, emotions and gestures blend into each other,
 the two sides move together, eyes blink and jump. Whole takes are held out
 for testing, so no test frame has a neighbour in the training set.
-A recording of the user may be read for a take of its own.
 """
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES, NUM_ARKIT
-from pica_core.capture.dataset.files import Take, read_arrays, read_bytes
-from pica_core.errors import CaptureError
-from pica_core.livelink import read_livelink_csv
+from pica_core.capture.dataset.files import Take
 from pica_core.types import Float64Array, FloatArray
 
 Generator = np.random.Generator
@@ -293,47 +289,6 @@ def _takes(
         segment = f"{label}{index:03d}"
         takes.append(Take(segment=segment, arkit=performed[moments], split=split))
     return takes
-
-
-HIGHEST = 1.05
-"""Largest value in seven real recordings; more is cut off."""
-
-
-def read_own_take(path: Path) -> FloatArray:
-    """Read the 52 values of a recording: a CSV of Live Link Face, or what `pica track` records.
-
-    Moments without a face, and those with a value that is no number, are left out. ``[T, 52]``.
-
-    Raises:
-        CaptureError: Neither of the two, names of another tracker, or no face in it.
-    """
-    if read_bytes(path)[:2] == b"PK":
-        arrays = read_arrays(path)
-        arkit, seen = (arrays.get(name, np.zeros(0)) for name in ("arkit", "has_face"))
-        if arkit.shape != (len(seen), NUM_ARKIT) or seen.dtype != np.bool_:
-            raise CaptureError(f"{path}: is no take; `pica track SOURCE --record` makes one")
-        values = np.asarray(arkit[seen], np.float64)
-    else:
-        take = read_livelink_csv(path)
-        values = take.arkit[take.has_face]
-    values = values[np.isfinite(values).all(1)]
-    if not len(values):
-        raise CaptureError(f"{path}: no moment with a face and numbers alone")
-    return np.clip(values, 0.0, HIGHEST).astype(np.float32)
-
-
-def own_take(values: FloatArray, count: int) -> Take:
-    """Plan a training take of the `count` moments that lie farthest from each other.
-
-    Each next one is the moment farthest from all before it (k-centre), the first the farthest from
-    the neutral face; so extremes and odd combinations come first. A shorter take repeats.
-    """
-    distance = np.linalg.norm(values, axis=1)
-    chosen: list[int] = []
-    for _ in range(count):
-        chosen.append(int(np.argmax(distance)))
-        distance = np.minimum(distance, np.linalg.norm(values - values[chosen[-1]], axis=1))
-    return Take(segment="OWN000", arkit=values[np.sort(chosen)], split="train")
 
 
 TEMPOS = (1, 2, 4)

@@ -30,8 +30,6 @@ from pica_core.capture.stage.expressions import (
     RATE_HZ,
     STRIDE,
     blend,
-    own_take,
-    read_own_take,
     sample_takes,
 )
 from pica_core.capture.stage.subject import Subject
@@ -154,13 +152,10 @@ class RenderOptions:
     """Fixes performance, head motion and the errors of tracking."""
     tracked_vertices: int = NUM_VERTICES
     """Vertices that the tracked mesh aims at."""
-    take: Path | None = None
-    """Your own recording (a CSV of Live Link Face, or a take of `pica track`): a fifth of the
-    frames are its moments that differ most."""
 
     def __post_init__(self) -> None:
         many = 100_000
-        check_ranges(self, CaptureError, frames=(5 if self.take else 4, many), cameras=(1, 100))
+        check_ranges(self, CaptureError, frames=(4, many), cameras=(1, 100))
         check_ranges(self, CaptureError, texture_size=(16, 4096), seed=(0, 2**31))
         check_ranges(self, CaptureError, tracked_vertices=(100, many))
         if self.lenses not in LENSES:
@@ -202,7 +197,7 @@ def render_subject(
     used = out.exists() and any(out.iterdir())
     if used and not marker.is_file():
         raise CaptureError(f"{out}: {_USED}")
-    takes = _plan(options)
+    takes = sample_takes(options.frames, options.seed)
     subject = make_subject()
     try:
         whole = {"options": asdict(options), "subject": subject.describe()}
@@ -276,14 +271,6 @@ class _Rendering:
 
 def _millimetres(vertices_m: FloatArray) -> FloatArray:
     return (vertices_m * multiface.MILLIMETRES).astype("<f4")
-
-
-def _plan(options: RenderOptions) -> list[Take]:
-    """What the subject does: takes from the seed, and of the user's own."""
-    if not options.take:
-        return sample_takes(options.frames, options.seed)
-    own = own_take(read_own_take(options.take), options.frames // 5)
-    return [*sample_takes(options.frames - len(own.arkit), options.seed), own]
 
 
 def _render(

@@ -2,10 +2,8 @@
 
 import io
 import json
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 from PIL import Image
 
@@ -44,18 +42,10 @@ def subject(path: Path) -> RigSubject:
 
 
 def test_a_rig_becomes_a_capture_that_the_reader_takes(glb: Path, tmp_path: Path) -> None:
-    take = tmp_path / "me.take"
-    with take.open("wb") as file:
-        np.savez(file, arkit=np.full((2, 52), 0.613, np.float32), has_face=np.ones(2, np.bool_))
-    options = replace(OPTIONS, frames=5, take=take)
-
-    counts = render_subject(lambda: subject(glb), options, tmp_path / "out")
+    counts = render_subject(lambda: subject(glb), OPTIONS, tmp_path / "out")
     capture = Capture.open(tmp_path / "out")
 
-    assert counts["frames"] == 5
-    assert counts["images"] == 10
-    own = next(frame for frame in capture.frames if frame.segment == "OWN000")
-    np.testing.assert_allclose(capture.arkit(own), 0.613, atol=1e-4)
+    assert (counts["frames"], counts["images"]) == (4, 8)
     assert capture.info["rig"]["missing"][0] == "eyeLookDownLeft"
     assert capture.info["rig"]["ignored"] == ["somethingElse"]
     assert capture.info["licence"] == "nobody"

@@ -111,13 +111,9 @@ def test_a_render_that_cannot_begin_leaves_nothing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "file").write_text("mine")
-    for out, message in (
-        ("file", f"{tmp_path / 'file'}: is no directory; name one to make"),
-        ("file/new", f"{tmp_path / 'file/new/render.json'}: cannot write (Not a directory)"),
-    ):
-        words = ["capture", "person", "--out", str(tmp_path / out)]
-        assert main(words) == 2
-        assert capsys.readouterr().err.endswith(f"pica capture person: {message}\n")
+    assert main(["capture", "person", "--out", str(tmp_path / "file")]) == 2
+    message = f"{tmp_path / 'file'}: is no directory; name one to make"
+    assert capsys.readouterr().err.endswith(f"pica capture person: {message}\n")
     assert files_of(tmp_path) == {"file": b"mine"}
 
 
