@@ -114,14 +114,8 @@ def test_weights_of_every_encoding_come_back_from_their_block(encoding: str) -> 
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
-def test_every_encoding_gives_the_decoder_its_vectors_in_both_dialects(encoding: str) -> None:
+def test_every_encoding_gives_the_decoder_its_vectors(encoding: str) -> None:
     spec = AVATARS[encoding].spec
-    for dialect in ("330 core", "300 es"):
-        text = compose(
-            "pixel_decoder.frag",
-            spec,
-            dialect=dialect,  # type: ignore[arg-type]
-            generated={"SIREN": siren_source(spec)},
-        ).text
-        (codes,) = re.findall(r"^#define SURFACE_CODES\b(.*)$", text, re.MULTILINE)
-        assert codes.count("(") == pixel_input_vectors(spec) - 2
+    source = compose("pixel_decoder.frag", spec, generated={"SIREN": siren_source(spec)})
+    (codes,) = re.findall(r"^#define SURFACE_CODES\b(.*)$", source.text, re.MULTILINE)
+    assert codes.count("(") == pixel_input_vectors(spec) - 2
