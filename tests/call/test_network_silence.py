@@ -39,7 +39,7 @@ with Children() as children:
 TELEMETRY_ON = f"""
 import os, time
 os.environ["ORT_DISABLE_TELEMETRY"] = "0"
-from pica_client.decode.onnx_runtime import onnxruntime
+from pica_client.decode.decoder import onnxruntime
 time.sleep({SECONDS})
 """
 

@@ -61,7 +61,6 @@ class CountedPool:
                     None,
                     captured_us=asked.captured_us,
                     finished_s=DECODE_S,
-                    level=maps.level,
                     parts=asked.parts,
                 )
             )

@@ -26,8 +26,7 @@ from pica_client.bench.harness import (
     times_ms,
 )
 from pica_client.bench.head import check_distances, front_camera, gl_context
-from pica_client.decode.decoder import BaselineDecoder, OnnxDecoder
-from pica_client.decode.onnx_runtime import onnxruntime
+from pica_client.decode.decoder import BaselineDecoder, OnnxDecoder, onnxruntime
 from pica_client.decode.request import Parts
 from pica_client.errors import OptionError, check_ranges
 from pica_client.render.drawing import HEAD
@@ -171,7 +170,7 @@ class _Bench:
             self.renderer.update_maps(_slot(level), maps.position_map, maps.expression_map)
         self.renderer.add_textured(_slot(None), self._baseline)
         decoded = baseline.decode(rest, AHEAD)
-        self.renderer.update_textured(_slot(None), decoded.vertices_m, decoded.texture)
+        self.renderer.update_textured(_slot(None), *decoded)
 
     def _draw(self, slot: str, distance_cm: float, _latent: FloatArray) -> None:
         self.renderer.forget_frame()

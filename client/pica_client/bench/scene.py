@@ -239,8 +239,8 @@ class _Bench:
             took["decode"] += decoded.wall_s * 1e3
             took["upload"] += uploaded.wall_s * 1e3
             if case.is_scheduled:
-                took_s, level, parts = decoded.wall_s, maps.level, request.parts
-                result = DecodeResult(slot, maps, None, finished_s=took_s, level=level, parts=parts)
+                took_s, parts = decoded.wall_s, request.parts
+                result = DecodeResult(slot, maps, None, finished_s=took_s, parts=parts)
                 case.scheduler.note_decoded(head, result, uploaded.wall_s, now)
 
     def _draw_truth(self, heads: Sequence[Head], camera: Camera) -> Drawing:

@@ -45,7 +45,7 @@ def doctor(options: DoctorOptions) -> dict[str, Any]:
 def load_module(name: str) -> Any:
     """Import a module by name; ONNX Runtime comes with its telemetry off, as everywhere."""
     if name == "onnxruntime":
-        return importlib.import_module("pica_client.decode.onnx_runtime").onnxruntime
+        return importlib.import_module("pica_client.decode.decoder").onnxruntime
     return importlib.import_module(name)
 
 

@@ -2,14 +2,21 @@
 
 An avatar is decoded to one of its levels, both maps or the expression map alone. Each of these is a
 session of its own, built when it is first needed: a graph holds just what its outputs need.
+
+This is the one module that imports ONNX Runtime. The official builds of 1.29 and later send usage
+events to their maker and keep an identifier of the machine in the user's cache folder. Both are off
+when ``ORT_DISABLE_TELEMETRY`` is 1 before the first import; a value that is set already stays.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import os
 from typing import Any
 
-from pica_client.decode.onnx_runtime import onnxruntime
+os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
+
+import onnxruntime as onnxruntime
+
 from pica_client.decode.request import DecodedMaps, Parts
 from pica_client.errors import OptionError
 from pica_core.avatar.file import Avatar
@@ -73,24 +80,21 @@ class OnnxDecoder:
         return DecodedMaps(None, expression_map, len(expression_map))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DecodedBaseline:
-    """What the baseline makes of one latent."""
-
-    vertices_m: FloatArray
-    """Head-frame metres, float32 ``[V, 3]``."""
-    texture: FloatArray
-    """RGB, 1.0 is white, row 0 is v = 0. float32 ``[T, T, 3]``."""
-
-
 class BaselineDecoder:
     """The paper's baseline, for comparison: one network for vertices and the whole texture."""
 
     def __init__(self, avatar: BaselineAvatar, threads: int = 1) -> None:
         self._session = open_session(baseline_graph(avatar), threads)
 
-    def decode(self, latent: FloatArray, view_direction: FloatArray) -> DecodedBaseline:
-        """Decode one latent of 256 numbers in any shape, as seen along `view_direction` ``[3]``."""
+    def decode(
+        self, latent: FloatArray, view_direction: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Decode one latent of 256 numbers in any shape, as seen along `view_direction` ``[3]``.
+
+        Returns:
+            Vertices in head-frame metres, float32 ``[V, 3]``; the RGB texture, where 1.0 is white
+            and row 0 is v = 0, float32 ``[T, T, 3]``.
+        """
         feeds = {"latent": latent.reshape(1, -1), "view_direction": view_direction[None]}
         vertices_m, texture = self._session.run(["vertices", "texture"], feeds)
-        return DecodedBaseline(vertices_m, texture)
+        return vertices_m, texture

@@ -1,5 +1,5 @@
-"""Decoding off the drawing thread: the newest of every avatar, the one that has waited longest
-first. ONNX Runtime releases the interpreter lock while it computes.
+"""Decoding off the drawing thread: the newest of every avatar, by turns. ONNX Runtime releases the
+interpreter lock while it computes.
 
 Bounded by construction: a slot holds one waiting request and one finished result. A newer request
 takes the place of one that waits, and the replaced ones are counted; it is widened by what the old
@@ -37,8 +37,6 @@ class _Slot:
     """One avatar of the pool; guarded by the pool's lock."""
 
     avatar: Avatar
-    waiting_s: float
-    """Since when it has had work."""
     decoder: OnnxDecoder | None = None
     is_broken: bool = False
     is_busy: bool = False
@@ -63,6 +61,9 @@ class DecodePool(Closing):
         workers: Threads; see `num_workers`.
         prepares_ahead: Idle workers get ready for levels that were not asked for yet.
 
+    Attributes:
+        num_replaced: Requests that a newer one replaced before a worker took them.
+
     An exception of a decoder breaks its own slot alone: it comes back as `DecodeResult.error`.
     """
 
@@ -74,12 +75,12 @@ class DecodePool(Closing):
         workers: int = 1,
         prepares_ahead: bool = True,
     ) -> None:
+        self.num_replaced = 0
         self._make_decoder = make_decoder
         self._prepares_ahead = prepares_ahead
         self._clock = clock
         self._slots: dict[str, _Slot] = {}
         self._closed = False
-        self._num_replaced = 0
         self._changed = threading.Condition()
         self._workers = [
             threading.Thread(target=self._work, name=f"decode-{index}", daemon=True)
@@ -88,17 +89,11 @@ class DecodePool(Closing):
         for worker in self._workers:
             worker.start()
 
-    @property
-    def num_replaced(self) -> int:
-        """Requests that a newer one replaced before a worker took them."""
-        with self._changed:
-            return self._num_replaced
-
     def add(self, slot: str, avatar: Avatar) -> None:
         """Prepare a slot for an avatar; replaces what was there. Its decoder is built on a
         worker."""
         with self._changed:
-            entry = self._slots[slot] = _Slot(avatar, self._clock())
+            entry = self._slots[slot] = _Slot(avatar)
             if self._prepares_ahead:
                 entry.unprepared = [
                     (level, parts) for level in avatar.levels for parts in ("expression", "both")
@@ -119,10 +114,8 @@ class DecodePool(Closing):
                 return
             entry.submitted_s = self._clock()
             if entry.request is not None:
-                self._num_replaced += 1
+                self.num_replaced += 1
                 request = request.widened_by(entry.request)
-            elif not entry.has_work:
-                entry.waiting_s = entry.submitted_s
             entry.request = request
             self._changed.notify()
 
@@ -152,13 +145,16 @@ class DecodePool(Closing):
             worker.join()
 
     def _next(self) -> tuple[str, _Slot] | None:
-        """The slot whose work has waited longest and that no other worker is busy with, else one
-        that can get ready for more; under the lock."""
+        """The slot with work that no worker is busy with and whose last turn was the longest ago,
+        else one that can get ready for more; under the lock."""
         free = [(slot, entry) for slot, entry in self._slots.items() if not entry.is_busy]
         waiting = [pair for pair in free if pair[1].has_work]
-        if waiting:
-            return min(waiting, key=lambda pair: pair[1].waiting_s)
-        return next((pair for pair in free if pair[1].unprepared and not pair[1].is_broken), None)
+        ahead = [pair for pair in free if pair[1].unprepared and not pair[1].is_broken]
+        if not waiting + ahead:
+            return None
+        slot, entry = (waiting or ahead)[0]
+        self._slots[slot] = self._slots.pop(slot)  # its next turn is after those of all others
+        return slot, entry
 
     def _work(self) -> None:
         while True:
@@ -204,9 +200,7 @@ class DecodePool(Closing):
                 request.latent, request.view_direction, request.level, request.parts
             )
             times_s = (submitted_s, started_s, self._clock())
-            return DecodeResult(
-                slot, maps, None, request.captured_us, *times_s, maps.level, request.parts
-            )
+            return DecodeResult(slot, maps, None, request.captured_us, *times_s, request.parts)
         except Exception as error:  # one avatar's failure must not end the worker of all
             entry.is_broken = True
             return DecodeResult(slot, None, " ".join(str(error).split())[:300])

@@ -60,10 +60,13 @@ class DecodeResult:
     submitted_s: float = 0.0
     started_s: float = 0.0
     finished_s: float = 0.0
-    level: int = 0
-    """Level that was decoded; 0 after an error."""
     parts: Parts = "both"
     """What was decoded. `maps` may hold more: a position map that was not taken yet."""
+
+    @property
+    def level(self) -> int:
+        """Level that was decoded; 0 after an error."""
+        return 0 if self.maps is None else self.maps.level
 
     @property
     def decode_s(self) -> float:

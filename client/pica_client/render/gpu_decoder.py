@@ -277,7 +277,6 @@ class GpuDecoder(Closing):
                 submitted_s=job.entry.submitted_s,
                 started_s=started_s,
                 finished_s=started_s + pace_s * share,
-                level=job.level,
                 parts=job.request.parts,
             )
             results.append(result)

@@ -9,7 +9,7 @@ import torch
 
 from helpers.toy import grid_faces, make_toy_avatar, with_toy_levels
 from helpers.trainable import grid_uv, toy_linear_prior
-from pica_client.decode.onnx_runtime import onnxruntime
+from pica_client.decode.decoder import onnxruntime
 from pica_core.avatar.file import Avatar, load_avatar, save_avatar
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.errors import AvatarFileError

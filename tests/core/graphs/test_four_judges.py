@@ -13,7 +13,7 @@ import torch
 from helpers.tolerances import EXPRESSION_ONNX, MAP_TORCH_M, PIXEL_FLOAT32
 from helpers.toy import grid_faces, with_toy_levels
 from helpers.trainable import grid_uv, toy_prior
-from pica_client.decode.onnx_runtime import onnxruntime
+from pica_client.decode.decoder import onnxruntime
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.levels import local_name, local_shape
 from pica_core.avatar.manifest import Manifest, ViewSpan

@@ -10,7 +10,7 @@ import pytest
 
 from helpers import tolerances
 from helpers.toy import make_toy_avatar, with_toy_levels
-from pica_client.decode.onnx_runtime import onnxruntime
+from pica_client.decode.decoder import onnxruntime
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import BLOCKS, AvatarSpec
 from pica_core.graphs.onnx_graph import decoder_graph

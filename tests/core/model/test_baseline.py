@@ -8,7 +8,7 @@ import torch
 
 from helpers.toy import grid_faces
 from helpers.trainable import toy_prior
-from pica_client.decode.onnx_runtime import onnxruntime
+from pica_client.decode.decoder import onnxruntime
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.graphs.onnx_graph import baseline_graph
 from pica_core.model.avatar import make_model

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from helpers.toy import make_toy_avatar, with_toy_levels
-from pica_client.decode.onnx_runtime import onnxruntime
+from pica_client.decode.decoder import onnxruntime
 from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.spec import AvatarSpec
