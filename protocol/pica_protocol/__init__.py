@@ -2,6 +2,3 @@
 
 SUBPROTOCOL = "pica.2"
 """The websocket sub-protocol both sides name; the digit changes when old peers could not follow."""
-
-PROTOCOL_VERSION = 2
-"""What ``Hello`` and ``Welcome`` carry; must be equal on both sides."""

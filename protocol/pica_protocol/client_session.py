@@ -43,7 +43,7 @@ class Ticket:
 
 
 class ClientSession(session.Session):
-    """The client's end: greets, joins one room, publishes frames, and keeps the list of peers.
+    """The client's end: joins one room, publishes frames, and keeps the list of peers.
 
     Attributes:
         peer_id: Our own id, once joined.
@@ -62,7 +62,6 @@ class ClientSession(session.Session):
         room: str,
         name: str,
         tracks: tuple[messages.Track, ...] = (),
-        software: str = "",
         now: float,
         timeout_s: float = session.HANDSHAKE_TIMEOUT_S,
         seal: Callable[[Frame], bytes] | None = None,
@@ -71,10 +70,9 @@ class ClientSession(session.Session):
         resumable: bool = False,
         ticket: Ticket | None = None,
     ) -> None:
-        """Start on a websocket that is open: ``Hello`` and ``Join`` wait in ``messages_to_send``.
+        """Start on a websocket that is open: ``Join`` waits in ``messages_to_send``.
 
         Args:
-            software: Name and version of this client, for the relay's logs.
             timeout_s: For the relay to let us in.
             seal: Makes the payload that travels out of a frame whose header is final.
             resumable: Whether we may come back with the `ticket` of this session.
@@ -103,7 +101,6 @@ class ClientSession(session.Session):
         self._publishers: dict[int, str] = {}
         self._came_with = ticket
         self._resume = ""
-        self._queue(messages.Hello(software=software))
         self._queue(
             messages.Join(
                 room=room,
@@ -240,9 +237,6 @@ class ClientSession(session.Session):
         if self.state is session.State.LEAVING:
             return []
         match message:
-            case messages.Welcome():
-                session.check_version(message.version)
-                return []
             case messages.Joined():
                 if [replace(track, stream=0) for track in message.tracks] != list(self.tracks):
                     raise RemoteProtocolError("joined with other tracks than ours")

@@ -32,11 +32,11 @@ class CloseCode(IntEnum):
     MALFORMED = 4000
     """Bytes that are no message, or a field out of its limits."""
     WRONG_VERSION = 4001
-    """The other side speaks another version."""
+    """The other side does not speak this sub-protocol."""
     UNEXPECTED_MESSAGE = 4002
     """A good message at the wrong time; see the state tables."""
     HANDSHAKE_TIMEOUT = 4003
-    """Hello or Join did not come in time."""
+    """The join, or its answer, did not come in time."""
     ROOM_FULL = 4004
     """The room has as many peers as the relay allows."""
     TOO_SLOW = 4005

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Final, cast, get_args, get_type_hints
 
-from pica_protocol import PROTOCOL_VERSION, limits
+from pica_protocol import limits
 
 MAX_COUNTER: Final = 2**63 - 1
 MAX_TRACK_KIND_BYTES: Final = 16
@@ -144,24 +144,9 @@ class Peer(Checked):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Hello(Checked):
-    """First message of a client."""
-
-    version: Count = PROTOCOL_VERSION
-    software: Name = ""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Welcome(Checked):
-    """The relay's answer to ``Hello``."""
-
-    version: Count = PROTOCOL_VERSION
-    software: Name = ""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
 class Join(Checked):
-    """Ask for a place in a room, naming what this client will publish (nothing: a mere viewer)."""
+    """First message of a client: asks for a place in a room, naming what this client will publish
+    (nothing: a mere viewer)."""
 
     room: Token
     name: Annotated[str, limits.check_name]
@@ -332,7 +317,7 @@ Moderation = RemovePeer | MutePeer | BarIdentity
 """What only an admin says to the relay."""
 FromMember = Subscribe | Whisper | UpdateMetadata | Moderation
 """What who is in a room says to the relay, but for ``Leave``."""
-Message = Hello | Welcome | Join | Joined | Leave | Bye | RoomNews | FromMember
+Message = Join | Joined | Leave | Bye | RoomNews | FromMember
 
 MESSAGE_TYPES: Final = cast(
     "dict[str, type[Message]]", {wire_name(cls): cls for cls in get_args(Message)}

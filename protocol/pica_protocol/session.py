@@ -16,14 +16,13 @@ Events come back from the call that caused them. A queue to drain separately wou
 that a shell can forget.
 
     Client                                 Relay's side
-    GREETING  Hello and Join are out       GREETING  nothing received
-    JOINING   Welcome received             JOINING   Hello received, Welcome is out
+    JOINING   Join is out                  JOINING   nothing received
     JOINED    Joined received              DECIDING  Join received; accept() or close() is due
     LEAVING   Leave is out                 JOINED    Joined is out
     CLOSED                                 CLOSED
 
-Media flows while JOINED. The client sends Hello and Join together: a join costs one round trip.
-What may be received in which state, and where it leads, stands in the two tables below; all else is
+Media flows while JOINED. The version is agreed upon as the sub-protocol of the websocket. What may
+be received in which state, and where it leads, stands in the two tables below; all else is
 ``UNEXPECTED_MESSAGE``. ``Bye`` ends every state.
 """
 
@@ -32,21 +31,18 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final, get_args
 
-from pica_protocol import PROTOCOL_VERSION, SUBPROTOCOL
-from pica_protocol.codec import CONTROL_KIND, encode_message
-from pica_protocol.errors import CloseCode, RemoteProtocolError
-from pica_protocol.frames import MEDIA_KIND, Frame
-from pica_protocol.limits import clipped_reason, quoted
+from pica_protocol.codec import CONTROL_KIND, decode_message, encode_message
+from pica_protocol.errors import CloseCode, LocalProtocolError, RemoteProtocolError
+from pica_protocol.frames import MEDIA_KIND, Frame, FrameSpan, scan_frames
+from pica_protocol.limits import MAX_CLIENT_MESSAGE_BYTES, clipped_reason, quoted
 from pica_protocol.messages import (
     Bye,
     FromMember,
-    Hello,
     Join,
     Joined,
     Leave,
     Message,
     RoomNews,
-    Welcome,
 )
 
 HANDSHAKE_TIMEOUT_S: Final = 5.0
@@ -56,7 +52,6 @@ HANDSHAKE_TIMEOUT_S: Final = 5.0
 class State(Enum):
     """Where a session stands; each side uses its own subset, see above."""
 
-    GREETING = "greeting"
     JOINING = "joining"
     DECIDING = "deciding"
     JOINED = "joined"
@@ -89,16 +84,14 @@ _Table = Mapping[State, Mapping[type, State]]
 _OF_A_ROOM: Final[tuple[type, ...]] = (*get_args(RoomNews), Media)
 
 CLIENT_TABLE: Final[_Table] = {
-    State.GREETING: {Welcome: State.JOINING},
     State.JOINING: {Joined: State.JOINED},
     State.JOINED: dict.fromkeys(_OF_A_ROOM, State.JOINED),
     # What was under way when Leave went out still arrives.
-    State.LEAVING: dict.fromkeys((Welcome, Joined, *_OF_A_ROOM), State.LEAVING),
+    State.LEAVING: dict.fromkeys((Joined, *_OF_A_ROOM), State.LEAVING),
     State.CLOSED: {},
 }
 
 SERVER_TABLE: Final[_Table] = {
-    State.GREETING: {Hello: State.JOINING},
     State.JOINING: {Join: State.DECIDING, Leave: State.CLOSED},
     State.DECIDING: {Leave: State.CLOSED},
     State.JOINED: {
@@ -113,7 +106,7 @@ class Session:
     """What both ends share: the table, the outgoing control messages, the deadline and the end."""
 
     def __init__(self, table: _Table, max_bytes: int, deadline: float) -> None:
-        self.state = State.GREETING
+        self.state = State.JOINING
         self.closed: Closed | None = None
         self._table = table
         self._max_bytes = max_bytes
@@ -158,15 +151,6 @@ class Session:
         return self.closed
 
 
-def check_version(version: int) -> None:
-    """Refuse another version than ours."""
-    if version != PROTOCOL_VERSION:
-        raise RemoteProtocolError(
-            f"this side speaks {SUBPROTOCOL}, the other version {quoted(version)}",
-            CloseCode.WRONG_VERSION,
-        )
-
-
 def binary(data: bytes | str) -> bytes:
     """Refuse a text message, and one of an unknown kind."""
     if isinstance(data, str):
@@ -174,3 +158,69 @@ def binary(data: bytes | str) -> bytes:
     if len(data) == 0 or data[0] not in (CONTROL_KIND, MEDIA_KIND):
         raise RemoteProtocolError(f"unknown kind of message, first byte {quoted(data[:1])}")
     return data
+
+
+_JOINED: Final = State.JOINED  # looked up once for every frame
+
+
+class ServerSession(Session):
+    """The relay's end: has the relay decide on the join, and passes on what follows."""
+
+    def __init__(self, *, now: float, timeout_s: float = HANDSHAKE_TIMEOUT_S):
+        """Start on a websocket that is open; the client speaks first."""
+        super().__init__(SERVER_TABLE, MAX_CLIENT_MESSAGE_BYTES, now + timeout_s)
+
+    def receive_data(self, data: bytes | str, now: float) -> list[ServerEvent]:
+        """Take one websocket message, of which media goes to `receive_media`; after a ``Join``
+        event the relay owes the client ``accept`` or ``close``."""
+        if self.state is State.CLOSED:
+            return []
+        try:
+            data = binary(data)
+            if data[0] == MEDIA_KIND:
+                self.receive_media(data)
+                return [] if self.closed is None else [self.closed]
+            return self._receive_message(decode_message(data, self._max_bytes))
+        except RemoteProtocolError as error:
+            return [self._end(error.code, str(error), is_remote=False)]
+
+    def receive_media(self, message: bytes) -> list[FrameSpan]:
+        """Take one media message; return its frames, or none and be closed."""
+        try:
+            if self.state is not _JOINED:  # where the table leads nowhere else
+                if self.state is State.CLOSED:
+                    return []
+                self._advance(Media)
+            return scan_frames(message)
+        except RemoteProtocolError as error:
+            self._end(error.code, str(error), is_remote=False)
+            return []
+
+    def messages_to_send(self, now: float) -> list[bytes]:
+        """Take the control messages that must go out now, in order."""
+        data, self._outgoing = self._outgoing, []
+        return data
+
+    def handle_timer(self, now: float) -> list[ServerEvent]:
+        """Close a connection that has not asked to join by now."""
+        if self._deadline is None or now < self._deadline:
+            return []
+        return [self._end(CloseCode.HANDSHAKE_TIMEOUT, "no join in time", is_remote=False)]
+
+    def accept(self, joined: Joined) -> None:
+        """Let the client in; ``close`` is the other answer to a ``Join``."""
+        if self.state is not State.DECIDING:
+            raise LocalProtocolError(f"no join was asked for: {self.state.value}")
+        self.state = State.JOINED
+        self._deadline = None
+        self._queue(joined)
+
+    def _receive_message(self, message: Message) -> list[ServerEvent]:
+        if isinstance(message, Bye):
+            return [self._end(message.code, message.reason, is_remote=True)]
+        self._advance(type(message))
+        if isinstance(message, Leave):
+            self._queue(Bye(code=CloseCode.NORMAL, reason="left"))
+            return [self._end(CloseCode.NORMAL, "left", is_remote=True)]
+        assert isinstance(message, Join | FromMember)  # so says the table
+        return [message]

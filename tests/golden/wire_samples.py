@@ -12,7 +12,6 @@ from pica_protocol.frames import Frame, encode_frame, media_message
 from pica_protocol.messages import (
     BarIdentity,
     Bye,
-    Hello,
     Join,
     Joined,
     Leave,
@@ -29,7 +28,6 @@ from pica_protocol.messages import (
     Subscribe,
     Track,
     UpdateMetadata,
-    Welcome,
     Whisper,
 )
 from pica_protocol.store import Offer, Ready, Stored, StoreMessage, encode_chunk
@@ -47,8 +45,6 @@ _ADA = Peer(
 _KNOWN_ADA = replace(_ADA, identity="ada-1", is_name_assured=True)
 
 MESSAGES: dict[str, Message] = {
-    "hello": Hello(software="pica-client"),
-    "welcome": Welcome(software="pica-relay"),
     "join": Join(
         room="lobby",
         name="Bob",
@@ -133,14 +129,14 @@ def wire_bytes() -> dict[str, bytes]:
 
 def invalid_bytes() -> dict[str, bytes]:
     """Return one broken sibling of each kind that a decoder must refuse."""
-    hello, frame = wire_bytes()["hello"], wire_bytes()["one frame"]
+    subscribe, frame = wire_bytes()["subscribe"], wire_bytes()["one frame"]
     return {
         "nothing at all": b"",
-        "unknown kind of message": b"\x03" + hello[1:],
+        "unknown kind of message": b"\x03" + subscribe[1:],
         "control without a map": b"\x01\x90",
-        "control cut off": hello[:-1],
-        "control with bytes to spare": hello + b"\x00",
-        "unknown type": hello.replace(b"hello", b"hullo"),
+        "control cut off": subscribe[:-1],
+        "control with bytes to spare": subscribe + b"\x00",
+        "unknown type": subscribe.replace(b"subscribe", b"subscrybe"),
         "required field missing": b"\x01\x81\xa4type\xa9subscribe",
         "number where text belongs": encode_message(Bye(code=1000, reason="x")).replace(
             b"\xa1x", b"\x07"
@@ -165,7 +161,7 @@ def invalid_bytes() -> dict[str, bytes]:
             Join(room="r", name="n", tracks=(Track(kind="face"),))
         ).replace(b"deadline_ms\x00", b"deadline_ms\x01"),
         "stream 0": encode_message(Subscribe(stream=1)).replace(b"stream\x01", b"stream\x00"),
-        "key that stands twice": hello[:1] + b"\x84" + hello[2:] + b"\xa7version\x01",
+        "key that stands twice": subscribe[:1] + b"\x84" + subscribe[2:] + b"\xa5every\x04",
         "name that draws nothing": encode_message(Join(room="r", name="n")).replace(
             b"\xa1n", b"\xa3\xe3\x85\xa4"
         ),

@@ -15,7 +15,6 @@ from pica_protocol.messages import (
     BYE_CODES,
     BarIdentity,
     Bye,
-    Hello,
     Join,
     Joined,
     Leave,
@@ -32,7 +31,6 @@ from pica_protocol.messages import (
     Subscribe,
     Track,
     UpdateMetadata,
-    Welcome,
     Whisper,
 )
 
@@ -73,8 +71,6 @@ peers = st.builds(
 )
 
 messages: st.SearchStrategy[Message] = st.one_of(
-    st.builds(Hello, version=counters, software=texts),
-    st.builds(Welcome, version=counters, software=texts),
     st.builds(
         Join,
         room=tokens,

@@ -26,7 +26,6 @@ from pica_protocol.errors import CloseCode
 from pica_protocol.frames import SEQUENCE_MODULUS, Frame, encode_frame, media_message
 from pica_protocol.messages import (
     BarIdentity,
-    Hello,
     Join,
     MutePeer,
     PeerLeft,
@@ -283,9 +282,9 @@ def send_damaged(foe: Foe, now: float) -> None:
     foe.say(Mutator(foe.rng, CORPUS).mutate(foe.rng.choice(CORPUS)), now)
 
 
-def greet_again(foe: Foe, now: float) -> None:
-    """Begin the handshake again inside of the room."""
-    foe.tell(foe.rng.choice((Hello(), Join(room="lobby", name="Ada", token=foe.name))), now)
+def join_again(foe: Foe, now: float) -> None:
+    """Join again inside of the room."""
+    foe.tell(Join(room="lobby", name="Ada", token=foe.name), now)
 
 
 def stop_reading(foe: Foe, now: float) -> None:
@@ -310,7 +309,7 @@ TRICKS: list[Callable[[Foe, float], None]] = [
     lose_connection,
     join_beside,
     send_damaged,
-    greet_again,
+    join_again,
     stop_reading,
     do_nothing,
 ]

@@ -39,7 +39,6 @@ from pica_protocol.errors import CloseCode
 from pica_protocol.frames import MEDIA_KIND, Frame, decode_media, encode_frame, media_message
 from pica_protocol.messages import (
     Bye,
-    Hello,
     Join,
     Joined,
     Leave,
@@ -49,7 +48,6 @@ from pica_protocol.messages import (
     PeerBack,
     PeerJoined,
     PeerLeft,
-    Welcome,
     Whisper,
 )
 from pica_protocol.session import ClientEvent
@@ -230,8 +228,6 @@ class World:
                     other.waiting.append(data)
             return
         match decode_message(data):
-            case Hello():
-                line.waiting.append(encode_message(Welcome()))
             case Join() as join:
                 self.admit(line, join)
             case Whisper(peer_id=peer_id, data=note) if line.peer is not None:

@@ -5,7 +5,6 @@ import pytest
 
 from golden.wire_samples import FRAMES, GOLDEN, MESSAGES, invalid_bytes, wire_bytes
 from helpers.paths import ROOT
-from pica_protocol import PROTOCOL_VERSION
 from pica_protocol.codec import decode_message
 from pica_protocol.errors import CloseCode, RemoteProtocolError
 from pica_protocol.frames import decode_media
@@ -60,10 +59,6 @@ def test_the_bytes_in_the_document_are_golden() -> None:
     shown = re.findall(r"```hex\n(.*?)```", DOCUMENT, re.DOTALL)
     assert shown
     assert {re.sub(r"\s", "", each) for each in shown} <= set(VECTORS["valid"].values())
-
-
-def test_the_document_says_the_version() -> None:
-    assert f"`version` must equal the relay's: it is {PROTOCOL_VERSION}." in DOCUMENT
 
 
 @pytest.mark.parametrize("message", [*MESSAGE_TYPES.values(), *STORE_MESSAGE_TYPES.values()])

@@ -12,7 +12,6 @@ from pica_protocol.frames import Frame, decode_media, encode_frame, media_messag
 from pica_protocol.limits import MAX_PEERS
 from pica_protocol.messages import (
     Bye,
-    Hello,
     Join,
     Joined,
     Leave,
@@ -27,11 +26,9 @@ from pica_protocol.messages import (
     Subscribe,
     Track,
     UpdateMetadata,
-    Welcome,
     Whisper,
 )
-from pica_protocol.server_session import ServerSession
-from pica_protocol.session import CLIENT_TABLE, SERVER_TABLE, Closed, Media, State
+from pica_protocol.session import CLIENT_TABLE, SERVER_TABLE, Closed, Media, ServerSession, State
 
 pytestmark = pytest.mark.unit
 
@@ -49,26 +46,21 @@ def sent(session: ClientSession | ServerSession) -> list[Message]:
 def joined_client() -> ClientSession:
     client = ClientSession(room="lobby", name="Ada", tracks=(FACE,), now=0.0)
     client.messages_to_send(now=0.0)
-    client.receive_data(encode_message(Welcome()), now=0.1)
     client.receive_data(encode_message(JOINED), now=0.2)
     return client
 
 
 def joined_server() -> ServerSession:
     server = ServerSession(now=0.0)
-    server.receive_data(encode_message(Hello()), now=0.1)
     server.receive_data(encode_message(Join(room="lobby", name="Ada", tracks=(FACE,))), now=0.2)
     server.accept(JOINED)
     server.messages_to_send(now=0.2)
     return server
 
 
-def test_a_client_greets_and_joins_in_one_go() -> None:
-    client = ClientSession(room="lobby", name="Ada", tracks=(FACE,), software="test", now=0.0)
-    assert sent(client) == [
-        Hello(software="test"),
-        Join(room="lobby", name="Ada", tracks=(FACE,)),
-    ]
+def test_a_client_asks_to_join() -> None:
+    client = ClientSession(room="lobby", name="Ada", tracks=(FACE,), now=0.0)
+    assert sent(client) == [Join(room="lobby", name="Ada", tracks=(FACE,))]
     assert client.messages_to_send(now=0.0) == []
 
 
@@ -80,10 +72,8 @@ def test_a_client_keeps_the_list_of_peers_up_to_date() -> None:
     assert client.peers == {"p3": cyd}
 
 
-def test_a_server_welcomes_and_asks_for_a_decision() -> None:
-    server = ServerSession(software="relay", now=0.0)
-    assert server.receive_data(encode_message(Hello()), now=0.1) == []
-    assert sent(server) == [Welcome(software="relay")]
+def test_a_server_asks_for_a_decision() -> None:
+    server = ServerSession(now=0.0)
     join = Join(room="lobby", name="Ada")
     assert server.receive_data(encode_message(join), now=0.2) == [join]
     assert server.state is State.DECIDING
@@ -107,7 +97,6 @@ def test_a_payload_is_sealed_when_its_header_is_final() -> None:
         return f"{frame.stream} {frame.sequence} ".encode() + frame.payload[::-1]
 
     client = ClientSession(room="lobby", name="Ada", tracks=(FACE,), now=0.0, seal=seal)
-    client.receive_data(encode_message(Welcome()), now=0.1)
     client.receive_data(encode_message(JOINED), now=0.2)
     client.send_frame(b"one", captured_us=0)
     (media,) = client.messages_to_send(now=1.0)[-1:]
@@ -143,7 +132,6 @@ def test_what_waits_is_split_into_messages_that_the_relay_takes() -> None:
     data = Track(kind="data", policy="ordered", deadline_ms=100)
     client = ClientSession(room="lobby", name="Ada", tracks=(data,) * 4, now=0.0)
     own = tuple(replace(data, stream=stream) for stream in (7, 9, 10, 11))
-    client.receive_data(encode_message(Welcome()), now=0.1)
     client.receive_data(encode_message(Joined(room="lobby", peer_id="p1", tracks=own)), now=0.2)
     client.messages_to_send(now=0.0)
     for track in range(4):
@@ -225,35 +213,16 @@ def test_a_client_gives_up_on_a_silent_relay_at_the_deadline() -> None:
     assert client.next_timer() is None
 
 
-@pytest.mark.parametrize("has_greeted", [False, True])
-def test_a_server_closes_a_client_that_does_not_join_in_time(has_greeted: bool) -> None:
+def test_a_server_closes_a_client_that_does_not_join_in_time() -> None:
     server = ServerSession(now=0.0, timeout_s=5.0)
-    if has_greeted:
-        server.receive_data(encode_message(Hello()), now=4.0)
     assert server.handle_timer(now=4.9) == []
     (closed,) = server.handle_timer(now=5.0)
-    awaited = "join" if has_greeted else "hello"
-    assert closed == Closed(code=4003, reason=f"no {awaited} in time", is_remote=False)
-    assert sent(server)[-1] == Bye(code=4003, reason=f"no {awaited} in time")
-
-
-def test_another_version_is_refused_by_the_server() -> None:
-    server = ServerSession(now=0.0)
-    (closed,) = server.receive_data(encode_message(Hello(version=1)), now=0.1)
-    reason = "this side speaks pica.2, the other version 1"
-    assert closed == Closed(code=4001, reason=reason, is_remote=False)
-
-
-def test_another_version_is_refused_by_the_client() -> None:
-    client = ClientSession(room="lobby", name="Ada", now=0.0)
-    (closed,) = client.receive_data(encode_message(Welcome(version=9)), now=0.1)
-    assert isinstance(closed, Closed)
-    assert closed.code == CloseCode.WRONG_VERSION
+    assert closed == Closed(code=4003, reason="no join in time", is_remote=False)
+    assert sent(server)[-1] == Bye(code=4003, reason="no join in time")
 
 
 def test_a_relay_that_answers_for_other_tracks_is_refused() -> None:
     client = ClientSession(room="lobby", name="Ada", now=0.0)
-    client.receive_data(encode_message(Welcome()), now=0.1)
     (closed,) = client.receive_data(encode_message(JOINED), now=0.2)
     assert isinstance(closed, Closed)
     assert closed.reason == "joined with other tracks than ours"
@@ -261,9 +230,9 @@ def test_a_relay_that_answers_for_other_tracks_is_refused() -> None:
 
 def test_what_a_client_must_not_do_is_its_own_error() -> None:
     client = ClientSession(room="lobby", name="Ada", tracks=(FACE,), now=0.0)
-    with pytest.raises(LocalProtocolError, match="while greeting"):
+    with pytest.raises(LocalProtocolError, match="while joining"):
         client.send_frame(b"", captured_us=0)
-    with pytest.raises(LocalProtocolError, match="Subscribe while greeting"):
+    with pytest.raises(LocalProtocolError, match="Subscribe while joining"):
         client.tell(Subscribe(stream=1))
     with pytest.raises(LocalProtocolError, match="track 1"):
         joined_client().send_frame(b"", captured_us=0, track=1)
@@ -290,8 +259,6 @@ def test_a_long_reason_is_clipped_to_what_a_close_frame_holds() -> None:
 
 
 SAMPLES: list[Message] = [
-    Hello(),
-    Welcome(),
     Join(room="lobby", name="Ada", tracks=(FACE,)),
     JOINED,
     PeerJoined(peer=BOB),
@@ -313,12 +280,11 @@ def session_in(state: State, *, is_client: bool) -> ClientSession | ServerSessio
     if is_client:
         session = ClientSession(room="lobby", name="Ada", tracks=(FACE,), now=0.0)
         steps: list[tuple[State, Message]] = [
-            (State.JOINING, Welcome()),
             (State.JOINED, JOINED),
         ]
     else:
         session = ServerSession(now=0.0)
-        steps = [(State.JOINING, Hello()), (State.DECIDING, SAMPLES[2])]
+        steps = [(State.DECIDING, SAMPLES[0])]
     for reached, message in steps:
         if session.state is not state:
             session.receive_data(encode_message(message), now=0.0)
@@ -353,7 +319,7 @@ def test_what_the_table_does_not_allow_is_an_unexpected_message(is_client: bool)
 @given(
     is_client=st.booleans(),
     data=st.lists(st.binary(max_size=50) | messages.map(encode_message) | st.just(FRAME)),
-    state=st.sampled_from([State.GREETING, State.JOINING, State.JOINED]),
+    state=st.sampled_from([State.JOINING, State.JOINED]),
 )
 @settings(max_examples=300)
 def test_no_received_bytes_make_a_session_raise_or_speak_after_its_goodbye(
@@ -403,7 +369,6 @@ def test_a_face_of_ours_rides_with_our_voice_and_alone_only_when_none_comes() ->
     session = ClientSession(room="lobby", name="Ada", tracks=(FACE, VOICE), now=0.0)
     session.messages_to_send(0.0)
     own = (replace(FACE, stream=1), replace(VOICE, stream=2))
-    session.receive_data(encode_message(Welcome()), 0.0)
     session.receive_data(encode_message(Joined(room="lobby", peer_id="p1", tracks=own)), 0.0)
 
     def streams(now: float) -> list[list[int]]:

@@ -6,7 +6,7 @@ import pytest
 
 from pica_protocol.client_session import ClientSession
 from pica_protocol.codec import encode_message
-from pica_protocol.messages import Joined, Peer, PeerJoined, PeerLeft, Track, Welcome
+from pica_protocol.messages import Joined, Peer, PeerJoined, PeerLeft, Track
 from pica_protocol.session import Closed
 
 pytestmark = pytest.mark.unit
@@ -18,7 +18,6 @@ JOINED = Joined(room="lobby", peer_id="p1", tracks=(OWN,), peers=(BOB,))
 
 def joined_client() -> ClientSession:
     client = ClientSession(room="lobby", name="Ada", tracks=(replace(OWN, stream=0),), now=0.0)
-    client.receive_data(encode_message(Welcome()), now=0.1)
     assert client.receive_data(encode_message(JOINED), now=0.2) == [JOINED]
     return client
 
@@ -35,7 +34,6 @@ def joined_client() -> ClientSession:
 )
 def test_a_client_does_not_join_a_room_that_cannot_be(joined: Joined, reason: str) -> None:
     client = ClientSession(room="lobby", name="Ada", tracks=(replace(OWN, stream=0),), now=0.0)
-    client.receive_data(encode_message(Welcome()), 0.0)
     (closed,) = client.receive_data(encode_message(joined), 0.1)
     assert isinstance(closed, Closed)
     assert reason in closed.reason

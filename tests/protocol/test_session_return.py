@@ -18,7 +18,6 @@ from pica_protocol.messages import (
     PeerUpdated,
     StreamMuted,
     Track,
-    Welcome,
 )
 
 pytestmark = pytest.mark.unit
@@ -29,7 +28,6 @@ FACE = Track(kind="face")
 def client_with(ticket: Ticket | None = None, *, resumed: bool = False) -> ClientSession:
     client = ClientSession(room="r", name="Ada", tracks=(FACE,), now=0.0, ticket=ticket)
     own = (replace(FACE, stream=1),)
-    client.receive_data(encode_message(Welcome()), now=0.0)
     joined = Joined(room="r", peer_id="p1", tracks=own, resume="s3cret", resumed=resumed)
     client.receive_data(encode_message(joined), now=0.0)
     return client

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from golden.wire_samples import CHUNK, GOLDEN, STORE_MESSAGES, store_bytes
 from pica_protocol.codec import decode_message, decode_store_message, encode_message
 from pica_protocol.errors import RemoteProtocolError
-from pica_protocol.messages import Hello
+from pica_protocol.messages import Leave
 from pica_protocol.store import (
     MAX_CHUNK_BYTES,
     Offer,
@@ -48,8 +48,8 @@ def test_any_bytes_are_a_message_a_chunk_or_refused(data: bytes) -> None:
 
 
 def test_neither_sub_protocol_takes_the_messages_of_the_other() -> None:
-    with pytest.raises(RemoteProtocolError, match="unknown message type 'hello'"):
-        decode_store_message(encode_message(Hello()))
+    with pytest.raises(RemoteProtocolError, match="unknown message type 'leave'"):
+        decode_store_message(encode_message(Leave()))
     with pytest.raises(RemoteProtocolError, match="unknown message type 'offer'"):
         decode_message(encode_message(Offer(sha256=ID, size=1)))
 

@@ -19,7 +19,7 @@ from websockets.typing import Subprotocol
 from pica_protocol import SUBPROTOCOL
 from pica_protocol.frames import MEDIA_KIND
 from pica_protocol.messages import Join, Joined
-from pica_protocol.server_session import ServerSession
+from pica_protocol.session import ServerSession
 
 
 class NaiveRelay:

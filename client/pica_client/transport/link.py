@@ -32,7 +32,6 @@ from pica_client.stats import wire_bytes
 from pica_client.transport.config import LinkConfig, read_token, shown_name
 from pica_client.transport.connect import (
     CONNECT_ERRORS,
-    SOFTWARE,
     LinkCounters,
     RelayConnect,
     RelayWebsocket,
@@ -315,7 +314,6 @@ class Link:
             room=self.config.room,
             name=self.config.name,
             tracks=self._tracks,
-            software=SOFTWARE,
             now=loop.time(),
             seal=None if self.guard is None else self.guard.seal,
             token=token,

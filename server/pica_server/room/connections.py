@@ -15,8 +15,7 @@ from typing import Any, Final
 from pica_protocol.codec import encode_message
 from pica_protocol.errors import CloseCode
 from pica_protocol.messages import Message
-from pica_protocol.server_session import ServerSession
-from pica_protocol.session import Closed
+from pica_protocol.session import Closed, ServerSession
 from pica_server.config.relay import LimitsConfig, RelayConfig
 from pica_server.errors import OutboxFullError
 from pica_server.limits import TokenBucket
@@ -36,7 +35,6 @@ MODERATION_COST: Final = 10
 the largest room at once, and then a round in four seconds, as keys change when a peer comes or
 goes; ten updates of metadata at once, as people raise a hand; an admin may moderate everybody)."""
 
-SOFTWARE = "pica-relay"
 _KNOWN_CODES = frozenset(map(int, CloseCode))
 
 
@@ -115,7 +113,7 @@ class Connections:
             address: Whose it is, see ``limits.address_group``; empty is not limited.
         """
         config, limits = self.config, self.config.limits
-        session = ServerSession(software=SOFTWARE, now=now, timeout_s=config.handshake_timeout_s)
+        session = ServerSession(now=now, timeout_s=config.handshake_timeout_s)
         outbox = Outbox(self.stats.dropped)
         serial = next(self._serials)
         peer_id = f"p{serial}"

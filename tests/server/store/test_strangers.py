@@ -22,7 +22,7 @@ from helpers.store_peers import (
 )
 from pica_protocol.codec import encode_message
 from pica_protocol.errors import CloseCode
-from pica_protocol.messages import Bye, Hello
+from pica_protocol.messages import Bye, Leave
 from pica_protocol.store import Offer, encode_chunk
 from pica_server.config.relay import StoreConfig
 from pica_server.store.store import AvatarStore
@@ -66,7 +66,7 @@ OFFER = encode_message(Offer(sha256=ID, size=len(FILE)))
     [
         (["offer"], CloseCode.MALFORMED),
         ([b""], CloseCode.MALFORMED),
-        ([encode_message(Hello())], CloseCode.MALFORMED),
+        ([encode_message(Leave())], CloseCode.MALFORMED),
         ([encode_message(Bye(code=1000))], CloseCode.UNEXPECTED_MESSAGE),
         ([encode_chunk(FILE[:100])], CloseCode.MALFORMED),
         ([OFFER, OFFER], CloseCode.MALFORMED),
