@@ -18,7 +18,7 @@ from typing import Final
 from fuzzing.mutator import Mutator
 from golden.wire_samples import GOLDEN
 from helpers.stream_toy import perform, toy_profile
-from helpers.toy import make_toy_avatar
+from helpers.toy import make_toy_avatar, with_bases
 from pica_client.e2ee.errors import OpenError
 from pica_client.e2ee.frames import decode_header, derive_key, metadata_of, open_, seal
 from pica_client.e2ee.key_messages import KeyMessage, decode, encode, room_key
@@ -117,10 +117,10 @@ def seeds() -> dict[str, list[bytes]]:
     They are the golden bytes of the wire, a sealed frame, a key message, a stream, an avatar.
     """
     told = KeyMessage(False, bytes(32), bytes(8), bytes(8), 0, 1, 0, bytes(32))
-    spec = AvatarSpec(map_size=32, hidden_channels=(2,), uv_encoding_size=4, axis_encoding_size=4)
+    spec = AvatarSpec(uv_encoding_size=4, axis_encoding_size=4)
     with tempfile.TemporaryDirectory() as folder:
         avatar = Path(folder, "toy.pica")
-        save_avatar(avatar, make_toy_avatar(grid=3, spec=spec))
+        save_avatar(avatar, with_bases(make_toy_avatar(grid=3, spec=spec)))
         avatar_bytes = avatar.read_bytes()
     wire = list(GOLDEN_BYTES.values())
     return {

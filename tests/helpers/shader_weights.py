@@ -22,7 +22,7 @@ def unpack_weights(spec: AvatarSpec, data: bytes) -> dict[str, Array]:
             outs, ins, VECTOR, VECTOR
         )
         padded = tiles.transpose(0, 3, 1, 2).reshape(outs * VECTOR, ins * VECTOR)
-        tensors[f"{block.name}.weight"] = padded[: block.rows, list(block.columns)]
+        tensors[f"{block.name}.weight"] = padded[: block.outputs, : block.inputs]
         flat = biases[block.bias : block.bias + outs].reshape(-1)
-        tensors[f"{block.name}.bias"] = flat[: block.rows]
+        tensors[f"{block.name}.bias"] = flat[: block.outputs]
     return tensors

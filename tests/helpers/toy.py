@@ -8,11 +8,18 @@ import numpy as np
 import numpy.typing as npt
 
 from pica_core.avatar.file import Avatar
-from pica_core.avatar.levels import exit_shapes, faces_name, level_sizes
+from pica_core.avatar.levels import EXIT_SIZES, STILL_NAME, exit_shapes, faces_name
 from pica_core.avatar.linear import REGION
 from pica_core.avatar.manifest import Manifest, ViewSpan
-from pica_core.avatar.spec import AvatarSpec, spec_tensor_shapes
-from pica_core.avatar.variants import VARIANTS
+from pica_core.avatar.spec import (
+    ENCODER_CHANNELS,
+    EXPRESSION_CHANNELS,
+    MAP_SIZE,
+    PIXEL_CHANNELS,
+    XYZ_CHANNELS,
+    AvatarSpec,
+    spec_tensor_shapes,
+)
 from pica_core.codec.latent_stream import LatentEncoder
 from pica_core.latent import LATENT_SHAPE, NUM_LATENT
 from pica_core.train.stream_learning import RenderMetric, learn_profile
@@ -22,6 +29,7 @@ PAPER_SPEC = AvatarSpec(block="H2")
 """The paper's sizes; H2 is the block whose parameter count lies nearest to the paper's 5.47 M."""
 
 NUM_BASES, REACH_M = 6, 4e-3
+ENCODER_RANK = 32
 NUM_STILL = 2
 """Regions of a toy's mesh that never move."""
 TOY_SPEC = AvatarSpec(uv_encoding_size=64, axis_encoding_size=200)
@@ -60,24 +68,20 @@ def make_toy_avatar(
     rng = np.random.default_rng(seed)
     tensors: dict[str, npt.NDArray[np.generic]] = {}
     for key, shape in spec_tensor_shapes(spec).items():
+        if key.startswith("encoder."):
+            continue
         fan_in = int(np.prod(shape[1:])) if key.endswith(".weight") else 1
         spread = 0.05 if "bias" in key else np.sqrt(1.5 / fan_in)
         tensors[key] = (rng.standard_normal(shape) * spread).astype(np.float32)
-    texel = (np.arange(spec.map_size, dtype=np.float32) + 0.5) / spec.map_size
+    texel = (np.arange(MAP_SIZE, dtype=np.float32) + 0.5) / MAP_SIZE
     tensors["geometry.mean"] = head_surface(*np.meshgrid(texel, texel))
     tensors |= _paint(spec, rng, tensors)
     corner = np.linspace(0.004, 0.996, grid, dtype=np.float32)
     u, v = np.meshgrid(corner, corner)
     tensors["mesh.vertex_uv"] = np.stack([u, v], axis=-1).reshape(-1, 2)
     tensors["mesh.faces"] = grid_faces(grid, grid)
-    width = 52
-    for index, out in enumerate((32, 256)):
-        tensors[f"encoder.{index}.weight"] = (
-            rng.standard_normal((out, width)) / np.sqrt(width)
-        ).astype(np.float32)
-        tensors[f"encoder.{index}.bias"] = np.zeros(out, np.float32)
-        width = out
-    tensors |= _stream(tensors["encoder.1.weight"])
+    tensors |= _encoder(rng)
+    tensors |= _stream(tensors["encoder.2.weight"])
     manifest = Manifest(
         name=name,
         identity=f"toy-{seed}",
@@ -87,16 +91,29 @@ def make_toy_avatar(
         bounds_min_m=(-0.15, -0.2, -0.15),
         bounds_max_m=(0.15, 0.2, 0.2),
         view_span=ViewSpan(-60.0, 60.0, -40.0, 40.0),
-        variant=next(name for name, row in VARIANTS.items() if row.encoding == spec.encoding),
         model_card={"training": "none: random weights"},
     )
     return Avatar(manifest, tensors)
 
 
+def _encoder(rng: np.random.Generator) -> dict[str, npt.NDArray[np.generic]]:
+    """An expression encoder whose latents lie in `ENCODER_RANK` directions."""
+    tensors: dict[str, npt.NDArray[np.generic]] = {}
+    width = 52
+    for index, out in enumerate(ENCODER_CHANNELS):
+        weight = rng.standard_normal((out, width)) / np.sqrt(width)
+        weight[:, ENCODER_RANK if index == len(ENCODER_CHANNELS) - 1 else width :] = 0
+        tensors[f"encoder.{index}.weight"] = weight.astype(np.float32)
+        tensors[f"encoder.{index}.bias"] = np.zeros(out, np.float32)
+        width = out
+    return tensors
+
+
 def _stream(encoder_weight: FloatArray) -> dict[str, npt.NDArray[np.generic]]:
     """The profile of a stream that carries whatever the expression encoder says, and the latent
     whose values are all alike, within 0.02."""
-    spanned = np.concatenate([np.ones((256, 1)), encoder_weight.astype(np.float64)], axis=1)
+    used = encoder_weight[:, :ENCODER_RANK].astype(np.float64)
+    spanned = np.concatenate([np.ones((256, 1)), used], axis=1)
     directions = np.linalg.qr(spanned)[0].T
     faces = np.random.default_rng(3).standard_normal((120, len(directions))) @ directions
     metric = RenderMetric(directions, 64.0 * np.eye(len(directions)))
@@ -136,7 +153,7 @@ def with_bases(avatar: Avatar, *, seed: int = 4) -> Avatar:
         "linear.rank": rank,
     }
     spec = replace(avatar.spec, geometry="bases")
-    return Avatar(replace(avatar.manifest, spec=spec, variant="linear"), tensors)
+    return Avatar(replace(avatar.manifest, spec=spec), tensors)
 
 
 def with_toy_levels(avatar: Avatar, *, seed: int = 8) -> Avatar:
@@ -145,13 +162,13 @@ def with_toy_levels(avatar: Avatar, *, seed: int = 8) -> Avatar:
     avatar = avatar if avatar.spec.geometry == "bases" else with_bases(avatar)
     tensors = dict(avatar.tensors)
     grid = round(len(tensors["mesh.vertex_uv"]) ** 0.5)
-    *exits, full = level_sizes(avatar.spec)
-    for level in exits:
-        kept = np.unique(np.linspace(0, grid - 1, max(3, grid * level // full)).round())
+    tensors[STILL_NAME] = np.zeros(LATENT_SHAPE, np.float32)
+    for level in EXIT_SIZES:
+        kept = np.unique(np.linspace(0, grid - 1, max(3, grid * level // MAP_SIZE)).round())
         corner = kept.astype(np.int32)
         index = (corner[:, None] * grid + corner).reshape(-1).astype(np.int32)
         tensors[faces_name(level)] = index[grid_faces(len(corner), len(corner))]
-        for name, shape in exit_shapes(avatar.spec, level).items():
+        for name, shape in exit_shapes(level).items():
             spread = np.sqrt(1.5 / np.prod(shape[1:])) if name.endswith("weight") else 0.05
             tensors[name] = (rng.standard_normal(shape) * spread).astype(np.float32)
     return Avatar(avatar.manifest, tensors)
@@ -180,13 +197,13 @@ def _paint(
     }
     num_masks = 0
     if "joint" in spec.encoding_channels:
-        num_masks = min(4, spec.uv_encoding_channels, min(spec.pixel_channels[:-1]))
-        painted["uv_encoding"] = (2 * maps - 1)[..., : spec.uv_encoding_channels].astype(np.float32)
+        num_masks = 4
+        painted["uv_encoding"] = (2 * maps - 1).astype(np.float32)
     if "axes" in spec.encoding_channels:
         for name in ("u_encoding", "v_encoding"):
             painted[name] = (tensors[name] * 0.2).astype(np.float32)
-    first = spec.expression_channels + spec.xyz_channels[-1]
-    last = len(spec.pixel_channels) - 1
+    first = EXPRESSION_CHANNELS + XYZ_CHANNELS[-1]
+    last = len(PIXEL_CHANNELS) - 1
     for layer in range(last + 1):
         shape = tensors[f"pixel.{layer}.weight"].shape
         weight = rng.standard_normal(shape) * (0.15 if layer < last else 0.05)

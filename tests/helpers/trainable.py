@@ -8,22 +8,20 @@ import numpy as np
 
 from helpers.toy import head_surface
 from pica_core.avatar.linear import fit_bases, split_bases
+from pica_core.avatar.spec import MAP_SIZE
 from pica_core.model.interface import FacePrior, LinearPrior
 from pica_core.model.linear import CODE_SIZE
 
 
-def toy_prior(
-    *, map_size: int = 256, dense: int = 16, tracked: int = 9, scale_m: float = 0.005
-) -> FacePrior:
+def toy_prior(*, dense: int = 16, tracked: int = 9, scale_m: float = 0.005) -> FacePrior:
     """The toy's head as a mean face, with two grids over the same UV square.
 
     Args:
-        map_size: Rows and columns of the position map.
         dense: Rows and columns of the dense mesh.
         tracked: The same of the tracked mesh.
         scale_m: Unit of decoded offsets.
     """
-    texel = (np.arange(map_size, dtype=np.float32) + 0.5) / map_size
+    texel = (np.arange(MAP_SIZE, dtype=np.float32) + 0.5) / MAP_SIZE
     tracked_uv = grid_uv(tracked)
     position_mean = head_surface(*np.meshgrid(texel, texel))
     return FacePrior(

@@ -20,6 +20,7 @@ import onnxruntime as onnxruntime
 from pica_client.decode.request import DecodedMaps, Parts
 from pica_client.errors import OptionError
 from pica_core.avatar.file import Avatar
+from pica_core.avatar.spec import MAP_SIZE
 from pica_core.graphs.onnx_graph import baseline_graph, decoder_graph
 from pica_core.reference.baseline import BaselineAvatar
 from pica_core.types import FloatArray
@@ -52,7 +53,7 @@ class OnnxDecoder:
     def prepare(self, level: int | None = None, parts: Parts = "both") -> Any:
         """Get ready for such decodes; may take long, once. Gives their session; OptionError for a
         level that the avatar lacks."""
-        size = self._avatar.spec.map_size if level is None else level
+        size = MAP_SIZE if level is None else level
         session = self._sessions.get((size, parts))
         if session is None:
             if size not in self._avatar.levels:

@@ -36,6 +36,7 @@ from pica_client.render.renderer import Renderer
 from pica_client.render.shader_source import compose
 from pica_client.system import Closing
 from pica_core.avatar.file import Avatar
+from pica_core.avatar.spec import MAP_SIZE
 from pica_core.gl import freeing, is_software
 from pica_core.latent import LATENT_SHAPE, NUM_LATENT
 from pica_core.types import Array
@@ -236,7 +237,7 @@ class GpuDecoder(Closing):
             request, entry.request = entry.request, None
             if request is None:
                 continue
-            level = request.level or entry.avatar.spec.map_size
+            level = request.level or MAP_SIZE
             if problem := _problem(entry.avatar, request, level):
                 results.append(DecodeResult(slot, None, problem))
                 self.remove(slot)

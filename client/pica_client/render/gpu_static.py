@@ -18,6 +18,7 @@ from pica_client.render.gpu_program import (
 )
 from pica_core.avatar.bust import WHOLE_M
 from pica_core.avatar.file import Avatar
+from pica_core.avatar.spec import MAP_SIZE
 from pica_core.types import Array
 
 TEXTURE_PX = 1024
@@ -69,8 +70,7 @@ def bake_texture(
     coloured.use()
     coloured.depth_mask = False
     context.depth_func = ">"
-    rows = avatar.spec.map_size
-    set_values(shade.program, expression_rows=(0, rows, rows, False))
+    set_values(shade.program, expression_rows=(0, MAP_SIZE, MAP_SIZE, False))
     set_values(shade.program, slot=1.0, shown=WHOLE_M, rect=_WHOLE_SCREEN)
     shade.render(moderngl.TRIANGLE_STRIP, vertices=4)
     context.depth_func = "<"

@@ -21,7 +21,7 @@ import numpy as np
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.levels import local_name
 from pica_core.avatar.linear import PREFIX, RANK, REGION
-from pica_core.avatar.spec import decoder_layers
+from pica_core.avatar.spec import MAP_SIZE, decoder_layers
 from pica_core.latent import NUM_LATENT
 from pica_core.types import Array, FloatArray
 
@@ -138,7 +138,7 @@ def lay_out(avatar: Avatar) -> tuple[Plan, dict[str, Array]] | None:
             defines["BIAS"] = half.add(_phase_biases(tensors[f"{layer.name}.bias"]))
             trunk.append(
                 Pass(
-                    shader=EXPAND if 2 * size < spec.map_size else FULL,
+                    shader=EXPAND if 2 * size < MAP_SIZE else FULL,
                     defines=defines,
                     columns=outs * size,
                     rows=size,

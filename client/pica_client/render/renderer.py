@@ -55,7 +55,7 @@ from pica_client.render.room import EMPTY_ROOM, STILL, Room, lens_of
 from pica_client.render.scene import Placement
 from pica_client.system import Closing
 from pica_core.avatar.file import Avatar
-from pica_core.avatar.spec import POSITION_CHANNELS
+from pica_core.avatar.spec import EXPRESSION_CHANNELS, POSITION_CHANNELS
 from pica_core.camera import Camera
 from pica_core.errors import GraphicsError
 from pica_core.gl import GL_VERSION, freeing, is_software, wait_for_gpu
@@ -166,7 +166,7 @@ class Renderer(Closing):
                     program=self._program_for(avatar),
                 )
         rows = {level: avatar.position_rows(level) for level in avatar.levels}
-        square, codes = {level: level for level in rows}, avatar.spec.expression_channels
+        square, codes = {level: level for level in rows}, EXPRESSION_CHANNELS
         self._slots[slot] = RenderSlot(
             version=self._next_version(),
             avatar=avatar,
@@ -443,10 +443,9 @@ class Renderer(Closing):
         """Another avatar's program of the same spec, which serves where weights are in a block."""
         if self.weights != "block":
             return None
-        kind = (avatar.spec, avatar.manifest.variant)
         for entry in self._slots.values():
             other, body = entry.avatar, entry.body
-            if other and body and (other.spec, other.manifest.variant) == kind:
+            if other and body and other.spec == avatar.spec:
                 return body.shade.program
         return None
 

@@ -5,8 +5,7 @@ The block is std140: first every matrix as 4x4 blocks (columns of four floats, a
 row of blocks by row of blocks, layer after layer; then every bias in vectors of four. Widths that
 are no multiple of four are padded with zeros, which a sine layer keeps at zero.
 
-The inputs of the pixel decoder's first layer are padded group by group, as the shader fills its
-vectors:
+The inputs of the pixel decoder's first layer, as the shader fills its vectors:
 
     vector 0  expression    vector 1  encoded xyz    then the surface encoding, part by part:
     joint  m_uv    axes  m_u in xy, m_v in zw    uv  u, v    sinusoids  an octave in each of ten
@@ -17,8 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pica_client.errors import ShaderError
-from pica_core.avatar.spec import AvatarSpec
+from pica_core.avatar.spec import PIXEL_CHANNELS, POSITION_CHANNELS, XYZ_CHANNELS, AvatarSpec
 from pica_core.types import Array
 
 VECTOR = 4
@@ -37,59 +35,36 @@ class LayerBlock:
     """Index of its first 4x4 block."""
     bias: int
     """Index of its first vector of biases."""
-    columns: tuple[int, ...]
-    """Which padded input each of its inputs is."""
-    rows: int
-    """Outputs, without padding."""
+    inputs: int
+    """Without padding, as the outputs are."""
+    outputs: int
 
     @property
     def in_vectors(self) -> int:
         """Vectors of four that the shader reads."""
-        return _vectors(self.columns[-1] + 1)
+        return _vectors(self.inputs)
 
     @property
     def out_vectors(self) -> int:
         """Vectors of four that the shader writes."""
-        return _vectors(self.rows)
+        return _vectors(self.outputs)
 
 
 def layer_blocks(spec: AvatarSpec) -> list[LayerBlock]:
-    """The layers in the order of the block: the xyz SIREN, then the pixel decoder; ShaderError if
-    the shader's fixed input vectors do not hold them."""
-    for name, value in (
-        ("expression_channels", spec.expression_channels),
-        ("the last of xyz_channels", spec.xyz_channels[-1]),
-    ):
-        if value > VECTOR:
-            raise ShaderError(f"{name} is {value}; the pixel shader takes up to {VECTOR}")
-    pixel_columns = [*range(spec.expression_channels), *range(4, 4 + spec.xyz_channels[-1])]
-    start = 2 * VECTOR
-    for part, channels in spec.encoding_channels.items():
-        if part == "axes":  # m_v begins at the third place, however wide m_u is
-            half = channels // 2
-            pixel_columns += [*range(start, start + half), *range(start + 2, start + 2 + half)]
-        else:
-            pixel_columns += range(start, start + channels)
-        start += _vectors(channels) * VECTOR
+    """The layers in the order of the block: the xyz SIREN, then the pixel decoder."""
     blocks: list[LayerBlock] = []
     matrix = bias = 0
-    for prefix, first, widths in (
-        ("xyz", (0, 1, 2), spec.xyz_channels),
-        ("pixel", tuple(pixel_columns), spec.pixel_channels),
+    for prefix, inputs, widths in (
+        ("xyz", POSITION_CHANNELS, XYZ_CHANNELS),
+        ("pixel", spec.pixel_input_channels, PIXEL_CHANNELS),
     ):
-        columns = first
-        for index, rows in enumerate(widths):
-            block = LayerBlock(f"{prefix}.{index}", matrix, bias, columns, rows)
+        for index, outputs in enumerate(widths):
+            block = LayerBlock(f"{prefix}.{index}", matrix, bias, inputs, outputs)
             blocks.append(block)
             matrix += block.in_vectors * block.out_vectors
             bias += block.out_vectors
-            columns = tuple(range(rows))
+            inputs = outputs
     return blocks
-
-
-def pixel_input_vectors(spec: AvatarSpec) -> int:
-    """Vectors of four that expression, position and surface encoding fill."""
-    return 2 + sum(_vectors(channels) for channels in spec.encoding_channels.values())
 
 
 def block_sizes(spec: AvatarSpec) -> tuple[int, int]:
@@ -106,11 +81,11 @@ def pack_weights(spec: AvatarSpec, tensors: Mapping[str, Array]) -> bytes:
     for block in layer_blocks(spec):
         ins, outs = block.in_vectors, block.out_vectors
         padded = np.zeros((outs * VECTOR, ins * VECTOR), np.float32)
-        padded[: block.rows, list(block.columns)] = tensors[f"{block.name}.weight"]
+        padded[: block.outputs, : block.inputs] = tensors[f"{block.name}.weight"]
         tiles = padded.reshape(outs, VECTOR, ins, VECTOR).transpose(0, 2, 3, 1)
         matrices[block.matrix : block.matrix + ins * outs] = tiles.reshape(-1, VECTOR, VECTOR)
         flat = biases[block.bias : block.bias + outs].reshape(-1)
-        flat[: block.rows] = tensors[f"{block.name}.bias"]
+        flat[: block.outputs] = tensors[f"{block.name}.bias"]
     return matrices.tobytes() + biases.tobytes()
 
 
@@ -146,7 +121,7 @@ def siren_source(spec: AvatarSpec, tensors: Mapping[str, Array] | None = None) -
         matrices = [_constant("mat4", row) for row in floats[:split].reshape(-1, VECTOR * VECTOR)]
         biases = [_constant("vec4", row) for row in floats[split:].reshape(-1, VECTOR)]
     blocks = layer_blocks(spec)
-    inputs = [f"p{index}" for index in range(pixel_input_vectors(spec))]
+    inputs = [f"p{index}" for index in range(_vectors(spec.pixel_input_channels))]
     for prefix, head, values in (
         ("xyz", "vec4 encode_xyz(vec3 xyz_m)", ["vec4(xyz_m, 0.0)"]),
         ("pixel", f"vec3 decode_pixel({', '.join(f'vec4 {name}' for name in inputs)})", inputs),

@@ -99,7 +99,7 @@ class Head:
     def __post_init__(self) -> None:
         avatar = self.avatar
         self.num_triangles = tuple(len(avatar.level_faces(level)) for level in avatar.levels)
-        self.model = f"{avatar.manifest.variant} {avatar.spec.block}"
+        self.model = f"{avatar.spec.geometry} {avatar.spec.block}"
 
     @property
     def held_level(self) -> int | None:

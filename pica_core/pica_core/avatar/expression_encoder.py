@@ -4,14 +4,12 @@ A small fully connected network trained against the model's own codes; about 0.1
 numpy is fast enough and a sender needs no inference library.
 """
 
-import itertools
-
 import numpy as np
 import numpy.typing as npt
 
 from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.avatar.file import Avatar
-from pica_core.avatar.spec import LEAKY_SLOPE
+from pica_core.avatar.spec import ENCODER_CHANNELS, LEAKY_SLOPE
 from pica_core.errors import ShapeError
 from pica_core.latent import LATENT_SHAPE
 from pica_core.types import FloatArray
@@ -21,14 +19,14 @@ class ExpressionEncoder:
     """The expression encoder of one avatar. Keeps no state between calls."""
 
     def __init__(self, avatar: Avatar) -> None:
-        self._layers: list[tuple[FloatArray, FloatArray]] = []
-        for index in itertools.count():
-            if f"encoder.{index}.weight" not in avatar.tensors:
-                break
-            weight = avatar.tensors[f"encoder.{index}.weight"].astype(np.float32)
-            bias = avatar.tensors[f"encoder.{index}.bias"].astype(np.float32)
-            # Transposed once, in memory order: a row vector times a matrix reads it in one sweep.
-            self._layers.append((np.ascontiguousarray(weight.T), bias))
+        # Transposed once, in memory order: a row vector times a matrix reads it in one sweep.
+        self._layers: list[tuple[FloatArray, FloatArray]] = [
+            (
+                np.ascontiguousarray(avatar.tensors[f"encoder.{index}.weight"].T),
+                avatar.tensors[f"encoder.{index}.bias"],
+            )
+            for index in range(len(ENCODER_CHANNELS))
+        ]
 
     def encode(self, arkit: npt.ArrayLike) -> FloatArray:
         """Encode one expression or many.

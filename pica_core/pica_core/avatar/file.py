@@ -17,7 +17,7 @@ Tensors, float32 in memory unless stated:
     pixel.{i}.weight .bias    [out, in], [out]: the pixel decoder
     mesh.vertex_uv        [V, 2] in [0, 1]
     mesh.faces            [F, 3] int32, counter-clockwise seen from outside
-    encoder.{i}.weight .bias  52 ARKit shapes -> ... -> 256 latent values, LeakyReLU between
+    encoder.{i}.weight .bias  [out, in], [out]: 52 ARKit values to a latent, LeakyReLU between
     stream.*              tables of the latent bitstream, integers (`codec.profile`); may be absent
     level.*               levels of detail (`levels`); may be absent
     static.parts          which vertices do not change with the face (`static`); may be absent
@@ -38,20 +38,18 @@ import numpy as np
 import safetensors
 import safetensors.numpy
 
-from pica_core.avatar.arkit import NUM_ARKIT
+from pica_core.avatar.levels import PREFIX as LEVEL_PREFIX
 from pica_core.avatar.levels import (
-    STILL_NAME,
-    check_indices,
     faces_name,
     is_faces,
     is_index,
+    level_shapes,
     levels_of,
     sheet_rows,
-    wanted_shapes,
 )
 from pica_core.avatar.linear import check_linear, linear_shapes
 from pica_core.avatar.manifest import Manifest
-from pica_core.avatar.spec import AvatarSpec, spec_tensor_shapes
+from pica_core.avatar.spec import MAP_SIZE, AvatarSpec, spec_tensor_shapes
 from pica_core.avatar.static import NAME as STATIC_NAME
 from pica_core.avatar.static import decoded_faces, parts_of, static_shape, textured_faces
 from pica_core.avatar.storage import check_finite, to_memory, to_storage
@@ -59,7 +57,6 @@ from pica_core.codec.profile import PREFIX as STREAM_PREFIX
 from pica_core.codec.profile import StreamProfile
 from pica_core.errors import AvatarFileError, ProfileError
 from pica_core.files import replacing
-from pica_core.latent import LATENT_SHAPE, NUM_LATENT
 from pica_core.sampling import sample_vertices
 from pica_core.types import Array, FloatArray, IntArray
 
@@ -67,8 +64,6 @@ MAX_FILE_BYTES = 64 * 2**20
 MAX_HEADER_BYTES = 256 * 2**10
 MAX_VERTICES = 200_000
 MAX_FACES = 400_000
-MAX_ENCODER_LAYERS = 8
-MAX_ENCODER_WIDTH = 2048
 
 _INDEX_TYPES = {"I32", "U16"}
 _WEIGHT_TYPES = {"F32", "F16", "U8", "U16"}
@@ -86,10 +81,10 @@ class Avatar:
     manifest: Manifest
     tensors: Mapping[str, Array]
     levels: tuple[int, ...] = field(init=False)
-    """Map sizes that it can be decoded to, ascending; ends with `spec.map_size`."""
+    """Map sizes that it can be decoded to, ascending; ends with `MAP_SIZE`."""
 
     def __post_init__(self) -> None:
-        levels = levels_of(self.spec, self.tensors)
+        levels = levels_of(self.tensors)
         object.__setattr__(self, "levels", levels)  # asked for many times a frame
 
     @property
@@ -102,7 +97,7 @@ class Avatar:
         if level not in self.levels:
             known = ", ".join(map(str, self.levels))
             raise ValueError(f"level is {level}; this avatar has {known}")
-        name = "mesh.faces" if level == self.spec.map_size else faces_name(level)
+        name = "mesh.faces" if level == MAP_SIZE else faces_name(level)
         faces: IntArray = self.tensors[name]
         return faces
 
@@ -135,7 +130,7 @@ class Avatar:
         faces = self.level_faces(level)
         if self.spec.geometry != "bases":
             return None
-        if level == self.spec.map_size:
+        if level == MAP_SIZE:
             return np.arange(len(self.tensors["mesh.vertex_uv"]), dtype=np.int32)
         used: IntArray = np.unique(faces)
         return used
@@ -144,7 +139,7 @@ class Avatar:
         """The vertex at each place of a sheet that bases make; the last one fills its last row."""
         used = self.sheet_vertices(level)
         assert used is not None  # of bases
-        if level == self.spec.map_size:  # what fills it stands in the file
+        if level == MAP_SIZE:  # what fills it stands in the file
             return np.arange(self.position_rows(level) * level, dtype=np.int32)
         places: IntArray = np.full(self.position_rows(level) * level, used[-1], np.int32)
         places[: len(used)] = used
@@ -348,58 +343,29 @@ def _check_header(spec: AvatarSpec, header: Mapping[str, Any]) -> None:
 
 
 def _check_shapes(spec: AvatarSpec, shapes: Mapping[str, tuple[int, ...]]) -> None:
-    wanted = spec_tensor_shapes(spec) | encoder_shapes(shapes)
+    wanted = spec_tensor_shapes(spec)
     for name, columns, limit in (("mesh.vertex_uv", 2, MAX_VERTICES), ("mesh.faces", 3, MAX_FACES)):
         rows = (*shapes.get(name, ()), 0)[0]
         if rows > limit:
             raise ValueError(f"tensor {name} has {rows} rows; the limit is {limit}")
         wanted[name] = (rows, columns)
-    wanted |= wanted_shapes(spec, shapes, MAX_FACES)
-    if STATIC_NAME in shapes:
+    is_static = STATIC_NAME in shapes
+    if is_static:
         wanted[STATIC_NAME] = static_shape(wanted["mesh.vertex_uv"][0])
-        wanted[STILL_NAME] = LATENT_SHAPE
+    has_levels = any(name.startswith(LEVEL_PREFIX) for name in shapes)
+    if spec.geometry == "bases" and (has_levels or is_static):
+        wanted |= level_shapes(shapes, MAX_FACES)
     if spec.geometry == "bases":
         wanted |= linear_shapes(shapes, wanted["mesh.vertex_uv"][0])
     # Those of the stream are for its profile to judge.
     own = {name: shape for name, shape in shapes.items() if not name.startswith(STREAM_PREFIX)}
-    check_shapes(own, wanted)
-
-
-def encoder_shapes(shapes: Mapping[str, tuple[int, ...]]) -> dict[str, tuple[int, ...]]:
-    """Shapes that the expression encoder of a file must have, by those of all its tensors;
-    ValueError if a number of layers or outputs is out of its limits."""
-    wanted: dict[str, tuple[int, ...]] = {}
-    num_layers = sum(name.startswith("encoder.") and name.endswith(".weight") for name in shapes)
-    if not 1 <= num_layers <= MAX_ENCODER_LAYERS:
-        raise ValueError(f"encoder has {num_layers} layers; allowed are 1 to {MAX_ENCODER_LAYERS}")
-    width = NUM_ARKIT
-    for index in range(num_layers):
-        rows = (*shapes.get(f"encoder.{index}.weight", ()), 0)[0]
-        out = NUM_LATENT if index + 1 == num_layers else rows
-        if not 1 <= out <= MAX_ENCODER_WIDTH:
-            raise ValueError(
-                f"tensor encoder.{index}.weight is missing or has {out} outputs; "
-                f"allowed are 1 to {MAX_ENCODER_WIDTH}"
-            )
-        wanted[f"encoder.{index}.weight"] = (out, width)
-        wanted[f"encoder.{index}.bias"] = (out,)
-        width = out
-    return wanted
-
-
-def check_shapes(
-    shapes: Mapping[str, tuple[int, ...]], wanted: Mapping[str, tuple[int, ...]]
-) -> None:
-    """Raise a ValueError that names a tensor which is missing, unknown or of another shape."""
-    if missing := sorted(set(wanted) - set(shapes)):
+    if missing := sorted(wanted.keys() - own):
         raise ValueError(f"tensor {missing[0]} is missing ({len(missing)} in total)")
-    if unknown := sorted(set(shapes) - set(wanted)):
+    if unknown := sorted(own.keys() - wanted):
         raise ValueError(f"tensor {unknown[0]!r:.80} is unknown")
     for name, shape in wanted.items():
-        if shapes[name] != shape:
-            raise ValueError(
-                f"tensor {name} has shape {list(shapes[name])}; {list(shape)} is needed"
-            )
+        if own[name] != shape:
+            raise ValueError(f"tensor {name} has shape {list(own[name])}; {list(shape)} is needed")
 
 
 def _check_tensors(spec: AvatarSpec, tensors: Mapping[str, Array]) -> None:
@@ -420,7 +386,11 @@ def _check_tensors(spec: AvatarSpec, tensors: Mapping[str, Array]) -> None:
             f"tensor mesh.vertex_uv spans {uv.min():g} to {uv.max():g}; 0 to 1 is allowed"
         )
     for name in filter(is_faces, tensors):
-        check_indices(name, tensors[name], len(uv), "vertices")
+        low, high = tensors[name].min(), tensors[name].max()
+        if low < 0 or high >= len(uv):
+            raise ValueError(
+                f"tensor {name} names vertices {low} to {high}; allowed are 0 to {len(uv) - 1}"
+            )
         if not len(decoded_faces(tensors[name], parts_of(tensors))):
             raise ValueError(f"tensor {STATIC_NAME} leaves 0 triangles of {name}; 1 is the least")
     if spec.geometry == "bases":

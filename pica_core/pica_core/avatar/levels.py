@@ -7,10 +7,10 @@ block that makes maps of that size, and one linear layer turns what is there int
     expression map = conv3x3(trunk) + bias              a bias per texel, [S, S, 4]
 
 Its mesh is its own: coarser triangles over some of the same vertices, which the same bases make
-(`linear`). The mesh of a level can also be drawn with the full maps. An avatar may have exits at a
-quarter and a half of its full map, 64 and 128 of 256; one whose geometry is decoded has none.
+(`linear`). The mesh of a level can also be drawn with the full maps. An avatar has exits at 64 and
+128 of 256 or none; one whose geometry is decoded has none.
 
-Tensors of an avatar file: all of them may be absent; float32 in memory unless stated. S is a level
+Tensors of an avatar file with levels, all of them; float32 in memory unless stated. S is a level
 below the full one, C the channels of the trunk there.
 
     level.{S}.faces              [F, 3] int32, over mesh.vertex_uv
@@ -18,41 +18,34 @@ below the full one, C the channels of the trunk there.
     level.{S}.expression.bias    [4, S, S]
     level.{S}.expression.local   [S / 2, S / 2, 4 * C]: for each block of 2 x 2 texels, weights of
                                  its own over the trunk's channels there, added to the convolution;
-                                 of the first code, of the first channel; may be absent alone
+                                 first code, first channel first; at 64 alone
     level.still                  [8, 8, 4]: the latent whose full expression map, seen from the
                                  front, is added to what levels below the full one make
 
-A level is there as a whole or not at all; without ``level.still`` nothing is added. Vertices of a
-level stand in a *sheet*: the k-th vertex that its mesh uses, counted from the lowest number, stands
-in row k // S and column k % S. What is left of the last row belongs to no vertex.
+Vertices of a level stand in a *sheet*: the k-th vertex that its mesh uses, counted from the lowest
+number, stands in row k // S and column k % S. What is left of the last row belongs to no vertex.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Container, Mapping
 
 import numpy as np
 
 from pica_core.avatar.linear import RANK
-from pica_core.avatar.spec import AvatarSpec, trunk_channels
-from pica_core.latent import LATENT_SHAPE, LATENT_SIZE
+from pica_core.avatar.spec import EXPRESSION_CHANNELS, MAP_SIZE, AvatarSpec, trunk_layers
+from pica_core.latent import LATENT_SHAPE
 from pica_core.types import Array, FloatArray
 
-EXIT_DIVISORS = (4, 2)
-"""Full map size over the size of each possible exit (chosen: the two last blocks are where the
-work of a decoder is)."""
-
-
-def level_sizes(spec: AvatarSpec) -> tuple[int, ...]:
-    """Every level that an avatar of this spec may have, ascending; the full map is the last."""
-    if spec.geometry != "bases":
-        return (spec.map_size,)
-    sizes = [spec.map_size // divisor for divisor in EXIT_DIVISORS]
-    return (*(size for size in sizes if size > LATENT_SIZE), spec.map_size)
-
-
+EXIT_SIZES = (MAP_SIZE // 4, MAP_SIZE // 2)
+"""Levels below the full one (chosen: the two last blocks are where the work of a decoder is)."""
 PREFIX = "level."
 LOCAL_TEXELS = 2
 """Side of a block of texels with weights of its own (measured: docs/architecture.md)."""
 STILL_NAME = PREFIX + "still"
+
+
+def levels_of(names: Container[str]) -> tuple[int, ...]:
+    """The levels of an avatar with tensors of these names, ascending; the full one is the last."""
+    return (*EXIT_SIZES, MAP_SIZE) if STILL_NAME in names else (MAP_SIZE,)
 
 
 def is_faces(name: str) -> bool:
@@ -88,62 +81,35 @@ def local_name(level: int) -> str:
     return f"{PREFIX}{level}.expression.local"
 
 
-def local_shape(spec: AvatarSpec, level: int) -> tuple[int, int, int]:
-    """Shape of those weights."""
-    side = level // LOCAL_TEXELS
-    return side, side, spec.expression_channels * trunk_channels(spec, level)
-
-
-def spread_local(local: Array, num_codes: int) -> Array:
-    """Those weights for every texel, ``[num_codes, C, S, S]``."""
+def spread_local(local: Array) -> Array:
+    """Those weights for every texel, ``[4, C, S, S]``."""
     own = local.repeat(LOCAL_TEXELS, axis=0).repeat(LOCAL_TEXELS, axis=1)
-    return own.reshape(*own.shape[:2], num_codes, -1).transpose(2, 3, 0, 1)
+    return own.reshape(*own.shape[:2], EXPRESSION_CHANNELS, -1).transpose(2, 3, 0, 1)
 
 
-def exit_shapes(spec: AvatarSpec, level: int) -> dict[str, tuple[int, ...]]:
+def exit_shapes(level: int) -> dict[str, tuple[int, ...]]:
     """Name and shape of the tensors that make an exit, its mesh excepted."""
-    codes, prefix = spec.expression_channels, f"{PREFIX}{level}.expression"
-    return {
-        f"{prefix}.weight": (codes, trunk_channels(spec, level), 3, 3),
-        f"{prefix}.bias": (codes, level, level),
+    channels = trunk_layers(AvatarSpec(), level)[-1].out_channels
+    shapes: dict[str, tuple[int, ...]] = {
+        f"{PREFIX}{level}.expression.weight": (EXPRESSION_CHANNELS, channels, 3, 3),
+        f"{PREFIX}{level}.expression.bias": (EXPRESSION_CHANNELS, level, level),
     }
+    if level == EXIT_SIZES[0]:
+        side = level // LOCAL_TEXELS
+        shapes[local_name(level)] = (side, side, EXPRESSION_CHANNELS * channels)
+    return shapes
 
 
-def levels_of(spec: AvatarSpec, names: Iterable[str]) -> tuple[int, ...]:
-    """The levels of an avatar with tensors of these names, ascending; the full one is the last."""
-    there = set(names)
-    exits = level_sizes(spec)[:-1]
-    found = (size for size in exits if there.intersection(exit_shapes(spec, size)))
-    return (*found, spec.map_size)
-
-
-def wanted_shapes(
-    spec: AvatarSpec, shapes: Mapping[str, tuple[int, ...]], max_faces: int
+def level_shapes(
+    shapes: Mapping[str, tuple[int, ...]], max_faces: int
 ) -> dict[str, tuple[int, ...]]:
-    """Shapes that the ``level.*`` tensors of a file must have, judged by which of them it has;
-    ValueError if a number of triangles is out of its limits. Unknown names are left to
-    the caller."""
-
-    levels = levels_of(spec, shapes)
-    wanted: dict[str, tuple[int, ...]] = {}
-    for size in level_sizes(spec)[:-1]:
-        faces = faces_name(size)
-        if size in levels or faces in shapes:
-            count = (*shapes.get(faces, (1,)), 0)[0]
-            if not 1 <= count <= max_faces:
-                raise ValueError(f"tensor {faces} has {count} rows; allowed are 1 to {max_faces}")
-            wanted |= exit_shapes(spec, size) | {faces: (count, 3)}
-            if local_name(size) in shapes:
-                wanted[local_name(size)] = local_shape(spec, size)
-    if STILL_NAME in shapes:
-        wanted[STILL_NAME] = LATENT_SHAPE
+    """Shapes that the ``level.*`` tensors of a file with levels must have; ValueError if a number
+    of triangles is out of its limits."""
+    wanted: dict[str, tuple[int, ...]] = {STILL_NAME: LATENT_SHAPE}
+    for level in EXIT_SIZES:
+        faces = faces_name(level)
+        count = (*shapes.get(faces, (1,)), 0)[0]
+        if not 1 <= count <= max_faces:
+            raise ValueError(f"tensor {faces} has {count} rows; allowed are 1 to {max_faces}")
+        wanted |= exit_shapes(level) | {faces: (count, 3)}
     return wanted
-
-
-def check_indices(name: str, indices: Array, count: int, what: str) -> None:
-    """Raise a ValueError that names the tensor whose indices do not all lie below a count."""
-    low, high = indices.min(), indices.max()
-    if low < 0 or high >= count:
-        raise ValueError(
-            f"tensor {name} names {what} {low} to {high}; allowed are 0 to {count - 1}"
-        )

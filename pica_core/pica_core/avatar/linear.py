@@ -35,13 +35,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pica_core.avatar.spec import POSITION_CHANNELS, SHEET_COLUMNS
+from pica_core.avatar.spec import MAP_SIZE, POSITION_CHANNELS
 from pica_core.errors import CaptureError
 from pica_core.latent import NUM_LATENT
 from pica_core.types import Array, Float64Array, FloatArray, IntArray
 
 PREFIX = "linear."
-REGION = SHEET_COLUMNS
+REGION = MAP_SIZE
 """Vertices of a region, a row of the sheet."""
 RANK = PREFIX + "rank"
 MAX_BASES = 128

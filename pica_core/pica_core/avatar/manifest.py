@@ -4,12 +4,11 @@ trust."""
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import astuple, dataclass, field, fields
+from dataclasses import asdict, astuple, dataclass, field, fields
 from types import MappingProxyType
 from typing import Any
 
 from pica_core.avatar.spec import AvatarSpec
-from pica_core.avatar.variants import VARIANTS, pixel_codec_cost
 
 SCHEMA_VERSION = 1
 MAX_TEXT = 200
@@ -19,15 +18,6 @@ MAX_POSITION_SCALE_M = 10.0
 MAX_EXTENT_M = 0.45
 """How far an avatar reaches from its head's origin along an axis: a bust takes 0.21 m to a side and
 0.40 m down, and what is drawn stays in the box, so that none sits in another's seat."""
-MAX_MAP_SIZE = 512
-MAX_DECODE_MULTIPLY_ADDS = 256_000_000
-"""What a decode of both maps may take (chosen: eight times what the shipped avatars take, twice
-what the dearest block takes at the paper's widths; at the limits 43 ms and 35 MiB on one thread,
-against 2 ms and 6 MiB, measured)."""
-MAX_PIXEL_MULTIPLY_ADDS = 1024
-"""What one pixel may take (chosen: nearly twice those of the dearest variant)."""
-DRAWN_VARIANTS = tuple(name for name, row in VARIANTS.items() if row.network == "pixel_codec")
-"""Variants that an avatar file may hold."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,8 +51,6 @@ class Manifest:
     """Upper corner of all positions of the head, head frame, metres."""
     view_span: ViewSpan
     """The directions that it may be seen from."""
-    variant: str = "full"
-    """One of `DRAWN_VARIANTS`; its encoding must be the spec's."""
     model_card: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
     """What it was trained on, with which command, how well it does; free text by key."""
     schema_version: int = SCHEMA_VERSION
@@ -73,7 +61,7 @@ class Manifest:
         for name in ("bounds_min_m", "bounds_max_m"):
             values[name] = list(values[name])
         values["view_span"] = list(astuple(self.view_span))
-        return values | {"spec": self.spec.to_json(), "model_card": dict(self.model_card)}
+        return values | {"spec": asdict(self.spec), "model_card": dict(self.model_card)}
 
     @classmethod
     def from_json(cls, values: Any) -> Manifest:
@@ -96,28 +84,16 @@ class Manifest:
             spec = AvatarSpec.from_json(values["spec"])
         except ValueError as error:
             raise ValueError(f"manifest.spec: {error}") from error
-        _check_cost(spec)
         found: dict[str, Any] = {
-            key: _text(key, values[key]) for key in ("name", "identity", "licence", "variant")
+            key: _text(key, values[key]) for key in ("name", "identity", "licence")
         }
-        variant = found["variant"]
-        if variant not in DRAWN_VARIANTS:
-            raise ValueError(
-                f"manifest.variant is {variant!r:.40}; known are {', '.join(DRAWN_VARIANTS)}"
-            )
-        for part in ("encoding", "geometry"):
-            has, wanted = getattr(spec, part), getattr(VARIANTS[variant], part)
-            if has != wanted:
-                raise ValueError(
-                    f"manifest.spec.{part} is {has!r}; variant {variant} has {wanted!r}"
-                )
         corners = {
-            name: read_numbers(values, name, 3, -MAX_EXTENT_M, MAX_EXTENT_M)
+            name: _numbers(values, name, 3, -MAX_EXTENT_M, MAX_EXTENT_M)
             for name in ("bounds_min_m", "bounds_max_m")
         }
         if not all(a < b for a, b in zip(*corners.values(), strict=True)):
             raise ValueError("manifest.bounds_min_m is not below bounds_max_m")
-        span = ViewSpan(*read_numbers(values, "view_span", 4, -180.0, 180.0))
+        span = ViewSpan(*_numbers(values, "view_span", 4, -180.0, 180.0))
         if not (span.min_yaw < 0 < span.max_yaw and span.min_pitch < 0 < span.max_pitch):
             raise ValueError("manifest.view_span does not hold the view from the front")
         scale_m = values["position_scale_m"]
@@ -127,18 +103,6 @@ class Manifest:
             "position_scale_m": _number("position_scale_m", scale_m, 1e-9, MAX_POSITION_SCALE_M),
         }
         return cls(spec=spec, model_card=_card(values["model_card"]), **found)
-
-
-def _check_cost(spec: AvatarSpec) -> None:
-    """Refuse what would keep a receiver from drawing anybody else."""
-    cost = pixel_codec_cost(spec)
-    for what, value, limit in (
-        ("rows of a map", spec.map_size, MAX_MAP_SIZE),
-        ("multiply-adds a decode", cost.per_object_multiply_adds, MAX_DECODE_MULTIPLY_ADDS),
-        ("multiply-adds a pixel", cost.per_pixel_multiply_adds, MAX_PIXEL_MULTIPLY_ADDS),
-    ):
-        if value > limit:
-            raise ValueError(f"manifest.spec has {value:,} {what}; {limit:,} are allowed")
 
 
 def _text(name: str, value: object, limit: int = MAX_TEXT) -> str:
@@ -155,7 +119,7 @@ def _number(name: str, value: Any, low: float, high: float) -> float:
     return float(value)
 
 
-def read_numbers(
+def _numbers(
     values: Mapping[str, Any], name: str, count: int, low: float, high: float
 ) -> tuple[Any, ...]:
     """So many numbers of a manifest's field, each within a range; ValueError if it is other."""

@@ -1,8 +1,8 @@
 """The sizes of a Pixel Codec Avatar, and its decoders as a list of plain layers, in one place.
 
-Every default is the paper's (Ma et al., "Pixel Codec Avatars", CVPR 2021, section 3 and appendix
-A.1) unless its line says otherwise. A spec is data: it is written into avatar files and
-checkpoints, and a reader rebuilds graphs and shaders from these numbers alone.
+Every width and default is the paper's (Ma et al., "Pixel Codec Avatars", CVPR 2021, section 3 and
+appendix A.1) unless its line says otherwise. A spec is data: it is written into avatar files, and a
+reader rebuilds graphs and shaders from it alone.
 
 The paper's block (Fig. 3b) doubles the resolution and gives its first convolution a bias per
 channel *and* location ("untied bias"); the figure itself is not in the text. Two, by name in the
@@ -25,8 +25,9 @@ from dataclasses import asdict, dataclass
 from types import MappingProxyType
 from typing import Any, Literal
 
+from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.errors import check_ranges
-from pica_core.latent import LATENT_CHANNELS, LATENT_SIZE
+from pica_core.latent import LATENT_CHANNELS, LATENT_SIZE, NUM_LATENT
 
 VIEW_CHANNELS = 3
 POSITION_CHANNELS = 3
@@ -35,6 +36,20 @@ LEAKY_SLOPE = 0.2
 """Negative slope of every LeakyReLU (paper A.1)."""
 BLOCKS = ("H2", "G")
 """Building blocks of the decoders: the paper's, which it draws in a figure only (3b), and ours."""
+HIDDEN_CHANNELS = (32, 16, 16, 8)
+"""Output channels of all decoder blocks but the last."""
+MAP_SIZE = LATENT_SIZE << (len(HIDDEN_CHANNELS) + 1)
+"""Rows and columns of position map and expression map, texels: 256. Also the vertices in a row of
+the sheet that bases make."""
+EXPRESSION_CHANNELS = 4
+"""Channels of the expression map E."""
+XYZ_CHANNELS = (4, 4)
+"""Output channels of the SIREN that encodes head-frame xyz."""
+PIXEL_CHANNELS = (8, 8, 8, RGB_CHANNELS)
+"""Output channels of the pixel decoder's layers."""
+ENCODER_CHANNELS = (160, 160, NUM_LATENT)
+"""Output channels of the layers of the expression encoder, which turns ARKit values into a latent
+(ours)."""
 
 ENCODINGS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -51,38 +66,32 @@ ENCODINGS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 joint: a learned map m_uv. axes: learned tables m_u and m_v. Both are the paper's encoding (section
 4). uv: the coordinates themselves. sinusoids: 40 sines and cosines of them.
 """
+UV_ENCODING_CHANNELS = 4
+"""Channels of the joint encoding map m_uv."""
+AXIS_ENCODING_CHANNELS = 2
+"""Channels of each of the per-axis tables m_u and m_v."""
 NUM_FREQUENCIES = 10
 """Octaves of the sinusoids: two coordinates, sine and cosine make 40 values (paper 6)."""
-SHEET_COLUMNS = 256
-"""Vertices in a row of the sheet that bases make."""
+_PART_CHANNELS = {
+    "joint": UV_ENCODING_CHANNELS,
+    "axes": 2 * AXIS_ENCODING_CHANNELS,
+    "uv": 2,
+    "sinusoids": 4 * NUM_FREQUENCIES,
+}
 GEOMETRIES = ("decoder", "bases")
 """Where vertices come from: a map that a decoder makes, or bases (`pica_core.avatar.linear`)."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AvatarSpec:
-    """Everything that fixes the shapes of an avatar's tensors."""
+    """What differs between the tensors of two avatars; their widths are the same for all."""
 
     block: str = "G"
     """Building block of the two per-object decoders (our choice; see `decoder_layers`)."""
-    map_size: int = 256
-    """Rows and columns of position map and expression map, texels. A power of two times
-    `LATENT_SIZE`.
-    """
-    hidden_channels: tuple[int, ...] = (32, 16, 16, 8)
-    """Output channels of all decoder blocks but the last."""
-    expression_channels: int = 4
-    """Channels of the expression map E."""
     uv_encoding_size: int = 1024
     """Rows and columns of the joint encoding map m_uv, texels."""
-    uv_encoding_channels: int = 4
     axis_encoding_size: int = 10_000
     """Entries of each of the per-axis encodings m_u and m_v."""
-    axis_encoding_channels: int = 2
-    xyz_channels: tuple[int, ...] = (4, 4)
-    """Output channels of the SIREN that encodes head-frame xyz."""
-    pixel_channels: tuple[int, ...] = (8, 8, 8, RGB_CHANNELS)
-    """Output channels of the pixel decoder's layers."""
     encoding: str = "full"
     """What the pixel decoder is told about the surface point; one of `ENCODINGS`."""
     geometry: str = "decoder"
@@ -92,80 +101,39 @@ class AvatarSpec:
         for name, known in (("block", BLOCKS), ("encoding", ENCODINGS), ("geometry", GEOMETRIES)):
             if (value := getattr(self, name)) not in known:
                 raise ValueError(f"{name} is {value!r:.40}; known are {', '.join(known)}")
-        doublings = len(self.hidden_channels) + 1
-        if self.map_size != LATENT_SIZE << doublings:
-            raise ValueError(
-                f"map_size is {self.map_size}; "
-                f"{doublings} decoder blocks make {LATENT_SIZE << doublings}"
-            )
-        if self.geometry == "bases" and self.map_size != SHEET_COLUMNS:
-            raise ValueError(f"map_size is {self.map_size}; bases need {SHEET_COLUMNS}")
-        check_ranges(
-            self,
-            expression_channels=(1, 16),
-            uv_encoding_size=(1, 4096),
-            uv_encoding_channels=(1, 4),
-            axis_encoding_size=(1, 16_384),
-            axis_encoding_channels=(1, 2),
-        )
-        for name in ("hidden_channels", "xyz_channels", "pixel_channels"):
-            widths = getattr(self, name)
-            if not 1 <= len(widths) <= 8 or not all(1 <= width <= 64 for width in widths):
-                raise ValueError(f"{name} is {widths}; allowed are 1 to 8 layers of width 1 to 64")
-        if self.pixel_channels[-1] != RGB_CHANNELS:
-            raise ValueError(f"pixel_channels ends in {self.pixel_channels[-1]}; colours have 3")
+        check_ranges(self, uv_encoding_size=(1, 4096), axis_encoding_size=(1, 16_384))
 
     @property
-    def decoder_channels(self) -> dict[str, tuple[int, tuple[int, ...]]]:
-        """Input channels and each block's output channels of the decoders, by name: "geometry"
-        where no bases make the vertices, and "expression"."""
-        channels = {
-            "geometry": (LATENT_CHANNELS, (*self.hidden_channels, POSITION_CHANNELS)),
-            "expression": (
-                LATENT_CHANNELS + VIEW_CHANNELS,
-                (*self.hidden_channels, self.expression_channels),
-            ),
-        }
-        if self.geometry == "bases":
-            del channels["geometry"]
-        return channels
+    def decoders(self) -> tuple[str, ...]:
+        """The per-object decoders: "geometry" where no bases make the vertices, and
+        "expression"."""
+        return ("expression",) if self.geometry == "bases" else ("geometry", "expression")
 
     @property
     def encoding_channels(self) -> dict[str, int]:
         """Channels of each part of the surface encoding, in the order in which they are fed."""
-        channels = {
-            "joint": self.uv_encoding_channels,
-            "axes": 2 * self.axis_encoding_channels,
-            "uv": 2,
-            "sinusoids": 4 * NUM_FREQUENCIES,
-        }
-        return {part: channels[part] for part in ENCODINGS[self.encoding]}
+        return {part: _PART_CHANNELS[part] for part in ENCODINGS[self.encoding]}
 
     @property
     def encoding_shapes(self) -> dict[str, tuple[int, ...]]:
         """Name and shape of every tensor of the surface encoding; maps have row 0 at v = 0."""
-        size = self.uv_encoding_size
-        table = (self.axis_encoding_size, self.axis_encoding_channels)
-        shapes: dict[str, dict[str, tuple[int, ...]]] = {
-            "joint": {"uv_encoding": (size, size, self.uv_encoding_channels)},
-            "axes": {"u_encoding": table, "v_encoding": table},
-        }
-        parts = [shapes[part] for part in ENCODINGS[self.encoding] if part in shapes]
-        return {name: shape for part in parts for name, shape in part.items()}
+        size, parts = self.uv_encoding_size, ENCODINGS[self.encoding]
+        table = (self.axis_encoding_size, AXIS_ENCODING_CHANNELS)
+        shapes: dict[str, tuple[int, ...]] = {}
+        if "joint" in parts:
+            shapes["uv_encoding"] = (size, size, UV_ENCODING_CHANNELS)
+        if "axes" in parts:
+            shapes |= {"u_encoding": table, "v_encoding": table}
+        return shapes
 
     @property
     def pixel_input_channels(self) -> int:
         """Width of p = [z, x, u]: expression code, encoded xyz, encoded uv. 16 in the paper."""
-        uv_channels = sum(self.encoding_channels.values())
-        return self.expression_channels + self.xyz_channels[-1] + uv_channels
-
-    def to_json(self) -> dict[str, Any]:
-        """The spec as plain JSON values; `from_json` reads it back."""
-        return asdict(self)
+        return EXPRESSION_CHANNELS + XYZ_CHANNELS[-1] + sum(self.encoding_channels.values())
 
     @classmethod
     def from_json(cls, values: Any) -> AvatarSpec:
-        """Read a spec, trusting nothing.
+        """Read what `dataclasses.asdict` makes of a spec, trusting nothing.
 
         Raises:
             ValueError: Not a map, an unknown or missing field, a wrong type, or a size out of
@@ -173,20 +141,13 @@ class AvatarSpec:
         """
         if not isinstance(values, dict):
             raise ValueError(f"spec is {type(values).__name__}; a map is needed")
-        read = dict(values)
         usual = asdict(cls())
-        if wrong := sorted(usual.keys() ^ set(map(str, read))):
-            told = ", ".join(f"{name!r:.40}" for name in wrong[:4])
-            raise ValueError(f"spec fields missing or unknown: {told}")
-        for name, value in read.items():
-            kind = type(usual[name])
-            if isinstance(value, list) and len(value) <= 8:
-                read[name] = tuple(value)
-            fits = type(read[name]) is kind
-            if not fits or (kind is tuple and any(type(item) is not int for item in read[name])):
-                needed = {str: "a string", int: "an integer", tuple: "a list of up to 8 integers"}
-                raise ValueError(f"spec.{name} is {value!r:.80}; {needed[kind]} is needed")
-        return cls(**read)
+        if wrong := sorted(usual.keys() ^ values):
+            raise ValueError(f"spec field {wrong[0]!r:.40} is missing or unknown")
+        for name, value in values.items():
+            if type(value) is not (kind := type(usual[name])):
+                raise ValueError(f"spec.{name} is {value!r:.80}; {kind.__name__} is needed")
+        return cls(**values)
 
 
 LayerKind = Literal[
@@ -245,7 +206,10 @@ def decoder_layers(spec: AvatarSpec, decoder: str) -> list[Layer]:
     Input is ``[N, C, 8, 8]`` (Z, with the tiled view direction after it for "expression"), output
     ``[N, C, 256, 256]``.
     """
-    in_channels, outputs = spec.decoder_channels[decoder]
+    in_channels, last = LATENT_CHANNELS, POSITION_CHANNELS
+    if decoder == "expression":
+        in_channels, last = LATENT_CHANNELS + VIEW_CHANNELS, EXPRESSION_CHANNELS
+    outputs = (*HIDDEN_CHANNELS, last)
     layers: list[Layer] = []
     size = LATENT_SIZE
     for index, out_channels in enumerate(outputs):
@@ -262,17 +226,18 @@ def decoder_layers(spec: AvatarSpec, decoder: str) -> list[Layer]:
 
 
 def spec_tensor_shapes(spec: AvatarSpec) -> dict[str, tuple[int, ...]]:
-    """Name and shape of every tensor that the spec fixes: all but mesh and expression encoder."""
+    """Name and shape of every tensor that the spec fixes: all but mesh, bases and levels."""
     shapes: dict[str, tuple[int, ...]] = {}
     if spec.geometry == "decoder":
-        shapes["geometry.mean"] = (spec.map_size, spec.map_size, 3)
-    for decoder in spec.decoder_channels:
+        shapes["geometry.mean"] = (MAP_SIZE, MAP_SIZE, POSITION_CHANNELS)
+    for decoder in spec.decoders:
         for layer in decoder_layers(spec, decoder):
             shapes.update(layer.tensor_shapes())
     shapes |= spec.encoding_shapes
     for prefix, width, outputs in (
-        ("xyz", 3, spec.xyz_channels),
-        ("pixel", spec.pixel_input_channels, spec.pixel_channels),
+        ("xyz", POSITION_CHANNELS, XYZ_CHANNELS),
+        ("pixel", spec.pixel_input_channels, PIXEL_CHANNELS),
+        ("encoder", NUM_ARKIT, ENCODER_CHANNELS),
     ):
         for index, out in enumerate(outputs):
             shapes[f"{prefix}.{index}.weight"] = (out, width)
@@ -281,25 +246,12 @@ def spec_tensor_shapes(spec: AvatarSpec) -> dict[str, tuple[int, ...]]:
     return shapes
 
 
-def trunk_layers(spec: AvatarSpec, decoder: str, level: int) -> list[Layer]:
-    """The layers of a decoder that lead to maps of `level` rows, up to the LeakyReLU after them;
-    ValueError if no block but the last makes such maps."""
-    name = f"{decoder}.{_block_of(spec, level)}.out"
-    layers = decoder_layers(spec, decoder)
-    return layers[: [layer.name for layer in layers].index(name) + 1]
-
-
-def trunk_channels(spec: AvatarSpec, level: int) -> int:
-    """Channels that an early exit at `level` rows finds, the same in both decoders; ValueError as
-    `trunk_layers`."""
-    return spec.hidden_channels[_block_of(spec, level)]
-
-
-def _block_of(spec: AvatarSpec, level: int) -> int:
-    sizes = [LATENT_SIZE << (index + 1) for index in range(len(spec.hidden_channels))]
-    if level not in sizes:
-        raise ValueError(f"level is {level}; trunks can be left at {', '.join(map(str, sizes))}")
-    return sizes.index(level)
+def trunk_layers(spec: AvatarSpec, level: int) -> list[Layer]:
+    """The layers of the expression decoder that lead to maps of `level` rows, up to the LeakyReLU
+    behind the block that makes them."""
+    layers = decoder_layers(spec, "expression")
+    ends = (at for at, each in enumerate(layers, 1) if each.name.endswith(".out"))
+    return layers[: next(end for end in ends if layers[end - 1].size == level)]
 
 
 def _block(block: str, prefix: str, c_in: int, c_out: int, size: int) -> list[Layer]:

@@ -73,8 +73,8 @@ class ModelCost:
 
 def pixel_codec_cost(spec: AvatarSpec) -> ModelCost:
     """The cost of a Pixel Codec Avatar: both decoders, the encoding, the two sine networks."""
-    layers = [layer for name in spec.decoder_channels for layer in decoder_layers(spec, name)]
-    shapes = spec_tensor_shapes(spec)
+    layers = [layer for name in spec.decoders for layer in decoder_layers(spec, name)]
+    shapes = {n: s for n, s in spec_tensor_shapes(spec).items() if not n.startswith("encoder.")}
     shapes.pop("geometry.mean", None)  # it is measured, not trained
     networks = [shape for name, shape in shapes.items() if name.startswith(("xyz.", "pixel."))]
     return ModelCost(

@@ -47,9 +47,8 @@ def avatar_info(options: AvatarInfoOptions) -> dict[str, Any]:
         "sha256": avatar_id(path),
         "bytes": path.stat().st_size,
         "licence": manifest.licence,
-        "variant": manifest.variant,
         "block": spec.block,
-        "map_size": spec.map_size,
+        "geometry": spec.geometry,
         "levels": list(avatar.levels),
         "vertices": len(avatar.tensors["mesh.vertex_uv"]),
         "faces": len(avatar.tensors["mesh.faces"]),
@@ -57,7 +56,7 @@ def avatar_info(options: AvatarInfoOptions) -> dict[str, Any]:
         "pixel_decoder": count_parameters(avatar.tensors, "pixel"),
         "decoders": sum(
             int(np.prod(shape))
-            for decoder in spec.decoder_channels
+            for decoder in spec.decoders
             for layer in decoder_layers(spec, decoder)
             for shape in layer.tensor_shapes().values()
         ),

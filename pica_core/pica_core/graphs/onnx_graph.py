@@ -43,7 +43,9 @@ from pica_core.avatar.levels import local_name, spread_local
 from pica_core.avatar.linear import PREFIX as LINEAR_PREFIX
 from pica_core.avatar.linear import RANK, REGION, components_of
 from pica_core.avatar.spec import (
+    EXPRESSION_CHANNELS,
     LEAKY_SLOPE,
+    MAP_SIZE,
     POSITION_CHANNELS,
     RGB_CHANNELS,
     VIEW_CHANNELS,
@@ -140,7 +142,7 @@ def decoder_graph(avatar: Avatar, *, level: int | None = None, positions: bool =
     Raises:
         ValueError: The avatar does not have this level.
     """
-    size = avatar.spec.map_size if level is None else level
+    size = MAP_SIZE if level is None else level
     if size not in avatar.levels:
         known = ", ".join(map(str, avatar.levels))
         raise ValueError(f"level is {size}; this avatar has {known}")
@@ -157,14 +159,13 @@ def decoder_graph(avatar: Avatar, *, level: int | None = None, positions: bool =
     trunk, last, tensors = _expression(avatar, size)
     found = _chain(graph, trunk, tensors, graph.add("Concat", grid, tiled, axis=1))
     value = _chain(graph, last, tensors, found)
-    channels = avatar.spec.expression_channels
     if local_name(size) in tensors:  # what each block of texels adds by weights of its own
-        own = graph.floats(spread_local(tensors[local_name(size)], channels))
+        own = graph.floats(spread_local(tensors[local_name(size)]))
         weighed = graph.add("Mul", found, own)
         added = graph.add("ReduceSum", weighed, graph.sizes(1), keepdims=0)
         value = graph.add("Add", value, added)
-    _channel_last(graph, value, size, channels, output="expression_map")
-    outputs["expression_map"] = [size, size, channels]
+    _channel_last(graph, value, size, EXPRESSION_CHANNELS, output="expression_map")
+    outputs["expression_map"] = [size, size, EXPRESSION_CHANNELS]
     return graph.serialise(inputs, outputs)
 
 
@@ -190,14 +191,14 @@ def _position_map(graph: GraphBuilder, avatar: Avatar, size: int, grid: str) -> 
 def _expression(avatar: Avatar, size: int) -> tuple[list[Layer], list[Layer], dict[str, Array]]:
     """Layers of the expression decoder at a level and of its exit there, and their tensors."""
     tensors = dict(avatar.tensors)
-    if size == avatar.spec.map_size:
+    if size == MAP_SIZE:
         return decoder_layers(avatar.spec, "expression"), [], tensors
     name = f"level.{size}.expression"
     out_channels, in_channels = tensors[f"{name}.weight"].shape[:2]
     last = Layer("conv3", name, in_channels, out_channels, size)
     bias = Layer("untied_bias", f"{name}.untied", out_channels, out_channels, size)
     tensors[f"{bias.name}.weight"] = tensors[f"{name}.bias"]
-    return trunk_layers(avatar.spec, "expression", size), [last, bias], tensors
+    return trunk_layers(avatar.spec, size), [last, bias], tensors
 
 
 def _channel_last(
@@ -250,7 +251,7 @@ def _bases(graph: GraphBuilder, avatar: Avatar, size: int, _: str) -> None:
     weight, bias = (graph.floats(tensors[f"{LINEAR_PREFIX}{part}"]) for part in ("weight", "bias"))
     weights = graph.add("Gemm", flat, weight, bias, transB=1)
     rows = avatar.position_rows(size)
-    if size == avatar.spec.map_size:
+    if size == MAP_SIZE:
         moved = _by_regions(graph, tensors, scale_m, weights)
         mean = tensors[f"{LINEAR_PREFIX}mean"]
     else:

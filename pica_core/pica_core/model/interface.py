@@ -24,7 +24,7 @@ from torch import Tensor, nn
 
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.avatar.linear import Bases, SplitBases
-from pica_core.avatar.spec import LEAKY_SLOPE, AvatarSpec
+from pica_core.avatar.spec import ENCODER_CHANNELS, LEAKY_SLOPE, AvatarSpec
 from pica_core.avatar.variants import ModelCost, TopologyName
 from pica_core.latent import LATENT_CHANNELS, LATENT_SIZE, NUM_LATENT
 from pica_core.types import FloatArray, IntArray
@@ -155,10 +155,10 @@ def _bends() -> tuple[Tensor, Tensor]:
 class ExpressionEncoder(nn.Module):
     """52 ARKit values to the latent: the sender's encoder, small enough for any CPU (ours)."""
 
-    def __init__(self, hidden: tuple[int, ...] = (160, 160)) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        widths = (NUM_ARKIT, *hidden, NUM_LATENT)
-        self.layers = nn.ModuleList(nn.Linear(n, m) for n, m in pairwise(widths))
+        widths = pairwise((NUM_ARKIT, *ENCODER_CHANNELS))
+        self.layers = nn.ModuleList(nn.Linear(n, m) for n, m in widths)
 
     @torch.no_grad()
     def start_from(self, matrix: Tensor, offset: Tensor) -> None:

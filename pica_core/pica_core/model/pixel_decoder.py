@@ -16,7 +16,15 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from pica_core.avatar.spec import NUM_FREQUENCIES, AvatarSpec
+from pica_core.avatar.spec import (
+    AXIS_ENCODING_CHANNELS,
+    EXPRESSION_CHANNELS,
+    NUM_FREQUENCIES,
+    PIXEL_CHANNELS,
+    UV_ENCODING_CHANNELS,
+    XYZ_CHANNELS,
+    AvatarSpec,
+)
 from pica_core.model.decoders import sample_map
 
 
@@ -47,9 +55,11 @@ class SurfaceEncoding(nn.Module, ABC):
 class JointMap(SurfaceEncoding):
     """m_uv, piecewise bilinear, its entries uniform in [-amplitude, amplitude] at first."""
 
+    channels = UV_ENCODING_CHANNELS
+
     def __init__(self, spec: AvatarSpec, amplitude: float) -> None:
         super().__init__()
-        size, self.channels = spec.uv_encoding_size, spec.uv_encoding_channels
+        size = spec.uv_encoding_size
         values = torch.empty(1, self.channels, size, size).uniform_(-amplitude, amplitude)
         self.values = nn.Parameter(values)
 
@@ -58,8 +68,7 @@ class JointMap(SurfaceEncoding):
         """Colours in the first three channels; the others stay as they are."""
         size = self.values.shape[2:]
         resized = functional.interpolate(texture[None], size, mode="bilinear", antialias=True)
-        colours = min(3, self.channels)
-        self.values[:, :colours] = contrast * (2 * resized[:, :colours] - 1)
+        self.values[:, :3] = contrast * (2 * resized - 1)
 
     def forward(self, uv: Tensor) -> Tensor:
         """Look the map up between its four nearest texels."""
@@ -74,13 +83,13 @@ class JointMap(SurfaceEncoding):
 class AxisTables(SurfaceEncoding):
     """m_u and m_v, piecewise linear, started as `JointMap` is."""
 
+    channels = 2 * AXIS_ENCODING_CHANNELS
+
     def __init__(self, spec: AvatarSpec, amplitude: float) -> None:
         super().__init__()
-        entries, single = spec.axis_encoding_size, spec.axis_encoding_channels
-        self.channels = 2 * single
+        shape = 1, AXIS_ENCODING_CHANNELS, 1, spec.axis_encoding_size
         self.along_u, self.along_v = (
-            nn.Parameter(torch.empty(1, single, 1, entries).uniform_(-amplitude, amplitude))
-            for _ in range(2)
+            nn.Parameter(torch.empty(shape).uniform_(-amplitude, amplitude)) for _ in range(2)
         )
 
     def forward(self, uv: Tensor) -> Tensor:
@@ -240,14 +249,9 @@ class PixelDecoder(nn.Module):
         encoding_amplitude: float = 1.0,
     ) -> None:
         super().__init__()
-        self.expression_channels = spec.expression_channels
         self.encoding = SideBySide(spec, encoding_amplitude)
-        self.xyz = Siren(3, spec.xyz_channels, linear_output=False)
-        self.colour = Siren(
-            spec.expression_channels + spec.xyz_channels[-1] + self.encoding.channels,
-            spec.pixel_channels,
-            linear_output=True,
-        )
+        self.xyz = Siren(3, XYZ_CHANNELS, linear_output=False)
+        self.colour = Siren(spec.pixel_input_channels, PIXEL_CHANNELS, linear_output=True)
 
     @torch.no_grad()
     def start_from(self, texture: Tensor, contrast: float, xyz_m: Tensor, uv: Tensor) -> None:
@@ -265,7 +269,7 @@ class PixelDecoder(nn.Module):
         some = slice(None, None, -(-len(uv) // START_POINTS))
         uv, xyz_m = uv[some], xyz_m[some]
         wanted = sample_map(texture[None], uv)[0].double()
-        silent = torch.zeros(len(uv), self.expression_channels)
+        silent = torch.zeros(len(uv), EXPRESSION_CHANNELS)
         encoded = self.encoding(uv)
         best, kept = math.inf, self.state_dict()
         for _ in range(STARTS):

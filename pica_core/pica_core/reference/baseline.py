@@ -26,7 +26,7 @@ import numpy as np
 from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
-from pica_core.avatar.spec import POSITION_CHANNELS, RGB_CHANNELS, VIEW_CHANNELS
+from pica_core.avatar.spec import MAP_SIZE, POSITION_CHANNELS, RGB_CHANNELS, VIEW_CHANNELS
 from pica_core.latent import NUM_LATENT
 from pica_core.reference.decoders import FRONT, decode_expression_map, decode_pixels
 from pica_core.sampling import sample_bilinear
@@ -186,7 +186,7 @@ def _mean_map(avatar: Avatar) -> FloatArray:
     """The mesh at rest as a map ``[S, S, 3]``; of bases, the mean of each texel's vertices."""
     if avatar.spec.geometry == "decoder":
         return avatar.tensors["geometry.mean"]
-    size = avatar.spec.map_size
+    size = MAP_SIZE
     texel = np.minimum((avatar.tensors["mesh.vertex_uv"] * size).astype(int), size - 1)
     sums = np.zeros((size, size, POSITION_CHANNELS + 1))
     ones = np.ones((len(texel), 1))

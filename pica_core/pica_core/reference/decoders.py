@@ -39,8 +39,11 @@ from pica_core.avatar.levels import STILL_NAME, spread_local
 from pica_core.avatar.linear import weights_of_latent
 from pica_core.avatar.spec import (
     LEAKY_SLOPE,
+    MAP_SIZE,
     NUM_FREQUENCIES,
+    PIXEL_CHANNELS,
     POSITION_CHANNELS,
+    XYZ_CHANNELS,
     AvatarSpec,
     Layer,
     decoder_layers,
@@ -92,24 +95,11 @@ _PARTS: Mapping[str, Callable[[Tensors, Array, Dtype], Array]] = {
 }
 
 
-def siren(
-    tensors: Mapping[str, Array],
-    prefix: str,
-    num_layers: int,
-    inputs: Array,
-    *,
-    last_is_linear: bool,
-    dtype: Dtype = np.float32,
-) -> Array:
-    """Run ``{prefix}.{i}.weight/bias`` over `inputs` ``[..., in]`` with a sine after each layer."""
-    values: Array = np.asarray(inputs, dtype)
-    for index in range(num_layers):
-        weight: Array = np.asarray(tensors[f"{prefix}.{index}.weight"], dtype)
-        bias: Array = np.asarray(tensors[f"{prefix}.{index}.bias"], dtype)
-        values = np.matmul(values, weight.T) + bias
-        if index + 1 < num_layers or not last_is_linear:
-            values = np.sin(values)
-    return values
+def _connect(tensors: Tensors, layer: str, values: Array, dtype: Dtype) -> Array:
+    """A fully connected layer over values ``[..., in]``."""
+    weight, bias = (np.asarray(tensors[f"{layer}.{part}"], dtype) for part in ("weight", "bias"))
+    found: Array = np.matmul(values, weight.T) + bias
+    return found
 
 
 def pixel_inputs(
@@ -127,8 +117,9 @@ def pixel_inputs(
         xyz_m: Head-frame position, metres. ``[..., 3]``.
         uv: Texture coordinates. ``[..., 2]``.
     """
-    position = np.asarray(xyz_m, dtype)
-    x = siren(tensors, "xyz", len(spec.xyz_channels), position, last_is_linear=False, dtype=dtype)
+    x: Array = np.asarray(xyz_m, dtype)
+    for index in range(len(XYZ_CHANNELS)):
+        x = np.sin(_connect(tensors, f"xyz.{index}", x, dtype))
     surface = encode_surface(spec, tensors, uv, dtype)
     return np.concatenate([np.asarray(expression, dtype), x, surface], axis=-1)
 
@@ -143,7 +134,9 @@ def decode_pixels(
 ) -> Array:
     """Colour pixels: RGB ``[..., 3]``, 0..1 but *not* clamped. Arguments as for `pixel_inputs`."""
     p = pixel_inputs(spec, tensors, expression, xyz_m, uv, dtype)
-    return siren(tensors, "pixel", len(spec.pixel_channels), p, last_is_linear=True, dtype=dtype)
+    for index in range(len(PIXEL_CHANNELS) - 1):
+        p = np.sin(_connect(tensors, f"pixel.{index}", p, dtype))
+    return _connect(tensors, f"pixel.{len(PIXEL_CHANNELS) - 1}", p, dtype)
 
 
 def count_parameters(tensors: Mapping[str, Array], prefix: str) -> int:
@@ -199,7 +192,7 @@ def decode_expression_map(
         codes = _convolve(value, avatar.tensors[f"{prefix}expression.weight"])
         local = avatar.tensors.get(f"{prefix}expression.local")
         if local is not None:
-            codes = codes + (spread_local(local, len(codes)) * value).sum(1)
+            codes = codes + (spread_local(local) * value).sum(1)
         value = codes + avatar.tensors[f"{prefix}expression.bias"]
     return value.transpose(1, 2, 0)
 
@@ -219,7 +212,7 @@ def still_map(avatar: Avatar) -> FloatArray | None:
 
 def _sheet(avatar: Avatar, latent: Array, level: int | None) -> Array:
     """Vertices by bases, region after region; what is left of the last row repeats the last one."""
-    tensors, size = avatar.tensors, level or avatar.spec.map_size
+    tensors, size = avatar.tensors, level or MAP_SIZE
     weights = weights_of_latent(tensors, latent)
     rows, start = [], 0
     for mean, rank in zip(tensors["linear.mean"], tensors["linear.rank"], strict=True):
@@ -229,7 +222,7 @@ def _sheet(avatar: Avatar, latent: Array, level: int | None) -> Array:
         rows.append(mean + avatar.manifest.position_scale_m * moved)
         start += int(rank)
     sheet = np.stack(rows)
-    if size == avatar.spec.map_size:
+    if size == MAP_SIZE:
         return sheet
     found = sheet.reshape(-1, POSITION_CHANNELS)[avatar.sheet_places(size)]
     return found.reshape(-1, size, POSITION_CHANNELS)
@@ -238,8 +231,8 @@ def _sheet(avatar: Avatar, latent: Array, level: int | None) -> Array:
 def _decode(avatar: Avatar, decoder: str, grid: Array, level: int | None) -> tuple[Array, str]:
     """What a decoder's layers make at a level, ``[C, S, S]``, and the prefix of its own tensors."""
     prefix, layers = "", decoder_layers(avatar.spec, decoder)
-    if level is not None and level != avatar.spec.map_size:
-        prefix, layers = f"level.{level}.", trunk_layers(avatar.spec, decoder, level)
+    if level is not None and level != MAP_SIZE:
+        prefix, layers = f"level.{level}.", trunk_layers(avatar.spec, level)
     value = grid.transpose(2, 0, 1)
     for layer in layers:
         value = _run(layer, [avatar.tensors[name] for name in layer.tensor_shapes()], value)

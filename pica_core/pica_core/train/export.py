@@ -84,7 +84,6 @@ def make_avatar(
     identity: str,
     licence: str,
     model_card: Mapping[str, str],
-    variant: str = "full",
     start: FloatArray | None = None,
 ) -> Avatar:
     """The avatar of a trained model, with the mesh that it draws.
@@ -102,7 +101,6 @@ def make_avatar(
         position_scale_m=model.position_scale_m,
         bounds_min_m=low_m,
         bounds_max_m=high_m,
-        variant=variant,
         model_card=dict(model_card),
         view_span=_view_span(data),
     )

@@ -16,7 +16,7 @@ from pica_client.decode.decoder import OnnxDecoder
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.scene import Placement, head_matrix
 from pica_client.render.shader_source import compose
-from pica_client.render.shader_weights import pack_weights, pixel_input_vectors, siren_source
+from pica_client.render.shader_weights import pack_weights, siren_source
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import ENCODINGS, AvatarSpec
 from pica_core.camera import look_at
@@ -31,8 +31,6 @@ AVATARS = {
     name: make_toy_avatar(
         spec=AvatarSpec(
             encoding=name,
-            map_size=64,
-            hidden_channels=(8, 8),
             uv_encoding_size=128,
             axis_encoding_size=300,
         ),
@@ -118,4 +116,4 @@ def test_every_encoding_gives_the_decoder_its_vectors(encoding: str) -> None:
     spec = AVATARS[encoding].spec
     source = compose("pixel_decoder.frag", spec, generated={"SIREN": siren_source(spec)})
     (codes,) = re.findall(r"^#define SURFACE_CODES\b(.*)$", source.text, re.MULTILINE)
-    assert codes.count("(") == pixel_input_vectors(spec) - 2
+    assert codes.count("(") == -(-spec.pixel_input_channels // 4) - 2

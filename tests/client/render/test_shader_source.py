@@ -23,15 +23,7 @@ from pica_core.avatar.spec import AvatarSpec
 pytestmark = pytest.mark.unit
 
 TOY = make_toy_avatar(grid=4)
-NARROW = AvatarSpec(
-    uv_encoding_size=8,
-    axis_encoding_size=8,
-    expression_channels=3,
-    uv_encoding_channels=2,
-    axis_encoding_channels=1,
-    xyz_channels=(6, 3),
-    pixel_channels=(9, 5, 3),
-)
+NARROW = AvatarSpec(encoding="uv")
 
 
 def decoder_text() -> str:
@@ -154,9 +146,3 @@ def test_constants_name_weights_exactly() -> None:
     assert "uniform" not in text
     written = {np.float32(number) for number in re.findall(r"-?\d\.\d{8}e[+-]\d\d", text)}
     assert {np.float32(value) for value in TOY.tensors["pixel.3.weight"].ravel()} <= written
-
-
-def test_an_expression_too_wide_for_the_shader_is_refused() -> None:
-    wide = AvatarSpec(expression_channels=5)
-    with pytest.raises(ShaderError, match="expression_channels is 5"):
-        siren_source(wide)

@@ -14,17 +14,8 @@ from hypothesis import strategies as st
 
 from helpers.toy import make_toy_avatar, with_toy_levels
 from pica_core.avatar.file import Avatar, load_avatar, save_avatar
-from pica_core.avatar.levels import (
-    STILL_NAME,
-    exit_shapes,
-    faces_name,
-    level_sizes,
-    local_name,
-    local_shape,
-    sheet_rows,
-    sheet_uv,
-)
-from pica_core.avatar.spec import BLOCKS, AvatarSpec, decoder_layers, trunk_channels, trunk_layers
+from pica_core.avatar.levels import STILL_NAME, faces_name, local_name, sheet_rows, sheet_uv
+from pica_core.avatar.spec import BLOCKS, AvatarSpec, decoder_layers, trunk_layers
 from pica_core.errors import AvatarFileError
 from pica_core.reference.decoders import FRONT, decode_expression_map, still_map
 from pica_core.types import Array
@@ -52,25 +43,14 @@ def changed(name: str, array: Array | None) -> Avatar:
 # Which levels there are
 
 
-def test_a_spec_may_have_exits_at_a_quarter_and_half_of_its_map() -> None:
-    assert level_sizes(AvatarSpec(geometry="bases")) == (64, 128, 256)
-    assert level_sizes(AvatarSpec()) == (256,)
-
-
 @pytest.mark.parametrize("block", BLOCKS)
 @pytest.mark.parametrize("level", [64, 128])
 def test_a_trunk_ends_with_the_activation_behind_its_block(block: str, level: int) -> None:
     spec = AvatarSpec(block=block)
-    trunk = trunk_layers(spec, "expression", level)
+    trunk = trunk_layers(spec, level)
     assert trunk == decoder_layers(spec, "expression")[: len(trunk)]
     assert (trunk[-1].kind, trunk[-1].size) == ("leaky_relu", level)
-    assert trunk[-1].out_channels == trunk_channels(spec, level) == {64: 16, 128: 8}[level]
-
-
-@pytest.mark.parametrize("level", [8, 100, 256])
-def test_a_trunk_cannot_be_left_where_no_block_ends(level: int) -> None:
-    with pytest.raises(ValueError, match=f"level is {level}; trunks can be left at 16, 32, 64"):
-        trunk_layers(AvatarSpec(), "geometry", level)
+    assert trunk[-1].out_channels == {64: 16, 128: 8}[level]
 
 
 def test_an_avatar_without_exits_has_the_full_level_alone() -> None:
@@ -101,29 +81,12 @@ def test_levels_come_back_from_a_file(toy_bytes: bytes) -> None:
         assert np.abs(loaded.tensors[name] - TOY.tensors[name]).max() <= 0.51 / 255 * spread, name
 
 
-def with_local(array: Array | None = None) -> Avatar:
-    """The toy with weights of each block of texels on its coarsest level."""
-    if array is None:
-        random = np.random.default_rng(3)
-        array = random.standard_normal(local_shape(TOY.spec, 64)).astype(np.float32)
-    return changed(local_name(64), array)
-
-
-def test_weights_of_blocks_come_back_in_eight_bits_and_are_added(tmp_path: Path) -> None:
-    avatar = with_local()
-    save_avatar(tmp_path / "a.pica", avatar)
-    loaded, local = load_avatar(tmp_path / "a.pica"), avatar.tensors[local_name(64)]
-    off = np.abs(loaded.tensors[local_name(64)] - local).max((0, 1))
-    assert np.all(off <= 0.51 / 255 * np.ptp(local, (0, 1)))
-    assert loaded.levels == TOY.levels
-
-    latent = np.random.default_rng(4).standard_normal((8, 8, 4))
-    maps = [decode_expression_map(which, latent, FRONT, 64) for which in (avatar, TOY)]
-    halved = decode_expression_map(with_local(local / 2), latent, FRONT, 64)
-    assert np.abs(maps[0] - maps[1]).max() > 0.01
-    np.testing.assert_allclose(halved, (maps[0] + maps[1]) / 2, atol=1e-6)
-    both = [decode_expression_map(which, latent, FRONT, 128) for which in (avatar, TOY)]
-    np.testing.assert_array_equal(*both)
+def test_weights_of_blocks_are_added_to_what_the_convolution_makes() -> None:
+    local, latent = TOY.tensors[local_name(64)], np.random.default_rng(4).standard_normal((8, 8, 4))
+    avatars = [changed(local_name(64), local * np.float32(share)) for share in (0, 0.5, 1)]
+    none, half, all_ = (decode_expression_map(each, latent, FRONT, 64) for each in avatars)
+    assert np.abs(all_ - none).max() > 0.01
+    np.testing.assert_allclose(half, (all_ + none) / 2, atol=1e-5)
 
 
 def test_the_face_of_the_still_map_comes_back_from_a_file(tmp_path: Path) -> None:
@@ -133,7 +96,7 @@ def test_the_face_of_the_still_map_comes_back_from_a_file(tmp_path: Path) -> Non
     found = still_map(loaded)
     assert found is not None
     np.testing.assert_allclose(found, decode_expression_map(loaded, latent, FRONT), atol=1e-6)
-    assert still_map(TOY) is None
+    assert still_map(PLAIN) is None
 
 
 def test_vertices_stand_in_the_middle_of_their_texels_row_by_row() -> None:
@@ -142,13 +105,6 @@ def test_vertices_stand_in_the_middle_of_their_texels_row_by_row() -> None:
     np.testing.assert_allclose(
         found[[0, 63, 64]], [[0.5 / 64, 0.25], [63.5 / 64, 0.25], [0.5 / 64, 0.75]]
     )
-
-
-def test_an_avatar_with_one_exit_alone_is_whole(tmp_path: Path) -> None:
-    lacking = {*exit_shapes(TOY.spec, 64), faces_name(64)}
-    tensors = {name: array for name, array in TOY.tensors.items() if name not in lacking}
-    save_avatar(tmp_path / "one.pica", Avatar(TOY.manifest, tensors))
-    assert load_avatar(tmp_path / "one.pica").levels == (128, 256)
 
 
 @pytest.mark.parametrize("name", LEVEL_NAMES)

@@ -26,9 +26,11 @@ TOY = make_toy_avatar(grid=24)
 
 def test_an_expression_becomes_a_latent_by_leaky_layers() -> None:
     arkit = np.random.default_rng(0).uniform(0, 1, 52)
-    hidden = TOY.tensors["encoder.0.weight"] @ arkit
-    hidden = np.where(hidden > 0, hidden, 0.2 * hidden)
-    wanted = (TOY.tensors["encoder.1.weight"] @ hidden).reshape(8, 8, 4)
+    hidden = arkit
+    for index in range(2):
+        hidden = TOY.tensors[f"encoder.{index}.weight"] @ hidden
+        hidden = np.where(hidden > 0, hidden, 0.2 * hidden)
+    wanted = (TOY.tensors["encoder.2.weight"] @ hidden).reshape(8, 8, 4)
     np.testing.assert_allclose(ExpressionEncoder(TOY).encode(arkit), wanted, atol=1e-5)
 
 

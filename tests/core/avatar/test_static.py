@@ -27,8 +27,7 @@ NUM_VERTICES = len(TOY.tensors["mesh.vertex_uv"])
 
 
 def marked(packed: Array) -> Avatar:
-    still = np.zeros((8, 8, 4), np.float32)
-    return replace(TOY, tensors={STILL_NAME: still, **TOY.tensors, NAME: packed})
+    return replace(TOY, tensors={**TOY.tensors, NAME: packed})
 
 
 @given(arrays.arrays(np.uint8, st.integers(1, 50), elements=st.integers(MOVING, STATIC)))

@@ -46,7 +46,6 @@ def avatar(model: PixelCodecAvatar) -> Avatar:
     manifest = replace(
         toy.manifest,
         spec=model.spec,
-        variant="linear",
         position_scale_m=model.position_scale_m,
     )
     tensors = avatar_tensors(model, grid_uv(GRID), grid_faces(GRID, GRID))
@@ -156,13 +155,3 @@ def test_hostile_bases_are_refused(
     tensors = {**avatar.tensors, f"linear.{name}": changed}
     with pytest.raises(AvatarFileError, match=message):
         save_avatar(tmp_path / "bad.pica", Avatar(avatar.manifest, tensors))
-
-
-def test_bases_belong_to_the_linear_variant_alone(avatar: Avatar, tmp_path: Path) -> None:
-    manifest = replace(avatar.manifest, variant="full")
-    with pytest.raises(AvatarFileError, match=r"geometry is 'bases'; variant full has 'decoder'"):
-        save_avatar(tmp_path / "bad.pica", Avatar(manifest, avatar.tensors))
-    with pytest.raises(ValueError, match="1 to 8 layers of width 1 to 64"):
-        AvatarSpec(geometry="bases", hidden_channels=(65, 16, 16, 8))
-    with pytest.raises(ValueError, match="bases need 256"):
-        AvatarSpec(geometry="bases", map_size=128, hidden_channels=(8, 8, 8))

@@ -21,8 +21,8 @@ from pica_core.reference.baseline import (
 
 pytestmark = pytest.mark.train
 
-SPEC = AvatarSpec(map_size=32, hidden_channels=(6,), uv_encoding_size=32, axis_encoding_size=64)
-PRIOR = toy_prior(map_size=32)
+SPEC = AvatarSpec(uv_encoding_size=32, axis_encoding_size=64)
+PRIOR = toy_prior()
 
 
 @pytest.fixture(scope="module")

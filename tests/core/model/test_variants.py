@@ -14,10 +14,9 @@ from helpers.toy import PAPER_SPEC, grid_faces
 from helpers.trainable import grid_uv, toy_prior
 from pica_core.avatar.arkit import ARKIT_INDEX
 from pica_core.avatar.file import Avatar, load_avatar, save_avatar
-from pica_core.avatar.manifest import DRAWN_VARIANTS, Manifest, ViewSpan
+from pica_core.avatar.manifest import Manifest, ViewSpan
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.avatar.variants import FULL, TABLE_1, TABLE_2, VARIANTS
-from pica_core.errors import AvatarFileError
 from pica_core.model.avatar import PixelCodecAvatar, make_model
 from pica_core.model.interface import (
     AvatarModel,
@@ -32,12 +31,12 @@ from pica_core.train.export import avatar_tensors
 
 pytestmark = pytest.mark.train
 
-SMALL = AvatarSpec(map_size=32, hidden_channels=(6,), uv_encoding_size=32, axis_encoding_size=200)
-PRIOR = toy_prior(map_size=32)
+SMALL = AvatarSpec(uv_encoding_size=32, axis_encoding_size=200)
+PRIOR = toy_prior()
 OPTIONS = ModelOptions(encoding_amplitude=1.0, texture_contrast=0.0, texture_size=64)
 NUM_PIXELS = 500
 DECODED = [name for name, row in VARIANTS.items() if row.geometry == "decoder"]
-"""Rows of any map size; those with bases have tests of their own (`graphs/test_bases_judges`)."""
+"""Rows with a decoder; those with bases have tests of their own (`graphs/test_bases_judges`)."""
 
 
 def small_model(variant: str) -> AvatarModel:
@@ -53,7 +52,6 @@ def exported(variant: str) -> tuple[PixelCodecAvatar, Avatar]:
         identity="none",
         licence="Apache-2.0",
         spec=model.spec,
-        variant=variant,
         position_scale_m=model.position_scale_m,
         view_span=ViewSpan(-60.0, 60.0, -40.0, 40.0),
         bounds_min_m=(-0.2, -0.2, -0.2),
@@ -83,7 +81,6 @@ def test_each_row_is_full_with_one_part_replaced() -> None:
 
 def test_the_tables_name_all_variants() -> None:
     assert set(TABLE_1) | set(TABLE_2) == set(VARIANTS)
-    assert set(DRAWN_VARIANTS) == set(VARIANTS) - {"baseline"}
 
 
 @pytest.mark.parametrize("variant", DECODED)
@@ -114,7 +111,7 @@ def replace_tracked(count: int) -> FacePrior:
     return replace(prior, tracked_uv=uv, tracked_mean_m=np.zeros((count, 3), np.float32))
 
 
-@pytest.mark.parametrize("variant", [v for v in DECODED if v in DRAWN_VARIANTS])
+@pytest.mark.parametrize("variant", [v for v in DECODED if v != "baseline"])
 def test_torch_colours_pixels_as_the_reference_does(variant: str) -> None:
     model, avatar = exported(variant)
     codes, xyz_m, uv = some_pixels()
@@ -137,24 +134,15 @@ def test_sinusoids_are_forty_and_run_through_whole_turns() -> None:
     np.testing.assert_allclose(code[1], np.tile([0, 0, 1, 1], 10), atol=1e-12)
 
 
-@pytest.mark.parametrize("variant", [v for v in DECODED if v in DRAWN_VARIANTS])
+@pytest.mark.parametrize("variant", [v for v in DECODED if v != "baseline"])
 def test_a_variant_comes_back_from_its_file(variant: str, tmp_path: Path) -> None:
     _, avatar = exported(variant)
 
     save_avatar(tmp_path / "v.pica", avatar)
     read = load_avatar(tmp_path / "v.pica")
 
-    assert read.manifest.variant == variant
     assert read.spec == avatar.spec
     assert read.tensors.keys() == avatar.tensors.keys()
-
-
-def test_a_file_whose_encoding_is_not_its_variants_is_refused(tmp_path: Path) -> None:
-    _, avatar = exported("pe_2d")
-    wrong = Avatar(replace(avatar.manifest, variant="full"), avatar.tensors)
-
-    with pytest.raises(AvatarFileError, match=r"spec\.encoding is 'joint'; variant full"):
-        save_avatar(tmp_path / "v.pica", wrong)
 
 
 @pytest.mark.parametrize("variant", DECODED)

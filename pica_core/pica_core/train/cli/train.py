@@ -160,7 +160,6 @@ def export(options: ExportOptions) -> dict[str, Any]:
             identity=str(data.capture.info["head"]),
             licence=options.licence,
             model_card=model_card(trainer, options.run),
-            variant=config.variant,
             start=start,
         )
         # Neither needs the other; both take about as long, and neither keeps two cores busy.

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pica_core.avatar.spec import AvatarSpec
+from pica_core.avatar.spec import MAP_SIZE
 from pica_core.avatar.variants import TopologyName
 from pica_core.camera import Camera
 from pica_core.capture.dataset.dataset import Capture, Topology
@@ -122,14 +122,13 @@ class CaptureMeshes:
     """
 
     def __init__(self, capture: Capture, train_frames: list[int]) -> None:
-        self._capture, map_size = capture, AvatarSpec().map_size
-        self._train_frames = train_frames
+        self._capture, self._train_frames = capture, train_frames
         dense, tracked = capture.topology, capture.tracked_topology
         self._one_mesh = tracked is dense
-        self.uv_raster = rasterise_uv(dense.vertex_uv, dense.faces, map_size)
+        self.uv_raster = rasterise_uv(dense.vertex_uv, dense.faces, MAP_SIZE)
         self._tracked_raster = self.uv_raster
         if not self._one_mesh:
-            self._tracked_raster = rasterise_uv(tracked.vertex_uv, tracked.faces, map_size)
+            self._tracked_raster = rasterise_uv(tracked.vertex_uv, tracked.faces, MAP_SIZE)
         frames = capture.frames
         self.tracked_m = np.stack([capture.vertices_m(frame) for frame in frames])
         self.tracked_mean_m: FloatArray = self.tracked_m[train_frames].mean(0)

@@ -23,7 +23,7 @@ from torch.nn import functional
 
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.levels import LOCAL_TEXELS
-from pica_core.avatar.spec import trunk_layers
+from pica_core.avatar.spec import EXPRESSION_CHANNELS, trunk_layers
 from pica_core.model.decoders import MapDecoder, sample_map, tile_view_direction
 from pica_core.reference.decoders import decode_pixels
 from pica_core.types import Float64Array
@@ -73,7 +73,7 @@ class FrozenDecoder:
     @torch.no_grad()
     def run(self, faces: FaceSet, level: int) -> Iterator[tuple[Tensor, Tensor]]:
         """Trunk ``[n, C, level, level]`` and decoder's output ``[n, C', S, S]``, chunk by chunk."""
-        end = len(trunk_layers(self._spec, "expression", level))
+        end = len(trunk_layers(self._spec, level))
         for start in range(0, len(faces), CHUNK):
             latent, view = (v[start : start + CHUNK] for v in (faces.latents, faces.views))
             grid = torch.cat([latent, tile_view_direction(view)], 1)
@@ -213,10 +213,10 @@ def colour_metric(
         points: UV, ``[P, 2]``.
     """
     spec, tensors = avatar.spec, avatar.tensors
-    metric = np.zeros((len(points), spec.expression_channels, spec.expression_channels))
+    metric = np.zeros((len(points), EXPRESSION_CHANNELS, EXPRESSION_CHANNELS))
     for code in codes:
         slopes = []
-        for step in CODE_STEP * np.eye(spec.expression_channels):
+        for step in CODE_STEP * np.eye(EXPRESSION_CHANNELS):
             ends = [
                 decode_pixels(spec, tensors, code + side * step, xyz_m, points, np.float64)
                 for side in (1, -1)
@@ -224,8 +224,8 @@ def colour_metric(
             slopes.append((ends[0] - ends[1]) / (2 * CODE_STEP))
         jacobian = np.stack(slopes, axis=-1)  # [P, 3, 4]
         metric += np.einsum("pri,prj->pij", jacobian, jacobian) / len(codes)
-    floor = METRIC_FLOOR * np.trace(metric, axis1=1, axis2=2).mean() / spec.expression_channels
-    metric += floor * np.eye(spec.expression_channels)
+    floor = METRIC_FLOOR * np.trace(metric, axis1=1, axis2=2).mean() / EXPRESSION_CHANNELS
+    metric += floor * np.eye(EXPRESSION_CHANNELS)
     return metric
 
 

@@ -17,12 +17,7 @@ from torch import Tensor
 from pica_core.avatar.arkit import ARKIT_NAMES
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
-from pica_core.avatar.levels import (
-    PREFIX,
-    STILL_NAME,
-    faces_name,
-    level_sizes,
-)
+from pica_core.avatar.levels import EXIT_SIZES, PREFIX, STILL_NAME, faces_name
 from pica_core.avatar.linear import components_of, weights_of_latent
 from pica_core.capture.stage.expressions import stream_training_performances
 from pica_core.capture.triangles import areas, signed_areas
@@ -97,22 +92,23 @@ def add_levels(
 ) -> Avatar:
     """Fit exits and simplify meshes for every level below the full one: the avatar with its levels
     and its static surface marked; as it is where no bases make its vertices."""
-    options = options or LevelOptions()
-    tensors, levels = dict(avatar.tensors), level_sizes(avatar.spec)[:-1]
-    if not levels:
+    options, tensors = options or LevelOptions(), dict(avatar.tensors)
+    if avatar.spec.geometry != "bases":
         return avatar
     faces = _draw_faces(avatar, options)
     full = _FullLevel(avatar, faces, options)
     show("meshes")
     mean_face = FaceSet(faces.latents.mean(dim=0, keepdim=True), torch.tensor([FRONT]))
-    ((_, (still,)),) = full.decoder.run(mean_face, levels[0])
+    ((_, (still,)),) = full.decoder.run(mean_face, EXIT_SIZES[0])
     tensors[STILL_NAME] = mean_face.latents[0].permute(1, 2, 0).numpy().copy()
-    for level, mesh in zip(levels, _simplify(full, options), strict=True):
+    for level, mesh in zip(EXIT_SIZES, _simplify(full, options), strict=True):
         show(f"level {level}: {len(mesh)} triangles; exit")
         fitted = fit_convolution(
             full.decoder, faces, level, full.points, full.metric, full.bias_points, still
         )
-        if level == levels[0]:  # finer ones leave little, and their weights are four times as many
+        if (
+            level == EXIT_SIZES[0]
+        ):  # finer ones leave little, and their weights are four times as many
             fitted = fit_local(full.decoder, faces, level, fitted)
         tensors |= _exit_tensors(level, fitted) | {faces_name(level): mesh}
     show("static surfaces")
@@ -159,9 +155,7 @@ class _FullLevel:
         mesh = rest, avatar.tensors["mesh.vertex_uv"], avatar.tensors["mesh.faces"]
         self.points, xyz_m = _scatter(*mesh, options.points, rng)
         some = rng.choice(len(faces), METRIC_FACES, replace=False)
-        runs = self.decoder.run(
-            FaceSet(faces.latents[some], faces.views[some]), level_sizes(avatar.spec)[0]
-        )
+        runs = self.decoder.run(FaceSet(faces.latents[some], faces.views[some]), EXIT_SIZES[0])
         codes = torch.cat([sample_map(full, self.points) for _, full in runs])
         metric = colour_metric(
             avatar, list(codes.double().numpy()), xyz_m, self.points.double().numpy()

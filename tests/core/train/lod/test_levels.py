@@ -10,7 +10,7 @@ import torch
 
 from helpers.toy import grid_faces, make_toy_avatar, with_bases
 from pica_core.avatar.file import Avatar
-from pica_core.avatar.spec import AvatarSpec
+from pica_core.avatar.spec import MAP_SIZE, AvatarSpec
 from pica_core.model.decoders import sample_map
 from pica_core.train.lod.exits import (
     FaceSet,
@@ -26,7 +26,7 @@ from pica_core.train.lod.surface import PokeFinder, seen_vertices
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
 
 
-SMALL = AvatarSpec(hidden_channels=(8, 6, 6, 4), uv_encoding_size=16, axis_encoding_size=20)
+SMALL = AvatarSpec(uv_encoding_size=16, axis_encoding_size=20)
 TOY = with_bases(make_toy_avatar(grid=20, spec=SMALL))
 QUICK = LevelOptions(
     faces=64,
@@ -65,7 +65,7 @@ def test_blocks_learn_what_a_convolution_leaves_and_keep_the_mean_face() -> None
     decoder, generator = FrozenDecoder(TOY), torch.Generator().manual_seed(0)
     latents = torch.randn(64, 4, 8, 8, generator=generator)
     faces = FaceSet(latents, torch.nn.functional.normalize(torch.ones(64, 3)))
-    size = TOY.spec.map_size
+    size = MAP_SIZE
     trunk, full = (torch.cat(maps) for maps in zip(*decoder.run(faces, 64), strict=True))
     points = torch.rand(4000, 2, generator=generator)
     metric = torch.eye(4).expand(len(points), 4, 4)
