@@ -5,25 +5,24 @@ The window is one without a screen: a GL context and the events that the test ha
 
 from __future__ import annotations
 
-import contextlib
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any
 
 import pytest
 from imgui_bundle import imgui
 
-from helpers.hand import Event, Rect, hold, note_places, point, press, write
+from helpers.hand import Event, press
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.call.call import Call
 from pica_client.endpoint.endpoint import Receiver
 from pica_client.errors import OptionError
 from pica_client.local_call.processes import Children
 from pica_client.transport.config import LinkConfig
-from pica_client.ui.join_form import JoinForm
-from pica_client.ui.options import ViewerOptions, ViewOptions
+from pica_client.ui.lobby import JoinForm
+from pica_client.ui.options import ViewOptions
 from pica_client.ui.session import first_state, view_calls
 from pica_client.ui.state import PreferencesFile, ViewState
 from pica_client.ui.surface.surface import Surface
@@ -46,10 +45,7 @@ class ScreenlessWindow:
         self.size_px = self.windowed_size = size
         self._screen = self.context.simple_framebuffer(size)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
         self.surface.close()
         self.context.release()
 
@@ -69,41 +65,9 @@ class ScreenlessWindow:
 def window_of(monkeypatch: pytest.MonkeyPatch) -> Callable[[list[Event]], None]:
     def prepare(happened: list[Event]) -> None:
         monkeypatch.setattr(ScreenlessWindow, "happened", list(happened), raising=False)
-        monkeypatch.setattr("pica_client.ui.session.Window", ScreenlessWindow)
+        monkeypatch.setattr("pica_client.ui.lobby.Window", ScreenlessWindow)
 
     return prepare
-
-
-@contextlib.contextmanager
-def without_signals(stop: Callable[[], object]) -> Iterator[None]:
-    yield
-
-
-class ClickingWindow(ScreenlessWindow):
-    """A window whose user clicks on labels, one after the other, and types a text that begins with
-    an equals sign; at the end they close it."""
-
-    places: ClassVar[dict[str, Rect]]
-    todo: ClassVar[list[str]]
-
-    def poll(self) -> bool:
-        self.num_frames = getattr(self, "num_frames", 0) + 1
-        if self.happened or self.num_frames % 4:
-            return super().poll()
-        found = [rect for label, rect in self.places.items() if self.todo and self.todo[0] in label]
-        self.places.clear()
-        stands = found == getattr(self, "found", None)  # a panel that just opened still moves
-        self.found = found
-        if not self.todo:
-            return False
-        if self.todo[0].startswith("="):
-            self.happened.append(write(self.todo.pop(0)[1:]))
-        if found and stands:
-            self.todo.pop(0)
-            left, top, right, bottom = found[-1]
-            place = (left + right) / 2, (top + bottom) / 2
-            self.happened += [point(*place), hold(), hold(is_down=False)]
-        return super().poll()
 
 
 @pytest.fixture
@@ -120,39 +84,19 @@ def relay_url() -> Iterator[str]:
         yield url
 
 
-OPTIONS = ViewOptions(viewer=ViewerOptions(size="640x360"), seconds=0.4, wait=True, layout="grid")
-HEADLESS = replace(OPTIONS, viewer=replace(OPTIONS.viewer, headless=True))
+OPTIONS = ViewOptions(size="640x360", seconds=0.4, wait=True, layout="grid")
+HEADLESS = replace(OPTIONS, headless=True)
 
 
 def state_at(url: str, name: str = "guest") -> ViewState:
     return ViewState(url=url, room="lobby", name=name, source="", voice="none", layout="grid")
 
 
-def test_one_comes_again_under_another_name(
-    monkeypatch: pytest.MonkeyPatch, relay_url: str, tmp_path: Path
-) -> None:
-    monkeypatch.setattr("pica_client.ui.session.Window", ClickingWindow)
-    monkeypatch.setattr(ScreenlessWindow, "happened", [], raising=False)
-    ClickingWindow.places = note_places(monkeypatch)
-    steps = ["Join", "Settings", "Leave and", "##name", "= Lovelace", "Join"]
-    ClickingWindow.todo = list(steps)
-    kept = PreferencesFile(tmp_path)
-    state = state_at(relay_url, "Ada")
-    state.window_size = (960, 720)
-    stay = replace(OPTIONS, seconds=20, viewer=ViewerOptions())
-    with contextlib.closing(AvatarLibrary()) as library:
-        view_calls(stay, state, library, without_signals, kept)
-    assert ClickingWindow.todo == []
-    assert (kept.load().name, state.name) == ("Ada", "Ada Lovelace")
-
-
 def test_one_can_leave_at_the_form(
     window_of: Callable[[list[Event]], None], library: AvatarLibrary, tmp_path: Path
 ) -> None:
     window_of([press(imgui.Key.escape)])
-    result = view_calls(
-        OPTIONS, state_at(NOBODY), library, without_signals, PreferencesFile(tmp_path)
-    )
+    result = view_calls(OPTIONS, state_at(NOBODY), library, PreferencesFile(tmp_path))
     assert result["frames_rendered"] == 0
 
 
@@ -168,10 +112,11 @@ def test_a_relay_that_is_not_there_is_said_in_the_form(
 
     def refuse(form: JoinForm, error: BaseException) -> None:
         refusals.append(str(error))
-        form.outcome = "leave"
+        form.outcome = "asking"
+        ScreenlessWindow.happened.append(press(imgui.Key.escape))
 
     monkeypatch.setattr(JoinForm, "refuse", refuse)
-    view_calls(OPTIONS, state, library, without_signals, PreferencesFile(tmp_path))
+    view_calls(OPTIONS, state, library, PreferencesFile(tmp_path))
     assert len(refusals) == 1
     assert f"no relay answers at {NOBODY}" in refusals[0]
 
@@ -186,7 +131,7 @@ def test_who_joins_by_the_form_is_in_the_call_and_found_again_next_time(
     kept = PreferencesFile(tmp_path)
     state = state_at(relay_url, "Ada")
     state.token = "a-secret"
-    result = view_calls(OPTIONS, state, library, without_signals, kept)
+    result = view_calls(OPTIONS, state, library, kept)
     assert result["frames_rendered"] > 0
     found = kept.load()
     assert (found.url, found.room, found.name, found.layout) == (
@@ -201,7 +146,7 @@ def test_who_joins_by_the_form_is_in_the_call_and_found_again_next_time(
 def test_an_address_on_the_command_line_needs_no_form(
     library: AvatarLibrary, relay_url: str
 ) -> None:
-    result = view_calls(HEADLESS, state_at(relay_url), library, without_signals)
+    result = view_calls(HEADLESS, state_at(relay_url), library)
     assert result["frames_rendered"] > 0
 
 
@@ -211,7 +156,7 @@ def test_a_stay_begins_without_what_held_for_the_people_of_another(
     state = state_at(relay_url)
     state.volumes, state.barred = {1: 0.0}, {"eve": "Eve"}
     state.side, state.is_talking = "settings", True
-    view_calls(HEADLESS, state, library, without_signals)
+    view_calls(HEADLESS, state, library)
     assert (state.volumes, state.barred, state.side, state.is_talking) == ({}, {}, "none", False)
 
 
@@ -219,12 +164,12 @@ def test_who_records_from_the_command_line_is_seen_to_by_those_in_the_room(
     library: AvatarLibrary, relay_url: str, tmp_path: Path
 ) -> None:
     pytest.importorskip("av")
-    recording = replace(HEADLESS, viewer=replace(HEADLESS.viewer, record=tmp_path / "call.mp4"))
+    recording = replace(HEADLESS, record=tmp_path / "call.mp4")
     call = Call(library)
     with Receiver(LinkConfig(url=relay_url, name="Ada"), call) as receiver:
         while not receiver.is_connected:
             time.sleep(0.01)
-        view_calls(recording, state_at(relay_url), library, without_signals)
+        view_calls(recording, state_at(relay_url), library)
         news: list[tuple[str, str]] = []
         while ("left", "guest") not in news:
             news += [(each.kind, each.name) for each in call.room(time.monotonic()).news]
@@ -237,10 +182,10 @@ def test_who_comes_in_again_records_into_a_file_of_its_own_and_is_told_where(
 ) -> None:
     pytest.importorskip("av")
     film, picture = tmp_path / "call.mp4", tmp_path / "last.png"
-    recording = replace(HEADLESS, viewer=replace(HEADLESS.viewer, record=film), png=picture)
-    view_calls(recording, state_at(relay_url), library, without_signals)
+    recording = replace(HEADLESS, record=film, png=picture)
+    view_calls(recording, state_at(relay_url), library)
     first = film.read_bytes()
-    view_calls(recording, state_at(relay_url), library, without_signals)
+    view_calls(recording, state_at(relay_url), library)
     assert film.read_bytes() == first
     said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("wrote")]
     again = tmp_path / "call-0001.mp4"
@@ -271,6 +216,6 @@ def test_a_token_file_that_is_not_for_the_relay_of_a_link_is_said_to_stay(
 ) -> None:
     link = relay_url.replace("ws://", "pica://") + "/fun?plain=1"
     options = replace(HEADLESS, link=link, token_file=tmp_path / "not there")
-    view_calls(options, first_state(options, None), library, without_signals)
+    view_calls(options, first_state(options, None), library)
     line = f"token-file is not sent to {relay_url}; --url {relay_url} would send it"
     assert capsys.readouterr().err.count(line) == 1

@@ -45,8 +45,6 @@ class Action(Enum):
     CLOSE = auto()
     """Close what is open, or ask whether to leave."""
     LEAVE = auto()
-    REJOIN = auto()
-    """Leave, and have the form ask again."""
     TEST_SOUND = auto()
     COPY_INVITATION = auto()
 

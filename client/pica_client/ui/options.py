@@ -5,9 +5,6 @@ It imports little, so that the help comes at once.
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
-
-from cyclopts import Parameter
 
 from pica_client.avatars.upload import GiveAvatar
 from pica_client.decode.request import DecodeChoice
@@ -49,35 +46,6 @@ def parse_size(text: str) -> tuple[int, int]:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class ViewerOptions:
-    """How a call is drawn, and what is kept of it."""
-
-    size: str | None = None
-    """Columns x rows of the window or picture; by default as the window was left, or 960x540."""
-    headless: bool = False
-    """Draw without a window."""
-    record: Path | None = None
-    """Record into this MP4 file, which must not be there yet."""
-    keep_in: Path | None = None
-    """Folder for recordings made by key, instead of the system's."""
-    max_fps: float = 30.0
-    """Draw at most so many images a second."""
-    decode: DecodeChoice = "auto"
-    """Where faces are decoded: gpu, in shaders; cpu, by ONNX Runtime; auto takes the GPU where it
-    is not drawn in software."""
-
-    def __post_init__(self) -> None:
-        if self.size is not None:
-            parse_size(self.size)
-        check_ranges(self, max_fps=(1, 1000))
-
-    @property
-    def budget_s(self) -> float:
-        """What decoding and drawing a frame may take, seconds."""
-        return BUDGET_SHARE / self.max_fps
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
 class ViewOptions:
     """Options of `pica view`."""
 
@@ -113,7 +81,19 @@ class ViewOptions:
     clean: bool | None = None
     """Take echo and noise out of the microphone, and even out how loud it is, where the extra echo
     is installed; by default as it was left, which is yes at first."""
-    viewer: Annotated[ViewerOptions, Parameter(name="*")] = field(default_factory=ViewerOptions)
+    size: str | None = None
+    """Columns x rows of the window or picture; by default as the window was left, or 960x540."""
+    headless: bool = False
+    """Draw without a window."""
+    record: Path | None = None
+    """Record into this MP4 file, which must not be there yet."""
+    keep_in: Path | None = None
+    """Folder for recordings made by key, instead of the system's."""
+    max_fps: float = 30.0
+    """Draw at most so many images a second."""
+    decode: DecodeChoice = "auto"
+    """Where faces are decoded: gpu, in shaders; cpu, by ONNX Runtime; auto takes the GPU where it
+    is not drawn in software."""
     png: Path | None = None
     """Write the last image into this PNG file."""
     avatar: str | None = None
@@ -136,7 +116,15 @@ class ViewOptions:
     """File with the room secret of an encrypted call: shows its participants alone."""
 
     def __post_init__(self) -> None:
+        if self.size is not None:
+            parse_size(self.size)
+        check_ranges(self, max_fps=(1, 1000))
         if not self.seconds >= 0:
             raise OptionError(f"seconds is {self.seconds:g}; 0 (for ever) or more is allowed")
         if not 0 <= self.expect < MAX_PEERS:
             raise OptionError(f"expect is {self.expect}; 0 to {MAX_PEERS - 1} is allowed")
+
+    @property
+    def budget_s(self) -> float:
+        """What decoding and drawing a frame may take, seconds."""
+        return BUDGET_SHARE / self.max_fps

@@ -4,10 +4,11 @@ A stay is one receiver from end to end: network in a thread, decoding in others,
 one. Where a form asks, it comes again with the reason when the relay refuses.
 """
 
+import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import AbstractContextManager, ExitStack, closing
+from contextlib import ExitStack, closing
 from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
@@ -23,11 +24,11 @@ from pica_client.errors import ClientError, OptionError, RelayUnreachableError
 from pica_client.output import check_writable, say
 from pica_client.publish.face_controls import FaceControls
 from pica_client.publish.publisher import DEFAULT_SOURCE, Outgoing, open_face
+from pica_client.system import on_stop_signal
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.connect import trusting
 from pica_client.ui.call_sound import CallSound
-from pica_client.ui.join_form import JoinForm, follow_invite
-from pica_client.ui.lobby import Lobby
+from pica_client.ui.lobby import JoinForm, Lobby, follow_invite
 from pica_client.ui.options import ViewOptions, check_voice, connect_timeout_s, parse_size
 from pica_client.ui.state import PreferencesFile, ViewState, fit_side
 from pica_client.ui.viewer import Viewer
@@ -48,9 +49,6 @@ EXPECT_TIMEOUT_S = 30.0
 """How long the peers of ``--expect`` are waited for."""
 NOTHING_SHOWN = {"frames_rendered": 0, "render_fps": 0.0}
 """The result when there was nothing to show."""
-
-Stopping = Callable[[Callable[[], None]], AbstractContextManager[None]]
-"""Makes a signal call what it is given, for the length of a block."""
 
 
 def first_state(options: ViewOptions, kept: PreferencesFile | None) -> ViewState:
@@ -86,8 +84,8 @@ def first_state(options: ViewOptions, kept: PreferencesFile | None) -> ViewState
             f"own-avatar is the look of your own face; to send one, add --send {DEFAULT_SOURCE}"
         )
     _choose_sound(options, state, asks=asks)
-    if options.viewer.size is not None:
-        state.window_size = parse_size(options.viewer.size)
+    if options.size is not None:
+        state.window_size = parse_size(options.size)
     return state
 
 
@@ -145,212 +143,185 @@ def view_calls(
     options: ViewOptions,
     state: ViewState,
     library: AvatarLibrary,
-    stopping: Stopping,
     kept: PreferencesFile | None = None,
 ) -> dict[str, Any]:
     """Stay in the room that the state names, or that a form asks for, until the user leaves.
 
     Args:
-        stopping: How signals end it.
-        kept: Where preferences go afterwards, when a form in a window asks where to go; None: no
-            form asks.
+        kept: Where preferences go afterwards, when a form asks where to go; None: no form asks.
 
     Returns:
-        As `Stay.run`; `NOTHING_SHOWN` when the user left at the form.
+        What was drawn (`Viewer.report`) and what was received (`Receiver.stats`); `NOTHING_SHOWN`
+        when the user left before.
 
     Raises:
+        OptionError: A file that is to be written cannot be.
         GraphicsError: There is no way to draw.
-        ClientError: Without a form, what else `Stay` or `open_own` raises.
+        ClientError: Without a form, what else `stay` or `open_own` raises.
     """
-    form = JoinForm(state, partial(link_of, options))
-    state.can_rejoin = kept is not None
-    with ExitStack() as stack:
-        window = lobby = None
-        sound = stack.enter_context(closing(SoundProcess(state.sound)))
-        if kept is not None:
-            window = stack.enter_context(Window(state.window_size))
-            lobby = stack.enter_context(Lobby(window, library, None if available() else sound))
-        pool = stack.enter_context(ThreadPoolExecutor(1, thread_name_prefix="own-face"))
-
-        def stay_once() -> dict[str, Any] | None:
-            """Stay in one room; None when the user did not want to wait for it."""
-            link = link_of(options, state)
-            if options.token_file is not None and not link.token and link.token_file is None:
-                say(f"token-file is not sent to {link.url}; --url {link.url} would send it")
-            opening = pool.submit(open_own, options, state, link, library)
+    check_writable(options.png, ".png")
+    check_writable(options.record, ".mp4")
+    form = JoinForm(state=state, link_of=partial(link_of, options))
+    with closing(SoundProcess(state.sound)) as sound, ExitStack() as stack:
+        lobby = None
+        if not options.headless:
+            lobby = stack.enter_context(Lobby(state.window_size, library, sound))
+        while lobby is None or kept is None or lobby.ask(form):
             try:
-                if lobby is not None and not lobby.wait("Getting your avatar …", opening.done):
-                    return None
-                waiting = None if lobby is None else partial(lobby.show_waiting, "Connecting …")
-                stay = Stay(options, state, link, library, opening.result(), window, sound, waiting)
-                with stopping(stay.stop):
-                    return stay.run()
-            finally:
-                opening.add_done_callback(_let_go)
-
-        while lobby is None or lobby.ask(form):
-            try:
-                result = stay_once()
+                result = stay(options, state, library, sound, lobby)
             except (ClientError, AvatarFileError) as error:
-                if lobby is None:
+                if kept is None:
                     raise
                 form.refuse(error)
                 continue
-            if result is not None:
-                if kept is not None:
-                    kept.save(state)
-                if not state.wants_rejoin:
-                    return result
-            form.ask_again()
+            if result is not None and kept is not None:
+                kept.save(state)
+            if result is not None or kept is None:
+                return result or dict(NOTHING_SHOWN)
     return dict(NOTHING_SHOWN)
 
 
-class Stay:
-    """One stay in one room; `stop` may come from a signal handler.
+def stay(
+    options: ViewOptions,
+    state: ViewState,
+    library: AvatarLibrary,
+    sound: SoundProcess,
+    lobby: Lobby | None,
+) -> dict[str, Any] | None:
+    """Stay in one room, until the user leaves or a signal ends it.
 
     Args:
-        state: What the user wants; as they left it once `run` has returned.
-        own: What the user sends.
-        window: To show it in, which stays open; None opens a new one.
+        state: What the user wants; as they left it afterwards.
         sound: Plays and captures, and goes on afterwards.
-        waiting: Called again and again until we are in the room; False gives up.
+        lobby: Has the window and says there what is being waited for; None draws off the screen.
+
+    Returns:
+        As `view_calls`; None when the user did not want to wait.
 
     Raises:
-        OptionError: A file or folder that is to be written cannot be.
+        RelayError: The relay is not there, or will not have us.
+        GraphicsError: There is no way to draw.
     """
-
-    def __init__(
-        self,
-        options: ViewOptions,
-        state: ViewState,
-        link: LinkConfig,
-        library: AvatarLibrary,
-        own: Outgoing,
-        window: Window | None,
-        sound: SoundProcess,
-        waiting: Callable[[], bool] | None,
-    ) -> None:
-        check_writable(options.png, ".png")
-        check_writable(options.viewer.record, ".mp4")
-        self._options, self._link, self._state = options, link, state
-        self._window, self._waiting = window, waiting
-        state.name = link.name
-        state.enter()
-        state.side = "statistics" if options.statistics else "none"
+    link = link_of(options, state)
+    if options.token_file is not None and not link.token and link.token_file is None:
+        say(f"token-file is not sent to {link.url}; --url {link.url} would send it")
+    state.name = link.name
+    state.enter()
+    state.side = "statistics" if options.statistics else "none"
+    is_stopping = threading.Event()
+    with on_stop_signal(is_stopping.set), ExitStack() as stack:
+        pool = ThreadPoolExecutor(1, thread_name_prefix="own-face")
+        stack.callback(pool.shutdown, wait=False)
+        opening = pool.submit(open_own, options, state, link, library)
+        stack.callback(opening.add_done_callback, _let_go)
+        if lobby is not None and not lobby.wait("Getting your avatar …", opening.done):
+            return None
+        own = opening.result()
         tls = None if link.ca_file is None else trusting(link.ca_file)
-        self._fetcher = AvatarFetcher(library, lambda: self._receiver.link.url, tls=tls)
+        fetcher = AvatarFetcher(library, lambda: receiver.link.url, tls=tls)
+        stack.callback(fetcher.close)
         voice = sound if state.voice == "mic" else open_voice(state.voice or "none")
-        self._hearing = None
+        own_voice = None
+        if voice is not None:
+            own_voice = VoicePublisher(voice, is_sealed=link.secret_file is not None)
+        hearing = None
         if (lacking := available()) is None:
-            self._hearing = Hearing(sound)
+            hearing = Hearing(sound)
+            stack.callback(hearing.seat, ())
         else:
             say(f"a call without sound: {lacking}")
-        self._sound = sound if self._hearing is not None or voice is sound else None
-        self._call = Call(self._fetcher, ears=self._hearing)
         doing = "looking into" if own.face is None else f"in, as {link.name},"
-        is_sealed = link.secret_file is not None
-        self._publisher = own.face
-        self._receiver = Receiver(
+        call = Call(fetcher, ears=hearing)
+        receiver = Receiver(
             link,
-            self._call,
-            replace(
-                own,
-                voice=None if voice is None else VoicePublisher(voice, is_sealed=is_sealed),
-            ),
-            on_voice=None if self._hearing is None else self._hearing.receive,
+            call,
+            replace(own, voice=own_voice),
+            on_voice=None if hearing is None else hearing.receive,
             news=LinkNews(f"{doing} room {link.room} at {link.url}", say),
         )
-        self._is_stopping = False
+        receiver.say_recording(options.record is not None)
+        stack.enter_context(receiver)
 
-    def stop(self) -> None:
-        """Make `run` end."""
-        self._is_stopping = True
+        def is_stopped() -> bool:
+            receiver.check()
+            return is_stopping.is_set()
 
-    def run(self) -> dict[str, Any] | None:
-        """Show the call.
-
-        Returns:
-            What was drawn (`Viewer.report`) and what was received (`Receiver.stats`); None when
-            `waiting` gave up.
-
-        Raises:
-            RelayError: The relay is not there, or will not have us.
-            GraphicsError: There is no way to draw.
-        """
-        options, state = self._options, self._state
-        self._receiver.say_recording(options.viewer.record is not None)
-        with ExitStack() as stack:
-            stack.callback(self._fetcher.close)
-            if self._hearing is not None:
-                stack.callback(self._hearing.seat, ())
-            stack.enter_context(self._receiver)
-            if not self._wait_for_peers():
-                return None
-            controls = None
-            if self._publisher is not None:
-                controls = FaceControls(self._publisher, self._link.name, state.source or "")
-                stack.callback(controls.close)
-            with Viewer(
-                self._call,
-                options.viewer,
-                state=state,
-                receiver=self._receiver,
-                controls=controls,
-                sound=CallSound(self._receiver.own.voice, self._sound),
-                window=self._window,
-            ) as viewer:
-                # In a window a person looks on: they see who is ready, at once.
-                if self._window is None:
-                    viewer.prepare()
-                begin_s = time.monotonic()
-                self._call.begin_window(begin_s)
-                viewer.run(options.seconds or None, self._should_stop)
-                end_s = time.monotonic()
-                drawn, received = viewer.report(), self._receiver.stats(end_s)
-                problems, outputs = list(viewer.problems.values()), viewer.outputs
-                png = options.png if drawn["frames_rendered"] else None
-                if png is not None and viewer.save_image(png):
-                    say(f"wrote {png}")
-                if size := viewer.windowed_size:
-                    state.window_size = fit_side(size[0]), fit_side(size[1])
-                if controls is not None:
-                    state.source = controls.source
-        for problem in problems:
-            say(problem)
-        return {
-            **drawn,
-            "ok": not outputs.failures,
-            "seconds": round(end_s - begin_s, 2),
-            "errors": drawn["errors"] + received["errors"],
-            "problems": [*problems, *outputs.failures],
-            "received": received,
-            "voice": None if self._hearing is None else self._hearing.stats(self._call),
-            "avatars_fetched": self._fetcher.num_fetched,
-        }
-
-    def _wait_for_peers(self) -> bool:
-        """Wait until we are in the room with those expected; False when `waiting` gave up."""
-        expect = self._options.expect
-        deadline = time.monotonic() + EXPECT_TIMEOUT_S
-        while not self._is_stopping:
-            self._receiver.check()
-            if self._receiver.is_connected and self._call.num_live >= expect:
-                return True
-            if self._waiting is None:
-                time.sleep(POLL_S)
-            elif not self._waiting():
-                return False
-            if expect and time.monotonic() > deadline:
+        def is_ready() -> bool:
+            if options.expect and time.monotonic() > deadline_s:
                 raise RelayUnreachableError(
-                    f"{self._call.num_live} of {expect} expected peers were seen within "
+                    f"{call.num_live} of {options.expect} expected peers were seen within "
                     f"{EXPECT_TIMEOUT_S:g} s"
                 )
-        return True
+            is_here = receiver.is_connected and call.num_live >= options.expect
+            return is_stopped() or is_here
 
-    def _should_stop(self) -> bool:
-        """Return True once the stay is to end; raise what ended the network."""
-        self._receiver.check()
-        return self._is_stopping
+        deadline_s = time.monotonic() + EXPECT_TIMEOUT_S
+        if lobby is None:
+            while not is_ready():
+                time.sleep(POLL_S)
+        elif not lobby.wait("Connecting …", is_ready):
+            return None
+        plays = sound if hearing is not None or voice is sound else None
+        window = None if lobby is None else lobby.window
+        result = _show(options, state, receiver, CallSound(own_voice, plays), window, is_stopped)
+        return {
+            **result,
+            "voice": None if hearing is None else hearing.stats(call),
+            "avatars_fetched": fetcher.num_fetched,
+        }
+
+
+def _show(
+    options: ViewOptions,
+    state: ViewState,
+    receiver: Receiver,
+    sound: CallSound,
+    window: Window | None,
+    is_stopped: Callable[[], bool],
+) -> dict[str, Any]:
+    """Draw a call until the user leaves; return what was drawn and received."""
+    call, face = receiver.call, receiver.own.face
+    with ExitStack() as stack:
+        controls = None
+        if face is not None:
+            controls = FaceControls(face, receiver.link.config.name, state.source or "")
+            stack.callback(controls.close)
+        viewer = Viewer(
+            call,
+            options,
+            state=state,
+            receiver=receiver,
+            controls=controls,
+            sound=sound,
+            window=window,
+        )
+        with viewer:
+            # In a window a person looks on: they see who is ready, at once.
+            if window is None:
+                viewer.prepare()
+            begin_s = time.monotonic()
+            call.begin_window(begin_s)
+            viewer.run(options.seconds or None, is_stopped)
+            end_s = time.monotonic()
+            drawn, received = viewer.report(), receiver.stats(end_s)
+            problems, outputs = list(viewer.problems.values()), viewer.outputs
+            png = options.png if drawn["frames_rendered"] else None
+            if png is not None and viewer.save_image(png):
+                say(f"wrote {png}")
+            if window is not None and (size := window.windowed_size):
+                state.window_size = fit_side(size[0]), fit_side(size[1])
+            if controls is not None:
+                state.source = controls.source
+    for problem in problems:
+        say(problem)
+    return {
+        **drawn,
+        "ok": not outputs.failures,
+        "seconds": round(end_s - begin_s, 2),
+        "errors": drawn["errors"] + received["errors"],
+        "problems": [*problems, *outputs.failures],
+        "received": received,
+    }
 
 
 def _let_go(opening: Future[Outgoing]) -> None:

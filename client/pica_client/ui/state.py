@@ -88,9 +88,6 @@ class ViewState(Preferences):
     """The preferences, and what holds for this call alone."""
 
     token: str = field(default="", repr=False)
-    can_rejoin: bool = False
-    """A form can ask again where to go and as whom."""
-    wants_rejoin: bool = False
     wants_close: bool = False
     orbit: Orbit = field(default_factory=Orbit)
     """From where the people are seen."""
@@ -121,7 +118,7 @@ class ViewState(Preferences):
         """Begin a stay in a room; forget what held for the people and the panels of another."""
         self.orbit, self.pinned, self.side = Orbit(), None, "none"
         self.volumes, self.barred = {}, {}
-        self.wants_rejoin = self.wants_close = self.asks_to_leave = False
+        self.wants_close = self.asks_to_leave = False
         self.is_talking = self.is_recording = False
 
     def pin(self, place: int | None) -> None:

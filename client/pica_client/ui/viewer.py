@@ -1,6 +1,6 @@
 """The drawing half of a receiver: faces in, drawn frames out. The loop that owns the GL thread.
 
-    with Viewer(source, ViewerOptions(headless=True, record=Path("call.mp4"))) as viewer:
+    with Viewer(source, ViewOptions(record=Path("call.mp4"))) as viewer:
         viewer.run(seconds=20.0)
         print(viewer.report())
 
@@ -39,7 +39,7 @@ from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter
 from pica_client.ui.call_sound import CallSound
 from pica_client.ui.call_surface import CallSurface
 from pica_client.ui.call_view import OwnFaceView
-from pica_client.ui.options import ViewerOptions, parse_size
+from pica_client.ui.options import ViewOptions, parse_size
 from pica_client.ui.own_face import SelfView
 from pica_client.ui.panels.overlay import own_face_height
 from pica_client.ui.recorder import Recorder, new_path, save_png
@@ -75,7 +75,7 @@ class Viewer(Closing):
         controls: What steers the user's own face; None while none is sent.
         sound: The voices of the call; None: there are none.
         state: What the user wants at first; keys and panels write into it.
-        window: To show it in, which stays open afterwards; by default a new one.
+        window: To show it in, which stays open afterwards; None draws off the screen.
         clock: Seconds, monotonic; the same clock that stamps `FaceState.captured_us` when sender
             and receiver share a machine (then `report` holds the latency from sample to decoded
             maps; otherwise it means nothing).
@@ -84,7 +84,7 @@ class Viewer(Closing):
         outputs: What could not be written.
 
     Raises:
-        GraphicsError: No window or no GL context; names the fix.
+        GraphicsError: There is no GL context; names the fix.
         OptionError: The recording cannot be written, or the driver does not decode.
         ModuleNotFoundError: Recording without PyAV.
     """
@@ -92,7 +92,7 @@ class Viewer(Closing):
     def __init__(
         self,
         source: FaceSource,
-        options: ViewerOptions | None = None,
+        options: ViewOptions | None = None,
         *,
         state: ViewState | None = None,
         receiver: Receiver | None = None,
@@ -101,7 +101,7 @@ class Viewer(Closing):
         window: Window | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        options = self.options = options or ViewerOptions()
+        options = self.options = options or ViewOptions()
         self._clock = clock
         self._controls = controls
         self._sound = sound or CallSound()
@@ -117,22 +117,16 @@ class Viewer(Closing):
         self.last_draw: DrawStats | None = None
         with ExitStack() as stack:
             self._window = window
-            wanted_size = parse_size(options.size) if options.size else state.window_size
-            if options.headless:
+            if window is None:
                 context = create_context()
                 stack.callback(context.release)
-            else:
-                if self._window is None:
-                    self._window = stack.enter_context(Window(wanted_size))
-                context = self._window.context
-            size = self._window.size_px if self._window else wanted_size
-            self._renderer = Renderer(context, size, RENDER)
-            if self._window is None:
+                size = parse_size(options.size) if options.size else state.window_size
                 self.surface = stack.enter_context(Surface(context))
             else:
-                self.surface = self._window.surface
+                context, size, self.surface = window.context, window.size_px, window.surface
+            self._renderer = Renderer(context, size, RENDER)
             status = CallMonitor(receiver).status if receiver is not None else None
-            has_pointer = self._window is not None
+            has_pointer = window is not None
             self._panels = CallSurface(self.surface, self._meter, status, has_pointer=has_pointer)
             self._recorder: Recorder | None = None
             stack.callback(self._close_recording)
@@ -168,7 +162,7 @@ class Viewer(Closing):
         self._started_s = self._clock()
 
     def close(self) -> None:
-        """Stop decoding, finish the recordings, close the window if it is the viewer's own."""
+        """Stop decoding, and finish the recordings."""
         self._resources.close()
 
     def run(
@@ -331,11 +325,6 @@ class Viewer(Closing):
         """Why peers are drawn as placeholders, by peer id."""
         return self._presenter.problems
 
-    @property
-    def windowed_size(self) -> tuple[int, int] | None:
-        """Columns and rows of the window, in the screen's units; None without one."""
-        return None if self._window is None else self._window.windowed_size
-
     def report(self) -> dict[str, Any]:
         """What was drawn so far; durations in milliseconds."""
         elapsed_s = self._clock() - self._started_s
@@ -397,8 +386,6 @@ class Viewer(Closing):
                 self._window.toggle_full_screen()
             case Action.TEST_SOUND:
                 self._sound.play_test()
-            case Action.REJOIN:
-                self.state.wants_rejoin = self.state.wants_close = True
             case Action.CALIBRATE if self._controls is not None:
                 self._controls.calibrate(now)
             case Action.COPY_INVITATION:

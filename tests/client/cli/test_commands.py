@@ -34,7 +34,7 @@ def avatar(tmp_path: Path) -> str:
         (["send", "--avatar", "nobody"], "avatar 'nobody' is unknown"),
         (["send", "--avatar", "none.pica"], "none.pica: cannot be read"),
         (
-            ["view", "--url", "ws://x", "--send", "performance:talk", "--own-avatar", "nobody"],
+            ["view", "--headless", "--send", "performance:talk", "--own-avatar", "nobody"],
             "avatar 'nobody' is unknown",
         ),
         (

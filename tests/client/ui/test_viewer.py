@@ -22,7 +22,7 @@ from pica_client.call.status import CallStatus
 from pica_client.publish.face_controls import FaceControls
 from pica_client.publish.publisher import Publisher, SenderConfig
 from pica_client.sources import open_source
-from pica_client.ui.options import ViewerOptions
+from pica_client.ui.options import ViewOptions
 from pica_client.ui.state import ViewState
 from pica_client.ui.viewer import Viewer
 from pica_client.ui.window import Window
@@ -33,7 +33,7 @@ from pica_core.errors import AvatarFileError, GraphicsError
 pytestmark = pytest.mark.render
 
 TOY = make_toy_avatar(spec=AvatarSpec(uv_encoding_size=64, axis_encoding_size=64), grid=24)
-SMALL = ViewerOptions(headless=True, size="160x90")
+SMALL = ViewOptions(size="160x90")
 PATIENCE_S = 20.0
 KEY = imgui.Key
 

@@ -1,4 +1,4 @@
-"""The settings of a call; those of the sound also stand in the form that begins one."""
+"""The settings of a call; the microphone is also chosen in the form that begins one."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -6,9 +6,9 @@ from dataclasses import replace
 from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
 
+from pica_client.sources.performances import PERFORMANCES
 from pica_client.ui.actions import ACTIONS, TALK_KEY, Action, Request
 from pica_client.ui.call_view import CallView
-from pica_client.ui.join_form import SOURCES
 from pica_client.ui.state import LAYOUT_TITLES, SCALES, ViewState
 from pica_client.ui.surface.style import Metrics, Mode, Tone
 from pica_client.ui.surface.widgets import action_button, choice_of, note
@@ -20,6 +20,15 @@ SOFTEST_DB, LOUD_DB = 60, 4
 """Where a meter begins, and what is too loud: decibels below full scale."""
 MAX_PERCENT = 200
 SYSTEMS_OWN = "The system's"
+SOURCES: tuple[tuple[str, str], ...] = (
+    *((f"performance:{name}", f"Play: {name}") for name in PERFORMANCES),
+    ("livelink", "iPhone: Live Link Face"),
+    ("vmc", "VTuber program: VMC"),
+    ("webcam", "Webcam"),
+    ("voice", "None: my voice moves the mouth"),
+    ("", "Watch only"),
+)
+"""Face sources to choose from, and what they are called."""
 MODES: dict[Mode, str] = {"dark": "Dark", "light": "Light"}
 
 
@@ -27,16 +36,11 @@ def settings_tabs(state: ViewState, call: CallView, metrics: Metrics) -> list[Re
     """The user's identity and sound, and how the call is shown: a tab for each that there is."""
     requests: list[Request] = []
     if imgui.begin_tab_bar("parts"):
-        if (state.can_rejoin or state.own_face != "none") and imgui.begin_tab_item("You")[0]:
+        if state.own_face != "none" and imgui.begin_tab_item("You")[0]:
             requests += _you(state, call, metrics)
             imgui.end_tab_item()
         if call.sound is not None and imgui.begin_tab_item("Sound")[0]:
-            is_open = state.own_voice != "none" and state.voice == MICROPHONE
-            if is_open:
-                note("Microphone", metrics)
-                microphone_picker(state, call.sound)
-            if sound_settings(state, call.sound, metrics, has_microphone=is_open):
-                requests.append(Action.TEST_SOUND)
+            requests += _sound(state, call.sound, metrics)
             imgui.end_tab_item()
         if imgui.begin_tab_item("View")[0]:
             requests += _shown(state, metrics)
@@ -56,12 +60,13 @@ def microphone_picker(state: ViewState, sound: SoundState, *, may_be_off: bool =
         state.sound = replace(settings, microphone=device)
 
 
-def sound_settings(
-    state: ViewState, sound: SoundState, metrics: Metrics, *, has_microphone: bool
-) -> bool:
-    """Meters, loudspeaker, volume and switches; return True when a test sound is wanted."""
+def _sound(state: ViewState, sound: SoundState, metrics: Metrics) -> list[Request]:
+    """Devices with their meters, volume and switches."""
     settings = state.sound
-    if has_microphone:
+    if state.own_voice != "none" and state.voice == MICROPHONE:
+        note("Microphone", metrics)
+        microphone_picker(state, sound)
+        settings = state.sound
         _meter(sound.microphone_level, sound.microphone, metrics)
         if sound.cleaning:
             note(sound.cleaning[0].upper() + sound.cleaning[1:], metrics)
@@ -78,7 +83,8 @@ def sound_settings(
     settings = replace(settings, volume=volume_slider("##volume", settings.volume, metrics))
     _, is_stereo = imgui.checkbox("Voices come from their seats", settings.is_stereo)
     state.sound = replace(settings, is_stereo=is_stereo)
-    return action_button(f"{icons.ICON_FA_VOLUME_HIGH}  Play a test sound", metrics)
+    is_tried = action_button(f"{icons.ICON_FA_VOLUME_HIGH}  Play a test sound", metrics)
+    return [Action.TEST_SOUND] if is_tried else []
 
 
 def volume_slider(label: str, volume: float, metrics: Metrics, *, width: float = -1.0) -> float:
@@ -110,22 +116,16 @@ def _meter(level: int, device: DeviceState, metrics: Metrics) -> None:
 
 
 def _you(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
-    """The face's source; all else is asked again by the form."""
-    requests: list[Request] = []
-    if state.own_face != "none":
-        note("Your face", metrics)
-        before = call.own.source or state.source or ""
-        source = choice_of("##source", [each for each in SOURCES if each[0]], before)
-        if source != before:
-            state.source = source
-        calibrate = f"Calibrate   [{ACTIONS[Action.CALIBRATE].key_names[0]}]"
-        if call.own.seen and action_button(calibrate, metrics):
-            requests.append(Action.CALIBRATE)
-    if state.can_rejoin:
-        note("For another name, avatar or microphone you leave, and the form asks again.", metrics)
-        if action_button("Leave and join again", metrics):
-            requests.append(Action.REJOIN)
-    return requests
+    """The face's source."""
+    note("Your face", metrics)
+    before = call.own.source or state.source or ""
+    source = choice_of("##source", [each for each in SOURCES if each[0]], before)
+    if source != before:
+        state.source = source
+    calibrate = f"Calibrate   [{ACTIONS[Action.CALIBRATE].key_names[0]}]"
+    if call.own.seen and action_button(calibrate, metrics):
+        return [Action.CALIBRATE]
+    return []
 
 
 def _shown(state: ViewState, metrics: Metrics) -> list[Request]:

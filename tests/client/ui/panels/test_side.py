@@ -166,17 +166,12 @@ def test_each_setting_is_one_click(hand: Hand) -> None:
     assert clicking(hand, help_panel, state, CALL, "Close") == [Action.CLOSE]
 
 
-def test_the_source_of_the_face_is_chosen_during_the_call_and_the_rest_by_the_form(
-    hand: Hand,
-) -> None:
-    state = replace(SETTINGS, source="livelink", can_rejoin=True)
+def test_the_source_of_the_face_is_chosen_during_the_call(hand: Hand) -> None:
+    state = replace(SETTINGS, source="livelink")
     call = replace(CALL, own=OwnFaceView(source="livelink", seen=TrackerPreview(True, None)))
     clicking(hand, settings_panel, state, call, "##source", "VTuber")
     assert state.source == "vmc"
     assert clicking(hand, settings_panel, state, call, "Calibrate") == [Action.CALIBRATE]
-    assert clicking(hand, settings_panel, state, call, "Leave and join") == [Action.REJOIN]
-    hand.frame(lambda metrics: settings_panel(replace(state, can_rejoin=False), call, metrics))
-    assert not any("Leave and join" in label for label in hand.places)
 
 
 def test_devices_are_changed_during_a_call(hand: Hand) -> None:
@@ -190,9 +185,10 @@ def test_devices_are_changed_during_a_call(hand: Hand) -> None:
     call = CallView(sound=sound)
     clicking(hand, settings_panel, state, call, "Sound")
     assert "no loudspeaker 'Old'" in texts(hand, settings_panel, call, state)
-    labels = ("##microphone", "Desk", "Voices come from their seats")
+    labels = ("##microphone", "Desk", "##speaker", "Horn", "Hold Space", "Voices come")
     clicking(hand, settings_panel, state, call, *labels)
-    assert state.sound == SoundSettings(microphone="Desk", is_stereo=False)
+    chosen = SoundSettings(microphone="Desk", speaker="Horn", push_to_talk=True, is_stereo=False)
+    assert state.sound == chosen
     assert clicking(hand, settings_panel, state, call, "Play a test") == [Action.TEST_SOUND]
     assert state.voice == "mic"
     listening = replace(state, own_voice="none")

@@ -1,0 +1,53 @@
+"""From the options of `pica view` to the connection that is asked for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from pica_client.ui.options import ViewOptions
+from pica_client.ui.session import first_state, link_of
+from pica_client.ui.state import ViewState
+
+pytestmark = pytest.mark.unit
+
+FILLED = ViewState(url="ws://127.0.0.1:8765", room="lobby", name="Ada")
+
+
+def test_a_token_is_not_printed_but_joined_with() -> None:
+    state = replace(FILLED, token="abcdef")
+    link = link_of(ViewOptions(), state)
+    assert link.token == "abcdef"
+    assert "abcdef" not in repr(state) + repr(link)
+
+
+def test_a_typed_token_takes_the_place_of_a_token_file(tmp_path: Path) -> None:
+    options = ViewOptions(token_file=tmp_path / "token")
+    assert link_of(options, FILLED).token_file == tmp_path / "token"
+    assert link_of(options, replace(FILLED, token="t")).token_file is None
+
+
+@pytest.mark.parametrize(
+    ("relay", "link", "is_sent"),
+    [
+        ("wss://relay.example", "pica://evil.example/fun", False),
+        ("wss://relay.example", "pica://relay.example/fun", True),
+        ("wss://relay.example", "pica://relay.example/fun?plain=1", False),
+        ("wss://relay.example", "pica://relay.example:8443/fun", False),
+        (None, "pica://evil.example/fun", False),
+    ],
+)
+def test_an_invite_link_takes_a_token_file_to_no_other_relay(
+    relay: str | None, link: str, is_sent: bool, tmp_path: Path
+) -> None:
+    options = ViewOptions(url=relay, link=link, token_file=tmp_path / "token")
+    assert (link_of(options, first_state(options, None)).token_file is None) != is_sent
+
+
+def test_a_certificate_file_is_for_addresses_that_use_one(tmp_path: Path) -> None:
+    given = replace(FILLED, ca_file=str(tmp_path / "ca.pem"))
+    assert link_of(ViewOptions(), given).ca_file is None
+    secure = replace(given, url="wss://relay")
+    assert link_of(ViewOptions(), secure).ca_file == tmp_path / "ca.pem"
