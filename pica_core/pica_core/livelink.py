@@ -1,4 +1,4 @@
-"""Recordings of the Live Link Face app: the CSV file it saves next to each take.
+"""Recordings of the Live Link Face app: the CSV file it saves next to each take, read and written.
 
 One header line ``Timecode,BlendShapeCount,EyeBlinkLeft,…``, then one line per tracked frame.
 Columns are found by name (the app writes JawRight before JawLeft, the reverse of its UDP order),
@@ -7,6 +7,7 @@ the frame rate. While there is no face a line may end after its BlendShapeCount 
 """
 
 import csv
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -98,6 +99,28 @@ def read_livelink_csv(path: Path) -> LiveLinkTake:
         has_face=has_face & is_number,
         num_lost=int(np.count_nonzero(~is_number)),
     )
+
+
+def livelink_csv(rows: Iterable[tuple[float, Sequence[float] | None]]) -> str:
+    """A recording as such a file, whose clock begins at midnight.
+
+    Args:
+        rows: Seconds, and the 52 values with yaw, pitch and roll, radians; None without a face.
+            What does not come later than the row before is left out.
+    """
+    lines = [",".join(("Timecode", "BlendShapeCount", *ARKIT_NAMES, *ANGLES))]
+    before = -1
+    for time_s, values in rows:
+        thousandths = round(time_s * TIMECODE_FPS * 1000)
+        if thousandths <= before:
+            continue
+        before = thousandths
+        seconds, frame = divmod(thousandths / 1000, TIMECODE_FPS)
+        hours, minutes = divmod(int(seconds) // 60, 60)
+        timecode = f"{hours:02}:{minutes:02}:{int(seconds) % 60:02}:{frame:06.3f}"
+        numbers = ["0"] if values is None else [str(NUM_ARKIT), *(f"{v:.6f}" for v in values)]
+        lines.append(",".join((timecode, *numbers)))
+    return "\n".join(lines) + "\n"
 
 
 def _seconds(timecode: str, where: str) -> float:

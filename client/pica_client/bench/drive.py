@@ -39,7 +39,7 @@ class DriveBenchConfig:
     """What to measure."""
 
     sources: Words = ("performance:talk", "performance:listen", "performance:range_of_motion")
-    """What the person does, separated by commas; csv:FILE or take:FILE for recordings."""
+    """What the person does, separated by commas; csv:FILE for recordings."""
     stages: Words = STAGES
     """Which of driver and codec."""
     rig: Path | None = None

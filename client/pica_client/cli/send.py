@@ -37,8 +37,8 @@ class SendOptions:
     """Name of a shipped avatar, or a .pica file; by default a shipped one that goes by the name."""
     source: str = DEFAULT_SOURCE
     """Whose motion: livelink[:lan], vmc[:lan], ifacialmocap:PHONE_IP and facemotion3d:PHONE_IP
-    are trackers, for your own face; csv:FILE[@SECONDS] plays a Live Link Face recording, take:FILE
-    one of pica track, performance:NAME[#SEED][@SECONDS] one that ships: talk, listen or
+    are trackers, for your own face; csv:FILE[@SECONDS] plays a recording of Live Link
+    Face or pica track, performance:NAME[#SEED][@SECONDS] one that ships: talk, listen or
     range_of_motion."""
     voice: str = "none"
     """Whose voice: a WAV file, played over and over; speech, the sentences that ship; speech#K/N,

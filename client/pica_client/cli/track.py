@@ -15,7 +15,7 @@ from pica_client.output import check_writable, say
 from pica_client.sources.live.calibration import MAX_GAIN, MAX_SOUND_OFFSET_S
 from pica_client.sources.live.calibration import calibrate as calibration_of_samples
 from pica_client.sources.live.live_face import TrackerSample
-from pica_client.sources.live.take import Recorder
+from pica_client.sources.live.recorder import Recorder
 from pica_client.sources.live.tracker import SampleTap, Tracker
 from pica_client.sources.registry import (
     LIVE_HELP,
@@ -42,7 +42,7 @@ class TrackOptions:
     seconds: float = 10.0
     """How long to listen; 0 is until Ctrl-C."""
     record: Path | None = None
-    """Keep what came as a take, which take:FILE plays again."""
+    """Keep what came as a CSV file, which csv:FILE plays again."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -1,7 +1,6 @@
 """The text a user writes after ``--source``, and the source it stands for.
 
-csv:FILE[@SECONDS]                    a Live Link Face recording, starting somewhere in it
-take:FILE[@SECONDS]                   what `pica track --record` wrote
+csv:FILE[@SECONDS]                    a recording of Live Link Face or `pica track --record`
 performance:NAME[#SEED][@SECONDS]     a performance that ships with the package
 voice                                 none: the face is moved by the voice alone
 livelink, vmc, webcam, ...            trackers; see `live.opening`
@@ -27,7 +26,6 @@ from pica_client.sources.live.datagrams import (
     decode_livelink,
 )
 from pica_client.sources.live.live_face import VALUE_LIMIT
-from pica_client.sources.live.take import load_take
 from pica_client.sources.live.tracker import (
     ANY_HOST,
     LOOPBACK,
@@ -119,7 +117,7 @@ def parse_live(kind: str, rest: str) -> UdpOptions:
 
 
 SOURCE_HELP = (
-    "csv:FILE[@SECONDS] for a Live Link Face recording, take:FILE[@SECONDS] for a recorded take, "
+    "csv:FILE[@SECONDS] for a recording of Live Link Face or pica track, "
     f"{LIVE_HELP}, voice for a mouth that follows your voice, or "
     "performance:NAME[#SEED][@SECONDS] with NAME one of " + ", ".join(PERFORMANCES)
 )
@@ -140,12 +138,10 @@ def open_source(text: str, person: str = "") -> Source:
     if kind in TRACKER_KINDS:
         return open_live(kind, rest, calibration_of(person, kind))
     name, start_s = _split_start(rest, text)
-    if not rest or kind not in ("csv", "take", "performance"):
+    if not rest or kind not in ("csv", "performance"):
         raise SourceError(f"source {text!r} is unknown; write {SOURCE_HELP}")
     if kind == "csv":
         return load_livelink_csv(Path(name).expanduser(), start_s=start_s)
-    if kind == "take":
-        return load_take(Path(name).expanduser(), start_s)
     name, mark, seed = name.partition("#")
     if mark and not seed.isdecimal():
         raise SourceError(f"performance seed {seed!r} is not a number; write performance:NAME#7")

@@ -1,4 +1,4 @@
-"""Rotation vectors, made from trackers' head angles and quaternions."""
+"""Rotation vectors from trackers' head angles and quaternions, and back to angles."""
 
 import math
 from collections.abc import Sequence
@@ -25,6 +25,14 @@ def rotation_vector_from_yaw_pitch_roll(yaw_pitch_roll: Float64Array) -> FloatAr
         rolled = _product(tilted, (math.cos(roll), 0.0, 0.0, math.sin(roll)))
         turns.append(rotation_vector_from_quaternion(rolled))
     return np.array(turns, np.float32).reshape(-1, 3)
+
+
+def yaw_pitch_roll_from_rotation_vector(rotation: FloatArray) -> tuple[float, float, float]:
+    """The angles, radians, that `rotation_vector_from_yaw_pitch_roll` composes to a rotation."""
+    w, x, y, z = _quaternion(rotation)
+    yaw = math.atan2(2 * (x * z + w * y), 1 - 2 * (x * x + y * y))
+    pitch = math.asin(min(max(2 * (w * x - y * z), -1.0), 1.0))
+    return yaw, pitch, math.atan2(2 * (x * y + w * z), 1 - 2 * (x * x + z * z))
 
 
 def turned(rotation: FloatArray, turn: FloatArray) -> FloatArray:

@@ -1,13 +1,13 @@
-"""Live sources on real sockets of this machine, and takes of what they sent."""
+"""Live sources on real sockets of this machine, and recordings of what they sent."""
 
 from __future__ import annotations
 
-import contextlib
 import socket
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ from pica_client.errors import SourceError
 from pica_client.sources import Tracker, open_source
 from pica_client.sources.live.calibration import Calibration, CalibrationStore, calibrate
 from pica_client.sources.live.live_face import TrackerSample
-from pica_client.sources.live.take import Recorder, load_take
+from pica_client.sources.live.recorder import Recorder
 from pica_client.sources.live.tracker import UdpOptions, UdpTracker
 from pica_client.sources.registry import decoder_of, open_live, parse_live
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
@@ -154,37 +154,21 @@ def samples() -> list[tuple[float, TrackerSample]]:
     return made
 
 
-def test_a_take_plays_what_came_and_the_same_each_time(tmp_path: Path) -> None:
-    path = tmp_path / "take"
-    recorder = Recorder()
+def test_a_recording_plays_what_came(tmp_path: Path) -> None:
+    path, recorder, turn = tmp_path / "face.csv", Recorder(), np.float32([0.1, -0.4, 0.2])
     for arrived_s, sample in samples():
-        recorder(sample, arrived_s)
+        recorder(replace(sample, rotation=turn), arrived_s)
     recorder.save(path)
 
-    take = load_take(path)
-    assert len(take.arrived_s) == 90
-    assert np.isnan(take.arkit[0]).sum() == NUM_ARKIT - 1
-    first, second = open_source(f"take:{path}"), open_source(f"take:{path}@0.5")
-    jaws = [float(first.frame_at(tick / 30).arkit[JAW]) for tick in range(300)]
-    again = [float(second.frame_at(tick / 30 - 0.5).arkit[JAW]) for tick in range(300)]
-    assert max(jaws) > 0.9
-    np.testing.assert_allclose(again, jaws, atol=1e-6)
+    recording = open_source(f"csv:{path}")
 
-
-def test_an_array_and_a_take_that_is_damaged_anywhere_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "bad.npy"
-    np.save(path, np.zeros(3))
-    with pytest.raises(SourceError, match=r"bad\.npy: is no take"):
-        load_take(path)
-    recorder = Recorder()
-    for arrived_s, sample in samples():
-        recorder(sample, arrived_s)
-    recorder.save(path)
-    whole = path.read_bytes()
-    for at in range(0, len(whole), 3):
-        path.write_bytes(whole[:at] + bytes([whole[at] ^ 0xFF]) + whole[at + 1 :])
-        with contextlib.suppress(SourceError):
-            load_take(path)
+    for index in (0, 31, 79):
+        face = recording.frame_at(index / 30)
+        assert face.has_face
+        assert face.arkit[JAW] == pytest.approx(0.5 + 0.5 * np.sin(index / 10), abs=1e-3)
+        assert face.arkit.sum() == face.arkit[JAW]  # what was not sent is at rest
+        np.testing.assert_allclose(face.rotation, turn, atol=1e-5)
+    assert not recording.frame_at(85 / 30).has_face
 
 
 def test_a_report_counts_what_came_and_says_what_would_mend_it() -> None:
