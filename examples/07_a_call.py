@@ -1,13 +1,13 @@
 """Hold a call of four: a relay, three senders and a receiver, in one process on loopback.
 
-You learn how the parts are put together, and where a call's delay comes from: on loopback it is
-the playout buffer's floor of a few milliseconds and little else.
+You learn how the parts are put together, and how long a face is on its way: on loopback a
+millisecond or so. A display adds what its playout buffer waits.
 """
 
 import asyncio
 
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.call.call import Call
+from pica_client.call.call import ArrivedFace, Call
 from pica_client.endpoint.endpoint import Receiver, Sender
 from pica_client.publish.publisher import SenderConfig, open_face
 from pica_client.stats import percentile
@@ -20,11 +20,15 @@ CONFIG = SenderConfig(seconds=2.0)
 
 
 async def main() -> None:
-    loop = asyncio.get_running_loop()
     library = AvatarLibrary()
     delays_ms: dict[str, list[float]] = {name: [] for name in NAMES}
+
+    def take(face: ArrivedFace) -> None:
+        # Senders and receiver share a clock here; across machines this needs an offset.
+        delays_ms[face.name].append((face.arrived_s - face.captured_us / 1e6) * 1000)
+
     async with Relay(RelayConfig(port=0)) as relay:
-        call = Call(library)
+        call = Call(library, on_face=take)
         receiver = Receiver(LinkConfig(url=relay.url, name="me"), call)
         receiving = asyncio.create_task(receiver.run())
         links = [LinkConfig(url=relay.url, name=name) for name in NAMES]
@@ -32,13 +36,7 @@ async def main() -> None:
             Sender(link, open_face(f"performance:talk#{seed}", link, library, print, config=CONFIG))
             for seed, link in enumerate(links)
         ]
-        sending = asyncio.gather(*(sender.run() for sender in senders))
-        while not sending.done():
-            now = loop.time()
-            for due in call.due_frames(now):
-                # Senders and receiver share a clock here; across machines this needs an offset.
-                delays_ms[due.name].append((now - due.frame.captured_us / 1e6) * 1000)
-            await asyncio.sleep(0.001)
+        await asyncio.gather(*(sender.run() for sender in senders))
         receiver.stop()
         await receiving
         forwarded = relay.stats()

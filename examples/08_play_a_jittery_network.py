@@ -34,8 +34,7 @@ for jitter_ms in (0, 20, 80):
             index = int(order[following])
             captured_us = round(captured_s[index] * 1e6)
             frame = Frame(stream=1, sequence=index, captured_us=captured_us, payload=b"")
-            received = playout.sender.receive(frame, now)
-            playout.receive_frame(received.decoded(face(captured_s[index])))
+            playout.receive(frame, face(captured_s[index]), now)
             following += 1
         played = playout.sample_at(now)
         if played is not None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from helpers.toy import make_toy_avatar
 from pica_core.avatar.file import Avatar
-from pica_core.codec.latent_stream import DecodedFrame, LatentDecoder, LatentEncoder, StreamConfig
+from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, LatentSample, StreamConfig
 from pica_core.codec.profile import StreamProfile
 from pica_core.train.stream_learning import RenderMetric, learn_profile
 from pica_core.types import Float64Array
@@ -102,10 +102,9 @@ class Sent:
         """As it stands in the header."""
         return self.number % 65536
 
-    def decoded(self, profile: StreamProfile | None = None) -> DecodedFrame:
+    def decoded(self, profile: StreamProfile | None = None) -> LatentSample:
         """What a receiver makes of it."""
-        sample = LatentDecoder(profile or toy_profile()).decode(self.payload)
-        return DecodedFrame(self.number, self.captured_us, sample)
+        return LatentDecoder(profile or toy_profile()).decode(self.payload)
 
 
 class Publisher:

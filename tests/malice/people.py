@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from helpers.senders import LoadedAvatars
 from helpers.toy import make_toy_avatar, toy_payload
-from pica_client.call.call import Call
+from pica_client.call.call import ArrivedFace, Call
 from pica_client.e2ee.guard import Guard
 from pica_client.e2ee.secret import RoomSecret
 from pica_protocol.client_session import ClientSession
@@ -46,7 +46,8 @@ class Person:
         self.index, self.name = index, NAMES[index]
         self.randomness = random.Random(f"{seed}/{index}")
         self.guard = Guard(SECRET, random_bytes=self.randomness.randbytes)
-        self.call = Call(_STORE)
+        self.seen: list[ArrivedFace] = []
+        self.call = Call(_STORE, on_face=self.seen.append)
         self.session: ClientSession | None = None
         self.line: Line | None = None
         self.captured_us = index

@@ -170,14 +170,14 @@ class World:
                 person.call.receive_event(passed, self.now)
             for peer_id in person.guard.status.verified & person.never_members:
                 self.break_promise(f"{person.name} counts {peer_id}, who had gone before")
-        for due in person.call.due_frames(self.now):
-            captured_us = due.frame.captured_us
-            owner = captured_us // 100 % 10
-            if (due.name, due.avatar_id) != (NAMES[owner], AVATARS[owner]):
-                self.break_promise(f"{person.name} sees {NAMES[owner]} as {due.name}")
-            if captured_us in self.shown[person.index]:
-                self.break_promise(f"{person.name} sees a frame of {due.name} twice")
-            self.shown[person.index].add(captured_us)
+        while person.seen:
+            face = person.seen.pop(0)
+            owner = face.captured_us // 100 % 10
+            if (face.name, face.avatar_id) != (NAMES[owner], AVATARS[owner]):
+                self.break_promise(f"{person.name} sees {NAMES[owner]} as {face.name}")
+            if face.captured_us in self.shown[person.index]:
+                self.break_promise(f"{person.name} sees a frame of {face.name} twice")
+            self.shown[person.index].add(face.captured_us)
             self.counts["shown"] += 1
 
     def note(self, person: Person, event: ClientEvent) -> None:

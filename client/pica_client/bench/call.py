@@ -1,5 +1,6 @@
-"""The same call as the demo's without drawing: every latent that the playout buffer lets go is
-decoded, and the time from the tracker's sample to the decoded maps is what counts.
+"""The same call as the demo's without drawing: every latent is decoded to its maps when it comes,
+and the time from the tracker's sample to the decoded maps is what counts. What the playout buffer
+of a display would wait is reported beside it.
 
 With an impairment the receiver sits behind a proxy that makes its network worse (`proxy`);
 what that does to rendered faces is measured by `playout`, on a virtual clock.
@@ -22,7 +23,7 @@ from cyclopts import Parameter
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.bench.impairment import Impairment
 from pica_client.bench.proxy import ImpairedProxy
-from pica_client.call.call import Call, DueFrame
+from pica_client.call.call import ArrivedFace, Call
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.pool import DecodePool
 from pica_client.decode.request import DecodeRequest
@@ -97,12 +98,11 @@ class _Frame(NamedTuple):
     name: str
     captured_s: float
     arrived_s: float
-    released_s: float
     decoded_s: float
 
 
 class _Decoding:
-    """Decodes every frame that is released, and remembers its way."""
+    """Decodes every frame that arrives, and remembers its way."""
 
     def __init__(self, library: AvatarLibrary) -> None:
         self.pool = DecodePool(OnnxDecoder, workers=DECODE_THREADS, prepares_ahead=False)
@@ -111,14 +111,14 @@ class _Decoding:
         self._library, self._slots = library, set[str]()
         self._arrived_s: dict[tuple[str, int], float] = {}
 
-    def submit(self, due: DueFrame) -> None:
-        """Decode a frame that was released now."""
-        frame = due.frame
-        if due.name not in self._slots:
-            self._slots.add(due.name)
-            self.pool.add(due.name, self._library.load(due.avatar_id))
-        self._arrived_s[due.name, frame.captured_us] = frame.arrived_s
-        self.pool.submit(due.name, DecodeRequest(frame.sample.latent, FRONT, frame.captured_us))
+    def submit(self, face: ArrivedFace) -> None:
+        """Decode a face that came just now."""
+        self.collect()
+        if face.name not in self._slots:
+            self._slots.add(face.name)
+            self.pool.add(face.name, self._library.load(face.avatar_id))
+        self._arrived_s[face.name, face.captured_us] = face.arrived_s
+        self.pool.submit(face.name, DecodeRequest(face.sample.latent, FRONT, face.captured_us))
 
     def collect(self) -> None:
         """Take what has been decoded."""
@@ -126,8 +126,8 @@ class _Decoding:
             self.errors += result.maps is None
             arrived_s = self._arrived_s.pop((result.slot, result.captured_us), None)
             if arrived_s is not None:
-                here_s = arrived_s, result.submitted_s, result.finished_s
-                self.frames.append(_Frame(result.slot, result.captured_us / 1e6, *here_s))
+                captured_s = result.captured_us / 1e6
+                self.frames.append(_Frame(result.slot, captured_s, arrived_s, result.finished_s))
 
 
 def _latency_summary(frames: Sequence[_Frame]) -> dict[str, Any]:
@@ -135,8 +135,7 @@ def _latency_summary(frames: Sequence[_Frame]) -> dict[str, Any]:
     to its whole; percentiles of parts do not add up to that of the whole."""
     parts = {
         "relay": [frame.arrived_s - frame.captured_s for frame in frames],
-        "playout": [frame.released_s - frame.arrived_s for frame in frames],
-        "decode": [frame.decoded_s - frame.released_s for frame in frames],
+        "decode": [frame.decoded_s - frame.arrived_s for frame in frames],
     }
     return {
         **summarise_ms(frame.decoded_s - frame.captured_s for frame in frames),
@@ -161,20 +160,15 @@ async def _measure(
     config: BenchConfig, local: local_call.LocalCall, library: AvatarLibrary
 ) -> dict[str, Any]:
     impairment = config.network.impairment()
-    call = Call(library)
     if impairment is None:
-        return await _measure_through(local.url, config, local, library, call)
+        return await _measure_through(local.url, config, local, library)
     async with ImpairedProxy(local.url, impairment) as proxy:
-        result = await _measure_through(proxy.url, config, local, library, call)
+        result = await _measure_through(proxy.url, config, local, library)
     return result | {"impairment": asdict(impairment)}
 
 
 async def _measure_through(
-    url: str,
-    config: BenchConfig,
-    local: local_call.LocalCall,
-    library: AvatarLibrary,
-    call: Call,
+    url: str, config: BenchConfig, local: local_call.LocalCall, library: AvatarLibrary
 ) -> dict[str, Any]:
     link = LinkConfig(
         url=url,
@@ -183,39 +177,39 @@ async def _measure_through(
         connect_timeout_s=local_call.JOIN_TIMEOUT_S,
         secret_file=local.secret_file,
     )
-    receiver = Receiver(link, call)
     decoding = _Decoding(library)
+    call = Call(library, on_face=decoding.submit)
+    receiver = Receiver(link, call)
     loop = asyncio.get_running_loop()
-    tasks = [asyncio.create_task(each) for each in (receiver.run(), _release(receiver, decoding))]
+    receiving = asyncio.create_task(receiver.run())
     try:
         deadline = loop.time() + local_call.JOIN_TIMEOUT_S
         while call.num_live < len(local.names):
-            await _pause(tasks)
+            await _pause(receiving)
             local.check()
             if local.crashed or loop.time() > deadline:
                 peers = call.stats(loop.time())["peers"]
                 seen = {peer["name"] for peer in peers if peer["received"]}
                 missing = [name for name in local.names if name not in seen]
                 local_call.require_all(local.names, missing, local)
-        await _pause(tasks, WARM_UP_S)
+        await _pause(receiving, WARM_UP_S)
         begin_s = loop.time()
         call.begin_window(begin_s)
         decoding.frames.clear()
         num_replaced = decoding.pool.num_replaced
         say(f"measuring {config.seconds:g} s of {len(local.names)} peers")
         while (left_s := begin_s + config.seconds - loop.time()) > 0:
-            await _pause(tasks, min(left_s, local_call.CHECK_INTERVAL_S))
+            await _pause(receiving, min(left_s, local_call.CHECK_INTERVAL_S))
             local.check()
         received = receiver.stats(loop.time())
         seconds = loop.time() - begin_s
         decoding.collect()
         frames = [frame for frame in decoding.frames if frame.captured_s >= begin_s]
         receiver.stop()
-        await tasks[0]
+        await receiving
     finally:
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+        receiving.cancel()
+        await asyncio.gather(receiving, return_exceptions=True)
         decoding.pool.close()
     sent = await asyncio.to_thread(local.finish)
     decoded = Counter(frame.name for frame in frames)
@@ -238,24 +232,9 @@ async def _measure_through(
     }
 
 
-async def _release(receiver: Receiver, decoding: _Decoding) -> None:
-    """Hand each frame to the decoder when its time has come."""
-    loop, call = asyncio.get_running_loop(), receiver.call
-    while True:
-        receiver.arrived.clear()
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout_at(call.next_timer()):
-                await receiver.arrived.wait()
-        # A loop may fire a timer up to its clock's resolution too early: round up, not down.
-        decoding.collect()
-        for due in call.due_frames(loop.time() + 1e-6):
-            decoding.submit(due)
-
-
 async def _pause(
-    tasks: list[asyncio.Task[None]], seconds: float = local_call.CHECK_INTERVAL_S
+    receiving: asyncio.Task[None], seconds: float = local_call.CHECK_INTERVAL_S
 ) -> None:
-    """Sleep, unless one of the tasks fails: then raise its error."""
-    done, _ = await asyncio.wait(tasks, timeout=seconds, return_when=asyncio.FIRST_COMPLETED)
-    for task in done:
-        task.result()
+    """Sleep, unless receiving fails: then raise its error."""
+    with contextlib.suppress(TimeoutError):
+        await asyncio.wait_for(asyncio.shield(receiving), seconds)

@@ -296,8 +296,7 @@ def play(
         now = (index + DISPLAY_PHASE) / schedule.display_hz
         while waiting and waiting[0][0] <= now:
             arrived_s, frame = waiting.popleft()
-            received = playout.sender.receive(frame, arrived_s)
-            playout.receive_frame(received.decoded(decoder.decode(received.payload)))
+            playout.receive(frame, decoder.decode(frame.payload), arrived_s)
         heard = heard_us(now)
         played = playout.sample_at(now, heard)
         ticks.append(Tick(now_s=now, played=played, heard_us=heard, report=playout.report()))

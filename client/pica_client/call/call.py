@@ -9,7 +9,7 @@ the face is held; a peer whose avatar is missing gets a seat without a face.
 
 import threading
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any, NamedTuple, Protocol
@@ -20,11 +20,10 @@ from pica_client.call.faces import FaceState, FaceStatus
 from pica_client.call.participant import Participant, Tell
 from pica_client.call.roster import SECRET_NEEDED, Member, RoomState, Roster
 from pica_client.e2ee.status import SealState, SealStatus
-from pica_client.playout.buffer import PlayoutConfig
 from pica_client.stats import Samples
 from pica_client.tracks import FACE_TRACK
 from pica_core.avatar.file import Avatar
-from pica_core.codec.latent_stream import DecodedFrame
+from pica_core.codec.latent_stream import LatentSample
 from pica_core.errors import AvatarFileError
 from pica_protocol import messages
 from pica_protocol.frames import Frame
@@ -34,13 +33,16 @@ MAX_DEPARTED = 64
 """Peers remembered for the statistics after they left; drops the oldest."""
 
 
-class DueFrame(NamedTuple):
-    """A frame whose time has come, and its sender."""
+class ArrivedFace(NamedTuple):
+    """A face as it came, before any playout."""
 
     peer_id: str
     name: str
     avatar_id: str
-    frame: DecodedFrame
+    sample: LatentSample
+    captured_us: int
+    """Sender's clock."""
+    arrived_s: float
 
 
 class Ears(Protocol):
@@ -83,14 +85,20 @@ class Call:
     def __init__(
         self,
         avatars: AvatarStore,
-        playout: PlayoutConfig | None = None,
         *,
         ears: Ears | None = None,
+        on_face: Callable[[ArrivedFace], None] | None = None,
     ) -> None:
-        """Prepare; faces are led by the voices that the ears play."""
+        """Prepare.
+
+        Args:
+            ears: Faces are led by the voices that these play.
+            on_face: Takes every face that can be read, in the order of arrival, on the network's
+                thread.
+        """
         self.errors = self.without_avatar = self.strays = 0
         self._avatars = avatars
-        self._playout = playout
+        self._on_face = on_face
         self._lock = threading.Lock()
         self._roster = Roster()
         self._seats: dict[str, Participant] = {}  # bounded by the protocol's limit on peers
@@ -109,10 +117,13 @@ class Call:
 
     def receive_event(self, event: ClientEvent, now: float) -> None:
         """Take an event of the link's session."""
+        if isinstance(event, Frame):
+            with self._lock:
+                face = self._receive_frame(event, now)
+            if face is not None and self._on_face is not None:
+                self._on_face(face)
+            return
         with self._lock:
-            if isinstance(event, Frame):
-                self._receive_frame(event, now)
-                return
             self._roster.receive_event(event, now)
             match event:
                 case messages.Joined(peers=peers):
@@ -167,23 +178,6 @@ class Call:
                 f"avatar file is missing here: get {short} and name it with --avatar"
             )
         return self._avatars.get(avatar_id)
-
-    # Instead of the display: every frame once
-
-    def due_frames(self, now: float) -> list[DueFrame]:
-        """Take every frame that is due; not to be mixed with `faces`."""
-        with self._lock:
-            return [
-                DueFrame(peer_id, seat.member.peer.name, seat.track.avatar, frame)
-                for peer_id, seat in self._seats.items()
-                for frame in seat.playout.due_frames(now)
-            ]
-
-    def next_timer(self) -> float | None:
-        """When the next frame becomes due, or None."""
-        with self._lock:
-            timers = [seat.playout.next_timer() for seat in self._seats.values()]
-        return min((timer for timer in timers if timer is not None), default=None)
 
     # The people
 
@@ -264,7 +258,7 @@ class Call:
                 with suppress(AvatarFileError):
                     self._avatars.get(track.avatar)
                 member = self._roster.member(peer.peer_id)
-                seat = Participant(member, track, self._playout)
+                seat = Participant(member, track)
                 self._seats[peer.peer_id] = self._by_stream[track.stream] = seat
                 for former in [each for each in self._departed if each.is_same_person(peer)][-1:]:
                     self._departed.remove(former)
@@ -277,15 +271,21 @@ class Call:
             self._by_stream.pop(seat.track.stream, None)
             self._departed.append(seat)
 
-    def _receive_frame(self, frame: Frame, now: float) -> None:
+    def _receive_frame(self, frame: Frame, now: float) -> ArrivedFace | None:
         seat = self._by_stream.get(frame.stream)
         if seat is None:
             self.strays += 1
-            return
+            return None
         if self._lacks_secret(seat):
-            return  # it could be read as a latent all the same, and would be a heap of triangles
-        if seat.has_decoder or self._open_decoder(seat):
-            self.errors += not seat.receive_frame(frame, now)
+            return None  # it could be read as a latent, and would be a heap of triangles
+        if not (seat.has_decoder or self._open_decoder(seat)):
+            return None
+        sample, peer = seat.receive_frame(frame, now), seat.member.peer
+        if sample is None:
+            self.errors += 1
+            return None
+        who = peer.peer_id, peer.name, seat.track.avatar
+        return ArrivedFace(*who, sample, frame.captured_us, now)
 
     def _open_decoder(self, seat: Participant) -> bool:
         """Make the decoder of a stream, if its avatar is there and of the sender's version."""

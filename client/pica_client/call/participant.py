@@ -17,10 +17,10 @@ from typing import Any, Final
 
 from pica_client.call.connection_quality import StreamHealth
 from pica_client.call.roster import Member
-from pica_client.playout.buffer import PlayedFace, Playout, PlayoutConfig, PlayoutReport
+from pica_client.playout.buffer import PlayedFace, Playout, PlayoutReport
 from pica_client.tracks import FACE_KEY, FACE_LOST
 from pica_core.avatar.file import Avatar
-from pica_core.codec.latent_stream import LatentDecoder
+from pica_core.codec.latent_stream import LatentDecoder, LatentSample
 from pica_core.errors import LatentError, ProfileError
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Peer, Subscribe, Track
@@ -72,11 +72,11 @@ class Participant:
         told: The relay sends every so many frames, as far as it was told.
     """
 
-    def __init__(self, member: Member, track: Track, config: PlayoutConfig | None) -> None:
+    def __init__(self, member: Member, track: Track) -> None:
         self.member = member
         self.track = track
         self.state = StreamState.JOINING
-        self.playout = Playout(config)
+        self.playout = Playout()
         self.trouble = ""
         self.played: PlayedFace | None = None
         self.last_arrival_s: float | None = None
@@ -192,15 +192,16 @@ class Participant:
         """Whether frames can be taken."""
         return self._decoder is not None
 
-    def receive_frame(self, frame: Frame, now: float) -> bool:
-        """Take a frame off the wire; there must be a decoder. Return whether it could be read."""
+    def receive_frame(self, frame: Frame, now: float) -> LatentSample | None:
+        """Take a frame off the wire and return its face, None if it cannot be read; there must be
+        a decoder."""
         assert self._decoder is not None
         try:
             sample = self._decoder.decode(frame.payload)
         except LatentError:
-            return False
+            return None
         if self.state is not StreamState.PAUSED:  # else it was under way when it was unsubscribed
-            self.playout.receive_frame(self.playout.sender.receive(frame, now).decoded(sample))
+            self.playout.receive(frame, sample, now)
         if self.state is StreamState.JOINING:
             if self.last_arrival_s is not None:
                 self.playout.pause()  # what the relay had kept: the hole behind it is no loss
@@ -209,7 +210,7 @@ class Participant:
         self.window.received += 1
         self.window.payload_bytes += len(frame.payload)
         self._payload_bytes += len(frame.payload)
-        return True
+        return sample
 
     def play(self, now: float, heard_us: int | None = None) -> tuple[PlayedFace | None, bool]:
         """The face to show now, None before the first one; and whether the stream is stopped on

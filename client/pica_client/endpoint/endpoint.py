@@ -195,7 +195,6 @@ class Receiver(Endpoint):
     receiver: …`` runs it in a thread, and `check` tells the drawing thread what went wrong there.
 
     Attributes:
-        arrived: Set by every event; for those who wait on the same loop.
         is_recording: Whether the others are told that what is seen here is kept.
         late_s: By how much timers of the network's thread were late in all, seconds.
     """
@@ -215,7 +214,6 @@ class Receiver(Endpoint):
         self.call = call
         self._on_voice, self._num_heard = on_voice, 0
         self._voices: dict[int, str] = {}  # peer ids by stream; bounded by the protocol's peers
-        self.arrived = asyncio.Event()
         self.is_recording = False
         self.late_s = 0.0
         self._subscribed = asyncio.Event()
@@ -294,7 +292,6 @@ class Receiver(Endpoint):
         super()._on_event(event, now)
         if isinstance(event, PeerJoined | Joined):
             self._subscribed.set()
-        self.arrived.set()
 
     def _wants(self, track: Track, peer: Peer) -> bool:
         first = next((each for each in peer.tracks if each.kind == FACE_TRACK), None)

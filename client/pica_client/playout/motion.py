@@ -21,7 +21,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from pica_core.codec.latent_stream import DecodedFrame, LatentSample
+from pica_client.playout.sender_clock import DecodedFrame
+from pica_core.codec.latent_stream import LatentSample
 from pica_core.types import FloatArray
 
 NUM_SHOWN = 9
@@ -195,13 +196,6 @@ class Timeline:
         """Count all frames captured up to then as shown."""
         self._num_shown = max(bisect_right(self._frames, media_s, key=_media_s), self._num_shown)
         self._forget()
-
-    def release_first(self) -> DecodedFrame:
-        """Count the oldest waiting frame as shown."""
-        frame = self._frames[self._num_shown]
-        self._num_shown += 1
-        self._forget()
-        return frame
 
     def face_at(self, media_s: float, interval_s: float) -> LatentSample:
         """The face at a moment of the stream; a frame must have been shown."""

@@ -40,7 +40,7 @@ from collections import deque
 from itertools import pairwise, takewhile
 from typing import NamedTuple
 
-from pica_core.codec.latent_stream import DecodedFrame, ReceivedFrame
+from pica_core.codec.latent_stream import LatentSample
 from pica_protocol.frames import Frame, sequence_distance
 
 LATE_S = 10.0
@@ -61,6 +61,28 @@ RESTART_FRAMES = 1000
 NUM_GAPS = 16
 """Gaps the interval is the median of (chosen: with a third of the frames lost it still stands, and
 it follows a thinned stream after eight frames)."""
+
+
+class ReceivedFrame(NamedTuple):
+    """A frame off the wire with its place on the time line."""
+
+    number: int
+    """Counts the frames of the stream and never wraps; it leaps where the sender began again."""
+    captured_us: int
+    """Sender's clock as it was told, microseconds."""
+    payload: bytes
+    media_s: float
+    """Capture time on the time line, seconds: the sender's clock, from an origin of the receiver's,
+    with its jumps taken out."""
+
+
+class DecodedFrame(NamedTuple):
+    """A face with its place on the time line; fields as in `ReceivedFrame`."""
+
+    number: int
+    captured_us: int
+    sample: LatentSample
+    media_s: float
 
 
 class SenderClock:
@@ -100,13 +122,7 @@ class SenderClock:
         if ahead >= 0:
             self._number, self._sequence = number, frame.sequence
             self._captured_us = frame.captured_us
-        return ReceivedFrame(
-            number=number,
-            captured_us=frame.captured_us,
-            payload=frame.payload,
-            media_s=media_s,
-            arrived_s=now,
-        )
+        return ReceivedFrame(number, frame.captured_us, frame.payload, media_s)
 
     def _begins(self, frame: Frame, ahead: int, now: float) -> bool:
         """Return True if the frame does not follow from the newest one, see the module."""
@@ -227,17 +243,12 @@ class FrameInterval:
             before, after = recent.pop(0), recent[0]
             if not before.is_still:
                 num_skipped = after.number - before.number - 1
-                gap_s = after.media_s - before.media_s
-                self.num_lost += self.num_missing(num_skipped, gap_s, after.interval_s)
+                interval_s = max(self.interval_s, after.interval_s)
+                if interval_s > 0 and 0 < num_skipped < RESTART_FRAMES:
+                    num_due = round((after.media_s - before.media_s) / interval_s) - 1
+                    self.num_lost += min(num_skipped, max(num_due, 0))
 
     def pause(self) -> None:
         """Note that the stream is stopped on purpose: what follows the last frame is no gap."""
         if self._recent:
             self._recent[-1] = self._recent[-1]._replace(is_still=True)
-
-    def num_missing(self, num_skipped: int, gap_s: float, least_interval_s: float = 0.0) -> int:
-        """Return how many of the skipped frames the interval would have put into a gap."""
-        interval_s = max(self.interval_s, least_interval_s)
-        if interval_s <= 0 or not 0 < num_skipped < RESTART_FRAMES:
-            return 0
-        return min(num_skipped, max(round(gap_s / interval_s) - 1, 0))

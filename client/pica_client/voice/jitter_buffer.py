@@ -37,13 +37,12 @@ from operator import attrgetter
 import numpy as np
 
 from pica_client.errors import VoiceError
-from pica_client.playout.sender_clock import RESTART_FRAMES, SenderClock, Transit
+from pica_client.playout.sender_clock import RESTART_FRAMES, ReceivedFrame, SenderClock, Transit
 from pica_client.voice import stretch
 from pica_client.voice.opus import OpusDecoder
 from pica_client.voice.packet import FRAME_S
 from pica_client.voice.packet import FRAME_SAMPLES as FRAME
 from pica_client.voice.packet import SAMPLE_RATE_HZ as RATE_HZ
-from pica_core.codec.latent_stream import ReceivedFrame
 from pica_core.types import Array, FloatArray
 from pica_protocol.frames import Frame
 
@@ -167,8 +166,8 @@ class JitterBuffer:
             self.waiting.clear()
             self._is_quiet, self._is_starved, self._num_concealed = True, False, 0
             self._last_number = last = None
-        transit.receive(received.media_s, received.arrived_s)
-        self._aim(transit, received.arrived_s)
+        transit.receive(received.media_s, now)
+        self._aim(transit, now)
         is_late = last is not None and received.number <= last
         if not is_late and received.number not in [each.number for each in self.waiting]:
             insort(self.waiting, received, key=attrgetter("number"))

@@ -69,38 +69,6 @@ class EncodedFrame:
     number."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DecodedFrame:
-    """A face with its place in the stream's time; fields as in `ReceivedFrame`."""
-
-    number: int
-    captured_us: int
-    sample: LatentSample
-    media_s: float = 0.0
-    arrived_s: float = 0.0
-    """When it came, on the receiver's clock, seconds."""
-
-
-@dataclass(frozen=True, slots=True)
-class ReceivedFrame:
-    """A frame off the wire with its place in the stream's time, still to be decoded."""
-
-    number: int
-    """Counts the frames of the stream and never wraps; it leaps where the sender began again."""
-    captured_us: int
-    """Sender's clock as it was told, microseconds."""
-    payload: bytes
-    media_s: float = 0.0
-    """Capture time on the stream's own time line, seconds: the sender's clock, from an origin of
-    the receiver's, with its jumps taken out."""
-    arrived_s: float = 0.0
-    """When it came, on the receiver's clock, seconds."""
-
-    def decoded(self, sample: LatentSample) -> DecodedFrame:
-        """The frame with its face."""
-        return DecodedFrame(self.number, self.captured_us, sample, self.media_s, self.arrived_s)
-
-
 HAS_LATENT, HAS_POSE, IS_STILL = 1, 2, 4
 REST_LENGTH_BITS = 4
 """What lies beyond an escape is written as its length in bits, so many, and then itself."""

@@ -19,7 +19,7 @@ TRACK = Track(kind="face", avatar="1" * 64, stream=1)
 
 def make_participant() -> Participant:
     member = Member(peer=Peer(peer_id="ada", name="Ada", tracks=(TRACK,)), place=0)
-    return Participant(member, TRACK, None)
+    return Participant(member, TRACK)
 
 
 def told(participant: Participant, now: float, *, can_tell: bool = True) -> int | None:

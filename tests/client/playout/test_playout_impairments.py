@@ -25,6 +25,7 @@ from pica_client.playout.buffer import Playout
 pytestmark = [pytest.mark.unit, pytest.mark.slow]
 
 INTERVAL_S = 1 / 30
+FRAME_US = 100_000 / 3
 RETURN_S = 8.0
 """After this time without trouble the delay is at its floor: 6 s are remembered, 2 s are played
 faster."""
@@ -33,7 +34,10 @@ faster."""
 def is_under_way(tick: Tick) -> bool:
     """Whether the face is on its way to a frame that is there."""
     played = tick.played
-    return played is not None and played.newest.captured_us > played.captured_us
+    return (
+        played is not None
+        and abs(played.captured_us / FRAME_US - round(played.captured_us / FRAME_US)) > 1e-4
+    )
 
 
 def stalls(length_s: float) -> tuple[tuple[float, float], ...]:

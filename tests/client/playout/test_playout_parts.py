@@ -10,8 +10,7 @@ import pytest
 
 from helpers.playout_trial import face
 from pica_client.playout.motion import Correction, Playhead, coasted_s
-from pica_client.playout.sender_clock import FrameInterval, Transit
-from pica_core.codec.latent_stream import DecodedFrame
+from pica_client.playout.sender_clock import DecodedFrame, FrameInterval, Transit
 
 pytestmark = pytest.mark.unit
 

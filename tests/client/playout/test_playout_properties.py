@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -11,7 +12,8 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from helpers.playout_trial import FAR_CLOCK_US, arrive, face, value_of
-from pica_client.playout.buffer import PlayedFace, Playout, PlayoutConfig
+from pica_client.playout import buffer
+from pica_client.playout.buffer import PlayedFace, Playout
 from pica_client.playout.motion import MAX_FRAMES, MAX_GAP_S
 
 pytestmark = [pytest.mark.unit, pytest.mark.slow]
@@ -25,17 +27,19 @@ def captured_us(index: int) -> int:
     return FAR_CLOCK_US + round((index - FIRST) * FRAME_S * 1e6)
 
 
-class PlayoutMachine(RuleBasedStateMachine):
-    """A network that delays, reorders, drops and repeats the frames of a steady sender."""
-
-    config = PlayoutConfig()
+class FacesOnTheDisplay(RuleBasedStateMachine):
+    """A network that delays, reorders, drops and repeats the frames of a steady sender, against
+    the plain interpolation of everything that came in time."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.playout = Playout(self.config)
+        with mock.patch.object(buffer, "BLEND_S", 0.0):
+            self.playout = Playout()
         self.now = 0.0
         self.next_index = FIRST
         self.under_way: list[int] = []
+        self.known: set[int] = set()
+        self.last: PlayedFace | None = None
 
     @rule(step_s=st.floats(0.0, 0.2))
     def time_passes(self, step_s: float) -> None:
@@ -67,8 +71,11 @@ class PlayoutMachine(RuleBasedStateMachine):
         self.under_way = []
 
     def arrive(self, index: int) -> None:
+        late = self.playout.report().late
         sample = face(self.value(index))
         arrive(self.playout, index, captured_us(index), sample, self.now)
+        if self.playout.report().late == late:
+            self.known.add(index)
 
     def value(self, index: int) -> float:
         """A face that goes to and fro, by at most 9 a second."""
@@ -77,59 +84,6 @@ class PlayoutMachine(RuleBasedStateMachine):
     @invariant()
     def what_waits_is_bounded(self) -> None:
         assert self.playout.num_waiting <= MAX_FRAMES
-
-
-class FramesTakenOnce(PlayoutMachine):
-    """`due_frames` against a reference that forgets nothing but what is too many."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.waiting: set[int] = set()
-        self.released: list[int] = []
-
-    def arrive(self, index: int) -> None:
-        super().arrive(index)
-        if index > max(self.released, default=-1):
-            self.waiting.add(index)
-            if len(self.waiting) > MAX_FRAMES:
-                self.waiting.remove(min(self.waiting))  # the oldest gives way
-
-    @rule()
-    def what_is_due_is_taken(self) -> None:
-        timer = self.playout.next_timer()
-        frames = self.playout.due_frames(self.now)
-        taken = [frame.number for frame in frames]
-        assert (timer is not None and timer <= self.now) == bool(taken)
-        assert taken == sorted(self.waiting)[: len(taken)]
-        assert [frame.captured_us for frame in frames] == [captured_us(index) for index in taken]
-        self.waiting -= set(taken)
-        self.released += taken
-        timer = self.playout.next_timer()
-        assert (timer is None) == (not self.waiting)
-        assert timer is None or timer > self.now
-
-    @invariant()
-    def no_frame_is_forgotten_or_refused(self) -> None:
-        assert self.playout.num_waiting == len(self.waiting)
-        report = self.playout.report()
-        assert (report.refused, report.restarts) == (0, 0)
-
-
-class FacesOnTheDisplay(PlayoutMachine):
-    """`sample_at` against the plain interpolation of everything that came in time."""
-
-    config = PlayoutConfig(blend_s=0.0)
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.known: set[int] = set()
-        self.last: PlayedFace | None = None
-
-    def arrive(self, index: int) -> None:
-        late = self.playout.report().late
-        super().arrive(index)
-        if self.playout.report().late == late:
-            self.known.add(index)
 
     @rule()
     def the_display_refreshes(self) -> None:
@@ -143,24 +97,21 @@ class FacesOnTheDisplay(PlayoutMachine):
         assert self.playout.report().age_s >= -1e-6
         before = max(i for i in self.known if captured_us(i) <= played.captured_us)
         after = min((i for i in self.known if captured_us(i) > played.captured_us), default=None)
-        newest = played.newest.number
-        if newest == before:  # held, or going on a little
+        if played.captured_us == captured_us(before):  # held, or going on a little
             assert abs(value_of(played) - self.value(before)) <= 9 / 30 + 0.01
             return
-        assert newest == after
+        assert after is not None
         assert not played.is_concealed
-        gap_s = (newest - before) * FRAME_S
+        gap_s = (after - before) * FRAME_S
         if gap_s <= MAX_GAP_S:
             share = (played.captured_us - captured_us(before)) / (gap_s * 1e6)
-            path = self.value(before) + share * (self.value(newest) - self.value(before))
+            path = self.value(before) + share * (self.value(after) - self.value(before))
             assert value_of(played) == pytest.approx(path, abs=1e-3)
 
 
-for machine in (FramesTakenOnce, FacesOnTheDisplay):
-    machine.TestCase.settings = settings(
-        max_examples=60, stateful_step_count=40, deadline=None, derandomize=True
-    )
-TestFramesTakenOnce = FramesTakenOnce.TestCase
+FacesOnTheDisplay.TestCase.settings = settings(
+    max_examples=60, stateful_step_count=40, deadline=None, derandomize=True
+)
 TestFacesOnTheDisplay = FacesOnTheDisplay.TestCase
 
 
@@ -180,19 +131,16 @@ frames = st.tuples(
 
 
 @settings(max_examples=300, deadline=None, derandomize=True)
-@given(arrivals=st.lists(frames, max_size=60), takes_all=st.booleans())
+@given(arrivals=st.lists(frames, max_size=60))
 def test_no_arrival_whatever_breaks_the_buffer(
-    arrivals: list[tuple[float, int, int, float, bool]], takes_all: bool
+    arrivals: list[tuple[float, int, int, float, bool]],
 ) -> None:
     playout, now = Playout(), 100.0
     for step_s, sequence, captured, value, is_still in arrivals:
         now += step_s
         sample = face(value, yaw=value / 4, is_still=is_still)
         arrive(playout, sequence, captured, sample, now)
-        if takes_all:
-            playout.due_frames(now)
-            assert (playout.next_timer() or math.inf) > now
-        elif (played := playout.sample_at(now)) is not None:
+        if (played := playout.sample_at(now)) is not None:
             assert np.isfinite(played.sample.latent).all()
             assert np.isfinite(played.sample.rotation).all()
             assert np.isfinite(played.sample.translation_m).all()

@@ -14,8 +14,7 @@ FRAME_S, OFFSET_US, WAY_S = 1 / 30, 3_000_000_000, 0.02
 def receive(playout: Playout, index: int, late_s: float = 0.0) -> None:
     captured_us = OFFSET_US + round(index * FRAME_S * 1e6)
     frame = Frame(stream=1, sequence=index, captured_us=captured_us, payload=b"")
-    received = playout.sender.receive(frame, index * FRAME_S + WAY_S + late_s)
-    playout.receive_frame(received.decoded(face(float(index))))
+    playout.receive(frame, face(float(index)), index * FRAME_S + WAY_S + late_s)
 
 
 def shown_s(playout: Playout, now: float, heard_s: float | None) -> float:

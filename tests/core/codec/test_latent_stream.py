@@ -74,17 +74,17 @@ def test_a_pose_reaches_half_a_turn_and_a_metre_at_every_quality() -> None:
     for quality in range(8):
         sent = Publisher(StreamConfig(quality=quality)).show(toy_faces(1, 1)[0], far, 0)
         assert sent is not None
-        sample = sent.decoded().sample
+        sample = sent.decoded()
         assert sample.rotation == pytest.approx([np.pi, -np.pi, np.pi], abs=1e-3)
         assert sample.translation_m == pytest.approx([1.0, -1.0, 0.0], abs=2e-4)
 
 
 def test_every_frame_is_decoded_alone_in_any_order() -> None:
     sent = perform(1, 60)
-    forwards = {frame.number: frame.decoded().sample.latent for frame in sent}
+    forwards = {frame.number: frame.decoded().latent for frame in sent}
     shuffled = random.Random(3).sample(sent, len(sent) // 2)
     for frame in shuffled:
-        np.testing.assert_array_equal(frame.decoded().sample.latent, forwards[frame.number])
+        np.testing.assert_array_equal(frame.decoded().latent, forwards[frame.number])
 
 
 def test_a_finer_quality_costs_more_and_errs_less() -> None:
@@ -97,7 +97,7 @@ def test_a_finer_quality_costs_more_and_errs_less() -> None:
     for quality in (0, DEFAULT_QUALITY, 5, 7):
         sent = Publisher(StreamConfig(quality=quality)).show_all(faces, poses)
         sizes.append(sum(len(frame.payload) for frame in sent))
-        shown = [seen(frame.decoded().sample.latent) for frame in sent[:20]]
+        shown = [seen(frame.decoded().latent) for frame in sent[:20]]
         errors.append(np.square(np.stack(shown) - np.stack(list(map(seen, faces[:20])))).mean())
     assert sizes == sorted(sizes)
     assert errors == sorted(errors, reverse=True)
@@ -116,7 +116,7 @@ def test_a_still_face_falls_silent_with_a_heartbeat() -> None:
     publisher, face = Publisher(), toy_faces(1, 1)[0]
     frames = [publisher.show(face, NO_POSE, index * FRAME_US) for index in range(100)]
     sent = [index for index, frame in enumerate(frames) if frame is not None]
-    still = [f for f in publisher.sent if f.decoded().sample.is_still]
+    still = [f for f in publisher.sent if f.decoded().is_still]
     quiet_frames = STILL_AFTER_US // FRAME_US
     assert len(sent) < quiet_frames + 18
     assert not any(frame.number % 4 for frame in still)
@@ -141,7 +141,7 @@ def test_a_movement_ends_the_silence_at_once_and_for_everybody() -> None:
     moved = publisher.show(faces[0] + 2.0, NO_POSE, 60 * FRAME_US)
     assert moved is not None
     assert moved.number % 4 == 0
-    assert not moved.decoded().sample.is_still
+    assert not moved.decoded().is_still
 
 
 def test_a_restart_sends_a_still_face_again() -> None:
@@ -167,7 +167,7 @@ def test_faces_far_beyond_the_model_are_clamped_not_refused() -> None:
         config = StreamConfig(quality=quality)
         sent = Publisher(config).show(np.full((8, 8, 4), 1e6), NO_POSE, 0)
         assert sent is not None
-        assert np.abs(sent.decoded().sample.latent).max() <= 256
+        assert np.abs(sent.decoded().latent).max() <= 256
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
