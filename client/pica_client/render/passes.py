@@ -1,6 +1,7 @@
 """The passes of a frame: the programs they use, and the order of GL calls."""
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from functools import partial
 from typing import Any
@@ -26,7 +27,9 @@ from pica_client.render.layers import (
     Images,
     Layer,
     PixelRect,
+    area_px,
     clip_rect,
+    common_part,
     viewport,
 )
 from pica_client.render.room import Room, lens_of
@@ -65,7 +68,8 @@ class DrawPasses:
         )
         self._background = self._screen("background.frag")
         self._enlarge = self._screen("enlarge.frag")
-        self._place = self._screen("place_head.frag")
+        self._place_whole = self._screen("place_head.frag")
+        self._place_fading = self._screen("place_head.frag", {"FADING": ""})
         self._smooth = self._screen("smooth_edges.frag")
         set_values(self._smooth.program, rect=WHOLE_SCREEN)
         self.placeholder = upload_placeholder(context, self.mesh_programs)
@@ -220,31 +224,53 @@ class DrawPasses:
             layer.colour.use(UNIT_LAYER)
             self._smooth.render(moderngl.TRIANGLE_STRIP, vertices=4)
 
-    def place(self, images: Images, heads: Sequence[LayeredHead], *, is_smooth: bool) -> None:
-        """Put the image together: the room, and over it all heads, the farthest first."""
-        context = self._context
-        context.copy_framebuffer(images.final, images.room)
-        images.final.use()
+    def place(
+        self,
+        images: Images,
+        heads: Sequence[LayeredHead],
+        regions: Sequence[PixelRect],
+        *,
+        is_smooth: bool,
+    ) -> None:
+        """Put the image together: in regions, which do not overlap, the room and over it all heads,
+        the farthest first; elsewhere it stays as it was."""
+        context, people = self._context, images.people
         context.enable_only(moderngl.BLEND)
         context.blend_func = moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA
         context.blend_equation = moderngl.FUNC_ADD  # type: ignore[assignment]
+        for region in regions:
+            people.scissor = viewport(region)
+            people.use()
+            context.copy_framebuffer(people, images.room)
         images.room_image.use(UNIT_ROOM)
         for head, layer in heads:
             (layer.smooth if is_smooth else layer.colour).use(UNIT_LAYER)
-            (left, bottom, columns, rows), (width, height) = viewport(head.rect), images.size
-            set_values(
-                self._place.program,
-                rect=clip_rect(head.rect, images.size),
-                within=(left / width, bottom / height, columns / width, rows / height),
-                filled=tuple(
-                    layer.scale * side / own
-                    for side, own in zip((columns, rows), layer.size, strict=True)
-                ),
-                opacity=head.opacity,
-                fading=head.fading_rows,
-            )
-            self._place.render(moderngl.TRIANGLE_STRIP, vertices=4)
+            (left, bottom, right, top), highest = head.rect, math.ceil(max(head.fading_rows))
+            # All of it is there from here on.
+            split = min(max(highest, bottom), top) if head.opacity == 1 else top
+            fading, whole = (left, bottom, right, split), (left, split, right, top)
+            for screen, part in ((self._place_fading, fading), (self._place_whole, whole)):
+                parts = [common_part(part, region) for region in regions]
+                parts = [each for each in parts if area_px(each)]
+                if parts:
+                    self._set_place(screen.program, head, layer, images.size)
+                for each in parts:
+                    people.scissor = viewport(each)
+                    people.use()
+                    screen.render(moderngl.TRIANGLE_STRIP, vertices=4)
+        people.scissor = None
         context.disable(moderngl.BLEND)
+        images.final.use()
+        context.copy_framebuffer(images.final, people)
+
+    def _set_place(
+        self, program: moderngl.Program, head: ShownHead, layer: Layer, size: tuple[int, int]
+    ) -> None:
+        sides = zip(viewport(head.rect)[2:], layer.size, strict=True)
+        filled = tuple(layer.scale * side / own for side, own in sides)
+        set_values(program, rect=clip_rect(head.rect, size), filled=filled)
+        if program is self._place_fading.program:
+            set_values(program, opacity=head.opacity, fading=head.fading_rows)
 
     def _drawn(self, draws: Sequence[Callable[[], None]], count: bool) -> list[int]:
         """Draw one after the other, and count what each colours if asked to."""
@@ -257,7 +283,8 @@ class DrawPasses:
         queries = self._queries[: len(draws)] if count else []
         return [int(query.samples) for query in queries] or [0] * len(draws)
 
-    def _screen(self, name: str) -> moderngl.VertexArray:
+    def _screen(self, name: str, defines: Mapping[str, str] | None = None) -> moderngl.VertexArray:
         """A rectangle of the screen, drawn by a program of its own."""
-        program = build_program(self._context, compose("rect.vert"), compose(name))
+        fragment = compose(name, defines=defines or {})
+        program = build_program(self._context, compose("rect.vert"), fragment)
         return self._context.vertex_array(program, [])
