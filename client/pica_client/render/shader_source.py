@@ -1,7 +1,8 @@
 """Shader text from package files: includes, a generated header of sizes, and line numbers that
 point at our files.
 
-Pure text work; no GPU is needed to test it.
+Pure text work; no GPU is needed to test it. The same files come out as desktop GLSL 3.30 and as
+GLSL ES 3.00, the dialect of a browser.
 
     source = compose("pixel_decoder.frag", spec, generated={"SIREN": siren_source(spec)})
     link_program(context, vertex=..., fragment=source.text)
@@ -17,9 +18,12 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from types import MappingProxyType
+from typing import Literal
 
 from pica_client.errors import ShaderError
 from pica_core.avatar.spec import NUM_FREQUENCIES, AvatarSpec
+
+Dialect = Literal["330 core", "300 es"]
 
 MAX_DEPTH = 8
 LINES_PER_FILE = 10_000
@@ -30,6 +34,10 @@ AXIS_ROW = 1024
 power of two: the shader takes remainders by its bits."""
 
 _INCLUDE = re.compile(r'\s*#include\s+(?:"(?P<file>[^"]*)"|(?P<name>\w+))\s*(?://.*)?$')
+_PRECISION = "".join(
+    f"precision highp {kind};\n"
+    for kind in ("float", "int", "sampler2D", "sampler2DArray", "usampler2DArray")
+)
 _NOTHING: Mapping[str, str] = MappingProxyType({})
 _CODES: Mapping[str, str] = MappingProxyType(
     {
@@ -74,6 +82,7 @@ def compose(
     name: str,
     spec: AvatarSpec | None = None,
     *,
+    dialect: Dialect = "330 core",
     generated: Mapping[str, str] = _NOTHING,
     defines: Mapping[str, str] = _NOTHING,
 ) -> ShaderSource:
@@ -82,12 +91,15 @@ def compose(
     Args:
         name: File in ``pica_client/shaders``.
         spec: Sizes for the generated header; None for shaders that know no avatar.
+        dialect: Desktop GL or GL ES.
         generated: Text for an ``#include NAME``.
 
     Raises:
         ShaderError: A file or a name is unknown, or includes nest too deeply.
     """
-    lines = ["#version 330 core"]
+    lines = [f"#version {dialect}"]
+    if dialect == "300 es":
+        lines.append(_PRECISION.rstrip())
     lines += [f"#define {key} {value}".rstrip() for key, value in defines.items()]
     if spec is not None:
         levels = axis_levels(spec.axis_encoding_size)

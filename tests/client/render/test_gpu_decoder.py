@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Iterator
 from typing import Any
 
@@ -9,7 +11,7 @@ import moderngl
 import numpy as np
 import pytest
 
-from helpers import tolerances
+from helpers import gl_es, tolerances
 from helpers.linear import make_linear_avatar
 from helpers.toy import make_toy_avatar
 from pica_client.call.faces import FaceState
@@ -226,3 +228,12 @@ def test_a_call_looks_alike_whoever_decodes(context: moderngl.Context) -> None:
             images.append(renderer.read_image().astype(int))
     # Vertices a few nanometres apart move some edges by a pixel.
     assert (np.abs(images[0] - images[1]) > 1).mean() < 1e-3
+
+
+def test_a_driver_of_gl_es_takes_the_decoders_text() -> None:
+    done = subprocess.run(
+        [sys.executable, gl_es.__file__], capture_output=True, text=True, check=False
+    )
+    if done.returncode == gl_es.UNABLE:
+        pytest.skip(done.stdout)
+    assert done.returncode == 0, done.stdout + done.stderr

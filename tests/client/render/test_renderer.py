@@ -27,6 +27,7 @@ from pica_client.render.scene import (
 )
 from pica_client.render.seats import plan_seats
 from pica_client.render.shader_source import compose
+from pica_client.render.shader_weights import siren_source
 from pica_client.render.views import ViewState, plan_camera
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import AvatarSpec
@@ -224,6 +225,36 @@ def test_a_shader_that_the_driver_refuses_is_named(context: moderngl.Context) ->
     )
     with pytest.raises(ShaderError, match=r"generated SIREN:1: .*nonsense"):
         build_program(context, compose("rect.vert"), broken)
+
+
+@pytest.mark.parametrize(
+    ("vertex", "fragment"),
+    [
+        ("mesh.vert", "surface.frag"),
+        ("rect.vert", "pixel_decoder.frag"),
+        ("rect.vert", "placeholder.frag"),
+        ("textured.vert", "textured.frag"),
+        ("rect.vert", "place_head.frag"),
+        ("rect.vert", "smooth_edges.frag"),
+        ("rect.vert", "background.frag"),
+    ],
+)
+def test_the_browsers_dialect_compiles(
+    context: moderngl.Context, vertex: str, fragment: str
+) -> None:
+    if "GL_ARB_ES3_compatibility" not in context.extensions:
+        pytest.skip("this driver does not compile GLSL ES")
+    sources = [
+        compose(
+            name,
+            TOY.spec,
+            dialect="300 es",
+            generated={"SIREN": siren_source(TOY.spec)},
+            defines={"FILTERED": ""},
+        )
+        for name in (vertex, fragment)
+    ]
+    build_program(context, *sources)
 
 
 def test_five_seats_look_as_they_did(

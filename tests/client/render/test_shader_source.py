@@ -26,10 +26,11 @@ TOY = make_toy_avatar(grid=4)
 NARROW = AvatarSpec(encoding="uv")
 
 
-def decoder_text() -> str:
+def decoder_text(dialect: shader_source.Dialect = "330 core") -> str:
     return compose(
         "pixel_decoder.frag",
         TOY.spec,
+        dialect=dialect,
         generated={"SIREN": siren_source(TOY.spec)},
     ).text
 
@@ -43,6 +44,13 @@ def test_the_version_comes_first_and_no_include_is_left() -> None:
     text = decoder_text()
     assert text.startswith("#version 330 core\n")
     assert "#include" not in text
+
+
+def test_the_same_files_come_out_in_the_browsers_dialect() -> None:
+    text = decoder_text("300 es")
+    assert text.startswith("#version 300 es\nprecision highp float;\n")
+    desktop, browser = decoder_text().split("\n")[1:], text.split("\n")[1:]
+    assert [line for line in browser if not line.startswith("precision")] == desktop
 
 
 def test_sizes_come_from_the_spec() -> None:

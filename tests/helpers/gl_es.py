@@ -1,0 +1,81 @@
+"""Give the decoder's shaders in the browser's dialect to a driver of GL ES 3.0.
+
+Run as a program, for its context would take the place of others in a process. Ends with `UNABLE`
+where no such driver is there, and with 1 where it refuses a text.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+from typing import Any
+
+from pica_client.render.gpu_tables import lay_out
+from pica_client.render.shader_source import compose
+from pica_core.avatar.file import load_avatar
+from pica_core.avatar.shipped import shipped_avatar_files
+
+UNABLE = 77
+SURFACELESS, OPENGL_ES_API, NONE = 0x31DD, 0x30A0, 0x3038
+CONFIG = (0x3040, 0x40, 0x3033, 0, NONE)  # renderable: ES 3; no surface at all
+VERSION = (0x3098, 3, NONE)
+FRAGMENT_SHADER, VERTEX_SHADER, COMPILE_STATUS = 0x8B30, 0x8B31, 0x8B81
+
+
+def make_current() -> Any:
+    """A context of ES 3 of this thread; gives the library, None where there is none."""
+    try:
+        egl = ctypes.CDLL("libEGL.so.1")
+    except OSError:
+        return None
+    for name in ("eglGetPlatformDisplay", "eglCreateContext", "eglGetProcAddress"):
+        getattr(egl, name).restype = ctypes.c_void_p
+    display = ctypes.c_void_p(egl.eglGetPlatformDisplay(SURFACELESS, None, None))
+    if not egl.eglInitialize(display, None, None) or not egl.eglBindAPI(OPENGL_ES_API):
+        return None
+    config, count = ctypes.c_void_p(), ctypes.c_int()
+    wanted = (ctypes.c_int * len(CONFIG))(*CONFIG)
+    egl.eglChooseConfig(display, wanted, ctypes.byref(config), 1, ctypes.byref(count))
+    version = (ctypes.c_int * len(VERSION))(*VERSION)
+    context = ctypes.c_void_p(egl.eglCreateContext(display, config, None, version))
+    return egl if egl.eglMakeCurrent(display, None, None, context) else None
+
+
+def complaint(egl: Any, kind: int, text: str) -> str:
+    """What the driver says against a shader; nothing if it takes it."""
+
+    def call(name: str, *arguments: Any) -> Any:
+        return ctypes.CFUNCTYPE(ctypes.c_uint)(egl.eglGetProcAddress(name.encode()))(*arguments)
+
+    shader = call("glCreateShader", kind)
+    lines = (ctypes.c_char_p * 1)(text.encode())
+    call("glShaderSource", shader, 1, lines, None)
+    call("glCompileShader", shader)
+    status, log = ctypes.c_int(), ctypes.create_string_buffer(4096)
+    call("glGetShaderiv", shader, COMPILE_STATUS, ctypes.byref(status))
+    call("glGetShaderInfoLog", shader, len(log), None, log)
+    return "" if status.value else log.value.decode() or "no reason given"
+
+
+def main() -> int:
+    """Compile all texts."""
+    laid_out = lay_out(load_avatar(shipped_avatar_files()[0]))
+    assert laid_out is not None
+    egl = make_current()
+    if egl is None:
+        print("no driver of GL ES 3.0")
+        return UNABLE
+    texts = [(VERTEX_SHADER, compose("rect.vert", dialect="300 es"))]
+    for name, defines in laid_out[0].shaders:
+        sizes = {key: str(value) for key, value in defines.items()}
+        texts.append((FRAGMENT_SHADER, compose(name, dialect="300 es", defines=sizes)))
+    for kind, source in texts:
+        if said := complaint(egl, kind, source.text):
+            print(source.explain(said))
+            return 1
+    print(f"{len(texts)} shaders compile")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
