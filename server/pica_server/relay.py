@@ -33,7 +33,7 @@ from pica_server.room.hub import Hub
 from pica_server.store.downloads import Downloads
 from pica_server.store.store import AvatarStore
 from pica_server.store.uploads import Uploads
-from pica_server.tokens import KeyRing, admit, admit_upload, load_keys
+from pica_server.tokens import KeyRing, admin_scope, admit, admit_upload, load_keys
 
 if TYPE_CHECKING:
     from pica_server.placement.placement import RoomPlacement
@@ -122,7 +122,10 @@ class Relay:
                 bucket.Bucket(config.cluster), self.hub, self._follow, unix_time
             )
             self.hub.membership.placement = self._placement
-        self._pages = StatusPages(self.hub, config, self.store)
+        admin_room = (
+            None if keys is None else lambda token: admin_scope(keys, token, now=unix_time())
+        )
+        self._pages = StatusPages(self.hub, config, self.store, admin_room)
         self._watching: asyncio.TimerHandle | None = None
 
     @property
@@ -213,7 +216,12 @@ class Relay:
             return websocket.respond(HTTPStatus.FORBIDDEN, text)
         if request.path.startswith(AVATARS_PATH):
             return self._downloads.answer(websocket, request)
-        page = self._pages.answer(request.path, is_local=is_local, now=self._now())
+        page = self._pages.answer(
+            request.path,
+            authorization=", ".join(request.headers.get_all("Authorization")),
+            is_local=is_local,
+            now=self._now(),
+        )
         if page is None:
             return None
         response = websocket.respond(page.status, page.text)

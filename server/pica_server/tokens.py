@@ -28,6 +28,8 @@ from pica_server.errors import AdmissionError, KeyFileError
 ALGORITHM: Final = "HS256"
 AUDIENCE: Final = "pica-relay"
 ANY_AVATAR: Final = "*"
+ANY_ROOM: Final = "*"
+"""Stands for all rooms in an admin's token for ``GET /rooms``; it opens no room."""
 LEEWAY_S: Final = 10.0
 """How far the clocks of minter and relay may differ (chosen)."""
 MIN_SECRET_BYTES: Final = 32
@@ -54,7 +56,7 @@ class Admission:
     avatars: tuple[str, ...] = (ANY_AVATAR,)
     """Avatar ids they may wear; ``*`` is any."""
     may_admin: bool = False
-    """Whether they may moderate the room."""
+    """Whether they may moderate the room, and see who is in it over HTTP."""
 
 
 class KeyRing:
@@ -136,7 +138,7 @@ def mint(
     """Return a token for one room, signed with the newest key.
 
     Args:
-        room: Where it lets its owner in.
+        room: Where it lets its owner in; ``*`` is the rooms that an admin may manage, all of them.
         now: Seconds since 1970.
         lasts_s: Seconds from ``now`` until it ends.
         starts_s: Seconds from ``now`` until it begins.
@@ -144,7 +146,8 @@ def mint(
     Raises:
         ValueError: A field is out of its limits.
     """
-    check_token("room", room)
+    if room != ANY_ROOM or not admission.may_admin:
+        check_token("room", room)
     check_token("identity", admission.identity)
     if admission.name:
         check_name("name", admission.name)
@@ -226,6 +229,20 @@ def admit_upload(keys: KeyRing, token: str, avatar: str, *, now: float) -> None:
     raises as `admit`."""
     claims = _claims_that_hold(keys, token, now)
     _check_publishing(claims.get("publish") is True, _avatars(claims), [avatar])
+
+
+def admin_scope(keys: KeyRing, token: str, *, now: float) -> str:
+    """Return the room that an admin's token is for, or ``ANY_ROOM``; ``now`` is Unix time.
+
+    Raises:
+        AdmissionError: ``UNAUTHORIZED`` without a token that is good now, ``FORBIDDEN`` for one
+            that is no admin's; the text does not quote it.
+    """
+    claims = _claims_that_hold(keys, token, now)
+    room = claims.get("room")
+    if claims.get("admin") is not True or not isinstance(room, str):
+        raise AdmissionError("the token does not let you manage rooms", CloseCode.FORBIDDEN)
+    return room
 
 
 def _avatars(claims: Mapping[str, Any]) -> list[str]:

@@ -1,6 +1,8 @@
 """The real relay and real websockets on a virtual clock."""
 
 import asyncio
+import json
+from pathlib import Path
 
 import pytest
 from websockets.asyncio.client import connect
@@ -11,10 +13,12 @@ from pica_protocol import SUBPROTOCOL
 from pica_protocol.errors import CloseCode
 from pica_protocol.messages import (
     PeerLeft,
+    RemovePeer,
 )
 from pica_protocol.session import Closed
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
+from pica_server.tokens import Admission, KeyRing, load_keys, mint
 from simnet.clock import current_network, in_virtual_time
 from simnet.network import Wire
 from simnet.peers import FACE, now, open_websocket, peer_in_room
@@ -198,3 +202,41 @@ async def test_a_fault_outside_any_message_is_logged_and_ends_one_connection(
             with pytest.raises(ConnectionClosed):
                 await websocket.recv()
     assert [record.message for record in caplog.records] == ["connection failed"]
+
+
+def test_an_admin_lists_the_rooms_over_http_and_removes_somebody_by_a_message(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "keys"
+    path.write_text(KeyRing.new_line())
+
+    def token(identity: str, *, may_admin: bool, room: str = "lobby") -> str:
+        admission = Admission(identity=identity, may_admin=may_admin)
+        return mint(load_keys(path), room, admission, now=1e9, lasts_s=60, starts_s=0)
+
+    async def ask(*headers: str) -> tuple[int, bytes]:
+        reader, writer = await asyncio.open_connection("relay", 8765)
+        lines = ("GET /rooms HTTP/1.1", "Host: relay", *headers, "", "")
+        writer.write("\r\n".join(lines).encode())
+        answer = await reader.read()
+        writer.close()
+        return int(answer.split()[1]), answer.partition(b"\r\n\r\n")[2]
+
+    @in_virtual_time
+    async def scenario() -> None:
+        async with (
+            Relay(RelayConfig(keys=path, host="0.0.0.0"), unix_time=lambda: 1e9),
+            peer_in_room(URL, "Olga", token=token("olga", may_admin=True)) as olga,
+            peer_in_room(URL, "Ada", token=token("ada", may_admin=False)) as ada,
+        ):
+            shown = f"Authorization: Bearer {token('op', may_admin=True, room='*')}"
+            status, body = await ask(shown)
+            people = json.loads(body)["rooms"][0]["people"]
+            assert (status, [person["name"] for person in people]) == (200, ["Olga", "Ada"])
+            assert (await ask())[0] == (await ask(shown, shown))[0] == 401
+            assert (await ask(f"Authorization: Bearer {token('ada', may_admin=False)}"))[0] == 403
+            olga.session.tell(RemovePeer(peer_id=people[1]["peer_id"]))
+            await olga.flush()
+            assert (await ada.until(Closed)).code == CloseCode.REMOVED
+
+    scenario()

@@ -20,6 +20,7 @@ from pica_server.tokens import (
     AUDIENCE,
     Admission,
     KeyRing,
+    admin_scope,
     admit,
     load_keys,
     mint,
@@ -62,6 +63,22 @@ def test_a_token_says_who_its_owner_is_and_what_they_may() -> None:
     assert admit(KEYS, join(minted()), now=NOW) == ADA
     viewer = Admission(identity="bob", may_publish=False, avatars=())
     assert admit(KEYS, join(minted(viewer), avatar=None), now=NOW) == viewer
+
+
+def test_an_admins_token_for_all_rooms_lets_nobody_into_one() -> None:
+    operator = Admission(identity="op", may_admin=True)
+    token = mint(KEYS, "*", operator, now=NOW, lasts_s=60, starts_s=0.0)
+    assert admin_scope(KEYS, token, now=NOW) == "*"
+    with pytest.raises(AdmissionError, match="another room"):
+        admit(KEYS, join(token, avatar=None), now=NOW)
+    with pytest.raises(ValueError, match="room must be"):
+        mint(KEYS, "*", ADA, now=NOW, lasts_s=60, starts_s=0.0)
+
+
+def test_a_token_without_the_grant_manages_no_room() -> None:
+    with pytest.raises(AdmissionError, match="does not let you manage") as caught:
+        admin_scope(KEYS, minted(), now=NOW)
+    assert caught.value.code == CloseCode.FORBIDDEN
 
 
 def test_tokens_of_an_older_key_hold_until_it_is_removed() -> None:

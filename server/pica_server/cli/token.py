@@ -23,7 +23,7 @@ class TokenOptions:
     """Add a key to the file, which is made if need be, instead of minting. The relay takes tokens
     of all keys in the file; remove an old one when its last token has expired."""
     room: str = "lobby"
-    """The room that the token opens."""
+    """The room that the token opens; with --admin, * for all rooms."""
     identity: str = ""
     """Who it is for: 1 to 64 of A-Z a-z 0-9 _ . - ; of two with one identity the newer stays."""
     name: str = ""
@@ -38,7 +38,7 @@ class TokenOptions:
     subscribe: bool = True
     """Whether they get the faces of others."""
     admin: bool = False
-    """Whether they may remove, mute and bar others in the room."""
+    """Whether they may remove, mute and bar others in the room, and ask for GET /rooms."""
     avatars: tuple[str, ...] = ()
     """Ids of the avatars they may wear, see `pica avatar info`; `any` for any."""
     link: str = ""

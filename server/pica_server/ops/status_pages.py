@@ -1,18 +1,29 @@
-"""What the relay answers to plain HTTP: is it alive, is there a place, its numbers. Pure."""
+"""What the relay answers to plain HTTP: is it alive, is there a place, its numbers, and to admins
+who is in its rooms. Pure."""
 
-from collections.abc import Mapping
+import json
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from http import HTTPStatus
-from typing import Final
+from typing import Any, Final
 
+from pica_protocol.errors import CloseCode
+from pica_protocol.messages import Peer
 from pica_server.config.relay import RelayConfig
+from pica_server.errors import AdmissionError
 from pica_server.room.forwarding import CALM_S
 from pica_server.room.hub import Hub
+from pica_server.room.room import Room
 from pica_server.stats import CONTENT_TYPE, metrics_text
 from pica_server.store.store import AvatarStore
+from pica_server.tokens import ANY_ROOM
 
 WORST_S: Final = 1.0
 """A timer later than this means that everybody's face froze for a second."""
+
+
+MAX_LISTED: Final = 1000
+"""People in one answer to ``GET /rooms`` (chosen: 300 kB, some milliseconds of work)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,9 +43,19 @@ class StatusPages:
     _hub: Hub
     _config: RelayConfig
     _store: AvatarStore | None = None
+    _admin_room: Callable[[str], str] | None = None
+    """Takes a token and returns the room that it may moderate, or ``ANY_ROOM``; raises
+    `AdmissionError`. None: there are no tokens."""
 
-    def answer(self, path: str, *, is_local: bool, now: float) -> Page | None:
-        """Return the page of a path, or None if there is none; ``/metrics`` is for this machine."""
+    def answer(
+        self, path: str, *, authorization: str = "", is_local: bool, now: float
+    ) -> Page | None:
+        """Return the page of a path, or None if there is none.
+
+        Args:
+            authorization: The header of that name; ``/rooms`` needs an admin's token in it.
+            is_local: Whether this machine asks; some pages are for it only.
+        """
         match path:
             case "/healthz":
                 worst_s = self._hub.overload.worst_s(now)
@@ -51,9 +72,38 @@ class StatusPages:
                 return _verdict("full" if is_full else "", self._placement_trouble)
             case "/metrics" if is_local:
                 return Page(HTTPStatus.OK, self._metrics(now), CONTENT_TYPE)
+            case "/rooms":
+                return self._rooms(authorization)
             case "/metrics":
                 return Page(HTTPStatus.FORBIDDEN, "ask on this machine\n")
         return None
+
+    def _rooms(self, authorization: str) -> Page:
+        """List the rooms that an admin's token is for, and who is in them."""
+        if self._admin_room is None:
+            text = "this relay has no keys, so there are no admin tokens\n"
+            return Page(HTTPStatus.FORBIDDEN, text)
+        scheme, _, token = authorization.partition(" ")
+        if scheme.lower() != "bearer":
+            return _unauthorized("send an admin's token: Authorization: Bearer TOKEN")
+        try:
+            scope = self._admin_room(token.strip())
+        except AdmissionError as error:
+            if error.code == CloseCode.UNAUTHORIZED:
+                return _unauthorized(str(error))
+            return Page(HTTPStatus.FORBIDDEN, f"{error}\n")
+        rooms: list[dict[str, Any]] = []
+        num_left, is_cut = MAX_LISTED, False
+        for room in self._hub.membership.rooms.values():
+            if scope in (ANY_ROOM, room.name):
+                people = [_person(room, peer) for peer in room.peers[:num_left]]
+                num_left -= len(people)
+                is_cut = is_cut or len(people) < len(room.peers)
+                if people:
+                    rooms.append({"room": room.name, "people": people})
+        text = json.dumps({"rooms": rooms, "is_cut": is_cut})
+        headers = {"Cache-Control": "no-store"}
+        return Page(HTTPStatus.OK, f"{text}\n", "application/json", headers)
 
     @property
     def _placement_trouble(self) -> str:
@@ -86,3 +136,22 @@ def _verdict(trouble: str, note: str = "") -> Page:
     if trouble:
         return Page(HTTPStatus.SERVICE_UNAVAILABLE, f"{trouble}\n")
     return Page(HTTPStatus.OK, f"ok\n{note}\n" if note else "ok\n")
+
+
+def _unauthorized(text: str) -> Page:
+    headers = {"WWW-Authenticate": "Bearer"}
+    return Page(HTTPStatus.UNAUTHORIZED, f"{text}\n", headers=headers)
+
+
+def _person(room: Room, peer: Peer) -> dict[str, Any]:
+    muted = room.muted_of(peer.peer_id)
+    return {
+        "peer_id": peer.peer_id,
+        "name": peer.name,
+        "identity": peer.identity,
+        "is_away": peer.peer_id in room.away,
+        "tracks": [
+            {"kind": track.kind, "stream": track.stream, "is_muted": track.stream in muted}
+            for track in peer.tracks
+        ],
+    }
