@@ -258,7 +258,7 @@ class DrawPasses:
                     people.scissor = viewport(each)
                     people.use()
                     screen.render(moderngl.TRIANGLE_STRIP, vertices=4)
-        people.scissor = None
+        people.scissor = None  # type: ignore[assignment]
         context.disable(moderngl.BLEND)
         images.final.use()
         context.copy_framebuffer(images.final, people)
