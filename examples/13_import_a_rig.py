@@ -8,7 +8,6 @@ import base64
 import json
 import sys
 import tempfile
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +23,7 @@ OUT.mkdir(parents=True, exist_ok=True)
 Tiles = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
-def ball(centre_m: Sequence[float], radii_m: Sequence[float], rows: int, columns: int) -> Tiles:
+def ball(centre_m: tuple[float, ...], radii_m: tuple[float, ...], rows: int, columns: int) -> Tiles:
     """Points, texture coordinates and quads of a closed ball, seen from +z."""
     polar = np.pi * (np.arange(rows) + 0.5) / rows
     turn = 2 * np.pi * np.arange(columns + 1) / columns - np.pi
@@ -96,8 +95,6 @@ with tempfile.TemporaryDirectory() as temporary:
     print(f"mapped: {', '.join(about['mapped'])}")
     print(f"left out: {', '.join(about['ignored'])}; {len(about['missing'])} shapes are missing")
     options = RenderOptions(frames=4, cameras=2, size="128x128", texture_size=64)
-    counts = render_subject(lambda: subject, options, folder)
+    render_subject(lambda: subject, options, folder)
     capture = Capture.open(folder)
-    print(f"{counts['images']} images")
-    shown = [capture.image(frame, "front") for frame in capture.frames]
-    Image.fromarray(np.concatenate(shown, axis=1)).save(OUT / "rig.png")
+    Image.fromarray(capture.image(capture.frames[-1], "front")).save(OUT / "rig.png")

@@ -26,7 +26,7 @@ with Recorder(path, (64, 64), lambda: track) as recorder:
     for number in range(round(SECONDS * FPS)):
         now = BEGIN_S + number / FPS
         shade = 255 if now >= TONE_S else 30
-        recorder.write(np.full((64, 64, 3), shade, np.uint8), now)
+        recorder.write(np.full((64, 64, 4), shade, np.uint8), now)
         # A mixer tells of 20 ms at a time, and when they leave the loudspeaker.
         for part in range(round(50 * number / FPS), round(50 * (number + 1) / FPS)):
             leaves_s = BEGIN_S + 0.02 * part

@@ -10,7 +10,6 @@ import time
 import pytest
 
 from helpers.senders import LoadedAvatars
-from helpers.sound_trial import until
 from helpers.toy import make_toy_avatar
 from pica_client.call.call import Call
 from pica_client.call.connection_quality import StreamHealth
@@ -98,7 +97,8 @@ def test_what_the_drawing_thread_wants_is_told_by_the_networks_thread() -> None:
             receiver = make_receiver(relay.url)
             receiver.link.tell = tell  # type: ignore[method-assign]
             with receiver:
-                await asyncio.to_thread(until, receiver.call.health)
+                while not receiver.call.health():  # noqa: ASYNC110 - another thread receives
+                    await asyncio.sleep(0.02)
                 (peer_id,) = receiver.call.health()
                 for every in (4, 1):  # nothing else wakes the network's thread
                     receiver.call.subscribe(peer_id, every, time.monotonic())

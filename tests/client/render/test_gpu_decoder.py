@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from helpers import gl_es, tolerances
-from helpers.linear import make_linear_avatar
-from helpers.toy import make_toy_avatar
+from helpers.toy import make_toy_avatar, with_toy_levels
 from pica_client.call.faces import FaceState
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.pool import DecodePool
@@ -26,6 +25,7 @@ from pica_client.schedule.scheduler import Scheduler
 from pica_client.ui.avatar_presenter import AvatarPresenter
 from pica_core.avatar.file import Avatar, load_avatar
 from pica_core.avatar.shipped import shipped_avatar_files
+from pica_core.avatar.spec import AvatarSpec
 from pica_core.gl import create_context
 from pica_core.reference.decoders import decode_expression_map, decode_position_map
 
@@ -33,6 +33,10 @@ pytestmark = pytest.mark.render
 
 SHIPPED = {path.stem: load_avatar(path) for path in shipped_avatar_files()}
 AMARA, NORA = SHIPPED["amara"], SHIPPED["nora"]
+LINEAR = with_toy_levels(
+    make_toy_avatar(spec=AvatarSpec(uv_encoding_size=16, axis_encoding_size=20), grid=40)
+)
+"""A toy whose vertices come from bases, in regions of falling rank."""
 
 
 class Scene:
@@ -163,7 +167,7 @@ def test_a_broken_face_spoils_no_other_one(scene: Scene) -> None:
 def test_avatars_that_shaders_do_not_evaluate_are_left_to_others(scene: Scene) -> None:
     assert not scene.decoder.add("toy", make_toy_avatar(grid=8))
     # Its weights are finer than those of a file.
-    assert not scene.decoder.add("linear", make_linear_avatar())
+    assert not scene.decoder.add("linear", LINEAR)
 
 
 class WithoutFloats:

@@ -8,14 +8,16 @@ import json
 import re
 import shlex
 import tomllib
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
 
-from helpers.command_options import read_options
 from helpers.paths import ROOT
+from pica_command.options import CommandLine
+from pica_command.table import COMMANDS
 from pica_server.config.relay import RelayConfig
 from pica_server.errors import ConfigurationError
 from pica_server.ops.status_pages import StatusPages
@@ -35,6 +37,16 @@ RELAYS = {name: one for name, one in COMPOSE["services"].items() if name.startsw
 CLIENTS = {name: one for name, one in COMPOSE["services"].items() if "profiles" in one}
 # A command of our own finds what it opens only where it runs.
 MOUNTED = ("/run/secrets/", "/etc/pica/")
+
+
+def read_options(
+    command: str, words: Sequence[str], environment: Mapping[str, str] | None = None
+) -> Any:
+    """Read words and variables into the options of a command that takes one dataclass."""
+    given = CommandLine(command, COMMANDS[command], environment or {}, None).read(words)
+    assert given is not None
+    (options,) = given.values()
+    return options
 
 
 def instructions(path: Path) -> list[tuple[str, str]]:

@@ -2,26 +2,134 @@
 
 import importlib.util
 import os
+import shutil
 import signal
-from collections.abc import Iterator
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from helpers.sound_server import is_missing, pactl, sound_server, unload
-from helpers.sound_trial import echo_db, say, until
-from pica_client.voice.opus import available
+from pica_client.voice.opus import OpusEncoder, available
+from pica_client.voice.packet import FRAME_S, FRAME_SAMPLES, MAX_LEVEL
 from pica_client.voice.sound.process import SoundProcess
 from pica_client.voice.sound.settings import SoundSettings
+from pica_client.voice.source import shipped_speech
+from pica_core.types import FloatArray
+from pica_protocol.frames import Frame
 
 pytestmark = [
     pytest.mark.realtime,
-    pytest.mark.skipif(is_missing(), reason="no PulseAudio here: apt-get install pulseaudio"),
+    pytest.mark.skipif(
+        shutil.which("pulseaudio") is None, reason="no PulseAudio here: apt-get install pulseaudio"
+    ),
     pytest.mark.skipif(importlib.util.find_spec("soundcard") is None, reason="no extra voice"),
     pytest.mark.skipif(available() is not None, reason="no libopus"),
 ]
+START_S = 10.0
 OTHER = "sink_properties=device.description=Mono44k"
+
+
+def unload(sink: str) -> None:
+    """Unplug a loudspeaker."""
+    for line in pactl("list", "short", "modules").splitlines():
+        if f"sink_name={sink} " in line + " ":
+            pactl("unload-module", line.split()[0])
+
+
+def pactl(*words: str) -> str:
+    """Tell the server something; its answer."""
+    done = subprocess.run(["pactl", *words], capture_output=True, text=True, timeout=10, check=True)
+    return done.stdout.strip()
+
+
+@contextmanager
+def sound_server(folder: Path) -> Iterator[None]:
+    """Run a server with two loudspeakers: "Speaker", whose sound the microphone hears, and
+    "Mono44k", which is what its name says."""
+    folder.chmod(0o700)
+    names = {"HOME": str(folder), "XDG_RUNTIME_DIR": str(folder), "PULSE_RUNTIME_PATH": str(folder)}
+    before = {name: os.environ.get(name) for name in names}
+    os.environ.update(names)
+    modules = (
+        f"module-native-protocol-unix socket={folder}/native",
+        "module-null-sink sink_name=spk rate=48000 sink_properties=device.description=Speaker",
+        "module-null-sink sink_name=old rate=44100 channels=1"
+        " sink_properties=device.description=Mono44k",
+    )
+    os.environ["PULSE_SERVER"] = f"unix:{folder}/native"
+    server = subprocess.Popen(
+        ["pulseaudio", "-n", "--daemonize=no", "--exit-idle-time=-1", "--use-pid-file=no"]
+        + [f"--load={module}" for module in modules],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        until_s = time.monotonic() + START_S
+        while True:
+            try:
+                pactl("set-default-sink", "spk")
+                pactl("set-default-source", "spk.monitor")
+                break
+            except subprocess.SubprocessError:
+                if time.monotonic() > until_s:
+                    raise
+                time.sleep(0.1)
+        yield
+    finally:
+        server.terminate()
+        server.wait(timeout=10)
+        del os.environ["PULSE_SERVER"]
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def until(holds: Callable[[], object], seconds: float = 8.0) -> bool:
+    """Wait until something holds; whether it did in time."""
+    until_s = time.monotonic() + seconds
+    while not holds() and time.monotonic() < until_s:
+        time.sleep(0.02)
+    return bool(holds())
+
+
+def say(sound: SoundProcess, seconds: float, peer_id: str = "ann") -> tuple[int, int]:
+    """Let somebody say the sentences that ship, in real time; the loudest levels of loudspeaker
+    and microphone meanwhile."""
+    speech, speaker, microphone = shipped_speech(), MAX_LEVEL, MAX_LEVEL
+    encoder, begin_s = OpusEncoder(24_000), time.monotonic()
+    for index in range(round(seconds / FRAME_S)):
+        places = np.arange(index * FRAME_SAMPLES, (index + 1) * FRAME_SAMPLES) % len(speech)
+        opus = encoder.encode(speech[places])
+        now = time.monotonic()
+        if opus is not None:
+            captured_us = round((begin_s + index * FRAME_S) * 1e6)
+            frame = Frame(stream=1, sequence=index, captured_us=captured_us, payload=opus)
+            sound.receive(peer_id, frame, now)
+        time.sleep(max(begin_s + (index + 1) * FRAME_S - time.monotonic(), 0.0))
+        speaker = min(speaker, sound.state.speaker_level)
+        microphone = min(microphone, sound.state.microphone_level)
+    return speaker, microphone
+
+
+def echo_db(sound: SoundProcess, settings: SoundSettings, seconds: float = 6.0) -> float:
+    """How loud what is said by somebody else comes through the microphone, decibels below full
+    scale, after the first half, in which the canceller learns."""
+    heard: list[FloatArray] = []
+    sound.follow(settings)
+    sound.use_microphone(True)
+    until(lambda: sound.state.microphone.name)
+    sound.on_frame = lambda frame, captured_us: heard.append(frame)
+    say(sound, seconds)
+    sound.on_frame = lambda *_: None
+    sound.use_microphone(False)
+    rest = np.concatenate(heard)[len(heard) * FRAME_SAMPLES // 2 :]
+    return float(-10 * np.log10(np.mean(np.square(rest, dtype=np.float64)) + 1e-13))
 
 
 @pytest.fixture(scope="module")
