@@ -216,11 +216,11 @@ def test_levels_do_not_flap_when_the_budget_is_on_the_edge() -> None:
 
 def test_heads_of_one_height_lose_detail_one_after_the_other() -> None:
     names = ("ada", "bea", "cho", "dan")
-    whole_s = plan(*(view(name) for name in names)).cost_s
+    whole = plan(*(view(name) for name in names))
     found = set()
     for share in np.linspace(1, 0.6, 30):
-        choices = plan(*(view(name) for name in names), budget_s=share * whole_s).choices
-        found.add(sum(choice.scale < 1 for choice in choices.values()))
+        choices = plan(*(view(name) for name in names), budget_s=share * whole.cost_s).choices
+        found.add(sum(choice.level < whole.choices["ada"].level for choice in choices.values()))
     assert found == {0, 1, 2, 3, 4}
 
 
