@@ -10,8 +10,8 @@ import ctypes
 import sys
 from typing import Any
 
+from pica_client.render.gpu_program import compose
 from pica_client.render.gpu_tables import lay_out
-from pica_client.render.shader_source import compose
 from pica_core.avatar.file import load_avatar
 from pica_core.avatar.shipped import shipped_avatar_files
 
@@ -67,8 +67,7 @@ def main() -> int:
         return UNABLE
     texts = [(VERTEX_SHADER, compose("rect.vert", dialect="300 es"))]
     for name, defines in laid_out[0].shaders:
-        sizes = {key: str(value) for key, value in defines.items()}
-        texts.append((FRAGMENT_SHADER, compose(name, dialect="300 es", defines=sizes)))
+        texts.append((FRAGMENT_SHADER, compose(name, dialect="300 es", defines=defines)))
     for kind, source in texts:
         if said := complaint(egl, kind, source.text):
             print(source.explain(said))

@@ -10,8 +10,8 @@ import numpy as np
 
 from pica_client.render.gpu_avatar import Body, Mesh
 from pica_client.render.gpu_maps import MapSeries, MapView, whole_map
+from pica_client.render.gpu_plain import TexturedHead
 from pica_client.render.gpu_program import UNIT_POSITION
-from pica_client.render.gpu_textured import TexturedHead
 from pica_client.render.layers import PixelRect, area_px, common_part, viewport
 from pica_client.render.scene import FAR_M, NEAR_M, Placement, Rect, screen_rects
 from pica_core.avatar.bust import WHOLE_M

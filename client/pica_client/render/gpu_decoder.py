@@ -30,10 +30,9 @@ from pica_client.decode.request import DecodeChoice, DecodedMaps, DecodeRequest,
 from pica_client.errors import OptionError
 from pica_client.render.draw_clock import DrawClock
 from pica_client.render.gpu_maps import MapView
-from pica_client.render.gpu_program import build_program, clamp, set_values
+from pica_client.render.gpu_program import build_program, clamp, compose, set_values
 from pica_client.render.gpu_tables import GATHER, SHEET, VECTOR, Pass, Plan, lay_out
 from pica_client.render.renderer import Renderer
-from pica_client.render.shader_source import compose
 from pica_client.system import Closing
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import MAP_SIZE
@@ -49,7 +48,7 @@ TIMED_EVERY, NUM_TIMED = 4, 8
 """Of how many batches one is timed on the GPU, for queries take time, too; and how many of these
 count."""
 NUM_TILES = 8
-"""Heads whose maps share a texture: full ones fill the least that GL ES promises, 2048 rows."""
+"""Heads whose maps share a texture: full ones fill 2048 rows (chosen)."""
 UNIT_ROWS, UNIT_HEADS, UNIT_TABLE, UNIT_PLACES, UNIT_MEAN, UNIT_BASIS = 0, 4, 5, 6, 7, 8
 _UNITS = {
     **{f"phase{number}": number for number in range(4)},
@@ -470,8 +469,7 @@ def _screen(
     context: moderngl.Context, name: str, defines: Mapping[str, int]
 ) -> moderngl.VertexArray:
     """A rectangle over a whole target, drawn by a program of its own."""
-    texts = {key: str(value) for key, value in defines.items()}
-    program = build_program(context, compose("rect.vert"), compose(name, defines=texts))
+    program = build_program(context, compose("rect.vert"), compose(name, defines=defines))
     set_values(program, rect=(-1.0, -1.0, 1.0, 1.0))
     set_values(program, **{name: unit for name, unit in _UNITS.items() if name in program})
     return context.vertex_array(program, [])

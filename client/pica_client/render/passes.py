@@ -10,7 +10,8 @@ import moderngl
 import numpy as np
 
 from pica_client.render.draw_list import WHOLE, ShownHead
-from pica_client.render.gpu_avatar import MeshPrograms, upload_placeholder
+from pica_client.render.gpu_avatar import MeshPrograms
+from pica_client.render.gpu_plain import TexturedHead, upload_placeholder
 from pica_client.render.gpu_program import (
     UNIT_EXPRESSION,
     UNIT_LAYER,
@@ -19,10 +20,10 @@ from pica_client.render.gpu_program import (
     UNIT_SKIN,
     UNIT_STILL,
     build_program,
+    compose,
     set_matrix,
     set_values,
 )
-from pica_client.render.gpu_textured import TexturedHead
 from pica_client.render.layers import (
     Images,
     Layer,
@@ -33,7 +34,6 @@ from pica_client.render.layers import (
     viewport,
 )
 from pica_client.render.room import Room, lens_of
-from pica_client.render.shader_source import compose
 from pica_core.camera import Camera
 
 WHOLE_SCREEN = (-1.0, -1.0, 1.0, 1.0)
@@ -52,19 +52,19 @@ class DrawPasses:
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
         shared, static = {"SHARED": ""}, {"STATIC": ""}
-        mesh, surface = compose("mesh.vert"), compose("surface.frag")
+        mesh, surface = compose("mesh.vert", defines={"MAPPED": ""}), compose("surface.frag")
         self.mesh_programs = MeshPrograms(
             whole=build_program(context, mesh, surface),
             sharing=build_program(context, mesh, compose("surface.frag", defines=shared)),
             static=build_program(
                 context,
-                compose("textured.vert", defines=static),
+                compose("mesh.vert", defines=static),
                 compose("textured.frag", defines=static),
             ),
             unwrap=build_program(context, compose("unwrap.vert"), surface),
         )
         self.textured_program = build_program(
-            context, compose("textured.vert"), compose("textured.frag")
+            context, compose("mesh.vert"), compose("textured.frag")
         )
         self._background = self._screen("background.frag")
         self._enlarge = self._screen("enlarge.frag")

@@ -42,8 +42,8 @@ from pica_client.render.draw_list import (
 )
 from pica_client.render.gpu_avatar import WeightsPlace, upload_avatar
 from pica_client.render.gpu_maps import MapSeries, MapView
+from pica_client.render.gpu_plain import TexturedHead
 from pica_client.render.gpu_program import UNIT_VISIBLE_UV, UNIT_VISIBLE_XYZ
-from pica_client.render.gpu_textured import TexturedHead
 from pica_client.render.layers import (
     Images,
     Layer,

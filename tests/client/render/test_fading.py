@@ -13,7 +13,7 @@ from helpers.toy import make_toy_avatar
 from pica_client.avatars.library import shipped_avatar_files
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.request import DecodedMaps
-from pica_client.render.gpu_avatar import PLACEHOLDER_PROFILE_M, placeholder_map
+from pica_client.render.gpu_plain import PLACEHOLDER_PROFILE_M, placeholder_map
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.room import Room
 from pica_client.render.scene import Placement

@@ -155,7 +155,7 @@ def test_an_avatar_whose_shader_fails_leaves_the_others_alone(
         "siren_source",
         lambda *_, **__: "vec4 encode_xyz(vec3 x) { return odd_driver; }",
     )
-    with pytest.raises(ShaderError, match="odd_driver"):
+    with pytest.raises(ShaderError, match=r"siren\.glsl:1: .*odd_driver"):
         renderer.add_avatar("p1", SISTER)
     stats = renderer.draw(both, camera)
     assert (stats.num_avatars, stats.num_placeholders) == (1, 1)

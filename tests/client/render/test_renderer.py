@@ -16,8 +16,8 @@ from helpers import tolerances
 from helpers.paths import GOLDEN
 from helpers.toy import make_toy_avatar
 from pica_client.decode.decoder import OnnxDecoder
-from pica_client.errors import OptionError, ShaderError
-from pica_client.render.gpu_program import build_program
+from pica_client.errors import OptionError
+from pica_client.render.gpu_program import build_program, compose
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.room import Room
 from pica_client.render.scene import (
@@ -26,7 +26,6 @@ from pica_client.render.scene import (
     view_direction,
 )
 from pica_client.render.seats import plan_seats
-from pica_client.render.shader_source import compose
 from pica_client.render.shader_weights import siren_source
 from pica_client.render.views import ViewState, plan_camera
 from pica_core.avatar.file import Avatar
@@ -217,44 +216,29 @@ def test_a_size_out_of_range_is_refused(context: moderngl.Context, size: tuple[i
         Renderer(context, size)
 
 
-def test_a_shader_that_the_driver_refuses_is_named(context: moderngl.Context) -> None:
-    broken = compose(
-        "pixel_decoder.frag",
-        TOY.spec,
-        generated={"SIREN": "vec4 encode_xyz(vec3 x) { return nonsense; }"},
-    )
-    with pytest.raises(ShaderError, match=r"generated SIREN:1: .*nonsense"):
-        build_program(context, compose("rect.vert"), broken)
-
-
 @pytest.mark.parametrize(
-    ("vertex", "fragment"),
+    ("vertex", "fragment", "define"),
     [
-        ("mesh.vert", "surface.frag"),
-        ("rect.vert", "pixel_decoder.frag"),
-        ("rect.vert", "placeholder.frag"),
-        ("textured.vert", "textured.frag"),
-        ("rect.vert", "place_head.frag"),
-        ("rect.vert", "smooth_edges.frag"),
-        ("rect.vert", "background.frag"),
+        ("mesh.vert", "surface.frag", "MAPPED"),
+        ("rect.vert", "pixel_decoder.frag", "FILTERED"),
+        ("rect.vert", "placeholder.frag", ""),
+        ("mesh.vert", "textured.frag", "STATIC"),
+        ("rect.vert", "place_head.frag", ""),
+        ("rect.vert", "smooth_edges.frag", ""),
+        ("rect.vert", "background.frag", ""),
     ],
 )
 def test_the_browsers_dialect_compiles(
-    context: moderngl.Context, vertex: str, fragment: str
+    context: moderngl.Context, vertex: str, fragment: str, define: str
 ) -> None:
     if "GL_ARB_ES3_compatibility" not in context.extensions:
         pytest.skip("this driver does not compile GLSL ES")
-    sources = [
-        compose(
-            name,
-            TOY.spec,
-            dialect="300 es",
-            generated={"SIREN": siren_source(TOY.spec)},
-            defines={"FILTERED": ""},
-        )
+    generated, defines = {"siren.glsl": siren_source(TOY.spec)}, {define: ""} if define else {}
+    vertex_source, fragment_source = (
+        compose(name, TOY.spec, dialect="300 es", generated=generated, defines=defines)
         for name in (vertex, fragment)
-    ]
-    build_program(context, *sources)
+    )
+    build_program(context, vertex_source, fragment_source)
 
 
 def test_five_seats_look_as_they_did(

@@ -15,9 +15,9 @@ from helpers.painted import painted_head
 from helpers.toy import make_toy_avatar, with_toy_levels
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.render.gpu_avatar import axis_table
+from pica_client.render.gpu_program import axis_levels
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.scene import Placement, head_matrix
-from pica_client.render.shader_source import axis_levels
 from pica_core.avatar.levels import STILL_NAME
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.camera import Camera, look_at

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 
 import moderngl
@@ -10,13 +9,10 @@ import numpy as np
 import pytest
 
 from helpers import tolerances
-from helpers.shader_weights import unpack_weights
 from helpers.toy import make_toy_avatar
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.scene import Placement, head_matrix
-from pica_client.render.shader_source import compose
-from pica_client.render.shader_weights import pack_weights, siren_source
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import ENCODINGS, AvatarSpec
 from pica_core.camera import look_at
@@ -101,19 +97,3 @@ def test_what_a_pixel_cannot_resolve_is_averaged(context: moderngl.Context, enco
         return float(np.abs(np.diff(image[20:70, 40:80].astype(float), axis=1)).mean())
 
     assert roughness(mean) < roughness(plain)
-
-
-@pytest.mark.parametrize("encoding", ENCODINGS)
-def test_weights_of_every_encoding_come_back_from_their_block(encoding: str) -> None:
-    avatar = AVATARS[encoding]
-    unpacked = unpack_weights(avatar.spec, pack_weights(avatar.spec, avatar.tensors))
-    for name, values in unpacked.items():
-        np.testing.assert_array_equal(values, avatar.tensors[name])
-
-
-@pytest.mark.parametrize("encoding", ENCODINGS)
-def test_every_encoding_gives_the_decoder_its_vectors(encoding: str) -> None:
-    spec = AVATARS[encoding].spec
-    source = compose("pixel_decoder.frag", spec, generated={"SIREN": siren_source(spec)})
-    (codes,) = re.findall(r"^#define SURFACE_CODES\b(.*)$", source.text, re.MULTILINE)
-    assert codes.count("(") == -(-spec.pixel_input_channels // 4) - 2

@@ -6,8 +6,7 @@ layout(location = 1) out vec4 value1;
 layout(location = 2) out vec4 value2;
 layout(location = 3) out vec4 value3;
 
-#include "decode_tables.glsl"
-#include "decode_phases.glsl"
+#include "decode.glsl"
 
 const int BLOCKS = SIZE / 2;
 
@@ -22,17 +21,7 @@ vec4 read(int odd, ivec2 at, int group, int head) {
 }
 #else
 vec4 read(int odd, ivec2 at, int group, int head) {
-    ivec2 place = at + BLOCKS * ivec2(group, head);
-    if (odd == 0) {
-        return texelFetch(phase0, place, 0);
-    }
-    if (odd == 1) {
-        return texelFetch(phase1, place, 0);
-    }
-    if (odd == 2) {
-        return texelFetch(phase2, place, 0);
-    }
-    return texelFetch(phase3, place, 0);
+    return read_phase(odd, at + BLOCKS * ivec2(group, head));
 }
 #endif
 
@@ -40,10 +29,6 @@ vec4 read(int odd, ivec2 at, int group, int head) {
 vec4 read_or_zero(int odd, ivec2 at, int group, int head) {
     bool is_inside = all(greaterThanEqual(at, ivec2(0))) && all(lessThan(at, ivec2(BLOCKS)));
     return is_inside ? read(odd, at, group, head) : vec4(0.0);
-}
-
-vec4 leaky(vec4 value) {
-    return IS_LEAKY == 1 ? max(value, 0.2 * value) : value;
 }
 
 void main() {
@@ -98,8 +83,8 @@ void main() {
             next += 12;
         }
     }
-    value0 = leaky(sum0);
-    value1 = leaky(sum1);
-    value2 = leaky(sum2);
-    value3 = leaky(sum3);
+    value0 = IS_LEAKY == 1 ? leaky(sum0) : sum0;
+    value1 = IS_LEAKY == 1 ? leaky(sum1) : sum1;
+    value2 = IS_LEAKY == 1 ? leaky(sum2) : sum2;
+    value3 = IS_LEAKY == 1 ? leaky(sum3) : sum3;
 }

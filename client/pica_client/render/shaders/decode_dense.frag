@@ -4,7 +4,7 @@ uniform sampler2D rows;
 
 layout(location = 0) out vec4 value;
 
-#include "decode_tables.glsl"
+#include "decode.glsl"
 
 void main() {
     ivec2 place = ivec2(gl_FragCoord.xy); // which four outputs, whose

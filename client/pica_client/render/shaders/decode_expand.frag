@@ -6,13 +6,7 @@ layout(location = 1) out vec4 value1;
 layout(location = 2) out vec4 value2;
 layout(location = 3) out vec4 value3;
 
-#include "decode_tables.glsl"
-#include "decode_phases.glsl"
-#include "decode_texel.glsl"
-
-vec4 leaky(vec4 value) {
-    return max(value, 0.2 * value);
-}
+#include "decode.glsl"
 
 void main() {
     ivec2 place = ivec2(gl_FragCoord.xy);

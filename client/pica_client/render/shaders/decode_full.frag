@@ -2,10 +2,7 @@
 
 layout(location = 0) out vec4 value;
 
-#include "decode_tables.glsl"
-#include "decode_tiles.glsl"
-#include "decode_phases.glsl"
-#include "decode_texel.glsl"
+#include "decode.glsl"
 
 void main() {
     ivec3 place = head_and_texel();

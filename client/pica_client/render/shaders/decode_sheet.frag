@@ -7,8 +7,7 @@ uniform sampler2D rows; // four directions in a texel, a row for each head
 
 layout(location = 0) out vec4 xyz_m;
 
-#include "decode_tables.glsl"
-#include "decode_tiles.glsl"
+#include "decode.glsl"
 
 void main() {
     ivec3 place = head_and_texel();

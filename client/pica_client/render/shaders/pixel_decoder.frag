@@ -11,13 +11,9 @@ uniform float slot;
 
 layout(location = 0) out vec4 colour;
 
-#include "owner.glsl"
-#include "bust.glsl"
-#include "footprint.glsl"
-#include "surface_joint.glsl"
-#include "surface_axes.glsl"
-#include "surface_sinusoids.glsl"
-#include SIREN // vec4 encode_xyz(vec3 xyz_m), vec3 decode_pixel(vec4 p0, vec4 p1, vec4 p2, ...)
+#include "pixels.glsl"
+#include "encodings.glsl"
+#include "siren.glsl" // generated: vec4 encode_xyz(vec3 xyz_m), vec3 decode_pixel(vec4 p0, vec4 p1, vec4 p2, ...)
 
 void main() {
     ivec2 pixel = ivec2(gl_FragCoord.xy);

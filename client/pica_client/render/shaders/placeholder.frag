@@ -7,8 +7,7 @@ uniform float slot;
 
 layout(location = 0) out vec4 colour;
 
-#include "owner.glsl"
-#include "bust.glsl"
+#include "pixels.glsl"
 
 void main() {
     ivec2 pixel = ivec2(gl_FragCoord.xy);

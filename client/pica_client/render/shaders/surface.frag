@@ -12,10 +12,7 @@ uniform vec2 share; // the part of the pixels that this level of a head gets, fr
 layout(location = 0) out vec4 xyz_and_owner;
 layout(location = 1) out vec2 uv;
 
-#include "footprint.glsl"
-#ifdef SHARED
-#include "turns.glsl"
-#endif
+#include "pixels.glsl"
 
 void main() {
 #ifdef SHARED

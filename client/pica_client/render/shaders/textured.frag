@@ -13,10 +13,7 @@ uniform vec2 share; // the part of the pixels that this level of a head gets, fr
 
 layout(location = 0) out vec4 colour;
 
-#include "bust.glsl"
-#ifdef STATIC
-#include "turns.glsl"
-#endif
+#include "pixels.glsl"
 
 void main() {
 #ifdef STATIC
