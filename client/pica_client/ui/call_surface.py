@@ -16,20 +16,8 @@ from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter
 from pica_client.ui.call_view import CallView, Notice, NoticeBoard, OwnFaceView, Panel, PersonView
 from pica_client.ui.labels import place_labels
 from pica_client.ui.panels.bar import control_bar, leave_question
-from pica_client.ui.panels.overlay import (
-    free_shares,
-    least_name,
-    names,
-    own_face,
-    signs,
-)
-from pica_client.ui.panels.side import (
-    help_panel,
-    participants_panel,
-    settings_panel,
-    statistics_panel,
-    waiting_page,
-)
+from pica_client.ui.panels.overlay import free_shares, least_name, names, own_face, signs
+from pica_client.ui.panels.side import side_panel, waiting_page
 from pica_client.ui.state import ViewState
 from pica_client.ui.surface.surface import Surface
 from pica_client.voice.sound.settings import SoundState
@@ -39,10 +27,7 @@ PANELS: tuple[Panel, ...] = (
     signs,
     own_face,
     waiting_page,
-    participants_panel,
-    statistics_panel,
-    settings_panel,
-    help_panel,
+    side_panel,
     control_bar,
     leave_question,
 )

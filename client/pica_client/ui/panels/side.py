@@ -5,8 +5,6 @@ late and how old it is; how much of it had to be concealed.
 """
 
 import math
-from collections.abc import Collection, Iterator
-from contextlib import contextmanager
 
 from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
@@ -36,13 +34,13 @@ Sign = tuple[str, Tone, str]
 """An icon, its tone, and what it means."""
 
 
-@contextmanager
-def side_panel(
-    name: str, metrics: Metrics, requests: list[Request], width_pt: float = WIDTH_PT
-) -> Iterator[None]:
-    """The frame: a title, a button that closes it, and room that scrolls."""
-    edge, (columns, rows) = metrics.px(EDGE_PT), metrics.size
-    width, height = metrics.px(width_pt), rows - edge * 3 - metrics.px(BAR_PT)
+def side_panel(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
+    """Draw the panel that is open: a title, a button that closes it, and room that scrolls."""
+    if state.side == "none":
+        return []
+    requests: list[Request] = []
+    edge, (columns, rows), name = metrics.px(EDGE_PT), metrics.size, state.side.title()
+    width, height = metrics.px(_width_pt(state)), rows - edge * 3 - metrics.px(BAR_PT)
     with widgets.card(name, (columns - edge - width, edge), metrics, size=(width, 0)):
         widgets.title(name)
         imgui.same_line(imgui.get_window_width() - metrics.px(CLOSE_PT + PADDING_PT))
@@ -52,55 +50,48 @@ def side_panel(
         room = height - imgui.get_cursor_pos_y() - metrics.px(PADDING_PT)
         imgui.set_next_window_size_constraints((0, 0), (columns, max(room, metrics.px(60))))
         imgui.begin_child(f"{name} content", (0, 0), imgui.ChildFlags_.auto_resize_y)
-        yield
+        match state.side:
+            case "help":
+                _help(state, metrics)
+            case "settings":
+                requests += settings_tabs(state, call, metrics)
+            case "statistics":
+                _statistics(call, metrics)
+            case "participants":
+                requests += _participants(state, call, metrics)
         imgui.end_child()
+    return requests
 
 
 def side_share(state: ViewState, metrics: Metrics) -> float:
     """Return the part of the picture's width that the panel takes from the people."""
     if state.side == "none":
         return 0.0
-    width_pt = STATISTICS_PT if state.side == "statistics" else WIDTH_PT
-    return (metrics.px(width_pt) + 2 * metrics.px(EDGE_PT)) / metrics.size[0]
+    return (metrics.px(_width_pt(state)) + 2 * metrics.px(EDGE_PT)) / metrics.size[0]
 
 
-def help_panel(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
+def _width_pt(state: ViewState) -> float:
+    return STATISTICS_PT if state.side == "statistics" else WIDTH_PT
+
+
+def _help(state: ViewState, metrics: Metrics) -> None:
     """What keys and mouse do."""
-    requests: list[Request] = []
-    if state.side != "help":
-        return requests
-    with side_panel("Help", metrics, requests):
-        if imgui.begin_table("columns", 2):
-            imgui.table_setup_column("first", imgui.TableColumnFlags_.width_fixed)
-            imgui.table_setup_column("second", imgui.TableColumnFlags_.width_stretch)
-            for keys, meaning in help_lines(state):
-                imgui.table_next_row()
-                imgui.table_next_column()
-                imgui.text_unformatted(keys)
-                imgui.table_next_column()
-                widgets.note(meaning, metrics)
-            imgui.end_table()
-    return requests
+    if imgui.begin_table("columns", 2, imgui.TableFlags_.sizing_fixed_fit):
+        for keys, meaning in help_lines(state):
+            imgui.table_next_column()
+            imgui.text_unformatted(keys)
+            imgui.table_next_column()
+            widgets.note(meaning, metrics)
+        imgui.end_table()
 
 
-def settings_panel(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
-    """The settings of the call."""
-    requests: list[Request] = []
-    if state.side == "settings":
-        with side_panel("Settings", metrics, requests):
-            requests += settings_tabs(state, call, metrics)
-    return requests
-
-
-def statistics_panel(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
+def _statistics(call: CallView, metrics: Metrics) -> None:
     """A line for each participant, and the figures of the whole call."""
-    requests: list[Request] = []
-    if state.side != "statistics":
-        return requests
-    with side_panel("Statistics", metrics, requests, STATISTICS_PT), widgets.type_size(SMALL_PT):
-        if imgui.begin_table("figures", len(COLUMNS), imgui.TableFlags_.row_bg):
+    flags = imgui.TableFlags_.row_bg | imgui.TableFlags_.sizing_fixed_fit
+    with widgets.type_size(SMALL_PT):
+        if imgui.begin_table("figures", len(COLUMNS), flags):
             for name in COLUMNS:
-                imgui.table_setup_column(name, imgui.TableColumnFlags_.width_fixed)
+                imgui.table_setup_column(name)
             imgui.table_headers_row()
             for person in call.people:
                 for cell in row_of(person, metrics):
@@ -110,7 +101,6 @@ def statistics_panel(state: ViewState, call: CallView, metrics: Metrics) -> list
         widgets.note("Decoding, latency and age are in milliseconds.", metrics)
         for name, value in call.figures:
             widgets.note(f"{name} {value}", metrics)
-    return requests
 
 
 def row_of(person: PersonView, metrics: Metrics) -> tuple[str, ...]:
@@ -165,68 +155,55 @@ def _invitation(line: str, metrics: Metrics, tone: Tone = "plain") -> list[Reque
     return [Action.COPY_INVITATION] if is_wanted else []
 
 
-def participants_panel(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
+def _participants(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
     """All participants, the user first, then in order of coming."""
     requests: list[Request] = []
-    if state.side != "participants":
-        return requests
     status = call.status
-    speaking = {person.peer_id for person in call.people if person.is_speaking}
-    with side_panel("Participants", metrics, requests):
-        many = f"{len(status.participants)} in {status.room}, {duration_text(status.duration_s)}"
-        widgets.note(many, metrics)
-        if imgui.begin_table("people", 3):
-            imgui.table_setup_column("speaks", imgui.TableColumnFlags_.width_fixed, metrics.px(10))
-            imgui.table_setup_column("person", imgui.TableColumnFlags_.width_stretch)
-            imgui.table_setup_column(
-                "menu", imgui.TableColumnFlags_.width_fixed, metrics.px(MENU_PT) + 2
-            )
-            for person in status.participants:
-                requests += _row(person, state, call, metrics, speaking)
-            imgui.end_table()
-        requests += _barred(state, metrics)
-        imgui.separator()
-        _encryption(call, metrics)
-        imgui.separator()
-        requests += _invitation(status.invitation, metrics)
-    return requests
+    many = f"{len(status.participants)} in {status.room}, {duration_text(status.duration_s)}"
+    widgets.note(many, metrics)
+    if imgui.begin_table("people", 3):
+        fixed = imgui.TableColumnFlags_.width_fixed
+        imgui.table_setup_column("speaks", fixed, metrics.px(10))
+        imgui.table_setup_column("person", imgui.TableColumnFlags_.width_stretch)
+        imgui.table_setup_column("menu", fixed, metrics.px(MENU_PT) + 2)
+        for person in status.participants:
+            requests += _row(person, state, call, metrics)
+        imgui.end_table()
+    requests += _barred(state, metrics)
+    imgui.separator()
+    _encryption(call, metrics)
+    imgui.separator()
+    return requests + _invitation(status.invitation, metrics)
 
 
 def signs_of(person: Person, *, is_encrypted: bool, volume: float = 1.0) -> list[Sign]:
     """Return what is shown beside a name."""
-    is_banned = "voice" in person.muted_kinds
-    is_unverified = is_encrypted and not person.is_self and not person.is_verified
-    signs: list[tuple[bool, Sign]] = [
-        (is_banned, (icons.ICON_FA_MICROPHONE_SLASH, "alert", "An admin has muted the voice")),
-        (
-            person.is_voice_muted and not is_banned,
-            (icons.ICON_FA_MICROPHONE_SLASH, "alert", "Voice is muted"),
-        ),
-        (
-            volume == 0,
-            (icons.ICON_FA_VOLUME_XMARK, "alert", "You have muted this person for yourself"),
-        ),
-        (
-            volume not in (0, 1),
-            (icons.ICON_FA_VOLUME_HIGH, "plain", f"As loud as {volume:.0%} here"),
-        ),
-        (person.is_recording, (icons.ICON_FA_CIRCLE, "alert", "Keeps what is seen here")),
-        (person.face == "muted", (icons.ICON_FA_EYE_SLASH, "plain", "Face is off")),
-        (person.is_watching, (icons.ICON_FA_EYE, "plain", "Watches, and shows no face")),
-        (person.is_verified, (icons.ICON_FA_LOCK, "good", "Encrypts, and knows the room's secret")),
-        (is_unverified, (icons.ICON_FA_TRIANGLE_EXCLAMATION, "warning", "Not verified")),
-        (person.is_assured, (icons.ICON_FA_CHECK, "accent", "The relay vouches for this name")),
-    ]
-    return [sign for holds, sign in signs if holds]
+    found: list[Sign] = []
+    if "voice" in person.muted_kinds:
+        found.append((icons.ICON_FA_MICROPHONE_SLASH, "alert", "An admin has muted the voice"))
+    elif person.is_voice_muted:
+        found.append((icons.ICON_FA_MICROPHONE_SLASH, "alert", "Voice is muted"))
+    if volume == 0:
+        meaning = "You have muted this person for yourself"
+        found.append((icons.ICON_FA_VOLUME_XMARK, "alert", meaning))
+    elif volume != 1:
+        found.append((icons.ICON_FA_VOLUME_HIGH, "plain", f"As loud as {volume:.0%} here"))
+    if person.is_recording:
+        found.append((icons.ICON_FA_CIRCLE, "alert", "Keeps what is seen here"))
+    if person.face == "muted":
+        found.append((icons.ICON_FA_EYE_SLASH, "plain", "Face is off"))
+    if person.is_watching:
+        found.append((icons.ICON_FA_EYE, "plain", "Watches, and shows no face"))
+    if person.is_verified:
+        found.append((icons.ICON_FA_LOCK, "good", "Encrypts, and knows the room's secret"))
+    elif is_encrypted and not person.is_self:
+        found.append((icons.ICON_FA_TRIANGLE_EXCLAMATION, "warning", "Not verified"))
+    if person.is_assured:
+        found.append((icons.ICON_FA_CHECK, "accent", "The relay vouches for this name"))
+    return found
 
 
-def _row(
-    person: Person,
-    state: ViewState,
-    call: CallView,
-    metrics: Metrics,
-    speaking: Collection[str],
-) -> list[Request]:
+def _row(person: Person, state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
     """One person: a dot while they speak, the name with its signs and remarks, and a menu."""
     palette, requests = metrics.palette, list[Request]()
     volume = state.volumes.get(person.place, 1.0)
@@ -237,8 +214,9 @@ def _row(
     imgui.table_next_column()
     lower = imgui.get_cursor_pos_y() + metrics.px(3)  # in the middle of the button's height
     imgui.set_cursor_pos_y(lower)
+    speaks = any(each.peer_id == person.peer_id and each.is_speaking for each in call.people)
     with widgets.type_size(10):
-        imgui.text_colored(palette.good, icons.ICON_FA_CIRCLE if person.peer_id in speaking else "")
+        imgui.text_colored(palette.good, icons.ICON_FA_CIRCLE if speaks else "")
     imgui.table_next_column()
     imgui.set_cursor_pos_y(lower)
     imgui.push_style_var(imgui.StyleVar_.item_spacing, (gap, metrics.px(2)))

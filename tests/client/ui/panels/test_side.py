@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import get_args
 
 import pytest
 from imgui_bundle import icons_fontawesome_6 as icons
@@ -16,15 +17,8 @@ from pica_client.publish.face_controls import TrackerPreview
 from pica_client.ui.actions import Action, Request
 from pica_client.ui.call_view import CallView, Notice, OwnFaceView, Panel, PersonView
 from pica_client.ui.panels.overlay import signs
-from pica_client.ui.panels.side import (
-    help_panel,
-    participants_panel,
-    settings_panel,
-    signs_of,
-    statistics_panel,
-    waiting_page,
-)
-from pica_client.ui.state import ViewState
+from pica_client.ui.panels.side import side_panel, signs_of, waiting_page
+from pica_client.ui.state import Side, ViewState
 from pica_client.voice.sound.settings import DeviceState, SoundSettings, SoundState
 from pica_protocol.messages import BarIdentity, MutePeer, RemovePeer
 
@@ -71,27 +65,25 @@ def clicking(
 def test_the_menu_of_a_person_pins_and_resets_the_view(hand: Hand) -> None:
     state = replace(STATE)
     for item, asked in (("Pin", []), ("Reset the view", [Action.RESET_VIEW])):
-        assert clicking(hand, participants_panel, state, CALL, "More on Ada", item) == asked
+        assert clicking(hand, side_panel, state, CALL, "More on Ada", item) == asked
     assert state.pinned == 3
-    clicking(hand, participants_panel, state, CALL, "More on Ben")
+    clicking(hand, side_panel, state, CALL, "More on Ben")
     assert not any("Pin" in label or "More on Me" in label for label in hand.places)
 
 
 def test_the_menu_of_a_person_makes_them_softer_or_silent_and_the_list_shows_it(hand: Hand) -> None:
     state = replace(STATE, volumes={})
     for label, volume in (("Mute for me", 0.0), ("##volume", 1.0), ("Mute for me", 0.0)):
-        clicking(hand, participants_panel, state, CALL, "More on Ada", label)
-        hand.press(imgui.Key.escape, lambda metrics: participants_panel(state, CALL, metrics))
+        clicking(hand, side_panel, state, CALL, "More on Ada", label)
+        hand.press(imgui.Key.escape, lambda metrics: side_panel(state, CALL, metrics))
         assert state.volumes == {3: pytest.approx(volume, abs=0.05)}
-    clicking(hand, participants_panel, state, CALL, "More on Ada", "Hear again")
+    clicking(hand, side_panel, state, CALL, "More on Ada", "Hear again")
     assert state.volumes == {3: 1.0}
 
 
 def test_all_participants_are_listed_with_what_is_said_of_them(hand: Hand) -> None:
     warned = replace(ADA, warning="looks like your name", note="face is off")
-    said = texts(
-        hand, participants_panel, replace(CALL, status=replace(STATUS, participants=(ME, warned)))
-    )
+    said = texts(hand, side_panel, replace(CALL, status=replace(STATUS, participants=(ME, warned))))
     for text in ("2 in standup, 4:07", "Me (you)", "Ada", "looks like your name", "face is off"):
         assert text in said
     assert "Not encrypted end to end" in said
@@ -101,10 +93,10 @@ def test_all_participants_are_listed_with_what_is_said_of_them(hand: Hand) -> No
 def test_the_code_to_read_aloud_stands_in_groups(hand: Hand) -> None:
     code = "12345 23456 34567 45678 56789 67890"
     status = replace(STATUS, is_encrypted=True, code=code)
-    said = texts(hand, participants_panel, replace(CALL, status=status)).splitlines()
+    said = texts(hand, side_panel, replace(CALL, status=status)).splitlines()
     assert {"12345   23456   34567", "45678   56789   67890"} <= set(said)
     waiting = replace(CALL, status=replace(STATUS, is_encrypted=True))
-    assert "No other participant is verified yet" in texts(hand, participants_panel, waiting)
+    assert "No other participant is verified yet" in texts(hand, side_panel, waiting)
 
 
 @pytest.mark.parametrize(
@@ -130,7 +122,7 @@ def test_signs_beside_a_name(
 
 
 @pytest.mark.parametrize(
-    ("panel", "call"), [(participants_panel, CALL), (waiting_page, ALONE)], ids=["list", "page"]
+    ("panel", "call"), [(side_panel, CALL), (waiting_page, ALONE)], ids=["list", "page"]
 )
 def test_the_invitation_can_be_copied(hand: Hand, panel: Panel, call: CallView) -> None:
     assert clicking(hand, panel, STATE, call, "Copy the invitation") == [Action.COPY_INVITATION]
@@ -159,19 +151,19 @@ def test_each_setting_is_one_click(hand: Hand) -> None:
         "125%",
         "My own",
     )
-    clicking(hand, settings_panel, state, CALL, *labels)
+    clicking(hand, side_panel, state, CALL, *labels)
     assert (state.layout, state.shows_self) == ("grid", False)
     assert (state.mode, state.scale) == ("light", 1.25)
     state.side = "help"
-    assert clicking(hand, help_panel, state, CALL, "Close") == [Action.CLOSE]
+    assert clicking(hand, side_panel, state, CALL, "Close") == [Action.CLOSE]
 
 
 def test_the_source_of_the_face_is_chosen_during_the_call(hand: Hand) -> None:
     state = replace(SETTINGS, source="livelink")
     call = replace(CALL, own=OwnFaceView(source="livelink", seen=TrackerPreview(True, None)))
-    clicking(hand, settings_panel, state, call, "##source", "VTuber")
+    clicking(hand, side_panel, state, call, "##source", "VTuber")
     assert state.source == "vmc"
-    assert clicking(hand, settings_panel, state, call, "Calibrate") == [Action.CALIBRATE]
+    assert clicking(hand, side_panel, state, call, "Calibrate") == [Action.CALIBRATE]
 
 
 def test_devices_are_changed_during_a_call(hand: Hand) -> None:
@@ -183,16 +175,16 @@ def test_devices_are_changed_during_a_call(hand: Hand) -> None:
     )
     state = ViewState(side="settings", own_voice="sent", voice="mic")
     call = CallView(sound=sound)
-    clicking(hand, settings_panel, state, call, "Sound")
-    assert "no loudspeaker 'Old'" in texts(hand, settings_panel, call, state)
+    clicking(hand, side_panel, state, call, "Sound")
+    assert "no loudspeaker 'Old'" in texts(hand, side_panel, call, state)
     labels = ("##microphone", "Desk", "##speaker", "Horn", "Hold Space", "Voices come")
-    clicking(hand, settings_panel, state, call, *labels)
+    clicking(hand, side_panel, state, call, *labels)
     chosen = SoundSettings(microphone="Desk", speaker="Horn", push_to_talk=True, is_stereo=False)
     assert state.sound == chosen
-    assert clicking(hand, settings_panel, state, call, "Play a test") == [Action.TEST_SOUND]
+    assert clicking(hand, side_panel, state, call, "Play a test") == [Action.TEST_SOUND]
     assert state.voice == "mic"
     listening = replace(state, own_voice="none")
-    hand.frame(lambda metrics: settings_panel(listening, call, metrics))
+    hand.frame(lambda metrics: side_panel(listening, call, metrics))
     assert not any("##microphone" in label for label in hand.places)
 
 
@@ -207,20 +199,20 @@ def test_devices_are_changed_during_a_call(hand: Hand) -> None:
 )
 def test_an_admins_menu_of_a_person_moderates(hand: Hand, item: str, asked: Request) -> None:
     state = replace(STATE, barred={})
-    clicking(hand, participants_panel, state, CALL, "More on Ada")
+    clicking(hand, side_panel, state, CALL, "More on Ada")
     assert not any(item in label for label in hand.places)  # for admins alone
-    hand.press(imgui.Key.escape, lambda metrics: participants_panel(state, CALL, metrics))
-    assert clicking(hand, participants_panel, state, AS_ADMIN, "More on Ada", item) == [asked]
+    hand.press(imgui.Key.escape, lambda metrics: side_panel(state, CALL, metrics))
+    assert clicking(hand, side_panel, state, AS_ADMIN, "More on Ada", item) == [asked]
 
 
 def test_an_admin_lets_a_barred_person_rejoin_and_unmutes_another(hand: Hand) -> None:
     state = replace(STATE, barred={"eve-1": "Eve"})
     eve = replace(ADA, muted_kinds=frozenset({"voice"}))
     call = replace(AS_ADMIN, status=replace(AS_ADMIN.status, participants=(ME, eve)))
-    asked = clicking(hand, participants_panel, state, call, "Let Eve rejoin")
+    asked = clicking(hand, side_panel, state, call, "Let Eve rejoin")
     assert asked == [BarIdentity(identity="eve-1", is_barred=False)]
     assert state.barred == {}
-    asked = clicking(hand, participants_panel, state, call, "More on Ada", "Unmute voice")
+    asked = clicking(hand, side_panel, state, call, "More on Ada", "Unmute voice")
     assert asked == [MutePeer(peer_id="p1", kind="voice", is_muted=False)]
 
 
@@ -238,7 +230,7 @@ def test_the_statistics_have_a_line_for_each_participant_and_a_dash_for_what_is_
         ),
     )
     call = CallView(people=(known, PersonView(peer_id="b", name="")), figures=(("30.0", "fps"),))
-    said = texts(hand, statistics_panel, call, replace(STATE, side="statistics")).split("\n")
+    said = texts(hand, side_panel, call, replace(STATE, side="statistics")).split("\n")
     first = said.index("Ada")
     assert said[first : first + 7] == ["Ada", "128", "4.2", "1.7", "–", "12", "1.5"]
     assert said[first + 7 : first + 14] == ["", *["–"] * 6]
@@ -254,7 +246,9 @@ def test_panels_keep_to_the_picture(size: tuple[int, int]) -> None:
         notices=tuple(Notice("n" * 200, "alert") for _ in range(3)),
     )
     with open_hand(size) as hand:
-        for panel in (participants_panel, signs, settings_panel, statistics_panel, waiting_page):
+        for side in get_args(Side):
+            state = replace(STATE, side=side)
             for _ in range(2):
-                hand.frame(lambda metrics, panel=panel: panel(STATE, call, metrics))  # type: ignore[misc]
-                assert all(right <= size[0] for _, _, right, _ in hand.places.values())
+                for panel in (side_panel, signs, waiting_page):
+                    hand.frame(lambda metrics, panel=panel: panel(state, call, metrics))  # type: ignore[misc]
+                    assert all(right <= size[0] for _, _, right, _ in hand.places.values())
