@@ -107,7 +107,6 @@ class DrawPasses:
                 lens=lens_of(camera),
                 eye_m=tuple(camera.centre_m.tolist()),
                 table_m=room.table_m,
-                brightness=float(room.is_light),
                 num_seats=min(len(room.seats_m), len(seats)),
                 rect=WHOLE_SCREEN,
             )

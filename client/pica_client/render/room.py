@@ -22,8 +22,6 @@ class Room:
     """The middle of each head at rest, world."""
     speaking: tuple[float, ...] = ()
     """How bright the glow around each of them is, 0 to 1."""
-    is_light: bool = False
-    """Whether its walls are bright, as the surface's light look is."""
 
     @property
     def table_m(self) -> float:

@@ -254,7 +254,6 @@ class AvatarPresenter:
         room = Room(
             seats_m=plan.places_m,
             speaking=tuple(entry.glow(now, step) for entry in entries),
-            is_light=wanted.mode == "light",
         )
         return CallScene(
             now=now,

@@ -25,7 +25,16 @@ from pica_client.transport.config import LinkConfig
 from pica_client.ui.panels.settings import SOURCES, microphone_picker
 from pica_client.ui.state import ViewState
 from pica_client.ui.surface import widgets
-from pica_client.ui.surface.style import BUTTON_PT, EDGE_PT, GAP_PT, PADDING_PT, SMALL_PT, Metrics
+from pica_client.ui.surface.style import (
+    BUTTON_PT,
+    CARD,
+    EDGE_PT,
+    GAP_PT,
+    PADDING_PT,
+    SMALL_PT,
+    TONES,
+    Metrics,
+)
 from pica_client.ui.window import Window
 from pica_client.voice.opus import available
 from pica_client.voice.sound.process import SoundProcess
@@ -244,7 +253,7 @@ def connecting_panel(what: str, metrics: Metrics) -> bool:
     height = 2 * px(PADDING_PT) + imgui.get_frame_height() + px(38) + px(GAP_PT)
     size = (px(CANCEL_PT) + 2 * px(PADDING_PT), height)
     with widgets.card("connecting", (columns / 2, rows / 2), metrics, pivot=(0.5, 0.5), size=size):
-        accent = imgui.ImColor(*metrics.palette.accent)
+        accent = imgui.ImColor(*TONES["accent"])
         clear = imgui.ImColor(0.0, 0.0, 0.0, 0.0)
         imspinner.spinner_ang("spinner", px(9), px(3), accent, clear, speed=5.0, angle=4.2)
         imgui.same_line()
@@ -256,7 +265,7 @@ def connecting_panel(what: str, metrics: Metrics) -> bool:
 
 def _trouble(text: str, details: str, metrics: Metrics) -> None:
     """What went wrong and what helps, and the raw error below it."""
-    imgui.push_style_color(imgui.Col_.child_bg, (*metrics.palette.alert[:3], 0.14))
+    imgui.push_style_color(imgui.Col_.child_bg, (*TONES["alert"][:3], 0.14))
     imgui.push_style_var(imgui.StyleVar_.window_padding, (metrics.px(12), metrics.px(10)))
     flags = imgui.ChildFlags_.always_use_window_padding | imgui.ChildFlags_.auto_resize_y
     imgui.begin_child("trouble", (0, 0), flags)
@@ -321,7 +330,7 @@ def _avatars(form: JoinForm, metrics: Metrics) -> None:
     for number, (name, texture) in enumerate(form.portraits.items()):
         if number:
             imgui.same_line(0, gap)
-        frame = metrics.palette.accent if name == worn else metrics.palette.card
+        frame = TONES["accent"] if name == worn else CARD
         imgui.push_style_color(imgui.Col_.button, frame)
         picture = imgui.ImTextureRef(texture)
         if imgui.image_button(f"avatar {name}", picture, (side, side)):

@@ -9,7 +9,7 @@ import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import Any, Final, Literal, get_args
+from typing import Any, Final, Literal
 from urllib.parse import urlsplit, urlunsplit
 
 from pica_client.errors import OptionError
@@ -18,7 +18,6 @@ from pica_client.render.seats import LAYOUTS, Layout
 from pica_client.render.views import OrbitLimits
 from pica_client.render.views import ViewState as Orbit
 from pica_client.system import make_private, preferences_folder
-from pica_client.ui.surface.style import Mode
 from pica_client.voice.sound.settings import SoundSettings
 from pica_core.files import replacing
 
@@ -34,7 +33,6 @@ FILE_NAME: Final = "preferences.json"
 MIN_SIDE, MAX_SIDE = 160, 8192
 CHOICES: Final[dict[str, tuple[Any, ...]]] = {
     "layout": LAYOUTS,
-    "mode": get_args(Mode),
     "scale": SCALES,
 }
 LAYOUT_TITLES: Final[dict[Layout, str]] = {
@@ -65,7 +63,6 @@ class Preferences:
     secret_file: str = ""
     """File with the room secret; the secret itself is not kept."""
     layout: Layout = "arc"
-    mode: Mode = "dark"
     scale: float = 1.0
     """Size of type and buttons, one of `SCALES`."""
     shows_self: bool = True

@@ -234,11 +234,11 @@ class Viewer(Closing):
         """Begin a frame with what the user did; return False once they close the window."""
         state = self.state
         if self._window is None:
-            self.surface.begin(now, self._renderer.size, content_scale=state.scale, mode=state.mode)
+            self.surface.begin(now, self._renderer.size, content_scale=state.scale)
             return True
         is_open = self._window.poll()
         self._renderer.resize(self._window.size_px)
-        self._window.begin(now, scale=state.scale, mode=state.mode)
+        self._window.begin(now, scale=state.scale)
         return is_open
 
     def _draw(self, scene: CallScene, plan: Plan, now: float) -> None:

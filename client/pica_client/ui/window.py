@@ -21,7 +21,6 @@ import moderngl
 import glfw
 
 from pica_client.system import Closing, has_display
-from pica_client.ui.surface.style import Mode
 from pica_client.ui.surface.surface import Surface
 from pica_core.errors import GraphicsError
 from pica_core.gl import GL_VERSION
@@ -105,7 +104,7 @@ class Window(Closing):
         glfw.poll_events()
         return not glfw.window_should_close(self._window)
 
-    def begin(self, now: float, *, scale: float = 1.0, mode: Mode = "dark") -> None:
+    def begin(self, now: float, *, scale: float = 1.0) -> None:
         """Begin a frame of the surface; `scale` is the user's factor for type and buttons."""
         ratio = self.size_px[0] / self.size[0]
         points = glfw.get_window_content_scale(self._window)[0]
@@ -113,7 +112,6 @@ class Window(Closing):
             now,
             self.size,
             content_scale=scale * max(points, 0.5) / ratio,
-            mode=mode,
             pixels_a_unit=ratio,
         )
 

@@ -24,7 +24,6 @@ KEPT = ViewState(
     url="wss://relay.example:8765",
     room="standup",
     name="Ada",
-    mode="light",
     scale=1.25,
     shows_self=False,
 )
@@ -56,7 +55,6 @@ def test_what_is_saved_is_loaded(kept: Kept) -> None:
         '{"window_size": [0, 5]}',
         '{"window_size": null}',
         '{"shows_self": 1}',
-        '{"mode": "grey"}',
         '{"scale": true}',
         '{"shows_self": "yes"}',
         "[" * 20_000,

@@ -8,14 +8,12 @@ uniform vec4 lens; // slopes of the picture's edges: left, bottom, right, top
 uniform mat3 world_from_view; // columns: right, up, forward
 uniform vec3 eye_m;
 uniform float table_m; // height of the table
-uniform float brightness; // 0 is the dark room, 1 the light one
 uniform int num_seats;
 uniform vec4 seats[16]; // those after them are without; middle of the head, metres; how much its owner speaks
 
 layout(location = 0) out vec4 colour;
 
-const vec3 SHADE = vec3(0.178, 0.175, 0.172), LIT = vec3(0.550, 0.538, 0.522); // of the dark wall
-const vec3 LIGHT_SHADE = vec3(0.520, 0.515, 0.510), LIGHT_LIT = vec3(0.870, 0.858, 0.840);
+const vec3 SHADE = vec3(0.178, 0.175, 0.172), LIT = vec3(0.550, 0.538, 0.522); // of the wall
 const vec3 GLOW = vec3(0.36, 0.74, 0.55);
 const float GLOW_END = 0.0475; // exp(-28 r^2) where a glow ends, 0.33 m from the head
 const vec3 LAMP = normalize(vec3(-0.55, 0.40, -1.0));
@@ -34,12 +32,11 @@ void main() {
         vec3 under = (past + vec3(0.0, 0.31, 0.0)) / vec3(0.33, 0.06, 0.33);
         shadow = max(shadow, exp(-dot(under, under)));
     }
-    vec3 low = mix(SHADE, LIGHT_SHADE, brightness), high = mix(LIT, LIGHT_LIT, brightness);
-    vec3 rgb = mix(low, high, 0.75 * light + 0.25 * (1.0 - unlit));
+    vec3 rgb = mix(SHADE, LIT, 0.75 * light + 0.25 * (1.0 - unlit));
     if (ray.y < 0.0) {
         vec2 at = (eye_m + ray * ((table_m - eye_m.y) / ray.y)).xz;
         float sheen = exp(-1.2 * dot(at - vec2(-0.3, 0.2), at - vec2(-0.3, 0.2)));
-        vec3 table = mix(low, high, 0.18 + 0.42 * sheen) * vec3(1.0, 0.965, 0.925);
+        vec3 table = mix(SHADE, LIT, 0.18 + 0.42 * sheen) * vec3(1.0, 0.965, 0.925);
         rgb = mix(rgb, table, smoothstep(-0.30, 0.16, at.y));
     }
     rgb *= 1.0 - 0.35 * shadow;

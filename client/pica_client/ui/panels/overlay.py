@@ -15,7 +15,7 @@ from pica_client.ui.call_view import CallView, PersonView
 from pica_client.ui.panels.bar import bar_share
 from pica_client.ui.panels.side import side_share
 from pica_client.ui.state import OwnFace, ViewState
-from pica_client.ui.surface.style import EDGE_PT, SMALL_PT, TEXT_PT, Metrics, Tone
+from pica_client.ui.surface.style import EDGE_PT, PLATE, SMALL_PT, TEXT_PT, TONES, Metrics, Tone
 from pica_client.ui.surface.surface import ON_PICTURE
 from pica_client.ui.surface.widgets import (
     FIXED,
@@ -113,7 +113,7 @@ def _plate(
     padding: Place = NAME_PADDING,
 ) -> Iterator[None]:
     """A card on the picture for content of a width, which takes no input."""
-    imgui.push_style_color(imgui.Col_.window_bg, metrics.palette.plate)
+    imgui.push_style_color(imgui.Col_.window_bg, PLATE)
     across, down = map(metrics.px, padding)
     wide = math.ceil(width) + 2 * across
     imgui.set_next_window_size_constraints((wide, 0), (wide, metrics.size[1]))
@@ -133,7 +133,7 @@ def _dotted(text: str, tone: Tone, metrics: Metrics, points: float = TEXT_PT) ->
         if tone != "plain":
             place, height = imgui.get_cursor_screen_pos(), imgui.get_text_line_height()
             centre = (place.x + metrics.px(DOT_PT) / 4, place.y + height / 2)
-            colour = ink(metrics.palette.tone(tone))
+            colour = ink(TONES[tone])
             shapes = imgui.get_window_draw_list()
             shapes.add_circle_filled(centre, metrics.px(DOT_PT) / 4, colour)
             imgui.dummy((0, height))

@@ -10,7 +10,7 @@ from pica_client.sources.performances import PERFORMANCES
 from pica_client.ui.actions import ACTIONS, TALK_KEY, Action, Request
 from pica_client.ui.call_view import CallView
 from pica_client.ui.state import LAYOUT_TITLES, SCALES, ViewState
-from pica_client.ui.surface.style import Metrics, Mode, Tone
+from pica_client.ui.surface.style import TONES, Metrics, Tone
 from pica_client.ui.surface.widgets import action_button, choice_of, note
 from pica_client.voice.sound.settings import DeviceState, SoundState
 
@@ -29,7 +29,6 @@ SOURCES: tuple[tuple[str, str], ...] = (
     ("", "Watch only"),
 )
 """Face sources to choose from, and what they are called."""
-MODES: dict[Mode, str] = {"dark": "Dark", "light": "Light"}
 
 
 def settings_tabs(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
@@ -108,7 +107,7 @@ def _meter(level: int, device: DeviceState, metrics: Metrics) -> None:
     """A bar as long as the sound is loud, and what is wrong with its device."""
     share = min(max((SOFTEST_DB - level) / SOFTEST_DB, 0.0), 1.0)
     tone: Tone = "warning" if level < LOUD_DB else "good"
-    imgui.push_style_color(imgui.Col_.plot_histogram, metrics.palette.tone(tone))
+    imgui.push_style_color(imgui.Col_.plot_histogram, TONES[tone])
     imgui.progress_bar(share, (-1, metrics.px(6)), "")
     imgui.pop_style_color()
     if device.note:
@@ -135,8 +134,6 @@ def _shown(state: ViewState, metrics: Metrics) -> list[Request]:
     layout = choice_of("##layout", LAYOUT_TITLES.items(), state.layout)
     if layout != state.layout:
         requests.append(state.seat(layout))
-    note("Colours", metrics)
-    state.mode = choice_of("##mode", MODES.items(), state.mode)
     note("Size of type and buttons", metrics)
     state.scale = choice_of("##scale", [(each, f"{each:.0%}") for each in SCALES], state.scale)
     if state.own_face != "none":

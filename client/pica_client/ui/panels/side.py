@@ -16,7 +16,15 @@ from pica_client.ui.panels.bar import BAR_PT
 from pica_client.ui.panels.settings import settings_tabs, volume_slider
 from pica_client.ui.state import ViewState
 from pica_client.ui.surface import widgets
-from pica_client.ui.surface.style import EDGE_PT, PADDING_PT, SMALL_PT, TEXT_PT, Metrics, Tone
+from pica_client.ui.surface.style import (
+    EDGE_PT,
+    PADDING_PT,
+    SMALL_PT,
+    TEXT_PT,
+    TONES,
+    Metrics,
+    Tone,
+)
 from pica_protocol.messages import BarIdentity, MutePeer, RemovePeer
 
 WIDTH_PT, STATISTICS_PT = 300.0, 420.0
@@ -205,7 +213,7 @@ def signs_of(person: Person, *, is_encrypted: bool, volume: float = 1.0) -> list
 
 def _row(person: Person, state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
     """One person: a dot while they speak, the name with its signs and remarks, and a menu."""
-    palette, requests = metrics.palette, list[Request]()
+    requests: list[Request] = []
     volume = state.volumes.get(person.place, 1.0)
     signs = signs_of(person, is_encrypted=call.status.is_encrypted, volume=volume)
     gap = metrics.px(6)
@@ -216,7 +224,7 @@ def _row(person: Person, state: ViewState, call: CallView, metrics: Metrics) -> 
     imgui.set_cursor_pos_y(lower)
     speaks = any(each.peer_id == person.peer_id and each.is_speaking for each in call.people)
     with widgets.type_size(10):
-        imgui.text_colored(palette.good, icons.ICON_FA_CIRCLE if speaks else "")
+        imgui.text_colored(TONES["good"], icons.ICON_FA_CIRCLE if speaks else "")
     imgui.table_next_column()
     imgui.set_cursor_pos_y(lower)
     imgui.push_style_var(imgui.StyleVar_.item_spacing, (gap, metrics.px(2)))
@@ -225,7 +233,7 @@ def _row(person: Person, state: ViewState, call: CallView, metrics: Metrics) -> 
     imgui.text_unformatted(widgets.shortened(name, room - signs_width, TEXT_PT))
     for icon, tone, meaning in signs:
         imgui.same_line()
-        imgui.text_colored(palette.tone(tone), icon)
+        imgui.text_colored(TONES[tone], icon)
         widgets.hint(meaning)
     remarks: list[tuple[str, Tone]] = [(person.warning, "warning"), (person.line, "plain")]
     for text, tone in remarks:

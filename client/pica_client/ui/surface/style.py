@@ -1,4 +1,4 @@
-"""One style for all of the surface: colours (dark and light), spacing and type sizes. Pure.
+"""One style for all of the surface: colours, spacing and type sizes. Pure.
 
 Lengths are points; `Metrics.px` turns them into units of the surface. Type has three sizes: small
 (notes, figures), text, and title.
@@ -10,7 +10,6 @@ from typing import Any, Literal
 
 from imgui_bundle import imgui
 
-Mode = Literal["dark", "light"]
 Tone = Literal["plain", "good", "warning", "alert", "accent"]
 Colour = tuple[float, float, float, float]
 
@@ -29,59 +28,17 @@ def _hex(value: str, alpha: float = 1.0) -> Colour:
     return red, green, blue, alpha
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Palette:
-    """Colours by what they are for, red, green, blue and alpha from 0 to 1."""
-
-    ink: Colour
-    faint: Colour
-    card: Colour
-    plate: Colour
-    """Under names and notices on the picture."""
-    field: Colour
-    field_hovered: Colour
-    line: Colour
-    accent: Colour
-    on_accent: Colour
-    good: Colour
-    warning: Colour
-    alert: Colour
-
-    def tone(self, tone: Tone) -> Colour:
-        """The colour of a tone."""
-        found: Colour = self.faint if tone == "plain" else getattr(self, tone)
-        return found
-
-
-PALETTES: dict[Mode, Palette] = {
-    "dark": Palette(
-        ink=_hex("f1f3f6"),
-        faint=_hex("a7b0bd"),
-        card=_hex("1a1d23"),
-        plate=_hex("101318", 0.78),
-        field=_hex("2b3039"),
-        field_hovered=_hex("3a414d"),
-        line=_hex("ffffff", 0.10),
-        accent=_hex("2f6fed"),
-        on_accent=_hex("ffffff"),
-        good=_hex("4cc38a"),
-        warning=_hex("f2b84b"),
-        alert=_hex("e5484d"),
-    ),
-    "light": Palette(
-        ink=_hex("1b1f26"),
-        faint=_hex("5b6472"),
-        card=_hex("fbfcfd"),
-        plate=_hex("ffffff", 0.86),
-        field=_hex("e9ecf1"),
-        field_hovered=_hex("dbe0e8"),
-        line=_hex("000000", 0.12),
-        accent=_hex("1f5fe0"),
-        on_accent=_hex("ffffff"),
-        good=_hex("1a8f57"),
-        warning=_hex("a86a00"),
-        alert=_hex("d0303a"),
-    ),
+INK, FAINT, CARD = _hex("f1f3f6"), _hex("a7b0bd"), _hex("1a1d23")
+PLATE = _hex("101318", 0.78)
+"""Under names and notices on the picture."""
+FIELD, FIELD_HOVERED, LINE = _hex("2b3039"), _hex("3a414d"), _hex("ffffff", 0.10)
+ON_ACCENT = _hex("ffffff")
+TONES: dict[Tone, Colour] = {
+    "plain": FAINT,
+    "good": _hex("4cc38a"),
+    "warning": _hex("f2b84b"),
+    "alert": _hex("e5484d"),
+    "accent": _hex("2f6fed"),
 }
 
 
@@ -93,29 +50,23 @@ class Metrics:
     """Columns and rows, units."""
     scale: float
     """Units a point."""
-    mode: Mode = "dark"
 
     def px(self, points: float) -> float:
         """Return so many points in units."""
         return round(points * self.scale)
 
-    @property
-    def palette(self) -> Palette:
-        """The colours in use."""
-        return PALETTES[self.mode]
 
-
-def metrics_for(size: tuple[int, int], content_scale: float = 1.0, mode: Mode = "dark") -> Metrics:
+def metrics_for(size: tuple[int, int], content_scale: float = 1.0) -> Metrics:
     """Metrics of a picture: the display's own scale, and a little more on large pictures."""
     points = min(size[0] / REFERENCE_PT[0], size[1] / REFERENCE_PT[1]) / content_scale
     growth = min(max(math.sqrt(max(points, 1e-6)), MIN_SCALE), MAX_SCALE)
     largest = min(size[0] / LEAST_PT[0], size[1] / LEAST_PT[1])
-    return Metrics(size=size, scale=min(content_scale * growth, largest), mode=mode)
+    return Metrics(size=size, scale=min(content_scale * growth, largest))
 
 
 def apply_style(style: imgui.Style, metrics: Metrics) -> None:
     """Make ImGui's style ours."""
-    px, palette = metrics.px, metrics.palette
+    px, accent = metrics.px, TONES["accent"]
     style.font_size_base, style.font_scale_dpi = TEXT_PT, metrics.scale
     for name in ("window", "child", "popup", "frame", "grab", "scrollbar", "selectable"):
         setattr(style, f"{name}_rounding", px(ROUNDING_PT))
@@ -134,20 +85,20 @@ def apply_style(style: imgui.Style, metrics: Metrics) -> None:
     style.disabled_alpha = 0.45
     clear = (0.0, 0.0, 0.0, 0.0)
     colours: tuple[tuple[Colour, str], ...] = (
-        (palette.ink, "text input_text_cursor"),
-        (palette.faint, "text_disabled scrollbar_grab_hovered scrollbar_grab_active"),
-        (palette.card, "window_bg popup_bg"),
+        (INK, "text input_text_cursor"),
+        (FAINT, "text_disabled scrollbar_grab_hovered scrollbar_grab_active"),
+        (CARD, "window_bg popup_bg"),
         (clear, "child_bg scrollbar_bg tab tab_dimmed"),
         (clear, "tab_selected_overline tab_dimmed_selected_overline"),
-        (palette.line, "border separator table_border_light"),
-        (palette.field, "frame_bg button header checkbox_selected_bg"),
-        (palette.field, "tab_selected tab_dimmed_selected table_header_bg"),
-        (palette.field_hovered, "frame_bg_hovered frame_bg_active button_hovered"),
-        (palette.field_hovered, "header_hovered tab_hovered scrollbar_grab"),
-        (palette.accent, "button_active header_active check_mark slider_grab"),
-        (palette.accent, "slider_grab_active nav_cursor text_link"),
-        ((*palette.ink[:3], 0.03), "table_row_bg_alt"),
-        ((*palette.accent[:3], 0.45), "text_selected_bg"),
+        (LINE, "border separator table_border_light"),
+        (FIELD, "frame_bg button header checkbox_selected_bg"),
+        (FIELD, "tab_selected tab_dimmed_selected table_header_bg"),
+        (FIELD_HOVERED, "frame_bg_hovered frame_bg_active button_hovered"),
+        (FIELD_HOVERED, "header_hovered tab_hovered scrollbar_grab"),
+        (accent, "button_active header_active check_mark slider_grab"),
+        (accent, "slider_grab_active nav_cursor text_link"),
+        ((*INK[:3], 0.03), "table_row_bg_alt"),
+        ((*accent[:3], 0.45), "text_selected_bg"),
         ((0.0, 0.0, 0.0, 0.45), "modal_window_dim_bg"),
     )
     members: Any = imgui.Col_

@@ -24,7 +24,7 @@ import numpy as np
 from imgui_bundle import imgui
 
 from pica_client.system import Closing
-from pica_client.ui.surface.style import TEXT_PT, Metrics, Mode, apply_style, metrics_for
+from pica_client.ui.surface.style import TEXT_PT, Metrics, apply_style, metrics_for
 from pica_core.gl import GL_VERSION
 from pica_core.types import Image
 
@@ -111,7 +111,6 @@ class Surface(Closing):
         size: tuple[int, int],
         *,
         content_scale: float = 1.0,
-        mode: Mode = "dark",
         pixels_a_unit: float = 1.0,
     ) -> None:
         """Begin a frame with the input that has come.
@@ -129,7 +128,7 @@ class Surface(Closing):
         io.delta_time, self._last_s = min(max(step_s, 1e-4), MAX_STEP_S), now
         io.display_size = imgui.ImVec2(*size)
         io.display_framebuffer_scale = imgui.ImVec2(pixels_a_unit, pixels_a_unit)
-        metrics = metrics_for(size, content_scale, mode)
+        metrics = metrics_for(size, content_scale)
         if metrics != self.metrics:
             self.metrics = metrics
             apply_style(imgui.get_style(), metrics)

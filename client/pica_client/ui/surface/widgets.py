@@ -78,7 +78,7 @@ def note(
 ) -> None:
     """Small faint text; wrapped at the panel's edge, or at so many units."""
     with type_size(style.SMALL_PT):
-        imgui.push_style_color(imgui.Col_.text, metrics.palette.tone(tone))
+        imgui.push_style_color(imgui.Col_.text, style.TONES[tone])
         imgui.push_text_wrap_pos(imgui.get_cursor_pos_x() + wrap if wrap else 0.0)
         imgui.text_unformatted(text)
         imgui.pop_text_wrap_pos()
@@ -120,13 +120,13 @@ def action_button(
 def _toned_button(label: str, metrics: style.Metrics, tone: style.Tone, size: Place) -> bool:
     if tone == "plain":
         return imgui.button(label, size)
-    fill = metrics.palette.tone(tone)
+    fill = style.TONES[tone]
     lighter = [*(0.88 * part + 0.12 for part in fill[:3]), fill[3]]
     for part, colour in (
         (imgui.Col_.button, fill),
         (imgui.Col_.button_hovered, lighter),
         (imgui.Col_.button_active, fill),
-        (imgui.Col_.text, metrics.palette.on_accent),
+        (imgui.Col_.text, style.ON_ACCENT),
     ):
         imgui.push_style_color(part, colour)
     is_pressed = imgui.button(label, size)

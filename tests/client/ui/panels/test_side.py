@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from typing import get_args
 
 import pytest
@@ -145,15 +146,13 @@ def test_each_setting_is_one_click(hand: Hand) -> None:
         "View",
         "##layout",
         "Grid",
-        "##mode",
-        "Light",
         "##scale",
         "125%",
         "My own",
     )
     clicking(hand, side_panel, state, CALL, *labels)
     assert (state.layout, state.shows_self) == ("grid", False)
-    assert (state.mode, state.scale) == ("light", 1.25)
+    assert state.scale == 1.25
     state.side = "help"
     assert clicking(hand, side_panel, state, CALL, "Close") == [Action.CLOSE]
 
@@ -250,5 +249,5 @@ def test_panels_keep_to_the_picture(size: tuple[int, int]) -> None:
             state = replace(STATE, side=side)
             for _ in range(2):
                 for panel in (side_panel, signs, waiting_page):
-                    hand.frame(lambda metrics, panel=panel: panel(state, call, metrics))  # type: ignore[misc]
+                    hand.frame(partial(panel, state, call))
                     assert all(right <= size[0] for _, _, right, _ in hand.places.values())
