@@ -143,12 +143,15 @@ def list_heads(
     for camera, part in views:
         matrices = np.matmul(camera.clip_from_world(NEAR_M, FAR_M), world_from_head)
         rects = screen_rects(matrices, outlines_m)
-        for placement, body, matrix, covered in zip(known, bodies, matrices, rects, strict=True):
+        fades = _fading_rows(bodies, matrices, part)
+        for placement, body, matrix, covered, rows in zip(
+            known, bodies, matrices, rects, fades, strict=True
+        ):
             if covered is not None and len(listed) < MAX_HEADS:
                 left, bottom, right, top = rect_in_view(covered, part)
                 grown = left - EDGE_PX, bottom - EDGE_PX, right + EDGE_PX, top + EDGE_PX
                 entry, rect = slots[placement.slot], common_part(grown, part)
-                listed.append(_shown(entry, body, placement, matrix, part, rect))
+                listed.append(_shown(entry, body, placement, matrix, part, rect, rows))
     return listed
 
 
@@ -222,6 +225,7 @@ def _shown(
     matrix: FloatArray,
     view: PixelRect,
     rect: PixelRect,
+    fading_rows: tuple[float, ...],
 ) -> ShownHead:
     levels = () if isinstance(body, TexturedHead) else _levels(entry, body, placement)
     parts = [
@@ -239,7 +243,7 @@ def _shown(
         rect=rect,
         matrix=matrix,
         scale=placement.scale,
-        fading_rows=_fading_rows(body, matrix, view),
+        fading_rows=fading_rows,
         opacity=1 - min(max(placement.fade, 0.0), 1.0) * MAX_FADE,
         body=body,
         levels=levels,
@@ -248,20 +252,28 @@ def _shown(
 
 
 def _fading_rows(
-    body: Body | TexturedHead, matrix: FloatArray, view: PixelRect
-) -> tuple[float, ...]:
-    """See `ShownHead.fading_rows`."""
-    if body.fade_m == WHOLE_M:
-        return NO_ROWS
-    low, high = body.low_m, body.high_m
-    corners = [
-        (x, y, z, 1) for y in body.fade_m for x in (low[0], high[0]) for z in (low[2], high[2])
-    ]
-    _, y, _, w = np.matmul(np.array(corners), matrix.T).T
+    bodies: Sequence[Body | TexturedHead], matrices: FloatArray, view: PixelRect
+) -> list[tuple[float, ...]]:
+    """See `ShownHead.fading_rows`; of all heads of a view ``[N]``."""
+    # All heads at once: numpy takes as long for one as for twenty.
+    low, high, fade = (
+        np.array([getattr(body, name) for body in bodies]) for name in ("low_m", "high_m", "fade_m")
+    )
+    sides = np.stack([low, high], axis=1)  # [N, 2, 3]
+    corners = np.empty((len(bodies), 2, 2, 2, 4))  # fade, x, z
+    corners[..., 0] = sides[:, None, :, None, 0]
+    corners[..., 1] = fade[:, :, None, None]
+    corners[..., 2] = sides[:, None, None, :, 2]
+    corners[..., 3] = 1.0
+    y, w = np.einsum("nfxzk,nrk->rnfxz", corners, matrices[:, [1, 3]])
     _, bottom, _, rows = viewport(view)
-    heights = bottom + rows * (np.clip(y / np.maximum(w, NEAR_M), -2, 2).reshape(2, -1) + 1) / 2
-    (gone, whole), (last, first) = heights.max(axis=1).tolist(), heights.min(axis=1).tolist()
-    return gone, whole + 1, last, first + 1
+    heights = bottom + rows * (np.clip(y / np.maximum(w, NEAR_M), -2, 2) + 1) / 2
+    most, least = heights.max(axis=(2, 3)), heights.min(axis=(2, 3))
+    found = np.stack([most[:, 0], most[:, 1] + 1, least[:, 0], least[:, 1] + 1], axis=1)
+    return [
+        NO_ROWS if body.fade_m == WHOLE_M else tuple(each)
+        for body, each in zip(bodies, found.tolist(), strict=True)
+    ]
 
 
 def _levels(entry: RenderSlot, body: Body, placement: Placement) -> tuple[ShownLevel, ...]:

@@ -32,6 +32,7 @@ class Layer:
 
     Attributes:
         look: All that what was drawn last depends on.
+        clip_from_head: The matrix that it is drawn with, ``[4, 4]``.
     """
 
     def __init__(self, context: moderngl.Context, size: tuple[int, int], scale: float) -> None:
@@ -56,6 +57,7 @@ class Layer:
         self.coloured = context.framebuffer([self.colour], self.depth)
         self.smoothed = context.framebuffer([self.smooth])
         self.look: Hashable = None
+        self.clip_from_head: FloatArray = np.eye(4, dtype=np.float32)
 
     def read(self, texture: moderngl.Texture) -> Array:
         """What one of its textures holds, ``[rows, columns, channels]``, the lowest row first."""
@@ -70,15 +72,15 @@ class Layer:
         )
         return scale == self.scale and (fits or self.size == layer_size(size))
 
-    def crop(self, rect: PixelRect, view: PixelRect) -> FloatArray:
-        """Clip space of the layer from that of a view of the image, for a head that may cover a
-        rectangle of the image. ``[4, 4]``."""
-        matrix = np.eye(4, dtype=np.float32)
+    def cropped(self, matrix: FloatArray, rect: PixelRect, view: PixelRect) -> FloatArray:
+        """A matrix ``[4, 4]`` to clip space of a view of the image, made one to that of the layer,
+        for a head that may cover a rectangle of the image."""
+        found = matrix.copy()
         sides = zip(viewport(view)[2:], view[:2], rect[:2], self.size, strict=True)
         for axis, (side, start, corner, own) in enumerate(sides):
-            matrix[axis, axis] = side * self.scale / own
-            matrix[axis, 3] = (2 * (start - corner) + side) * self.scale / own - 1
-        return matrix
+            moved = (2 * (start - corner) + side) * self.scale / own - 1
+            found[axis] = side * self.scale / own * matrix[axis] + moved * matrix[3]
+        return found
 
 
 def layer_size(size: tuple[int, int]) -> tuple[int, int]:

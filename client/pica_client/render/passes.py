@@ -126,6 +126,7 @@ class DrawPasses:
         programs = self.mesh_programs
         self._context.enable(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
         for head, layer in heads:
+            layer.clip_from_head = layer.cropped(head.matrix, head.rect, head.view)
             layer.empty.use()
             layer.empty.clear(depth=1.0)
             layer.surface.use()
@@ -211,9 +212,8 @@ class DrawPasses:
         vertices.render()
 
     def _set_head(self, program: moderngl.Program, head: ShownHead, layer: Layer) -> None:
-        body, crop = head.body, layer.crop(head.rect, head.view)
-        set_matrix(program, "clip_from_head", np.matmul(crop, head.matrix))
-        set_values(program, low_m=body.low_m, high_m=body.high_m)
+        set_matrix(program, "clip_from_head", layer.clip_from_head)
+        set_values(program, low_m=head.body.low_m, high_m=head.body.high_m)
 
     def smooth(self, heads: Sequence[LayeredHead]) -> None:
         """Copy layers without the stair-steps of silhouettes."""
