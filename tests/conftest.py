@@ -15,6 +15,7 @@ MARKS = {"unit", "call", "render", "train", "realtime", "gpu"}
 # The same examples in every run: a red build is red for the next person, too.
 settings.register_profile("repeatable", derandomize=True, deadline=None, print_blob=True)
 settings.register_profile("quick", settings.get_profile("repeatable"), max_examples=15)
+settings.register_profile("fuzz", deadline=None, max_examples=100_000)
 settings.load_profile("repeatable")
 
 

@@ -8,14 +8,15 @@ seal, a key message) is read as far as the code.
 from __future__ import annotations
 
 import json
-import random
 import tempfile
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from fuzzing.mutator import Mutator
+from hypothesis import strategies as st
+
+from fuzzing.damage import MEDIA, damaged_bytes, damaged_control
 from golden.wire_samples import GOLDEN
 from helpers.stream_toy import perform, toy_profile
 from helpers.toy import make_toy_avatar, with_bases
@@ -42,7 +43,6 @@ GOLDEN_BYTES: Final[dict[str, bytes]] = {
     for name, text in vectors.items()
 }
 """Every vector of the golden file: valid and invalid ones."""
-CORPUS: Final = [data for name, data in GOLDEN_BYTES.items() if not name.startswith("invalid")]
 
 
 def expect(is_so: bool, *what: object) -> None:
@@ -105,10 +105,14 @@ TARGETS: Final[Mapping[str, Callable[[bytes], None]]] = {
 }
 
 
-def damaged(name: str, good: list[bytes], rng: random.Random) -> bytes:
-    """Return a damaged input of a target."""
-    mutator, data = Mutator(rng, good), rng.choice(good)
-    return mutator.mutate(data) if name in ("message", "media") else mutator.mutate_bytes(data)
+def damaged(name: str, good: list[bytes]) -> st.SearchStrategy[bytes]:
+    """Return a strategy of damaged inputs of a target."""
+    match name:
+        case "message":
+            return damaged_control(good) | damaged_bytes(good)
+        case "media":
+            return MEDIA | damaged_bytes(good)
+    return damaged_bytes(good)
 
 
 def seeds() -> dict[str, list[bytes]]:

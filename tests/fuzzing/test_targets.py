@@ -1,8 +1,8 @@
 """Good inputs of everything that reads bytes of strangers, whole and damaged."""
 
-import random
-
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from fuzzing.targets import TARGETS, damaged, seeds
 
@@ -19,7 +19,8 @@ def test_a_seed_is_accepted_or_refused_as_documented(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", TARGETS)
-def test_damaged_seeds_are_accepted_or_refused_as_documented(name: str) -> None:
-    rng = random.Random(name)
-    for _ in range(100):
-        TARGETS[name](damaged(name, SEEDS[name], rng))
+@given(st.data())
+def test_damaged_seeds_are_accepted_or_refused_as_documented(
+    name: str, data: st.DataObject
+) -> None:
+    TARGETS[name](data.draw(damaged(name, SEEDS[name])))
