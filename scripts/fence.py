@@ -154,7 +154,7 @@ ROWS: dict[str, Row] = {
     "drive amara": Row(words=DRIVE.format(name="amara"), figures=_drive),
     "drive yun": Row(words=DRIVE.format(name="yun"), figures=_drive),
     "claim": Row(
-        words="bench claim --rigs {capture} --out {work}/claim --preset tiny --seeds 1 "
+        words="bench claim --captures {capture} --out {work}/claim --preset tiny --seeds 1 "
         "--eval-frames 5",
         figures=_training,
     ),

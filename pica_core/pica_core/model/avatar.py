@@ -92,13 +92,10 @@ class PixelCodecAvatar(interface.AvatarModel):
         codes: Tensor = self.expression(grid)
         return codes
 
-    def shade(
-        self, appearance: Tensor, surface: interface.Surface, *, detach_xyz: bool = True
-    ) -> Tensor:
+    def shade(self, appearance: Tensor, surface: interface.Surface) -> Tensor:
         """Colours by the pixel decoder, from expression maps."""
         codes = sample_per_image(appearance, surface)
-        xyz_m = surface.xyz_m.detach() if detach_xyz else surface.xyz_m
-        colours: Tensor = self.pixel_decoder(codes, xyz_m, surface.uv)
+        colours: Tensor = self.pixel_decoder(codes, surface.xyz_m.detach(), surface.uv)
         return colours
 
     @property

@@ -222,9 +222,7 @@ class DeepAppearanceModel(interface.AvatarModel):
         texture: Tensor = self.texture(torch.cat([self._code(latent), view], 1))
         return TEXTURE_SCALE * texture
 
-    def shade(
-        self, appearance: Tensor, surface: interface.Surface, *, detach_xyz: bool = True
-    ) -> Tensor:
+    def shade(self, appearance: Tensor, surface: interface.Surface) -> Tensor:
         """Colours by lookup in the texture."""
         return sample_per_image(appearance, surface)
 

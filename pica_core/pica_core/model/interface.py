@@ -249,15 +249,15 @@ class AvatarModel(nn.Module, ABC):
         """
 
     @abstractmethod
-    def shade(self, appearance: Tensor, surface: Surface, *, detach_xyz: bool = True) -> Tensor:
+    def shade(self, appearance: Tensor, surface: Surface) -> Tensor:
         """Colours of the pixels of `surface`: sRGB, 1.0 is 255, not clamped, ``[P, 3]``.
+
+        No gradient goes from the colour to the geometry through a pixel decoder's xyz input, for
+        stable training (paper A.3); the other path, through rasterisation to uv, stays open.
 
         Args:
             appearance: From `appearance`, of all images.
             surface: Pixels sorted by image.
-            detach_xyz: Stop the gradient from the colour to the geometry through a pixel decoder's
-                xyz input. The paper needs it for stable training (appendix A.3); the other path,
-                through rasterisation to uv, stays open. Without such an input it changes nothing.
         """
 
     @property

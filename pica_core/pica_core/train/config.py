@@ -7,12 +7,12 @@ the presets share is a constant beside its use, in `objectives` and `train`.
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal
+from dataclasses import dataclass, replace
+from typing import Literal
 
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.avatar.variants import VARIANTS
-from pica_core.errors import CheckpointError, TrainingOptionError, check_ranges
+from pica_core.errors import TrainingOptionError, check_ranges
 from pica_core.model.avatar import make_model
 from pica_core.model.interface import AvatarModel, FacePrior, ModelOptions
 
@@ -111,22 +111,6 @@ class TrainConfig(ModelOptions):
             axis_encoding_size=self.axis_encoding_size,
         )
         return make_model(self.variant, spec, prior, self)
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain JSON values; `from_json` reads them back."""
-        return asdict(self)
-
-    @classmethod
-    def from_json(cls, values: dict[str, Any]) -> TrainConfig:
-        """Read what `to_json` wrote.
-
-        Raises:
-            CheckpointError: A field that this version does not know.
-        """
-        try:
-            return cls(**values)
-        except TypeError as error:
-            raise CheckpointError(f"options of another version: {error}") from error
 
 
 SMALL = TrainConfig()

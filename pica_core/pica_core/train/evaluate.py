@@ -215,8 +215,6 @@ class ViewErrors:
     ssim: list[float] = field(default_factory=list)
     change_mse: list[float] = field(default_factory=list)
     """One for each frame whose successor is of the same take and split, and was not left out."""
-    unreadable: list[int] = field(default_factory=list)
-    """Frames whose image cannot be read; no error knows of them."""
 
     def row(self) -> dict[str, Any]:
         """Means, with the interval of the first."""
@@ -230,7 +228,6 @@ class ViewErrors:
             "ssim": float(np.mean(self.ssim)),
             "temporal_mse": float(np.mean(self.change_mse)) if self.change_mse else None,
             "frames": len(errors),
-            "unreadable": len(self.unreadable),
         }
 
 
@@ -255,10 +252,10 @@ def measure_views(
             makes of ARKit values.
 
     Returns:
-        Errors by view, of those views that have a readable image of any of the frames.
+        Errors by view, of those views that have an image of any of the frames.
 
     Raises:
-        CaptureError: No view has one.
+        CaptureError: No view has one, or one cannot be read.
     """
     data = evaluator.data
     found = {view: ViewErrors() for view in data.images.evaluation_views}
@@ -268,10 +265,7 @@ def measure_views(
         later = None if after is None else _latent(evaluator, source, after)
         for view in data.images.evaluation_views_of(frame):
             errors = found[view]
-            camera, image = data.images.camera(frame, view), data.images.readable(frame, view)
-            if image is None:
-                errors.unreadable.append(frame)
-                continue
+            camera, image = data.images.camera(frame, view), data.images.image(frame, view)
             picture = evaluator.draw(latent, camera)
             seen = picture.within(image)
             errors.mse[frame] = mse(picture.colours, seen)
@@ -279,14 +273,14 @@ def measure_views(
             errors.ssim.append(ssim(laid, image, picture.covered(camera)))
             if after is None or later is None or view not in data.images.cameras_of(after):
                 continue
-            if (next_image := data.images.readable(after, view)) is not None:
-                second_camera = data.images.camera(after, view)
-                second = evaluator.draw(later, second_camera)
-                change = _change(picture, second, seen, second.within(next_image))
-                errors.change_mse.append(change)
+            second = evaluator.draw(later, data.images.camera(after, view))
+            seen_after = second.within(data.images.image(after, view))
+            errors.change_mse.append(_change(picture, second, seen, seen_after))
     measured = {view: errors for view, errors in found.items() if errors.mse}
     if not measured:
-        raise CaptureError(f"{data.capture.path}: no image to measure on can be read")
+        raise CaptureError(
+            f"{data.capture.path}: no evaluation view has an image of the frames to measure on"
+        )
     return measured
 
 
@@ -311,7 +305,7 @@ def evaluate(
         (vertex_error_mm, lid_error_mm, lip_error_mm; None where it does not name the region).
 
     Raises:
-        CaptureError: No image can be read.
+        CaptureError: An image cannot be read.
     """
     data, model, config = trainer.data, trainer.model, trainer.config
     evaluator = ModelEvaluator(data, model, trainer.rasteriser)

@@ -12,7 +12,6 @@ from functools import lru_cache
 import numpy as np
 import torch
 from torch import Tensor
-from torch.profiler import record_function
 
 from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.avatar.linear import Bases
@@ -150,34 +149,25 @@ class Objectives:
     def geometry(self, draw: Draw) -> dict[str, Tensor]:
         """Losses of a step without images."""
         frames = self._draw(GEOMETRY_BATCH, draw)
-        with record_function("encode"):
-            latent, kl = self._latent(frames, draw)
-        with record_function("decode"):
-            mesh = self.model.decode_mesh(latent)
-        with record_function("loss"):
-            return {"mesh": self._mesh(mesh, frames), **self._priors(mesh, kl)}
+        latent, kl = self._latent(frames, draw)
+        mesh = self.model.decode_mesh(latent)
+        return {"mesh": self._mesh(mesh, frames), **self._priors(mesh, kl)}
 
     def joint(self, draw: Draw) -> dict[str, Tensor]:
         """Losses of a step with images (paper 5)."""
         images = self._draw_images(draw)
         rngs = draw.of_images(len(images))
-        with record_function("data"):
-            images = [self._readable(image, rng_) for image, rng_ in zip(images, rngs, strict=True)]
         frames = [frame for frame, _ in images]
         cameras = [self.data.images.camera(frame, name) for frame, name in images]
-        with record_function("encode"):
-            latent, kl = self._latent(frames, draw)
-        with record_function("decode"):
-            mesh = self.model.decode_mesh(latent)
+        latent, kl = self._latent(frames, draw)
+        mesh = self.model.decode_mesh(latent)
         wants_normals = self.config.normal > 0 and self._wants_depth
         drawn, colours = self._shaded(latent, mesh, cameras, rngs, normals=wants_normals)
-        with record_function("data"):
-            pictures = [self.data.images.image(frame, name) for frame, name in images]
-        with record_function("loss"):
-            losses = {"image": self._image(colours, pictures, drawn)}
-            losses |= self._depth(images, drawn)
-            losses["mesh"] = self._mesh(mesh, frames)
-            losses |= self._priors(mesh, kl)
+        pictures = [self.data.images.image(frame, name) for frame, name in images]
+        losses = {"image": self._image(colours, pictures, drawn)}
+        losses |= self._depth(images, drawn)
+        losses["mesh"] = self._mesh(mesh, frames)
+        losses |= self._priors(mesh, kl)
         return losses
 
     def live(self, draw: Draw) -> dict[str, Tensor]:
@@ -186,16 +176,13 @@ class Objectives:
         poses = draw.rng.integers(len(self._poses.arkit), size=LIVE_BATCH).tolist()
         rngs = draw.of_images(LIVE_BATCH)
         cameras = [self.data.capture.camera(self._poses.cameras[pose]) for pose in poses]
-        with record_function("data"):
-            pictures = [self._picture(pose) for pose in poses]
-        with record_function("decode"):
-            arkit = torch.from_numpy(self._poses.arkit[poses]).to(self.device)
-            latent = self.model.expression_encoder(arkit)
-            latent = torch.cat([latent[:, :1].detach(), latent[:, 1:]], 1)
-            mesh = self.model.decode_mesh(latent)
+        pictures = [self._picture(pose) for pose in poses]
+        arkit = torch.from_numpy(self._poses.arkit[poses]).to(self.device)
+        latent = self.model.expression_encoder(arkit)
+        latent = torch.cat([latent[:, :1].detach(), latent[:, 1:]], 1)
+        mesh = self.model.decode_mesh(latent)
         drawn, colours = self._shaded(latent, mesh, cameras, rngs, share=2)
-        with record_function("loss"):
-            return {"live": self._image(colours, pictures, drawn)}
+        return {"live": self._image(colours, pictures, drawn)}
 
     def expect(self, draw: Draw) -> None:
         """Have the images decoded that a joint step with this draw will need."""
@@ -210,15 +197,6 @@ class Objectives:
             names = self.data.images.cameras_of(frame)
             images.append((frame, names[int(place * len(names))]))
         return images
-
-    def _readable(self, image: Place, rng: np.random.Generator) -> Place:
-        """The image, or one of another camera if it cannot be read: the same whatever was tried in
-        earlier steps, of which a resumed run knows nothing."""
-        frame, name = image
-        if self.data.images.readable(frame, name) is None:
-            others = [other for other in self.data.images.cameras_of(frame) if other != name]
-            name, _ = self.data.images.first_readable(frame, rng.permutation(others).tolist())
-        return frame, name
 
     def driver(self, draw: Draw) -> dict[str, Tensor]:
         """Losses of the live encoder, on the codes of the model's own."""
@@ -260,18 +238,15 @@ class Objectives:
         """Pixels of meshes through cameras, a generator's choice in each image: 1 / `share` of the
         usual number; and the model's colours of them."""
         view = torch.from_numpy(np.stack([view_direction(camera) for camera in cameras]))
-        with record_function("decode"):
-            appearance = self.model.appearance(latent, view.to(self.device))
-        with record_function("raster"):
-            drawn = self.drawer.draw(
-                mesh.vertices_m,
-                cameras,
-                rngs,
-                pixels_per_image=self.config.pixels_per_image // share,
-                normals=normals,
-            )
-        with record_function("pixel"):
-            return drawn, self.model.shade(appearance, drawn.surface, detach_xyz=True)
+        appearance = self.model.appearance(latent, view.to(self.device))
+        drawn = self.drawer.draw(
+            mesh.vertices_m,
+            cameras,
+            rngs,
+            pixels_per_image=self.config.pixels_per_image // share,
+            normals=normals,
+        )
+        return drawn, self.model.shade(appearance, drawn.surface)
 
     def _image(self, colours: Tensor, pictures: list[Image], drawn: DrawnPixels) -> Tensor:
         """The image loss against one picture for each image of a batch."""

@@ -17,19 +17,19 @@ losses or weights are not finite stops, and its last checkpoint stays.
 import json
 import logging
 import math
-import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TextIO
 
 import torch
 from torch import nn
-from torch.profiler import record_function
 
 from pica_core.avatar.variants import VARIANTS
 from pica_core.errors import CheckpointError, TrainingDivergedError
+from pica_core.files import replacing
 from pica_core.model.interface import AvatarModel
 from pica_core.train.config import TrainConfig
 from pica_core.train.data.training import TrainingData, face_prior
@@ -52,7 +52,7 @@ FINAL_RATE_RATIO = 0.02
 """Learning rate at the end of a phase, against its peak; between them half a cosine."""
 METRICS, METRICS_EVERY = "metrics.jsonl", 50
 """File of metrics in a run's folder, and the steps between its lines."""
-CHECKPOINT, CHECKPOINT_VERSION = "checkpoint.pt", 3
+CHECKPOINT, CHECKPOINT_VERSION = "checkpoint.pt", 4
 SCALE_TOLERANCE = 1e-5
 """Relative difference of position scales that two machines' sums may show for one capture."""
 
@@ -176,14 +176,12 @@ class Trainer:
         losses = LOSSES[self._kind_of(self.step)](
             self.objectives, Draw(self.config.seed, self.step)
         )
-        with record_function("backward"):
-            total = sum(losses.values(), torch.zeros((), device=self.device))
-            total.backward()  # type: ignore[no-untyped-call]
-        with record_function("optimiser"):
-            if self.config.clip_norm > 0:  # by group: their losses differ in scale by thousands
-                for group in optimiser.param_groups:
-                    nn.utils.clip_grad_norm_(group["params"], self.config.clip_norm)
-            optimiser.step()
+        total = sum(losses.values(), torch.zeros((), device=self.device))
+        total.backward()  # type: ignore[no-untyped-call]
+        if self.config.clip_norm > 0:  # by group: their losses differ in scale by thousands
+            for group in optimiser.param_groups:
+                nn.utils.clip_grad_norm_(group["params"], self.config.clip_norm)
+        optimiser.step()
         self.step += 1
         values = torch.stack([value.detach() for value in losses.values()]).to("cpu")
         return dict(zip(losses, values.tolist(), strict=True))
@@ -207,7 +205,8 @@ class Trainer:
         if not torch.isfinite(sums).all():
             raise self._diverged("weights")
         state = {
-            "config": json.dumps(self.config.to_json()),
+            "config": asdict(self.config),
+            "capture": str(self.data.capture.path.resolve()),
             "step": self.step,
             "position_scale_m": self.data.meshes.position_scale_m,
             "model": self.model.state_dict(),
@@ -225,10 +224,11 @@ class Trainer:
                 another capture.
         """
         state = read_checkpoint(self.run_dir)
-        if state["config"] != self.config:
+        ours, theirs = asdict(self.config), asdict(state["config"])
+        if other := [f"{name} {theirs[name]}" for name in ours if ours[name] != theirs[name]]:
             raise CheckpointError(
-                f"{self.run_dir}: the checkpoint was made with other options; "
-                "use the same ones, or another --out"
+                f"{self.run_dir}: the checkpoint was made with other options "
+                f"({', '.join(other)}); use the same ones, or another --out"
             )
         scale_m, here_m = state["position_scale_m"], self.data.meshes.position_scale_m
         if not math.isclose(scale_m, here_m, rel_tol=SCALE_TOLERANCE):
@@ -302,32 +302,22 @@ def rate_ratio(index: int, length: int) -> float:
 
 
 def write_checkpoint(path: Path, state: dict[str, Any]) -> None:
-    """Write a checkpoint aside, bring it to the disk, then rename it; whatever happens, the file of
-    before or the new one is there, whole.
+    """Write a checkpoint; whatever happens, the file of before or the new one is there, whole.
 
     Raises:
         CheckpointError: It cannot be written, for example because the disk is full.
     """
-    aside = path.with_suffix(".part")
     try:
-        with aside.open("wb") as file:
-            torch.save({"version": CHECKPOINT_VERSION, **state}, file)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(aside, path)
-        if os.name == "posix":  # the rename survives a loss of power, too
-            handle = os.open(path.parent, os.O_RDONLY)
-            os.fsync(handle)
-            os.close(handle)
+        with replacing(path) as unfinished:
+            torch.save({"version": CHECKPOINT_VERSION, **state}, unfinished)
     except (OSError, RuntimeError) as error:  # torch's writer turns an OSError into RuntimeError
-        aside.unlink(missing_ok=True)
         kept = "the one before is whole" if path.exists() else "there is none yet"
-        reason = error.__context__ if isinstance(error.__context__, OSError) else error
-        raise CheckpointError(f"{path}: checkpoint cannot be written ({reason}); {kept}") from error
+        raise CheckpointError(f"{path}: checkpoint cannot be written ({error}); {kept}") from error
 
 
 def read_checkpoint(run: Path) -> dict[str, Any]:
-    """Read the state in a run's folder: tensors and plain values, no code; its "config" parsed.
+    """Read the state in a run's folder: tensors and plain values, no code; its "config" as
+    `TrainConfig`.
 
     Raises:
         CheckpointError: Missing, damaged or of another version.
@@ -341,4 +331,4 @@ def read_checkpoint(run: Path) -> dict[str, Any]:
         raise CheckpointError(f"{path}: not a readable checkpoint ({error})") from error
     if not isinstance(state, dict) or state.get("version") != CHECKPOINT_VERSION:
         raise CheckpointError(f"{path}: checkpoint version is not {CHECKPOINT_VERSION}")
-    return {**state, "config": TrainConfig.from_json(json.loads(state["config"]))}
+    return {**state, "config": TrainConfig(**state["config"])}

@@ -1,4 +1,4 @@
-"""The sender's encoder, the mesh, and the two avatar commands."""
+"""The sender's encoder, the mesh, and `pica avatar info`."""
 
 from __future__ import annotations
 
@@ -10,13 +10,8 @@ import pytest
 from helpers.toy import make_toy_avatar
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import avatar_id, save_avatar
-from pica_core.cli.avatar import (
-    AvatarInfoOptions,
-    AvatarVerifyOptions,
-    avatar_info,
-    avatar_verify,
-)
-from pica_core.errors import AvatarFileError, ShapeError
+from pica_core.cli.avatar import AvatarInfoOptions, avatar_info
+from pica_core.errors import ShapeError
 from pica_core.sampling import order_faces, sample_vertices
 
 pytestmark = pytest.mark.unit
@@ -77,12 +72,3 @@ def test_info_names_sizes_and_identity(tmp_path: Path) -> None:
     assert found["pixel_decoder"] == 307
     assert found["vertices"] == 24 * 24
     assert found["sha256"] == avatar_id(tmp_path / "toy.pica")
-
-
-def test_verify_accepts_the_right_identity_and_refuses_another(tmp_path: Path) -> None:
-    save_avatar(tmp_path / "toy.pica", TOY)
-    identity = avatar_id(tmp_path / "toy.pica")
-    result = avatar_verify(AvatarVerifyOptions(file=tmp_path / "toy.pica", sha256=identity))
-    assert result["ok"]
-    with pytest.raises(AvatarFileError, match="was expected"):
-        avatar_verify(AvatarVerifyOptions(file=tmp_path / "toy.pica", sha256="0" * 64))

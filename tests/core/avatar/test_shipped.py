@@ -46,8 +46,6 @@ def test_a_small_picture_of_each_person_ships() -> None:
     "words",
     [
         ["avatar", "info"],
-        ["avatar", "verify"],
-        ["avatar", "push"],
         ["send", "--avatar"],
         ["view", "--avatar"],
         ["demo", "--avatar"],

@@ -153,7 +153,7 @@ def test_the_image_reaches_every_weight_that_makes_it(variant: str) -> None:
     surface = Surface(torch.tensor([0, 0, 1]), torch.rand(3, 2), mesh.vertices_m[[0, 0, 1], 7])
     maps = model.appearance(latent, torch.nn.functional.normalize(torch.randn(2, 3)))
 
-    colours = model.shade(maps, surface, detach_xyz=False)
+    colours = model.shade(maps, surface)
     (colours.sum() + mesh.tracked_m.square().sum()).backward()  # type: ignore[no-untyped-call]
 
     encoder = {*model.encoder.parameters(), *model.expression_encoder.parameters()}

@@ -247,14 +247,12 @@ class CaptureReader(AbstractContextManager["CaptureReader"]):
 
     Attributes:
         max_arrays: How many are kept, or being decoded, at most.
-        bad: Requests that could not be read.
     """
 
     def __init__(self, capture: Capture, max_bytes: int = MAX_BYTES) -> None:
         self.capture = capture
         pixels = max(camera.width * camera.height for camera in capture.cameras)
         self.max_arrays = max(max_bytes // (4 * max(pixels, capture.texture_size**2)), 1)
-        self.bad: set[Request] = set()
         self._pool = ThreadPoolExecutor(THREADS, thread_name_prefix="decode")
         self._kept: OrderedDict[Request, Future[Array]] = OrderedDict()
 
@@ -270,15 +268,9 @@ class CaptureReader(AbstractContextManager["CaptureReader"]):
         """An array; do not write into it.
 
         Raises:
-            CaptureError: It cannot be read; counted in `bad`.
+            CaptureError: It cannot be read.
         """
-        try:
-            return self._begin(request).result()
-        except CaptureError as error:
-            if request not in self.bad:
-                self.bad.add(request)
-                log.warning("%s; left out, %d so far", error, len(self.bad))
-            raise
+        return self._begin(request).result()
 
     def _begin(self, request: Request) -> Future[Array]:
         """Have an array decoded, if it is not there, and keep it in place of the oldest."""

@@ -6,9 +6,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pica_core.capture.dataset.dataset import Capture
-from pica_core.capture.rig.gltf import read_rig
-from pica_core.cli.capture import RigOptions, rig
-from pica_core.errors import CaptureError, TrainingOptionError, check_ranges
+from pica_core.errors import TrainingOptionError, check_ranges
 from pica_core.train.cli.train import TrainOptions, VariantName, train
 from pica_core.train.train import CHECKPOINT
 
@@ -20,23 +18,17 @@ OURS, THEIRS = "linear", "baseline"
 class ClaimOptions:
     """Options of `pica bench claim`."""
 
-    rigs: tuple[Path, ...]
-    """Heads: .glb files or folders of OBJ files with blendshapes, or finished captures."""
+    captures: tuple[Path, ...]
+    """Captures of heads."""
     out: Path = Path("claim")
-    """Folder of captures and runs. What is finished there is measured again and not made again, and
-    what was stopped goes on."""
+    """Folder of runs. What is finished there is measured again and not made again, and what was
+    stopped goes on."""
     variants: tuple[VariantName, ...] = ("linear", "full", "baseline")
     """Models to train, rows of docs/training.md."""
     preset: Literal["tiny", "small", "long"] = "small"
     """How much to train."""
     seeds: int = 2
     """Runs of each model on each head, of seeds 0, 1, ..."""
-    frames: int = 256
-    """Frames of a capture that is rendered."""
-    cameras: int = 10
-    """Cameras of a capture that is rendered."""
-    size: str = "384x384"
-    """Image size of a capture that is rendered, columns x rows, pixels."""
     eval_frames: int = 25
     """Held-out frames to measure on."""
     threads: int = 1
@@ -44,25 +36,20 @@ class ClaimOptions:
 
     def __post_init__(self) -> None:
         check_ranges(self, TrainingOptionError, seeds=(1, 100))
-        for name in ("rigs", "variants"):
+        for name in ("captures", "variants"):
             if not getattr(self, name):
                 raise TrainingOptionError(f"{name} is empty; name at least one")
-        names = [path.stem for path in self.rigs]
+        names = [path.name for path in self.captures]
         if twice := [name for name in names if names.count(name) > 1]:
-            raise TrainingOptionError(f"rigs: two are called {twice[0]!r}; rename one")
-        for path in self.rigs:
-            if not path.exists():
-                raise CaptureError(f"{path}: no such rig or capture")
+            raise TrainingOptionError(f"captures: two are called {twice[0]!r}; rename one")
 
 
 def bench_claim(options: ClaimOptions) -> dict[str, Any]:
     """Train the default model, full and baseline on heads; count the views that it wins."""
-    rendered = [path for path in options.rigs if not _is_capture(path)]
-    for path in rendered:  # before hours are spent on the others
-        read_rig(path)
-    captures = [_capture(path, options) for path in options.rigs]
+    for capture in options.captures:  # before hours are spent on the others
+        Capture.open(capture)
     rows: list[dict[str, Any]] = []
-    for capture in captures:
+    for capture in options.captures:
         for seed in range(options.seeds):
             for variant in options.variants:
                 made = _run(capture, variant, seed, options)
@@ -85,29 +72,6 @@ def views_below(rows: list[dict[str, Any]]) -> list[bool]:
     errors = {(r["variant"], r["identity"], r["seed"], r["view"]): r["mse"] for r in rows}
     views = [key[1:] for key in errors if key[0] == OURS and (THEIRS, *key[1:]) in errors]
     return [errors[OURS, *view] < errors[THEIRS, *view] for view in views]
-
-
-def _is_capture(path: Path) -> bool:
-    return (path / "topology.npz").exists() or (path / "tracked_mesh").is_dir()
-
-
-def _capture(path: Path, options: ClaimOptions) -> Path:
-    """A finished capture, checked; of a rig it is rendered first."""
-    if _is_capture(path):
-        Capture.open(path)
-        return path
-    out = options.out / "captures" / path.stem
-    if not (out / "capture.json").exists():
-        rig(
-            RigOptions(
-                rig=path,
-                out=out,
-                frames=options.frames,
-                cameras=options.cameras,
-                size=options.size,
-            )
-        )
-    return out
 
 
 def _run(

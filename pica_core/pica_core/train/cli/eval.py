@@ -12,8 +12,7 @@ import torch
 
 from pica_core.avatar.variants import TABLE_1, TABLE_2
 from pica_core.capture.dataset.dataset import Capture
-from pica_core.errors import CheckpointError, TrainingOptionError, check_ranges
-from pica_core.train.cli.train import RUN_FILE
+from pica_core.errors import TrainingOptionError, check_ranges
 from pica_core.train.config import TrainConfig
 from pica_core.train.data.training import TrainingData
 from pica_core.train.evaluate import Split, bootstrap_interval, evaluate
@@ -69,7 +68,8 @@ def eval_runs(options: EvalOptions) -> dict[str, Any]:
     """Measure finished runs and print one of the paper's tables."""
     torch.set_num_threads(options.threads)
     known = TABLES[options.table]
-    configs = {folder: read_checkpoint(folder)["config"] for folder in options.runs}
+    states = {folder: read_checkpoint(folder) for folder in options.runs}
+    configs = {folder: state["config"] for folder, state in states.items()}
     for folder, config in configs.items():
         if config.variant not in known:
             told = f"{folder}: {config.variant} is no row of table {options.table}; left out"
@@ -79,7 +79,7 @@ def eval_runs(options: EvalOptions) -> dict[str, Any]:
         raise TrainingOptionError(
             f"no run is of table {options.table}: its models are {', '.join(known)}"
         )
-    captures = {folder: options.capture or _capture_of(folder) for folder in wanted}
+    captures = {f: options.capture or Path(states[f]["capture"]) for f in wanted}
     opened = {path: Capture.open(path) for path in captures.values()}
     _check_apart([(captures[f], opened[captures[f]].identity, f, configs[f]) for f in wanted])
     rows: list[dict[str, Any]] = []
@@ -101,17 +101,6 @@ def eval_runs(options: EvalOptions) -> dict[str, Any]:
         (options.out / "table.md").write_text(text, encoding="utf-8")
         (options.out / "eval.json").write_text(json.dumps(result, indent=1) + "\n")
     return result
-
-
-def _capture_of(folder: Path) -> Path:
-    """The capture that a run was trained on."""
-    try:
-        return Path(json.loads((folder / RUN_FILE).read_text())["capture"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise CheckpointError(
-            f"{folder / RUN_FILE}: does not say which capture the run was trained on "
-            f"({error}); name it with --capture"
-        ) from error
 
 
 def _check_apart(runs: Sequence[tuple[Path, str, Path, TrainConfig]]) -> None:

@@ -4,10 +4,7 @@ import json
 import signal
 import sys
 import threading
-from concurrent.futures import Future, ProcessPoolExecutor
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,7 +12,7 @@ import torch
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from pica_core.avatar.file import Avatar, avatar_id, save_avatar
+from pica_core.avatar.file import avatar_id, save_avatar
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.errors import CaptureError, CheckpointError, TrainingOptionError, check_ranges
 from pica_core.model.avatar import PixelCodecAvatar
@@ -32,8 +29,6 @@ from pica_core.train.export import (
 from pica_core.train.lod.levels import add_levels
 from pica_core.train.train import CHECKPOINT, Losses, Trainer, open_trainer, read_checkpoint
 
-RUN_FILE = "run.json"
-"""What is written down of a run beside its checkpoint."""
 VariantName = Literal[
     "linear", "full", "no_uv", "coarse", "uv_nope", "nerf_pe", "pe_2d", "pe_1d", "baseline"
 ]
@@ -93,8 +88,7 @@ class ExportOptions:
     """Fit levels of detail (a minute or two). Without them far heads cost as much as near
     ones."""
     threads: int = 2
-    """CPU threads of torch. From two on, levels are fitted in a process of their own while the
-    stream is learned."""
+    """CPU threads of torch."""
 
     def __post_init__(self) -> None:
         check_ranges(self, TrainingOptionError, threads=(1, 1024))
@@ -113,12 +107,9 @@ def train(options: TrainOptions) -> dict[str, Any]:
     data = TrainingData(Capture.open(options.capture))
     if not options.resume and (options.out / CHECKPOINT).exists():
         raise CheckpointError(f"{options.out}: a run is there already; --resume goes on with it")
-    if options.resume:
-        _check_variant(options.out, config.variant)
     with open_trainer(data, config, options.out, device=_device(options.device)) as trainer:
         if options.resume:
             trainer.restore()
-        _note_run(options, config, data.capture.identity)
         _run_with_progress(trainer)
         rows = evaluate(trainer, max_frames=options.eval_frames)
         steps = trainer.step
@@ -162,35 +153,18 @@ def export(options: ExportOptions) -> dict[str, Any]:
             model_card=model_card(trainer, options.run),
             start=start,
         )
-        # Neither needs the other; both take about as long, and neither keeps two cores busy.
         tensors = dict(avatar.tensors)
-        with ExitStack() as stack:
-            levelled: Future[Avatar] | None = None
-            if options.levels and options.stream and options.threads > 1:
-                pool = ProcessPoolExecutor(1, get_context("spawn"))
-                stack.enter_context(pool)
-                levelled = pool.submit(_add_levels, avatar, options.threads // 2)
-                torch.set_num_threads(options.threads - options.threads // 2)
-            if options.stream:
-                print("learning the latent stream", file=sys.stderr)
-                profile = make_stream_profile(ModelEvaluator(data, model, trainer.rasteriser))
-                tensors |= profile.to_tensors()
-            if options.levels:
-                with_levels = (
-                    levelled.result() if levelled else _add_levels(avatar, options.threads)
-                )
-                tensors |= with_levels.tensors
+        if options.stream:
+            print("learning the latent stream", file=sys.stderr)
+            profile = make_stream_profile(ModelEvaluator(data, model, trainer.rasteriser))
+            tensors |= profile.to_tensors()
+        if options.levels:
+            tensors |= add_levels(avatar, show=lambda text: print(text, file=sys.stderr)).tensors
     avatar = replace(avatar, tensors=tensors)
     save_avatar(options.out, avatar)
     size = options.out.stat().st_size
     print(f"{options.out}: {size / 1e6:.2f} MB", file=sys.stderr)
     return {"path": str(options.out), "bytes": size, "id": avatar_id(options.out)}
-
-
-def _add_levels(avatar: Avatar, threads: int) -> Avatar:
-    """Fit levels with so many threads of torch, saying what is done."""
-    torch.set_num_threads(threads)
-    return add_levels(avatar, show=lambda text: print(text, file=sys.stderr))
 
 
 def _device(wished: str) -> torch.device:
@@ -201,27 +175,6 @@ def _device(wished: str) -> torch.device:
     if wished == "cpu" or not has_gpu:
         return torch.device("cpu")
     return torch.device("cuda")
-
-
-def _check_variant(run: Path, variant: str) -> None:
-    """Refuse to go on from another model."""
-    if (found := read_checkpoint(run)["config"].variant) != variant:
-        raise CheckpointError(
-            f"{run}: the checkpoint is of variant {found!r}, not {variant!r}; "
-            f"use --variant {found}, or another --out"
-        )
-
-
-def _note_run(options: TrainOptions, config: TrainConfig, identity: str) -> None:
-    """Write beside the checkpoint what a later evaluation needs to know."""
-    note = {
-        "capture": str(options.capture.resolve()),
-        "identity": identity,
-        "variant": config.variant,
-        "preset": options.preset,
-        "seed": options.seed,
-    }
-    (options.out / RUN_FILE).write_text(json.dumps(note, indent=1) + "\n")
 
 
 def _config(options: TrainOptions) -> TrainConfig:

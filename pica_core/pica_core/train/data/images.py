@@ -1,6 +1,5 @@
 """The images of a capture behind a cache of bounded size, and the cameras that took them."""
 
-from collections.abc import Iterable
 from functools import cache, lru_cache
 
 import numpy as np
@@ -10,7 +9,6 @@ from torch import Tensor
 from pica_core.camera import Camera
 from pica_core.capture.dataset import multiface
 from pica_core.capture.dataset.dataset import Capture, CaptureReader, Request
-from pica_core.errors import CaptureError
 from pica_core.model.encoder import resize_texture
 from pica_core.types import FloatArray, Image
 
@@ -45,27 +43,6 @@ class ImageCache:
             CaptureError: It cannot be read.
         """
         return self.reader.read(Request("image", frame, camera))
-
-    def readable(self, frame: int, camera: str) -> Image | None:
-        """An image; None where it cannot be read, which the reader tells of."""
-        try:
-            return self.image(frame, camera)
-        except CaptureError:
-            return None
-
-    def first_readable(self, frame: int, cameras: Iterable[str]) -> tuple[str, Image]:
-        """The first of some cameras whose image of a frame can be read, and the image.
-
-        Raises:
-            CaptureError: None can be read.
-        """
-        for camera in cameras:
-            if (image := self.readable(frame, camera)) is not None:
-                return camera, image
-        where = self._capture.frames[frame]
-        raise CaptureError(
-            f"{self._capture.path}: no image of {where.segment} {where.name} can be read"
-        )
 
     def depth_m(self, frame: int, camera: str) -> FloatArray:
         """Measured depth, 0 where unknown, float32 ``[H, W]``."""
