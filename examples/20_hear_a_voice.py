@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.call.call import Call
+from pica_client.call.call import Call, Ears
 from pica_client.endpoint.endpoint import Receiver, Sender
 from pica_client.publish.publisher import SenderConfig, open_face
 from pica_client.transport.config import LinkConfig
@@ -23,15 +23,22 @@ from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
 
 
+class Listener(Ears):
+    """Keeps the packets of all voices, with their times of arrival."""
+
+    def __init__(self) -> None:
+        self.heard: list[tuple[Frame, float]] = []
+
+    def receive(self, peer_id: str, packet: Frame, arrived_s: float) -> None:
+        """See `Ears.receive`."""
+        self.heard.append((packet, arrived_s))
+
+
 async def main() -> None:
-    heard: list[tuple[Frame, float]] = []
+    listener = Listener()
     library = AvatarLibrary()
     async with Relay(RelayConfig(port=0)) as relay:
-        receiver = Receiver(
-            LinkConfig(url=relay.url, name="me"),
-            Call(library),
-            on_voice=lambda peer_id, packet, arrived_s: heard.append((packet, arrived_s)),
-        )
+        receiver = Receiver(LinkConfig(url=relay.url, name="me"), Call(library, ears=listener))
         receiving = asyncio.create_task(receiver.run())
         link, config = LinkConfig(url=relay.url, name="Ada"), SenderConfig(seconds=3.0)
         own = open_face("performance:talk", link, library, print, config=config)
@@ -40,7 +47,7 @@ async def main() -> None:
         receiver.stop()
         await receiving
     library.close()
-    sent = sender.stats()
+    sent, heard = sender.stats(), listener.heard
 
     decoder = OpusDecoder()  # a jitter buffer stands here in a call: it decides what is heard when
     parts = [decoder.decode(packet.payload) for packet, _ in heard]

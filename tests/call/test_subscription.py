@@ -18,7 +18,7 @@ import pytest
 from helpers.senders import LoadedAvatars, make_senders
 from pica_client.call.call import Call
 from pica_client.call.faces import FaceState
-from pica_client.endpoint.endpoint import OnVoice, Receiver, Sender
+from pica_client.endpoint.endpoint import Receiver, Sender
 from pica_client.publish.publisher import SenderConfig
 from pica_client.sources import open_source
 from pica_client.transport.config import LinkConfig
@@ -53,10 +53,10 @@ def make_sender(url: str, avatar: Avatar, seconds: float) -> Sender:
     return sender
 
 
-def make_receiver(url: str, avatar: Avatar, on_voice: OnVoice | None = None) -> Receiver:
+def make_receiver(url: str, avatar: Avatar) -> Receiver:
     config = LinkConfig(url=_from("viewer", url), room="kitchen", name="viewer")
     call = Call(LoadedAvatars({AVATAR_ID: avatar}))
-    return Receiver(config, call, on_voice=on_voice)
+    return Receiver(config, call)
 
 
 def _from(host: str, url: str) -> str:
@@ -200,9 +200,3 @@ async def test_who_leaves_while_unseen_is_gone_and_a_silent_one_turns_stale_once
     statuses = [(at_s - back_s, face.status) for at_s, face in viewer.after(back_s)]
     assert "stale" not in {status for since_s, status in statuses if since_s < 1.9}
     assert {status for since_s, status in statuses if since_s > 2.5} == {"stale"}
-
-
-def test_a_subscription_to_a_peer_who_is_not_there_changes_nothing() -> None:
-    call = Call(LoadedAvatars({}))
-    call.subscribe("unknown", 0, 0.0)
-    assert call.tell_subscriptions(lambda message: False, 0.0) is None

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from helpers.senders import LoadedAvatars
-from pica_client.call.call import Call
+from pica_client.call.call import Call, Ears
 from pica_client.e2ee.secret import RoomSecret, save_secret
 from pica_client.endpoint.endpoint import Receiver
 from pica_client.publish.publisher import Outgoing, Publisher, SenderConfig
@@ -44,7 +44,7 @@ SOUND = (
 ).astype(np.float32)
 
 
-class Person:
+class Person(Ears):
     """Somebody in the call; ``heard`` is what came of each other one's voice."""
 
     def __init__(
@@ -72,12 +72,11 @@ class Person:
             LinkConfig(
                 url=f"ws://{name}:{port}", room="kitchen", name=name, secret_file=secret_file
             ),
-            Call(LoadedAvatars({AVATAR_ID: AVATAR})),
+            Call(LoadedAvatars({AVATAR_ID: AVATAR}), ears=self if hears else None),
             Outgoing(face=self.publisher, voice=self.voice),
-            on_voice=self._on_voice if hears else None,
         )
 
-    def _on_voice(self, peer_id: str, packet: Frame, arrived_s: float) -> None:
+    def receive(self, peer_id: str, packet: Frame, arrived_s: float) -> None:
         self.heard.setdefault(peer_id, []).append((packet, arrived_s))
 
     @property

@@ -12,22 +12,25 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pica_client.avatars.library import AvatarStore
 from pica_client.call.connection_quality import StreamHealth
 from pica_client.call.faces import FaceState, FaceStatus
 from pica_client.call.participant import Participant, Tell
 from pica_client.call.roster import SECRET_NEEDED, Member, RoomState, Roster
-from pica_client.e2ee.status import SealState, SealStatus
+from pica_client.e2ee.status import SealState
 from pica_client.stats import Samples
-from pica_client.tracks import FACE_TRACK
+from pica_client.tracks import FACE_TRACK, voice_of
 from pica_core.avatar.file import Avatar
 from pica_core.codec.latent_stream import LatentSample
 from pica_core.errors import AvatarFileError
 from pica_protocol import messages
 from pica_protocol.frames import Frame
 from pica_protocol.session import ClientEvent
+
+if TYPE_CHECKING:  # a call without a secret needs no cryptography
+    from pica_client.e2ee.guard import Guard
 
 MAX_DEPARTED = 64
 """Peers remembered for the statistics after they left; drops the oldest."""
@@ -45,35 +48,27 @@ class ArrivedFace(NamedTuple):
     arrived_s: float
 
 
-class Ears(Protocol):
-    """What plays the voices of a call."""
+class Ears:
+    """Where the voices of a call go; to be derived from. Called on the network's thread."""
 
-    def heard_us(self, peer_id: str, now: float) -> int | None:
-        """The moment of a peer's voice, on its clock, that leaves the loudspeaker now."""
-        ...
+    def receive(self, peer_id: str, packet: Frame, arrived_s: float) -> None:
+        """Take a packet of a voice, see `voice.packet`; they come in the order of arrival."""
 
     def seat(self, members: Sequence[Member]) -> None:
-        """Take the other members of the room; called on the network's thread."""
-        ...
+        """Take the other members of the room."""
 
-
-class Connection(Protocol):
-    """What a call needs of the network; any thread may ask."""
-
-    @property
-    def seal_status(self) -> SealStatus | None:
-        """How the encryption stands; None where nothing is encrypted."""
-        ...
-
-    def wake(self) -> None:
-        """Note that `Call.tell_subscriptions` has news."""
-        ...
+    def heard_us(self, peer_id: str, now: float) -> int | None:
+        """The moment of a peer's voice, on its clock, that leaves the loudspeaker now; None: there
+        is none. Any thread may ask."""
+        return None
 
 
 class Call:
     """The members of a room and how their faces look; a `pica_client.call.faces.FaceSource`.
 
     Attributes:
+        guard: How the encryption stands is asked of it; None where nothing is encrypted.
+        ears: Take the voices; None: none are wanted.
         errors: Payloads that could not be read.
         without_avatar: Frames whose avatar is not there, or not yet.
         strays: Frames of unknown streams, as when their peer has just left.
@@ -92,7 +87,7 @@ class Call:
         """Prepare.
 
         Args:
-            ears: Faces are led by the voices that these play.
+            ears: Take the voices, by which faces are led.
             on_face: Takes every face that can be read, in the order of arrival, on the network's
                 thread.
         """
@@ -105,19 +100,20 @@ class Call:
         self._by_stream: dict[int, Participant] = {}
         self._departed: deque[Participant] = deque(maxlen=MAX_DEPARTED)
         self._window_begin_s: float | None = None
-        self._ears = ears
-        self._connection: Connection | None = None
+        self.ears = ears
+        self._voices: dict[int, str] = {}  # peer ids by stream
+        self.guard: Guard | None = None
         self.skews_s, self.delays_s = Samples(), Samples()
 
     # The network's side
 
-    def connect(self, connection: Connection) -> None:
-        """Take what runs the link, before its first event."""
-        self._connection = connection
-
     def receive_event(self, event: ClientEvent, now: float) -> None:
         """Take an event of the link's session."""
         if isinstance(event, Frame):
+            if (speaker := self._voices.get(event.stream)) is not None:
+                if self.ears is not None:
+                    self.ears.receive(speaker, event, now)
+                return
             with self._lock:
                 face = self._receive_frame(event, now)
             if face is not None and self._on_face is not None:
@@ -144,15 +140,16 @@ class Call:
             for peer_id, seat in self._seats.items():
                 seat.member = self._roster.member(peer_id)
             members = self._roster.members
-        if self._ears is not None:
-            self._ears.seat(members)
+        voices = ((voice_of(member.peer), member.peer.peer_id) for member in members)
+        self._voices = {track.stream: peer_id for track, peer_id in voices if track is not None}
+        if self.ears is not None:
+            self.ears.seat(members)
 
-    def tell_subscriptions(self, tell: Tell, now: float) -> float | None:
-        """Tell the relay how much is wanted by now; return when to call again, None until
-        a subscription changes or a peer joins."""
+    def tell_subscriptions(self, tell: Tell, now: float) -> None:
+        """Tell the relay how much is wanted, where that is due; some 50 times a second."""
         with self._lock:
-            timers = [seat.tell_subscription(tell, now) for seat in self._seats.values()]
-        return min((timer for timer in timers if timer is not None), default=None)
+            for seat in self._seats.values():
+                seat.tell_subscription(tell, now)
 
     # The display's side
 
@@ -160,9 +157,8 @@ class Call:
         """Note how much of a peer's stream is worth having; see `FaceSource.subscribe`."""
         with self._lock:
             seat = self._seats.get(peer_id)
-            has_changed = seat is not None and seat.subscribe(every, now)
-        if has_changed and self._connection is not None:
-            self._connection.wake()
+            if seat is not None:
+                seat.subscribe(every, now)
 
     def faces(self, now: float, ahead_s: float = 0.0) -> list[FaceState]:
         """Return all faces at display time; see `FaceSource.faces`."""
@@ -302,16 +298,11 @@ class Call:
 
     def _lacks_secret(self, seat: Participant) -> bool:
         """Whether a peer's payloads are encrypted, as it has told us, and we have no secret."""
-        return seat.member.has_whispered and self._seal_status is None
-
-    @property
-    def _seal_status(self) -> SealStatus | None:
-        return None if self._connection is None else self._connection.seal_status
+        return seat.member.has_whispered and self.guard is None
 
     def _seals(self) -> Mapping[str, SealState]:
         """How the encryption of each peer stands, by peer id; empty where we do not encrypt."""
-        status = self._seal_status
-        return {} if status is None else status.peers
+        return {} if self.guard is None else self.guard.status.peers
 
     def _note(self, seat: Participant, now: float) -> str:
         """Why a face is not to be seen, or not as it should be; empty when nothing is wrong."""
@@ -327,7 +318,7 @@ class Call:
 
     def _face(self, seat: Participant, now: float, ahead_s: float) -> FaceState:
         member, peer = seat.member, seat.member.peer
-        voice_us = None if self._ears is None else self._ears.heard_us(peer.peer_id, now)
+        voice_us = None if self.ears is None else self.ears.heard_us(peer.peer_id, now)
         heard_us = None if voice_us is None else voice_us + round(ahead_s * 1e6)
         played, is_held = seat.play(now, heard_us)
         face = FaceState(

@@ -30,8 +30,6 @@ LOWER_AFTER_S: Final = 0.5
 aside)."""
 LOWER_INTERVAL_S: Final = 1.0
 """Shortest time between two requests for less of one stream."""
-RETRY_S: Final = 0.1
-"""Until a subscription is told again that could not be, as while the network takes nothing."""
 STALE_AFTER_S: Final = 2.0
 """A face without a frame for this long is shown as stale."""
 FACE_NOTES: Final = {
@@ -134,24 +132,23 @@ class Participant:
 
     # How much is wanted
 
-    def subscribe(self, every: int, now: float) -> bool:
-        """Note that every so many frames are wanted, 0 for none; return True if that is news."""
+    def subscribe(self, every: int, now: float) -> None:
+        """Note that every so many frames are wanted, 0 for none."""
         if every == self._wanted:
-            return False
+            return
         self._wanted = every
         if _rate(every) >= _rate(self.told):
             self._lower_s = math.inf
         elif self._lower_s == math.inf:
             self._lower_s = max(now + LOWER_AFTER_S, self._lowered_s + LOWER_INTERVAL_S)
-        return True
 
-    def tell_subscription(self, tell: Tell, now: float) -> float | None:
-        """Tell the relay how much is wanted, if that is due; return when to call again."""
+    def tell_subscription(self, tell: Tell, now: float) -> None:
+        """Tell the relay how much is wanted, if that is due."""
         is_more = _rate(self._wanted) > _rate(self.told)
         if not is_more and now < self._lower_s:
-            return self._lower_s if self._lower_s < math.inf else None
+            return
         if not tell(Subscribe(stream=self.track.stream, every=self._wanted)):
-            return now + RETRY_S
+            return  # as while the network takes nothing
         if not is_more:
             self._lowered_s = now
         self.told, self._lower_s = self._wanted, math.inf
@@ -160,7 +157,6 @@ class Participant:
             self.state = StreamState.PAUSED
         else:
             self._resume(now)
-        return None
 
     def join_again(self, now: float) -> None:
         """Begin a connection: the relay sends everything again, so less is due now."""

@@ -11,20 +11,17 @@ from collections.abc import Callable, Coroutine, Sequence
 from typing import Any, Final, Self
 
 from pica_client.call.call import Call
-from pica_client.e2ee.status import SealStatus
 from pica_client.publish.publisher import Outgoing, Publisher
 from pica_client.tracks import FACE_TRACK, RECORDS_KEY, RECORDS_YES, voice_of
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.link import Link
-from pica_client.transport.timers import wait_until
 from pica_protocol.errors import is_worth_retrying
 from pica_protocol.frames import Frame
-from pica_protocol.messages import Joined, Moderation, Peer, PeerJoined, PeerLeft, Subscribe, Track
+from pica_protocol.messages import Joined, Moderation, Peer, PeerJoined, Subscribe, Track
 from pica_protocol.session import ClientEvent, Closed
 
-OnVoice = Callable[[str, Frame, float], None]
-"""Takes a peer's id, a packet of its voice, see `voice.packet`, and when it arrived, seconds of our
-clock. Called on the network's thread, for every packet in the order of arrival."""
+SUBSCRIBE_INTERVAL_S: Final = 0.02
+"""Between two looks at how much of each stream is wanted (chosen: less than a display frame)."""
 CHECK_INTERVAL_S: Final = 0.25
 """Time between two timers that tell whether this machine is too busy."""
 JOIN_TIMEOUT_S: Final = 5.0
@@ -165,7 +162,6 @@ class Endpoint:
             "voice": None if self.own.voice is None else self.own.voice.stats(),
             "reconnects": self.link.reconnects,
             "resumes": counters.resumes,
-            "avatar_given": "" if self.own.giver is None else self.own.giver.outcome,
             "seal": None if guard is None else guard.stats(),
         }
 
@@ -205,23 +201,18 @@ class Receiver(Endpoint):
         call: Call,
         own: Outgoing | None = None,
         *,
-        on_voice: OnVoice | None = None,
         news: LinkNews | None = None,
     ) -> None:
-        """Prepare; see `Endpoint`. ``on_voice`` is handed the voices of the others, see `OnVoice`;
-        without it none are sent to us."""
+        """Prepare; see `Endpoint`. Without ears of the call no voices are sent to us."""
         super().__init__(link_config, own or Outgoing(), news=news)
         self.call = call
-        self._on_voice, self._num_heard = on_voice, 0
-        self._voices: dict[int, str] = {}  # peer ids by stream; bounded by the protocol's peers
         self.is_recording = False
         self.late_s = 0.0
-        self._subscribed = asyncio.Event()
         self._started = threading.Event()
         self._thread: threading.Thread | None = None
         self._error: BaseException | None = None
         call.set_own_name(link_config.name)
-        call.connect(self)
+        call.guard = self.link.guard
 
     def check(self) -> None:
         """Raise what ended the thread, if anything did, as `run` does."""
@@ -239,15 +230,6 @@ class Receiver(Endpoint):
         value = RECORDS_YES if is_recording else ""
         self._call_soon(lambda: self.link.describe(RECORDS_KEY, value))
 
-    def wake(self) -> None:
-        """Note that the call wants another share of a stream; any thread may call it."""
-        self._call_soon(self._subscribed.set)
-
-    @property
-    def seal_status(self) -> SealStatus | None:
-        """How the encryption stands; None where nothing is encrypted."""
-        return None if self.link.guard is None else self.link.guard.status
-
     @property
     def is_connected(self) -> bool:
         """Whether the relay has us in the room right now."""
@@ -260,7 +242,6 @@ class Receiver(Endpoint):
             **self._own_stats(),
             "errors": stats["errors"] + counters.errors,
             "received_wire_bytes": counters.received_wire_bytes,
-            "voice_packets": self._num_heard,
             "sent": None if self.own.face is None else self.own.face.stats(),
         }
 
@@ -286,49 +267,21 @@ class Receiver(Endpoint):
         return [*super()._work(), self._time_loop(), self._tell_subscriptions()]
 
     def _on_event(self, event: ClientEvent, now: float) -> None:
-        if self._take_voice(event, now):
-            return
         self.call.receive_event(event, now)
-        super()._on_event(event, now)
-        if isinstance(event, PeerJoined | Joined):
-            self._subscribed.set()
+        if not isinstance(event, Frame):
+            super()._on_event(event, now)
 
     def _wants(self, track: Track, peer: Peer) -> bool:
         first = next((each for each in peer.tracks if each.kind == FACE_TRACK), None)
-        return track == first or (self._on_voice is not None and track == voice_of(peer))
-
-    def _take_voice(self, event: ClientEvent, now: float) -> bool:
-        """Follow the voices in the room; return True if an event was a voice's alone."""
-        match event:
-            case Frame(stream=stream) if stream in self._voices:
-                if self._on_voice is not None:
-                    self._num_heard += 1
-                    self._on_voice(self._voices[stream], event, now)
-                return True
-            case Joined(peers=peers):
-                self._voices.clear()
-                came: tuple[Peer, ...] = peers
-            case PeerJoined(peer=peer):
-                came = (peer,)
-            case PeerLeft(peer_id=peer_id):
-                self._voices = {s: each for s, each in self._voices.items() if each != peer_id}
-                return False
-            case _:
-                return False
-        found = ((voice_of(peer), peer.peer_id) for peer in came)
-        self._voices |= {track.stream: peer_id for track, peer_id in found if track}
-        return False
+        return track == first or (self.call.ears is not None and track == voice_of(peer))
 
     async def _tell_subscriptions(self) -> None:
-        """Tell the relay how much of each stream is wanted, when that changes and when it is
-        due."""
-        now = asyncio.get_running_loop().time()
+        """Tell the relay how much of each stream is wanted, when that changes."""
+        loop = asyncio.get_running_loop()
         while True:
-            self._subscribed.clear()
-            timer = None  # outside the room, wait for the next join
             if self.link.is_joined:
-                timer = self.call.tell_subscriptions(self.link.tell, now)
-            now = await wait_until(self._subscribed, timer)
+                self.call.tell_subscriptions(self.link.tell, loop.time())
+            await asyncio.sleep(SUBSCRIBE_INTERVAL_S)
 
     async def _time_loop(self) -> None:
         loop = asyncio.get_running_loop()

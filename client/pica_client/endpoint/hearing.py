@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pica_client.call.call import Call
+from pica_client.call.call import Call, Ears
 from pica_client.call.roster import Member
 from pica_client.voice.opus import available
 from pica_client.voice.sound.process import SoundProcess
@@ -16,7 +16,7 @@ WIDTH_RAD = 0.7
 """How far to a side the outermost is heard (chosen: five people are told apart)."""
 
 
-class Hearing:
+class Hearing(Ears):
     """Plays the voices of a call; faces are led by what leaves the loudspeaker. Give it to the call
     as its ears."""
 

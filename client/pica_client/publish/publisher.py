@@ -8,7 +8,6 @@ runs on the event loop itself; a thread would cost more than it saves.
 import asyncio
 import logging
 import math
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -18,7 +17,6 @@ from pica_client.avatars.upload import AvatarGiver, GiveAvatar, choose_own_avata
 from pica_client.errors import OptionError, check_ranges
 from pica_client.sources import Source, Tracker, open_source
 from pica_client.sources.source import Unseen
-from pica_client.stats import Samples
 from pica_client.tracks import FACE_KEY, FACE_LOST, FACE_TRACK, FaceMode
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.link import Link
@@ -72,9 +70,6 @@ class Pacer:
 
     A sender that is late by more than a frame skips to the newest one that is due: it sends the
     face of now, not those it has missed.
-
-    Attributes:
-        num_skipped: Frames that were never due in time.
     """
 
     def __init__(self, fps: float, now: float) -> None:
@@ -82,7 +77,6 @@ class Pacer:
         self._fps = fps
         self._begin_s = now
         self._index = 0
-        self.num_skipped = 0
 
     @property
     def due_s(self) -> float:
@@ -91,11 +85,9 @@ class Pacer:
 
     def advance(self, now: float) -> None:
         """The frame that was due is done; go on to the next."""
-        following = self._index + 1
         # The tolerance keeps a frame that ends exactly on the next one's time from being skipped.
         newest_due = math.floor((now - self._begin_s) * self._fps + 1e-6)
-        self._index = max(following, newest_due)
-        self.num_skipped += self._index - following
+        self._index = max(self._index + 1, newest_due)
 
 
 class Publisher:
@@ -126,12 +118,10 @@ class Publisher:
         profile = avatar.stream_profile()
         self._stream = LatentEncoder(profile, config.stream())
         self.track = Track(kind=FACE_TRACK, avatar=avatar_identity, profile=profile.hash)
-        self._encode = Samples()
         self._first_sent_s: float | None = None
         self._last_sent_s = 0.0
-        self.num_sent = self._unheard = self._faceless = self._payload_bytes = 0
+        self.num_sent = self._faceless = self._payload_bytes = 0
         self._own_streams: tuple[int, ...] = ()
-        self._skipped = self._silent = 0
         self.mode: FaceMode = "sent"
         self._mode_before: FaceMode = "sent"
         self._is_lost = False
@@ -201,7 +191,6 @@ class Publisher:
             self._tell_trouble()
             self._send_face(link, now - begin_s, now)
             pacer.advance(max(loop.time(), now))
-            self._skipped = pacer.num_skipped
 
     def stats(self) -> dict[str, Any]:
         """What was sent so far; rates are over the time from the first frame to the last."""
@@ -209,13 +198,9 @@ class Publisher:
         return {
             "seconds": round(seconds, 3),
             "sent": self.num_sent,
-            "skipped": self._skipped,
-            "not_connected": self._unheard,
             "without_face": self._faceless,
-            "silent": self._silent,
             "payload_bytes": self._payload_bytes,
             "payload_bps": round(self._payload_bytes * 8 / seconds) if seconds else None,
-            "encode_ms": self._encode.summary_ms(),
             "muted": self.is_muted_by_admin,
         }
 
@@ -249,13 +234,11 @@ class Publisher:
     def _send_face(self, link: Link, time_s: float, now: float) -> None:
         """Sample, encode and offer one face."""
         if not link.is_joined:
-            self._unheard += 1
             return
         if self.mode != self._mode_before:
             if self._mode_before == "muted":
                 self._stream.restart()  # they have seen nothing for a while
             self._mode_before = self.mode
-        began_s = time.perf_counter()
         frame = self._face(time_s)
         if not frame.has_face:
             self._faceless += 1  # nothing to say: the receivers see the stream fall silent
@@ -265,11 +248,9 @@ class Publisher:
         age_us = round(time_s * 1e6) - frame.captured_us
         captured_us = max(round(now * 1e6) - min(max(age_us, 0), MAX_AGE_US), 0)
         coded = self._stream.encode(latent, frame.rotation, frame.translation_m, captured_us)
-        encode_s = time.perf_counter() - began_s
         if coded is None:
-            self._silent += 1  # still: the receivers know, and hold the face
             self._last_sent_s = now
-            return
+            return  # still: the receivers know, and hold the face
         if link.send_frame(coded.payload, captured_us, multiple=coded.multiple):
             if self._watcher is not None:
                 self._watcher(coded, captured_us, now)
@@ -277,7 +258,6 @@ class Publisher:
             self._last_sent_s = now
             self.num_sent += 1
             self._payload_bytes += len(coded.payload)
-            self._encode.add(encode_s)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -72,7 +72,6 @@ class LinkCounters:
     """How many of them led back to the old place in the room."""
     errors: int = 0
     """Connections that ended because one end broke the protocol."""
-    sent_messages: int = 0
     sent_wire_bytes: int = 0
     """Bytes with all that lies around a message, see `stats.wire_bytes`."""
     received_messages: int = 0

@@ -410,7 +410,6 @@ class Link:
                 self._whisper_keys(session, now)
                 self._describe(session, now)
                 for message in session.messages_to_send(now):
-                    self.counters.sent_messages += 1
                     self.counters.sent_wire_bytes += wire_bytes(len(message), is_masked=True)
                     await websocket.send(message)
                 if session.closed is not None or session.state is State.LEAVING:

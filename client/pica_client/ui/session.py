@@ -236,7 +236,6 @@ def stay(
             link,
             call,
             replace(own, voice=own_voice),
-            on_voice=None if hearing is None else hearing.receive,
             news=LinkNews(f"{doing} room {link.room} at {link.url}", say),
         )
         receiver.say_recording(options.record is not None)

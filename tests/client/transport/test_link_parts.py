@@ -22,14 +22,12 @@ def test_a_schedule_does_not_drift_when_every_frame_is_a_little_late() -> None:
     for index in range(300):
         assert pacer.due_s == pytest.approx(10 + index / 30)
         pacer.advance(pacer.due_s + 0.02)
-    assert pacer.num_skipped == 0
 
 
 def test_a_late_schedule_skips_to_the_newest_frame_that_is_due() -> None:
     pacer = Pacer(10, now=0.0)
     pacer.advance(0.57)
     assert pacer.due_s == pytest.approx(0.5)
-    assert pacer.num_skipped == 4
 
 
 @given(st.lists(st.floats(0, 0.5), min_size=1, max_size=60), st.sampled_from([1, 24, 30, 90, 240]))
