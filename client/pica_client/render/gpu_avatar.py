@@ -29,7 +29,7 @@ from pica_client.render.gpu_program import (
     compose,
     set_values,
 )
-from pica_client.render.shader_weights import pack_weights, siren_source
+from pica_client.render.gpu_tables import pack_weights, siren_source
 from pica_core.avatar.bust import (
     WHOLE_M,
     box_corners,
@@ -174,7 +174,9 @@ def upload_avatar(
         textures[UNIT_STILL] = clamp(texture)
     weights = None
     if weights_place == "block":
-        weights = context.buffer(pack_weights(avatar.spec, tensors))
+        weights = context.buffer(
+            b"".join(part.tobytes() for part in pack_weights(avatar.spec, tensors))
+        )
     fade_m = fade_heights_m(bust_of(avatar).lower_m) if fades else WHOLE_M
     low_m, high_m = np.array([manifest.bounds_min_m, manifest.bounds_max_m])
     body = Body(

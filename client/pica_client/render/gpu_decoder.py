@@ -183,7 +183,7 @@ class GpuDecoder(Closing):
         self._banks: list[_Bank] = []
         self._gpu_clock: DrawClock[int] = DrawClock(context)
         # That clock runs on while the GPU waits for this thread: the least of a few is its own.
-        self._s_per_multiply_add: deque[float] = deque(maxlen=NUM_TIMED)
+        self._head_s: deque[float] = deque(maxlen=NUM_TIMED)
         self._turn = 0
 
     def add(self, slot: str, avatar: Avatar) -> bool:
@@ -236,11 +236,12 @@ class GpuDecoder(Closing):
             request, entry.request = entry.request, None
             if request is None:
                 continue
-            level = request.level or MAP_SIZE
-            if problem := _problem(entry.avatar, request, level):
+            if request.latent.shape != LATENT_SHAPE:
+                problem = f"latent is of shape {request.latent.shape}; {LATENT_SHAPE} is needed"
                 results.append(DecodeResult(slot, None, problem))
                 self.remove(slot)
                 continue
+            level = request.level or MAP_SIZE
             codes = entry.bank.tile(entry, level, is_codes=True)
             both = request.parts == "both"
             vertices = entry.bank.tile(entry, level, is_codes=False) if both else None
@@ -256,31 +257,29 @@ class GpuDecoder(Closing):
         self._context.wireframe = False
         self._context.clear_samplers(0, UNIT_BASIS + 1)
         jobs.sort(key=lambda job: -job.level)
-        work = [job.entry.bank.plan.multiply_adds(job.level) for job in jobs]
         self._turn += 1
         is_timed = self._turn % TIMED_EVERY == 0
-        with self._gpu_clock.around(sum(work)) if is_timed else nullcontext():
+        with self._gpu_clock.around(len(jobs)) if is_timed else nullcontext():
             for bank in self._banks:
                 own = [job for job in jobs if job.entry.bank is bank]
                 for start in range(0, len(own), MAX_BATCH):
                     self.bytes_uploaded += bank.decode(own[start : start + MAX_BATCH])
-        for done, seconds in self._gpu_clock.take():
-            self._s_per_multiply_add.append(seconds / done)
-        pace_s = min(self._s_per_multiply_add, default=0.0)
-        results = []
-        for job, share in zip(jobs, work, strict=True):
-            result = DecodeResult(
+        for num_heads, seconds in self._gpu_clock.take():
+            self._head_s.append(seconds / num_heads)
+        finished_s = started_s + min(self._head_s, default=0.0)
+        return [
+            DecodeResult(
                 job.slot,
                 DecodedMaps(None, None, job.level),
                 None,
                 captured_us=job.request.captured_us,
                 submitted_s=job.entry.submitted_s,
                 started_s=started_s,
-                finished_s=started_s + pace_s * share,
+                finished_s=finished_s,
                 parts=job.request.parts,
             )
-            results.append(result)
-        return results
+            for job in jobs
+        ]
 
     def close(self) -> None:
         """Forget all slots and programs."""
@@ -288,15 +287,6 @@ class GpuDecoder(Closing):
             self._context.detect_framebuffer(0).use()  # freeing one that is bound is an error
             self._slots.clear()
             self._banks.clear()
-
-
-def _problem(avatar: Avatar, request: DecodeRequest, level: int) -> str:
-    """What is wrong with a request; nothing if it is sound."""
-    if request.latent.shape != LATENT_SHAPE or request.view_direction.shape != (3,):
-        return f"latent is of shape {request.latent.shape}; {LATENT_SHAPE} is needed"
-    if level not in avatar.levels:
-        return f"level is {level}; this avatar has {', '.join(map(str, avatar.levels))}"
-    return ""
 
 
 class _Bank:

@@ -10,11 +10,7 @@ import pytest
 from helpers.toy import make_toy_avatar
 from pica_client.render import gpu_program
 from pica_client.render.gpu_program import LINES_PER_FILE, compose
-from pica_client.render.shader_weights import (
-    block_sizes,
-    pack_weights,
-    siren_source,
-)
+from pica_client.render.gpu_tables import pack_weights, siren_source
 from pica_core.avatar.spec import ENCODINGS, AvatarSpec
 
 pytestmark = pytest.mark.unit
@@ -74,8 +70,8 @@ def test_every_encoding_gives_the_decoder_its_sizes_and_vectors(encoding: str) -
 
 
 def test_the_papers_networks_fill_20_matrices_and_9_vectors() -> None:
-    assert block_sizes(TOY.spec) == (20, 9)
-    assert len(pack_weights(TOY.spec, TOY.tensors)) == 4 * (20 * 16 + 9 * 4)
+    matrices, biases = pack_weights(TOY.spec, TOY.tensors)
+    assert (matrices.shape, biases.shape) == ((20, 4, 4), (9, 4))
 
 
 def test_constants_name_weights_exactly() -> None:

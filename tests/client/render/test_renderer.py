@@ -18,6 +18,7 @@ from helpers.toy import make_toy_avatar
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.errors import OptionError
 from pica_client.render.gpu_program import build_program, compose
+from pica_client.render.gpu_tables import siren_source
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.room import Room
 from pica_client.render.scene import (
@@ -26,7 +27,6 @@ from pica_client.render.scene import (
     view_direction,
 )
 from pica_client.render.seats import plan_seats
-from pica_client.render.shader_weights import siren_source
 from pica_client.render.views import ViewState, plan_camera
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import AvatarSpec
