@@ -83,7 +83,7 @@ def check(words: list[str]) -> None:
     name = command_of(words)
     if name is None:
         refuse(words)
-    CommandLine(name, COMMANDS[name], {}, None).read(words[len(name.split()) :])
+    CommandLine(name, COMMANDS[name], None).read(words[len(name.split()) :])
 
 
 def environment() -> dict[str, str]:
@@ -154,7 +154,7 @@ def command_line_page() -> str:
 
 def _options(name: str) -> Iterator[str]:
     """Yield a line for each option: its name, its default and the first sentence of its help."""
-    arguments = CommandLine(name, COMMANDS[name], {}, None).app.assemble_argument_collection(
+    arguments = CommandLine(name, COMMANDS[name], None).app.assemble_argument_collection(
         parse_docstring=True
     )
     for argument in arguments:

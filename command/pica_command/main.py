@@ -8,12 +8,9 @@ output has gone, as after ``| head``.
 import json
 import os
 import re
-import signal
 import sys
-import threading
 import traceback
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,7 +20,6 @@ from pica_command.table import COMMANDS, DISTRIBUTION, command_of, listing, refu
 
 DEBUG_FLAG: Final = "--debug"
 JSON_FLAG: Final = "--json"
-COMPLETION_FLAG: Final = "--install-completion"
 CONFIG_VARIABLE: Final = "PICA_CONFIG"
 """Names another file than the user's."""
 
@@ -61,34 +57,23 @@ def _run(name: str, words: list[str]) -> Mapping[str, Any] | None:
     """Run a command; None after its help was printed."""
     from pica_command.options import CommandLine  # the list of commands does without cyclopts
 
-    with _nothing_begun():
-        file = user_file(os.environ)
-        has_file = CONFIG_VARIABLE in os.environ or file.exists()
-        line = CommandLine(name, COMMANDS[name], os.environ, file if has_file else None)
-        options = line.read(words)
+    for variable, text in list(os.environ.items()):
+        if variable.startswith("PICA_") and not text:
+            del os.environ[variable]  # an empty one is not set
+    file = user_file()
+    has_file = CONFIG_VARIABLE in os.environ or file.exists()
+    line = CommandLine(name, COMMANDS[name], file if has_file else None)
+    options = line.read(words)
     if options is None:
         return None
     result: Mapping[str, Any] | None = line.function(**options)
     return {} if result is None else result
 
 
-def user_file(environment: Mapping[str, str]) -> Path:
+def user_file() -> Path:
     """The TOML file of this user's options; it need not be there."""
     folder = PlatformDirs(DISTRIBUTION, appauthor=False, roaming=True).user_config_path
-    return Path(environment.get(CONFIG_VARIABLE) or folder / "pica.toml")
-
-
-@contextmanager
-def _nothing_begun() -> Iterator[None]:
-    """Let SIGTERM end the command in good order while the block runs: loading takes a while."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
+    return Path(os.environ.get(CONFIG_VARIABLE) or folder / "pica.toml")
 
 
 def _report(error: BaseException, name: str | None, words: list[str]) -> int:
@@ -138,18 +123,12 @@ def _explain(words: list[str]) -> int:
 
         print(version(DISTRIBUTION))
         return 0
-    if words[:1] == [COMPLETION_FLAG]:
-        from pica_command.options import install_completion
-
-        install_completion(words)
-        return 0
     family = words[0] if words and any(name.startswith(f"{words[0]} ") for name in COMMANDS) else ""
     if not [word for word in words[bool(family) :] if word not in ("-h", "--help")]:
         is_half_a_command = len(words) == 1 and bool(family)
         print(
-            f"{listing(family)}\n\n`pica COMMAND --help` explains one of them, "
-            f"`pica {COMPLETION_FLAG}` lets your shell complete them.\n"
-            f"Options may also stand in {user_file(os.environ)}.",
+            f"{listing(family)}\n\n`pica COMMAND --help` explains one of them.\n"
+            f"Options may also stand in {user_file()}.",
             file=sys.stderr if is_half_a_command else sys.stdout,
         )
         return 2 if is_half_a_command else 0

@@ -1,4 +1,4 @@
-"""Options of a command from its words, the environment and a TOML file; cyclopts reads them.
+"""Options of a command from its words, the environment and a TOML file, as cyclopts reads them.
 
     flags  >  environment  >  file  >  defaults
 
@@ -12,13 +12,13 @@ import inspect
 import re
 import tomllib
 import typing
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import MISSING, fields
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Final
 
-from cyclopts import App, Argument, ArgumentCollection, CycloptsError, Group, Parameter, Token
+from cyclopts import App, ArgumentCollection, CycloptsError, Group, Parameter
+from cyclopts.config import Dict, Env
 
 from pica_command.table import COMMANDS, SHARED, Command, UsageError
 
@@ -33,23 +33,21 @@ _SECTION = re.compile(r"^(Args|Returns|Raises|Attributes|Not checked|Source):", 
 
 
 class CommandLine:
-    """One command with its options, as cyclopts reads them.
+    """One command with its options.
 
     Args:
         name: Its words.
         row: Its row of the table; its module is imported here.
-        environment: The variables of the process.
         file: The file of options, if no flag names another; None if there is none.
     """
 
-    def __init__(
-        self, name: str, row: Command, environment: Mapping[str, str], file: Path | None
-    ) -> None:
+    def __init__(self, name: str, row: Command, file: Path | None) -> None:
         self.function = row.load()
         self._name = name
-        self._shared = SHARED if row.joins else ()
-        self._environment = environment
+        self._joins = row.joins
         self._file = file
+        prefix = f"PICA_{name.replace(' ', '_').upper()}_"
+        shared = [Env("PICA_", command=False, show=False)] if row.joins else []
         self.app = App(
             name=f"pica {name}",
             help=_description(self.function),
@@ -58,7 +56,7 @@ class CommandLine:
             help_flags=("--help", "-h"),
             version_flags=(),
             default_parameter=Parameter(consume_multiple=True, negative_iterable=()),
-            config=self._add_tokens,
+            config=[Env(prefix, command=False, show=False), *shared, self._add_file],
         )
         self._take = _taker(self.function)
         self.app.default(self._take)
@@ -67,7 +65,7 @@ class CommandLine:
         """Read the options: the arguments for the function; None after help was printed.
 
         Raises:
-            UsageError: A word, variable or key is unknown, or its value is refused; names it.
+            UsageError: A word or key is unknown, or a value is refused; names it.
         """
         try:
             take, bound, _ = self.app.parse_args(words, exit_on_error=False, print_error=False)
@@ -79,63 +77,32 @@ class CommandLine:
         bound.apply_defaults()
         return {name: each for name, each in bound.arguments.items() if name not in COMMON}
 
-    def _add_tokens(
-        self, _app: App, _commands: tuple[str, ...], arguments: ArgumentCollection
-    ) -> None:
-        """Add what environment and file say of arguments that no flag sets."""
-        leaves = {_key(one.name): one for one in arguments if one.parse and not one.children}
-        named = leaves["config"].tokens
-        leaves = {key: one for key, one in leaves.items() if key not in COMMON}
-        file = Path(named[0].value) if named else self._file
-        said = {} if file is None else self._in_file(file, leaves)
-        for key, (value, place) in (said | self._in_environment(leaves)).items():
-            argument = leaves[key]
-            if argument.tokens:
-                continue
-            is_list = typing.get_origin(argument.hint) is tuple and not argument.parameter.n_tokens
-            if is_list and isinstance(value, str):
-                value = [item.strip() for item in value.split(",") if item.strip()]
-            for index, item in enumerate(value if isinstance(value, list) else [value]):
-                text = str(item).lower() if isinstance(item, bool) else str(item)
-                argument.append(Token(keyword=place, value=text, index=index))
-
-    def _in_environment(self, leaves: Mapping[str, Argument]) -> dict[str, tuple[str, str]]:
-        """Value and place by key; an empty variable is not set."""
-        prefix = f"PICA_{_upper(self._name)}_"
-        variables = {f"PICA_{_upper(key)}": key for key in self._shared if key in leaves}
-        variables |= {prefix + _upper(key): key for key in leaves}
-        shared = {f"PICA_{_upper(key)}" for key in SHARED}  # not options of `pica token`
-        for variable in sorted(self._environment):
-            if variable.startswith(prefix) and variable not in {*variables, *shared}:
-                raise UsageError(
-                    f"unknown environment variable {variable}{_near(variable, variables)}"
-                )
-        return {
-            key: (text, variable)
-            for variable, key in variables.items()
-            if (text := self._environment.get(variable))
-        }
-
-    def _in_file(self, file: Path, leaves: Mapping[str, Argument]) -> dict[str, tuple[Any, str]]:
-        """Value and place by key, from the shared keys of the file and the command's own table."""
+    def _add_file(self, app: App, commands: tuple[str, ...], arguments: ArgumentCollection) -> None:
+        """Add what the file says of arguments that neither a flag nor a variable sets."""
+        config = next(one.tokens for one in arguments if one.name == "--config")
+        named = [Path(token.value) for token in config if token.source != "env"]
+        file = named[0] if named else self._file
+        if file is None:
+            return
         document = _read_toml(file)
-        families = {name.partition(" ")[0] for name in COMMANDS}
-        for key, value in document.items():
-            if key not in (families if isinstance(value, dict) else SHARED):
-                raise UsageError(f"{file}: unknown key {key}{_near(key, (*SHARED, *families))}")
-        own: Any = document
-        for word in self._name.split():
-            own = own.get(word, {}) if isinstance(own, dict) else {}
-        found = {key: document[key] for key in self._shared if key in document and key in leaves}
-        table = ".".join(self._name.split())
-        for key, value in _flat(own):
-            if key not in leaves:
-                raise UsageError(f"{file}: unknown key {table}.{key}{_near(key, leaves)}")
-            found[key] = value
-        for key, value in found.items():
-            if Path in (leaves[key].hint, *typing.get_args(leaves[key].hint)):
-                found[key] = file.parent / Path(str(value)).expanduser()
-        return {key: (value, f"{file}: {key}") for key, value in found.items()}
+        known = {*SHARED, *(name.partition(" ")[0] for name in COMMANDS)}
+        if unknown := document.keys() - known:
+            raise UsageError(f"{file}: unknown key {min(unknown)}")
+        shared: dict[str, Any] = {
+            key: document[key] for key in SHARED if key in document and self._joins
+        }
+        for data, keys in ((document, self._name.split()), (shared, [])):
+            source = Dict(data=data, root_keys=keys, use_commands_as_keys=False, source=str(file))
+            source.allow_unknown = not keys
+            source(app, commands, arguments)
+        for argument in arguments:
+            if Path in (argument.hint, *typing.get_args(argument.hint)):
+                argument.tokens[:] = [
+                    token.evolve(value=str(file.parent / Path(token.value).expanduser()))
+                    if token.source == str(file)
+                    else token
+                    for token in argument.tokens
+                ]
 
 
 def _taker(function: Any) -> Callable[..., None]:
@@ -180,47 +147,3 @@ def _read_toml(file: Path) -> dict[str, Any]:
         raise UsageError(f"{file}: {error.strerror}") from error
     except ValueError as error:
         raise UsageError(f"{file} is not a TOML file: {error}") from error
-
-
-def _flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for key, value in table.items():
-        if isinstance(value, dict):
-            yield from _flat(value, f"{prefix}{key}.")
-        else:
-            yield prefix + key, value
-
-
-def _key(flag: str) -> str:
-    """The key of an option in a file."""
-    return flag.removeprefix("--").replace("-", "_")
-
-
-def _upper(name: str) -> str:
-    return re.sub(r"[ .]", "_", name).upper()
-
-
-def _near(name: str, known: Iterable[str]) -> str:
-    near = get_close_matches(name, list(known), n=1, cutoff=0.5)
-    return f"; did you mean {near[0]}?" if near else ""
-
-
-def install_completion(words: Sequence[str]) -> None:
-    """Write a script that completes commands and options where the user's shell looks for it.
-
-    Options of a command whose extra is missing are left out.
-
-    Args:
-        words: The flag, and what follows it: ``--shell``, ``--output``.
-    """
-    root = App(name="pica", version_flags=(), result_action="return_value")
-    for name, row in COMMANDS.items():
-        first, _, last = name.partition(" ")
-        try:
-            app = CommandLine(name, row, {}, None).app
-        except ModuleNotFoundError:
-            continue
-        if last and first not in root:
-            root.command(App(name=first))
-        (root[first] if last else root).command(app, name=last or first)
-    root.register_install_completion_command(words[0])
-    root(words)

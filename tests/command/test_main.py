@@ -8,7 +8,6 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -186,13 +185,3 @@ def test_a_relay_and_the_list_of_commands_import_no_numpy(words: list[str]) -> N
         "sys.exit(bool({'numpy', 'torch', 'moderngl'} & sys.modules.keys()))"
     )
     subprocess.run([sys.executable, "-c", code, *words], check=True, stdout=subprocess.DEVNULL)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_a_script_completes_commands_and_options(tmp_path: Path, shell: str) -> None:
-    script = tmp_path / "pica.script"
-    words = ["--install-completion", "--shell", shell, "--output", str(script)]
-    assert main(words) == 0
-    text = script.read_text()
-    assert all(word in text for word in ("demo", "bench", "limits.joins-per-s", "warning"))

@@ -5,12 +5,14 @@ manifests. ``scripts/check_images.py`` builds the images and starts what they st
 """
 
 import json
+import os
 import re
 import shlex
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import pytest
 import yaml
@@ -43,7 +45,8 @@ def read_options(
     command: str, words: Sequence[str], environment: Mapping[str, str] | None = None
 ) -> Any:
     """Read words and variables into the options of a command that takes one dataclass."""
-    given = CommandLine(command, COMMANDS[command], environment or {}, None).read(words)
+    with patch.dict(os.environ, environment or {}):
+        given = CommandLine(command, COMMANDS[command], None).read(words)
     assert given is not None
     (options,) = given.values()
     return options
