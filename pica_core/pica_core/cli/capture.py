@@ -88,7 +88,7 @@ class PersonOptions(RenderOptions):
     skin: float | None = None
     """Tone of the skin, 1 (lightest) to 6 (darkest)."""
     hair: str | None = None
-    """bald, buzz, short, swept, parted, receding, curly, afro, bob, long or tied."""
+    """bald, buzz, short, swept, parted, receding, curly, afro, bob or long."""
     hair_colour: str | None = None
     """black, brown, light_brown, blond, red, grey or white."""
     beard: str | None = None

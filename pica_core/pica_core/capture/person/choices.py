@@ -118,8 +118,8 @@ def draw_person(seed: int, **chosen: Any) -> Person:
     skin = float(chosen.get("skin") or 1 + 5 * dice["skin"])
     old = float(np.clip((age - 35) / 40, 0, 1))
     styles = (
-        ("short", "swept", "parted", "buzz", "curly", "receding", "bald", "afro", "tied")
-        if man else ("long", "bob", "tied", "parted", "curly", "afro", "short", "swept")
+        ("short", "swept", "parted", "buzz", "curly", "receding", "bald", "afro")
+        if man else ("long", "bob", "parted", "curly", "afro", "short", "swept")
     )  # fmt: skip
     colours = ("black", "brown") if skin > 3 else ("brown", "light_brown", "blond", "red", "black")
     eyes = ("dark", "brown") if skin > 3 else ("brown", "hazel", "green", "blue", "grey")

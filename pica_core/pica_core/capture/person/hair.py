@@ -2,7 +2,7 @@
 
 An avatar's mesh is opaque and of one topology, so hair is two things: the scalp's own vertices are
 moved outwards, with a soft painted edge, for nothing can then cut through the face; and long hair
-or a tail is a closed sheet of rings, laid outside of head, ears, neck and clothes. Strands are
+is a closed sheet of rings, laid outside of head, ears, neck and clothes. Strands are
 painted along both. Lengths are metres in the head frame; azimuth 0 is the front.
 """
 
@@ -38,7 +38,7 @@ class Style:
     quiff: float = 0.0
     """How much more the cap is raised over the forehead."""
     flow: tuple[float, float, float] = (0.0, -1.0, 0.0)
-    """Where strands lie to; what follows from `parting`, `radial` and `tail` is added."""
+    """Where strands lie to; what follows from `parting` and `radial` is added."""
     parting: float | None = None
     """Place of a parting, mm to the subject's left: strands lie away from it."""
     radial: bool = False
@@ -53,13 +53,10 @@ class Style:
     """Height of the lower end of hair that hangs, below the ears."""
     wave: float = 2.0
     """Depth of the waves of hair that hangs."""
-    tail: float = 0.0
-    """Length of a tail at the nape, to which strands run."""
-    bare: bool = False
 
 
 STYLES: dict[str, Style] = {
-    "bald": Style(bare=True),
+    "bald": Style(),
     "buzz": Style(cap=1.5, clumps=0.3),
     "short": Style(cap=10, sides=0.4, quiff=4, flow=(0.35, -0.6, 0.5), clumps=1.4),
     "swept": Style(cap=15, sides=0.35, quiff=10, flow=(0.15, 0.1, -1.0), clumps=1.2),
@@ -69,11 +66,8 @@ STYLES: dict[str, Style] = {
     "afro": Style(cap=36, rise=2.6, sides=0.8, radial=True, curl=1.6, clumps=0.25),
     "bob": Style(cap=12, sides=0.8, parting=12, recession=9, hang=82, wave=1.6),
     "long": Style(cap=13, sides=0.8, parting=-8, recession=9, hang=215, wave=3.0),
-    "tied": Style(cap=6, sides=0.8, tail=170, clumps=0.6),
 }  # fmt: skip
-TIE_Y = 0.0
-"""Height at which a tail is tied."""
-COLUMNS, ROWS, TAIL_ROWS = 48, 28, 18
+COLUMNS, ROWS = 48, 28
 FRONT_DEG = (
     (-0.09, 46.0), (-0.03, 42.0), (0.020, 45.0), (0.050, 43.0), (0.070, 35.0), (0.085, 21.0),
     (0.105, 5.0), (0.130, 2.0),
@@ -127,7 +121,7 @@ class Sheet:
 
 def cover(points: Float64Array, skin: BoolArray, ears: BoolArray, style: Style) -> Float64Array:
     """Height of each point above the hairline, in `EDGE_M`; below 0 outside. ``[P]``."""
-    if style.bare:
+    if not style.cap:
         return np.full(len(points), -1.0)
     azimuth = np.degrees(np.abs(np.arctan2(points[:, 0], points[:, 2] + 0.005)))
     line = np.interp(azimuth, *np.array(HAIRLINE).T)
@@ -166,9 +160,7 @@ def lumps(points: Float64Array, size_m: float, seed: int) -> Float64Array:
 def flow(points: Float64Array, normals: Float64Array, style: Style) -> Float64Array:
     """Direction of strands over the head, unit length, along the surface. ``[P, 3]``."""
     way = np.broadcast_to(np.array(style.flow), points.shape).copy()
-    if style.tail:
-        way = tie(points) - points
-    elif style.parting is not None:
+    if style.parting is not None:
         side = np.tanh((points[:, 0] - style.parting / 1000) / 0.008)
         way[:, 0] += 1.3 * side * smooth((points[:, 1] - 0.02) / 0.08)
     elif style.radial:
@@ -205,13 +197,6 @@ def raise_cap(
     return points + normals * np.maximum(thick, 0.0)[:, None]
 
 
-def tie(points: Float64Array) -> Float64Array:
-    """Where hair is tied, at the back of this head. ``[3]``."""
-    level = (np.abs(points[:, 1] - TIE_Y) < 0.01) & (np.abs(points[:, 0]) < 0.03)
-    back = float(points[level, 2].min()) if level.any() else -0.09
-    return np.array([0.0, TIE_Y, back])
-
-
 def join_rings(rings: Float64Array, u: Float64Array) -> Surface:
     """Join rings ``[R, C, 3]``, one below the other; `u` goes round them, metres. ``[C + 1]``."""
     rows, columns = rings.shape[:2]
@@ -231,15 +216,11 @@ def join_rings(rings: Float64Array, u: Float64Array) -> Surface:
 
 def grow(points: Float64Array, style: Style, seed: int, body: Float64Array) -> Sheet | None:
     """What hangs from a raised scalp ``[P, 3]``, outside of a body ``[n, 3]``, or nothing."""
-    if style.hang:
-        rings = _curtain(points, style, seed, body)
-    elif style.tail:
-        rings = _tail(points, style, seed, body)
-    else:
+    if not style.hang:
         return None
+    rings = _curtain(points, style, seed, body)
     around = np.linalg.norm(np.diff(rings, axis=1, append=rings[:, :1]), axis=2).mean(0)
-    if style.hang:  # the inner half is seldom seen
-        around[len(around) // 2 :] *= INNER_SHARE
+    around[len(around) // 2 :] *= INNER_SHARE  # the inner half is seldom seen
     surface = join_rings(rings, np.concatenate([[0], np.cumsum(around)]))
     columns = rings.shape[1]
     v = surface.uv[:: columns + 1, 1]
@@ -319,25 +300,3 @@ def _reach(body: Float64Array, angle: Float64Array, y: Float64Array) -> Float64A
     off = np.abs((place - angle[:, None] + np.pi) % (2 * np.pi) - np.pi)
     here = (off < 0.12) & (np.abs(near[:, 1] - y[:, None]) < 0.011)
     return np.where(here, far, 0.0).max(1, initial=0.0)
-
-
-def _tail(points: Float64Array, style: Style, seed: int, body: Float64Array) -> Float64Array:
-    """A tail from the tie. ``[TAIL_ROWS, 24, 3]``."""
-    t = np.linspace(0.0, 1.0, TAIL_ROWS)
-    start = tie(points)
-    length = style.tail / 1000
-    y = start[1] + 0.010 * np.sin(np.pi * np.minimum(3 * t, 1)) - length * t**1.25
-    back = start[2] + 0.006 - 0.038 * smooth(3.0 * t)
-    for row in range(TAIL_ROWS):  # outside of neck and clothes
-        here = (np.abs(body[:, 1] - y[row]) < 0.012) & (np.abs(body[:, 0]) < 0.03)
-        if here.any() and row > 2:
-            back[row] = min(back[row], body[here, 2].min() - 0.016)
-    turn = 2 * np.pi * np.arange(24) / 24
-    radius = 0.021 * np.minimum(0.45 + 2.2 * t, 1.0) * (1 - 0.88 * t**3)
-    wander = np.stack(np.broadcast_arrays(np.cos(turn)[None] * 0.03, 0.4 * y[:, None],
-                                          np.sin(turn)[None] * 0.03), -1)  # fmt: skip
-    thick = 1 + 0.10 * lumps(wander.reshape(-1, 3), 0.02, seed + 8).reshape(TAIL_ROWS, 24)
-    r = radius[:, None] * thick
-    return np.stack(
-        [r * np.cos(turn), y[:, None] + 0 * r, back[:, None] + 0.8 * r * np.sin(turn)], -1
-    )

@@ -93,10 +93,10 @@ def test_hair_lies_outside_of_head_and_clothes(name: str) -> None:
 
     assert ((raised - points) * normals).sum(1).min() > -1e-9
     assert np.abs(raised - points)[face].max() < 1e-9
-    assert np.ptp(raised - points) > 0 or style.bare
+    assert np.ptp(raised - points) > 0 or name == "bald"
     cloth = dress_surface(points, CUTS["tee"], 1).surface.points
     sheet = grow(raised, style, 1, np.concatenate([raised, cloth]))
-    assert (sheet is not None) == bool(style.hang or style.tail)
+    assert (sheet is not None) == bool(style.hang)
     if sheet is not None:
         # Nothing hangs before the face, below the hairline.
         points = sheet.surface.points
