@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import logging
 from collections import OrderedDict
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
@@ -31,7 +31,6 @@ from pica_core.capture.dataset.files import (
     load_image,
     read_frames,
     read_topology,
-    read_tracked,
     read_transform,
     read_vertices,
 )
@@ -47,7 +46,7 @@ class Capture:
 
     Attributes:
         cameras: All cameras, in KRT order.
-        frames: All frames that can be used, in `frame_list.txt` order.
+        frames: All frames that can be used, in the order of their list.
         has_truth: Exact meshes are there (synthetic captures).
         has_depth: Images come with depth.
         has_expressions: Frames come with their 52 values.
@@ -59,7 +58,7 @@ class Capture:
         texture_size: Side of the average textures, texels.
     """
 
-    def __init__(self, path: Path, test_segments: Collection[str] | None) -> None:
+    def __init__(self, path: Path) -> None:
         where = path / multiface.CAPTURE
         self.path = path
         self.is_published = not where.is_file()
@@ -67,7 +66,7 @@ class Capture:
         self._mesh_vertex: Int64Array | None = None
         arkit: FloatArray | None = None
         if self.is_published:
-            self.info, frames = describe_published(path, test_segments)
+            self.info, frames = describe_published(path)
             topology, self._mesh_vertex, self._num_mesh_vertices = published_topology(path, frames)
             self.topology = self.tracked_topology = topology
         else:
@@ -75,12 +74,11 @@ class Capture:
             schema = self.info.get("schema")
             if schema != multiface.SCHEMA:
                 raise CaptureError(f"{where}: schema is {schema!r}; {multiface.SCHEMA} is known")
-            self.topology = self.tracked_topology = read_topology(path / multiface.TOPOLOGY)
-            if (path / multiface.TRACKED_TOPOLOGY).is_file():
-                num_dense = len(self.topology.vertex_uv)
-                self.tracked_topology, self.dense_vertex = read_tracked(path, num_dense)
+            self.topology, self.tracked_topology, self.dense_vertex = read_topology(
+                path / multiface.TOPOLOGY
+            )
             self._num_mesh_vertices = len(self.tracked_topology.vertex_uv)
-            frames, arkit = read_frames(path)
+            frames, arkit = read_frames(path / multiface.EXPRESSIONS)
         sizes: list[Any] = [self.info.get(name) for name in ("width", "height", "texture_size")]
         if not all(isinstance(size, int) and 0 < size <= 8192 for size in sizes):
             raise CaptureError(
@@ -128,14 +126,13 @@ class Capture:
         return None
 
     @classmethod
-    def open(cls, path: str | Path, test_segments: Collection[str] | None = None) -> Capture:
+    def open(cls, path: str | Path) -> Capture:
         """Open a capture directory and check what describes it; images and meshes are checked when
         read.
 
         Args:
-            path: The directory: one of ours, or a Multiface directory as published.
-            test_segments: Segments to hold out from a published one, which states no split; None
-                takes the fifth of every ten.
+            path: The directory: one of ours, or a Multiface directory as published. The latter
+                states no split: of every ten segments the fifth is held out.
         """
         root = Path(path)
         if not root.is_dir():
@@ -145,7 +142,7 @@ class Capture:
             raise CaptureError(
                 f"{root}: no {multiface.CAPTURE}; not a capture, or one that is not finished"
             )
-        return cls(root, test_segments)
+        return cls(root)
 
     @property
     def identity(self) -> str:

@@ -3,12 +3,15 @@
 What is missing, damaged or does not fit is a `CaptureError` that names the file.
 """
 
+from __future__ import annotations
+
 import csv
 import io
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -21,8 +24,6 @@ from pica_core.types import Array, BoolArray, Float64Array, FloatArray, Int64Arr
 SPLITS = ("train", "test")
 MAP_SIZE = 256
 """Texels along each side of the position map that charts are made for."""
-MAX_FILE_BYTES = 1 << 30
-"""Larger files are refused before reading."""
 MAX_IMAGE_PIXELS = 64_000_000
 """Larger images are refused before decoding."""
 IMAGE_FORMATS = ("PNG", "JPEG", "WEBP")
@@ -69,6 +70,11 @@ class Topology:
         """A vertex set by name; empty where there is none."""
         return self.regions.get(name, np.zeros(len(self.vertex_uv), np.bool_))
 
+    def part(self, index: Int64Array, faces: IntArray) -> Topology:
+        """The mesh of some of the vertices ``[n]``, with triangles in these."""
+        regions = {name: mask[index] for name, mask in self.regions.items()}
+        return Topology(vertex_uv=self.vertex_uv[index], faces=faces, regions=regions)
+
     def by_region(self, values: dict[str, float], elsewhere: float) -> Float64Array:
         """A number for each vertex; the last region that applies counts. ``[V]``."""
         result = np.full(len(self.vertex_uv), elsewhere)
@@ -90,19 +96,6 @@ class Take:
     segment: str
     arkit: FloatArray
     split: str
-
-
-def read_bytes(path: Path) -> bytes:
-    """Read a whole file of at most `MAX_FILE_BYTES`."""
-    try:
-        size = path.stat().st_size
-        if size > MAX_FILE_BYTES:
-            raise CaptureError(f"{path}: {size} bytes; at most {MAX_FILE_BYTES} are allowed")
-        return path.read_bytes()
-    except FileNotFoundError:
-        raise CaptureError(f"{path}: the file is missing") from None
-    except OSError as error:
-        raise CaptureError(f"{path}: cannot be read ({error.strerror})") from error
 
 
 def load_image(path: Path, mode: str, size: tuple[int, int] | None) -> Array:
@@ -153,7 +146,7 @@ def _opened(path: Path, mode: str, size: tuple[int, int] | None) -> Iterator[Ima
 def read_vertices(path: Path, count: int) -> FloatArray:
     """A mesh file of `count` vertices, in metres. float32 ``[count, 3]``."""
     wanted = 12 * count
-    data = read_bytes(path)
+    data = multiface.read_bytes(path)
     if len(data) != wanted:
         raise CaptureError(f"{path}: {len(data)} bytes; {count} vertices need {wanted} (float32)")
     vertices = np.frombuffer(data, "<f4").reshape(-1, 3) / np.float32(multiface.MILLIMETRES)
@@ -192,104 +185,74 @@ def read_arrays(path: Path) -> dict[str, Array]:
         raise CaptureError(f"{path}: not a complete archive ({error})") from error
 
 
-def read_topology(path: Path) -> Topology:
-    """Read a topology and check that its fields fit each other."""
+def read_topology(path: Path) -> tuple[Topology, Topology, Int64Array | None]:
+    """The mesh that is drawn, the tracked mesh, and the drawn vertex that each tracked one is;
+    where both are one mesh it is there twice, and None."""
     arrays = read_arrays(path)
-    for name in ("vertex_uv", "faces"):
-        if name not in arrays:
-            raise CaptureError(f"{path}: field {name!r} is missing")
-    uv, faces = arrays["vertex_uv"], arrays["faces"]
+    uv = arrays.get("vertex_uv", np.zeros(0))
     if uv.ndim != 2 or uv.shape[1] != 2 or uv.dtype.kind != "f" or not np.isfinite(uv).all():
         raise CaptureError(f"{path}: field 'vertex_uv' is {uv.shape}; finite [V, 2] is needed")
     if not 0 < len(uv) <= MAX_VERTICES:
         raise CaptureError(f"{path}: {len(uv)} vertices; allowed are 1 to {MAX_VERTICES}")
-    if (
-        faces.ndim != 2 or faces.shape[1] != 3 or not len(faces) or faces.dtype.kind not in "iu"
-        or faces.min() < 0 or faces.max() >= len(uv)
-    ):  # fmt: skip
-        raise CaptureError(
-            f"{path}: field 'faces' is {faces.shape} or points outside {len(uv)} vertices"
-        )
+
+    def index(name: str, count: int, *shape: int) -> Array:
+        """A field of indices below a count; -1 takes any number of rows."""
+        found = arrays.get(name, np.zeros(0))
+        fits = found.size > 0 and found.dtype.kind in "iu" and found.ndim == len(shape)
+        if not fits or found.shape[1:] != shape[1:] or found.min() < 0 or found.max() >= count:
+            raise CaptureError(
+                f"{path}: field {name!r} is {found.shape} or points outside {count} vertices"
+            )
+        return found
+
     regions = {}
     for name, value in arrays.items():
         if name.startswith("region_"):
             if value.shape != (len(uv),):
                 raise CaptureError(f"{path}: {name!r} is {value.shape}; [{len(uv)}] is needed")
             regions[name.removeprefix("region_")] = value.astype(np.bool_)
-    return Topology(vertex_uv=uv.astype(np.float32), faces=faces.astype(np.int32), regions=regions)
+    faces = index("faces", len(uv), -1, 3).astype(np.int32)
+    topology = Topology(vertex_uv=uv.astype(np.float32), faces=faces, regions=regions)
+    if "dense_vertex" not in arrays:
+        return topology, topology, None
+    dense_vertex = index("dense_vertex", len(uv), -1).astype(np.int64)
+    tracked_faces = index("tracked_faces", len(dense_vertex), -1, 3).astype(np.int32)
+    return topology, topology.part(dense_vertex, tracked_faces), dense_vertex
 
 
-def read_tracked(root: Path, num_dense: int) -> tuple[Topology, Int64Array]:
-    """The tracked mesh of a synthetic capture, and which of `num_dense` vertices each of its is."""
-    path = root / multiface.TRACKED_TOPOLOGY
-    topology = read_topology(path)
-    index = read_arrays(path).get("dense_vertex", np.zeros(0))
-    is_index = index.shape == (len(topology.vertex_uv),) and index.dtype.kind == "i"
-    if not is_index or index.min() < 0 or index.max() >= num_dense:
-        raise CaptureError(f"{path}: field 'dense_vertex' is no index for each vertex")
-    return topology, index.astype(np.int64)
+def check_frame_name(where: str, segment: str, name: str, known: Container[Any]) -> None:
+    """Refuse names that lead out of a capture, and frames that are there twice."""
+    if any(not word or "/" in word or word.startswith(".") for word in (segment, name)):
+        raise CaptureError(f"{where}: {segment!r:.40} {name!r:.40} is not SEGMENT FRAME")
+    if (segment, name) in known:
+        raise CaptureError(f"{where}: {segment} {name} is there twice")
 
 
-def read_frame_list(path: Path) -> list[tuple[str, str]]:
-    """Segment and frame of every line."""
-    names = []
-    for number, line in enumerate(multiface.read_text(path).splitlines(), start=1):
-        words = line.split()
-        if not words:
-            continue
-        if len(words) != 2 or any("/" in word or word.startswith(".") for word in words):
-            raise CaptureError(f"{path}:{number}: {line!r:.80} is not SEGMENT FRAME")
-        names.append((words[0], words[1]))
-    if not names:
-        raise CaptureError(f"{path}: no frames")
-    if len(set(names)) < len(names):
-        twice = next(name for at, name in enumerate(names) if name in names[:at])
-        raise CaptureError(f"{path}: {' '.join(twice)} is listed twice")
-    return names
-
-
-def read_expressions(path: Path) -> dict[tuple[str, str], tuple[str, list[float]]]:
-    """Split and 52 values by segment and frame."""
+def read_frames(path: Path) -> tuple[tuple[CaptureFrame, ...], FloatArray]:
+    """The frames of a capture with expressions, and their 52 values. float32 ``[T, 52]``."""
     try:
-        rows = list(csv.reader(io.StringIO(multiface.read_text(path))))
-    except csv.Error as error:
-        raise CaptureError(f"{path}: not a table ({error})") from error
-    header = rows[0] if rows else []
-    missing = [name for name in ("segment", "frame", "split", *ARKIT_NAMES) if name not in header]
-    if missing:
-        raise CaptureError(f"{path}: column {missing[0]!r} is missing")
-    place = [header.index(name) for name in ARKIT_NAMES]
-    table: dict[tuple[str, str], tuple[str, list[float]]] = {}
-    for number, row in enumerate(rows[1:], start=2):
+        header, *rows = csv.reader(io.StringIO(multiface.read_text(path)))
+        place = [header.index(name) for name in ("segment", "frame", "split", *ARKIT_NAMES)]
+    except (csv.Error, ValueError) as error:
+        raise CaptureError(f"{path}: not a table of frames ({error})") from error
+    frames: dict[tuple[str, str], CaptureFrame] = {}
+    arkit = np.zeros((len(rows), NUM_ARKIT), np.float32)
+    for index, row in enumerate(rows):
+        where = f"{path}:{index + 2}"
         try:
-            values = [float(row[at]) for at in place]
-            split = row[header.index("split")]
-            key = (row[header.index("segment")], row[header.index("frame")])
+            segment, name, split, *numbers = [row[at] for at in place]
+            values = np.array([float(number) for number in numbers])
         except (IndexError, ValueError) as error:
-            raise CaptureError(f"{path}:{number}: row cannot be read ({error})") from error
+            raise CaptureError(f"{where}: row cannot be read ({error})") from error
         if split not in SPLITS:
-            raise CaptureError(f"{path}:{number}: split is {split!r:.40}; train or test is needed")
-        if not np.isfinite(values).all() or np.abs(values).max() > MAX_EXPRESSION:
-            raise CaptureError(f"{path}:{number}: a value is not finite or beyond {MAX_EXPRESSION}")
-        table[key] = (split, values)
-    return table
-
-
-def read_frames(root: Path) -> tuple[tuple[CaptureFrame, ...], FloatArray]:
-    """The frames of a capture with expressions, in the order of the list."""
-    table = read_expressions(root / multiface.EXPRESSIONS)
-    list_path = root / multiface.FRAME_LIST
-    frames: list[CaptureFrame] = []
-    arkit: list[list[float]] = []
-    for segment, name in read_frame_list(list_path):
-        if (segment, name) not in table:
-            raise CaptureError(
-                f"{list_path}: {segment} {name} has no row in {multiface.EXPRESSIONS}"
-            )
-        split, values = table[segment, name]
-        place = len(frames)
-        frames.append(
-            CaptureFrame(index=place, listed=place, segment=segment, name=name, split=split)
+            raise CaptureError(f"{where}: split is {split!r:.40}; train or test is needed")
+        if not np.abs(values).max() <= MAX_EXPRESSION:
+            raise CaptureError(f"{where}: a value is not finite or beyond {MAX_EXPRESSION}")
+        arkit[index] = values
+        check_frame_name(where, segment, name, frames)
+        frames[segment, name] = CaptureFrame(
+            index=index, listed=index, segment=segment, name=name, split=split
         )
-        arkit.append(values)
-    return tuple(frames), np.array(arkit, np.float32).reshape(-1, NUM_ARKIT)
+    if not frames:
+        raise CaptureError(f"{path}: no frames")
+    return tuple(frames.values()), arkit

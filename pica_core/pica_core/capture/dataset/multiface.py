@@ -13,8 +13,9 @@ What is missing, damaged or cannot be written is a `CaptureError` that names the
     depth/SEG/CAM/FRAME.png               16 bit, 0.1 mm along the camera axis, 0 = empty
     expressions.csv                       segment, frame, split, 52 ARKit values
     capture.json                          units, source, licence, split, sizes, topology
-    topology.npz                          vertex_uv, faces, region masks of the mesh that is drawn
-    tracked_topology.npz                  the same of the tracked mesh, where that is another one
+    topology.npz                          vertex_uv, faces, region masks of the mesh that is drawn;
+                                          where the tracked mesh has some of its vertices alone,
+                                          which they are, dense_vertex, and tracked_faces
     truth_mesh/SEG/FRAME.bin              exact mesh, float32 [V, 3], head frame, mm (no real ones)
     poses.npz                             meshes alone, of other expressions (no real ones)
 
@@ -24,6 +25,7 @@ Layout source: the published description of the Multiface dataset (Wuu et al. 20
 
 import json
 import logging
+import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -41,13 +43,14 @@ FRAME_LIST = "frame_list.txt"
 EXPRESSIONS = "expressions.csv"
 CAPTURE = "capture.json"
 TOPOLOGY = "topology.npz"
-TRACKED_TOPOLOGY = "tracked_topology.npz"
 MARKER = "render.json"
 """There while a capture is being rendered."""
 MATERIALS = ("skin", "eye", "teeth", "tongue", "mouth_bag", "collar", "hair")
 """Material ids, in the order that the appearance shaders know."""
 TRUTH_MESH = "truth_mesh"
 SCHEMA = 1
+MAX_FILE_BYTES = 1 << 30
+"""Larger files are refused before reading."""
 MAX_KRT = 1e6
 """No number of a KRT file is larger: pixels, or mm."""
 DEPTH_UNIT_M = 0.0001
@@ -99,69 +102,60 @@ def krt_text(cameras: Iterable[Camera]) -> str:
 
 def read_krt(path: Path, width: int, height: int) -> tuple[Camera, ...]:
     """Cameras of a KRT file, which does not hold the size of images."""
-    lines = [line.strip() for line in read_text(path).split("\n")]
-    cameras: list[Camera] = []
-    at = 0
-    while at < len(lines):
-        if not lines[at]:
-            at += 1
-            continue
-        name = lines[at]
-        rows: list[list[float]] = []
-        for offset, wanted in enumerate((3, 3, 3, 5, 4, 4, 4), start=1):
-            text = lines[at + offset] if at + offset < len(lines) else ""
-            try:
-                values = [float(word) for word in text.split()]
-            except ValueError:
-                values = []
-            fine = np.isfinite(values).all() and np.abs(values or [0.0]).max() <= MAX_KRT
-            if len(values) != wanted or not fine:
-                raise CaptureError(
-                    f"{path}:{at + offset + 1}: camera {name}: {wanted} numbers are needed, "
-                    f"found {text!r}"
-                )
-            rows.append(values)
-        if np.abs(rows[3]).max() > 1e-6:
-            log.warning(
-                "%s: camera %s states lens distortion; its images are taken as undistorted",
-                path, name,
-            )  # fmt: skip
-        matrix = np.array(rows[4:7])
-        cameras.append(
-            Camera(
-                name=name,
-                intrinsics=np.array(rows[:3]),
-                rotation=matrix[:, :3].copy(),
-                translation_m=matrix[:, 3] / MILLIMETRES,
-                width=width,
-                height=height,
+    cameras: dict[str, Camera] = {}
+    for block in re.split(r"\n\s*\n", read_text(path).strip()):
+        name, *lines = block.strip().splitlines()
+        where = f"{path}: camera {name.strip()}"
+        try:
+            numbers = np.array([float(word) for line in lines for word in line.split()])
+        except ValueError:
+            numbers = np.zeros(0)
+        if numbers.shape != (26,) or not np.abs(numbers).max() <= MAX_KRT:
+            raise CaptureError(
+                f"{where}: 9 numbers of K, 5 of distortion and 12 of [R|t] are needed"
             )
+        if np.abs(numbers[9:14]).max() > 1e-6:
+            log.warning("%s states lens distortion; its images are taken as undistorted", where)
+        if name.strip() in cameras:
+            raise CaptureError(f"{where} is there twice")
+        matrix = numbers[14:].reshape(3, 4)
+        cameras[name.strip()] = Camera(
+            name=name.strip(),
+            intrinsics=numbers[:9].reshape(3, 3),
+            rotation=matrix[:, :3].copy(),
+            translation_m=matrix[:, 3] / MILLIMETRES,
+            width=width,
+            height=height,
         )
-        at += 8
-    if not cameras:
-        raise CaptureError(f"{path}: no camera in the file")
-    names = [camera.name for camera in cameras]
-    if len(set(names)) < len(names):
-        twice = next(name for index, name in enumerate(names) if name in names[:index])
-        raise CaptureError(f"{path}: camera {twice} is there twice")
-    return tuple(cameras)
+    return tuple(cameras.values())
+
+
+def read_bytes(path: Path) -> bytes:
+    """Read a whole file of at most `MAX_FILE_BYTES`."""
+    try:
+        size = path.stat().st_size
+        if size > MAX_FILE_BYTES:
+            raise CaptureError(f"{path}: {size} bytes; at most {MAX_FILE_BYTES} are allowed")
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise CaptureError(f"{path}: the file is missing") from None
+    except OSError as error:
+        raise CaptureError(f"{path}: cannot be read ({error.strerror})") from error
 
 
 def read_text(path: Path) -> str:
     """Read a text file of a capture."""
     try:
-        return path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise CaptureError(f"{path}: the file is missing") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise CaptureError(f"{path}: cannot read ({error})") from error
+        return read_bytes(path).decode()
+    except UnicodeDecodeError as error:
+        raise CaptureError(f"{path}: not a text file ({error})") from error
 
 
 def read_json(path: Path) -> dict[str, Any]:
     """Read a JSON map."""
     try:
         value = json.loads(read_text(path))
-    except json.JSONDecodeError as error:
+    except (ValueError, RecursionError) as error:
         raise CaptureError(f"{path}: not JSON ({error})") from error
     if not isinstance(value, dict):
         raise CaptureError(f"{path}: a JSON map is needed")

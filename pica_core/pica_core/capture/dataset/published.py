@@ -8,7 +8,6 @@ Layout source: the published description of the dataset (Wuu et al. 2022, arXiv 
 """
 
 import re
-from collections.abc import Collection
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,25 +26,27 @@ def is_published(root: Path) -> bool:
     return all((root / name).exists() for name in (multiface.KRT, "images", "tracked_mesh"))
 
 
-def describe_published(
-    root: Path, test_segments: Collection[str] | None
-) -> tuple[dict[str, Any], tuple[files.CaptureFrame, ...]]:
-    """What `capture.json` and the tables would say; None holds out the fifth of ten segments."""
-    names = files.read_frame_list(root / multiface.FRAME_LIST)
+def describe_published(root: Path) -> tuple[dict[str, Any], tuple[files.CaptureFrame, ...]]:
+    """What `capture.json` and the tables would say."""
+    path = root / multiface.FRAME_LIST
+    names: dict[tuple[str, str], None] = {}
+    for number, line in enumerate(multiface.read_text(path).splitlines(), start=1):
+        if words := line.split():
+            segment, name = words if len(words) == 2 else (line, "")
+            files.check_frame_name(f"{path}:{number}", segment, name, names)
+            names[segment, name] = None
+    if not names:
+        raise CaptureError(f"{path}: no frames")
     segments = sorted({segment for segment, _ in names})
-    if test_segments is None:
-        middle = min(HELD_OUT_EVERY // 2, len(segments) - 1)
-        test_segments = segments[middle::HELD_OUT_EVERY] if len(segments) > 1 else []
-    unknown = sorted(set(test_segments) - set(segments))
-    if unknown:
-        raise CaptureError(f"{root / multiface.FRAME_LIST}: no segment {unknown[0]!r} to hold out")
+    middle = min(HELD_OUT_EVERY // 2, len(segments) - 1)
+    held_out = segments[middle::HELD_OUT_EVERY] if len(segments) > 1 else []
     frames = tuple(
         files.CaptureFrame(
             index=index,
             listed=index,
             segment=segment,
             name=name,
-            split="test" if segment in test_segments else "train",
+            split="test" if segment in held_out else "train",
         )
         for index, (segment, name) in enumerate(names)
     )
@@ -101,7 +102,7 @@ def read_obj(path: Path) -> ObjMesh:
     Not checked: that corners lie within the vertices.
     """
     lines: dict[bytes, list[Any]] = {b"v": [], b"vt": [], b"f": []}
-    for line in files.read_bytes(path).splitlines():
+    for line in multiface.read_bytes(path).splitlines():
         head, _, rest = line.strip().partition(b" ")
         if head in lines:
             lines[head].append(rest.split())

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from pica_core.avatar.arkit import ARKIT_NAMES
 from pica_core.capture.dataset import multiface
 from pica_core.capture.dataset.files import SPLITS, Take, Topology
-from pica_core.types import Array, FloatArray
+from pica_core.types import Array, FloatArray, Int64Array, IntArray
 
 ENCODERS = 2
 """Threads that encode images; what they call lets other threads run."""
@@ -89,9 +89,10 @@ class BackgroundWriter(AbstractContextManager["BackgroundWriter"]):
             self._waiting.pop(0).result()
 
 
-def write_topology(path: Path, topology: Topology, **more: Array) -> None:
-    """Write a topology file."""
-    arrays: dict[str, Any] = {"vertex_uv": topology.vertex_uv, "faces": topology.faces, **more}
+def write_topology(path: Path, topology: Topology, tracked: IntArray, dense: Int64Array) -> None:
+    """Write a topology file: with the tracked triangles, and the vertex that each of theirs is."""
+    arrays: dict[str, Any] = {"vertex_uv": topology.vertex_uv, "faces": topology.faces}
+    arrays |= {"dense_vertex": dense.astype(np.int32), "tracked_faces": tracked}
     arrays |= {f"region_{name}": mask for name, mask in topology.regions.items()}
     write_archive(path, **arrays)
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from pica_core.capture.dataset.files import read_bytes
+from pica_core.capture.dataset.multiface import read_json
 from pica_core.capture.person.hair import STYLES
 from pica_core.capture.person.model import NUM_MODES, read_model
 from pica_core.errors import CaptureError, check_ranges
@@ -157,8 +157,8 @@ def person_of(table: dict[str, Any]) -> Person:
 def read_person(path: Path) -> Person:
     """A person as `Person.as_json` wrote it; coefficients beyond `CLIP` are clipped."""
     try:
-        table = json.loads(read_bytes(path))
+        table = read_json(path)
         coefficients = np.array(table["coefficients"], np.float64).reshape(-1)
         return person_of(table | {"coefficients": np.clip(coefficients, -CLIP, CLIP).tolist()})
-    except (ValueError, TypeError, KeyError, RecursionError) as error:
+    except (ValueError, TypeError, KeyError) as error:
         raise CaptureError(f"{path}: not a person ({error})") from error

@@ -19,7 +19,7 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from pica_core.capture.dataset.files import MAX_FILE_BYTES, read_bytes
+from pica_core.capture.dataset.multiface import MAX_FILE_BYTES, read_bytes
 from pica_core.errors import CaptureError
 from pica_core.types import Array
 

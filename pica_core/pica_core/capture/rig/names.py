@@ -10,14 +10,13 @@ blink_l, blinkLeft, Fcl_EYE_Close_L (VRM, VRoid)   -> eyeBlinkLeft, where nothin
 mouthSmile (one shape for both sides)           -> its halves drive mouthSmileLeft and ...Right
 """
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES
-from pica_core.capture.dataset.files import read_bytes
+from pica_core.capture.dataset.multiface import read_json
 from pica_core.errors import CaptureError
 from pica_core.types import BoolArray
 
@@ -111,12 +110,7 @@ def _near(plain: str) -> str | None:
 
 def read_names(path: Path) -> dict[str, str | None]:
     """A user's table: ``{"source name": "arkitName" or null}``."""
-    try:
-        table = json.loads(read_bytes(path).decode("utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise CaptureError(f"{path}: not a JSON file ({error})") from error
-    if not isinstance(table, dict):
-        raise CaptureError(f"{path}: an object of source names to ARKit names is needed")
+    table = read_json(path)
     for name, target in table.items():
         if target is not None and target not in ARKIT_INDEX:
             raise CaptureError(f"{path}: {name!r} is mapped to {target!r}, which is no ARKit name")

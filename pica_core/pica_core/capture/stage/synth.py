@@ -222,18 +222,15 @@ class _Rendering:
         self.subject, self.options, self.out, self.writer = subject, options, out, writer
         self.cameras = dome_cameras(options.cameras, *options.size_px, options.lenses)
         shapes = np.stack([subject.pose(arkit) for arkit in OPENING])
-        self.tracked_topology, self.tracked = track_topology(
+        tracked_topology, self.tracked = track_topology(
             subject.topology, shapes, options.tracked_vertices
         )
         self.tracker = SimulatedTracker(
-            self.tracked_topology, shapes[0, self.tracked], options.seed, self.tracked
+            tracked_topology, shapes[0, self.tracked], options.seed, self.tracked
         )
         multiface.write_aside(out / multiface.KRT, multiface.krt_text(self.cameras).encode())
-        write_topology(out / multiface.TOPOLOGY, subject.topology)
         write_topology(
-            out / multiface.TRACKED_TOPOLOGY,
-            self.tracked_topology,
-            dense_vertex=self.tracked.astype(np.int32),
+            out / multiface.TOPOLOGY, subject.topology, tracked_topology.faces, self.tracked
         )
 
     def draw_frame(self, take: Take, number: int, index: int) -> None:

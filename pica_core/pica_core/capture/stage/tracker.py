@@ -75,12 +75,7 @@ def track_topology(
     )
     turned = turned[np.unique(np.sort(turned, axis=1), axis=0, return_index=True)[1]]
     chosen, renamed = np.unique(turned, return_inverse=True)
-    tracked = Topology(
-        vertex_uv=topology.vertex_uv[chosen],
-        faces=renamed.reshape(-1, 3).astype(np.int32),
-        regions={name: mask[chosen] for name, mask in topology.regions.items()},
-    )
-    return tracked, chosen
+    return topology.part(chosen, renamed.reshape(-1, 3).astype(np.int32)), chosen
 
 
 def _spread(

@@ -100,8 +100,8 @@ def test_a_table_goes_before_the_rules(tmp_path: Path) -> None:
     ("table", "words"),
     [
         ('{"jawOpen": "jawAjar"}', "jawAjar"),
-        ("[1]", "an object"),
-        ("{", "not a JSON file"),
+        ("[1]", "a JSON map"),
+        ("{", "not JSON"),
     ],
 )
 def test_a_bad_table_is_refused(tmp_path: Path, table: str, words: str) -> None:
