@@ -10,11 +10,11 @@ still wanted.
 import hashlib
 import logging
 import os
-import queue
 import ssl
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +23,7 @@ from urllib.parse import urlsplit
 import httpx
 
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.errors import RelayError
+from pica_client.errors import RelayRefusedError, RelayUnreachableError
 from pica_client.system import cache_folder, make_private
 from pica_client.transport.connect import SOFTWARE, proxy_of
 from pica_core.avatar.file import MAX_FILE_BYTES, Avatar, avatar_id, load_avatar
@@ -86,14 +86,6 @@ Progress = Callable[[float], bool]
 """Takes the ratio that is there; returns False to stop."""
 
 
-class DownloadError(RelayError):
-    """The file did not come; `is_final`: asking again will not help."""
-
-    def __init__(self, message: str, *, is_final: bool = False) -> None:
-        super().__init__(message)
-        self.is_final = is_final
-
-
 def store_url(relay_url: str, identity: str) -> str:
     """The HTTP address of an avatar at a relay."""
     parts = urlsplit(relay_url)
@@ -116,7 +108,8 @@ def download(
         tls: Certificates for wss://; the system's by default.
 
     Raises:
-        DownloadError: It did not come.
+        RelayUnreachableError: It did not come.
+        RelayRefusedError: It will not come.
     """
     url = store_url(relay_url, identity)
     begin_s = time.monotonic()
@@ -136,45 +129,42 @@ def download(
             for piece in response.iter_raw():
                 data += piece
                 if len(data) > size:
-                    raise DownloadError("the file is longer than announced", is_final=True)
+                    raise RelayRefusedError("the file is longer than announced")
                 if time.monotonic() - begin_s > MAX_DOWNLOAD_S:
-                    raise DownloadError("the file arrives too slowly")
+                    raise RelayUnreachableError("the file arrives too slowly")
                 if not progress(len(data) / size):
-                    raise DownloadError("the avatar is no longer wanted")
+                    raise RelayUnreachableError("the avatar is no longer wanted")
     except (httpx.HTTPError, ImportError, ValueError) as error:  # the latter two are a proxy's
-        raise DownloadError(str(error) or "the relay does not answer") from error
+        raise RelayUnreachableError(str(error) or "the relay does not answer") from error
     if hashlib.sha256(data).hexdigest() != identity:
-        raise DownloadError("the relay gave another file than asked for", is_final=True)
+        raise RelayRefusedError("the relay gave another file than asked for")
     return bytes(data)
 
 
 def _size_of(response: httpx.Response) -> int:
-    """How long the file is that an answer holds; DownloadError if it holds none."""
+    """How long the file is that an answer holds."""
     status = response.status_code
     if status == 404:
-        raise DownloadError("the relay does not have it yet")
+        raise RelayUnreachableError("the relay does not have it yet")
     if status in (429, 500, 502, 503, 504):
-        raise DownloadError(f"the relay answers HTTP {status}")
+        raise RelayUnreachableError(f"the relay answers HTTP {status}")
     if status != 200:
-        raise DownloadError("the relay keeps no avatars", is_final=True)
+        raise RelayRefusedError("the relay keeps no avatars")
     size = response.headers.get("Content-Length", "")
     if not size.isdecimal():
-        raise DownloadError("the relay does not say how long the file is")
+        raise RelayUnreachableError("the relay does not say how long the file is")
     if not 0 < int(size) <= MAX_FILE_BYTES:
-        why = f"a file of {size} bytes; the limit is {MAX_FILE_BYTES}"
-        raise DownloadError(why, is_final=True)
+        raise RelayRefusedError(f"a file of {size} bytes; the limit is {MAX_FILE_BYTES}")
     return int(size)
 
 
-FIRST_RETRY_S = 0.5
-LAST_RETRY_S = 15.0
+FIRST_RETRY_S, LAST_RETRY_S = 0.5, 15.0
 """Between two attempts at one avatar, at first and in the end (chosen: a sender's file takes some
 time to get to the relay; after that there is no hurry)."""
 FORGOTTEN_AFTER_S = 10.0
 """An avatar that was not asked for during this time is not fetched further."""
 MAX_WANTED = 256
 """Avatars on their way at once; four for each peer that a room can have."""
-JOIN_TIMEOUT_S = 1.0
 
 _log = logging.getLogger(__name__)
 
@@ -207,7 +197,7 @@ class AvatarFetcher:
         cache: AvatarCache | None = None,
         tls: ssl.SSLContext | None = None,
     ) -> None:
-        """Begin; the thread starts with the first avatar that is missing.
+        """Begin.
 
         Args:
             library: Has what is here, and gets what has come.
@@ -215,12 +205,11 @@ class AvatarFetcher:
             cache: Keeps what has come; this user's by default.
         """
         self._library, self._relay_url = library, relay_url
-        self._cache, self._tls = cache, tls
+        self._cache, self._tls = cache or AvatarCache(), tls
         self._wanted: dict[str, _Wanted] = {}  # bounded by MAX_WANTED
         self._lock = threading.Lock()
-        self._jobs = queue.SimpleQueue[tuple[str, _Wanted] | None]()
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="avatar-fetch")
         self._is_closing = False
-        self._thread: threading.Thread | None = None
         self.num_fetched = 0
 
     def has(self, identity: str) -> bool:
@@ -245,12 +234,7 @@ class AvatarFetcher:
                 raise AvatarFileError(wanted.problem)
             if not wanted.is_queued and wanted.due_s <= now and not self._is_closing:
                 wanted.is_queued = True
-                self._jobs.put((identity, wanted))
-                if self._thread is None:
-                    self._thread = threading.Thread(
-                        target=self._work, name="avatar-fetch", daemon=True
-                    )
-                    self._thread.start()
+                self._pool.submit(self._work, identity, wanted)
         return None
 
     def note(self, identity: str) -> str:
@@ -261,20 +245,15 @@ class AvatarFetcher:
     def close(self) -> None:
         """End the thread; a file that is on its way is left."""
         self._is_closing = True
-        self._jobs.put(None)
-        if self._thread is not None:
-            self._thread.join(JOIN_TIMEOUT_S)
+        self._pool.shutdown(wait=False, cancel_futures=True)
 
-    def _work(self) -> None:
-        cache = self._cache or AvatarCache()
-        while (job := self._jobs.get()) is not None:
-            identity, wanted = job
-            if not self._fetch(cache, identity, wanted):
-                wanted.due_s = time.monotonic() + wanted.retry_s
-                wanted.retry_s = min(2 * wanted.retry_s, LAST_RETRY_S)
-                wanted.is_queued = False
+    def _work(self, identity: str, wanted: _Wanted) -> None:
+        if not self._fetch(identity, wanted):
+            wanted.due_s = time.monotonic() + wanted.retry_s
+            wanted.retry_s = min(2 * wanted.retry_s, LAST_RETRY_S)
+            wanted.is_queued = False
 
-    def _fetch(self, cache: AvatarCache, identity: str, wanted: _Wanted) -> bool:
+    def _fetch(self, identity: str, wanted: _Wanted) -> bool:
         """Put an avatar into the library; False if it did not come."""
 
         def is_wanted(ratio: float) -> bool:
@@ -282,20 +261,21 @@ class AvatarFetcher:
             return not self._is_closing and time.monotonic() - wanted.asked_s <= FORGOTTEN_AFTER_S
 
         try:
-            path = cache.find(identity)
+            path = self._cache.find(identity)
             if path is None:
                 if not is_wanted(0.0):
                     return False
                 data = download(self._relay_url(), identity, progress=is_wanted, tls=self._tls)
                 load_avatar(data)  # what is none would push avatars out of the cache
-                path = cache.keep(identity, data)
+                path = self._cache.keep(identity, data)
                 self.num_fetched += 1
-        except (DownloadError, AvatarFileError, OSError) as error:
-            note = f"avatar file is missing: {str(error).removeprefix('avatar: ')}"
-            if isinstance(error, AvatarFileError) or getattr(error, "is_final", False):
-                note += f"; get {identity[:8]} and name it with --avatar"
-                wanted.problem = note
-            wanted.note = note
+        except (RelayUnreachableError, OSError) as error:
+            wanted.note = f"avatar file is missing: {error}"
+            return False
+        except (RelayRefusedError, AvatarFileError) as error:
+            why = str(error).removeprefix("avatar: ")
+            why = f"avatar file is missing: {why}; get {identity[:8]} and name it with --avatar"
+            wanted.note = wanted.problem = why
             return False
         except Exception as error:  # a malformed file must not keep others from being fetched
             _log.warning("an avatar cannot be read", extra={"error": type(error).__name__})

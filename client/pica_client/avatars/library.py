@@ -131,11 +131,6 @@ class AvatarLibrary:
             raise AvatarLookupError(f"no avatar file with the hash {identity[:12]}…")
         return self._begin_loading(identity).result()
 
-    def loaded(self) -> list[str]:
-        """Hashes of the avatars that were asked for, those asked for latest at the end."""
-        with self._lock:
-            return list(self._loading)
-
     def close(self) -> None:
         """End the loading thread."""
         self._pool.shutdown(wait=True, cancel_futures=True)

@@ -11,18 +11,22 @@ import socket
 import unicodedata
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from websockets.asyncio.client import ClientConnection
 from websockets.exceptions import ConnectionClosed
 
-from pica_client.avatars.library import AvatarLibrary
-from pica_client.errors import AvatarLookupError, ClientError, RelayError
+from pica_client.errors import (
+    AvatarLookupError,
+    ClientError,
+    RelayError,
+    RelayRefusedError,
+    RelayUnreachableError,
+)
 from pica_client.transport.config import LinkConfig, read_token
 from pica_client.transport.connect import CONNECT_ERRORS, RelayConnect, refusal
-from pica_core.avatar.file import MAX_FILE_BYTES, Avatar, read_bytes
+from pica_core.avatar.file import MAX_FILE_BYTES, read_bytes
 from pica_core.avatar.shipped import shipped_avatar_files
 from pica_core.errors import AvatarFileError
 from pica_protocol import store
@@ -39,23 +43,17 @@ MAX_ATTEMPTS = 6
 NO_STORE = "the relay does not answer as a store"
 
 
-class PushError(RelayError):
-    """The relay did not take the file; says why."""
-
-    def __init__(self, message: str, *, is_worth_retrying: bool = False) -> None:
-        super().__init__(message)
-        self.is_worth_retrying = is_worth_retrying
-
-
-async def push_avatar(url: str, link: LinkConfig, path: Path, identity: str) -> store.Stored:
-    """Give a relay, ws:// or wss://, an avatar's file, unless it has it.
+async def push_avatar(url: str, link: LinkConfig, path: Path, identity: str) -> bool:
+    """Give a relay, ws:// or wss://, an avatar's file, unless it has it; return True if it is new
+    there.
 
     Args:
         link: Has the token that allows to wear this avatar, and the certificates for wss://.
         identity: The SHA-256 of the file, in hexadecimal.
 
     Raises:
-        PushError: The relay is not there, keeps no avatars, or does not take this one.
+        RelayUnreachableError: The relay is not there, or cannot take it now.
+        RelayRefusedError: It keeps no avatars, or does not take this one.
         AvatarFileError: The file cannot be read.
         OptionError: The token file, or the certificates, cannot be read.
     """
@@ -64,12 +62,12 @@ async def push_avatar(url: str, link: LinkConfig, path: Path, identity: str) -> 
     try:
         websocket = await RelayConnect(url, link.ca_file, subprotocol=store.STORE_SUBPROTOCOL)
     except CONNECT_ERRORS as error:
-        why = refusal(error)
-        message = f"{url}: {why or 'no answer'}"
-        raise PushError(message, is_worth_retrying=why is None) from error
+        if why := refusal(error):
+            raise RelayRefusedError(f"{url}: {why}") from error
+        raise RelayUnreachableError(f"{url}: no answer") from error
     try:
         if websocket.subprotocol != store.STORE_SUBPROTOCOL:
-            raise PushError("the relay keeps no avatars")
+            raise RelayRefusedError("the relay keeps no avatars")
         raw = websocket.transport.get_extra_info("socket")
         if raw is not None and raw.family in (socket.AF_INET, socket.AF_INET6):
             with suppress(OSError):
@@ -83,16 +81,15 @@ async def push_avatar(url: str, link: LinkConfig, path: Path, identity: str) -> 
                 await websocket.send(store.encode_chunk(piece))
             answer = await _answer(websocket)
         if not isinstance(answer, store.Stored):
-            raise PushError(NO_STORE)
+            raise RelayRefusedError(NO_STORE)
         await websocket.close()
-        return answer
+        return answer.is_new
     except ConnectionClosed as error:
         # Why, stands in what it said before it closed.
         code = websocket.close_code or CloseCode.CONNECTION_LOST
-        reason = websocket.close_reason or "the connection broke"
-        raise PushError(reason, is_worth_retrying=is_worth_retrying(code)) from error
+        raise _refused(code, websocket.close_reason or "the connection broke") from error
     except RemoteProtocolError as error:
-        raise PushError(NO_STORE) from error
+        raise RelayRefusedError(NO_STORE) from error
     finally:
         websocket.transport.abort()  # in case we are cancelled
 
@@ -102,14 +99,18 @@ async def _answer(websocket: ClientConnection) -> store.StoreMessage:
         async with asyncio.timeout(ANSWER_TIMEOUT_S):
             data = await websocket.recv()
     except TimeoutError as error:
-        raise PushError("the relay does not answer", is_worth_retrying=True) from error
+        raise RelayUnreachableError("the relay does not answer") from error
     if isinstance(data, str):
-        raise PushError(NO_STORE)
+        raise RelayRefusedError(NO_STORE)
     message = decode_store_message(data)
     if isinstance(message, Bye):
-        retry = is_worth_retrying(message.code)
-        raise PushError(message.reason or "the relay said no", is_worth_retrying=retry)
+        raise _refused(message.code, message.reason or "the relay said no")
     return message
+
+
+def _refused(code: int, reason: str) -> RelayError:
+    kind = RelayUnreachableError if is_worth_retrying(code) else RelayRefusedError
+    return kind(reason)
 
 
 class AvatarGiver:
@@ -146,18 +147,18 @@ class AvatarGiver:
     async def _give(self) -> None:
         for attempt in range(1, MAX_ATTEMPTS + 1):
             try:
-                stored = await push_avatar(self._url, self._link, self._path, self._identity)
+                is_new = await push_avatar(self._url, self._link, self._path, self._identity)
             except (AvatarFileError, ClientError) as error:
-                if getattr(error, "is_worth_retrying", False) and attempt < MAX_ATTEMPTS:
+                if isinstance(error, RelayUnreachableError) and attempt < MAX_ATTEMPTS:
                     await asyncio.sleep(random.uniform(0.125, 0.25) * 2**attempt)
                     continue
                 if self.outcome != str(error):
                     self._say(f"the relay did not get this avatar's file ({error}): others need it")
                 self.outcome = str(error)
             else:
-                if stored.is_new:
+                if is_new:
                     self._say("gave the relay this avatar's file, for those who do not have it")
-                self.outcome = "given" if stored.is_new else "known"
+                self.outcome = "given" if is_new else "known"
             return
 
 
@@ -169,38 +170,18 @@ SALT = "pica"
 as many shipped avatars)."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class OwnAvatar:
-    """An avatar that is loaded, to be worn."""
-
-    identity: str
-    """The SHA-256 of its file, hexadecimal."""
-    avatar: Avatar
-    path: Path
-
-    def giver(
-        self, link: LinkConfig, say: Callable[[str], None], give: GiveAvatar = "auto"
-    ) -> AvatarGiver | None:
-        """What gives the file to the relays of a link; None if it is not to be given."""
-        is_needed = link.secret_file is None and self.path not in shipped_avatar_files()
-        if give == "no" or (give == "auto" and not is_needed):
-            return None
-        return AvatarGiver(link, self.path, self.identity, say)
-
-
-def choose_own_avatar(given: str | None, name: str, library: AvatarLibrary) -> OwnAvatar:
-    """Load the avatar of the own face.
-
-    Args:
-        given: A shipped one by its name, or a .pica file; None takes one by the name.
-        library: The avatars of this machine, which knows the file afterwards.
-
-    Raises:
-        AvatarLookupError: It is not there, or none ships and none is given.
-        AvatarFileError: It must not be used.
-    """
-    identity = library.find(given or avatar_by_name(name, library.names))
-    return OwnAvatar(identity=identity, avatar=library.load(identity), path=library.path(identity))
+def giver_of(
+    path: Path,
+    identity: str,
+    link: LinkConfig,
+    say: Callable[[str], None],
+    give: GiveAvatar = "auto",
+) -> AvatarGiver | None:
+    """What gives the file of an avatar to the relays of a link; None if it is not to be given."""
+    is_needed = link.secret_file is None and path not in shipped_avatar_files()
+    if give == "no" or (give == "auto" and not is_needed):
+        return None
+    return AvatarGiver(link, path, identity, say)
 
 
 def avatar_by_name(name: str, avatars: Sequence[str]) -> str:

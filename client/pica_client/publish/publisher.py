@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.avatars.upload import AvatarGiver, GiveAvatar, choose_own_avatar
+from pica_client.avatars.upload import AvatarGiver, GiveAvatar, avatar_by_name, giver_of
 from pica_client.errors import OptionError, check_ranges
 from pica_client.sources import Source, Tracker, open_source
 from pica_client.sources.source import Unseen
@@ -297,7 +297,9 @@ def open_face(
         AvatarLookupError: The avatar is not there.
         AvatarFileError: It must not be used.
     """
-    own = choose_own_avatar(avatar, link.name, library)
+    identity = library.find(avatar or avatar_by_name(link.name, library.names))
+    worn = library.load(identity)
     played = open_source(source, person=link.name)
-    face = Publisher(config or SenderConfig(), played, own.avatar, own.identity)
-    return Outgoing(face=face, giver=own.giver(link, say, give))
+    face = Publisher(config or SenderConfig(), played, worn, identity)
+    giver = giver_of(library.path(identity), identity, link, say, give)
+    return Outgoing(face=face, giver=giver)

@@ -2,30 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from helpers.toy import make_toy_avatar
-from pica_client.avatars.library import AvatarLibrary
-from pica_client.avatars.upload import avatar_by_name, choose_own_avatar
+from pica_client.avatars.upload import GiveAvatar, avatar_by_name, giver_of
 from pica_client.errors import AvatarLookupError
 from pica_client.local_call.local_call import NAMES
 from pica_client.transport.config import LinkConfig
-from pica_core.avatar.file import save_avatar
 from pica_core.avatar.shipped import shipped_avatar_files
 
 pytestmark = pytest.mark.unit
 
 SHIPPED = [path.stem for path in shipped_avatar_files()]
-
-
-@pytest.fixture
-def library() -> Iterator[AvatarLibrary]:
-    found = AvatarLibrary()
-    yield found
-    found.close()
 
 
 def test_the_people_of_the_examples_look_different_though_nobody_chose() -> None:
@@ -54,17 +43,8 @@ def test_without_any_avatar_the_remedy_is_named() -> None:
     ],
 )
 def test_the_relay_gets_a_file_that_others_lack_unless_it_could_look_at_it(
-    library: AvatarLibrary,
-    tmp_path: Path,
-    *,
-    ships: bool,
-    is_encrypted: bool,
-    give: str,
-    is_given: bool,
+    tmp_path: Path, *, ships: bool, is_encrypted: bool, give: GiveAvatar, is_given: bool
 ) -> None:
-    own_file = tmp_path / "me.pica"
-    save_avatar(own_file, make_toy_avatar())
-    link = LinkConfig(name="Ada", secret_file=tmp_path / "secret" if is_encrypted else None)
-    own = choose_own_avatar(None if ships else str(own_file), link.name, library)
-    assert (own.path == own_file) is not ships
-    assert (own.giver(link, print, give) is not None) is is_given  # type: ignore[arg-type]
+    path = shipped_avatar_files()[0] if ships else tmp_path / "me.pica"
+    link = LinkConfig(secret_file=tmp_path / "secret" if is_encrypted else None)
+    assert (giver_of(path, "5" * 64, link, print, give) is not None) is is_given
