@@ -174,9 +174,8 @@ def upload_avatar(
         textures[UNIT_STILL] = clamp(texture)
     weights = None
     if weights_place == "block":
-        weights = context.buffer(
-            b"".join(part.tobytes() for part in pack_weights(avatar.spec, tensors))
-        )
+        matrices, biases = pack_weights(avatar.spec, tensors)
+        weights = context.buffer(matrices.tobytes() + biases.tobytes())
     fade_m = fade_heights_m(bust_of(avatar).lower_m) if fades else WHOLE_M
     low_m, high_m = np.array([manifest.bounds_min_m, manifest.bounds_max_m])
     body = Body(
@@ -357,7 +356,7 @@ def _encoding_texture(
 
 
 def axis_table(table: npt.NDArray[Any]) -> FloatArray:
-    """What `axis_table.glsl` reads: all levels of a table, one after another.
+    """What `encodings.glsl` reads: all levels of a table, one after another.
 
     Args:
         table: ``[L, C]``, C at most 2.

@@ -36,14 +36,14 @@ from pica_client.schedule.cost_model import CostModel
 from pica_client.schedule.head import Choice, Decode, Head, see_heads
 from pica_core.camera import Camera
 
-FULL_PX = 80.0
-"""Height on the screen from which a head gets more than the coarsest level: the next to full one,
-or full maps on the coarsest mesh if there is none (all thresholds are tuned on one avatar at 50 and
-130 cm)."""
-MESH_PX = (250.0, 900.0)
-"""Heights from which it gets full maps on the next finer mesh, on the full one at last: there,
-three pixels show a triangle (measured with five at 65 cm: 36 % of the triangles, 79 % of the
-processor time of an image, at an error of 7.6 in place of 4.2)."""
+DETAIL_PX = (80.0, 250.0, 900.0)
+"""Heights on the screen from which a head gets the next of `DETAILS`: from the last one three
+pixels show a triangle of the full mesh (tuned on one avatar at 50 and 130 cm; measured with five at
+65 cm: 36 % of the triangles, 79 % of the processor time of an image, at an error of 7.6 in place of
+4.2)."""
+DETAILS = ((0, 0), (1, 1), (2, 1), (2, 2))
+"""Places, among an avatar's levels, of the maps and of the mesh. Full maps on the coarsest mesh
+cost more than the level before, and leave twice the error."""
 SHARE_PX = (12.0, 32.0)
 """Heads lower than the first get a quarter of their faces, than the second half; all others get
 everything (chosen: 7.5 and 15 faces a second where a face is a dozen and a few dozen pixels
@@ -206,7 +206,7 @@ class Scheduler:
         it must count as smaller than what gets the coarsest level."""
         before = 1.0 if head.choice is None else head.choice.scale
         height = max(head.sight.head_px, 1e-3)
-        excess = max(shrink * min(height, FULL_PX) / height, 1.0)
+        excess = max(shrink * min(height, DETAIL_PX[0]) / height, 1.0)
         return min(
             scale for scale in SCALES if scale * excess >= (KEEP_RATIO if scale >= before else 1.0)
         )
@@ -229,25 +229,17 @@ def requests_of(heads: Sequence[Head], now: float) -> list[tuple[Head, DecodeReq
 
 def _find_places(head: Head, shrink: float) -> tuple[int, int]:
     levels = head.avatar.levels
-    top = len(levels) - 1
-    height = head.sight.head_px / shrink
-
-    def is_reached(threshold_px: float, was_reached: bool) -> bool:
-        return height >= threshold_px * (KEEP_RATIO if was_reached else 1.0)
-
-    held = 0 if head.held_level is None else levels.index(head.held_level)
-    if not is_reached(FULL_PX, held > 0):
+    if len(levels) == 1:
         return 0, 0
-    before = levels.index(head.choice.mesh_level) if head.choice and held == top else -1
-    coarsest = top - len(MESH_PX)
-    finer = sum(
-        is_reached(threshold_px, before > coarsest + number)
-        for number, threshold_px in enumerate(MESH_PX)
+    held = 0 if head.held_level is None else levels.index(head.held_level)
+    if head.choice is not None and head.choice.mesh_level == levels[-1]:
+        held += 1
+    height = head.sight.head_px / shrink
+    reached = (
+        height >= least_px * (KEEP_RATIO if number < held else 1.0)
+        for number, least_px in enumerate(DETAIL_PX)
     )
-    if finer == 0 and top > 1:
-        # Full maps on the coarsest mesh cost more, and leave twice the error.
-        return top - 1, top - 1
-    return top, max(coarsest + finer, 0)
+    return DETAILS[sum(reached)]
 
 
 def _wanted(head: Head, level: int, now: float) -> Decode:

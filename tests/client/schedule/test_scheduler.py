@@ -17,9 +17,8 @@ from pica_client.decode.request import DecodedMaps, DecodeRequest, DecodeResult
 from pica_client.schedule.cost_model import CostModel, DrawCost
 from pica_client.schedule.head import Choice, Head
 from pica_client.schedule.scheduler import (
-    FULL_PX,
+    DETAIL_PX,
     MAX_AGE_S,
-    MESH_PX,
     STREAM_HOLD_S,
     Plan,
     Scheduler,
@@ -191,7 +190,7 @@ def test_a_fast_display_or_a_fast_tracker_stays_within_the_budget_on_average(her
 
 def test_levels_do_not_flap_when_a_head_sways_at_the_edge_of_a_level() -> None:
     scheduler = Scheduler()
-    for edge_px in (FULL_PX, *MESH_PX):
+    for edge_px in DETAIL_PX:
         head, found = view(held_level=64), []
         for frame in range(300):
             sway = edge_px * (1 + 0.05 * math.sin(frame))
