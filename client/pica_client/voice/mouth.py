@@ -6,7 +6,6 @@ beyond the moment that it speaks of, for lips move before their sound. Its weigh
 a training that docs/voice.md describes.
 """
 
-from bisect import bisect_right
 from collections import deque
 from dataclasses import replace
 from importlib import resources
@@ -15,17 +14,16 @@ from typing import Final
 import numpy as np
 
 from pica_client.sources.performances import make_performance
-from pica_client.voice.packet import level_of
+from pica_client.voice.packet import SAMPLE_RATE_HZ, level_of
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT, ExpressionFrame
 from pica_core.types import FloatArray
 
-SAMPLE_RATE: Final = 48_000
 HOP: Final = 480
 """Samples from one answer to the next: 10 ms."""
 WINDOW: Final = 1200
 NUM_BANDS: Final = 40
 LOOK_AHEAD_HOPS: Final = 4
-DELAY_S: Final = LOOK_AHEAD_HOPS * HOP / SAMPLE_RATE + WINDOW / 2 / SAMPLE_RATE
+DELAY_S: Final = LOOK_AHEAD_HOPS * HOP / SAMPLE_RATE_HZ + WINDOW / 2 / SAMPLE_RATE_HZ
 """How much later than its sound a mouth is known: 52.5 ms."""
 SHAPES: Final = (
     *("jawOpen", "mouthClose", "mouthFunnel", "mouthPucker", "mouthRollLower", "mouthRollUpper"),
@@ -47,7 +45,7 @@ KEPT_S: Final = 1.0
 """Sound kept while the tracker sees the face: the network begins there when it does not (chosen:
 longer than the network remembers)."""
 KEPT_HOPS: Final = 128
-STEP_S: Final = HOP / SAMPLE_RATE
+STEP_S: Final = HOP / SAMPLE_RATE_HZ
 
 _COLUMNS = [
     [ARKIT_INDEX[name] for name in (shape, f"{shape}Left", f"{shape}Right") if name in ARKIT_INDEX]
@@ -64,7 +62,7 @@ def mel_filters() -> FloatArray:
     float32 ``[bins, 40]``."""
     mel = np.linspace(2595 * np.log10(1 + 80 / 700), 2595 * np.log10(1 + 7600 / 700), NUM_BANDS + 2)
     edges_hz = 700 * (10 ** (mel / 2595) - 1)
-    bins_hz = np.fft.rfftfreq(WINDOW, 1 / SAMPLE_RATE)[:, None]
+    bins_hz = np.fft.rfftfreq(WINDOW, 1 / SAMPLE_RATE_HZ)[:, None]
     low, middle, high = edges_hz[:-2], edges_hz[1:-1], edges_hz[2:]
     rising, falling = (bins_hz - low) / (middle - low), (high - bins_hz) / (high - middle)
     weights = np.clip(np.minimum(rising, falling), 0, None)
@@ -106,7 +104,7 @@ class MouthFromVoice:
             self._w = {name: stored[name].astype(np.float32) for name in stored.files}
         self._features = SpeechFeatures()
         self._state = np.zeros(len(self._w["u"]), np.float32)
-        self.push(np.zeros(SAMPLE_RATE, np.float32))  # it has listened to silence before
+        self.push(np.zeros(SAMPLE_RATE_HZ, np.float32))  # it has listened to silence before
 
     def push(self, pcm: FloatArray) -> FloatArray:
         """Take sound.
@@ -141,50 +139,6 @@ def _sigmoid(value: FloatArray) -> FloatArray:
     return np.asarray(1 / (1 + np.exp(-value)), np.float32)
 
 
-class SpokenMouth:
-    """How the mouth stands by a voice, for some time back."""
-
-    def __init__(self) -> None:
-        self._net = MouthFromVoice()
-        self._times_s: deque[float] = deque(maxlen=KEPT_HOPS)
-        self._mouths: deque[FloatArray] = deque(maxlen=KEPT_HOPS)
-        self._rest = np.zeros(len(MOUTH), np.float32)
-
-    @property
-    def newest_s(self) -> float:
-        """Up to when it is known."""
-        return self._times_s[-1] if self._times_s else -np.inf
-
-    def hear(self, pcm: FloatArray, time_s: float) -> None:
-        """Take sound.
-
-        Args:
-            pcm: Whole hops at 48 kHz, within [-1, 1]. float32 ``[480 * n]``.
-            time_s: When its first sample was heard; the mouths have the same clock.
-        """
-        for place, mouth in enumerate(self._net.push(pcm)):
-            at_s = time_s + (place + 1) * STEP_S - DELAY_S
-            if at_s <= self.newest_s:
-                continue
-            self._times_s.append(at_s)
-            self._mouths.append(mouth)
-
-    def at(self, time_s: float) -> FloatArray:
-        """The 52 shapes, jaw and mouth set, between two hops; at rest where nothing is heard."""
-        after = bisect_right(self._times_s, time_s)
-        if after == 0:
-            return self._rest
-        if after == len(self._times_s):
-            late = (time_s - self._times_s[-1]) / SEAM_S
-            return self._mouths[-1] * np.float32(max(1 - late, 0.0))
-        begin_s, end_s = self._times_s[after - 1], self._times_s[after]
-        before, behind = self._mouths[after - 1], self._mouths[after]
-        if end_s - begin_s > 2 * STEP_S:  # nothing was sent between: silence
-            return before * np.float32(max(1 - (time_s - begin_s) / SEAM_S, 0.0))
-        share = np.float32((time_s - begin_s) / (end_s - begin_s))
-        return before + share * (behind - before)
-
-
 class SpokenFace:
     """Fills in the losses of a source by the voice of the same person.
 
@@ -194,14 +148,20 @@ class SpokenFace:
 
     def __init__(self) -> None:
         self._idle = make_performance("listen")
-        self._mouth = SpokenMouth()
+        self._net = MouthFromVoice()
         self._kept: deque[tuple[FloatArray, float]] = deque()
+        self._mouths: deque[tuple[float, FloatArray]] = deque(maxlen=KEPT_HOPS)
         self._spoke_s = -np.inf
         self._weight, self._weight_s = 0.0, -np.inf
         self._own_s = -np.inf
 
     def hear(self, pcm: FloatArray, time_s: float) -> None:
-        """Take sound of this person, in the source's time; see `SpokenMouth.hear`."""
+        """Take sound of this person.
+
+        Args:
+            pcm: Whole hops at 48 kHz, within [-1, 1]. float32 ``[480 * n]``.
+            time_s: When its first sample was heard, in the source's time.
+        """
         self._kept.append((pcm, time_s))
         while self._kept[0][1] < time_s - KEPT_S:
             self._kept.popleft()
@@ -228,20 +188,24 @@ class SpokenFace:
         own_s = self._own_s = max(own_s, self._own_s)  # two moments are not shown in turn
         if self._weight == 0.0:
             return frame
-        while self._kept:
-            self._mouth.hear(*self._kept.popleft())
-        idle = self._idle.frame_at(time_s)
-        spoken = np.where(MOUTH, self._mouth.at(own_s), idle.arkit)
-        if self._weight == 1.0:
-            arkit, rotation = spoken, idle.rotation
-        else:
-            seen = frame.arkit
-            arkit = seen + np.float32(self._weight) * (spoken - seen)
-            rotation = frame.rotation + np.float32(self._weight) * (idle.rotation - frame.rotation)
+        idle, weight = self._idle.frame_at(time_s), np.float32(self._weight)
+        spoken = np.where(MOUTH, self._mouth_at(own_s), idle.arkit)
         return replace(
             frame,
             captured_us=round(own_s * 1e6),
-            arkit=arkit.astype(np.float32),
-            rotation=rotation,
+            arkit=(frame.arkit + weight * (spoken - frame.arkit)).astype(np.float32),
+            rotation=frame.rotation + weight * (idle.rotation - frame.rotation),
             has_face=True,
         )
+
+    def _mouth_at(self, time_s: float) -> FloatArray:
+        """The 52 shapes, jaw and mouth set; coming to rest where nothing is heard."""
+        while self._kept:
+            pcm, begin_s = self._kept.popleft()
+            ends_s = begin_s + STEP_S * np.arange(1, len(pcm) // HOP + 1) - DELAY_S
+            self._mouths.extend(zip(ends_s.tolist(), self._net.push(pcm), strict=True))
+        for heard_s, mouth in reversed(self._mouths):
+            if heard_s <= time_s:
+                late = max(time_s - heard_s - STEP_S, 0.0) / SEAM_S
+                return mouth * np.float32(max(1 - late, 0.0))
+        return np.zeros(len(MOUTH), np.float32)

@@ -14,13 +14,13 @@ from pica_client.voice.mouth import (
     HOP,
     MOUTH,
     NUM_BANDS,
-    SAMPLE_RATE,
     SEAM_S,
     SILENT_AFTER_S,
     MouthFromVoice,
     SpeechFeatures,
     SpokenFace,
 )
+from pica_client.voice.packet import SAMPLE_RATE_HZ
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES, ExpressionFrame
 from pica_core.types import FloatArray
 
@@ -34,7 +34,7 @@ VOWELS = {"ah": (730, 1090, 2440), "oo": (300, 870, 2240)}
 
 def vowel(name: str, seconds: float, loudness: float = 0.3) -> FloatArray:
     """A hum of 120 Hz through three resonances."""
-    time_s = np.arange(round(seconds * SAMPLE_RATE)) / SAMPLE_RATE
+    time_s = np.arange(round(seconds * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ
     sound = np.zeros(len(time_s))
     for harmonic in range(1, 40):
         hz = 120 * harmonic
@@ -46,7 +46,7 @@ def vowel(name: str, seconds: float, loudness: float = 0.3) -> FloatArray:
 
 
 def silence(seconds: float) -> FloatArray:
-    return np.zeros(round(seconds * SAMPLE_RATE), np.float32)
+    return np.zeros(round(seconds * SAMPLE_RATE_HZ), np.float32)
 
 
 def test_sound_in_pieces_is_heard_as_in_one() -> None:
