@@ -8,8 +8,7 @@ Run it with: python examples/19_a_voice.py
 import random
 
 from pica_client.voice.mixer import VoiceMixer
-from pica_client.voice.opus import OpusEncoder, available
-from pica_client.voice.packet import FRAME_S, FRAME_SAMPLES
+from pica_client.voice.opus import FRAME_S, FRAME_SAMPLES, OpusEncoder, available
 from pica_client.voice.source import shipped_speech
 from pica_protocol.frames import Frame
 

@@ -14,8 +14,7 @@ from pica_client.call.call import Call, Ears
 from pica_client.endpoint.endpoint import Receiver, Sender
 from pica_client.publish.publisher import SenderConfig, open_face
 from pica_client.transport.config import LinkConfig
-from pica_client.voice.opus import OpusDecoder
-from pica_client.voice.packet import level_of
+from pica_client.voice.opus import OpusDecoder, level_of
 from pica_client.voice.publisher import VoicePublisher
 from pica_client.voice.source import SoundSource, shipped_speech
 from pica_protocol.frames import Frame

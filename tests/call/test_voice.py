@@ -21,7 +21,7 @@ from pica_client.tracks import VOICE_KEY, voice_track
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.link import Link
 from pica_client.voice import opus
-from pica_client.voice.packet import FRAME_US
+from pica_client.voice.opus import FRAME_US
 from pica_client.voice.publisher import VoicePublisher
 from pica_client.voice.source import TURN_S, SoundSource
 from pica_core.avatar.file import load_avatar
@@ -148,7 +148,6 @@ async def test_a_mute_lets_the_frame_that_was_begun_out_and_says_so() -> None:
             ada.voice.is_muted = True
             await asyncio.sleep(2.0)
             assert len(ben.packets) - before <= 2  # the one begun, and what the encoder held back
-            assert ada.voice.level is None
             (member,) = ben.receiver.call.room(4.0).members
             assert dict(member.peer.metadata) == {VOICE_KEY: "muted"}
             muted = len(ben.packets)

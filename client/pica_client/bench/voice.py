@@ -41,10 +41,9 @@ from pica_client.render.drawing import drawn_mse
 from pica_client.sources import open_source
 from pica_client.stats import percentile
 from pica_client.voice.jitter_buffer import HeardVoice, JitterBuffer
-from pica_client.voice.opus import OpusDecoder, OpusEncoder
-from pica_client.voice.packet import FRAME_S, PACKET_FRAMES
-from pica_client.voice.packet import FRAME_SAMPLES as FRAME
-from pica_client.voice.packet import SAMPLE_RATE_HZ as RATE_HZ
+from pica_client.voice.opus import FRAME_S, PACKET_FRAMES, OpusDecoder, OpusEncoder
+from pica_client.voice.opus import FRAME_SAMPLES as FRAME
+from pica_client.voice.opus import SAMPLE_RATE_HZ as RATE_HZ
 from pica_client.voice.source import resampled, shipped_speech
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar

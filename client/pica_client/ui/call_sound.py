@@ -43,7 +43,7 @@ class CallSound:
         return None if self._sound is None else self._sound.state
 
     def levels(self) -> Mapping[str, int]:
-        """How loud each voice is, by peer id; see `voice.packet.level_of`."""
+        """How loud each voice is, by peer id; see `voice.opus.level_of`."""
         voices = {} if self._sound is None else self._sound.state.voices
         return {peer_id: voice.level for peer_id, voice in voices.items()}
 

@@ -39,10 +39,9 @@ import numpy as np
 from pica_client.errors import VoiceError
 from pica_client.playout.sender_clock import RESTART_FRAMES, ReceivedFrame, SenderClock, Transit
 from pica_client.voice import stretch
-from pica_client.voice.opus import OpusDecoder
-from pica_client.voice.packet import FRAME_S
-from pica_client.voice.packet import FRAME_SAMPLES as FRAME
-from pica_client.voice.packet import SAMPLE_RATE_HZ as RATE_HZ
+from pica_client.voice.opus import FRAME_S, OpusDecoder
+from pica_client.voice.opus import FRAME_SAMPLES as FRAME
+from pica_client.voice.opus import SAMPLE_RATE_HZ as RATE_HZ
 from pica_core.types import Array, FloatArray
 from pica_protocol.frames import Frame
 

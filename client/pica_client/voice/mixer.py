@@ -12,9 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from pica_client.voice.jitter_buffer import JitterBuffer
-from pica_client.voice.opus import OpusDecoder
-from pica_client.voice.packet import FRAME_SAMPLES, MAX_LEVEL, level_of
-from pica_client.voice.sound.settings import MAX_VOLUME, MixedVoice
+from pica_client.voice.opus import FRAME_SAMPLES, MAX_LEVEL, OpusDecoder, level_of
+from pica_client.voice.sound.settings import MixedVoice
 from pica_client.voice.stretch import crossfade
 from pica_core.types import Array, FloatArray
 from pica_protocol.frames import Frame
@@ -31,15 +30,29 @@ FARTHER_LOSS = 0.5
 """Share by which it is softer there (chosen: the head is in the way of high tones alone)."""
 
 
-class _Seat:
-    """Where one voice comes from; it moves to another place within a frame."""
+def _heard(whole: Array, azimuth_rad: float) -> Array:
+    """What both ears hear of a sound from a side, ``[2, samples - FARTHER_SAMPLES]``."""
+    side = abs(math.sin(azimuth_rad))
+    late = round(FARTHER_SAMPLES * side)
+    near = whole[FARTHER_SAMPLES:]
+    far = (1 - FARTHER_LOSS * side) * whole[FARTHER_SAMPLES - late : len(whole) - late]
+    return np.stack((far, near) if azimuth_rad > 0 else (near, far))
 
-    def __init__(self) -> None:
+
+class _Voice:
+    """One person's voice at this end, and where it comes from; it moves within a frame."""
+
+    def __init__(self, decoder: OpusDecoder) -> None:
+        self.buffer = JitterBuffer(decoder)
+        self.level = MAX_LEVEL
         self._azimuth_rad: float | None = None
         self._tail = np.zeros(FARTHER_SAMPLES)
 
-    def place(self, sound: Array, azimuth_rad: float) -> Array:
-        """The sound for both ears, float64 ``[samples, 2]``; a positive azimuth is to the right."""
+    def pull(self, now: float, latency_s: float, azimuth_rad: float) -> Array:
+        """The next 20 ms for both ears, float64 ``[samples, 2]``; a positive azimuth is to the
+        right."""
+        sound = self.buffer.pull(now, latency_s)
+        self.level = level_of(sound)
         whole = np.concatenate([self._tail, sound])
         self._tail = whole[-FARTHER_SAMPLES:]
         both = _heard(whole, azimuth_rad)
@@ -49,28 +62,11 @@ class _Seat:
         return both.T
 
 
-def _heard(whole: Array, azimuth_rad: float) -> Array:
-    side = abs(math.sin(azimuth_rad))
-    late = round(FARTHER_SAMPLES * side)
-    near = whole[FARTHER_SAMPLES:]
-    far = (1 - FARTHER_LOSS * side) * whole[FARTHER_SAMPLES - late : len(whole) - late]
-    return np.stack((far, near) if azimuth_rad > 0 else (near, far))
-
-
-class _Voice:
-    """One person's voice at this end."""
-
-    def __init__(self, decoder: OpusDecoder) -> None:
-        self.buffer = JitterBuffer(decoder)
-        self.seat = _Seat()
-        self.level = MAX_LEVEL
-
-
 class VoiceMixer:
     """Hears everybody.
 
     Attributes:
-        volume: Of all voices, 0 to `MAX_VOLUME`.
+        volume: Of all voices; 1 is as they come.
         level: Of the last mix, see `level_of`.
         is_spatial: Whether each voice comes from its seat, rather than all from the middle.
         on_mixed: Is given each mixed frame with the time it leaves the loudspeaker, as for a
@@ -99,9 +95,6 @@ class VoiceMixer:
 
     def set_volumes(self, volumes: Mapping[str, float]) -> None:
         """Make people louder or softer, by peer id: 1 is as sent, 0 mutes them here."""
-        for volume in volumes.values():
-            if not 0 <= volume <= MAX_VOLUME:
-                raise ValueError(f"volume is {volume}; 0 to {MAX_VOLUME} is allowed")
         with self._lock:
             self._volumes |= volumes
 
@@ -124,11 +117,9 @@ class VoiceMixer:
         mixed = np.zeros((FRAME_SAMPLES, 2))
         with self._lock:
             for peer_id, voice in self._voices.items():
-                sound = voice.buffer.pull(now, latency_s)
-                voice.level = level_of(sound)
-                azimuth = self._azimuths.get(peer_id, 0.0) if self.is_spatial else 0.0
+                azimuth_rad = self._azimuths.get(peer_id, 0.0) if self.is_spatial else 0.0
                 volume = self._volumes.get(peer_id, 1.0)
-                mixed += volume * voice.seat.place(sound, azimuth)
+                mixed += volume * voice.pull(now, latency_s, azimuth_rad)
         limited = limit(self.volume * mixed).astype(np.float32)
         self.level = level_of(limited)
         if self.on_mixed is not None:

@@ -1,5 +1,10 @@
 """Opus by libopus itself, through ctypes: 20 or 40 ms of mono at 48 kHz in, one packet out, and
-back.
+back; and the sizes of sound that a voice is captured, sent and played in.
+
+The payload of a frame on a voice track is such a packet, of 20 ms where a mute or a hole of the
+source leaves half of one. During silence nothing is sent and ``sequence`` does not count on,
+``captured_us`` does. So a hole in ``sequence`` is a loss, and a leap of ``captured_us`` without one
+is a silence.
 
 PyAV's codec context does not conceal lost packets, and its encoder does not fall silent. So the
 library is called directly: that of the system, or else the one that comes inside the wheel of PyAV
@@ -9,6 +14,7 @@ library is called directly: that of the system, or else the one that comes insid
 import ctypes
 import ctypes.util
 import importlib.util
+import math
 import sys
 from functools import cache
 from pathlib import Path
@@ -17,13 +23,20 @@ from typing import Any, Final
 import numpy as np
 
 from pica_client.errors import VoiceError
-from pica_client.voice.packet import (
-    FRAME_SAMPLES,
-    MAX_OPUS_BYTES,
-    PACKET_FRAMES,
-    SAMPLE_RATE_HZ,
-)
 from pica_core.types import FloatArray
+
+SAMPLE_RATE_HZ: Final = 48_000
+FRAME_SAMPLES: Final = 960
+FRAME_US: Final = 20_000
+FRAME_S: Final = FRAME_US / 1e6
+"""What is captured and played at once."""
+PACKET_FRAMES: Final = 2
+"""Frames in one packet, at most (chosen: two cost 20 ms of delay and save what surrounds every
+other message, 63 bytes each 40 ms; PESQ is the same)."""
+MAX_OPUS_BYTES: Final = 1000
+"""The longest packet that is encoded (chosen; 128 kbit/s take 640 bytes)."""
+MAX_LEVEL: Final = 126
+"""The softest level, see `level_of`."""
 
 _SIZES: Final = [FRAME_SAMPLES * count for count in range(1, PACKET_FRAMES + 1)]
 _LARGEST_SILENT_BYTES: Final = 2
@@ -33,6 +46,12 @@ _APPLICATION_VOIP = 2048
 _SIGNAL_VOICE = 3001
 _SET_BITRATE, _SET_VBR, _SET_DTX, _SET_SIGNAL = 4002, 4006, 4016, 4024
 _RESET_STATE = 4028
+
+
+def level_of(pcm: FloatArray) -> int:
+    """Return decibels of the root mean square below full scale: 0 loud to 126 silent."""
+    power = float(np.mean(np.square(pcm, dtype=np.float64)))
+    return MAX_LEVEL if power <= 0 else min(max(round(-10 * math.log10(power)), 0), MAX_LEVEL)
 
 
 def available() -> str | None:

@@ -14,13 +14,7 @@ import numpy as np
 
 from pica_client.tracks import VOICE_KEY, VOICE_MUTED, voice_track
 from pica_client.transport.link import Link
-from pica_client.voice.opus import OpusEncoder
-from pica_client.voice.packet import (
-    FRAME_SAMPLES,
-    FRAME_US,
-    PACKET_FRAMES,
-    level_of,
-)
+from pica_client.voice.opus import FRAME_SAMPLES, FRAME_US, PACKET_FRAMES, OpusEncoder
 from pica_core.types import FloatArray
 from pica_protocol.messages import Joined, StreamMuted
 from pica_protocol.session import ClientEvent
@@ -49,7 +43,6 @@ class VoicePublisher:
     Attributes:
         is_muted: Whether its owner has muted it, from the next frame on; any thread may set it.
         is_muted_by_admin: Whether an admin has stopped the stream.
-        level: Of the last frame that was captured for sending, see `level_of`; None: muted.
         listeners: Take what is captured and not muted: samples, and when the first was captured.
     """
 
@@ -65,16 +58,14 @@ class VoicePublisher:
         """
         self.track = voice_track()
         self.is_muted = self.is_muted_by_admin = False
-        self.level: int | None = None
         self.listeners: list[Callable[[FloatArray, int], None]] = []
         self._source = source
         self._encoder = OpusEncoder(BITRATE_BPS, is_constant=is_sealed)
         self._stream = 0
-        self._told = ""
         self._was_muted = False
         self._begun: list[FloatArray] = []  # of the next packet, and when it was captured
         self._begun_us = 0
-        self._sent = self._silent = self._unheard = self._payload_bytes = 0
+        self._sent = self._payload_bytes = 0
 
     def receive_event(self, event: ClientEvent) -> None:
         """Take an event of the link's session."""
@@ -95,16 +86,13 @@ class VoicePublisher:
     def send(self, link: Link, pcm: FloatArray, captured_us: int) -> None:
         """Send the next 20 ms, unless it is silent or there is no room to send it to."""
         is_muted = self.is_muted  # another thread may change it meanwhile
-        reason = VOICE_MUTED if is_muted else ""
-        if reason != self._told:
-            self._told = reason
-            link.describe(VOICE_KEY, reason)
-        if is_muted and self._was_muted:
-            self.level = None
+        was_muted, self._was_muted = self._was_muted, is_muted
+        if is_muted != was_muted:
+            link.describe(VOICE_KEY, VOICE_MUTED if is_muted else "")
+            if was_muted:
+                self._encoder.reset()
+        if is_muted and was_muted:
             return
-        if not is_muted and self._was_muted:
-            self._encoder.reset()
-        self._was_muted = is_muted
         for listen in () if is_muted else tuple(self.listeners):
             listen(pcm, captured_us)
         self._send(link, _NOTHING if is_muted else pcm, captured_us, is_last=is_muted)
@@ -112,9 +100,7 @@ class VoicePublisher:
     def _send(self, link: Link, pcm: FloatArray, captured_us: int, *, is_last: bool) -> None:
         if not link.is_joined:
             self._begun.clear()
-            self._unheard += 1
             return
-        self.level = level_of(pcm)
         if self._begun and captured_us > self._begun_us + len(self._begun) * FRAME_US + _GAP_US:
             self._send_packet(link)  # the source has left something out
         if not self._begun:
@@ -127,10 +113,7 @@ class VoicePublisher:
         pcm, captured_us = np.concatenate(self._begun), self._begun_us
         self._begun.clear()
         opus = self._encoder.encode(pcm)
-        if opus is None:
-            self._silent += 1
-            return
-        if link.send_frame(opus, captured_us, track=self.track):
+        if opus is not None and link.send_frame(opus, captured_us, track=self.track):
             self._sent += 1
             self._payload_bytes += len(opus)
 
@@ -138,8 +121,6 @@ class VoicePublisher:
         """What was sent so far."""
         return {
             "sent": self._sent,
-            "silent": self._silent,
-            "not_connected": self._unheard,
             "payload_bytes": self._payload_bytes,
             "muted": self.is_muted or self.is_muted_by_admin,
         }

@@ -14,8 +14,8 @@ import numpy as np
 from pica_client.errors import OptionError, SourceError
 from pica_client.output import say
 from pica_client.transport.timers import sleep_until
-from pica_client.voice.packet import FRAME_S, FRAME_SAMPLES
-from pica_client.voice.packet import SAMPLE_RATE_HZ as RATE_HZ
+from pica_client.voice.opus import FRAME_S, FRAME_SAMPLES
+from pica_client.voice.opus import SAMPLE_RATE_HZ as RATE_HZ
 from pica_client.voice.publisher import VoiceSource
 from pica_client.voice.sound.process import SoundProcess
 from pica_client.voice.sound.settings import NO_DEVICE, NO_LIBRARY, SoundSettings

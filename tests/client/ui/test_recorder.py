@@ -11,7 +11,7 @@ import pytest
 
 from pica_client.errors import OptionError
 from pica_client.ui.recorder import KEY_FRAMES, Recorder, new_path, save_png
-from pica_client.voice.packet import FRAME_SAMPLES, SAMPLE_RATE_HZ
+from pica_client.voice.opus import FRAME_SAMPLES, SAMPLE_RATE_HZ
 from pica_client.voice.sound.soundtrack import Soundtrack
 
 av = pytest.importorskip("av")

@@ -24,9 +24,9 @@ from pica_client.voice.jitter_buffer import (
     HeardVoice,
     JitterBuffer,
 )
-from pica_client.voice.packet import FRAME_S
-from pica_client.voice.packet import FRAME_SAMPLES as FRAME
-from pica_client.voice.packet import SAMPLE_RATE_HZ as RATE_HZ
+from pica_client.voice.opus import FRAME_S
+from pica_client.voice.opus import FRAME_SAMPLES as FRAME
+from pica_client.voice.opus import SAMPLE_RATE_HZ as RATE_HZ
 from pica_core.types import FloatArray
 from pica_protocol.frames import Frame
 

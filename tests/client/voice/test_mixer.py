@@ -3,7 +3,7 @@ import pytest
 
 from helpers.spoken import SpokenDecoder, hum, packet, usual_arrival_s
 from pica_client.voice.mixer import FARTHER_SAMPLES, MAX_VOICES, VoiceMixer, limit
-from pica_client.voice.packet import FRAME_SAMPLES, SAMPLE_RATE_HZ
+from pica_client.voice.opus import FRAME_SAMPLES, SAMPLE_RATE_HZ
 from pica_core.types import FloatArray
 
 pytestmark = pytest.mark.unit
@@ -53,8 +53,6 @@ def test_a_volume_of_nothing_mutes_one_person_alone():
     mixer.set_volumes({"ann": 0.0})
     assert np.std(heard(mixer, ["ann"])) == 0
     assert np.std(heard(mixer, ["ann", "ben"])) > 0.05
-    with pytest.raises(ValueError, match="volume is 9"):
-        mixer.set_volumes({"ann": 9})
 
 
 def test_many_loud_voices_are_bent_and_never_cut():
@@ -93,12 +91,11 @@ def test_an_echo_of_what_is_played_is_taken_out_of_the_microphone():
     echo = np.zeros_like(speech)
     echo[2880:] = 0.5 * speech[:-2880]
     canceller = EchoCanceller()
-    canceller.set_delay(0.06)
     left = []
     for played, heard_back in zip(
         speech.reshape(-1, FRAME_SAMPLES), echo.reshape(-1, FRAME_SAMPLES), strict=True
     ):
-        canceller.play(played)
+        canceller.play(np.repeat(played[:, None], 2, axis=1), 0.06)
         left.append(canceller.clean(heard_back))
     half = len(echo) // 2
     assert np.std(np.concatenate(left)[half:]) < 0.05 * np.std(echo[half:])

@@ -20,7 +20,7 @@ from pica_client.voice.mouth import (
     SpeechFeatures,
     SpokenFace,
 )
-from pica_client.voice.packet import SAMPLE_RATE_HZ
+from pica_client.voice.opus import SAMPLE_RATE_HZ
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES, ExpressionFrame
 from pica_core.types import FloatArray
 

@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 from fuzzing.damage import damaged_bytes
 from pica_client.errors import VoiceError
 from pica_client.voice import opus
-from pica_client.voice.opus import OpusDecoder, OpusEncoder
-from pica_client.voice.packet import FRAME_SAMPLES, MAX_LEVEL, level_of
+from pica_client.voice.opus import FRAME_SAMPLES, MAX_LEVEL, OpusDecoder, OpusEncoder, level_of
 
 pytestmark = [
     pytest.mark.unit,

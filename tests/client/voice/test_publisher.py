@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pica_client.voice import opus
-from pica_client.voice.packet import FRAME_SAMPLES, FRAME_US
+from pica_client.voice.opus import FRAME_SAMPLES, FRAME_US
 from pica_client.voice.publisher import VoicePublisher
 from pica_client.voice.source import SoundSource
 from pica_core.types import FloatArray

@@ -3,7 +3,7 @@ import pytest
 
 from helpers.spoken import hum
 from pica_client.voice import stretch
-from pica_client.voice.packet import SAMPLE_RATE_HZ as RATE_HZ
+from pica_client.voice.opus import SAMPLE_RATE_HZ as RATE_HZ
 
 pytestmark = pytest.mark.unit
 

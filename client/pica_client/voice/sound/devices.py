@@ -23,7 +23,7 @@ import numpy as np
 
 from pica_client.errors import VoiceError
 from pica_client.voice.mixer import VoiceMixer
-from pica_client.voice.packet import FRAME_S, FRAME_SAMPLES, MAX_LEVEL, SAMPLE_RATE_HZ, level_of
+from pica_client.voice.opus import FRAME_S, FRAME_SAMPLES, MAX_LEVEL, SAMPLE_RATE_HZ, level_of
 from pica_client.voice.sound.settings import NO_DEVICE, NO_LIBRARY, DeviceState
 from pica_core.types import FloatArray
 

@@ -6,7 +6,7 @@ from typing import Final
 
 from pica_client.errors import OptionError
 from pica_client.voice.jitter_buffer import JitterBufferReport, Moment
-from pica_client.voice.packet import MAX_LEVEL
+from pica_client.voice.opus import MAX_LEVEL
 
 MAX_VOLUME: Final = 4.0
 """Largest volume of one voice or of all: 12 dB."""
@@ -63,7 +63,7 @@ class MixedVoice:
     """One voice in the last 20 ms."""
 
     level: int
-    """How loud it was, see `voice.packet.level_of`."""
+    """How loud it was, see `voice.opus.level_of`."""
     moment: Moment | None
     """None while nothing is heard of it."""
     report: JitterBufferReport
@@ -76,7 +76,7 @@ class SoundState:
     speaker: DeviceState = field(default_factory=DeviceState)
     microphone: DeviceState = field(default_factory=DeviceState)
     speaker_level: int = MAX_LEVEL
-    """How loud the last 20 ms were, see `voice.packet.level_of`."""
+    """How loud the last 20 ms were, see `voice.opus.level_of`."""
     microphone_level: int = MAX_LEVEL
     speakers: tuple[str, ...] = ()
     """Names of all, the default first."""

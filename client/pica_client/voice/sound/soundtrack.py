@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pica_client.voice.packet import SAMPLE_RATE_HZ
+from pica_client.voice.opus import SAMPLE_RATE_HZ
 from pica_core.types import FloatArray
 
 MAX_ERROR_S = 0.015

@@ -25,7 +25,7 @@ import numpy as np
 
 from pica_client.errors import VoiceError
 from pica_client.voice.mixer import VoiceMixer
-from pica_client.voice.packet import FRAME_SAMPLES, SAMPLE_RATE_HZ
+from pica_client.voice.opus import FRAME_SAMPLES, SAMPLE_RATE_HZ
 from pica_client.voice.sound.devices import RETRY_S, Loudspeaker, Microphone, microphones, speakers
 from pica_client.voice.sound.settings import SoundSettings, SoundState
 from pica_core.types import Array, FloatArray
@@ -90,28 +90,22 @@ class EchoCanceller:
         )
         self._lock = threading.Lock()
 
-    def set_delay(self, seconds: float) -> None:
-        """Set how long sound takes from `play` to the loudspeaker and from the air to `clean`."""
+    def play(self, sound: Array, delay_s: float) -> None:
+        """Take what is played now, float32 ``[FRAME_SAMPLES, 2]``, and how long sound takes from
+        here to the loudspeaker and from the air to `clean`."""
         with self._lock:
-            self._apm.set_stream_delay_ms(min(max(round(seconds * 1e3), 0), MAX_DELAY_MS))
-
-    def play(self, sound: Array) -> None:
-        """Take what is played now: float32 ``[FRAME_SAMPLES]`` or ``[FRAME_SAMPLES, 2]``."""
-        mono = sound if sound.ndim == 1 else sound.mean(axis=1)
-        for part in mono.reshape(-1, PART):
-            with self._lock:
+            self._apm.set_stream_delay_ms(min(round(delay_s * 1e3), MAX_DELAY_MS))
+            for part in sound.mean(axis=1).reshape(-1, PART):
                 self._apm.process_reverse_stream(self._part(part))
 
     def clean(self, sound: FloatArray) -> FloatArray:
         """What is left of a frame of the microphone without echo and noise."""
-        parts = []
-        for part in sound.reshape(-1, PART):
-            frame = self._part(part)
-            with self._lock:
-                self._apm.process_stream(frame)
-            parts.append(np.frombuffer(frame.data, np.int16))
-        cleaned: FloatArray = (np.concatenate(parts) / 32768).astype(np.float32)
-        return cleaned
+        parts = [self._part(part) for part in sound.reshape(-1, PART)]
+        with self._lock:
+            for part in parts:
+                self._apm.process_stream(part)
+        cleaned = np.concatenate([np.frombuffer(part.data, np.int16) for part in parts])
+        return (cleaned / 32768).astype(np.float32)
 
     def _part(self, sound: Array) -> Any:
         data = np.round(np.clip(sound, -1, 1) * 32767).astype(np.int16).tobytes()
@@ -181,8 +175,7 @@ class SoundWorker:
         microphone, canceller = self._microphone, self._canceller
         speaker, mixer = self._loudspeaker.state, self._mixer
         if canceller is not None and microphone is not None:
-            canceller.set_delay(speaker.latency_s + microphone.state.latency_s)
-            canceller.play(sound)
+            canceller.play(sound, speaker.latency_s + microphone.state.latency_s)
         state = SoundState(
             speaker=speaker,
             speaker_level=mixer.level,

@@ -13,8 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pica_client.voice.opus import OpusEncoder, available
-from pica_client.voice.packet import FRAME_S, FRAME_SAMPLES, MAX_LEVEL
+from pica_client.voice.opus import FRAME_S, FRAME_SAMPLES, MAX_LEVEL, OpusEncoder, available
 from pica_client.voice.sound.process import SoundProcess
 from pica_client.voice.sound.settings import SoundSettings
 from pica_client.voice.source import shipped_speech

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from pica_client.errors import VoiceError
-from pica_client.voice.packet import FRAME_S, SAMPLE_RATE_HZ
+from pica_client.voice.opus import FRAME_S, SAMPLE_RATE_HZ
 from pica_client.voice.sound import devices
 from pica_client.voice.sound.devices import Microphone, microphones, speakers
 

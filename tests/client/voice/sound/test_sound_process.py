@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pica_client.voice.packet import FRAME_SAMPLES
+from pica_client.voice.opus import FRAME_SAMPLES
 from pica_client.voice.sound.process import SoundProcess
 from pica_client.voice.sound.settings import DeviceState, SoundState
 from pica_client.voice.source import open_voice

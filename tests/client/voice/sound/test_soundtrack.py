@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from pica_client.voice.packet import FRAME_SAMPLES, SAMPLE_RATE_HZ
+from pica_client.voice.opus import FRAME_SAMPLES, SAMPLE_RATE_HZ
 from pica_client.voice.sound.soundtrack import MAX_ERROR_S, Soundtrack
 
 pytestmark = pytest.mark.unit
