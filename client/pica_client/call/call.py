@@ -52,7 +52,7 @@ class Ears:
     """Where the voices of a call go; to be derived from. Called on the network's thread."""
 
     def receive(self, peer_id: str, packet: Frame, arrived_s: float) -> None:
-        """Take a packet of a voice, see `voice.packet`; they come in the order of arrival."""
+        """Take a packet of a voice, see `voice.opus`; they come in the order of arrival."""
 
     def seat(self, members: Sequence[Member]) -> None:
         """Take the other members of the room."""
