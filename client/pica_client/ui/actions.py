@@ -44,7 +44,6 @@ class Action(Enum):
     FULL_SCREEN = auto()
     CLOSE = auto()
     """Close what is open, or ask whether to leave."""
-    LEAVE = auto()
     TEST_SOUND = auto()
     COPY_INVITATION = auto()
 
@@ -113,10 +112,6 @@ def _close(state: ViewState) -> None:
         state.side = "none"
     else:
         state.asks_to_leave = True
-
-
-def _leave(state: ViewState) -> None:
-    state.wants_close = True
 
 
 _KEY = imgui.Key
@@ -191,7 +186,6 @@ ACTIONS: Final[dict[Action, Row]] = {
         group=3,
         off=(icons.ICON_FA_PHONE_SLASH, "Leave the call", "alert"),
     ),
-    Action.LEAVE: Row(change=_leave),
 }
 """All that keys and buttons do; actions that are not here have a button in one panel alone."""
 
@@ -215,7 +209,7 @@ def help_lines(state: ViewState) -> tuple[tuple[str, str], ...]:
     keys = (
         (", ".join(row.key_names), row.title)
         for row in ACTIONS.values()
-        if row.title and (row.needs != "face" or row.is_possible(state))
+        if row.title and row.is_possible(state)
     )
     return (
         ("drag", "look around"),
@@ -234,7 +228,7 @@ def keyboard(state: ViewState) -> list[Request]:
     if io.key_ctrl or io.key_super:
         return []  # the desktop's own
     if state.asks_to_leave and not is_typed and imgui.is_key_pressed(_KEY.enter, repeat=False):
-        return [Action.LEAVE]
+        state.wants_close = True
     return [
         action
         for action, row in ACTIONS.items()

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 
 from pica_client.call.status import Person
-from pica_client.ui.state import OwnVoice, ViewState
+from pica_client.ui.state import Sent, ViewState
 from pica_client.voice.publisher import VoicePublisher
 from pica_client.voice.sound.process import SoundProcess
 from pica_client.voice.sound.settings import SoundSettings, SoundState
@@ -34,7 +34,7 @@ class CallSound:
         self._track = Soundtrack()
 
     @property
-    def own_voice(self) -> OwnVoice:
+    def own_voice(self) -> Sent:
         """What becomes of the user's own voice at first."""
         return "none" if self._own is None else "sent"
 

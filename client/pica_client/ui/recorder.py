@@ -10,6 +10,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from fractions import Fraction
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +23,6 @@ from pica_client.voice.opus import SAMPLE_RATE_HZ
 from pica_client.voice.sound.soundtrack import LATE_S, Soundtrack
 from pica_core.types import Image
 
-BeginSound = Callable[[], Soundtrack | None]
-"""Gives the sound of a recording that begins; None: there is none."""
-MAX_NUMBER = 9999
 TICKS_PER_S = 60
 """Resolution of a frame's time. It is also the rate that players and editors take a recording to
 have, of which the frames that were not drawn are missing: at a finer one they speak of 1000 a
@@ -62,7 +60,7 @@ class Recorder(Closing):
         self,
         path: Path,
         size: tuple[int, int],
-        begin_sound: BeginSound = lambda: None,
+        begin_sound: Callable[[], Soundtrack | None] = lambda: None,
     ) -> None:
         try:
             import av
@@ -71,8 +69,6 @@ class Recorder(Closing):
                 "recording needs PyAV: pip install 'pica-telepresence[video]'", name="av"
             ) from error
         width, height = size[0] - size[0] % 2, size[1] - size[1] % 2
-        if width < 2 or height < 2:
-            raise OptionError(f"size is {size[0]}x{size[1]}; a video needs at least 2x2")
         self._size, self._window_size = (width, height), size
         self.path = path
         self._last_tick = -1
@@ -213,11 +209,8 @@ def new_path(folder: Path, stem: str, suffix: str) -> Path:
     """Return the first name that is free; names count up and say nothing of the time.
 
     Raises:
-        OptionError: The folder cannot be made, or has no name left.
+        OptionError: The folder cannot be made.
     """
     make_folder(folder)
-    for number in range(1, MAX_NUMBER + 1):
-        path = folder / f"{stem}-{number:04d}{suffix}"
-        if not path.exists():
-            return path
-    raise OptionError(f"{folder}: all names up to {stem}-{MAX_NUMBER} are taken; move some away")
+    paths = (folder / f"{stem}-{number:04d}{suffix}" for number in count(1))
+    return next(path for path in paths if not path.exists())

@@ -21,10 +21,8 @@ from pica_client.system import make_private, preferences_folder
 from pica_client.voice.sound.settings import SoundSettings
 from pica_core.files import replacing
 
-OwnFace = Literal["none", "sent", "muted"]
-"""What becomes of the user's own face; none: there is none to send."""
-OwnVoice = Literal["none", "sent", "muted"]
-"""What becomes of the user's own voice; none: there is none to send."""
+Sent = Literal["none", "sent", "muted"]
+"""What becomes of the user's own face or voice; none: there is none to send."""
 Side = Literal["none", "help", "participants", "settings", "statistics"]
 """What stands in the panel at the right."""
 SCALES: Final = (0.8, 1.0, 1.25, 1.5)
@@ -100,8 +98,8 @@ class ViewState(Preferences):
     """Names of those whom this admin has barred, by identity."""
     side: Side = "none"
     asks_to_leave: bool = False
-    own_face: OwnFace = "none"
-    own_voice: OwnVoice = "none"
+    own_face: Sent = "none"
+    own_voice: Sent = "none"
     is_talking: bool = False
     """Whether the key to talk is held."""
     is_recording: bool = False

@@ -74,7 +74,7 @@ def test_every_key_has_one_meaning() -> None:
 
 
 def test_the_help_shows_every_titled_key_with_its_title(controls: Controls) -> None:
-    shown = dict(help_lines(ViewState(own_face="sent")))
+    shown = dict(help_lines(ViewState(own_face="sent", own_voice="sent")))
     for row in ACTIONS.values():
         if row.title:
             assert shown[", ".join(row.key_names)] == row.title

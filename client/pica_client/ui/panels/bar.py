@@ -56,7 +56,7 @@ def leave_question(state: ViewState, call: CallView, metrics: Metrics) -> list[R
             requests.append(Action.CLOSE)
         imgui.same_line()
         if action_button("Leave", metrics, tone="alert", width=metrics.px(110)):
-            requests.append(Action.LEAVE)
+            state.wants_close = True
         note("Enter leaves, Esc stays", metrics)
     return requests
 

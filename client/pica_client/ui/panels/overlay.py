@@ -14,7 +14,7 @@ from pica_client.ui.actions import TALK_KEY, Request
 from pica_client.ui.call_view import CallView, PersonView
 from pica_client.ui.panels.bar import bar_share
 from pica_client.ui.panels.side import side_share
-from pica_client.ui.state import OwnFace, ViewState
+from pica_client.ui.state import Sent, ViewState
 from pica_client.ui.surface.style import EDGE_PT, PLATE, SMALL_PT, TEXT_PT, TONES, Metrics, Tone
 from pica_client.ui.surface.surface import ON_PICTURE
 from pica_client.ui.surface.widgets import (
@@ -51,7 +51,7 @@ DOT_PT = 18.0
 """What a dot and the gap behind it take."""
 SIGN_FLAGS = FIXED | imgui.WindowFlags_.no_inputs | imgui.WindowFlags_.no_bring_to_front_on_focus
 Line = tuple[str, Tone]
-OWN_SIGNS: dict[OwnFace, Line] = {
+OWN_SIGNS: dict[Sent, Line] = {
     "sent": ("Your face is sent", "good"),
     "muted": ("Your face is not sent", "alert"),
 }
@@ -173,7 +173,7 @@ def banner(call: CallView) -> Line | None:
 def own_signs(state: ViewState, call: CallView) -> list[Line]:
     """Return how the user's own face and voice are sent; nothing of what there is none of."""
     found: list[Line] = []
-    face: OwnFace = state.own_face if call.status.is_connected else "muted"
+    face: Sent = state.own_face if call.status.is_connected else "muted"
     if face == "sent" and call.own.seen is not None and not call.own.seen.has_face:
         found.append(NO_FACE)
     elif state.own_face != "none":

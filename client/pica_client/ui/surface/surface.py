@@ -11,11 +11,9 @@ context nothing can be drawn, but panels can be tested. Lengths are the window's
 are pixels except where the display server scales windows itself, as on a Mac.
 
 Latin, Greek and Cyrillic are Roboto, icons are Font Awesome; both come with imgui-bundle. The other
-scripts and emoji are subsets of Noto in `font_files`. What none of them has is looked for in the
-fonts of the machine. A glyph is read and set when it is first needed.
+scripts and emoji are subsets of Noto in `font_files`. A glyph is read when it is first needed.
 """
 
-import sys
 from pathlib import Path
 
 import imgui_bundle
@@ -45,15 +43,6 @@ _NOTO = {
 }
 """Our fonts, and how much larger each is set: ImGui makes lines of one height, and some of these
 fonts have much air in theirs."""
-_SYSTEM = {
-    "linux": (
-        "/usr/share/fonts/opentype/noto/NotoSansCJK-Regular.ttc",
-        "/usr/share/fonts/truetype/dejavu/DejaVuSans.ttf",
-    ),
-    "win32": (r"C:\Windows\Fonts\msyh.ttc", r"C:\Windows\Fonts\segoeui.ttf"),
-    "darwin": ("/System/Library/Fonts/Supplemental/Arial Unicode.ttf",),
-}
-"""Large fonts of each system, for characters that are in none of ours."""
 
 
 class Surface(Closing):
@@ -181,9 +170,6 @@ def _add_fonts(atlas: imgui.ImFontAtlas) -> None:
         _add(atlas, _BUNDLE / "Font_Awesome_6_Free-Solid-900.otf", merge=True)
         for noto, larger in _NOTO.items():
             _add(atlas, Path(__file__).with_name("font_files") / noto, merge=True, larger=larger)
-        for path in map(Path, _SYSTEM.get(sys.platform, ())):
-            if path.is_file():
-                _add(atlas, path, merge=True)
 
 
 def _add(atlas: imgui.ImFontAtlas, path: Path, *, merge: bool = False, larger: float = 1.0) -> None:

@@ -91,9 +91,9 @@ def test_the_bar_keeps_to_the_picture_and_its_buttons_apart(
 
 def test_leaving_is_asked_and_both_answers_are_buttons(hand: Hand) -> None:
     asking = ViewState(asks_to_leave=True)
-    for label, order in (("Leave", Action.LEAVE), ("Stay", Action.CLOSE)):
+    for label, asked, leaves in (("Stay", [Action.CLOSE], False), ("Leave", [], True)):
         said = hand.click(label, lambda metrics: leave_question(asking, CALL, metrics))
-        assert said == [order]
+        assert (said, asking.wants_close) == (asked, leaves)
     assert hand.frame(lambda metrics: leave_question(STATE, CALL, metrics)) == []
 
 
