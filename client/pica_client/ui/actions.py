@@ -98,11 +98,7 @@ def _reset_view(state: ViewState) -> None:
 
 
 def _next_layout(state: ViewState) -> str:
-    """Take the next layout that there is room for, if there is another."""
-    shown = state.layout if state.layout in state.layouts else "grid"
-    after = LAYOUTS.index(shown) + 1
-    others = (*LAYOUTS[after:], *LAYOUTS[: after - 1])
-    return state.seat(next((each for each in others if each in state.layouts), state.layout))
+    return state.seat(LAYOUTS[(LAYOUTS.index(state.layout) + 1) % len(LAYOUTS)])
 
 
 def _close(state: ViewState) -> None:

@@ -87,8 +87,6 @@ class ViewOptions:
     """Draw without a window."""
     record: Path | None = None
     """Record into this MP4 file, which must not be there yet."""
-    keep_in: Path | None = None
-    """Folder for recordings made by key, instead of the system's."""
     max_fps: float = 30.0
     """Draw at most so many images a second."""
     decode: DecodeChoice = "auto"

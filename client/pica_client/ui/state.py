@@ -128,8 +128,6 @@ class ViewState(Preferences):
         title = LAYOUT_TITLES[layout]
         if layout not in self.layouts:
             title = f"{LAYOUT_TITLES['grid']} – no room here for: {title}"
-        elif len(self.layouts) == 1:
-            title += " – no room here for another"
         return f"People sit: {title}"
 
 

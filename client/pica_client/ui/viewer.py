@@ -133,7 +133,7 @@ class Viewer(Closing):
             if (path := options.record) is not None:
                 if path.is_file():  # of a stay before
                     path = new_path(path.parent, path.stem, ".mp4")
-                self._recorder = Recorder(path, size, self._sound.begin_track)
+                self._record(Recorder(path, size, self._sound.begin_track))
             workers = num_workers(os.cpu_count())
             self._pool = stack.enter_context(DecodePool(OnnxDecoder, clock, workers=workers))
             shaders = choose_decoder(options.decode, context, self._renderer, clock)
@@ -191,8 +191,7 @@ class Viewer(Closing):
         """
         deadline_s = self._clock() + timeout_s
         while (now := self._clock()) < deadline_s:
-            scene = self._arrange(now)
-            self._decide(scene)
+            scene, _ = self._plan(now)
             self._presenter.collect(now)
             if self._presenter.is_ready(scene):
                 self._renderer.draw(scene.placements, scene.camera)
@@ -206,14 +205,13 @@ class Viewer(Closing):
         state, panels = self.state, self._panels
         is_open = self._begin(now)
         requests = keyboard(state)
-        mouse(state, self._pick_unit)
+        mouse(state, self.pick)
         tasks = [apply(request, state) for request in requests]
         if state.wants_close or not is_open:
             self.surface.end()
             return False
-        scene = self._scene = self._arrange(now)
-        plan = self._decide(scene)
-        self._note_recording()
+        scene, plan = self._plan(now)
+        self._scene = scene
         own, sound = self._draw_own(now), self._sound.state()
         requests = panels.build(now, scene, self._presenter, state, own=own, sound=sound)
         self.surface.end()
@@ -257,24 +255,22 @@ class Viewer(Closing):
         if self._window is None:
             image = self._renderer.read_pixels()  # waits for the GPU: the draw time is a true one
         self._meter.add("draw", self._clock() - begin_s)
-        self._note_recording()
         if self._recorder is not None:
             shown = self._renderer.read_pixels() if image is None else image
             try:
                 self._recorder.write(shown, now)
             except OptionError as error:
-                self._recorder = None
+                self._record(None)
                 self.outputs.fail(str(error))
                 self._panels.notice(str(error), now)
         if self._window is not None:
             self._window.show(self._show)
 
-    def _note_recording(self) -> None:
-        is_recording = self._recorder is not None
-        if is_recording != self.state.is_recording:
-            self.state.is_recording = is_recording
-            if self._receiver is not None:
-                self._receiver.say_recording(is_recording)
+    def _record(self, recorder: Recorder | None) -> None:
+        """Record from now on, or no more, and tell the others."""
+        self._recorder, self.state.is_recording = recorder, recorder is not None
+        if self._receiver is not None:
+            self._receiver.say_recording(self.state.is_recording)
 
     def _follow_face(self) -> None:
         """Do to the user's own face what the state says."""
@@ -290,13 +286,14 @@ class Viewer(Closing):
         """Begin or end a recording by key; return what to tell the user."""
         if self._recorder is not None:
             return self._end_recording()
-        path = new_path(self.options.keep_in or videos_folder(), "recording", ".mp4")
-        self._recorder = Recorder(path, self._renderer.size, self._sound.begin_track)
+        path = new_path(videos_folder(), "recording", ".mp4")
+        self._record(Recorder(path, self._renderer.size, self._sound.begin_track))
         return f"Recording into {path.name}"
 
     def _end_recording(self) -> str:
-        recorder, self._recorder = self._recorder, None
+        recorder = self._recorder
         assert recorder is not None
+        self._record(None)
         recorder.close()
         return f"Saved {recorder.path.name} in {recorder.path.parent}"
 
@@ -305,11 +302,12 @@ class Viewer(Closing):
         if path is not None and self.outputs.attempt(self._end_recording):
             say(f"wrote {path}")
 
-    def pick(self, x_px: float, y_px: float) -> int | None:
-        """Whose head is at a point of the picture, pixels, y down; see `FaceState.place`."""
+    def pick(self, x: float, y: float) -> int | None:
+        """Whose head is at a point of the surface, units, y down; see `FaceState.place`."""
         if self._scene is None:
             return None
-        peer = pick_head(self._scene.placements, self._scene.camera, x_px, y_px)
+        pixels = self._pixels_a_unit
+        peer = pick_head(self._scene.placements, self._scene.camera, x * pixels, y * pixels)
         return next((face.place for face in self._scene.faces if face.peer_id == peer), None)
 
     def wait_decoded(self, timeout_s: float) -> bool:
@@ -340,13 +338,10 @@ class Viewer(Closing):
             **self._meter.summaries(),
         }
 
-    def _arrange(self, now: float) -> CallScene:
+    def _plan(self, now: float) -> tuple[CallScene, Plan]:
         scene = self._presenter.arrange(now, self._renderer.size, self.state, self._panels.free)
         self.state.limits, self.state.layouts = scene.limits, scene.layouts
-        return scene
-
-    def _decide(self, scene: CallScene) -> Plan:
-        return self._presenter.decide(scene, (scene.camera,), self.options.budget_s)
+        return scene, self._presenter.decide(scene, (scene.camera,), self.options.budget_s)
 
     def _show(self, screen: moderngl.Framebuffer) -> None:
         """Put a frame on the window. What steers the call is there, not in what is kept of it."""
@@ -366,10 +361,6 @@ class Viewer(Closing):
     @property
     def _pixels_a_unit(self) -> float:
         return self._renderer.size[0] / max(self.surface.metrics.size[0], 1)
-
-    def _pick_unit(self, x: float, y: float) -> int | None:
-        """Return the place of the head at a point of the surface, units."""
-        return self.pick(x * self._pixels_a_unit, y * self._pixels_a_unit)
 
     def _carry_out(self, request: Request, now: float) -> None:
         """Do once what the user asked for."""

@@ -245,11 +245,12 @@ def test_the_help_covers_nobody() -> None:
 
 
 def test_a_recording_begins_and_ends_by_the_same_key_also_one_that_has_a_name(
-    tmp_path: Path,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     av = pytest.importorskip("av")
     kept = tmp_path / "calls" / "of today"
-    options = replace(SMALL, keep_in=kept, record=tmp_path / "call.mp4")
+    monkeypatch.setattr("pica_client.ui.viewer.videos_folder", lambda: kept)
+    options = replace(SMALL, record=tmp_path / "call.mp4")
     with Viewer(Faces("ada"), options, clock=lambda: 5.0) as viewer:
         is_recording = []
         for number in range(6):
