@@ -295,7 +295,7 @@ def _fields(form: JoinForm, metrics: Metrics) -> None:
     if form.portraits:
         _avatars(form, metrics)
     widgets.note("Your face", metrics)
-    state.source = widgets.choice_of("##source", SOURCES, state.source or "")
+    state.source = widgets.choice_of("##source", SOURCES, state.source)
     if form.sound is not None:
         widgets.note("Your microphone", metrics)
         microphone_picker(state, form.sound, may_be_off=True)

@@ -30,7 +30,7 @@ from pica_client.transport.connect import trusting
 from pica_client.ui.call_sound import CallSound
 from pica_client.ui.lobby import JoinForm, Lobby, follow_invite
 from pica_client.ui.options import ViewOptions, check_voice, connect_timeout_s, parse_size
-from pica_client.ui.state import PreferencesFile, ViewState, fit_side
+from pica_client.ui.state import DEFAULT_URL, PreferencesFile, ViewState, fit_side
 from pica_client.ui.viewer import Viewer
 from pica_client.ui.window import Window
 from pica_client.voice.opus import available
@@ -39,8 +39,6 @@ from pica_client.voice.sound.process import SoundProcess
 from pica_client.voice.source import open_voice
 from pica_core.errors import AvatarFileError
 
-DEFAULT_URL = "ws://127.0.0.1:8765"
-DEFAULT_ROOM = "lobby"
 DEFAULT_NAME = "viewer"
 WATCH = "none"
 """What ``--send`` is given by a user who only watches."""
@@ -60,10 +58,9 @@ def first_state(options: ViewOptions, kept: PreferencesFile | None) -> ViewState
     Raises:
         OptionError: An option cannot be right.
     """
-    asks = kept is not None
-    state = ViewState() if kept is None else kept.load()
+    state = ViewState(name=DEFAULT_NAME, source="", voice="none") if kept is None else kept.load()
     given = {"url": options.url, "room": options.room, "name": options.name}
-    given |= {"avatar": options.own_avatar, "layout": options.layout}
+    given |= {"avatar": options.own_avatar, "layout": options.layout, "voice": options.voice}
     given |= {name: str(getattr(options, name) or "") for name in ("ca_file", "secret_file")}
     for name, value in given.items():
         if value:
@@ -73,36 +70,26 @@ def first_state(options: ViewOptions, kept: PreferencesFile | None) -> ViewState
             follow_invite(state, options.link)
         except ValueError as error:
             raise OptionError(f"link: {error}") from error
-    state.url, state.room = state.url or DEFAULT_URL, state.room or DEFAULT_ROOM
-    state.name = state.name or ("" if asks else DEFAULT_NAME)
     if options.send is not None:
         state.source = "" if options.send == WATCH else options.send
-    elif state.source is None:
-        state.source = DEFAULT_SOURCE if asks else ""
     if options.own_avatar is not None and not state.source:
         raise OptionError(
             f"own-avatar is the look of your own face; to send one, add --send {DEFAULT_SOURCE}"
         )
-    _choose_sound(options, state, asks=asks)
+    if state.voice.startswith("mic:"):
+        state.sound = replace(state.sound, microphone=state.voice.removeprefix("mic:"))
+        state.voice = "mic"
+    elif options.voice is None and (available() is not None or not find_spec("soundcard")):
+        state.voice = "none"
+    if options.speaker:
+        state.sound = replace(state.sound, speaker=options.speaker)
+    if options.clean is not None:
+        state.sound = replace(state.sound, cleans=options.clean)
+    if kept is None:  # at the form a voice can be chosen
+        check_voice(state.source, state.voice)
     if options.size is not None:
         state.window_size = parse_size(options.size)
     return state
-
-
-def _choose_sound(options: ViewOptions, state: ViewState, *, asks: bool) -> None:
-    voice, sound = options.voice, state.sound
-    if options.speaker:
-        sound = replace(sound, speaker=options.speaker)
-    if voice is not None and voice.startswith("mic:"):
-        voice, sound = "mic", replace(sound, microphone=voice.removeprefix("mic:"))
-    if options.clean is not None:
-        sound = replace(sound, cleans=options.clean)
-    state.sound = sound
-    if voice is None and asks and available() is None:
-        voice = state.voice or ("mic" if find_spec("soundcard") else None)
-    state.voice = voice or "none"
-    if not asks:  # at the form a voice can be chosen
-        check_voice(state.source or "", state.voice)
 
 
 def link_of(options: ViewOptions, state: ViewState) -> LinkConfig:
@@ -220,7 +207,7 @@ def stay(
         tls = None if link.ca_file is None else trusting(link.ca_file)
         fetcher = AvatarFetcher(library, lambda: receiver.link.url, tls=tls)
         stack.callback(fetcher.close)
-        voice = sound if state.voice == "mic" else open_voice(state.voice or "none")
+        voice = sound if state.voice == "mic" else open_voice(state.voice)
         own_voice = None
         if voice is not None:
             own_voice = VoicePublisher(voice, is_sealed=link.secret_file is not None)
@@ -283,7 +270,7 @@ def _show(
     with ExitStack() as stack:
         controls = None
         if face is not None:
-            controls = FaceControls(face, receiver.link.config.name, state.source or "")
+            controls = FaceControls(face, receiver.link.config.name, state.source)
             stack.callback(controls.close)
         viewer = Viewer(
             call,

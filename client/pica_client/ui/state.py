@@ -14,6 +14,7 @@ from urllib.parse import urlsplit, urlunsplit
 
 from pica_client.errors import OptionError
 from pica_client.output import say
+from pica_client.publish.publisher import DEFAULT_SOURCE
 from pica_client.render.seats import LAYOUTS, Layout
 from pica_client.render.views import OrbitLimits
 from pica_client.render.views import ViewState as Orbit
@@ -27,6 +28,7 @@ Side = Literal["none", "help", "participants", "settings", "statistics"]
 """What stands in the panel at the right."""
 SCALES: Final = (0.8, 1.0, 1.25, 1.5)
 """Sizes of type and buttons to choose from."""
+DEFAULT_URL: Final = "ws://127.0.0.1:8765"
 FILE_NAME: Final = "preferences.json"
 MIN_SIDE, MAX_SIDE = 160, 8192
 CHOICES: Final[dict[str, tuple[Any, ...]]] = {
@@ -45,17 +47,17 @@ LAYOUT_TITLES: Final[dict[Layout, str]] = {
 class Preferences:
     """What is kept from call to call."""
 
-    url: str = ""
-    """The relay of the last call; empty before the first."""
-    room: str = ""
+    url: str = DEFAULT_URL
+    """The relay of the last call."""
+    room: str = "lobby"
     name: str = ""
     """The user's name in the call."""
     avatar: str = ""
     """The user's own, by name or file; empty takes one by the name."""
-    source: str | None = None
-    """What plays the user's face; empty only watches, None has not been chosen yet."""
-    voice: str | None = None
-    """Whose voice is sent, for `voice.source.open_voice`; None has not been chosen yet."""
+    source: str = DEFAULT_SOURCE
+    """What plays the user's face; empty only watches."""
+    voice: str = "mic"
+    """Whose voice is sent, for `voice.source.open_voice`."""
     ca_file: str = ""
     """File of certificates to trust."""
     secret_file: str = ""
@@ -198,6 +200,6 @@ def _known(kind: type, content: Any) -> dict[str, Any]:
     for name, usual in asdict(kind()).items():
         if isinstance(usual, tuple) and isinstance(known[name], list):
             known[name] = tuple(known[name])
-        if not isinstance(known[name], type(usual) if usual is not None else str | None):
+        if not isinstance(known[name], type(usual)):
             raise ValueError(f"{name} is {known[name]!r:.50}, which cannot be used")
     return known

@@ -50,7 +50,7 @@ def settings_tabs(state: ViewState, call: CallView, metrics: Metrics) -> list[Re
 
 def microphone_picker(state: ViewState, sound: SoundState, *, may_be_off: bool = False) -> None:
     """Choose whose voice is sent, and by which microphone."""
-    voice, settings = state.voice or NO_VOICE, state.sound
+    voice, settings = state.voice, state.sound
     chosen = f"{voice}:{settings.microphone}" if voice == MICROPHONE else voice
     devices = _devices(sound.microphones, settings.microphone, f"{MICROPHONE}:")
     off = ((NO_VOICE, "Off: only listen"),) if may_be_off else ()
@@ -117,7 +117,7 @@ def _meter(level: int, device: DeviceState, metrics: Metrics) -> None:
 def _you(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
     """The face's source."""
     note("Your face", metrics)
-    before = call.own.source or state.source or ""
+    before = call.own.source or state.source
     source = choice_of("##source", [each for each in SOURCES if each[0]], before)
     if source != before:
         state.source = source
