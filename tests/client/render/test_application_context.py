@@ -85,19 +85,6 @@ def test_a_closed_renderer_leaves_nothing_on_the_gpu(context: moderngl.Context) 
     assert context.error == "GL_NO_ERROR"
 
 
-def test_what_the_application_has_released_itself_is_no_matter() -> None:
-    context = create_context()
-    context.gc_mode = None
-    renderer = Renderer(context, SIZE)
-    join(renderer)
-    texture = context.texture((4, 4), 4)
-    texture.release()
-    del texture
-    renderer.remove("p0")
-    assert context.gc_mode is None
-    context.release()
-
-
 def leave(context: moderngl.Context, **state: Any) -> None:
     for name, value in state.items():
         setattr(context, name, value)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import moderngl
 import numpy as np
 import pytest
@@ -13,7 +11,6 @@ from helpers.toy import make_toy_avatar
 from pica_client.avatars.library import shipped_avatar_files
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.request import DecodedMaps
-from pica_client.render.gpu_plain import PLACEHOLDER_PROFILE_M, placeholder_map
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.room import Room
 from pica_client.render.scene import Placement
@@ -29,7 +26,6 @@ from pica_core.avatar.bust import (
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar, load_avatar
 from pica_core.camera import Camera, look_at
-from pica_core.gl import create_context
 from pica_core.types import Image
 
 pytestmark = pytest.mark.render
@@ -50,13 +46,6 @@ def camera_at(yaw: float = 0.0, size: tuple[int, int] = SIZE) -> Camera:
         width=size[0],
         height=size[1],
     )
-
-
-@pytest.fixture
-def context() -> Iterator[moderngl.Context]:
-    context = create_context()
-    yield context
-    context.release()
 
 
 @pytest.fixture(scope="module")
@@ -214,22 +203,6 @@ def test_the_stand_in_is_a_bust_that_is_lit_from_above(context: moderngl.Context
     assert neck < 0.8 * width[60:90].max()
     assert width[130:160].max() > 1.6 * width[60:90].max()  # shoulders
     assert column[35] > column[105]  # crown, under the chin
-
-
-def test_the_stand_in_is_as_broad_as_people_and_closed() -> None:
-    bust = placeholder_map()
-    assert bust[..., 0].max() == pytest.approx(
-        max(row[1] for row in PLACEHOLDER_PROFILE_M), abs=2e-3
-    )
-    np.testing.assert_allclose(bust[:, 0], bust[:, -1], atol=1e-6)
-    np.testing.assert_allclose(bust[0], np.tile(bust[0, :1], (len(bust), 1)), atol=1e-6)
-
-
-def test_the_extent_of_the_shipped_people_is_that_of_their_shoulders() -> None:
-    for file in shipped_avatar_files():
-        bust = bust_of(load_avatar(file))
-        assert 0.3 < bust.width_m < 0.4
-        assert -0.4 < bust.lower_m < -0.2
 
 
 def test_a_mesh_that_is_no_number_has_an_extent() -> None:

@@ -26,7 +26,6 @@ from pica_client.ui.avatar_presenter import AvatarPresenter
 from pica_core.avatar.file import Avatar, load_avatar
 from pica_core.avatar.shipped import shipped_avatar_files
 from pica_core.avatar.spec import AvatarSpec
-from pica_core.gl import create_context
 from pica_core.reference.decoders import decode_expression_map, decode_position_map
 
 pytestmark = pytest.mark.render
@@ -72,13 +71,6 @@ class Scene:
         vertices_m = decode_position_map(avatar, request.latent, level)
         assert np.abs(expression - codes).max() < tolerances.EXPRESSION_GLSL
         assert np.abs(position - vertices_m).max() < tolerances.MAP_GLSL_M
-
-
-@pytest.fixture(scope="module")
-def context() -> Iterator[moderngl.Context]:
-    made = create_context()
-    yield made
-    made.release()
 
 
 @pytest.fixture

@@ -7,7 +7,6 @@ import math
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
@@ -25,7 +24,6 @@ from pica_client.render.scene import Placement, head_matrix
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.camera import Camera, look_at
 from pica_core.errors import GraphicsError
-from pica_core.gl import create_context
 
 pytestmark = pytest.mark.render
 
@@ -37,13 +35,6 @@ POSITIONS = TOY.tensors["geometry.mean"]
 CODES = np.random.default_rng(2).standard_normal((256, 256, 4)).astype(np.float32)
 SHARP = RenderOptions(smooth_edges=False)
 HUGE = 3e38
-
-
-@pytest.fixture(scope="module")
-def context() -> Iterator[moderngl.Context]:
-    made = create_context()
-    yield made
-    made.release()
 
 
 def camera_at(*centre_m: float, fov: float = 0.55) -> Camera:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 import platform
-from collections.abc import Iterator
 from pathlib import Path
 
 import moderngl
@@ -31,7 +30,6 @@ from pica_client.render.views import ViewState, plan_camera
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.camera import Camera, look_at
-from pica_core.gl import create_context
 from pica_core.sampling import sample_vertices
 
 pytestmark = pytest.mark.render
@@ -40,13 +38,6 @@ SIZE = (160, 120)
 TOY = make_toy_avatar(spec=AvatarSpec(uv_encoding_size=256), grid=40)
 SISTER = make_toy_avatar(spec=AvatarSpec(uv_encoding_size=256), grid=40, seed=8)
 EXACT = RenderOptions(smooth_edges=False)
-
-
-@pytest.fixture(scope="module")
-def context() -> Iterator[moderngl.Context]:
-    made = create_context()
-    yield made
-    made.release()
 
 
 def camera_at(*centre_m: float, size: tuple[int, int] = SIZE) -> Camera:
@@ -201,13 +192,6 @@ def test_a_window_shows_what_is_read_without_one(context: moderngl.Context) -> N
     renderer.present(window)
     shown = np.frombuffer(window.read(), np.uint8).reshape(SIZE[1], SIZE[0], 3)[::-1]
     np.testing.assert_array_equal(shown, renderer.read_image())
-
-
-def test_a_resized_renderer_draws_in_the_new_size(context: moderngl.Context) -> None:
-    renderer = renderer_with(context, TOY)
-    renderer.resize((64, 48))
-    renderer.draw([still("p0")], camera_at(0, 0, 0.9, size=(64, 48)))
-    assert renderer.read_image().shape == (48, 64, 3)
 
 
 @pytest.mark.parametrize("size", [(0, 10), (10, 9000)])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import moderngl
 import numpy as np
 import pytest
@@ -16,7 +14,6 @@ from pica_client.render.scene import Placement, head_matrix
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import ENCODINGS, AvatarSpec
 from pica_core.camera import look_at
-from pica_core.gl import create_context
 from pica_core.reference.decoders import decode_pixels
 from pica_core.sampling import sample_bilinear
 
@@ -34,13 +31,6 @@ AVATARS = {
     )
     for name in ENCODINGS
 }
-
-
-@pytest.fixture(scope="module")
-def context() -> Iterator[moderngl.Context]:
-    made = create_context()
-    yield made
-    made.release()
 
 
 def drawn(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import moderngl
@@ -16,7 +15,6 @@ from pica_core.avatar.file import Avatar, load_avatar
 from pica_core.avatar.shipped import shipped_avatar_files
 from pica_core.avatar.static import NAME, STATIC, parts_of
 from pica_core.camera import look_at
-from pica_core.gl import create_context
 from pica_core.reference.decoders import still_colours
 from pica_core.sampling import sample_bilinear
 from pica_core.types import Image
@@ -34,13 +32,6 @@ CAMERA = look_at(
     width=SIZE[0],
     height=SIZE[1],
 )
-
-
-@pytest.fixture(scope="module")
-def context() -> Iterator[moderngl.Context]:
-    made = create_context()
-    yield made
-    made.release()
 
 
 def drawn(

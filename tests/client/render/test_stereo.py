@@ -53,9 +53,3 @@ def test_what_is_as_far_as_the_screen_is_at_one_place_in_both_eyes() -> None:
             # What is nearer is further right for the left eye.
             difference = x_left - x_right
             assert difference == pytest.approx(0, abs=1e-6) if not sign else difference * sign > 1
-
-
-def test_no_distance_is_the_same_camera_twice() -> None:
-    camera, screen_m = middle()
-    for eye in stereo_cameras(camera, 0.0, screen_m):
-        np.testing.assert_allclose(eye.clip_from_world(), camera.clip_from_world(), atol=1e-6)
