@@ -37,6 +37,7 @@ from pica_protocol.frames import Frame
 from pica_protocol.messages import Joined, Peer, PeerJoined
 from pica_protocol.session import ClientEvent
 from pica_server.tokens import Admission, KeyRing, load_keys, mint
+from simnet.peers import peer_in_room
 
 NAMES = ("ada", "bob", "cleo")
 CALM_S = 4.0
@@ -220,14 +221,15 @@ async def _sender_killed(call: Call) -> None:
     call.senders["ada"] = call.start_sender("ada", call.url)
 
 
-@fault("relay's log is not read, 300 strangers write into it")
+@fault("relay's log is not read, 150 people join meanwhile")
 async def _log_not_read(call: Call) -> None:
     unread, stderr = socket.socketpair()
     stderr.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 2048)
     call.unread = unread  # else it would be closed
-    await call.restart_relay(0.0, "--log-level", "debug", stderr=stderr)
-    for _ in range(300):
-        await asyncio.to_thread(relay_metrics, call.url)
+    await call.restart_relay(0.0, stderr=stderr)
+    for _ in range(150):
+        async with peer_in_room(call.url, "Stranger", room="elsewhere"):
+            pass
 
 
 @fault("way lost without a word", through_proxy=True)

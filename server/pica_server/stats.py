@@ -53,7 +53,6 @@ _LABELLED: Final = {
     "resumes": ("resumes", "outcome"),
     "limits_hit": ("limits_hit", "limit"),
     "store": ("store", "what"),
-    "log": ("log_lines", "outcome"),
     "closed": ("closed", "code"),
 }
 """Metric and label of the counters by a label; any other is called as its field."""
@@ -103,9 +102,6 @@ class RelayStats:
     ``downloads_refused`` as there were too many, ``download_bytes``; ``uploads_done``, of which
     ``uploads_known`` were there already and ``uploads_kept`` are new, ``uploads_refused``,
     ``uploads_cut`` by their sender, ``upload_bytes``; ``faults`` of its place."""
-    log: Counter[str] = field(default_factory=Counter)
-    """Lines of the log. ``taken`` to be written; ``dropped``, as too many waited because they are
-    not read."""
     placement: Counter[str] = field(default_factory=Counter)
     """What happened to rooms among several relays. ``claimed`` for this relay or another;
     ``redirected`` to the relay that has them; ``taken_over`` from a dead relay; ``handed_over`` by

@@ -22,7 +22,7 @@ from websockets.exceptions import ConnectionClosed
 from pica_protocol import SUBPROTOCOL
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Whisper
-from pica_server.log import LINES_AT_ONCE, MOST_WAITING, Level, Style, logging_to, say
+from pica_server.log import LINES_AT_ONCE, MOST_WAITING, Style, logging_to, say
 from pica_server.tokens import Admission, KeyRing, load_keys, mint
 from simnet.peers import FACE, peer_in_room
 
@@ -35,10 +35,10 @@ THEIRS = logging.getLogger("library.example")
 class Logged:
     """What is logged inside the block."""
 
-    def __init__(self, style: Style = "json", level: Level = "info") -> None:
+    def __init__(self, style: Style = "json") -> None:
         self.stream = io.StringIO()
         self.now = 0.0
-        self._context = logging_to(self.stream, style, level, lambda: self.now)
+        self._context = logging_to(self.stream, style, lambda: self.now)
 
     def __enter__(self) -> "Logged":
         self._context.__enter__()
@@ -72,24 +72,10 @@ def test_a_text_line_has_the_same() -> None:
 
 
 def test_what_the_command_says_is_a_sentence_for_people_and_an_event_for_machines() -> None:
-    for style, level in (("text", "info"), ("json", "error")):
-        with Logged(style=style, level=level) as log:  # type: ignore[arg-type]
-            say(OURS, "listening", "listening on ws://relay", url="ws://relay")
-        if style == "text":
-            assert log.lines == ["listening on ws://relay"]
-        else:
-            assert log.events[0]["event"] == "listening"
-            assert log.events[0]["url"] == "ws://relay"
-
-
-def test_below_its_level_nothing_is_Logged() -> None:
-    with Logged(level="warning") as log:
-        OURS.info("quiet")
-        OURS.warning("loud")
-    assert [event["event"] for event in log.events] == ["loud"]
-    with Logged(level="debug") as log:
-        OURS.debug("quiet")
-    assert [event["event"] for event in log.events] == ["quiet"]
+    with Logged(style="text") as text, Logged(style="json") as log:
+        say(OURS, "listening", "listening on ws://relay", url="ws://relay")
+    assert text.lines == ["listening on ws://relay"]
+    assert (log.events[0]["event"], log.events[0]["url"]) == ("listening", "ws://relay")
 
 
 def test_an_error_is_logged_by_type_and_place_and_not_by_its_words() -> None:
@@ -183,7 +169,7 @@ def test_nobody_can_be_found_in_the_log_of_a_relay(style: Style, tmp_path: Path)
                 await ada.send_frame(bytes(1000))
             bob.websocket.transport.abort()
 
-    arguments = f"--port 0 --log {style} --log-level debug --trusted-proxies 127.0.0.1 "
+    arguments = f"--port 0 --log {style} --trusted-proxies 127.0.0.1 "
     arguments += f"--limits.bytes-per-s 4096 --keys {key_file}"
     relay = subprocess.Popen(
         [sys.executable, "-m", "pica_command", "relay", *arguments.split()],
@@ -203,9 +189,8 @@ def test_nobody_can_be_found_in_the_log_of_a_relay(style: Style, tmp_path: Path)
             relay.kill()
             relay.communicate()
     assert relay.returncode == 0, log
-    assert log.count("connection closed") >= 5, log
+    assert log.count("connection closed") == 2, log
     assert "4008" in log  # the flood
-    assert "4011" in log  # the forged token
     for secret in (
         ROOM, NAME, OTHER_NAME, FORWARDED, "severus", "albus", "forged-token", "127.0.0.1",
         PAYLOAD.decode(), WHISPERED.decode(), *tokens, *(one.rpartition(".")[2] for one in tokens),
@@ -221,14 +206,14 @@ def test_nobody_who_reads_the_log_stops_nothing_but_the_log(tmp_path: Path) -> N
 
     async def call(url: str) -> None:
         async with peer_in_room(url, NAME) as ada, peer_in_room(url, OTHER_NAME) as bob:
-            for _ in range(int(LINES_AT_ONCE)):
-                async with connect(url, subprotocols=[SUBPROTOCOL], proxy=None) as websocket:
-                    websocket.transport.abort()
+            for _ in range(100):
+                async with peer_in_room(url, NAME, room=ROOM):
+                    pass
             await ada.send_frame(PAYLOAD)
             assert (await bob.until(Frame)).payload == PAYLOAD
 
     ready = tmp_path / "url"
-    arguments = f"--port 0 --json --log-level debug --ready-file {ready} --drain-s 1"
+    arguments = f"--port 0 --json --ready-file {ready} --drain-s 1"
     unread, stderr = socket.socketpair()
     stderr.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 2048)
     with unread, stderr:
@@ -248,7 +233,7 @@ def test_nobody_who_reads_the_log_stops_nothing_but_the_log(tmp_path: Path) -> N
             relay.kill()
             relay.communicate()
         assert relay.returncode == 0
-    assert json.loads(said)["log"]["taken"] >= LINES_AT_ONCE
+    assert json.loads(said)["joins"] == 102
 
 
 def test_lines_that_were_dropped_are_told_of_when_it_flows_again() -> None:
@@ -261,7 +246,7 @@ def test_lines_that_were_dropped_are_told_of_when_it_flows_again() -> None:
             return super().write(text)
 
     stream = Stuck()
-    with logging_to(stream, "json", "info", lambda: 0.0) as counts:
+    with logging_to(stream, "json", lambda: 0.0):
         OURS.warning("stuck")
         stream.is_stuck.wait()
         for _ in range(MOST_WAITING + 10):
@@ -270,6 +255,5 @@ def test_lines_that_were_dropped_are_told_of_when_it_flows_again() -> None:
         while len(stream.getvalue().splitlines()) <= MOST_WAITING:
             time.sleep(0.001)
         OURS.warning("flows")
-    assert counts == {"taken": MOST_WAITING + 2, "dropped": 10}
     last = json.loads(stream.getvalue().splitlines()[-1])
-    assert (last["event"], last["dropped"]) == ("flows", 10)
+    assert (last["event"], last["left_out"]) == ("flows", 10)

@@ -18,7 +18,7 @@ from cyclopts import Parameter
 
 from pica_server.config.relay import RelayConfig
 from pica_server.errors import ConfigurationError, ListenError
-from pica_server.log import Level, Style, logging_to, say
+from pica_server.log import Style, logging_to, say
 from pica_server.ops.certificate import Certificate
 
 if TYPE_CHECKING:
@@ -43,8 +43,6 @@ class RelayOptions:
     log: Style = "text"
     """How to log to stderr: text, or json, an object a line. Neither holds names, addresses or
     payloads."""
-    log_level: Level = "info"
-    """The least that is logged; debug tells of connections that were not let in."""
 
 
 def relay(options: RelayOptions) -> dict[str, Any]:
@@ -83,10 +81,8 @@ def _loop_factory(options: RelayOptions) -> Callable[[], asyncio.AbstractEventLo
 async def _run(options: RelayOptions, signals: "_Signals") -> dict[str, Any]:
     from pica_server.relay import Relay  # `pica relay --help` does without it
 
-    log = logging_to(sys.stderr, options.log, options.log_level, time.monotonic)
-    with log as log_counts, ExitStack() as stack:
+    with logging_to(sys.stderr, options.log, time.monotonic), ExitStack() as stack:
         server = Relay(options.config)
-        server.hub.stats.log = log_counts
         if not await _unless(signals.wait(), server.__aenter__()):
             return {"url": "", **server.stats()}
         try:

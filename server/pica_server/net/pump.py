@@ -133,8 +133,8 @@ class Pump:
                 self._all_gone.set()
 
     def _log_closed(self, connection: Connection, began_s: float) -> None:
-        # Strangers who are not let in come by the thousand; metrics count them.
-        level = logging.INFO if connection.has_joined else logging.DEBUG
+        if not connection.has_joined:  # strangers come by the thousand; metrics count them
+            return
         closed = connection.closed
         code = CloseCode.INTERNAL_ERROR if closed is None else closed.code
         fields = {
@@ -143,7 +143,7 @@ class Pump:
             "by_peer": closed is not None and closed.is_remote,
             "seconds": round(self._now() - began_s, 3),
         }
-        _logger.log(level, "connection closed", extra=fields)
+        _logger.info("connection closed", extra=fields)
 
     def _on_messages(self, connection: Connection, messages: Sequence[bytes | str]) -> None:
         """Feed the hub with what one websocket has received."""
