@@ -192,13 +192,12 @@ class ModelEvaluator:
         direction = torch.from_numpy(view_direction(camera))[None].to(self._device)
         appearance = self.model.appearance(latent, direction)
         drawn = self._drawer.draw(found_m[None], [camera])
-        pixels = drawn.pixels.pixel
-        if not len(pixels):
-            return Picture(pixels, np.zeros((0, 3), np.float32))
+        if not len(drawn.pixels):
+            return Picture(drawn.pixels, np.zeros((0, 3), np.float32))
         surface = Surface(*(values.to(self._device) for values in drawn.surface))
         colours = self.model.shade(appearance, surface)
         shown = 255 * colours.clamp(0, 1).cpu().numpy()
-        return Picture(pixels, shown.astype(np.float32))
+        return Picture(drawn.pixels, shown.astype(np.float32))
 
 
 Source = Literal["encoder", "driver"]

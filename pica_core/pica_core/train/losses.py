@@ -25,8 +25,6 @@ that was sampled from a tracked one has triangles of no area where the tracked o
 (inside the mouth), and obtuse triangles have negative cotangents, whose rows may add up to nothing.
 """
 
-import warnings
-
 import numpy as np
 import numpy.typing as npt
 import torch
@@ -208,85 +206,46 @@ def smoothness_weights(topology: Topology) -> FloatArray:
     return topology.by_region(ROUGH_WEIGHTS, PLAIN_WEIGHT).astype(np.float32)
 
 
-class _SparseProduct(torch.autograd.Function):
-    """A constant sparse matrix times a dense one; the gradient is the transposed product."""
-
-    @staticmethod
-    def forward(
-        context: torch.autograd.function.FunctionCtx, matrix: Tensor, transposed: Tensor, x: Tensor
-    ) -> Tensor:
-        context.transposed = transposed  # type: ignore[attr-defined]
-        return matrix @ x
-
-    @staticmethod
-    def backward(
-        context: torch.autograd.function.FunctionCtx, gradient: Tensor
-    ) -> tuple[None, None, Tensor]:
-        transposed: Tensor = context.transposed  # type: ignore[attr-defined]
-        return None, None, transposed @ gradient.contiguous()
-
-
-class MeshLaplacian:
-    """L as a sparse matrix on one device.
+def mesh_laplacian(
+    vertices_m: npt.ArrayLike, faces: npt.NDArray[np.integer], like: Tensor
+) -> Tensor:
+    """L as a sparse matrix ``[V, V]``; the row of a vertex without neighbours is 0.
 
     Args:
         vertices_m: The coarse neutral mesh at the vertices of the mesh that is drawn, ``[V, 3]``.
         faces: ``[F, 3]``.
+        like: Gives type and device.
     """
-
-    def __init__(
-        self,
-        vertices_m: npt.ArrayLike,
-        faces: npt.NDArray[np.integer],
-        *,
-        device: torch.device | str = "cpu",
-        dtype: torch.dtype = torch.float32,
-    ) -> None:
-        edges, weights = cotangent_weights(vertices_m, faces)
-        count = len(np.asarray(vertices_m))
-        sums = np.bincount(edges[:, 0], weights, count)
-        connected = np.flatnonzero(sums > 0)
-        rows = np.concatenate([connected, edges[:, 0]])
-        columns = np.concatenate([connected, edges[:, 1]])
-        values = np.concatenate([np.ones(len(connected)), -weights / sums[edges[:, 0]]])
-
-        def matrix(first: Int64Array, second: Int64Array) -> Tensor:
-            entries = torch.from_numpy(np.stack([first, second]))
-            coordinates = torch.sparse_coo_tensor(
-                entries, torch.from_numpy(values).to(dtype), (count, count), check_invariants=False
-            )
-            with warnings.catch_warnings():  # "in beta state", once a process; 6 times faster here
-                warnings.filterwarnings("ignore", "Sparse CSR", UserWarning)
-                return coordinates.coalesce().to(device).to_sparse_csr()
-
-        self._matrix = matrix(rows, columns)
-        self._transposed = matrix(columns, rows)
-
-    def apply(self, meshes: Tensor) -> Tensor:
-        """L of each mesh: ``[N, V, 3]`` to ``[N, V, 3]``, in the unit of the input.
-
-        A vertex without neighbours gives 0.
-        """
-        count, vertices, _ = meshes.shape
-        flat = meshes.transpose(0, 1).reshape(vertices, 3 * count)
-        product: Tensor = _SparseProduct.apply(  # type: ignore[no-untyped-call]
-            self._matrix, self._transposed, flat
-        )
-        return product.view(vertices, count, 3).transpose(0, 1)
+    edges, weights = cotangent_weights(vertices_m, faces)
+    count = len(np.asarray(vertices_m))
+    sums = np.bincount(edges[:, 0], weights, count)
+    connected = np.flatnonzero(sums > 0)
+    places = np.concatenate([np.stack([connected, connected], 1), edges]).T
+    values = np.concatenate([np.ones(len(connected)), -weights / sums[edges[:, 0]]])
+    return torch.sparse_coo_tensor(
+        torch.from_numpy(np.ascontiguousarray(places)),
+        torch.from_numpy(values).to(like),
+        (count, count),
+        device=like.device,
+        check_invariants=False,
+    ).coalesce()
 
 
 def laplacian_smoothness(
-    laplacian: MeshLaplacian, vertices_m: Tensor, mean_m: Tensor, weights: Tensor
+    laplacian: Tensor, vertices_m: Tensor, mean_m: Tensor, weights: Tensor
 ) -> Tensor:
     """Root mean square of W_L L (S(G) - V_mu) of each mesh, averaged over meshes, millimetres.
 
     Args:
+        laplacian: L, ``[V, V]``.
         vertices_m: S(G), the decoded meshes, metres, ``[N, V, 3]``.
         mean_m: V_mu, metres, ``[V, 3]``; no gradient goes there.
         weights: W_L, ``[V]``.
     """
     offset_mm = (vertices_m - mean_m.detach()) * MILLIMETRES
-    return mean_norm(laplacian.apply(offset_mm) * weights[:, None])
+    flat = offset_mm.transpose(0, 1).flatten(1)
+    rough = torch.sparse.mm(laplacian, flat) * weights[:, None]
+    return mean_norm(rough.view(len(weights), -1, 3).transpose(0, 1))
 
 
 @torch.no_grad()

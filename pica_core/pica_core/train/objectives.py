@@ -26,7 +26,6 @@ from pica_core.train.data.images import view_direction
 from pica_core.train.data.meshes import important_vertices, vertex_importance
 from pica_core.train.data.training import TrainingData
 from pica_core.train.losses import (
-    MeshLaplacian,
     depth_loss,
     depth_mask,
     equal_shares,
@@ -35,12 +34,13 @@ from pica_core.train.losses import (
     image_loss,
     kl_loss,
     laplacian_smoothness,
+    mesh_laplacian,
     mesh_loss,
     normal_loss,
     smoothness_weights,
 )
-from pica_core.train.raster import DrawnPixels, MeshDrawer, PixelList, Rasteriser
-from pica_core.types import Array, FloatArray, Image
+from pica_core.train.raster import DrawnPixels, MeshDrawer, Rasteriser
+from pica_core.types import Array, FloatArray, Image, Int64Array
 
 IMAGE_WEIGHT, MESH_WEIGHT, KL_WEIGHT = 2.0, 0.1, 0.001
 """Weights of losses that all presets share (paper 5); those of depth, normal and smoothness, 10, 1
@@ -118,9 +118,9 @@ class Objectives:
         self._vertex_weights = self._mesh_weights().to(device)
         neutral_m = data.meshes.neutral_m(model.topology, data.arkit)
         self.mean_m = torch.tensor(neutral_m, device=device)
-        self._laplacian: MeshLaplacian | None = None
+        self._laplacian: Tensor | None = None
         if config.smooth:
-            self._laplacian = MeshLaplacian(neutral_m, topology.faces, device=device)
+            self._laplacian = mesh_laplacian(neutral_m, topology.faces, self.mean_m)
             self._rough = torch.from_numpy(smoothness_weights(topology)).to(device)
         self._codes: tuple[dict[int, Tensor], Tensor] | None = None
         self._poses: Poses | None = None
@@ -254,13 +254,10 @@ class Objectives:
         share = equal_shares(drawn.surface.image, len(pictures))
         return IMAGE_WEIGHT * image_loss(colours, observed, share, self.config.chroma)
 
-    def _at(self, images: Sequence[Array], pixels: PixelList) -> Tensor:
-        """What images ``[H, W, ...]`` hold at pixels, ``[P, ...]``."""
-        parts = [
-            image.reshape(-1, *image.shape[2:])[pixels.pixel[pixels.image == index]]
-            for index, image in enumerate(images)
-        ]
-        return torch.from_numpy(np.concatenate(parts)).to(self.device)
+    def _at(self, images: Sequence[Array], pixels: Int64Array) -> Tensor:
+        """What images ``[H, W, ...]`` hold at pixels that are counted over all, ``[P, ...]``."""
+        flat = np.stack(images).reshape(-1, *images[0].shape[2:])
+        return torch.from_numpy(flat[pixels]).to(self.device)
 
     def _draw(self, count: int, draw: Draw) -> list[int]:
         """The frames of a batch."""

@@ -108,15 +108,10 @@ class Rasteriser:
             self._context.gc()
         self._context.release()
 
-    def triangle_ids(self, vertices_m: FloatArray, camera: Camera) -> IntArray:
-        """The triangle that each pixel centre sees of a mesh in head-frame metres, ``[V, 3]``; -1
-        where none. int32 ``[H, W]``, row 0 on top."""
-        ids: IntArray = self.batch_ids(vertices_m[None], [camera])[0]
-        return ids
-
-    def batch_ids(self, vertices_m: FloatArray, cameras: Sequence[Camera]) -> IntArray:
-        """`triangle_ids` of N meshes ``[N, V, 3]``, each through its camera, all of one image size,
-        read back at once: ``[N, H, W]``."""
+    def triangle_ids(self, vertices_m: FloatArray, cameras: Sequence[Camera]) -> IntArray:
+        """The triangle that each pixel centre sees of N meshes in head-frame metres, ``[N, V, 3]``,
+        each through its camera, all of one image size; -1 where none. int32 ``[N, H, W]``, row 0 on
+        top."""
         with self._context:  # another rasteriser of this thread may have been current
             self._draw(vertices_m, cameras)
             assert self._target is not None
@@ -215,26 +210,10 @@ class Views(NamedTuple):
         return (self.rotation[image] * offset[:, :, None]).sum(1)
 
 
-class Hits(NamedTuple):
-    """Where the rays of P pixels meet the mesh.
-
-    Attributes:
-        image: Which of the N images, int64 ``[P]``.
-        weights: Of the triangle's vertices, summing to 1, ``[P, 3]``; differentiable.
-        depth_m: Along the camera's axis, ``[P]``; differentiable.
-        rays: Directions in camera axes with z = 1, ``[P, 3]``.
-    """
-
-    image: Tensor
-    weights: Tensor
-    depth_m: Tensor
-    rays: Tensor
-
-
 def hit_points(
     seen_m: Tensor, faces: Tensor, views: Views, image: Tensor, pixels: Tensor, triangles: Tensor
-) -> Hits:
-    """Where some covered pixels' rays meet their triangles.
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Where the rays of P covered pixels meet their triangles.
 
     Args:
         seen_m: Meshes in camera axes (`Views.see`), metres, ``[N, V, 3]``; gradients flow there.
@@ -242,12 +221,15 @@ def hit_points(
         image: Which image each pixel is of, int64 ``[P]``.
         pixels: Flat index within the image, int64 ``[P]``.
         triangles: From `Rasteriser`, int64 ``[P]``.
+
+    Returns:
+        Weights of the triangles' vertices, summing to 1, ``[P, 3]``; depths along the camera's
+        axis, metres, ``[P]``; both differentiable; and the rays, z = 1, ``[P, 3]``.
     """
     corners = faces[triangles] + (image * seen_m.shape[1])[:, None]
     rays = views.rays(image, pixels)
     points = seen_m.reshape(-1, 3).index_select(0, corners.view(-1)).view(-1, 3, 3)
-    weights, depth_m = interpolation_weights(points, rays)
-    return Hits(image, weights, depth_m, rays)
+    return *interpolation_weights(points, rays), rays
 
 
 def interpolation_weights(corners: Tensor, rays: Tensor) -> tuple[Tensor, Tensor]:
@@ -280,23 +262,11 @@ NORMAL_SHARE = 4
 """Where pixels are drawn, every fourth has a normal: it needs the depth of two neighbours."""
 
 
-class PixelList(NamedTuple):
-    """P pixels of N images, sorted.
-
-    Attributes:
-        image: int64 ``[P]``.
-        pixel: Flat index within the image, int64 ``[P]``.
-    """
-
-    image: Int64Array
-    pixel: Int64Array
-
-
 class DrawnPixels(NamedTuple):
-    """What interpolation finds at the pixels of a step.
+    """What interpolation finds at P pixels of N images.
 
     Attributes:
-        ids: The triangle of every pixel of N images, -1 where none, int32 ``[N, H, W]``.
+        pixels: The pixels, sorted, counted over all images one after another, int64 ``[P]``.
         depth_pixels: Those whose depth is asked for: the same and, with normals, neighbours.
         depth_m: Their depths; differentiable, ``[Q]``.
         depth_image: Which image they are of, int64 ``[Q]``.
@@ -306,10 +276,9 @@ class DrawnPixels(NamedTuple):
         below: Of the neighbours below.
     """
 
-    ids: IntArray
-    pixels: PixelList
+    pixels: Int64Array
     surface: Surface
-    depth_pixels: PixelList
+    depth_pixels: Int64Array
     depth_m: Tensor
     depth_image: Tensor
     rays: Tensor
@@ -367,8 +336,8 @@ class MeshDrawer:
             pixels_per_image: About how many; 0 for all.
         """
         meshes = vertices_m.detach().to("cpu", torch.float32).numpy()
-        ids = self.rasteriser.batch_ids(meshes, cameras)
-        size, width = ids[0].size, cameras[0].width
+        ids = self.rasteriser.triangle_ids(meshes, cameras)
+        size, width, device = ids[0].size, cameras[0].width, vertices_m.device
         choices: Sequence[np.random.Generator | None] = rngs or [None] * len(ids)
         parts = [
             index * size + self._choose(own.reshape(-1), rng, pixels_per_image)
@@ -383,24 +352,24 @@ class MeshDrawer:
                 mark[places] = True
             wanted = np.flatnonzero(mark)
             place = np.cumsum(mark) - 1
-        views, listed = Views.of(cameras, vertices_m), PixelList(*np.divmod(wanted, size))
-        triangle = ids.reshape(-1)[wanted].astype(np.int64)
-        image, pixel, triangles = (
-            torch.from_numpy(values).to(vertices_m.device) for values in (*listed, triangle)
+        views = Views.of(cameras, vertices_m)
+        triangles = torch.from_numpy(ids.reshape(-1)[wanted].astype(np.int64)).to(device)
+        image, pixel = (torch.from_numpy(part).to(device) for part in np.divmod(wanted, size))
+        weights, depth_m, rays = hit_points(
+            views.see(vertices_m), self._faces, views, image, pixel, triangles
         )
-        hits = hit_points(views.see(vertices_m), self._faces, views, image, pixel, triangles)
-        points, at = [*hits, triangles], [image[:0]] * 3
+        points, at = [image, weights, depth_m, rays, triangles], [image[:0]] * 3
         if normals:
             own, *at = (
-                torch.from_numpy(place[places]).to(image.device)
+                torch.from_numpy(place[places]).to(device)
                 for places in (chosen, centre, centre + 1, centre + width)
             )
             points = [values.index_select(0, own) for values in points]
-        image, weights, depth_m, rays, triangles = points
-        uv = (weights[:, :, None] * self._face_uv.index_select(0, triangles)).sum(1)
-        surface = Surface(image, uv, views.to_head(image, rays * depth_m[:, None]))
-        pixels = PixelList(*np.divmod(chosen, size))
-        return DrawnPixels(ids, pixels, surface, listed, hits.depth_m, hits.image, hits.rays, *at)
+        own_image, own_weights, own_depth_m, own_rays, own_triangles = points
+        uv = (own_weights[:, :, None] * self._face_uv.index_select(0, own_triangles)).sum(1)
+        xyz_m = views.to_head(own_image, own_rays * own_depth_m[:, None])
+        surface = Surface(own_image, uv, xyz_m)
+        return DrawnPixels(chosen, surface, wanted, depth_m, image, rays, *at)
 
     def _choose(self, ids: IntArray, rng: np.random.Generator | None, wanted: int) -> Int64Array:
         """Covered pixels of an image, each with its chance, so that about `wanted` come."""

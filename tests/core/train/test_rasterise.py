@@ -38,25 +38,25 @@ TOPOLOGY = Topology(vertex_uv=np.eye(3, 2, dtype=np.float32), faces=FACE, region
 
 def test_up_lands_in_upper_rows_and_the_subjects_left_in_right_columns() -> None:
     with Rasteriser(FACE, 3) as rasteriser:
-        raised = rasteriser.triangle_ids(TRIANGLE + np.float32([0, 0.1, 0]), front_camera())
-        shifted = rasteriser.triangle_ids(TRIANGLE + np.float32([0.1, 0, 0]), front_camera())
+        moved = np.stack([TRIANGLE + np.float32([0, 0.1, 0]), TRIANGLE + np.float32([0.1, 0, 0])])
+        raised, shifted = rasteriser.triangle_ids(moved, [front_camera()] * 2)
 
     assert np.nonzero(raised >= 0)[0].mean() < 32 < np.nonzero(shifted >= 0)[1].mean()
 
 
 def test_back_faces_are_not_drawn() -> None:
     with Rasteriser(FACE[:, ::-1].copy(), 3) as rasteriser:
-        ids = rasteriser.triangle_ids(TRIANGLE, front_camera())
+        ids = rasteriser.triangle_ids(TRIANGLE[None], [front_camera()])
 
     assert (ids < 0).all()
 
 
 def test_a_rasteriser_draws_on_after_another_of_its_thread_is_closed() -> None:
     with Rasteriser(FACE, 3) as first:
-        before = first.triangle_ids(TRIANGLE, front_camera())
+        before = first.triangle_ids(TRIANGLE[None], [front_camera()])
         with Rasteriser(FACE, 3) as second:
-            second.triangle_ids(TRIANGLE, front_camera(32))
-        after = first.triangle_ids(TRIANGLE, front_camera())
+            second.triangle_ids(TRIANGLE[None], [front_camera(32)])
+        after = first.triangle_ids(TRIANGLE[None], [front_camera()])
 
     assert (before >= 0).any()
     np.testing.assert_array_equal(before, after)
@@ -66,10 +66,11 @@ def test_interpolated_points_project_back_to_their_pixel_centres() -> None:
     camera = front_camera()
     with Rasteriser.of(TOPOLOGY) as rasteriser:
         drawn = MeshDrawer(rasteriser, TOPOLOGY).draw(torch.from_numpy(TRIANGLE)[None], [camera])
-    pixels = drawn.pixels.pixel
+        ids = rasteriser.triangle_ids(TRIANGLE[None], [camera])
+    pixels = drawn.pixels
 
     seen, depths = camera.project(drawn.surface.xyz_m.numpy())
-    assert np.array_equal(pixels, np.flatnonzero(drawn.ids >= 0))
+    assert np.array_equal(pixels, np.flatnonzero(ids >= 0))
     assert np.allclose(seen[:, 0], pixels % 64 + 0.5, atol=1e-3)
     assert np.allclose(seen[:, 1], pixels // 64 + 0.5, atol=1e-3)
     assert np.allclose(depths, drawn.depth_m.numpy(), atol=1e-6)
@@ -146,9 +147,9 @@ def test_a_batch_gives_what_its_images_give_one_by_one() -> None:
     cameras = several_views(3)
 
     with Rasteriser(FACE, 3) as rasteriser:
-        together = rasteriser.batch_ids(meshes, cameras)
+        together = rasteriser.triangle_ids(meshes, cameras)
         alone = [
-            rasteriser.triangle_ids(mesh, camera)
+            rasteriser.triangle_ids(mesh[None], [camera])[0]
             for mesh, camera in zip(meshes, cameras, strict=True)
         ]
 
@@ -157,7 +158,7 @@ def test_a_batch_gives_what_its_images_give_one_by_one() -> None:
 
 def test_cameras_of_two_sizes_make_no_batch() -> None:
     with Rasteriser(FACE, 3) as rasteriser, pytest.raises(ShapeError, match="several image sizes"):
-        rasteriser.batch_ids(np.stack([TRIANGLE] * 2), [front_camera(16), front_camera(17)])
+        rasteriser.triangle_ids(np.stack([TRIANGLE] * 2), [front_camera(16), front_camera(17)])
 
 
 def test_gradients_through_a_batch_of_cameras_agree_with_finite_differences() -> None:
@@ -165,7 +166,7 @@ def test_gradients_through_a_batch_of_cameras_agree_with_finite_differences() ->
     meshes = torch.from_numpy(np.stack([TRIANGLE, 1.1 * TRIANGLE])).double()
     faces = torch.from_numpy(FACE).long()
     with Rasteriser(FACE, 3) as rasteriser:
-        ids = rasteriser.batch_ids(meshes.float().numpy(), cameras)
+        ids = rasteriser.triangle_ids(meshes.float().numpy(), cameras)
     image, pixels = (torch.from_numpy(a) for a in np.nonzero(ids.reshape(2, -1) >= 0))
     some = torch.arange(0, len(image), 7)
     image, pixels = image[some], pixels[some]
@@ -174,8 +175,10 @@ def test_gradients_through_a_batch_of_cameras_agree_with_finite_differences() ->
 
     def points(values: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         triangles = torch.zeros_like(pixels)
-        hits = hit_points(views.see(values), faces, views, image, pixels, triangles)
-        return hits.weights, views.to_head(image, hits.rays * hits.depth_m[:, None])
+        weights, depth_m, rays = hit_points(
+            views.see(values), faces, views, image, pixels, triangles
+        )
+        return weights, views.to_head(image, rays * depth_m[:, None])
 
     assert torch.autograd.gradcheck(points, (meshes.requires_grad_(),))
 
@@ -191,7 +194,7 @@ def test_many_renders_of_changing_size_leave_no_memory_behind() -> None:
     with Rasteriser(FACE, 3) as rasteriser:
         for index in range(500):
             count = 1 + index % 3
-            rasteriser.batch_ids(meshes[:count], several_views(count, 128 + 8 * (index % 2)))
+            rasteriser.triangle_ids(meshes[:count], several_views(count, 128 + 8 * (index % 2)))
             if index == 99:
                 before = resident_bytes()
         grown = resident_bytes() - before

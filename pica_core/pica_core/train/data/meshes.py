@@ -10,6 +10,7 @@ from functools import cache, lru_cache
 
 import numpy as np
 import torch
+from scipy.ndimage import distance_transform_edt
 from torch import Tensor
 
 from pica_core.avatar.spec import MAP_SIZE
@@ -50,7 +51,7 @@ def rasterise_uv(vertex_uv: FloatArray, faces: IntArray, size: int) -> UvRaster:
 
     A vertex that lies on a texel centre owns that texel, also at the rim of a chart or of a slit,
     where a rasteriser may give the centre to neither side. Other texels that no triangle covers
-    take the nearest covered texel, in steps of one texel.
+    take the nearest covered texel.
     """
     flat = np.concatenate([vertex_uv, np.ones((len(vertex_uv), 1), np.float32)], 1)
     camera = Camera(
@@ -63,7 +64,7 @@ def rasterise_uv(vertex_uv: FloatArray, faces: IntArray, size: int) -> UvRaster:
     )
     both_sides = np.concatenate([faces, faces[:, ::-1]])
     with Rasteriser(both_sides, len(flat)) as rasteriser:
-        ids = rasteriser.triangle_ids(flat, camera)
+        ids = rasteriser.triangle_ids(flat[None], [camera])[0]
     covered = ids >= 0
     corners = np.zeros((size, size, 3), np.int64)
     corners[covered] = both_sides[ids[covered]]
@@ -76,7 +77,9 @@ def rasterise_uv(vertex_uv: FloatArray, faces: IntArray, size: int) -> UvRaster:
     covered[rows, columns] = True
     corners[rows, columns] = owners[:, None]
     weights[rows, columns] = (1, 0, 0)
-    return UvRaster(covered, corners[covered], weights[covered], _grow(covered))
+    index = np.cumsum(covered).reshape(covered.shape) - 1
+    nearest = distance_transform_edt(~covered, return_distances=False, return_indices=True)
+    return UvRaster(covered, corners[covered], weights[covered], index[tuple(nearest)].reshape(-1))
 
 
 def _texel_weights(texel_uv: FloatArray, corners: Int64Array, texels: Int64Array) -> FloatArray:
@@ -87,19 +90,6 @@ def _texel_weights(texel_uv: FloatArray, corners: Int64Array, texels: Int64Array
     areas = np.stack([p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0] for p, q in opposite], 1)
     weights: FloatArray = (areas / areas.sum(1, keepdims=True)).astype(np.float32)
     return weights
-
-
-def _grow(covered: BoolArray) -> Int64Array:
-    """Give each texel the index, among the covered ones, of a nearest covered texel."""
-    index = np.full(covered.shape, -1, np.int64)
-    index[covered] = np.arange(np.count_nonzero(covered))
-    while (index < 0).any():
-        before = index
-        padded = np.pad(before, 1, constant_values=-1)
-        for dy, dx in ((0, 1), (2, 1), (1, 0), (1, 2)):
-            neighbour = padded[dy : dy + covered.shape[0], dx : dx + covered.shape[1]]
-            index = np.where(index < 0, neighbour, index)
-    return index.reshape(-1)
 
 
 IMPORTANT_REGIONS = ("mouth", "lips", "eyes", "eyeballs", "lids", "teeth", "tongue")

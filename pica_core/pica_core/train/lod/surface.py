@@ -84,7 +84,7 @@ def seen_vertices(shapes_m: Array, faces: Array) -> BoolArray:
     with Rasteriser(faces.astype(np.int32), len(seen)) as raster:
         for shape in shapes_m:
             for camera in dome_cameras(len(NAMED_VIEWS), SEEN_SIZE, SEEN_SIZE):
-                ids = raster.triangle_ids(shape, camera)
+                ids = raster.triangle_ids(shape[None], [camera])[0]
                 seen[faces[np.unique(ids[ids >= 0])]] = True
     for _ in range(SEEN_RINGS):
         seen[faces[seen[faces].any(1)]] = True
@@ -133,7 +133,7 @@ class PokeFinder:
         with Rasteriser(mesh.astype(np.int32), len(self._piece)) as raster:
             for shape_m in self._shapes_m:
                 for camera in cameras:
-                    yield shape_m, raster.triangle_ids(shape_m, camera)
+                    yield shape_m, raster.triangle_ids(shape_m[None], [camera])[0]
 
 
 def _pieces_of(piece: Array, faces: Array, ids: IntArray) -> ByteArray:
