@@ -211,12 +211,27 @@ def chart_relay() -> None:
 
 
 def chart_scene() -> None:
-    """Draw what one to five heads cost over one that fills the screen, and the error it leaves."""
-    line = read_lines("scene")[-1]
+    """Draw what one to five heads cost over one that fills the screen, the error that leaves, and
+    what error is left of the most heads by budgets, the measurement before in grey."""
+    lines = read_lines("scene")
+    line = lines[-1]
     rows = line["result"]["rows"]
     full_ms = rows[0]["cpu_ms"]  # one head that fills the screen, decoded whole
     rows = [row for row in rows[2:] if not row.get("budget_ms")]
-    figure, (cost, error) = plt.subplots(1, 2, figsize=(7.2, 3.4))
+    figure, (cost, error, budget) = plt.subplots(1, 3, figsize=(10.2, 3.4))
+    for drawn in lines[-2:]:
+        most = [
+            row
+            for row in drawn["result"]["rows"]
+            if row["avatars"] == max(r["avatars"] for r in drawn["result"]["rows"])
+        ]
+        for distance, colour in zip(sorted({r["distance_cm"] for r in most}), COLOURS, strict=True):
+            chosen = [row for row in most if row["distance_cm"] == distance and row["scheduler"]]
+            chosen.sort(key=lambda row: row["cpu_ms"])
+            colour = colour if drawn is line else GREY
+            costs, errors = [row["cpu_ms"] for row in chosen], [row["error"] for row in chosen]
+            budget.plot(costs, errors, "-o", color=colour)
+    budget.set_xlabel("processor time a frame of five heads, ms\n(grey: the measurement before)")
     for distance, colour in zip(sorted({r["distance_cm"] for r in rows}), COLOURS, strict=False):
         for is_scheduled, style in ((True, "-o"), (False, "--x")):
             chosen = [
@@ -235,7 +250,7 @@ def chart_scene() -> None:
     cost.legend(fontsize=8)
     error.set_ylabel("MSE against full levels, 0–255")
     error.set_xlabel("talking heads, no budget")
-    for axis in (cost, error):
+    for axis in (cost, error, budget):
         axis.set_ylim(bottom=0)
     save(figure, "scene", line)
 

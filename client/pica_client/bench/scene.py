@@ -63,6 +63,9 @@ class SceneBenchConfig:
     """Rows of the image, pixels."""
     rounds: int = 8
     """Turns of each case, of five frames each."""
+    budgets_ms: Floats = ()
+    """Budgets of a frame with which the scheduler has the largest number of heads, besides none,
+    milliseconds, separated by commas: what error is left at what cost."""
     performance: str = "talk"
     """What everybody does: talk, listen or range-of-motion."""
 
@@ -71,6 +74,8 @@ class SceneBenchConfig:
             raise OptionError(f"avatars are {self.avatars}; 1 to 16 are allowed")
         check_distances(self.distances_cm)
         check_ranges(self, rounds=(2, 1000), width=(16, 8192), height=(16, 8192))
+        if not all(0 < budget < 1e4 for budget in self.budgets_ms):
+            raise OptionError(f"budgets_ms are {self.budgets_ms}; above 0 and below 10000")
 
     @property
     def size(self) -> tuple[int, int]:
@@ -85,10 +90,12 @@ class _Case:
     num_avatars: int
     distance_cm: float
     is_scheduled: bool
+    budget_ms: float = math.inf
     heads: list[Head] = field(default_factory=list)
     scheduler: Scheduler = field(default_factory=Scheduler)
     frame: int = 0
     levels: Counter[str] = field(default_factory=Counter)
+    shaded_px: float = 0.0
     pixels: int = 0
     triangles: int = 0
 
@@ -136,10 +143,17 @@ class _Bench:
         self.gl_renderer = self._renderer.gl_renderer
 
     def cases(self) -> list[_Case]:
-        """Every scene and one head that fills the screen, without and with the scheduler."""
-        scenes = [(1, FULL_SCREEN_CM)]
-        scenes += [(n, cm) for cm in self._config.distances_cm for n in self._config.avatars]
-        return [_Case(n, cm, scheduled) for n, cm in scenes for scheduled in (False, True)]
+        """Every scene and one head that fills the screen, without and with the scheduler; the most
+        heads with each budget."""
+        config, scenes = self._config, [(1, FULL_SCREEN_CM)]
+        scenes += [(n, cm) for cm in config.distances_cm for n in config.avatars]
+        cases = [_Case(n, cm, scheduled) for n, cm in scenes for scheduled in (False, True)]
+        most = max(config.avatars)
+        return cases + [
+            _Case(most, cm, is_scheduled=True, budget_ms=budget)
+            for cm in config.distances_cm
+            for budget in config.budgets_ms
+        ]
 
     def turn(self, case: _Case, number: int) -> Turn:
         """Draw some frames of a case; those of a negative number warm up."""
@@ -161,6 +175,7 @@ class _Bench:
             "avatars": case.num_avatars,
             "distance_cm": case.distance_cm,
             "scheduler": case.is_scheduled,
+            "budget_ms": None if math.isinf(case.budget_ms) else case.budget_ms,
             **{f"{name}_ms": round(float(means[name].mean()), 3) for name in TIMES},
             "spread": round(float((high - low) / middle), 3),
             "error": round(float(found["error"].mean()), 3),
@@ -193,8 +208,7 @@ class _Bench:
         took["total"] = sum(took[name] for name in ("plan", "decode", "upload", "draw"))
         case.triangles = stats.num_triangles
         if case.is_scheduled:
-            shaded_px = sum(head.sight.visible_px for head in case.heads)
-            case.scheduler.costs.observe_draw(stats.num_triangles, shaded_px, draw_s)
+            case.scheduler.costs.observe_draw(stats.num_triangles, case.shaded_px, draw_s)
         if has_error:
             shown = read_drawing(self._renderer)
             truth = self._draw_truth(case.heads, camera)
@@ -221,7 +235,9 @@ class _Bench:
         requests = [(head, _whole(head, camera)) for head in case.heads]
         if case.is_scheduled:
             begin_s = time.perf_counter()
-            case.scheduler.plan_view(case.heads, [camera], self._config.size, math.inf, now)
+            budget_s = case.budget_ms * 1e-3
+            plan = case.scheduler.plan_view(case.heads, [camera], self._config.size, budget_s, now)
+            case.shaded_px = plan.shaded_px
             requests = requests_of(case.heads, now)
             took["plan"] = (time.perf_counter() - begin_s) * 1e3
             shown = [head.choice for head in case.heads if head.sight.is_visible]
@@ -264,7 +280,9 @@ def summarise(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     scenes = []
     for distance in sorted({row["distance_cm"] for row in rows} - {FULL_SCREEN_CM}):
         plain, free = (
-            row for row in rows if (row["avatars"], row["distance_cm"]) == (most, distance)
+            row
+            for row in rows
+            if (row["avatars"], row["distance_cm"], row["budget_ms"]) == (most, distance, None)
         )
         scenes.append(
             {
