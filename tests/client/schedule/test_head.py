@@ -9,7 +9,7 @@ import pytest
 
 from helpers.toy import make_toy_avatar, with_toy_levels
 from pica_client.decode.request import DecodeRequest
-from pica_client.render.scene import Placement, head_matrix, view_direction
+from pica_client.render.scene import Placement, head_matrix
 from pica_client.schedule.head import BLEND_S, Head
 from pica_client.schedule.scheduler import Plan, Scheduler, requests_of
 from pica_core.avatar.file import Avatar
@@ -101,16 +101,6 @@ def test_behind_the_viewer_nothing_is_decoded_until_it_comes_back(avatar: Avatar
     assert ada.choice.every
 
 
-def test_where_time_is_short_a_far_head_gives_up_more_than_a_near_one(avatar: Avatar) -> None:
-    near, far = head(avatar, "near"), head(avatar, "far", x_m=1.0)
-    far.world_from_head[2, 3] = -2.0
-    scheduler = Scheduler()
-    budget_s = 0.7 * planned(scheduler, near, far).cost_s
-    plan = scheduler.plan_view([near, far], [camera_at()], SIZE, budget_s, FRAME_S)
-    given = {slot: (choice.level, choice.scale) for slot, choice in plan.choices.items()}
-    assert given["far"] < given["near"]
-
-
 def test_maps_of_another_level_fade_in_and_those_of_the_same_do_not(avatar: Avatar) -> None:
     ada = head(avatar)
     planned(Scheduler(), ada)
@@ -146,14 +136,6 @@ def test_both_eyes_share_one_decode(avatar: Avatar) -> None:
     assert len(requests_of([ada], 0.0)) == 1
     one = planned(Scheduler(), head(avatar))
     assert plan.shaded_px == pytest.approx(2 * one.shaded_px, rel=0.1)
-
-
-def test_views_are_those_of_the_scene(avatar: Avatar) -> None:
-    side, camera = head(avatar, x_m=0.3), camera_at(side_m=-0.2)
-    (request,) = asked(Scheduler(), side, camera=camera)
-    wanted = view_direction(side.world_from_head, camera.centre_m)
-    assert request.view_direction == pytest.approx(wanted, abs=1e-6)
-    assert request.view_direction.dtype == np.float32
 
 
 def test_a_latent_of_another_shape_is_decoded_for_the_decoder_to_refuse(avatar: Avatar) -> None:

@@ -14,12 +14,11 @@ from hypothesis import strategies as st
 
 from helpers.toy import make_toy_avatar, with_toy_levels
 from pica_client.decode.request import DecodedMaps, DecodeRequest, DecodeResult
-from pica_client.schedule.cost_model import CostModel, DrawCost
+from pica_client.schedule.cost_model import CostModel
 from pica_client.schedule.head import Choice, Head
 from pica_client.schedule.scheduler import (
     DETAIL_PX,
     MAX_AGE_S,
-    STREAM_HOLD_S,
     Plan,
     Scheduler,
 )
@@ -100,13 +99,6 @@ def test_detail_follows_the_height_on_the_screen() -> None:
     heights = (30, 100, 300, 1000)
     found = [detail(choose(view(head_px=px, held_level=None))) for px in heights]
     assert found == [(1, 64, 64), (1, 128, 128), (1, 256, 128), (1, 256, 256)]
-
-
-def test_without_a_budget_a_head_is_decoded_and_drawn_as_coarsely_as_can_be() -> None:
-    choice = choose(view(held_level=None), budget_s=0.0)
-    assert (choice.decode, *detail(choice)) == ("both", 0.5, 64, 64)
-    resting = view(head_px=1000, latent_change=0.0, view_turn_rad=0.0)
-    assert choose(resting, budget_s=0.0).mesh_level == 64
 
 
 def test_where_time_is_short_listeners_are_drawn_less_often_before_anybody_is_coarser() -> None:
@@ -242,37 +234,8 @@ def test_detail_that_the_budget_took_comes_back_with_the_budget() -> None:
     assert detail(scheduler.plan([head], AMPLE_S, 2.0).choices["ada"]) == (1, 256, 256)
 
 
-def test_a_head_that_leaves_is_wanted_a_while_longer_and_then_not_at_all() -> None:
-    scheduler, head = Scheduler(), view()
-    sight = head.sight
-    wanted = []
-    for frame in range(90):
-        head.sight = sight if frame < 10 else NOTHING
-        made = scheduler.plan([head], AMPLE_S, frame * FRAME_S)
-        wanted.append(made.choices["ada"].every)
-    last = max(i for i, every in enumerate(wanted) if every)
-    assert (last - 9) * FRAME_S == pytest.approx(STREAM_HOLD_S, abs=1.5 * FRAME_S)
-    head.sight = sight
-    assert scheduler.plan([head], AMPLE_S, 3.1).choices["ada"].every == 1
-
-
-def test_a_head_that_comes_back_is_decoded_in_the_same_frame() -> None:
-    scheduler, ada, ben = Scheduler(), view(age_s=103.0), view("ben")
-    sight, ada.sight = ada.sight, NOTHING
-    for frame in range(90):
-        scheduler.plan([ada, ben], 0.001, frame * FRAME_S)
-    ada.sight = sight
-    assert scheduler.plan([ada, ben], 0.001, 3.0).choices["ada"].decode == "both"
-
-
 def test_a_small_head_wants_a_part_of_its_stream() -> None:
     assert [choose(view(head_px=px)).every for px in (5, 20, 200)] == [4, 2, 1]
-
-
-def test_two_eyes_decode_once_and_draw_twice() -> None:
-    kept_s = CostModel().decode_s("", 256, "both") + DrawCost().frame_s
-    cost_of_one, cost_of_two = plan(view()).cost_s, plan(view(num_views=2)).cost_s
-    assert cost_of_two - kept_s == pytest.approx(2 * (cost_of_one - kept_s))
 
 
 def test_what_is_measured_reaches_the_cost_model() -> None:
