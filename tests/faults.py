@@ -221,13 +221,13 @@ async def _sender_killed(call: Call) -> None:
     call.senders["ada"] = call.start_sender("ada", call.url)
 
 
-@fault("relay's log is not read, 150 people join meanwhile")
+@fault("relay's log is not read, 300 strangers write into it")
 async def _log_not_read(call: Call) -> None:
     unread, stderr = socket.socketpair()
     stderr.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 2048)
     call.unread = unread  # else it would be closed
-    await call.restart_relay(0.0, stderr=stderr)
-    for _ in range(150):
+    await call.restart_relay(0.0, "--limits.joins-burst", "1000", stderr=stderr)
+    for _ in range(300):
         async with peer_in_room(call.url, "Stranger", room="elsewhere"):
             pass
 
