@@ -16,7 +16,7 @@ from imgui_bundle import imgui
 
 from pica_client.render.seats import LAYOUTS
 from pica_client.render.views import ViewState as Orbit
-from pica_client.ui.state import ViewState
+from pica_client.ui.state import Side, ViewState
 from pica_client.ui.surface.style import Tone
 from pica_protocol.messages import Moderation
 
@@ -24,8 +24,6 @@ CLICK_PX = 5.0
 """A press that moves less than this before it is let go is a click."""
 TALK_KEY = imgui.Key.space
 """Held to be heard, where the settings say so."""
-NO_FACE = "You show no face: choose a face source in the settings (--send)"
-NO_VOICE = "You send no voice: choose a microphone in the settings (--voice mic)"
 
 
 class Action(Enum):
@@ -101,6 +99,12 @@ def _next_layout(state: ViewState) -> str:
     return state.seat(LAYOUTS[(LAYOUTS.index(state.layout) + 1) % len(LAYOUTS)])
 
 
+def _panel(side: Side, icon: str, *keys: imgui.Key) -> Row:
+    """A panel at the right, opened and closed."""
+    toggle = ("side", side, "none")
+    return Row(keys=keys, title=side, toggle=toggle, group=2, off=(icon, side.title(), "plain"))
+
+
 def _close(state: ViewState) -> None:
     if state.asks_to_leave:
         state.asks_to_leave = False
@@ -137,20 +141,8 @@ ACTIONS: Final[dict[Action, Row]] = {
         on=(icons.ICON_FA_EYE_SLASH, "Show your face", "alert"),
     ),
     Action.CALIBRATE: Row(keys=(_KEY.k,), title="calibrate the tracker", needs="face"),
-    Action.PARTICIPANTS: Row(
-        keys=(_KEY.u,),
-        title="participants",
-        toggle=("side", "participants", "none"),
-        group=2,
-        off=(icons.ICON_FA_USER_GROUP, "Participants", "plain"),
-    ),
-    Action.STATISTICS: Row(
-        keys=(_KEY.s,),
-        title="statistics",
-        toggle=("side", "statistics", "none"),
-        group=2,
-        off=(icons.ICON_FA_CHART_SIMPLE, "Statistics", "plain"),
-    ),
+    Action.PARTICIPANTS: _panel("participants", icons.ICON_FA_USER_GROUP, _KEY.u),
+    Action.STATISTICS: _panel("statistics", icons.ICON_FA_CHART_SIMPLE, _KEY.s),
     Action.RECORD: Row(
         keys=(_KEY.v,),
         title="start or stop recording",
@@ -161,20 +153,8 @@ ACTIONS: Final[dict[Action, Row]] = {
         on=(icons.ICON_FA_SQUARE, "Stop recording", "alert"),
     ),
     Action.FULL_SCREEN: Row(keys=(_KEY.f11,), title="full screen"),
-    Action.SETTINGS: Row(
-        keys=(_KEY.o,),
-        title="settings",
-        toggle=("side", "settings", "none"),
-        group=2,
-        off=(icons.ICON_FA_GEAR, "Settings", "plain"),
-    ),
-    Action.HELP: Row(
-        keys=(_KEY.h, _KEY.f1),
-        title="this help",
-        toggle=("side", "help", "none"),
-        group=2,
-        off=(icons.ICON_FA_CIRCLE_QUESTION, "Help", "plain"),
-    ),
+    Action.SETTINGS: _panel("settings", icons.ICON_FA_GEAR, _KEY.o),
+    Action.HELP: _panel("help", icons.ICON_FA_CIRCLE_QUESTION, _KEY.h, _KEY.f1),
     Action.CLOSE: Row(
         keys=(_KEY.escape, _KEY.q),
         title="close, or leave",
@@ -192,7 +172,7 @@ def apply(request: Request, state: ViewState) -> Request | None:
     if row is None:
         return request
     if not row.is_possible(state):
-        return NO_FACE if row.needs == "face" else NO_VOICE
+        return None
     if row.toggle is not None and not row.is_request:
         name, on, off = row.toggle
         setattr(state, name, off if getattr(state, name) == on else on)

@@ -1,6 +1,8 @@
 """The voices of a call as the window needs them: the user's, those of others, the devices."""
 
 from collections.abc import Iterable, Mapping
+from contextlib import ExitStack
+from functools import partial
 
 from pica_client.call.status import Person
 from pica_client.ui.state import Sent, ViewState
@@ -31,7 +33,6 @@ class CallSound:
         self._volumes: Mapping[str, float] = {}
         self._talked_s = -TAIL_S
         self._trouble = ""
-        self._track = Soundtrack()
 
     @property
     def own_voice(self) -> Sent:
@@ -80,21 +81,16 @@ class CallSound:
         None where there is neither."""
         if self._sound is None and self._own is None:
             return None
-        self._track = Soundtrack(self._end_track)
+        stack = ExitStack()
+        track = Soundtrack(lambda track: stack.close())
+
+        def keep_own(sound: FloatArray, captured_us: int) -> None:
+            track.add("own", sound, captured_us / 1e6)
+
         if self._own is not None:
-            self._own.listeners.append(self._keep_own)
+            self._own.listeners.append(keep_own)
+            stack.callback(self._own.listeners.remove, keep_own)
         if self._sound is not None:
-            self._sound.hand_mix_to(self._keep_mix)
-        return self._track
-
-    def _end_track(self, track: Soundtrack) -> None:
-        if self._own is not None:
-            self._own.listeners.remove(self._keep_own)
-        if self._sound is not None:
-            self._sound.hand_mix_to(None)
-
-    def _keep_own(self, sound: FloatArray, captured_us: int) -> None:
-        self._track.add("own", sound, captured_us / 1e6)
-
-    def _keep_mix(self, sound: FloatArray, leaves_s: float) -> None:
-        self._track.add("others", sound, leaves_s)
+            self._sound.hand_mix_to(partial(track.add, "others"))
+            stack.callback(self._sound.hand_mix_to, None)
+        return track

@@ -30,7 +30,7 @@ from pica_client.transport.connect import trusting
 from pica_client.ui.call_sound import CallSound
 from pica_client.ui.lobby import JoinForm, Lobby, follow_invite
 from pica_client.ui.options import ViewOptions, check_voice, connect_timeout_s, parse_size
-from pica_client.ui.state import DEFAULT_URL, PreferencesFile, ViewState, fit_side
+from pica_client.ui.state import DEFAULT_URL, PreferencesFile, ViewState
 from pica_client.ui.viewer import Viewer
 from pica_client.ui.window import Window
 from pica_client.voice.opus import available
@@ -295,7 +295,7 @@ def _show(
             if png is not None and viewer.save_image(png):
                 say(f"wrote {png}")
             if window is not None and (size := window.windowed_size):
-                state.window_size = fit_side(size[0]), fit_side(size[1])
+                state.window_size = size
             if controls is not None:
                 state.source = controls.source
     for problem in problems:

@@ -30,7 +30,6 @@ SCALES: Final = (0.8, 1.0, 1.25, 1.5)
 """Sizes of type and buttons to choose from."""
 DEFAULT_URL: Final = "ws://127.0.0.1:8765"
 FILE_NAME: Final = "preferences.json"
-MIN_SIDE, MAX_SIDE = 160, 8192
 CHOICES: Final[dict[str, tuple[Any, ...]]] = {
     "layout": LAYOUTS,
     "scale": SCALES,
@@ -75,9 +74,8 @@ class Preferences:
         for name, allowed in CHOICES.items():
             if getattr(self, name) not in allowed:
                 raise ValueError(f"{name} is {getattr(self, name)!r}; {allowed} are allowed")
-        sides = self.window_size
-        if len(sides) != 2 or sides != tuple(map(fit_side, sides)):
-            raise ValueError(f"window_size is {sides}; {MIN_SIDE} to {MAX_SIDE} each is allowed")
+        width, height = self.window_size
+        self.window_size = min(max(width, 160), 8192), min(max(height, 160), 8192)
 
 
 @dataclass(kw_only=True, slots=True)
@@ -171,11 +169,6 @@ class PreferencesFile:
         except OSError as error:
             reason = getattr(error, "strerror", None) or error
             self._warn(f"{self.path}: preferences cannot be kept: {reason}")
-
-
-def fit_side(side: int) -> int:
-    """The nearest side of a window that is kept."""
-    return int(min(max(side, MIN_SIDE), MAX_SIDE))
 
 
 def _without_secrets(url: str) -> str:

@@ -12,8 +12,6 @@ from pica_client.render.seats import LAYOUTS
 from pica_client.render.views import ViewState as Orbit
 from pica_client.ui.actions import (
     ACTIONS,
-    NO_FACE,
-    NO_VOICE,
     Action,
     Request,
     apply,
@@ -174,15 +172,6 @@ def test_the_own_face_is_muted_and_shown_again(controls: Controls) -> None:
         controls.press(KEY.m)
         steps.append(controls.state.own_face)
     assert steps == ["muted", "sent"]
-
-
-@pytest.mark.parametrize(("key", "said"), [(KEY.m, NO_FACE), (KEY.t, NO_VOICE)])
-def test_without_a_face_or_a_voice_the_user_is_told_how_to_send_one(
-    controls: Controls, key: imgui.Key, said: str
-) -> None:
-    controls.press(key)
-    assert (controls.state.own_face, controls.state.own_voice) == ("none", "none")
-    assert controls.take_requests() == [said]
 
 
 def test_the_desktops_own_shortcuts_are_left_alone(controls: Controls) -> None:

@@ -12,6 +12,7 @@ from imgui_bundle import imgui
 from helpers.hand import Hand, open_hand
 from pica_client.errors import RelayRefusedError, RelayUnreachableError, SourceError
 from pica_client.sources import open_source
+from pica_client.sources.registry import TRACKER_KINDS
 from pica_client.ui.lobby import REFUSALS, JoinForm, connecting_panel, join_panel
 from pica_client.ui.options import ViewOptions
 from pica_client.ui.panels.settings import SOURCES
@@ -160,8 +161,10 @@ def test_a_refused_join_can_be_tried_again_and_typing_takes_the_error_away() -> 
 
 
 def test_every_source_of_the_form_opens() -> None:
-    # A webcam needs a camera and networks that a test machine may lack.
-    assert all(open_source(source) for source, _ in SOURCES if source not in ("", "webcam"))
+    # A tracker needs a port or a camera that a test machine may lack.
+    trackers = {source for source, _ in SOURCES if source in TRACKER_KINDS}
+    assert trackers == {"livelink", "vmc", "webcam"}
+    assert all(open_source(source) for source, _ in SOURCES if source not in {"", *trackers})
 
 
 def test_an_invite_link_in_the_first_field_fills_the_form() -> None:

@@ -148,10 +148,7 @@ def waiting_page(state: ViewState, call: CallView, metrics: Metrics) -> list[Req
         if watching > 0:
             who = "One person watches" if watching == 1 else f"{watching} people watch"
             widgets.note(f"{who} without showing a face.", metrics)
-        if call.has_pointer:
-            return _invitation(status.invitation, metrics, "accent")
-        widgets.note(status.invitation, metrics, tone="accent")
-    return []
+        return _invitation(status.invitation, metrics, "accent")
 
 
 def _invitation(line: str, metrics: Metrics, tone: Tone = "plain") -> list[Request]:
