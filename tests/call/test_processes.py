@@ -124,7 +124,7 @@ def test_a_call_survives_the_death_of_sender_and_relay(
     with Receiver(LinkConfig(url=url, room="r", name="viewer"), call) as receiver:
         wait_until(lambda: call.num_live == 2, "both are seen")
         os.kill(ben.pid, signal.SIGKILL)
-        wait_until(lambda: len(call.health()) == 1, "Ben is gone")
+        wait_until(lambda: len(call.faces(time.monotonic())) == 1, "Ben is gone")
         os.kill(relay.pid, signal.SIGKILL)
         wait_until(lambda: not receiver.is_connected, "the relay is missed")
         port = url.rpartition(":")[2]

@@ -94,8 +94,8 @@ class Viewer:
         return self.faces[-1][0]
 
     def payload_bytes(self) -> int:
-        (health,) = self.receiver.call.health().values()
-        return health.payload_bytes
+        (member,) = self.receiver.call.room(0.0).members
+        return member.stream.payload_bytes
 
     def after(self, begin_s: float) -> list[tuple[float, FaceState]]:
         return [(at_s, face) for at_s, face in self.faces if at_s > begin_s]

@@ -12,7 +12,7 @@ import pytest
 from helpers.senders import LoadedAvatars, make_senders
 from helpers.stream_toy import stream_avatar
 from pica_client.call.call import Call
-from pica_client.call.status import Person
+from pica_client.call.roster import Member
 from pica_client.e2ee.secret import RoomSecret, save_secret
 from pica_client.endpoint.endpoint import Receiver
 from pica_client.endpoint.monitor import CallMonitor
@@ -34,7 +34,7 @@ class Viewer:
         self.receiver = Receiver(link, Call(avatars))
         self.status = CallMonitor(self.receiver).status
 
-    def listed(self) -> dict[str, Person]:
+    def listed(self) -> dict[str, Member]:
         now = asyncio.get_running_loop().time()
         self.receiver.call.faces(now)
         return {each.name: each for each in self.status(now).participants}

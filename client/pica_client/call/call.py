@@ -15,8 +15,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pica_client.avatars.library import AvatarStore
-from pica_client.call.connection_quality import StreamHealth
 from pica_client.call.faces import FaceState, FaceStatus
+from pica_client.call.names import name_warnings
 from pica_client.call.participant import Participant, Tell
 from pica_client.call.roster import SECRET_NEEDED, Member, RoomState, Roster
 from pica_client.e2ee.status import SealState
@@ -182,21 +182,36 @@ class Call:
         with self._lock:
             self._roster.own_name = name
 
-    def room(self, now: float) -> RoomState:
+    def room(self, now: float, *, is_busy: bool = False) -> RoomState:
         """Return the members of the room, watchers included, and what happened since the last
-        call."""
+        call; asked about twice a second.
+
+        Args:
+            is_busy: Whether this machine was too busy, since the last call, to say how frames come.
+        """
         with self._lock:
             self._roster.handle_timer(now)
-            joined_s, seals = self._roster.joined_s, self._seals()
+            joined_s, own_name, seals = self._roster.joined_s, self._roster.own_name, self._seals()
+            members = self._roster.members
+            warnings = name_warnings((member.peer for member in members), own_name)
+            shown = []
+            for member in members:
+                seal, note = seals.get(member.peer_id), ""
+                if seat := self._seats.get(member.peer_id):
+                    member, note = seat.rated(now, is_busy=is_busy), self._note(seat, now)
+                elif seal is not None:  # watchers have no face that could be missing
+                    note = seal.note
+                shown.append(
+                    replace(
+                        member,
+                        is_verified=seal is SealState.VERIFIED,
+                        warning=warnings[member.peer_id],
+                        note="connection lost" if member.is_away else note,
+                    )
+                )
             return RoomState(
-                own_name=self._roster.own_name,
-                members=tuple(self._roster.members),
-                # Watchers have no face that could be missing.
-                notes={who: seal.note for who, seal in seals.items()}
-                | {peer_id: self._note(seat, now) for peer_id, seat in self._seats.items()},
-                verified=frozenset(
-                    who for who, seal in seals.items() if seal is SealState.VERIFIED
-                ),
+                own_name=own_name,
+                members=tuple(shown),
                 news=tuple(self._roster.take_news()),
                 duration_s=0.0 if joined_s is None else now - joined_s,
             )
@@ -208,11 +223,6 @@ class Call:
         """Peers of whom a frame has been read."""
         with self._lock:
             return sum(seat.last_arrival_s is not None for seat in self._seats.values())
-
-    def health(self) -> dict[str, StreamHealth]:
-        """How the stream of each peer with a face stands, by peer id; counters since it began."""
-        with self._lock:
-            return {peer_id: seat.health() for peer_id, seat in self._seats.items()}
 
     def begin_window(self, now: float) -> None:
         """Let the statistics begin here: what came before was warming up."""
@@ -323,7 +333,7 @@ class Call:
         played, is_held = seat.play(now, heard_us)
         face = FaceState(
             peer_id=peer.peer_id,
-            name=member.title,
+            name=member.name,
             avatar_id=seat.track.avatar,
             latent=None,
             status="waiting",

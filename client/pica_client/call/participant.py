@@ -11,11 +11,11 @@ screen costs a message or two a second at most, and its stream is there whenever
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import replace
 from enum import Enum
 from typing import Any, Final
 
-from pica_client.call.connection_quality import StreamHealth
+from pica_client.call.connection_quality import QualityMeter
 from pica_client.call.roster import Member
 from pica_client.playout.buffer import PlayedFace, Playout, PlayoutReport
 from pica_client.tracks import FACE_KEY, FACE_LOST
@@ -52,15 +52,6 @@ class StreamState(Enum):
     """The relay was told to send nothing."""
 
 
-@dataclass(kw_only=True, slots=True)
-class StreamWindow:
-    """What one stream did since the statistics began."""
-
-    received: int = 0
-    payload_bytes: int = 0
-    before: PlayoutReport = field(default_factory=PlayoutReport)
-
-
 class Participant:
     """One peer with a face, and what has come from it.
 
@@ -79,9 +70,10 @@ class Participant:
         self.played: PlayedFace | None = None
         self.last_arrival_s: float | None = None
         self.told = self._wanted = 1  # a relay that was told nothing sends everything
-        self.window = StreamWindow()
+        self._before = PlayoutReport()  # when the statistics began
+        self._meter = QualityMeter()
+        self._rated = 0.0, 0  # when, and payload bytes by then
         self._decoder: LatentDecoder | None = None
-        self._payload_bytes = 0
         self._lower_s = math.inf  # when less is asked for
         self._lowered_s = -math.inf
 
@@ -103,11 +95,7 @@ class Participant:
 
     def succeed(self, former: "Participant") -> None:
         """Go on counting where the last seat of the same person stopped."""
-        counted = former.playout.report().since(former.window.before)
-        self.window = replace(
-            former.window,
-            before=PlayoutReport().since(counted),
-        )
+        self._before = PlayoutReport().since(former.playout.report().since(former._before))
 
     @property
     def note(self) -> str:
@@ -203,9 +191,6 @@ class Participant:
                 self.playout.pause()  # what the relay had kept: the hole behind it is no loss
             self.state = StreamState.LIVE
         self.last_arrival_s = now
-        self.window.received += 1
-        self.window.payload_bytes += len(frame.payload)
-        self._payload_bytes += len(frame.payload)
         return sample
 
     def play(self, now: float, heard_us: int | None = None) -> tuple[PlayedFace | None, bool]:
@@ -221,15 +206,24 @@ class Participant:
 
     def begin_window(self) -> None:
         """Begin the statistics here."""
-        self.window = StreamWindow(before=self.playout.report())
+        self._before = self.playout.report()
 
-    def health(self) -> StreamHealth:
-        """What judges the connection."""
-        return StreamHealth(
-            **asdict(self.playout.report()),
-            payload_bytes=self._payload_bytes,
-            is_paused=self.member.is_away or self._is_muted,
-        )
+    def rated(self, now: float, *, is_busy: bool) -> Member:
+        """The member with how its stream comes in; asked about twice a second.
+
+        Args:
+            is_busy: Whether this machine was too busy to say how frames come.
+        """
+        report, (before_s, before_bytes) = self.playout.report(), self._rated
+        self._rated = now, report.payload_bytes
+        if self.member.is_away or self._is_muted:
+            quality = self._meter.pause()
+        else:
+            quality = self._meter.skip() if is_busy else self._meter.receive(report, now)
+        bps = None
+        if before_s and now > before_s:
+            bps = (report.payload_bytes - before_bytes) * 8 / (now - before_s)
+        return replace(self.member, quality=quality, payload_bps=bps, stream=report)
 
     def stats(self, seconds: float | None) -> dict[str, Any]:
         """How the person's stream came in, over all their seats.
@@ -237,14 +231,13 @@ class Participant:
         Args:
             seconds: So long ago was `begin_window`; None: there was none, so since the call began.
         """
-        window = self.window
-        report = self.playout.report().since(window.before)
+        report = self.playout.report().since(self._before)
         counted = ("lost", "late", "concealed", "duplicates", "refused", "restarts")
         return {
             "name": self.member.peer.name,
-            "received": window.received,
-            "latents_per_s": round(window.received / seconds, 2) if seconds else None,
-            "payload_bps": round(window.payload_bytes * 8 / seconds) if seconds else None,
+            "received": report.received,
+            "latents_per_s": round(report.received / seconds, 2) if seconds else None,
+            "payload_bps": round(report.payload_bytes * 8 / seconds) if seconds else None,
             **{name: getattr(report, name) for name in counted},
             "concealed_ratio": round(report.concealed_ratio, 4),
             "playout_delay_ms": round(report.delay_s * 1e3, 2),

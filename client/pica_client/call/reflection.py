@@ -9,12 +9,12 @@ from dataclasses import replace
 from typing import Final
 
 from pica_client.call.call import Call
+from pica_client.call.roster import SELF_ID
 from pica_core.avatar.file import Avatar
 from pica_core.codec.latent_stream import EncodedFrame
 from pica_protocol.frames import SEQUENCE_MODULUS, Frame
 from pica_protocol.messages import Joined, Peer, Track
 
-SELF_ID: Final = "self"
 _STREAM: Final = 1
 
 

@@ -11,10 +11,12 @@ was there a moment ago gets the place of that member, so places are not swapped.
     take_news()                  what happened since the last call
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Final, Literal, NamedTuple
 
+from pica_client.call.connection_quality import Quality
+from pica_client.playout.buffer import PlayoutReport
 from pica_client.tracks import (
     FACE_KEY,
     FACE_TRACK,
@@ -40,6 +42,8 @@ MAX_KEPT: Final = 64
 MAX_NEWS: Final = 64
 """News not yet taken: beyond these the oldest are dropped."""
 
+SELF_ID: Final = "self"
+"""Stands for oneself among the peers; what counts is the place."""
 SECRET_NEEDED: Final = "encrypted: the room's secret is needed"
 """Note on a member who encrypts when we do not."""
 
@@ -56,11 +60,11 @@ class News:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Member:
-    """Another member of the room."""
+    """A member of the room."""
 
     peer: messages.Peer
-    place: int
-    """Rises with the order of coming; constant while the member is here."""
+    place: int = -1
+    """Rises with the order of coming; constant while the member is here; -1 for oneself."""
     namesake: int = 1
     """Counts those of one name, from 1; kept when others of that name go."""
     is_away: bool = False
@@ -70,10 +74,47 @@ class Member:
     has_whispered: bool = False
     """Whether it has sent us a key that we can do nothing with: it encrypts, and we do not."""
 
+    quality: Quality = "unknown"
+    payload_bps: float | None = None
+    """Bits a second over the last seconds; None before there were any."""
+    stream: PlayoutReport = field(default_factory=PlayoutReport)
+    """How the face comes in."""
+    is_verified: bool = False
+    """Whether it has proven to know the room's secret, where faces are encrypted."""
+    warning: str = ""
+    """Why the name may mislead; empty: no reason to think so."""
+    note: str = ""
+    """Why the face is not to be seen, or not as it should be; empty: nothing is wrong."""
+
     @property
-    def title(self) -> str:
+    def peer_id(self) -> str:
+        """The id of the peer; `SELF_ID` for oneself."""
+        return self.peer.peer_id
+
+    @property
+    def name(self) -> str:
         """The name, with a number if another member had it first."""
         return self.peer.name if self.namesake == 1 else f"{self.peer.name} ({self.namesake})"
+
+    @property
+    def is_self(self) -> bool:
+        """Whether this is oneself."""
+        return self.place < 0
+
+    @property
+    def line(self) -> str:
+        """What stands under the name; empty when there is nothing to say."""
+        if self.note:
+            return self.note
+        if self.is_watching:
+            return "watching"
+        return "poor connection" if self.quality == "poor" else ""
+
+    @property
+    def muted_kinds(self) -> frozenset[str]:
+        """What an admin has stopped of theirs: "face", "voice"."""
+        tracks = self.peer.tracks
+        return frozenset(each.kind for each in tracks if each.stream in self.muted_streams)
 
     @property
     def is_watching(self) -> bool:
@@ -108,10 +149,6 @@ class RoomState(NamedTuple):
     """What the others are shown as our name."""
     members: tuple[Member, ...]
     """Everybody else, in the order of coming."""
-    notes: Mapping[str, str]
-    """Why a face is not to be seen, or not as it should be, by peer id; empty: nothing is wrong."""
-    verified: frozenset[str]
-    """Peer ids that have proven to know the room's secret; empty where we do not encrypt."""
     news: tuple[News, ...]
     """What happened since this was asked for the last time."""
     duration_s: float
@@ -262,7 +299,7 @@ class Roster:
         return next(alike, found[0] if found else None)
 
     def _tell(self, kind: NewsKind, member: Member) -> None:
-        self._news = [*self._news, News(kind, member.title)][-MAX_NEWS:]
+        self._news = [*self._news, News(kind, member.name)][-MAX_NEWS:]
 
 
 def _reset(member: Member) -> Member:

@@ -191,7 +191,6 @@ class Receiver(Endpoint):
     receiver: …`` runs it in a thread, and `check` tells the drawing thread what went wrong there.
 
     Attributes:
-        is_recording: Whether the others are told that what is seen here is kept.
         late_s: By how much timers of the network's thread were late in all, seconds.
     """
 
@@ -206,7 +205,6 @@ class Receiver(Endpoint):
         """Prepare; see `Endpoint`. Without ears of the call no voices are sent to us."""
         super().__init__(link_config, own or Outgoing(), news=news)
         self.call = call
-        self.is_recording = False
         self.late_s = 0.0
         self._started = threading.Event()
         self._thread: threading.Thread | None = None
@@ -226,7 +224,6 @@ class Receiver(Endpoint):
 
     def say_recording(self, is_recording: bool) -> None:
         """Tell the others whether what is seen here is kept; any thread may call it."""
-        self.is_recording = is_recording
         value = RECORDS_YES if is_recording else ""
         self._call_soon(lambda: self.link.describe(RECORDS_KEY, value))
 

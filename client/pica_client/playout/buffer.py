@@ -73,6 +73,7 @@ class PlayoutReport:
     """Counters since the stream began, and how it stands."""
 
     received: int = 0
+    payload_bytes: int = 0
     lost: int = 0
     """Frames known to be lost on their way. A hole that thinning leaves is no loss; which it was is
     known eight frames later."""
@@ -121,7 +122,7 @@ class Playout:
     """The playout buffer of one stream; see the module for how it works."""
 
     def __init__(self) -> None:
-        self._received = self._late = self._duplicates = self._misplaced = 0
+        self._received = self._payload_bytes = self._late = self._duplicates = self._misplaced = 0
         self._num_shown = self._concealed = 0
         self._missed_s = self._last_transit_s = 0.0
         self._sender, self._num_jumps = SenderClock(), 0
@@ -138,6 +139,7 @@ class Playout:
     def receive(self, frame: Frame, sample: LatentSample, now: float) -> None:
         """Take a frame that arrived just now, and the face that was decoded from it."""
         self._received += 1
+        self._payload_bytes += len(frame.payload)
         number, captured_us, _, media_s = self._sender.receive(frame, now)
         if self._sender.num_jumps > self._num_jumps:
             self._num_jumps = self._sender.num_jumps
@@ -219,6 +221,7 @@ class Playout:
         target_s = 0.0 if transit is None else self._target_s
         return PlayoutReport(
             received=self._received,
+            payload_bytes=self._payload_bytes,
             lost=self._interval.num_lost,
             late=self._late,
             duplicates=self._duplicates,

@@ -86,6 +86,8 @@ class Link:
     """A connection to the relay that comes back by itself.
 
     Attributes:
+        tracks: What we publish.
+        metadata: What we say of ourselves.
         guard: What seals and opens frames, or None.
         url: The relay that we are at, or try: the configured one, or one that it sent us to.
     """
@@ -118,7 +120,7 @@ class Link:
         self.url = config.url
         self.counters = LinkCounters()
         self.guard = guard
-        self._tracks = tracks
+        self.tracks = tracks
         self._on_event = on_event
         self._wait_s = FIRST_WAIT_S
         self._refused_since_s: float | None = None
@@ -129,7 +131,7 @@ class Link:
         self._wake = asyncio.Event()
         self._is_leaving = False
         self._num_replaced = 0  # on connections that are over
-        self._metadata: Metadata = ()
+        self.metadata: Metadata = ()
         self._told: Metadata = ()
         self._told_s = -math.inf
         self._ticket: Ticket | None = None
@@ -168,7 +170,7 @@ class Link:
         """
         if self._session is None or not self.is_joined:
             return False
-        place = 0 if track is None else self._tracks.index(track)
+        place = 0 if track is None else self.tracks.index(track)
         self._session.send_frame(payload, captured_us, track=place, multiple=multiple)
         self._wake.set()
         return True
@@ -196,10 +198,10 @@ class Link:
         Raises:
             ValueError: It is out of the limits of the protocol.
         """
-        entries = {**dict(self._metadata), key: value}
+        entries = {**dict(self.metadata), key: value}
         metadata = tuple((each, text) for each, text in sorted(entries.items()) if text)
         check_metadata("metadata", metadata)
-        self._metadata = metadata
+        self.metadata = metadata
         self._wake.set()
 
     @property
@@ -313,17 +315,17 @@ class Link:
         session = ClientSession(
             room=self.config.room,
             name=self.config.name,
-            tracks=self._tracks,
+            tracks=self.tracks,
             now=loop.time(),
             seal=None if self.guard is None else self.guard.seal,
             token=token,
-            metadata=self._metadata,
+            metadata=self.metadata,
             resumable=True,
             # It is a secret between us and the relay that gave it.
             ticket=self._ticket if self._ticket_url == self.url else None,
         )
         self._session = session
-        self._told, self._told_s = self._metadata, loop.time()
+        self._told, self._told_s = self.metadata, loop.time()
         joined_s: float | None = None
 
         def handle(events: Sequence[ClientEvent], now: float) -> None:
@@ -434,12 +436,12 @@ class Link:
         """Queue what the others do not know of us yet, once it may be told."""
         due_s = self._tell_timer()
         if due_s is not None and due_s <= now and session.can_queue:
-            session.tell(UpdateMetadata(metadata=self._metadata))
-            self._told, self._told_s = self._metadata, now
+            session.tell(UpdateMetadata(metadata=self.metadata))
+            self._told, self._told_s = self.metadata, now
 
     def _tell_timer(self) -> float | None:
         """Return when the relay may be told our metadata; None: it knows it."""
-        return None if self._metadata == self._told else self._told_s + TELL_INTERVAL_S
+        return None if self.metadata == self._told else self._told_s + TELL_INTERVAL_S
 
     async def _until_woken(self) -> float:
         """Wait until there may be something to write, by a timer too; return the time."""

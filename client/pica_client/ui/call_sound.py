@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from functools import partial
 
-from pica_client.call.status import Person
+from pica_client.call.roster import Member
 from pica_client.ui.state import Sent, ViewState
 from pica_client.voice.publisher import VoicePublisher
 from pica_client.voice.sound.process import SoundProcess
@@ -48,7 +48,7 @@ class CallSound:
         voices = {} if self._sound is None else self._sound.state.voices
         return {peer_id: voice.level for peer_id, voice in voices.items()}
 
-    def follow(self, wanted: ViewState, people: Iterable[Person], now: float) -> str:
+    def follow(self, wanted: ViewState, people: Iterable[Member], now: float) -> str:
         """Do what the user wants; gives what has just gone wrong with a device, else nothing."""
         if self._own is not None:
             if wanted.is_heard:

@@ -9,11 +9,19 @@ from collections.abc import Callable
 
 from imgui_bundle import imgui
 
-from pica_client.call.status import CallStatus, PeerStatus, notices
+from pica_client.call.status import CallStatus, notices
 from pica_client.render.seats import FreeShares
 from pica_client.ui.actions import Request
 from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter
-from pica_client.ui.call_view import CallView, Notice, NoticeBoard, OwnFaceView, Panel, PersonView
+from pica_client.ui.call_view import (
+    UNKNOWN,
+    CallView,
+    Notice,
+    NoticeBoard,
+    OwnFaceView,
+    Panel,
+    PersonView,
+)
 from pica_client.ui.labels import place_labels
 from pica_client.ui.panels.bar import control_bar, leave_question
 from pica_client.ui.panels.overlay import free_shares, least_name, names, own_face, signs
@@ -124,7 +132,7 @@ class CallSurface:
         self, now: float, scene: CallScene, presenter: AvatarPresenter
     ) -> tuple[PersonView, ...]:
         figures, problems = presenter.figures(now), presenter.problems
-        muted = {each.peer_id for each in self.status.participants if each.is_voice_muted}
+        members = {each.peer_id: each for each in self.status.participants}
         metrics = self._surface.metrics
         pixels = scene.camera.width / metrics.size[0]  # a unit
         columns, rows = least_name(metrics)
@@ -143,10 +151,9 @@ class CallSurface:
                     status=face.status,
                     note=problems.get(peer_id) or face.note,
                     is_speaking=found is not None and found.is_speaking,
-                    is_voice_muted=peer_id in muted,
                     label=label,
                     figures=found,
-                    stream=self.status.peers.get(peer_id, PeerStatus()),
+                    member=members.get(peer_id, UNKNOWN),
                 )
             )
         return tuple(people)

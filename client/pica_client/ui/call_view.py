@@ -13,14 +13,18 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 from pica_client.call.faces import FaceStatus
-from pica_client.call.status import AvatarFigures, CallStatus, PeerStatus
+from pica_client.call.roster import Member
+from pica_client.call.status import AvatarFigures, CallStatus
 from pica_client.publish.face_controls import TrackerPreview
 from pica_client.render.scene import Rect
 from pica_client.ui.actions import Request
 from pica_client.ui.state import ViewState
 from pica_client.ui.surface.style import Metrics, Tone
 from pica_client.voice.sound.settings import SoundState
+from pica_protocol.messages import Peer
 
+UNKNOWN: Final = Member(peer=Peer(peer_id="unknown", name="unknown"))
+"""Stands for a participant whom the list does not have yet."""
 NOTICE_S: Final = 4.0
 """How long a notice stands."""
 LOUD_NOTICE_S: Final = 8.0
@@ -64,18 +68,18 @@ class PersonView:
     note: str = ""
     """What is wrong with the stream or the avatar, for people."""
     is_speaking: bool = False
-    is_voice_muted: bool = False
     label: Rect | None = None
     """The part of the surface that the name may fill, from its upper edge on; None: nowhere."""
     figures: AvatarFigures | None = None
-    stream: PeerStatus = field(default_factory=PeerStatus)
+    member: Member = UNKNOWN
+    """As of the last look at the room."""
 
     @property
     def remark(self) -> str:
         """What stands under the name; empty when all is well."""
         if self.note or self.status == "away":
             return self.note or "away"
-        return "poor connection" if self.stream.quality == "poor" else ""
+        return "poor connection" if self.member.quality == "poor" else ""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

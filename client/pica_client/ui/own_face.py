@@ -3,7 +3,8 @@ what the tracker sees beside it."""
 
 import moderngl
 
-from pica_client.call.reflection import SELF_ID, Reflection
+from pica_client.call.reflection import Reflection
+from pica_client.call.roster import SELF_ID
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.pool import DecodePool
 from pica_client.publish.face_controls import FaceControls

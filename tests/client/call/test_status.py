@@ -9,12 +9,10 @@ import pytest
 from helpers.senders import LoadedAvatars
 from helpers.toy import make_toy_avatar, toy_payload
 from pica_client.call.call import Call
-from pica_client.call.roster import News
+from pica_client.call.roster import Member, News
 from pica_client.call.status import (
-    Person,
     duration_text,
     joined_names,
-    list_participants,
     notices,
     recorders,
 )
@@ -34,7 +32,6 @@ from pica_protocol.messages import (
 pytestmark = pytest.mark.unit
 
 TOY_ID = "a" * 64
-OWN = Person(peer_id="", name="Me", is_self=True)
 
 
 class AvatarOnItsWay(LoadedAvatars):
@@ -55,21 +52,20 @@ def call_with(*peers: Peer, avatars: LoadedAvatars | None = None) -> Call:
     return call
 
 
-def listed(call: Call, now: float = 1.0) -> dict[str, Person]:
-    return {each.name: each for each in list_participants(OWN, call.room(now), {"p1": "poor"})}
+def listed(call: Call, now: float = 1.0) -> dict[str, Member]:
+    return {each.name: each for each in call.room(now).members}
 
 
-def test_oneself_comes_first_then_the_others_in_order_of_coming_watchers_among_them() -> None:
+def test_the_others_are_listed_in_order_of_coming_watchers_among_them() -> None:
     call = call_with(person("p9", "Zoe", 1), Peer(peer_id="p1", name="Ada"))
     call.receive_event(PeerJoined(peer=person("p2", "Ben", 2)), now=1.0)
-    assert list(listed(call)) == ["Me", "Zoe", "Ada", "Ben"]
-    assert [each.is_watching for each in listed(call).values()] == [False, False, True, False]
+    assert list(listed(call)) == ["Zoe", "Ada", "Ben"]
+    assert [each.is_watching for each in listed(call).values()] == [False, True, False]
 
 
 def test_who_may_be_somebody_else_than_the_name_says_is_marked() -> None:
     assured = replace(person("p1", "Ada", 1), is_name_assured=True, identity="ada")
     people = listed(call_with(assured, person("p2", "Ada", 2), person("p3", "ＭＥ", 3)))
-    assert people["Ada"].is_assured
     assert people["Ada"].warning == ""
     assert people["Ada (2)"].warning == "not the assured Ada"
     assert people["ＭＥ"].warning == "looks like your name"
@@ -83,11 +79,11 @@ def test_a_token_may_give_us_another_name() -> None:
 
 def test_people_of_one_name_are_told_apart_and_keep_their_numbers() -> None:
     call = call_with(person("p1", "Ada", 1), person("p2", "Ada", 2), person("p3", "Me", 3))
-    assert list(listed(call)) == ["Me", "Ada", "Ada (2)", "Me (2)"]
+    assert list(listed(call)) == ["Ada", "Ada (2)", "Me (2)"]
     call.receive_event(PeerLeft(peer_id="p1"), now=1.0)
-    assert list(listed(call)) == ["Me", "Ada (2)", "Me (2)"]
+    assert list(listed(call)) == ["Ada (2)", "Me (2)"]
     call.receive_event(PeerJoined(peer=person("p4", "Ada", 4)), now=2.0)
-    assert list(listed(call)) == ["Me", "Ada", "Ada (2)", "Me (2)"]
+    assert list(listed(call)) == ["Ada", "Ada (2)", "Me (2)"]
 
 
 @pytest.mark.parametrize(
@@ -115,19 +111,18 @@ def test_an_avatar_on_its_way_is_a_reason() -> None:
 
 
 def test_a_watcher_is_said_to_watch_and_a_poor_connection_is_told_last() -> None:
-    ada = Person(peer_id="p1", name="Ada", is_watching=True)
+    ada = Member(peer=Peer(peer_id="p1", name="Ada"))
     assert ada.line == "watching"
     assert replace(ada, note="connection lost").line == "connection lost"
-    assert replace(ada, is_watching=False, quality="poor").line == "poor connection"
-    assert replace(ada, is_watching=False, quality="fair").line == ""
+    seen = replace(ada, peer=person("p1", "Ada", 1))
+    assert (seen.line, replace(seen, quality="poor").line) == ("", "poor connection")
 
 
 def test_who_records_is_named_oneself_too() -> None:
     call = call_with(person("p1", "Ada", 1), Peer(peer_id="p2", name="Ben"))
     call.receive_event(PeerUpdated(peer_id="p2", metadata=(("records", "yes"),)), now=1.0)
-    people = list(listed(call).values())
-    assert recorders(people) == ["Ben"]
-    assert recorders([replace(people[0], is_recording=True), *people[1:]]) == ["You", "Ben"]
+    me = Member(peer=Peer(peer_id="me", name="Me", metadata=(("records", "yes"),)))
+    assert recorders([me, *listed(call).values()]) == ["You", "Ben"]
 
 
 def test_what_happened_to_several_is_one_line() -> None:

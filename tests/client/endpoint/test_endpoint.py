@@ -12,7 +12,7 @@ import pytest
 from helpers.senders import LoadedAvatars
 from helpers.toy import make_toy_avatar
 from pica_client.call.call import Call
-from pica_client.call.connection_quality import StreamHealth
+from pica_client.call.roster import RoomState
 from pica_client.endpoint.endpoint import Receiver
 from pica_client.endpoint.monitor import CallMonitor
 from pica_client.publish.publisher import Outgoing, Publisher, SenderConfig
@@ -97,9 +97,9 @@ def test_what_the_drawing_thread_wants_is_told_by_the_networks_thread() -> None:
             receiver = make_receiver(relay.url)
             receiver.link.tell = tell  # type: ignore[method-assign]
             with receiver:
-                while not receiver.call.health():  # noqa: ASYNC110 - another thread receives
+                while not (faces := receiver.call.faces(0.0)):  # noqa: ASYNC110
                     await asyncio.sleep(0.02)
-                (peer_id,) = receiver.call.health()
+                (peer_id,) = (face.peer_id for face in faces)
                 for every in (4, 1):  # nothing else wakes the network's thread
                     receiver.call.subscribe(peer_id, every, time.monotonic())
                     found = await asyncio.to_thread(told.get, timeout=PATIENCE_S)
@@ -112,16 +112,17 @@ def test_what_the_drawing_thread_wants_is_told_by_the_networks_thread() -> None:
 
 def test_a_machine_too_busy_to_take_frames_as_they_come_blames_no_connection() -> None:
     receiver = make_receiver("ws://127.0.0.1:9")
-    monitor, health = CallMonitor(receiver), StreamHealth()
-    receiver.call.health = lambda: {"p1": health}  # type: ignore[method-assign]
-    shown = []
-    for second in range(60):
-        is_busy, is_bad = 20 <= second < 30, second >= 20
-        receiver.late_s += 0.3 * is_busy
-        health = StreamHealth(received=30 * second, missed_s=health.missed_s + 0.5 * is_bad)
-        shown.append(monitor.status(float(second)).peers["p1"].quality)
-    assert set(shown[2:31]) == {"good"}
-    assert shown[-1] == "poor"
+    monitor, busy = CallMonitor(receiver), []
+
+    def room(now: float, *, is_busy: bool = False) -> RoomState:
+        busy.append(is_busy)
+        return RoomState("me", (), (), 0.0)
+
+    receiver.call.room = room  # type: ignore[method-assign]
+    for second, late_s in enumerate((0.0, 0.02, 0.04, 0.34, 0.36)):
+        receiver.late_s = late_s
+        monitor.status(float(second))
+    assert busy == [False, False, False, True, False]
 
 
 @in_virtual_time

@@ -84,13 +84,13 @@ def least_name(metrics: Metrics) -> tuple[float, float]:
 def _name(person: PersonView, label: Rect, metrics: Metrics) -> None:
     """A plate with a dot for speech or a poor connection, a name, and what is wrong below it."""
     tone: Tone = "good" if person.is_speaking else "plain"
-    tone = "alert" if person.stream.quality == "poor" else tone
+    tone = "alert" if person.member.quality == "poor" else tone
     left, top, right, _ = label
     room = right - left - 2 * metrics.px(NAME_PADDING[0])
     is_narrow = right - left < metrics.px(NOTE_ROOM_PT)
     points = SMALL_PT if is_narrow else TEXT_PT
     title = person.name
-    if person.is_voice_muted:
+    if person.member.is_voice_muted:
         title = f"{icons.ICON_FA_MICROPHONE_SLASH} {title}"
     before = 0 if tone == "plain" else metrics.px(DOT_PT)
     name = shortened(title, room - before, points)

@@ -9,7 +9,8 @@ import math
 from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
 
-from pica_client.call.status import Person, duration_text
+from pica_client.call.roster import Member
+from pica_client.call.status import duration_text
 from pica_client.ui.actions import Action, Request, help_lines
 from pica_client.ui.call_view import CallView, PersonView
 from pica_client.ui.panels.bar import BAR_PT
@@ -113,7 +114,7 @@ def _statistics(call: CallView, metrics: Metrics) -> None:
 
 def row_of(person: PersonView, metrics: Metrics) -> tuple[str, ...]:
     """Return the figures of one participant, as the table shows them."""
-    found, stream, health = person.figures, person.stream, person.stream.health
+    found, stream, bps = person.figures, person.member.stream, person.member.payload_bps
     latency = None if found is None else found.latency_ms
     if latency is not None and not 0 <= latency <= MAX_LATENCY_MS:
         latency = None
@@ -121,10 +122,10 @@ def row_of(person: PersonView, metrics: Metrics) -> tuple[str, ...]:
         widgets.shortened(person.name, metrics.px(NAME_PT), SMALL_PT),
         _figure(None if found is None else found.level, 0),
         _figure(None if found is None else found.decode_ms, 1),
-        _figure(None if stream.payload_bps is None else stream.payload_bps / 1e3, 1),
+        _figure(None if bps is None else bps / 1e3, 1),
         _figure(latency, 0),
-        _figure(health.age_s * 1e3 if health.shown else None, 0),
-        _figure(health.concealed / health.shown * 100 if health.shown else None, 1),
+        _figure(stream.age_s * 1e3 if stream.shown else None, 0),
+        _figure(stream.concealed_ratio * 100 if stream.shown else None, 1),
     )
 
 
@@ -181,7 +182,7 @@ def _participants(state: ViewState, call: CallView, metrics: Metrics) -> list[Re
     return requests + _invitation(status.invitation, metrics)
 
 
-def signs_of(person: Person, *, is_encrypted: bool, volume: float = 1.0) -> list[Sign]:
+def signs_of(person: Member, *, is_encrypted: bool, volume: float = 1.0) -> list[Sign]:
     """Return what is shown beside a name."""
     found: list[Sign] = []
     if "voice" in person.muted_kinds:
@@ -203,12 +204,12 @@ def signs_of(person: Person, *, is_encrypted: bool, volume: float = 1.0) -> list
         found.append((icons.ICON_FA_LOCK, "good", "Encrypts, and knows the room's secret"))
     elif is_encrypted and not person.is_self:
         found.append((icons.ICON_FA_TRIANGLE_EXCLAMATION, "warning", "Not verified"))
-    if person.is_assured:
+    if person.peer.is_name_assured:
         found.append((icons.ICON_FA_CHECK, "accent", "The relay vouches for this name"))
     return found
 
 
-def _row(person: Person, state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
+def _row(person: Member, state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
     """One person: a dot while they speak, the name with its signs and remarks, and a menu."""
     requests: list[Request] = []
     volume = state.volumes.get(person.place, 1.0)
@@ -246,7 +247,7 @@ def _row(person: Person, state: ViewState, call: CallView, metrics: Metrics) -> 
     return requests
 
 
-def _menu(person: Person, state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
+def _menu(person: Member, state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
     requests: list[Request] = []
     if imgui.begin_popup(f"menu {person.peer_id}"):
         pin = "Unpin" if state.pinned == person.place else "Pin"
@@ -275,7 +276,7 @@ def _item(icon: str, text: str) -> bool:
     return imgui.menu_item_simple(f"{icon}  {text}")
 
 
-def _moderation(person: Person, state: ViewState) -> list[Request]:
+def _moderation(person: Member, state: ViewState) -> list[Request]:
     """What an admin may do to a participant."""
     requests: list[Request] = []
     kinds = (
@@ -289,9 +290,9 @@ def _moderation(person: Person, state: ViewState) -> list[Request]:
             requests.append(MutePeer(peer_id=person.peer_id, kind=kind, is_muted=not is_muted))
     if _item(icons.ICON_FA_USER_MINUS, "Remove"):
         requests.append(RemovePeer(peer_id=person.peer_id))
-    if person.identity and _item(icons.ICON_FA_BAN, "Bar until the room is empty"):
-        state.barred[person.identity] = person.name
-        requests.append(BarIdentity(identity=person.identity, is_barred=True))
+    if person.peer.identity and _item(icons.ICON_FA_BAN, "Bar until the room is empty"):
+        state.barred[person.peer.identity] = person.name
+        requests.append(BarIdentity(identity=person.peer.identity, is_barred=True))
     return requests
 
 

@@ -12,7 +12,8 @@ from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
 
 from helpers.hand import Hand, open_hand, point
-from pica_client.call.status import CallStatus, Person
+from pica_client.call.roster import Member
+from pica_client.call.status import CallStatus
 from pica_client.publish.face_controls import TrackerPreview
 from pica_client.ui.actions import Action
 from pica_client.ui.call_view import (
@@ -38,13 +39,15 @@ from pica_client.ui.panels.overlay import (
 from pica_client.ui.state import ViewState
 from pica_client.ui.surface.surface import ON_PICTURE
 from pica_client.ui.surface.widgets import as_drawn
+from pica_protocol.messages import Peer, Track
 
 pytestmark = pytest.mark.unit
 
 STATE = ViewState(own_face="sent")
-ME = Person(peer_id="", name="Me", is_self=True)
-ADA = Person(peer_id="p1", place=1, name="Ada")
-BEN = Person(peer_id="p2", name="Ben", is_watching=True, is_recording=True)
+FACE, RECORDS = Track(kind="face", stream=1), (("records", "yes"),)
+ME = Member(peer=Peer(peer_id="me", name="Me", tracks=(FACE,)))
+ADA = Member(peer=Peer(peer_id="p1", name="Ada", tracks=(FACE,)), place=1)
+BEN = Member(peer=Peer(peer_id="p2", name="Ben", metadata=RECORDS), place=5)
 STATUS = CallStatus(participants=(ME, ADA, BEN), room="standup", duration_s=247.0)
 CALL = CallView(people=(PersonView(peer_id="p1", name="Ada"),), status=STATUS)
 ALONE = CallView(status=replace(STATUS, participants=(ME,)))
@@ -136,7 +139,7 @@ def test_signs_say_how_the_own_face_is_sent() -> None:
 def test_room_and_recordings_stand_on_the_picture() -> None:
     assert call_signs(CallView()) == []
     assert call_signs(CALL) == [("standup   4:07", "good"), ("Ben records", "alert")]
-    both = (replace(ME, is_recording=True), replace(ADA, is_recording=True), BEN)
+    both = (*(replace(m, peer=replace(m.peer, metadata=RECORDS)) for m in (ME, ADA)), BEN)
     lost = replace(STATUS, participants=both, is_connected=False, is_encrypted=True)
     assert call_signs(replace(CALL, status=lost)) == [
         (f"{icons.ICON_FA_LOCK}  standup   4:07", "alert"),

@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
-from typing import get_args
+from typing import Any, get_args
 
 import pytest
 from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
 
 from helpers.hand import Hand, open_hand
-from pica_client.call.connection_quality import StreamHealth
-from pica_client.call.status import AvatarFigures, CallStatus, PeerStatus, Person
+from pica_client.call.roster import Member
+from pica_client.call.status import AvatarFigures, CallStatus
+from pica_client.playout.buffer import PlayoutReport
 from pica_client.publish.face_controls import TrackerPreview
 from pica_client.ui.actions import Action, Request
 from pica_client.ui.call_view import CallView, Notice, OwnFaceView, Panel, PersonView
@@ -21,14 +22,15 @@ from pica_client.ui.panels.overlay import signs
 from pica_client.ui.panels.side import side_panel, signs_of, waiting_page
 from pica_client.ui.state import Side, ViewState
 from pica_client.voice.sound.settings import DeviceState, SoundSettings, SoundState
-from pica_protocol.messages import BarIdentity, MutePeer, RemovePeer
+from pica_protocol.messages import BarIdentity, MutePeer, Peer, RemovePeer, Track
 
 pytestmark = pytest.mark.unit
 
 INVITATION = "pica://relay.example/standup"
-ME = Person(peer_id="", name="Me", is_self=True)
-ADA = Person(peer_id="p1", place=3, name="Ada", has_voice=True, identity="ada-1")
-BEN = Person(peer_id="p2", name="Ben", is_watching=True, is_recording=True)
+FACE, VOICE = Track(kind="face", stream=1), Track(kind="voice", stream=2)
+ME = Member(peer=Peer(peer_id="me", name="Me", tracks=(FACE,)))
+ADA = Member(peer=Peer(peer_id="p1", name="Ada", tracks=(FACE, VOICE), identity="ada-1"), place=3)
+BEN = Member(peer=Peer(peer_id="p2", name="Ben", metadata=(("records", "yes"),)), place=5)
 STATUS = CallStatus(
     participants=(ME, ADA, BEN), room="standup", invitation=INVITATION, duration_s=247.0
 )
@@ -37,6 +39,11 @@ SETTINGS = ViewState(own_face="sent", side="settings")
 CALL = CallView(people=(PersonView(peer_id="p1", name="Ada", is_speaking=True),), status=STATUS)
 AS_ADMIN = replace(CALL, status=replace(STATUS, is_admin=True))
 ALONE = CallView(status=replace(STATUS, participants=(ME,)))
+
+
+def ada(**said: Any) -> Member:
+    """Ada, with other fields of the peer."""
+    return replace(ADA, peer=replace(ADA.peer, **said))
 
 
 @pytest.fixture
@@ -105,18 +112,18 @@ def test_the_code_to_read_aloud_stands_in_groups(hand: Hand) -> None:
     [
         (BEN, 1, False, ["CIRCLE", "EYE"]),
         (
-            replace(ADA, face="muted", is_assured=True),
+            ada(metadata=(("face", "muted"),), is_name_assured=True),
             1,
             True,
             ["EYE_SLASH", "TRIANGLE_EXCLAMATION", "CHECK"],
         ),
         (replace(ADA, is_verified=True), 0.5, True, ["VOLUME_HIGH", "LOCK"]),
-        (replace(ADA, is_voice_muted=True), 0, False, ["MICROPHONE_SLASH", "VOLUME_XMARK"]),
+        (ada(metadata=(("voice", "muted"),)), 0, False, ["MICROPHONE_SLASH", "VOLUME_XMARK"]),
         (ME, 1, True, []),
     ],
 )
 def test_signs_beside_a_name(
-    person: Person, volume: float, is_encrypted: bool, signs: list[str]
+    person: Member, volume: float, is_encrypted: bool, signs: list[str]
 ) -> None:
     found = signs_of(person, is_encrypted=is_encrypted, volume=volume)
     assert [icon for icon, _, _ in found] == [getattr(icons, f"ICON_FA_{sign}") for sign in signs]
@@ -206,7 +213,7 @@ def test_an_admins_menu_of_a_person_moderates(hand: Hand, item: str, asked: Requ
 
 def test_an_admin_lets_a_barred_person_rejoin_and_unmutes_another(hand: Hand) -> None:
     state = replace(STATE, barred={"eve-1": "Eve"})
-    eve = replace(ADA, muted_kinds=frozenset({"voice"}))
+    eve = replace(ADA, muted_streams=frozenset({2}))
     call = replace(AS_ADMIN, status=replace(AS_ADMIN.status, participants=(ME, eve)))
     asked = clicking(hand, side_panel, state, call, "Let Eve rejoin")
     assert asked == [BarIdentity(identity="eve-1", is_barred=False)]
@@ -224,8 +231,8 @@ def test_the_statistics_have_a_line_for_each_participant_and_a_dash_for_what_is_
         figures=AvatarFigures(
             level=128, decode_ms=4.25, latency_ms=1e6, num_decoded=1, is_speaking=False
         ),
-        stream=PeerStatus(
-            payload_bps=1730.0, health=StreamHealth(shown=200, concealed=3, age_s=0.012)
+        member=replace(
+            ADA, payload_bps=1730.0, stream=PlayoutReport(shown=200, concealed=3, age_s=0.012)
         ),
     )
     call = CallView(people=(known, PersonView(peer_id="b", name="")), figures=(("30.0", "fps"),))
@@ -238,7 +245,7 @@ def test_the_statistics_have_a_line_for_each_participant_and_a_dash_for_what_is_
 
 @pytest.mark.parametrize("size", [(320, 240), (640, 360), (1280, 720), (3840, 2160)])
 def test_panels_keep_to_the_picture(size: tuple[int, int]) -> None:
-    many = tuple(replace(ADA, peer_id=f"p{n}", name="W" * 64, note="x" * 80) for n in range(63))
+    many = tuple(replace(ada(peer_id=f"p{n}", name="W" * 64), note="x" * 80) for n in range(63))
     call = replace(
         CALL,
         status=replace(STATUS, participants=(ME, *many), code="12345 " * 6, is_encrypted=True),
