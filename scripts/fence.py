@@ -164,9 +164,7 @@ ROWS: dict[str, Row] = {
         figures=_demo,
         repeats=3,
     ),
-    "voice": Row(
-        words="bench voice --scenarios jitter-0,rate-64,retransmit-5 --kbps 24", figures=_voice
-    ),
+    "voice": Row(words="bench voice --scenarios jitter-0,rate-64,retransmit-5", figures=_voice),
     "faults": Row(
         words=" ".join(["tests/faults.py --json", *(f'"{name}"' for name in FAULTS)]),
         figures=_faults,

@@ -12,7 +12,7 @@ avatars are synthetic, and PESQ stands for listeners.
 import math
 import time
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 from typing import Annotated, Any
@@ -39,11 +39,12 @@ from pica_client.output import say
 from pica_client.playout.buffer import Playout
 from pica_client.render.drawing import drawn_mse
 from pica_client.sources import open_source
-from pica_client.stats import percentile
+from pica_client.stats import summarise_ms
 from pica_client.voice.jitter_buffer import HeardVoice, JitterBuffer
 from pica_client.voice.opus import FRAME_S, PACKET_FRAMES, OpusDecoder, OpusEncoder
 from pica_client.voice.opus import FRAME_SAMPLES as FRAME
 from pica_client.voice.opus import SAMPLE_RATE_HZ as RATE_HZ
+from pica_client.voice.publisher import BITRATE_BPS
 from pica_client.voice.source import resampled, shipped_speech
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
@@ -57,6 +58,8 @@ SPOKEN_RMS = 0.005
 """Above it there is speech."""
 SCORE_HZ = 16_000
 """What PESQ takes."""
+RENDERS_PER_S = 10
+"""Refreshes whose pictures are compared, a second."""
 SIZE_PX = 192
 """Rows and columns of a picture of the face."""
 
@@ -67,22 +70,17 @@ class BenchVoiceConfig:
 
     source: str = "performance:talk"
     """The face that goes along; see pica send --help."""
-    kbps: int = 24
-    """Bit rate of the voice, kbit/s."""
     scenarios: Words = ()
     """Names of troubles, separated by commas; all by default."""
     schedule: Annotated[Schedule, Parameter(name="*")] = field(default_factory=Schedule)
     """When frames are captured and shown."""
-    renders_per_s: float = 10.0
-    """Refreshes whose pictures are compared, a second."""
     seed: int = 0
     """Seed of the network and of the room's noise."""
 
     def __post_init__(self) -> None:
         check_names("scenario", self.scenarios, BY_NAME)
         check_ranges(self.schedule, seconds=(9, 600))
-        check_ranges(self, kbps=(6, 128), seed=(0, 2**32))
-        check_ranges(self, renders_per_s=(0.5, self.schedule.display_hz))
+        check_ranges(self, seed=(0, 2**32))
 
 
 class _Ear:
@@ -91,14 +89,14 @@ class _Ear:
     Attributes:
         sounds: What came out, 20 ms each.
         delays_s: How old each was when it left the loudspeaker; NaN where nothing was heard.
-        counted: (time, played, concealed, stretched) after each tick.
+        counted: (time, played, concealed) after each tick.
         is_loud: Whether speech was in the last 20 ms, each time that `heard_us` was asked.
     """
 
     def __init__(self, packets: Sequence[tuple[float, Frame]]) -> None:
         self.sounds: list[FloatArray] = []
         self.delays_s: list[float] = []
-        self.counted: list[tuple[float, int, int, int]] = []
+        self.counted: list[tuple[float, int, int]] = []
         self.is_loud: list[bool] = []
         self.cpu_s = 0.0
         self._buffer, self._voice = JitterBuffer(OpusDecoder()), HeardVoice()
@@ -117,7 +115,7 @@ class _Ear:
                 self._voice.receive(buffer.moment)
                 captured_s = (buffer.moment[1] - CLOCK_OFFSET_US) / 1e6
             self.delays_s.append(tick_s - captured_s)
-            self.counted.append((tick_s, report.played, report.concealed, report.stretched))
+            self.counted.append((tick_s, report.played, report.concealed))
         self.cpu_s += time.process_time() - begin_s
         self.is_loud.append(bool(self.sounds) and float(np.std(self.sounds[-1])) > SPOKEN_RMS)
         return self._voice.at(now)
@@ -139,7 +137,7 @@ def run_bench_voice(config: BenchVoiceConfig, avatar: Avatar) -> dict[str, Any]:
     chosen = [BY_NAME[name] for name in config.scenarios] or list(SCENARIOS)
     rows = []
     begin_s = time.process_time()
-    voice = _packets(sound, config.kbps * 1000)
+    voice = _packets(sound)
     encode_s = time.process_time() - begin_s
     with FaceRenderer(avatar, size_px=SIZE_PX, views=("front",)) as renderer:
         for scenario in chosen:
@@ -155,7 +153,7 @@ def run_bench_voice(config: BenchVoiceConfig, avatar: Avatar) -> dict[str, Any]:
                     **delivery.counts,
                     "pesq": _pesq(sound, ear, schedule),
                     **_timing(ear, ticks, loud, schedule),
-                    **_pictures(ticks, delivery, face, renderer, config),
+                    **_pictures(ticks, delivery, face, renderer, schedule),
                     "cpu_ms_per_s": round(cpu_ms_per_s, 2),
                 }
             )
@@ -183,13 +181,12 @@ def _pictures(
     delivery: Delivery,
     face: Face,
     renderer: FaceRenderer,
-    config: BenchVoiceConfig,
+    schedule: Schedule,
 ) -> dict[str, Any]:
     """Error, delay and longest standstill of the face in the troubled third."""
-    schedule = config.schedule
     troubled = [tick for tick in ticks if schedule.begin_s <= tick.now_s < schedule.end_s]
     errors = []
-    for tick in troubled[:: max(round(schedule.display_hz / config.renders_per_s), 1)]:
+    for tick in troubled[:: max(round(schedule.display_hz / RENDERS_PER_S), 1)]:
         if tick.played is not None:
             true = face(tick.now_s - delivery.base_delay_s - tick.report.delay_s)
             pose = true.rotation, true.translation_m
@@ -200,7 +197,7 @@ def _pictures(
     delays_s = [t.now_s - t.shown_s - delivery.base_delay_s for t in troubled if t.played]
     return {
         "face_mse": round(float(np.mean(errors)), 3) if errors else None,
-        "face_delay_ms": _ms(delays_s, 50, 95),
+        "face_delay_ms": summarise_ms(delays_s),
         "face_still_ms": round(longest / schedule.display_hz * 1e3, 1),
     }
 
@@ -213,9 +210,9 @@ def _speech(seconds: float, seed: int) -> FloatArray:
     return sound
 
 
-def _packets(sound: FloatArray, bitrate: int) -> list[tuple[float, Frame]]:
+def _packets(sound: FloatArray) -> list[tuple[float, Frame]]:
     """The packets of a sound, of 40 ms, each sent when its last sample has been captured."""
-    encoder = OpusEncoder(bitrate=bitrate)
+    encoder = OpusEncoder(BITRATE_BPS)
     packets: list[tuple[float, Frame]] = []
     for index in range(0, len(sound) // FRAME - 1, PACKET_FRAMES):
         payload = encoder.encode(sound[index * FRAME :][: PACKET_FRAMES * FRAME])
@@ -252,7 +249,7 @@ def _timing(ear: _Ear, ticks: Sequence[Tick], loud: Array, schedule: Schedule) -
     counted = np.array(ear.counted)
     is_troubled = (counted[:, 0] >= begin_s) & (counted[:, 0] < end_s)
     delays_s, counts = np.array(ear.delays_s)[is_troubled], counted[is_troubled]
-    skews, num_held = [], 0
+    skews = []
     for tick, is_loud in zip(ticks, ear.is_loud, strict=True):
         if tick.played is None or tick.heard_us is None or not is_loud:
             continue
@@ -261,24 +258,9 @@ def _timing(ear: _Ear, ticks: Sequence[Tick], loud: Array, schedule: Schedule) -
         place = int((tick.heard_us - CLOCK_OFFSET_US) / 1e6 / FRAME_S)
         if 0 <= place < len(loud) and loud[place]:
             skews.append((tick.played.captured_us - tick.heard_us) / 1e6)
-            num_held += tick.played.is_concealed
-    played, concealed, stretched = (counts[-1] - counts[0])[1:]
+    played, concealed = (counts[-1] - counts[0])[1:]
     return {
-        "mouth_to_ear_ms": _ms(delays_s[~np.isnan(delays_s)], 50, 95),
-        "skew_ms": {
-            **_ms(map(abs, skews), 50, 95),
-            "worst": round(max(skews, key=abs, default=0.0) * 1e3, 1),
-            "earliest": round(min(skews, default=0.0) * 1e3, 1),
-        },
-        "face_held_ratio": round(num_held / max(len(skews), 1), 4),
+        "mouth_to_ear_ms": summarise_ms(delays_s[~np.isnan(delays_s)].tolist()),
+        "skew_ms": summarise_ms(map(abs, skews)),
         "concealed_ratio": round(float(concealed / max(played + concealed, 1)), 4),
-        "stretched_ratio": round(float(stretched / len(counts)), 4),
-    }
-
-
-def _ms(samples_s: Iterable[float], *percents: int) -> dict[str, float | None]:
-    values = sorted(map(float, samples_s))
-    return {
-        f"p{percent}": round(percentile(values, percent) * 1e3, 1) if values else None
-        for percent in percents
     }
