@@ -37,7 +37,7 @@ class WirePeer:
         self.session = session
         self.events: list[ClientEvent] = []
         self.arrivals: list[tuple[float, Frame]] = []
-        self._news = asyncio.Condition()
+        self.news = asyncio.Condition()
 
     async def read(self) -> None:
         """Read until the websocket ends."""
@@ -70,8 +70,8 @@ class WirePeer:
 
     async def until(self, kind: type[E]) -> E:
         """Wait for the first event of a kind, and return it."""
-        async with self._news:
-            await self._news.wait_for(lambda: any(isinstance(e, kind) for e in self.events))
+        async with self.news:
+            await self.news.wait_for(lambda: any(isinstance(e, kind) for e in self.events))
         return next(event for event in self.events if isinstance(event, kind))
 
     def told(self, kind: type[E]) -> list[E]:
@@ -84,14 +84,14 @@ class WirePeer:
         return [arrived_s - frame.captured_us / 1e6 for arrived_s, frame in self.arrivals]
 
     async def _note(self, events: list[ClientEvent]) -> None:
-        async with self._news:
+        async with self.news:
             self.events += events
             self.arrivals += [(now(), event) for event in events if isinstance(event, Frame)]
-            self._news.notify_all()
+            self.news.notify_all()
 
 
 @asynccontextmanager
-async def open_websocket(url: str, *, max_queue: int = 16) -> AsyncIterator[ClientConnection]:
+async def open_websocket(url: str) -> AsyncIterator[ClientConnection]:
     """Connect without saying anything."""
     async with connect(
         url,
@@ -100,7 +100,6 @@ async def open_websocket(url: str, *, max_queue: int = 16) -> AsyncIterator[Clie
         compression=None,
         close_timeout=1,
         ping_interval=None,
-        max_queue=max_queue,
     ) as websocket:
         yield websocket
 
@@ -131,7 +130,8 @@ async def peer_in_room(
         await peer.flush()
         reader = asyncio.create_task(peer.read())
         try:
-            await _until_decided(peer)
+            async with peer.news:
+                await peer.news.wait_for(lambda: bool(peer.events))
             yield peer
         finally:
             if peer.session.state is State.JOINED:
@@ -140,11 +140,6 @@ async def peer_in_room(
                 await peer.until(Closed)
             reader.cancel()
             await asyncio.gather(reader, return_exceptions=True)
-
-
-async def _until_decided(peer: WirePeer) -> None:
-    async with peer._news:
-        await peer._news.wait_for(lambda: bool(peer.events))
 
 
 def now() -> float:

@@ -71,22 +71,3 @@ def test_every_byte_comes_in_order_and_later() -> None:
         assert await reader.read(-1) == sent[1:]
 
     asyncio.run(through(impairment, echo, use))
-
-
-def test_a_low_rate_makes_the_sender_wait() -> None:
-    written = 0
-
-    async def pour(_reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        nonlocal written
-        writer.transport.set_write_buffer_limits(high=1024)
-        while written < 4_000_000:
-            writer.write(bytes(1000))
-            written += 1000
-            await writer.drain()
-
-    async def use(reader: asyncio.StreamReader, _writer: asyncio.StreamWriter) -> None:
-        await reader.readexactly(5000)
-
-    # 4 MB would take half an hour; the server is held back by the buffers between.
-    asyncio.run(through(Impairment(rate_bps=160_000, delay_s=0), pour, use))
-    assert written < 4_000_000

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers.mesh_faults import MeshChecks
 from pica_command.main import main
 from pica_core.avatar.arkit import ARKIT_INDEX
 from pica_core.capture.dataset.dataset import Capture
@@ -16,13 +15,83 @@ from pica_core.capture.person.dress import CUTS, close_lips, dress, dress_surfac
 from pica_core.capture.person.hair import STYLES, cover, grow, raise_cap
 from pica_core.capture.person.model import NUM_MODES, read_model
 from pica_core.capture.rig.features import LID_M, Limits, find_features
+from pica_core.capture.rig.guards import PoseGuard
 from pica_core.capture.rig.mesh import RigMesh
 from pica_core.capture.stage.expressions import blend
-from pica_core.capture.triangles import front_view
+from pica_core.capture.triangles import face_neighbours, front_view
 from pica_core.errors import CaptureError
-from pica_core.types import Float64Array
+from pica_core.types import BoolArray, Float64Array, Int64Array
 
 pytestmark = pytest.mark.render
+
+
+SMALL_MM2 = 0.25
+"""Smaller faces are left out: half a millimetre across, a pixel of a whole-head picture."""
+POKE_MM = 0.15
+"""How far an eyeball must stand out of the skin to count: about a pixel of a close camera."""
+
+
+class MeshChecks:
+    """Checks of one mesh in its welded form.
+
+    Attributes:
+        folded_at_rest: Which triangles of skin, hair and clothes over 0.25 mm² face against their
+            neighbours at rest.
+    """
+
+    def __init__(self, mesh: RigMesh) -> None:
+        features = find_features(mesh)
+        skin, eye, *outer = (MATERIALS.index(name) for name in ("skin", "eye", "collar", "hair"))
+        part, faces = features.part, mesh.faces.astype(np.int64)
+        self._limits, self._guard = Limits(mesh, features), PoseGuard(mesh, features)
+        self._rest, self._motion = mesh.rest_m, mesh.motion_m
+        rest = 1000 * mesh.rest_m
+        self.folded_at_rest = _folds(rest, faces[np.isin(part, [skin, *outer])])
+        middle, eyes = rest[faces].mean(1), rest[np.unique(faces[part == eye])]
+        before = middle[:, 2] > float(eyes[:, 2].mean()) + 2
+        lids = (part == skin) & before & (np.abs(middle[:, 1] - float(eyes[:, 1].mean())) < 22)
+        self._eyes, self._lids = faces[part == eye], faces[lids]
+
+    def pose(self, arkit: Float64Array) -> Float64Array:
+        """Vertices at the 52 shapes, millimetres ``[P, 3]``."""
+        points = self._rest + np.tensordot(self._limits.apply(arkit), self._motion, 1)
+        self._guard.apply(points)
+        return 1000 * points
+
+    def eyes_poking(self, arkit: Float64Array) -> int:
+        """Places on eyeballs that stand out of the skin, from the front."""
+        points = self.pose(arkit)
+        places = np.concatenate([points[np.unique(self._eyes)], points[self._eyes].mean(1)])
+        a, b, c = (points[self._lids[:, k]] for k in range(3))
+        det = _cross(b - a, c - a)
+        (a, b, c), det = (each[det > 1e-6] for each in (a, b, c)), det[det > 1e-6]
+        return sum(_pokes(place, a, b, c, det) for place in places)
+
+
+def _folds(points: Float64Array, faces: Int64Array) -> BoolArray:
+    order, start, pairs = face_neighbours(faces)
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    around = np.add.reduceat(normal[pairs], start, axis=0)
+    normal = normal[order]
+    size, length = np.linalg.norm(normal, axis=1), np.linalg.norm(around, axis=1)
+    against: BoolArray = (normal * around).sum(1) < -0.3 * size * length
+    return against & (0.5 * size > SMALL_MM2)
+
+
+def _cross(u: Float64Array, w: Float64Array) -> Float64Array:
+    """Twice the area between vectors as they are seen along -z."""
+    return u[:, 0] * w[:, 1] - u[:, 1] * w[:, 0]
+
+
+def _pokes(
+    place: Float64Array, a: Float64Array, b: Float64Array, c: Float64Array, det: Float64Array
+) -> bool:
+    """Whether a place lies before the foremost triangle over it, seen along -z."""
+    v, w = _cross(place - a, c - a) / det, _cross(b - a, place - a) / det
+    inside = (v >= 0) & (w >= 0) & (v + w <= 1)
+    depth = (a[:, 2] + v * (b - a)[:, 2] + w * (c - a)[:, 2])[inside]
+    return bool(len(depth)) and bool(depth.max() < place[2] - POKE_MM)
 
 
 def ball() -> tuple[Float64Array, Float64Array]:
