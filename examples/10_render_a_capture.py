@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from pica_core.capture.dataset.check import check_capture
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.person.choices import draw_person
 from pica_core.capture.person.subject import PersonSubject
@@ -33,8 +32,6 @@ with tempfile.TemporaryDirectory() as folder:
     print(f"{counts['images']} images by {len(capture.cameras)} cameras")
     for split in ("train", "test"):
         print(f"{split}: {len(capture.frames_of(split))} frames")
-    problems = check_capture(Path(folder))["problems"]
-    print(f"{len(problems)} problems found")
     frame = capture.frames[1]
     shown = [capture.image(frame, name) for name in capture.cameras_of(frame)]
     Image.fromarray(np.concatenate(shown, axis=1)).save(OUT / "capture.png")

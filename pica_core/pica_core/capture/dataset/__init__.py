@@ -1,1 +1,1 @@
-"""Captures on disk in the Multiface layout: read, written and checked."""
+"""Captures on disk in the Multiface layout: read and written."""

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Container, Iterator
-from contextlib import contextmanager
+from collections.abc import Container
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,8 +27,10 @@ MAX_IMAGE_PIXELS = 64_000_000
 """Larger images are refused before decoding."""
 IMAGE_FORMATS = ("PNG", "JPEG", "WEBP")
 """What images may be, whatever their names say: other decoders of Pillow run programs."""
+HEAD_SIZE_M = (0.05, 4.0)
+"""Longest sides of a mesh's bounding box that are believed: else units are wrong."""
 MAX_LENGTH_M = 100.0
-"""Nothing of a capture is farther away."""
+"""No head is farther away."""
 MAX_EXPRESSION = 100.0
 """Larger expression values are refused."""
 MAX_VERTICES = 4_000_000
@@ -105,26 +106,6 @@ def load_image(path: Path, mode: str, size: tuple[int, int] | None) -> Array:
         mode: ``RGB``, or ``I;16`` for 16 bit.
         size: Columns and rows that it must have; None takes any.
     """
-    with _opened(path, mode, size) as image:
-        if mode == "I;16":
-            return np.asarray(image).astype(np.uint16)
-        return np.asarray(image.convert(mode))
-
-
-def check_image_header(path: Path, mode: str, size: tuple[int, int] | None) -> tuple[int, int]:
-    """Check what an image's first bytes say, and that a PNG is whole; returns columns and rows."""
-    with _opened(path, mode, size) as image:
-        if image.format == "PNG":
-            with path.open("rb") as file:
-                file.seek(-12, io.SEEK_END)
-                if file.read(8)[4:] != b"IEND":
-                    raise ValueError("it ends early")
-        return image.size
-
-
-@contextmanager
-def _opened(path: Path, mode: str, size: tuple[int, int] | None) -> Iterator[Image.Image]:
-    """An image of the wanted kind and size, whose pixels are not decoded yet."""
     try:
         with Image.open(path, formats=IMAGE_FORMATS) as image:
             if image.width * image.height > MAX_IMAGE_PIXELS:
@@ -134,9 +115,11 @@ def _opened(path: Path, mode: str, size: tuple[int, int] | None) -> Iterator[Ima
                     f"{path}: the image is {image.width}x{image.height}, {size[0]}x{size[1]} is "
                     "needed"
                 )
-            if mode == "I;16" and not image.mode.startswith("I"):
+            if mode != "I;16":
+                return np.asarray(image.convert(mode))
+            if not image.mode.startswith("I"):
                 raise CaptureError(f"{path}: a 16-bit image is needed, found {image.mode}")
-            yield image
+            return np.asarray(image).astype(np.uint16)
     except FileNotFoundError:
         raise CaptureError(f"{path}: the file is missing") from None
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
@@ -152,9 +135,9 @@ def read_vertices(path: Path, count: int) -> FloatArray:
     vertices = np.frombuffer(data, "<f4").reshape(-1, 3) / np.float32(multiface.MILLIMETRES)
     if not np.isfinite(vertices).all():
         raise CaptureError(f"{path}: vertices are not all finite")
-    far = float(np.abs(vertices).max())
-    if far > MAX_LENGTH_M:
-        raise CaptureError(f"{path}: a vertex at {far:.3g} m; at most {MAX_LENGTH_M:g} is allowed")
+    size = float(np.ptp(vertices.astype(np.float64), axis=0).max())
+    if not HEAD_SIZE_M[0] <= size <= HEAD_SIZE_M[1]:
+        raise CaptureError(f"{path}: the mesh is {size:.3g} m large; are its units mm?")
     return vertices.astype(np.float32)
 
 
@@ -169,8 +152,8 @@ def read_transform(path: Path) -> Float64Array:
         raise CaptureError(f"{path}: three lines of four numbers are needed")
     matrix[:, 3] /= multiface.MILLIMETRES
     far = float(np.abs(matrix).max())
-    if far > MAX_LENGTH_M:
-        raise CaptureError(f"{path}: {far:.3g} in the pose; at most {MAX_LENGTH_M:g} is allowed")
+    if far > MAX_LENGTH_M or not multiface.is_rotation(matrix[:, :3]):
+        raise CaptureError(f"{path}: no rotation, or farther than {MAX_LENGTH_M:g} m away")
     return matrix
 
 
@@ -253,6 +236,10 @@ def read_frames(path: Path) -> tuple[tuple[CaptureFrame, ...], FloatArray]:
         frames[segment, name] = CaptureFrame(
             index=index, listed=index, segment=segment, name=name, split=split
         )
-    if not frames:
-        raise CaptureError(f"{path}: no frames")
+    train, test = (
+        {each.segment for each in frames.values() if each.split == split} for split in SPLITS
+    )
+    if not frames or train & test:
+        what = f"segment {min(train & test)} is in both splits" if frames else "no frames"
+        raise CaptureError(f"{path}: {what}")
     return tuple(frames.values()), arkit

@@ -35,6 +35,7 @@ import numpy as np
 from pica_core.camera import Camera
 from pica_core.errors import CaptureError
 from pica_core.files import replacing
+from pica_core.types import Float64Array
 
 log = logging.getLogger(__name__)
 
@@ -119,6 +120,8 @@ def read_krt(path: Path, width: int, height: int) -> tuple[Camera, ...]:
         if name.strip() in cameras:
             raise CaptureError(f"{where} is there twice")
         matrix = numbers[14:].reshape(3, 4)
+        if min(numbers[0], numbers[4]) <= 0 or not is_rotation(matrix[:, :3]):
+            raise CaptureError(f"{where}: a focal length is not above 0, or R is no rotation")
         cameras[name.strip()] = Camera(
             name=name.strip(),
             intrinsics=numbers[:9].reshape(3, 3),
@@ -128,6 +131,12 @@ def read_krt(path: Path, width: int, height: int) -> tuple[Camera, ...]:
             height=height,
         )
     return tuple(cameras.values())
+
+
+def is_rotation(matrix: Float64Array) -> bool:
+    """Return True if a matrix ``[3, 3]`` is a rotation, about."""
+    off = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
+    return off < 1e-3 and float(np.linalg.det(matrix)) > 0
 
 
 def read_bytes(path: Path) -> bytes:

@@ -65,7 +65,8 @@ def describe_published(root: Path) -> tuple[dict[str, Any], tuple[files.CaptureF
 def _image_size(root: Path) -> tuple[int, int]:
     for path in (root / "images").glob("*/*/*.png"):
         try:
-            return files.check_image_header(path, "RGB", None)
+            height, width, _ = files.load_image(path, "RGB", None).shape
+            return width, height
         except CaptureError:
             continue
     raise CaptureError(f"{root / 'images'}: no image to take the size of")

@@ -11,7 +11,6 @@ import pytest
 from PIL import Image
 
 from helpers.published_capture import HEIGHT, PLACES_MM, SEGMENTS, TEXTURE, WIDTH, write_published
-from pica_core.capture.dataset.check import check_capture
 from pica_core.capture.dataset.dataset import Capture, CaptureReader, Request
 from pica_core.errors import CaptureError
 
@@ -124,17 +123,6 @@ def test_an_obj_that_points_nowhere_is_named(original: Path) -> None:
     path.write_text("v 0 0 0\nvt 0 0\nf 1/1 2/1 1/1\n")
     with pytest.raises(CaptureError, match=r"000000\.obj: triangles of 1 vertices"):
         Capture.open(original)
-
-
-def test_a_published_directory_can_be_checked(original: Path) -> None:
-    (original / "images" / SEGMENTS[1] / "left" / "000002.png").unlink()
-    (original / "images" / SEGMENTS[0] / "front" / "000000.png").write_bytes(b"no image")
-
-    found = check_capture(original)
-
-    assert found["images"] == 35  # a missing camera is no problem here
-    bad = [problem for problem in found["problems"] if "not a complete image" in problem["what"]]
-    assert [problem["where"] for problem in bad] == [f"images/{SEGMENTS[0]}/front/000000.png"]
 
 
 def requests_of(capture: Capture) -> list[Request]:
