@@ -49,6 +49,11 @@ class Network:
     def cut(self, host: str) -> None:
         """Swallow everything on this route, in both directions, without telling anybody."""
         self._unreachable.add(host)
+        self.forget(host)
+
+    def forget(self, host: str) -> None:
+        """Swallow everything on the connections that are there, without telling anybody; new ones
+        get through, as after a change of address or where a NAT has lost its table."""
         for transport in self._transports(host):
             transport.cut()
 

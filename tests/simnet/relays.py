@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+import urllib.request
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager
 
@@ -37,6 +38,19 @@ class RelayProcess:
     def freeze(self) -> None:
         """Stop it without ending it."""
         self.process.send_signal(signal.SIGSTOP)
+
+    def page(self, path: str) -> str:
+        """Fetch a status page; blocks."""
+        with urllib.request.urlopen(f"http{self.url[2:]}{path}", timeout=5) as response:
+            text: str = response.read().decode()
+            return text
+
+    def number(self, name: str) -> float:
+        """Fetch one of its numbers; 0 if it has not been counted yet. Blocks."""
+        for line in self.page("/metrics").splitlines():
+            if line.startswith(f"pica_{name} "):
+                return float(line.split()[-1])
+        return 0.0
 
 
 def start_relay(*words: str) -> subprocess.Popen[str]:
