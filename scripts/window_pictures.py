@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from pica_client.ui.actions import Request
     from pica_client.ui.call_view import CallView
     from pica_client.ui.state import ViewState
-    from pica_client.ui.surface.style import Metrics
 
 ROOT = Path(__file__).resolve().parents[1]
 SIZES = ("1280x720", "480x360", "2560x1440", "2560x1440@2")
@@ -222,7 +221,7 @@ def show_window(notes: Path, arguments: list[str]) -> None:
 
     state: dict[str, Any] = {"frame": 0}
 
-    def note_call(view: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
+    def note_call(view: ViewState, call: CallView) -> list[Request]:
         faces = [bool(each.figures and each.figures.num_decoded) for each in call.people]
         state.update(
             faces=sum(faces),

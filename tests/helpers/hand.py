@@ -1,7 +1,7 @@
 """A hand that clicks and types on panels, without a window or a GPU.
 
     with open_hand() as hand:
-        orders = hand.click("Leave", lambda metrics: control_bar(view, call, metrics))
+        orders = hand.click("Leave", lambda: control_bar(view, call))
 
 Where a button is is noted when it is drawn, by its label or by what its tooltip says. What the user
 does is a function of ImGui's input, as `press(Key.l)` makes one.
@@ -14,11 +14,10 @@ from typing import Any
 import pytest
 from imgui_bundle import imgui
 
-from pica_client.ui.surface.style import Metrics
 from pica_client.ui.surface.surface import Surface
 
 Event = Callable[[imgui.IO], None]
-Show = Callable[[Metrics], list[Any]]
+Show = Callable[[], list[Any]]
 Rect = tuple[float, float, float, float]
 NOTED = (
     "button",
@@ -81,11 +80,11 @@ def write(text: str) -> Event:
 @contextmanager
 def frame(
     surface: Surface, now: float, size: tuple[int, int], scale: float = 1.0
-) -> Iterator[Metrics]:
+) -> Iterator[None]:
     """A whole frame of a surface; panels are called within."""
     surface.begin(now, size, content_scale=scale)
     try:
-        yield surface.metrics
+        yield
     finally:
         surface.end()
 
@@ -107,8 +106,8 @@ class Hand:
         self.places.clear()
         for event in events:
             event(self.surface.io)
-        with frame(self.surface, self._now, self._size, self._scale) as metrics:
-            return show(metrics)
+        with frame(self.surface, self._now, self._size, self._scale):
+            return show()
 
     def where(self, label: str) -> Rect:
         """Where the last frame drew a widget whose label holds a text."""

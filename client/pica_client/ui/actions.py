@@ -2,7 +2,7 @@
 
 An action changes the state, or is a request to the owner of files and windows:
 
-    for request in [*keyboard(state), *control_bar(state, call, metrics)]:
+    for request in [*keyboard(state), *control_bar(state, call)]:
         rest = apply(request, state)
 """
 

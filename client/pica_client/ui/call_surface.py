@@ -27,6 +27,7 @@ from pica_client.ui.panels.bar import control_bar, leave_question
 from pica_client.ui.panels.overlay import free_shares, least_name, names, own_face, signs
 from pica_client.ui.panels.side import side_panel, waiting_page
 from pica_client.ui.state import ViewState
+from pica_client.ui.surface.style import screen
 from pica_client.ui.surface.surface import Surface
 from pica_client.voice.sound.settings import SoundState
 
@@ -103,7 +104,6 @@ class CallSurface:
             for text, tone in notices(self.status.news):
                 self._board.add(Notice(text, tone), now)
             self._figures = self._figures_now()
-        metrics = self._surface.metrics
         view = CallView(
             people=self._people(now, scene, presenter),
             status=self.status,
@@ -114,8 +114,8 @@ class CallSurface:
             sound=sound,
             figures=self._figures,
         )
-        self.free = free_shares(state, view, metrics)
-        return [each for panel in PANELS for each in panel(state, view, metrics)]
+        self.free = free_shares(state, view)
+        return [each for panel in PANELS for each in panel(state, view)]
 
     def _shows_bar(self, now: float, state: ViewState) -> bool:
         """Return True for a while after the pointer has moved, and once when a call begins."""
@@ -133,9 +133,8 @@ class CallSurface:
     ) -> tuple[PersonView, ...]:
         figures, problems = presenter.figures(now), presenter.problems
         members = {each.peer_id: each for each in self.status.participants}
-        metrics = self._surface.metrics
-        pixels = scene.camera.width / metrics.size[0]  # a unit
-        columns, rows = least_name(metrics)
+        pixels = scene.camera.width / screen()[0]  # a unit
+        columns, rows = least_name()
         heads = [placement.world_from_head for placement in scene.placements]
         labels = place_labels(heads, scene.camera, (columns * pixels, rows * pixels))
         people = []

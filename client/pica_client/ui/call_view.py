@@ -1,10 +1,10 @@
 """All that the panels of a call may show, as one read-only value a frame. Pure.
 
-A panel is a function of the user's state, a `CallView` and the surface's metrics. It draws with
+A panel is a function of the user's state and a `CallView`. It draws with
 stock ImGui and `surface.widgets`, writes settings into the state, and returns what else the user
 asked for:
 
-    def leave_question(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
+    def leave_question(state: ViewState, call: CallView) -> list[Request]:
         ...
 """
 
@@ -19,7 +19,7 @@ from pica_client.publish.face_controls import TrackerPreview
 from pica_client.render.scene import Rect
 from pica_client.ui.actions import Request
 from pica_client.ui.state import ViewState
-from pica_client.ui.surface.style import Metrics, Tone
+from pica_client.ui.surface.style import Tone
 from pica_client.voice.sound.settings import SoundState
 from pica_protocol.messages import Peer
 
@@ -116,4 +116,4 @@ class CallView:
     """Figures of the whole call, name and value."""
 
 
-Panel = Callable[[ViewState, CallView, Metrics], list[Request]]
+Panel = Callable[[ViewState, CallView], list[Request]]

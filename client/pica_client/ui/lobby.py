@@ -33,7 +33,8 @@ from pica_client.ui.surface.style import (
     PADDING_PT,
     SMALL_PT,
     TONES,
-    Metrics,
+    px,
+    screen,
 )
 from pica_client.ui.window import Window
 from pica_client.voice.opus import available
@@ -179,7 +180,7 @@ class Lobby(Closing):
         form.portraits = portraits
         while form.outcome == "asking" and not self._wants_close:
             form.sound = None if available() else self._sound.state
-            self._frame(lambda metrics: join_panel(form, metrics))
+            self._frame(lambda: join_panel(form))
         if self._wants_close:
             form.outcome = "leave"
         return form.outcome != "leave"
@@ -188,17 +189,17 @@ class Lobby(Closing):
         """Say what is being waited for until it is over, True, or until the user does not want to
         wait any longer."""
         while not is_over():
-            if self._frame(lambda metrics: connecting_panel(what, metrics)) or self._wants_close:
+            if self._frame(lambda: connecting_panel(what)) or self._wants_close:
                 return False
         return True
 
-    def _frame(self, show: Callable[[Metrics], Any]) -> Any:
+    def _frame(self, show: Callable[[], Any]) -> Any:
         """Draw a frame of a panel over the empty room; return what the panel does."""
         now, window = time.monotonic(), self.window
         self._wants_close |= not window.poll()
         self._renderer.resize(window.size_px)
         window.begin(now)
-        found = show(window.surface.metrics)
+        found = show()
         window.surface.end()
         self._renderer.draw([], STILL)
         window.show(self._show)
@@ -210,32 +211,32 @@ class Lobby(Closing):
         self.window.surface.paint(screen)
 
 
-def join_panel(form: JoinForm, metrics: Metrics) -> None:
+def join_panel(form: JoinForm) -> None:
     """Draw the form, and tell it what was typed and pressed."""
-    columns, rows = metrics.size
-    edge = metrics.px(EDGE_PT)
-    width = min(metrics.px(WIDTH_PT), columns - 2 * edge)
+    columns, rows = screen()
+    edge = px(EDGE_PT)
+    width = min(px(WIDTH_PT), columns - 2 * edge)
     imgui.set_next_window_size_constraints((width, 0), (width, rows - 2 * edge))
     flags = widgets.FIXED & ~imgui.WindowFlags_.no_nav
-    with widgets.card("join", (columns / 2, rows / 2), metrics, pivot=(0.5, 0.5), flags=flags):
+    with widgets.card("join", (columns / 2, rows / 2), pivot=(0.5, 0.5), flags=flags):
         widgets.title("Join a call")
         # What does not fit is scrolled to; the button stays in sight.
-        room = rows - 2 * edge - 2 * metrics.px(PADDING_PT + GAP_PT + BUTTON_PT)
-        imgui.set_next_window_size_constraints((0, 0), (columns, max(room, metrics.px(60))))
+        room = rows - 2 * edge - 2 * px(PADDING_PT + GAP_PT + BUTTON_PT)
+        imgui.set_next_window_size_constraints((0, 0), (columns, max(room, px(60))))
         padded = imgui.ChildFlags_.auto_resize_y | imgui.ChildFlags_.always_use_window_padding
         # Room for the ring around the field in use.
-        imgui.push_style_var(imgui.StyleVar_.window_padding, (metrics.px(3), metrics.px(3)))
+        imgui.push_style_var(imgui.StyleVar_.window_padding, (px(3), px(3)))
         imgui.begin_child("fields", (0, 0), padded)
         imgui.pop_style_var()
         if form.trouble is not None:
-            _trouble(*form.trouble, metrics)
+            _trouble(*form.trouble)
         before = replace(form.state)
-        _fields(form, metrics)
+        _fields(form)
         if form.state != before:
             form.typed()
         imgui.end_child()
         wide = imgui.get_content_region_avail().x
-        if widgets.action_button("Join", metrics, tone="accent", width=wide):
+        if widgets.action_button("Join", tone="accent", width=wide):
             form.join()
     if not imgui.is_popup_open("", imgui.PopupFlags_.any_popup_id):
         enters = (imgui.Key.enter, imgui.Key.keypad_enter)
@@ -245,39 +246,39 @@ def join_panel(form: JoinForm, metrics: Metrics) -> None:
             form.outcome = "leave"
 
 
-def connecting_panel(what: str, metrics: Metrics) -> bool:
+def connecting_panel(what: str) -> bool:
     """Say what is being waited for; return True once the user does not want to wait."""
-    (columns, rows), px = metrics.size, metrics.px
+    columns, rows = screen()
     # Of a size that is known: ImGui shows no card while it learns its size, and there may be one
     # frame alone.
     height = 2 * px(PADDING_PT) + imgui.get_frame_height() + px(38) + px(GAP_PT)
     size = (px(CANCEL_PT) + 2 * px(PADDING_PT), height)
-    with widgets.card("connecting", (columns / 2, rows / 2), metrics, pivot=(0.5, 0.5), size=size):
+    with widgets.card("connecting", (columns / 2, rows / 2), pivot=(0.5, 0.5), size=size):
         accent = imgui.ImColor(*TONES["accent"])
         clear = imgui.ImColor(0.0, 0.0, 0.0, 0.0)
         imspinner.spinner_ang("spinner", px(9), px(3), accent, clear, speed=5.0, angle=4.2)
         imgui.same_line()
         imgui.align_text_to_frame_padding()
         imgui.text_unformatted(what)
-        is_cancelled = widgets.action_button("Cancel", metrics, width=px(CANCEL_PT))
+        is_cancelled = widgets.action_button("Cancel", width=px(CANCEL_PT))
     return is_cancelled or imgui.is_key_pressed(imgui.Key.escape, repeat=False)
 
 
-def _trouble(text: str, details: str, metrics: Metrics) -> None:
+def _trouble(text: str, details: str) -> None:
     """What went wrong and what helps, and the raw error below it."""
     imgui.push_style_color(imgui.Col_.child_bg, (*TONES["alert"][:3], 0.14))
-    imgui.push_style_var(imgui.StyleVar_.window_padding, (metrics.px(12), metrics.px(10)))
+    imgui.push_style_var(imgui.StyleVar_.window_padding, (px(12), px(10)))
     flags = imgui.ChildFlags_.always_use_window_padding | imgui.ChildFlags_.auto_resize_y
     imgui.begin_child("trouble", (0, 0), flags)
     imgui.text_wrapped(f"{icons.ICON_FA_TRIANGLE_EXCLAMATION}  {text}")
     if details:
-        widgets.note(details, metrics)
+        widgets.note(details)
     imgui.end_child()
     imgui.pop_style_var()
     imgui.pop_style_color()
 
 
-def _fields(form: JoinForm, metrics: Metrics) -> None:
+def _fields(form: JoinForm) -> None:
     """All fields, which write what is typed into the state."""
     state = form.state
     empty = ""
@@ -285,19 +286,19 @@ def _fields(form: JoinForm, metrics: Metrics) -> None:
         empty = next((name for name in ("url", "room", "name") if not getattr(state, name)), "")
         imgui.set_next_window_focus()
     _field(state, "url", focus=empty == "url")
-    half = (imgui.get_content_region_avail().x - metrics.px(GAP_PT)) / 2
+    half = (imgui.get_content_region_avail().x - px(GAP_PT)) / 2
     left, top = imgui.get_cursor_pos()
     with imgui_ctx.begin_group():
         _field(state, "room", width=half, focus=empty == "room")
-    imgui.set_cursor_pos((left + half + metrics.px(GAP_PT), top))
+    imgui.set_cursor_pos((left + half + px(GAP_PT), top))
     with imgui_ctx.begin_group():
         _field(state, "name", width=half, focus=empty == "name")
     if form.portraits:
-        _avatars(form, metrics)
-    widgets.note("Your face", metrics)
+        _avatars(form)
+    widgets.note("Your face")
     state.source = widgets.choice_of("##source", SOURCES, state.source)
     if form.sound is not None:
-        widgets.note("Your microphone", metrics)
+        widgets.note("Your microphone")
         microphone_picker(state, form.sound, may_be_off=True)
     if imgui.tree_node_ex("More", FOLDED):
         for name in ("token", "secret_file", "ca_file", "avatar"):
@@ -317,16 +318,16 @@ def _field(state: ViewState, name: str, *, width: float = -1.0, focus: bool = Fa
     setattr(state, name, typed[:MAX_CHARACTERS])
 
 
-def _avatars(form: JoinForm, metrics: Metrics) -> None:
+def _avatars(form: JoinForm) -> None:
     """A row of pictures; the one that is worn has a frame."""
     state = form.state
-    widgets.note("Your avatar", metrics)
-    gap, edge, count = metrics.px(4), metrics.px(2.5), len(form.portraits)
+    widgets.note("Your avatar")
+    gap, edge, count = px(4), px(2.5), len(form.portraits)
     room = (imgui.get_content_region_avail().x - (count - 1) * gap) / count
-    side = min(metrics.px(PORTRAIT_PT), room) - 2 * edge
+    side = min(px(PORTRAIT_PT), room) - 2 * edge
     worn = state.avatar or avatar_by_name(state.name, form.names)
     imgui.push_style_var(imgui.StyleVar_.frame_padding, (edge, edge))
-    imgui.push_style_var(imgui.StyleVar_.image_rounding, metrics.px(6))
+    imgui.push_style_var(imgui.StyleVar_.image_rounding, px(6))
     for number, (name, texture) in enumerate(form.portraits.items()):
         if number:
             imgui.same_line(0, gap)

@@ -354,13 +354,13 @@ class Viewer(Closing):
             return OwnFaceView()
         for notice in self._controls.take_notices(now):
             self._panels.notice(notice, now)
-        height = own_face_height(self.state, self.surface.metrics)
+        height = own_face_height(self.state)
         height_px = round(height * self._pixels_a_unit)
         return self._self_view.look(now, height_px, self._controls, self.surface)
 
     @property
     def _pixels_a_unit(self) -> float:
-        return self._renderer.size[0] / max(self.surface.metrics.size[0], 1)
+        return self._renderer.size[0] / max(self.surface.io.display_size.x, 1)
 
     def _carry_out(self, request: Request, now: float) -> None:
         """Do once what the user asked for."""

@@ -18,7 +18,6 @@ from pica_client.ui.options import ViewOptions
 from pica_client.ui.panels.settings import SOURCES
 from pica_client.ui.session import link_of
 from pica_client.ui.state import ViewState
-from pica_client.ui.surface.style import Metrics
 from pica_client.voice.sound.settings import SoundState
 from pica_protocol.errors import CloseCode, is_worth_retrying
 
@@ -42,8 +41,8 @@ class Shown:
         self.form.names, self.form.sound = ("amara", "nora"), sound
         self.form.portraits = dict.fromkeys(self.form.names, 1)
 
-    def __call__(self, metrics: Metrics) -> list[object]:
-        join_panel(self.form, metrics)
+    def __call__(self) -> list[object]:
+        join_panel(self.form)
         return []
 
 
@@ -110,7 +109,7 @@ def test_the_form_keeps_to_the_window_also_with_an_error(
 
 
 def test_what_is_waited_for_is_seen_in_the_first_frame(hand: Hand) -> None:
-    hand.frame(lambda metrics: [connecting_panel("Connecting …", metrics)])
+    hand.frame(lambda: [connecting_panel("Connecting …")])
     lists = imgui.get_draw_data().cmd_lists
     shapes = {each._owner_name: each.vtx_buffer.size() for each in lists}
     assert shapes["connecting"] > 0
@@ -120,8 +119,8 @@ def test_what_is_waited_for_is_seen_in_the_first_frame(hand: Hand) -> None:
 def test_waiting_can_be_given_up(hand: Hand, way: str) -> None:
     given_up: list[bool] = []
 
-    def show(metrics: Metrics) -> list[bool]:
-        given_up.append(connecting_panel("Connecting …", metrics))
+    def show() -> list[bool]:
+        given_up.append(connecting_panel("Connecting …"))
         return []
 
     if way == "button":

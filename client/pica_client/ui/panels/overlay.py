@@ -15,7 +15,7 @@ from pica_client.ui.call_view import CallView, PersonView
 from pica_client.ui.panels.bar import bar_share
 from pica_client.ui.panels.side import side_share
 from pica_client.ui.state import Sent, ViewState
-from pica_client.ui.surface.style import EDGE_PT, PLATE, SMALL_PT, TEXT_PT, TONES, Metrics, Tone
+from pica_client.ui.surface.style import EDGE_PT, PLATE, SMALL_PT, TEXT_PT, TONES, Tone, px, screen
 from pica_client.ui.surface.surface import ON_PICTURE
 from pica_client.ui.surface.widgets import (
     FIXED,
@@ -59,48 +59,48 @@ RECORDING: Line = ("Recording", "alert")
 NO_FACE: Line = ("Your tracker sees no face", "warning")
 
 
-def free_shares(state: ViewState, call: CallView, metrics: Metrics) -> FreeShares:
+def free_shares(state: ViewState, call: CallView) -> FreeShares:
     """Return the parts of the picture that panels and signs take from the people."""
     return FreeShares(
-        top=min(metrics.px(SIGN_PT * len(call_signs(call))) / metrics.size[1], MAX_FREE),
-        right=min(side_share(state, metrics), MAX_FREE),
-        bottom=min(bar_share(metrics) if call.has_pointer else 0.0, MAX_FREE),
+        top=min(px(SIGN_PT * len(call_signs(call))) / screen()[1], MAX_FREE),
+        right=min(side_share(state), MAX_FREE),
+        bottom=min(bar_share() if call.has_pointer else 0.0, MAX_FREE),
     )
 
 
-def names(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
+def names(state: ViewState, call: CallView) -> list[Request]:
     """Write the names of all participants on the picture."""
     for person in call.people:
         if person.label is not None:
-            _name(person, person.label, metrics)
+            _name(person, person.label)
     return []
 
 
-def least_name(metrics: Metrics) -> tuple[float, float]:
+def least_name() -> tuple[float, float]:
     """Return columns and rows of the shortest name, units."""
-    return metrics.px(MIN_ROOM_PT), text_size("Ag", TEXT_PT)[1] + metrics.px(6)
+    return px(MIN_ROOM_PT), text_size("Ag", TEXT_PT)[1] + px(6)
 
 
-def _name(person: PersonView, label: Rect, metrics: Metrics) -> None:
+def _name(person: PersonView, label: Rect) -> None:
     """A plate with a dot for speech or a poor connection, a name, and what is wrong below it."""
     tone: Tone = "good" if person.is_speaking else "plain"
     tone = "alert" if person.member.quality == "poor" else tone
     left, top, right, _ = label
-    room = right - left - 2 * metrics.px(NAME_PADDING[0])
-    is_narrow = right - left < metrics.px(NOTE_ROOM_PT)
+    room = right - left - 2 * px(NAME_PADDING[0])
+    is_narrow = right - left < px(NOTE_ROOM_PT)
     points = SMALL_PT if is_narrow else TEXT_PT
     title = person.name
     if person.member.is_voice_muted:
         title = f"{icons.ICON_FA_MICROPHONE_SLASH} {title}"
-    before = 0 if tone == "plain" else metrics.px(DOT_PT)
+    before = 0 if tone == "plain" else px(DOT_PT)
     name = shortened(title, room - before, points)
     remark = "" if is_narrow else shortened(person.remark, 2.5 * room, SMALL_PT)
     width = max(text_size(name, points)[0] + before, text_size(remark, SMALL_PT)[0])
     place = ((left + right) / 2, top)
-    with _plate(f"name {person.peer_id}", place, (0.5, 0.0), min(width, room), metrics):
-        _dotted(name, tone, metrics, points)
+    with _plate(f"name {person.peer_id}", place, (0.5, 0.0), min(width, room)):
+        _dotted(name, tone, points)
         if remark:
-            note(remark, metrics, wrap=room)
+            note(remark, wrap=room)
 
 
 @contextmanager
@@ -109,35 +109,34 @@ def _plate(
     place: Place,
     pivot: Place,
     width: float,
-    metrics: Metrics,
     padding: Place = NAME_PADDING,
 ) -> Iterator[None]:
     """A card on the picture for content of a width, which takes no input."""
     imgui.push_style_color(imgui.Col_.window_bg, PLATE)
-    across, down = map(metrics.px, padding)
+    across, down = map(px, padding)
     wide = math.ceil(width) + 2 * across
-    imgui.set_next_window_size_constraints((wide, 0), (wide, metrics.size[1]))
+    imgui.set_next_window_size_constraints((wide, 0), (wide, screen()[1]))
     imgui.push_style_var(imgui.StyleVar_.window_padding, (across, down))
-    imgui.push_style_var(imgui.StyleVar_.window_rounding, metrics.px(14))
+    imgui.push_style_var(imgui.StyleVar_.window_rounding, px(14))
     imgui.push_style_var(imgui.StyleVar_.window_border_size, 0)
-    imgui.push_style_var(imgui.StyleVar_.item_spacing, (metrics.px(6), 0))
-    with card(ON_PICTURE + name, place, metrics, pivot=pivot, flags=SIGN_FLAGS):
+    imgui.push_style_var(imgui.StyleVar_.item_spacing, (px(6), 0))
+    with card(ON_PICTURE + name, place, pivot=pivot, flags=SIGN_FLAGS):
         yield
     imgui.pop_style_var(4)
     imgui.pop_style_color()
 
 
-def _dotted(text: str, tone: Tone, metrics: Metrics, points: float = TEXT_PT) -> None:
+def _dotted(text: str, tone: Tone, points: float = TEXT_PT) -> None:
     """A text after a dot of its tone; a plain one has none."""
     with type_size(points):
         if tone != "plain":
             place, height = imgui.get_cursor_screen_pos(), imgui.get_text_line_height()
-            centre = (place.x + metrics.px(DOT_PT) / 4, place.y + height / 2)
+            centre = (place.x + px(DOT_PT) / 4, place.y + height / 2)
             colour = ink(TONES[tone])
             shapes = imgui.get_window_draw_list()
-            shapes.add_circle_filled(centre, metrics.px(DOT_PT) / 4, colour)
+            shapes.add_circle_filled(centre, px(DOT_PT) / 4, colour)
             imgui.dummy((0, height))
-            imgui.same_line(0, metrics.px(DOT_PT))
+            imgui.same_line(0, px(DOT_PT))
         imgui.text_unformatted(text)
 
 
@@ -187,71 +186,69 @@ def own_signs(state: ViewState, call: CallView) -> list[Line]:
     return found
 
 
-def signs(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
+def signs(state: ViewState, call: CallView) -> list[Request]:
     """Write on the picture how the call stands, above, and how the user is sent, below."""
-    (columns, rows), edge, step = metrics.size, metrics.px(EDGE_PT), metrics.px(SIGN_PT)
+    (columns, rows), edge, step = screen(), px(EDGE_PT), px(SIGN_PT)
     for number, line in enumerate(call_signs(call)):
         place = (edge, edge + number * step)
-        _sign(f"call {number}", line, place, (0.0, 0.0), metrics, columns / 4 - edge)
+        _sign(f"call {number}", line, place, (0.0, 0.0), columns / 4 - edge)
     found, top = banner(call), edge
     # A notice keeps its window, which knows its height from its second frame on.
     middle = [("banner", found)] if found else []
     for name, line in (*middle, *((each.text, each) for each in call.notices)):
         place = (columns / 2, top)
-        top += _sign(name, line, place, (0.5, 0.0), metrics, columns / 2) + step / 6
+        top += _sign(name, line, place, (0.5, 0.0), columns / 2) + step / 6
     if state.is_recording:
-        _sign("recording", RECORDING, (columns - edge, rows - edge), (1.0, 1.0), metrics, columns)
+        _sign("recording", RECORDING, (columns - edge, rows - edge), (1.0, 1.0), columns)
     for number, line in enumerate(own_signs(state, call)):
-        place = (edge, _own_bottom(metrics) - number * step)
-        _sign(f"own {number}", line, place, (0.0, 1.0), metrics, columns)
+        place = (edge, _own_bottom() - number * step)
+        _sign(f"own {number}", line, place, (0.0, 1.0), columns)
     return []
 
 
-def _sign(
-    name: str, line: Line, place: Place, pivot: Place, metrics: Metrics, width: float
-) -> float:
+def _sign(name: str, line: Line, place: Place, pivot: Place, width: float) -> float:
     """Draw a pill with a dot and a text, its pivot (0 to 1 of its size) at a place; what is wider
     than so many units is wrapped. Return its height, units."""
     text = as_drawn(line[0])
-    content = text_size(text, TEXT_PT)[0] + metrics.px(DOT_PT)
-    content = min(content, width - 2 * metrics.px(PADDING[0]))
-    with _plate(f"sign {name}", place, pivot, content, metrics, PADDING):
-        imgui.push_text_wrap_pos(metrics.px(PADDING[0]) + math.ceil(content))
-        _dotted(text, line[1], metrics)
+    content = text_size(text, TEXT_PT)[0] + px(DOT_PT)
+    content = min(content, width - 2 * px(PADDING[0]))
+    with _plate(f"sign {name}", place, pivot, content, PADDING):
+        imgui.push_text_wrap_pos(px(PADDING[0]) + math.ceil(content))
+        _dotted(text, line[1])
         imgui.pop_text_wrap_pos()
         return imgui.get_window_height()
 
 
-def _own_bottom(metrics: Metrics) -> float:
+def _own_bottom() -> float:
     """Return the lower end of what is shown of the user, units."""
-    above = 0.0 if _is_wide(metrics) else bar_share(metrics) * metrics.size[1]
-    return metrics.size[1] - metrics.px(EDGE_PT) - above
+    above = 0.0 if _is_wide() else bar_share() * screen()[1]
+    return screen()[1] - px(EDGE_PT) - above
 
 
-def _is_wide(metrics: Metrics) -> bool:
-    return metrics.size[0] >= metrics.px(BESIDE_BAR_PT)
+def _is_wide() -> bool:
+    return screen()[0] >= px(BESIDE_BAR_PT)
 
 
-def own_face_height(state: ViewState, metrics: Metrics) -> int:
+def own_face_height(state: ViewState) -> int:
     """Return how high the picture of the user's own face is, units; 0 without room for it."""
     if not state.shows_self:
         return 0
     is_beside = state.side != "none" and state.pinned is not None
-    is_small = is_beside or not _is_wide(metrics)
-    return round(metrics.px(SMALL_OWN_PT if is_small else OWN_PT))
+    is_small = is_beside or not _is_wide()
+    return round(px(SMALL_OWN_PT if is_small else OWN_PT))
 
 
-def own_face(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
+def own_face(state: ViewState, call: CallView) -> list[Request]:
     """The user's own face at the lower left, mirrored, and beside it what a camera sees."""
-    own, height = call.own, own_face_height(state, metrics)
+    own, height = call.own, own_face_height(state)
     picture = None if own.seen is None else own.seen.picture
     if not height or (own.texture is None and picture is None):
         return []
-    place = (metrics.px(EDGE_PT), _own_bottom(metrics) - metrics.px(SIGN_PT))
+    place = (px(EDGE_PT), _own_bottom() - px(SIGN_PT))
     flags = SIGN_FLAGS | imgui.WindowFlags_.no_background
     imgui.push_style_var(imgui.StyleVar_.window_padding, (0, 0))
-    imgui.push_style_var(imgui.StyleVar_.image_rounding, metrics.px(8))
-    with card("own face", place, metrics, pivot=(0.0, 1.0), flags=flags):
+    imgui.push_style_var(imgui.StyleVar_.image_rounding, px(8))
+    with card("own face", place, pivot=(0.0, 1.0), flags=flags):
         if own.texture is not None:
             # Rows of a GL texture go up; columns go the other way, as in a mirror.
             size = (round(ASPECT * height), height)

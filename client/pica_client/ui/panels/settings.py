@@ -10,7 +10,7 @@ from pica_client.sources.performances import PERFORMANCES
 from pica_client.ui.actions import ACTIONS, TALK_KEY, Action, Request
 from pica_client.ui.call_view import CallView
 from pica_client.ui.state import LAYOUT_TITLES, SCALES, ViewState
-from pica_client.ui.surface.style import TONES, Metrics, Tone
+from pica_client.ui.surface.style import TONES, Tone, px
 from pica_client.ui.surface.widgets import action_button, choice_of, note
 from pica_client.voice.sound.settings import DeviceState, SoundState
 
@@ -31,18 +31,18 @@ SOURCES: tuple[tuple[str, str], ...] = (
 """Face sources to choose from, and what they are called."""
 
 
-def settings_tabs(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
+def settings_tabs(state: ViewState, call: CallView) -> list[Request]:
     """The user's identity and sound, and how the call is shown: a tab for each that there is."""
     requests: list[Request] = []
     if imgui.begin_tab_bar("parts"):
         if state.own_face != "none" and imgui.begin_tab_item("You")[0]:
-            requests += _you(state, call, metrics)
+            requests += _you(state, call)
             imgui.end_tab_item()
         if call.sound is not None and imgui.begin_tab_item("Sound")[0]:
-            requests += _sound(state, call.sound, metrics)
+            requests += _sound(state, call.sound)
             imgui.end_tab_item()
         if imgui.begin_tab_item("View")[0]:
-            requests += _shown(state, metrics)
+            requests += _shown(state)
             imgui.end_tab_item()
         imgui.end_tab_bar()
     return requests
@@ -59,37 +59,37 @@ def microphone_picker(state: ViewState, sound: SoundState, *, may_be_off: bool =
         state.sound = replace(settings, microphone=device)
 
 
-def _sound(state: ViewState, sound: SoundState, metrics: Metrics) -> list[Request]:
+def _sound(state: ViewState, sound: SoundState) -> list[Request]:
     """Devices with their meters, volume and switches."""
     settings = state.sound
     if state.own_voice != "none" and state.voice == MICROPHONE:
-        note("Microphone", metrics)
+        note("Microphone")
         microphone_picker(state, sound)
         settings = state.sound
-        _meter(sound.microphone_level, sound.microphone, metrics)
+        _meter(sound.microphone_level, sound.microphone)
         if sound.cleaning:
-            note(sound.cleaning[0].upper() + sound.cleaning[1:], metrics)
+            note(sound.cleaning[0].upper() + sound.cleaning[1:])
         else:
             _, cleans = imgui.checkbox("Take out echo and noise", settings.cleans)
             settings = replace(settings, cleans=cleans)
         label = f"Hold {imgui.get_key_name(TALK_KEY)} to talk"
         _, is_held = imgui.checkbox(label, settings.push_to_talk)
         settings = replace(settings, push_to_talk=is_held)
-    note("Loudspeaker", metrics)
+    note("Loudspeaker")
     devices = _devices(sound.speakers, settings.speaker)
     settings = replace(settings, speaker=choice_of("##speaker", devices, settings.speaker))
-    _meter(sound.speaker_level, sound.speaker, metrics)
-    settings = replace(settings, volume=volume_slider("##volume", settings.volume, metrics))
+    _meter(sound.speaker_level, sound.speaker)
+    settings = replace(settings, volume=volume_slider("##volume", settings.volume))
     _, is_stereo = imgui.checkbox("Voices come from their seats", settings.is_stereo)
     state.sound = replace(settings, is_stereo=is_stereo)
-    is_tried = action_button(f"{icons.ICON_FA_VOLUME_HIGH}  Play a test sound", metrics)
+    is_tried = action_button(f"{icons.ICON_FA_VOLUME_HIGH}  Play a test sound")
     return [Action.TEST_SOUND] if is_tried else []
 
 
-def volume_slider(label: str, volume: float, metrics: Metrics, *, width: float = -1.0) -> float:
+def volume_slider(label: str, volume: float, *, width: float = -1.0) -> float:
     """Choose how loud a sound is, 0 to twice as loud as it comes."""
     percent = round(100 * volume)
-    note(f"Volume {percent} %", metrics)
+    note(f"Volume {percent} %")
     imgui.set_next_item_width(width)
     has_changed, percent = imgui.slider_int(label, percent, 0, MAX_PERCENT, "")
     return min(max(percent, 0), MAX_PERCENT) / 100 if has_changed else volume
@@ -103,38 +103,38 @@ def _devices(names: Sequence[str], chosen: str, prefix: str = "") -> list[tuple[
     return found
 
 
-def _meter(level: int, device: DeviceState, metrics: Metrics) -> None:
+def _meter(level: int, device: DeviceState) -> None:
     """A bar as long as the sound is loud, and what is wrong with its device."""
     share = min(max((SOFTEST_DB - level) / SOFTEST_DB, 0.0), 1.0)
     tone: Tone = "warning" if level < LOUD_DB else "good"
     imgui.push_style_color(imgui.Col_.plot_histogram, TONES[tone])
-    imgui.progress_bar(share, (-1, metrics.px(6)), "")
+    imgui.progress_bar(share, (-1, px(6)), "")
     imgui.pop_style_color()
     if device.note:
-        note(device.note, metrics, tone="warning")
+        note(device.note, tone="warning")
 
 
-def _you(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
+def _you(state: ViewState, call: CallView) -> list[Request]:
     """The face's source."""
-    note("Your face", metrics)
+    note("Your face")
     before = call.own.source or state.source
     source = choice_of("##source", [each for each in SOURCES if each[0]], before)
     if source != before:
         state.source = source
     calibrate = f"Calibrate   [{ACTIONS[Action.CALIBRATE].key_names[0]}]"
-    if call.own.seen and action_button(calibrate, metrics):
+    if call.own.seen and action_button(calibrate):
         return [Action.CALIBRATE]
     return []
 
 
-def _shown(state: ViewState, metrics: Metrics) -> list[Request]:
+def _shown(state: ViewState) -> list[Request]:
     """How people sit, and how the surface looks."""
     requests: list[Request] = []
-    note("People sit", metrics)
+    note("People sit")
     layout = choice_of("##layout", LAYOUT_TITLES.items(), state.layout)
     if layout != state.layout:
         requests.append(state.seat(layout))
-    note("Size of type and buttons", metrics)
+    note("Size of type and buttons")
     state.scale = choice_of("##scale", [(each, f"{each:.0%}") for each in SCALES], state.scale)
     if state.own_face != "none":
         _, state.shows_self = imgui.checkbox("My own face", state.shows_self)

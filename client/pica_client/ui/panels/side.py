@@ -23,8 +23,9 @@ from pica_client.ui.surface.style import (
     SMALL_PT,
     TEXT_PT,
     TONES,
-    Metrics,
     Tone,
+    px,
+    screen,
 )
 from pica_protocol.messages import BarIdentity, MutePeer, RemovePeer
 
@@ -43,58 +44,58 @@ Sign = tuple[str, Tone, str]
 """An icon, its tone, and what it means."""
 
 
-def side_panel(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
+def side_panel(state: ViewState, call: CallView) -> list[Request]:
     """Draw the panel that is open: a title, a button that closes it, and room that scrolls."""
     if state.side == "none":
         return []
     requests: list[Request] = []
-    edge, (columns, rows), name = metrics.px(EDGE_PT), metrics.size, state.side.title()
-    width, height = metrics.px(_width_pt(state)), rows - edge * 3 - metrics.px(BAR_PT)
-    with widgets.card(name, (columns - edge - width, edge), metrics, size=(width, 0)):
+    edge, (columns, rows), name = px(EDGE_PT), screen(), state.side.title()
+    width, height = px(_width_pt(state)), rows - edge * 3 - px(BAR_PT)
+    with widgets.card(name, (columns - edge - width, edge), size=(width, 0)):
         widgets.title(name)
-        imgui.same_line(imgui.get_window_width() - metrics.px(CLOSE_PT + PADDING_PT))
+        imgui.same_line(imgui.get_window_width() - px(CLOSE_PT + PADDING_PT))
         close = icons.ICON_FA_XMARK
-        if widgets.icon_button(close, "Close", metrics, keys="Esc", size_pt=CLOSE_PT):
+        if widgets.icon_button(close, "Close", keys="Esc", size_pt=CLOSE_PT):
             requests.append(Action.CLOSE)
-        room = height - imgui.get_cursor_pos_y() - metrics.px(PADDING_PT)
-        imgui.set_next_window_size_constraints((0, 0), (columns, max(room, metrics.px(60))))
+        room = height - imgui.get_cursor_pos_y() - px(PADDING_PT)
+        imgui.set_next_window_size_constraints((0, 0), (columns, max(room, px(60))))
         imgui.begin_child(f"{name} content", (0, 0), imgui.ChildFlags_.auto_resize_y)
         match state.side:
             case "help":
-                _help(state, metrics)
+                _help(state)
             case "settings":
-                requests += settings_tabs(state, call, metrics)
+                requests += settings_tabs(state, call)
             case "statistics":
-                _statistics(call, metrics)
+                _statistics(call)
             case "participants":
-                requests += _participants(state, call, metrics)
+                requests += _participants(state, call)
         imgui.end_child()
     return requests
 
 
-def side_share(state: ViewState, metrics: Metrics) -> float:
+def side_share(state: ViewState) -> float:
     """Return the part of the picture's width that the panel takes from the people."""
     if state.side == "none":
         return 0.0
-    return (metrics.px(_width_pt(state)) + 2 * metrics.px(EDGE_PT)) / metrics.size[0]
+    return (px(_width_pt(state)) + 2 * px(EDGE_PT)) / screen()[0]
 
 
 def _width_pt(state: ViewState) -> float:
     return STATISTICS_PT if state.side == "statistics" else WIDTH_PT
 
 
-def _help(state: ViewState, metrics: Metrics) -> None:
+def _help(state: ViewState) -> None:
     """What keys and mouse do."""
     if imgui.begin_table("columns", 2, imgui.TableFlags_.sizing_fixed_fit):
         for keys, meaning in help_lines(state):
             imgui.table_next_column()
             imgui.text_unformatted(keys)
             imgui.table_next_column()
-            widgets.note(meaning, metrics)
+            widgets.note(meaning)
         imgui.end_table()
 
 
-def _statistics(call: CallView, metrics: Metrics) -> None:
+def _statistics(call: CallView) -> None:
     """A line for each participant, and the figures of the whole call."""
     flags = imgui.TableFlags_.row_bg | imgui.TableFlags_.sizing_fixed_fit
     with widgets.type_size(SMALL_PT):
@@ -103,23 +104,23 @@ def _statistics(call: CallView, metrics: Metrics) -> None:
                 imgui.table_setup_column(name)
             imgui.table_headers_row()
             for person in call.people:
-                for cell in row_of(person, metrics):
+                for cell in row_of(person):
                     imgui.table_next_column()
                     imgui.text_unformatted(cell)
             imgui.end_table()
-        widgets.note("Decoding, latency and age are in milliseconds.", metrics)
+        widgets.note("Decoding, latency and age are in milliseconds.")
         for name, value in call.figures:
-            widgets.note(f"{name} {value}", metrics)
+            widgets.note(f"{name} {value}")
 
 
-def row_of(person: PersonView, metrics: Metrics) -> tuple[str, ...]:
+def row_of(person: PersonView) -> tuple[str, ...]:
     """Return the figures of one participant, as the table shows them."""
     found, stream, bps = person.figures, person.member.stream, person.member.payload_bps
     latency = None if found is None else found.latency_ms
     if latency is not None and not 0 <= latency <= MAX_LATENCY_MS:
         latency = None
     return (
-        widgets.shortened(person.name, metrics.px(NAME_PT), SMALL_PT),
+        widgets.shortened(person.name, px(NAME_PT), SMALL_PT),
         _figure(None if found is None else found.level, 0),
         _figure(None if found is None else found.decode_ms, 1),
         _figure(None if bps is None else bps / 1e3, 1),
@@ -133,53 +134,53 @@ def _figure(value: float | None, digits: int) -> str:
     return NO_FIGURE if value is None or not math.isfinite(value) else f"{value:.{digits}f}"
 
 
-def waiting_page(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
+def waiting_page(state: ViewState, call: CallView) -> list[Request]:
     """Where the user is, who watches, and an invitation, until the first face comes."""
     status = call.status
     if call.people or not status.room or not status.is_connected or state.asks_to_leave:
         return []
-    (columns, rows), edge = metrics.size, metrics.px(EDGE_PT)
-    width = min(metrics.px(WAITING_PT), columns - 2 * edge)
+    (columns, rows), edge = screen(), px(EDGE_PT)
+    width = min(px(WAITING_PT), columns - 2 * edge)
     imgui.set_next_window_size_constraints((width, 0), (width, rows - 2 * edge))
     place = (columns / 2, 0.42 * rows)
-    with widgets.card("waiting", place, metrics, pivot=(0.5, 0.5), scrolls=True):
+    with widgets.card("waiting", place, pivot=(0.5, 0.5), scrolls=True):
         widgets.title("Waiting for others")
         watching = len(status.participants) - 1
-        widgets.note(f"You are in the room {status.room}.", metrics)
+        widgets.note(f"You are in the room {status.room}.")
         if watching > 0:
             who = "One person watches" if watching == 1 else f"{watching} people watch"
-            widgets.note(f"{who} without showing a face.", metrics)
-        return _invitation(status.invitation, metrics, "accent")
+            widgets.note(f"{who} without showing a face.")
+        return _invitation(status.invitation, "accent")
 
 
-def _invitation(line: str, metrics: Metrics, tone: Tone = "plain") -> list[Request]:
+def _invitation(line: str, tone: Tone = "plain") -> list[Request]:
     """A link that leads others here, and a button that copies it."""
-    widgets.note("To invite others, send them this link.", metrics)
-    widgets.note(line, metrics, tone="accent")
+    widgets.note("To invite others, send them this link.")
+    widgets.note(line, tone="accent")
     label = f"{icons.ICON_FA_COPY}  Copy the invitation"
-    is_wanted = widgets.action_button(label, metrics, tone=tone)
+    is_wanted = widgets.action_button(label, tone=tone)
     return [Action.COPY_INVITATION] if is_wanted else []
 
 
-def _participants(state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
+def _participants(state: ViewState, call: CallView) -> list[Request]:
     """All participants, the user first, then in order of coming."""
     requests: list[Request] = []
     status = call.status
     many = f"{len(status.participants)} in {status.room}, {duration_text(status.duration_s)}"
-    widgets.note(many, metrics)
+    widgets.note(many)
     if imgui.begin_table("people", 3):
         fixed = imgui.TableColumnFlags_.width_fixed
-        imgui.table_setup_column("speaks", fixed, metrics.px(10))
+        imgui.table_setup_column("speaks", fixed, px(10))
         imgui.table_setup_column("person", imgui.TableColumnFlags_.width_stretch)
-        imgui.table_setup_column("menu", fixed, metrics.px(MENU_PT) + 2)
+        imgui.table_setup_column("menu", fixed, px(MENU_PT) + 2)
         for person in status.participants:
-            requests += _row(person, state, call, metrics)
+            requests += _row(person, state, call)
         imgui.end_table()
-    requests += _barred(state, metrics)
+    requests += _barred(state)
     imgui.separator()
-    _encryption(call, metrics)
+    _encryption(call)
     imgui.separator()
-    return requests + _invitation(status.invitation, metrics)
+    return requests + _invitation(status.invitation)
 
 
 def signs_of(person: Member, *, is_encrypted: bool, volume: float = 1.0) -> list[Sign]:
@@ -209,23 +210,23 @@ def signs_of(person: Member, *, is_encrypted: bool, volume: float = 1.0) -> list
     return found
 
 
-def _row(person: Member, state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
+def _row(person: Member, state: ViewState, call: CallView) -> list[Request]:
     """One person: a dot while they speak, the name with its signs and remarks, and a menu."""
     requests: list[Request] = []
     volume = state.volumes.get(person.place, 1.0)
     signs = signs_of(person, is_encrypted=call.status.is_encrypted, volume=volume)
-    gap = metrics.px(6)
+    gap = px(6)
     signs_width = sum(widgets.text_size(icon, TEXT_PT)[0] + gap for icon, _, _ in signs)
-    imgui.table_next_row(0, metrics.px(MENU_PT + 6))
+    imgui.table_next_row(0, px(MENU_PT + 6))
     imgui.table_next_column()
-    lower = imgui.get_cursor_pos_y() + metrics.px(3)  # in the middle of the button's height
+    lower = imgui.get_cursor_pos_y() + px(3)  # in the middle of the button's height
     imgui.set_cursor_pos_y(lower)
     speaks = any(each.peer_id == person.peer_id and each.is_speaking for each in call.people)
     with widgets.type_size(10):
         imgui.text_colored(TONES["good"], icons.ICON_FA_CIRCLE if speaks else "")
     imgui.table_next_column()
     imgui.set_cursor_pos_y(lower)
-    imgui.push_style_var(imgui.StyleVar_.item_spacing, (gap, metrics.px(2)))
+    imgui.push_style_var(imgui.StyleVar_.item_spacing, (gap, px(2)))
     room = imgui.get_content_region_avail().x
     name = f"{person.name} (you)" if person.is_self else person.name
     imgui.text_unformatted(widgets.shortened(name, room - signs_width, TEXT_PT))
@@ -236,18 +237,18 @@ def _row(person: Member, state: ViewState, call: CallView, metrics: Metrics) -> 
     remarks: list[tuple[str, Tone]] = [(person.warning, "warning"), (person.line, "plain")]
     for text, tone in remarks:
         if text:
-            widgets.note(text, metrics, tone=tone, wrap=room)
+            widgets.note(text, tone=tone, wrap=room)
     imgui.pop_style_var()
     imgui.table_next_column()
     if not person.is_self:
         more = f"More on {person.name}"
-        if widgets.icon_button(icons.ICON_FA_ELLIPSIS_VERTICAL, more, metrics, size_pt=MENU_PT):
+        if widgets.icon_button(icons.ICON_FA_ELLIPSIS_VERTICAL, more, size_pt=MENU_PT):
             imgui.open_popup(f"menu {person.peer_id}")
-        requests += _menu(person, state, call, metrics)
+        requests += _menu(person, state, call)
     return requests
 
 
-def _menu(person: Member, state: ViewState, call: CallView, metrics: Metrics) -> list[Request]:
+def _menu(person: Member, state: ViewState, call: CallView) -> list[Request]:
     requests: list[Request] = []
     if imgui.begin_popup(f"menu {person.peer_id}"):
         pin = "Unpin" if state.pinned == person.place else "Pin"
@@ -258,7 +259,7 @@ def _menu(person: Member, state: ViewState, call: CallView, metrics: Metrics) ->
         if person.has_voice:
             imgui.separator()
             before = state.volumes.get(person.place, 1.0)
-            volume = volume_slider("##volume", before, metrics, width=metrics.px(VOLUME_PT))
+            volume = volume_slider("##volume", before, width=px(VOLUME_PT))
             if before == 0 and _item(icons.ICON_FA_VOLUME_HIGH, "Hear again"):
                 volume = 1.0
             elif before != 0 and _item(icons.ICON_FA_VOLUME_XMARK, "Mute for me"):
@@ -296,30 +297,30 @@ def _moderation(person: Member, state: ViewState) -> list[Request]:
     return requests
 
 
-def _barred(state: ViewState, metrics: Metrics) -> list[Request]:
+def _barred(state: ViewState) -> list[Request]:
     """Those whom this admin has barred, each with a button that lets them rejoin."""
     requests: list[Request] = []
     for identity, name in tuple(state.barred.items()):
-        widgets.note(f"{name} may not rejoin until the room is empty.", metrics)
-        if widgets.action_button(f"{icons.ICON_FA_ROTATE_LEFT}  Let {name} rejoin", metrics):
+        widgets.note(f"{name} may not rejoin until the room is empty.")
+        if widgets.action_button(f"{icons.ICON_FA_ROTATE_LEFT}  Let {name} rejoin"):
             del state.barred[identity]
             requests.append(BarIdentity(identity=identity, is_barred=False))
     return requests
 
 
-def _encryption(call: CallView, metrics: Metrics) -> None:
+def _encryption(call: CallView) -> None:
     """How the encryption stands, with the code in groups that can be read aloud."""
     status = call.status
     if not status.is_encrypted:
         text = "Not encrypted end to end: the operator of the relay can read the faces."
-        widgets.note(text, metrics)
+        widgets.note(text)
         return
     if not status.code:
-        widgets.note("Encrypted end to end. No other participant is verified yet.", metrics)
+        widgets.note("Encrypted end to end. No other participant is verified yet.")
         return
-    widgets.note("Encrypted end to end. All participants must read the same code:", metrics)
+    widgets.note("Encrypted end to end. All participants must read the same code:")
     groups = status.code.split()
     with widgets.type_size(CODE_PT, is_bold=True):
         for begin in range(0, len(groups), 3):
             imgui.text_unformatted("   ".join(groups[begin : begin + 3]))
-    widgets.note("A different code means that the relay shows you different people.", metrics)
+    widgets.note("A different code means that the relay shows you different people.")

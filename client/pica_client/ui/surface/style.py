@@ -1,11 +1,10 @@
-"""One style for all of the surface: colours, spacing and type sizes. Pure.
+"""One style for all of the surface: colours, spacing and type sizes.
 
-Lengths are points; `Metrics.px` turns them into units of the surface. Type has three sizes: small
+Lengths are points; `px` turns them into units of the surface. Type has three sizes: small
 (notes, figures), text, and title.
 """
 
 import math
-from dataclasses import dataclass
 from typing import Any, Literal
 
 from imgui_bundle import imgui
@@ -42,32 +41,29 @@ TONES: dict[Tone, Colour] = {
 }
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Metrics:
-    """How large things are on one picture."""
-
-    size: tuple[int, int]
-    """Columns and rows, units."""
-    scale: float
-    """Units a point."""
-
-    def px(self, points: float) -> float:
-        """Return so many points in units."""
-        return round(points * self.scale)
+def px(points: float) -> float:
+    """Return so many points in units of the current surface."""
+    return round(points * imgui.get_style().font_scale_dpi)
 
 
-def metrics_for(size: tuple[int, int], content_scale: float = 1.0) -> Metrics:
-    """Metrics of a picture: the display's own scale, and a little more on large pictures."""
+def screen() -> tuple[float, float]:
+    """Return the columns and rows of the current surface, units."""
+    size = imgui.get_io().display_size
+    return size.x, size.y
+
+
+def scale_for(size: tuple[int, int], content_scale: float = 1.0) -> float:
+    """Return units a point: the display's own scale, and a little more on large pictures."""
     points = min(size[0] / REFERENCE_PT[0], size[1] / REFERENCE_PT[1]) / content_scale
     growth = min(max(math.sqrt(max(points, 1e-6)), MIN_SCALE), MAX_SCALE)
     largest = min(size[0] / LEAST_PT[0], size[1] / LEAST_PT[1])
-    return Metrics(size=size, scale=min(content_scale * growth, largest))
+    return min(content_scale * growth, largest)
 
 
-def apply_style(style: imgui.Style, metrics: Metrics) -> None:
-    """Make ImGui's style ours."""
-    px, accent = metrics.px, TONES["accent"]
-    style.font_size_base, style.font_scale_dpi = TEXT_PT, metrics.scale
+def apply_style(scale: float) -> None:
+    """Make the style of the current context ours, with so many units a point."""
+    style, accent = imgui.get_style(), TONES["accent"]
+    style.font_size_base, style.font_scale_dpi = TEXT_PT, scale
     for name in ("window", "child", "popup", "frame", "grab", "scrollbar", "selectable"):
         setattr(style, f"{name}_rounding", px(ROUNDING_PT))
     style.window_rounding = style.popup_rounding = px(1.5 * ROUNDING_PT)

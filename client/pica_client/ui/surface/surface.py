@@ -2,7 +2,7 @@
 
     with Surface(context, window=handle) as surface:
         surface.begin(now, (1280, 720))
-        control_bar(state, call, surface.metrics)
+        control_bar(state, call)
         surface.end()
         surface.paint(framebuffer)
 
@@ -22,7 +22,7 @@ import numpy as np
 from imgui_bundle import imgui
 
 from pica_client.system import Closing
-from pica_client.ui.surface.style import TEXT_PT, Metrics, apply_style, metrics_for
+from pica_client.ui.surface.style import TEXT_PT, apply_style, scale_for
 from pica_core.gl import GL_VERSION
 from pica_core.types import Image
 
@@ -51,9 +51,6 @@ class Surface(Closing):
     Args:
         context: Where it is painted, GL 3.3, current on this thread; None paints nothing.
         window: Address of the glfw window whose input is taken; None leaves input to tests.
-
-    Attributes:
-        metrics: Sizes and colours of the frame that was begun last.
     """
 
     def __init__(
@@ -64,7 +61,7 @@ class Surface(Closing):
         self._context, self._window = context, window
         self._textures: dict[str, moderngl.Texture] = {}
         self._last_s: float | None = None
-        self.metrics = Metrics(size=(0, 0), scale=1.0)
+        self._scale = 0.0
         io = self.io
         io.set_ini_filename("")
         io.config_flags |= imgui.ConfigFlags_.nav_enable_keyboard
@@ -117,10 +114,10 @@ class Surface(Closing):
         io.delta_time, self._last_s = min(max(step_s, 1e-4), MAX_STEP_S), now
         io.display_size = imgui.ImVec2(*size)
         io.display_framebuffer_scale = imgui.ImVec2(pixels_a_unit, pixels_a_unit)
-        metrics = metrics_for(size, content_scale)
-        if metrics != self.metrics:
-            self.metrics = metrics
-            apply_style(imgui.get_style(), metrics)
+        scale = scale_for(size, content_scale)
+        if scale != self._scale:
+            self._scale = scale
+            apply_style(scale)
         imgui.new_frame()
 
     def end(self) -> None:

@@ -1,8 +1,8 @@
 """What several panels are made of: stock ImGui in the sizes and colours of `style`.
 
-with card("Settings", (x, y), metrics):
+with card("Settings", (x, y)):
     title("Settings")
-    if icon_button(icons.ICON_FA_XMARK, "Close", metrics, keys="Esc"):
+    if icon_button(icons.ICON_FA_XMARK, "Close", keys="Esc"):
         ...
 """
 
@@ -34,7 +34,6 @@ Value = TypeVar("Value")
 def card(
     name: str,
     place: Place,
-    metrics: style.Metrics,
     *,
     pivot: Place = (0.0, 0.0),
     size: Place | None = None,
@@ -73,9 +72,7 @@ def title(text: str) -> None:
         imgui.text_unformatted(text)
 
 
-def note(
-    text: str, metrics: style.Metrics, *, tone: style.Tone = "plain", wrap: float = 0.0
-) -> None:
+def note(text: str, *, tone: style.Tone = "plain", wrap: float = 0.0) -> None:
     """Small faint text; wrapped at the panel's edge, or at so many units."""
     with type_size(style.SMALL_PT):
         imgui.push_style_color(imgui.Col_.text, style.TONES[tone])
@@ -88,7 +85,6 @@ def note(
 def icon_button(
     icon: str,
     tooltip: str,
-    metrics: style.Metrics,
     *,
     keys: str = "",
     tone: style.Tone = "plain",
@@ -100,24 +96,22 @@ def icon_button(
         tooltip: What it does; unique within its panel.
         tone: "accent" for what is on, "alert" for what ends or warns.
     """
-    side = metrics.px(size_pt)
+    side = style.px(size_pt)
     imgui.push_style_var(imgui.StyleVar_.frame_rounding, side / 2)
     imgui.push_style_var(imgui.StyleVar_.frame_padding, (0, 0))
     with type_size(0.42 * size_pt):
-        is_pressed = _toned_button(f"{icon}##{tooltip}", metrics, tone, (side, side))
+        is_pressed = _toned_button(f"{icon}##{tooltip}", tone, (side, side))
     imgui.pop_style_var(2)
     hint(f"{tooltip}   [{keys}]" if keys else tooltip)
     return is_pressed
 
 
-def action_button(
-    label: str, metrics: style.Metrics, *, tone: style.Tone = "plain", width: float = 0.0
-) -> bool:
+def action_button(label: str, *, tone: style.Tone = "plain", width: float = 0.0) -> bool:
     """A button with words; of the "accent" tone it is what the panel is for."""
-    return _toned_button(label, metrics, tone, (width, metrics.px(38)))
+    return _toned_button(label, tone, (width, style.px(38)))
 
 
-def _toned_button(label: str, metrics: style.Metrics, tone: style.Tone, size: Place) -> bool:
+def _toned_button(label: str, tone: style.Tone, size: Place) -> bool:
     if tone == "plain":
         return imgui.button(label, size)
     fill = style.TONES[tone]

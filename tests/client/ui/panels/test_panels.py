@@ -72,8 +72,8 @@ def hand() -> Iterator[Hand]:
 
 def test_each_button_of_the_bar_gives_its_order_once(hand: Hand) -> None:
     for label, order in BUTTONS.items():
-        assert hand.click(label, lambda metrics: control_bar(STATE, CALL, metrics)) == [order]
-    hand.frame(lambda metrics: control_bar(ViewState(), CALL, metrics))
+        assert hand.click(label, lambda: control_bar(STATE, CALL)) == [order]
+    hand.frame(lambda: control_bar(ViewState(), CALL))
     assert not any("your face" in label for label in hand.places)
 
 
@@ -83,7 +83,7 @@ def test_the_bar_keeps_to_the_picture_and_its_buttons_apart(
 ) -> None:
     with open_hand(size, scale) as hand:
         for _ in range(3):
-            hand.frame(lambda metrics: control_bar(STATE, CALL, metrics))
+            hand.frame(lambda: control_bar(STATE, CALL))
         rects = sorted(hand.places.values())
     assert len(rects) == len(BUTTONS)
     assert min(rect[0] for rect in rects) >= 0
@@ -95,14 +95,14 @@ def test_the_bar_keeps_to_the_picture_and_its_buttons_apart(
 def test_leaving_is_asked_and_both_answers_are_buttons(hand: Hand) -> None:
     asking = ViewState(asks_to_leave=True)
     for label, asked, leaves in (("Stay", [Action.CLOSE], False), ("Leave", [], True)):
-        said = hand.click(label, lambda metrics: leave_question(asking, CALL, metrics))
+        said = hand.click(label, lambda: leave_question(asking, CALL))
         assert (said, asking.wants_close) == (asked, leaves)
-    assert hand.frame(lambda metrics: leave_question(STATE, CALL, metrics)) == []
+    assert hand.frame(lambda: leave_question(STATE, CALL)) == []
 
 
 def test_the_pointer_on_a_panel_is_the_surfaces_and_beside_it_the_scenes(hand: Hand) -> None:
     def frame(*events: object) -> bool:
-        hand.frame(lambda metrics: control_bar(STATE, CALL, metrics), *events)  # type: ignore[arg-type]
+        hand.frame(lambda: control_bar(STATE, CALL), *events)  # type: ignore[arg-type]
         return bool(hand.surface.io.want_capture_mouse)
 
     for _ in range(3):
@@ -153,7 +153,7 @@ def test_signs_stand_beside_and_below_each_other_on_any_picture() -> None:
     for size in ((480, 360), (960, 540), (2560, 1440)):
         with open_hand(size) as hand:
             for _ in range(3):
-                hand.frame(lambda metrics: signs(STATE, call, metrics))
+                hand.frame(lambda: signs(STATE, call))
             lists = imgui.get_draw_data().cmd_lists
             assert all(each._owner_name.startswith(ON_PICTURE) for each in lists)
             spots = [(v.pos.x, v.pos.y) for each in lists for v in each.vtx_buffer]
@@ -171,7 +171,7 @@ def test_a_name_fills_no_more_than_its_room(hand: Hand) -> None:
     for room in ((100.0, 50.0, 160.0, 70.0), (100.0, 50.0, 300.0, 70.0)):
         call = replace(CALL, people=(replace(person, label=room),))
         for _ in range(3):
-            hand.frame(lambda metrics, call=call: names(STATE, call, metrics))  # type: ignore[misc]
+            hand.frame(lambda call=call: names(STATE, call))  # type: ignore[misc]
         window = imgui.internal.find_window_by_name(f"{ON_PICTURE}name p1")
         assert window.size.x <= room[2] - room[0] + 1
         assert window.size.y < 120
@@ -194,7 +194,7 @@ def test_the_own_face_stands_beside_what_the_camera_sees(hand: Hand) -> None:
     for shows_self, width in ((False, 0), (True, 2 * 4 / 3 * OWN_PT)):
         state = replace(STATE, shows_self=shows_self)
         for _ in range(2):
-            hand.frame(lambda metrics, state=state: own_face(state, call, metrics))  # type: ignore[misc]
+            hand.frame(lambda state=state: own_face(state, call))  # type: ignore[misc]
         window = imgui.internal.find_window_by_name("own face")
         assert (window.size.x if window else 0) == pytest.approx(width, abs=12)
 
@@ -204,7 +204,7 @@ SCRIPTS = ["Ada", "Ольга", "Ελένη", "李小龍 さくら 김", "שרה
 
 @pytest.mark.parametrize("name", SCRIPTS)
 def test_every_glyph_of_a_name_is_found(hand: Hand, name: str) -> None:
-    def show(metrics: object) -> list[object]:
+    def show() -> list[object]:
         font = imgui.get_font().get_font_baked(15.0)
         nothing = font.find_glyph_no_fallback(0xE000)
         for char in as_drawn(name).replace(chr(32), ""):

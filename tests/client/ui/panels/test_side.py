@@ -57,7 +57,7 @@ def texts(hand: Hand, panel: Panel, call: CallView, state: ViewState = STATE) ->
     written: list[str] = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(imgui, "text_unformatted", written.append)
-        hand.frame(lambda metrics: panel(replace(state), call, metrics))
+        hand.frame(lambda: panel(replace(state), call))
     return "\n".join(written)
 
 
@@ -66,7 +66,7 @@ def clicking(
 ) -> list[Request]:
     """Click on widgets of a panel, which may write into the state; give what the last one asks."""
     for label in labels:
-        asked = hand.click(label, lambda metrics: panel(state, call, metrics))
+        asked = hand.click(label, lambda: panel(state, call))
     return asked
 
 
@@ -83,7 +83,7 @@ def test_the_menu_of_a_person_makes_them_softer_or_silent_and_the_list_shows_it(
     state = replace(STATE, volumes={})
     for label, volume in (("Mute for me", 0.0), ("##volume", 1.0), ("Mute for me", 0.0)):
         clicking(hand, side_panel, state, CALL, "More on Ada", label)
-        hand.press(imgui.Key.escape, lambda metrics: side_panel(state, CALL, metrics))
+        hand.press(imgui.Key.escape, lambda: side_panel(state, CALL))
         assert state.volumes == {3: pytest.approx(volume, abs=0.05)}
     clicking(hand, side_panel, state, CALL, "More on Ada", "Hear again")
     assert state.volumes == {3: 1.0}
@@ -190,7 +190,7 @@ def test_devices_are_changed_during_a_call(hand: Hand) -> None:
     assert clicking(hand, side_panel, state, call, "Play a test") == [Action.TEST_SOUND]
     assert state.voice == "mic"
     listening = replace(state, own_voice="none")
-    hand.frame(lambda metrics: side_panel(listening, call, metrics))
+    hand.frame(lambda: side_panel(listening, call))
     assert not any("##microphone" in label for label in hand.places)
 
 
@@ -207,7 +207,7 @@ def test_an_admins_menu_of_a_person_moderates(hand: Hand, item: str, asked: Requ
     state = replace(STATE, barred={})
     clicking(hand, side_panel, state, CALL, "More on Ada")
     assert not any(item in label for label in hand.places)  # for admins alone
-    hand.press(imgui.Key.escape, lambda metrics: side_panel(state, CALL, metrics))
+    hand.press(imgui.Key.escape, lambda: side_panel(state, CALL))
     assert clicking(hand, side_panel, state, AS_ADMIN, "More on Ada", item) == [asked]
 
 

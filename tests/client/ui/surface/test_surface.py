@@ -9,7 +9,7 @@ from imgui_bundle import imgui
 from helpers.hand import frame, press
 from pica_client.ui.actions import keyboard
 from pica_client.ui.state import ViewState
-from pica_client.ui.surface.style import CARD, FAINT, FIELD, INK, ON_ACCENT, TONES, metrics_for
+from pica_client.ui.surface.style import CARD, FAINT, FIELD, INK, ON_ACCENT, TONES, scale_for
 from pica_client.ui.surface.surface import ON_PICTURE, Surface
 from pica_core.gl import create_context
 
@@ -81,7 +81,7 @@ def test_signs_and_panels_are_painted_where_they_are_wanted() -> None:
 def test_larger_pictures_have_larger_type_within_limits(
     size: tuple[int, int], content_scale: float, low: float, high: float
 ) -> None:
-    assert low <= metrics_for(size, content_scale).scale <= high
+    assert low <= scale_for(size, content_scale) <= high
 
 
 def test_text_can_be_read_on_what_it_stands_on() -> None:
