@@ -45,9 +45,7 @@ async def main() -> None:
         sender = Sender(link, Outgoing(face=face))
         await sender.run()
     stats = sender.stats()
-    print(
-        f"{stats['sent']} frames sent, {stats['silent']} not needed, {stats['payload_bps']} bit/s"
-    )
+    print(f"{stats['sent']} frames sent, {stats['payload_bps']} bit/s")
 
 
 asyncio.run(main())
