@@ -24,7 +24,6 @@ from pica_client.render.drawing import masked_mse
 from pica_client.sources import Source, open_source
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
-from pica_core.capture.face_errors import region_errors_mm
 from pica_core.capture.stage.subject import Subject
 from pica_core.codec.latent_stream import LatentSample, StreamConfig
 from pica_core.types import FloatArray, Image, IntArray
@@ -211,8 +210,12 @@ class _Comparison:
     ) -> dict[str, float]:
         used = self._used[level]
         vertices_m = self._avatar.vertices_of(position_map, level)
+        off_m = vertices_m.astype(np.float64) - truth_m[self._order[used]]
+        distance_mm = 1000 * np.linalg.norm(off_m, axis=1)
         regions = {name: mask[used] for name, mask in self._regions.items()}
-        return region_errors_mm(vertices_m, truth_m[self._order[used]], regions)
+        return {
+            name: float(distance_mm[mask].mean()) for name, mask in regions.items() if mask.any()
+        }
 
 
 def _row(shown: Sequence[_Shown]) -> dict[str, Any]:

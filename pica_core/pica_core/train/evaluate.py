@@ -86,22 +86,15 @@ def change_mse(predicted: tuple[Array, Array], observed: tuple[Array, Array]) ->
 
 
 def bootstrap_interval(values: npt.ArrayLike) -> tuple[float, float]:
-    """The 95 % percentile interval of the mean, over resamples of the values with repetition.
-
-    Args:
-        values: Of frames ``[T]``, or of several runs on the same frames ``[runs, T]``; then runs
-            and frames are drawn independently of each other.
+    """The 95 % percentile interval of the mean of frames' values ``[T]``, over resamples of them
+    with repetition.
 
     Frames are taken as independent; those of one take are not quite, so for them it is a little
     narrow.
     """
-    array = np.atleast_2d(np.asarray(values, np.float64))
-    rng = np.random.default_rng(0)
-    runs, frames = array.shape
-    frame = rng.integers(frames, size=(RESAMPLES, frames))
-    run = rng.integers(runs, size=(RESAMPLES, runs))
-    means = array[run[:, :, None], frame[:, None]].mean((1, 2))
-    low, high = np.percentile(means, [2.5, 97.5])
+    array = np.asarray(values, np.float64)
+    chosen = np.random.default_rng(0).integers(len(array), size=(RESAMPLES, len(array)))
+    low, high = np.percentile(array[chosen].mean(1), [2.5, 97.5])
     return float(low), float(high)
 
 
@@ -201,7 +194,6 @@ class ModelEvaluator:
 
 
 Source = Literal["encoder", "driver"]
-Split = Literal["train", "test"]
 SOURCES: tuple[Source, ...] = ("encoder", "driver")
 
 
@@ -209,24 +201,23 @@ SOURCES: tuple[Source, ...] = ("encoder", "driver")
 class ViewErrors:
     """What was measured in one view, a value for each frame."""
 
-    mse: dict[int, float] = field(default_factory=dict)
-    """Errors keyed by frame: a view may lack some."""
+    mse: list[float] = field(default_factory=list)
+    """One for each frame that the view has."""
     ssim: list[float] = field(default_factory=list)
     change_mse: list[float] = field(default_factory=list)
     """One for each frame whose successor is of the same take and split, and was not left out."""
 
     def row(self) -> dict[str, Any]:
         """Means, with the interval of the first."""
-        errors = list(self.mse.values())
-        low, high = bootstrap_interval(errors)
+        low, high = bootstrap_interval(self.mse)
         return {
-            "mse": float(np.mean(errors)),
+            "mse": float(np.mean(self.mse)),
             "mse_low": low,
             "mse_high": high,
-            "psnr_db": float(np.mean([psnr_db(value) for value in errors])),
+            "psnr_db": float(np.mean([psnr_db(value) for value in self.mse])),
             "ssim": float(np.mean(self.ssim)),
             "temporal_mse": float(np.mean(self.change_mse)) if self.change_mse else None,
-            "frames": len(errors),
+            "frames": len(self.mse),
         }
 
 
@@ -267,7 +258,7 @@ def measure_views(
             camera, image = data.images.camera(frame, view), data.images.image(frame, view)
             picture = evaluator.draw(latent, camera)
             seen = picture.within(image)
-            errors.mse[frame] = mse(picture.colours, seen)
+            errors.mse.append(mse(picture.colours, seen))
             laid = picture.on(image)
             errors.ssim.append(ssim(laid, image, picture.covered(camera)))
             if after is None or later is None or view not in data.images.cameras_of(after):
@@ -287,28 +278,26 @@ def evaluate(
     trainer: Trainer,
     *,
     max_frames: int = 25,
-    split: Split = "test",
     sources: tuple[Source, ...] = SOURCES,
 ) -> list[dict[str, Any]]:
-    """Measure a run on evenly spaced frames, from the capture's evaluation views.
+    """Measure a run on evenly spaced held-out frames, from the capture's evaluation views.
 
     Args:
-        split: Held-out frames, or those that were trained on.
         sources: Whose latents to draw, "driver" only where the capture has expressions: "encoder"
             is the model's own encoder, "driver" the expression encoder, which a live sender runs.
 
     Returns:
         A row for each source and view: which run it is (identity, variant, block, seed, steps,
-        seconds), what its model costs (parameters, macs, macs_per_pixel), `ViewErrors.row`, the MSE
-        of each frame by its name (by_frame), and the mean distances from the capture's best mesh
-        (vertex_error_mm, lid_error_mm, lip_error_mm; None where it does not name the region).
+        seconds), what its model costs (parameters, macs, macs_per_pixel), `ViewErrors.row`, and the
+        mean distances from the capture's best mesh (vertex_error_mm, lid_error_mm, lip_error_mm;
+        None where it does not name the region).
 
     Raises:
         CaptureError: An image cannot be read.
     """
     data, model, config = trainer.data, trainer.model, trainer.config
     evaluator = ModelEvaluator(data, model, trainer.rasteriser)
-    frames = spaced(data.test_frames if split == "test" else data.train_frames, max_frames)
+    frames = spaced(data.test_frames, max_frames)
     topology, cost = data.meshes.topology(model.topology), model.cost
     about = {
         "identity": data.capture.identity,
@@ -329,10 +318,7 @@ def evaluate(
             part = off_mm[topology.region(f"{name}s")]
             distances[f"{name}_error_mm"] = float(part.mean()) if len(part) else None
         for view, errors in measure_views(evaluator, frames, source).items():
-            row = {**about, "source": source, "view": view, **errors.row(), **distances}
-            where = [data.capture.frames[frame] for frame in errors.mse]
-            named = [f"{frame.segment}/{frame.name}" for frame in where]
-            rows.append(row | {"by_frame": dict(zip(named, errors.mse.values(), strict=True))})
+            rows.append({**about, "source": source, "view": view, **errors.row(), **distances})
     return rows
 
 

@@ -18,7 +18,7 @@ from pica_core.avatar.variants import VARIANTS
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.stage.synth import RenderOptions
 from pica_core.errors import CheckpointError, TrainingOptionError
-from pica_core.train.cli.eval import EvalOptions, eval_runs
+from pica_core.train.cli.eval import EvalOptions, error_table, eval_runs
 from pica_core.train.cli.train import TrainOptions, train
 from pica_core.train.config import PRESETS
 from pica_core.train.data.training import TrainingData
@@ -145,6 +145,21 @@ def test_the_report_names_every_model_and_is_written(table: dict[str, Any]) -> N
     for variant in VARIANTS_HERE:
         assert f"| {NAME} | {variant} |" in text
     assert json.loads((table["out"] / "eval.json").read_text())["table"] == 1
+
+
+ROW = {"identity": "S1", "view": "front", "mse_low": 0.0, "mse_high": 9.0, "variant": "full"}
+
+
+def test_seeds_are_shown_as_their_mean_with_the_lowest_and_the_highest() -> None:
+    rows = [{**ROW, "seed": seed, "mse": mse} for seed, mse in enumerate((3.0, 2.0, 4.0))]
+    rows.append({**ROW, "variant": "baseline", "seed": 0, "mse": 2.5})
+
+    lines = error_table(rows, ("full", "baseline")).splitlines()
+
+    assert lines[2:] == [
+        "| S1 | full | 3.00 (2.00 to 4.00) |",
+        "| S1 | baseline | **2.50** (0.00 to 9.00) |",
+    ]
 
 
 def test_runs_of_no_row_of_the_table_are_an_error(runs: dict[str, Path]) -> None:

@@ -15,7 +15,7 @@ from pica_core.capture.dataset.dataset import Capture
 from pica_core.errors import TrainingOptionError, check_ranges
 from pica_core.train.config import TrainConfig
 from pica_core.train.data.training import TrainingData
-from pica_core.train.evaluate import Split, bootstrap_interval, evaluate
+from pica_core.train.evaluate import evaluate
 from pica_core.train.train import open_trainer, read_checkpoint
 
 Row = Mapping[str, Any]
@@ -25,8 +25,6 @@ Model = tuple[str, str, str]
 """A key without its seed: runs that a table shows in one line."""
 
 TABLES: Mapping[int, tuple[str, ...]] = {1: TABLE_1, 2: TABLE_2}
-QUANTILES = (100, 90, 75, 50, 25, 10, 0)
-_SPLITS = {"test": "held-out frames", "train": "frames that were trained on"}
 _MEANS = {
     "mse": ("MSE", 2),
     "psnr_db": ("PSNR dB", 2),
@@ -47,10 +45,8 @@ class EvalOptions:
     """Folders of finished runs of `pica train`."""
     table: Literal[1, 2] = 1
     """Which of the paper's tables: 1 is baseline, full, no_uv and coarse; 2 the encodings."""
-    split: Split = "test"
-    """Held-out frames, or for comparison those that were trained on."""
     frames: int = 25
-    """How many of them, evenly spaced."""
+    """Held-out frames to measure, evenly spaced."""
     capture: Path | None = None
     """The capture of all runs, if it is not where it was when they were trained."""
     out: Path | None = None
@@ -89,11 +85,9 @@ def eval_runs(options: EvalOptions) -> dict[str, Any]:
             print(f"{folder}: {configs[folder].variant}", file=sys.stderr, flush=True)
             with open_trainer(data, configs[folder], folder) as trainer:
                 trainer.restore()
-                rows += evaluate(
-                    trainer, max_frames=options.frames, split=options.split, sources=("encoder",)
-                )
+                rows += evaluate(trainer, max_frames=options.frames, sources=("encoder",))
     notes = sorted({str(each.info.get("source", each.path.name)) for each in opened.values()})
-    result = {"table": options.table, "split": options.split, "captures": notes, "rows": rows}
+    result = {"table": options.table, "captures": notes, "rows": rows}
     text = report(result)
     print(text)
     if options.out is not None:
@@ -127,7 +121,7 @@ def report(result: Mapping[str, Any]) -> str:
     rows, variants = result["rows"], TABLES[result["table"]]
     parts = [
         f"# Table {result['table']}",
-        f"MSE on 0-255 values over rasterised pixels, {_SPLITS[result['split']]}: the mean over "
+        "MSE on 0-255 values over rasterised pixels of held-out frames: the mean over "
         "seeds with the lowest and the highest of them, or of one seed with its 95 % bootstrap "
         "interval over frames. The captures' own note on what they are: "
         + "; ".join(result["captures"]),
@@ -136,10 +130,6 @@ def report(result: Mapping[str, Any]) -> str:
         "Means over views. The change is the one from a frame to the next of its take; distances "
         "are those of vertices from the capture's best mesh.",
         summary_table(rows, variants),
-        "## Over expressions",
-        "MSE over all views: the mean with its 95 % bootstrap interval over seeds and frames, and "
-        "single frames, sorted.",
-        distribution_table(rows, variants),
     ]
     return "\n\n".join(parts) + "\n"
 
@@ -191,26 +181,6 @@ def summary_table(rows: Sequence[Row], variants: Sequence[str]) -> str:
 
     head = [title for title, _ in _MEANS.values()]
     head += ["M parameters", "M multiply-adds", "a pixel", "steps", "seeds"]
-    return _table(rows, variants, head, cells)
-
-
-def distribution_table(rows: Sequence[Row], variants: Sequence[str]) -> str:
-    """The mean with its interval over seeds and frames, and how errors spread over expressions:
-    quantiles of the frames' MSE, each the mean over the views that have the frame, and seeds."""
-
-    def cells(_: Model, own: Sequence[Row]) -> list[str]:
-        of_seeds = []
-        for seed in sorted({row["seed"] for row in own}):
-            views = [row["by_frame"] for row in own if row["seed"] == seed]
-            frames = dict.fromkeys(name for view in views for name in view)
-            each = [[view[name] for view in views if name in view] for name in frames]
-            of_seeds.append([float(np.mean(values)) for values in each])
-        low, high = bootstrap_interval(of_seeds)
-        errors = np.mean(of_seeds, axis=0)
-        quantiles = [f"{np.percentile(errors, quantile):.2f}" for quantile in QUANTILES]
-        return [f"{errors.mean():.2f} ({low:.2f} to {high:.2f})", *quantiles]
-
-    head = ["mean", "worst", *(f"{quantile} %" for quantile in QUANTILES[1:-1]), "best"]
     return _table(rows, variants, head, cells)
 
 

@@ -33,7 +33,6 @@ from pica_core.train.lod.exits import (
 )
 from pica_core.train.lod.simplify import Simplifier
 from pica_core.train.lod.surface import (
-    PokeFinder,
     looked_at,
     mark_static,
     seen_vertices,
@@ -50,14 +49,6 @@ LEAST_CHANCE = 0.2
 IMPORTANCE = (80.0, 6.0)
 """How much errors of a mesh count at eyes and at a mouth, where they count 1 elsewhere (measured on
 three heads: docs/architecture.md)."""
-MENDINGS = 3
-"""How often meshes are made again because one piece pokes through another."""
-GOOD_POKE = 1e-4
-"""Ratio of a picture's pixels that may poke through before a mesh is made again."""
-MENDED = (4.0, 300.0)
-"""How many times more errors count each time where something pokes through, and at most."""
-POKE_SHAPES = 24
-"""Faces in which meshes are looked at for what pokes through."""
 UNSEEN = 0.1
 """How much errors of a mesh count where no view sees it: triangles are spent where they show (with
 a fiftieth, necks poke through collars: docs/architecture.md)."""
@@ -139,8 +130,8 @@ class _FullLevel:
     """The full model, rebuilt from its file, and what is known of its surface over the faces.
 
     Attributes:
-        moving_vertices_m: Vertices at rest, and in some faces far from it and from each other, the
-            farthest first, ``[K, V, 3]``.
+        shapes_m: Vertices at rest, and in some faces far from it and from each other,
+            ``[K, V, 3]``.
         points: Points of the surface, UV, ``[P, 2]``: half of them spread over the area of the mesh
             at rest, half over the area of its UVs, which give mouth and eyes more room.
         bias_points: More such points, UV, ``[B, 2]``.
@@ -149,8 +140,8 @@ class _FullLevel:
 
     def __init__(self, avatar: Avatar, faces: FaceSet, options: LevelOptions) -> None:
         self.avatar, self.decoder = avatar, FrozenDecoder(avatar)
-        rest, far = avatar.mean_vertices_m, _far_apart(self.vertices_m(faces), POKE_SHAPES)
-        self.moving_vertices_m = np.concatenate([rest[None], far])
+        rest, far = avatar.mean_vertices_m, _far_apart(self.vertices_m(faces), STRONG_SHAPES)
+        self.shapes_m = np.concatenate([rest[None], far])
         rng = np.random.default_rng(0)
         mesh = rest, avatar.tensors["mesh.vertex_uv"], avatar.tensors["mesh.faces"]
         self.points, xyz_m = _scatter(*mesh, options.points, rng)
@@ -199,31 +190,17 @@ def _scatter(
 
 
 def _simplify(level: _FullLevel, options: LevelOptions) -> list[Array]:
-    """A mesh for each level, the coarsest first; each uses vertices of the next finer one.
-
-    Where something pokes through the coarsest one, errors count more, and all are made again; those
-    stay through which least pokes.
-    """
-    avatar, shapes_m = level.avatar, level.moving_vertices_m[: 1 + STRONG_SHAPES]
+    """A mesh for each level, the coarsest first; each uses vertices of the next finer one."""
+    avatar, shapes_m = level.avatar, level.shapes_m
     full, uv = (np.array(avatar.tensors[f"mesh.{name}"]) for name in ("faces", "vertex_uv"))
     regions = np.stack(looked_at(avatar, level.vertices_m))
     importance = 1 + (np.array(IMPORTANCE) - 1) @ regions
     importance[~seen_vertices(shapes_m, full)] *= UNSEEN
-    pokes = PokeFinder(level.moving_vertices_m, full)
-    least, found = np.inf, list[Array]()
-    for _ in range(1 + MENDINGS):
-        mesh, meshes = Simplifier(shapes_m, uv, full, importance), list[Array]()
-        for ratio in reversed(options.mesh_ratios):
-            mesh.reduce(round(ratio * len(full)))
-            meshes.insert(0, mesh.faces())
-        most, near = pokes.find(meshes[0])
-        if most < least:
-            least, found = most, meshes
-        if most <= GOOD_POKE:
-            break
-        more = np.minimum(np.maximum(importance, 1) * MENDED[0], MENDED[1])
-        importance = np.where(near, more, importance)
-    return found
+    mesh, meshes = Simplifier(shapes_m, uv, full, importance), list[Array]()
+    for ratio in reversed(options.mesh_ratios):
+        mesh.reduce(round(ratio * len(full)))
+        meshes.insert(0, mesh.faces())
+    return meshes
 
 
 def _exit_tensors(level: int, fitted: MapExit) -> dict[str, Array]:

@@ -21,7 +21,7 @@ from pica_core.train.lod.exits import (
 )
 from pica_core.train.lod.levels import LevelOptions, add_levels
 from pica_core.train.lod.simplify import Simplifier, weld
-from pica_core.train.lod.surface import PokeFinder, seen_vertices
+from pica_core.train.lod.surface import seen_vertices
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
 
@@ -35,12 +35,6 @@ QUICK = LevelOptions(
     bias_points=10_000,
     mesh_ratios=(0.3, 0.6),
 )
-
-
-@pytest.fixture(autouse=True)
-def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Judge levels by pictures of 128 pixels instead of 384: they take most of the time."""
-    monkeypatch.setattr("pica_core.train.lod.surface.IMAGE_SIZE", 128)
 
 
 @functools.cache
@@ -155,21 +149,3 @@ def test_what_another_surface_hides_from_every_view_is_not_seen() -> None:
     ]
     assert [side[81:].any() for side in seen] == [False, False]
     assert sorted(side[:81].all() for side in seen) == [False, True], "one side faces the views"
-
-
-def test_what_pokes_through_a_coarser_mesh_is_found_with_the_vertices_at_fault() -> None:
-    across = np.linspace(-1, 1, 9)
-    x, y = np.meshgrid(across, across)
-    dome = 0.04 * np.stack([x, y, 0.1 * (1 - x**2 - y**2)], -1).reshape(-1, 3)
-    behind = 0.01 * np.stack([x, y, np.zeros((9, 9))], -1).reshape(-1, 3)
-    sheet = grid_faces(9, 9)[:, ::-1]
-    flat = np.array([[0, 8, 72], [8, 80, 72]])  # the dome's corners, which lie behind the other
-    shapes_m, faces = np.concatenate([dome, behind])[None], np.concatenate([sheet, sheet + 81])
-    pokes = PokeFinder(shapes_m, faces)
-    whole, near = pokes.find(faces)
-    assert whole == 0
-    assert not near.any()
-    most, near = pokes.find(np.concatenate([flat, sheet + 81]))
-    assert 0.02 < most < 0.2, "a sixteenth of the dome, seen from the front"
-    assert near[81:].sum() > 16, "of the sheet that shows"
-    assert not near[[0, 8, 72, 80]].any()
