@@ -4,7 +4,7 @@ Capture times are subtracted from this process's clock: right on one machine, wh
 share the monotonic clock, and on one machine only.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,7 +12,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.errors import AvatarLookupError, CallProcessError, OptionError
+from pica_client.errors import AvatarLookupError, OptionError
 from pica_client.local_call.processes import Child, Children, end_all
 from pica_client.publish.publisher import SenderConfig
 from pica_client.sources import open_source, start_later
@@ -91,7 +91,6 @@ class LocalCall:
             NAMES[index] if index < len(NAMES) else f"Peer {index + 1}"
             for index in range(config.peers)
         ]
-        self._children = children
         secret = self.secret_file = _make_secret(children) if config.is_encrypted else None
         self.secret_arguments = [] if secret is None else ["--secret-file", str(secret)]
         self.relay, self.url = children.start_relay()
@@ -99,7 +98,7 @@ class LocalCall:
         has_voices = config.has_voices and available() is None
         for index, (name, source) in enumerate(zip(self.names, sources, strict=True)):
             self.senders[name] = children.start(
-                f"sender-{index + 1}",
+                f"sender {name}",
                 *("send", "--url", self.url, "--room", ROOM, "--name", name),
                 *("--avatar", avatars[index % len(avatars)], "--source", source),
                 *("--fps", f"{config.fps:g}"),
@@ -108,33 +107,21 @@ class LocalCall:
                 *("--quality", str(config.quality)),
                 *self.secret_arguments,
             )
-        self.crashed: list[str] = []
 
     def check(self) -> None:
-        """Note who has crashed since the last look.
+        """Look after the processes.
 
         Raises:
-            CallProcessError: The relay did: there is no call without it.
+            CallProcessError: One of them has ended: names it, and quotes its last words.
         """
-        self._children.check_first()
-        for name, child in self.senders.items():
-            if child.exit_code is not None and name not in self.crashed:
-                self.crashed.append(name)
-
-    def failures(self) -> list[str]:
-        """A line for each sender that ended before it was asked to, with its last words."""
-        return [
-            f"sender {name} ended early (status {self.senders[name].exit_code}): "
-            f"{self.senders[name].last_words()}"
-            for name in self.crashed
-        ]
+        for child in (self.relay, *self.senders.values()):
+            child.check()
 
     def finish(self) -> dict[str, dict[str, Any]]:
-        """End the senders and collect what they say, by name; crashed ones are left out."""
+        """End the senders and collect what they say, by name."""
         self.check()
-        alive = {name: child for name, child in self.senders.items() if name not in self.crashed}
-        end_all(alive.values(), 5.0)
-        return {name: child.result() for name, child in alive.items()}
+        end_all(self.senders.values(), 5.0)
+        return {name: child.result() for name, child in self.senders.items()}
 
 
 def _make_secret(children: Children) -> Path:
@@ -176,18 +163,3 @@ def bitrates(sent: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]
         name: {"payload": result["payload_bps"], "wire": result["wire_bps"]}
         for name, result in sent.items()
     }
-
-
-def require_all(names: Sequence[str], missing: Sequence[str], stage: LocalCall) -> None:
-    """Raise when peers did not come in time, as of the last `LocalCall.check`.
-
-    Raises:
-        CallProcessError: Names them, and quotes those that crashed.
-    """
-    if stage.crashed:
-        raise CallProcessError("; ".join(stage.failures()))
-    if missing:
-        raise CallProcessError(
-            f"{len(missing)} of {len(names)} peers were not seen within {JOIN_TIMEOUT_S:g} s: "
-            + ", ".join(missing)
-        )

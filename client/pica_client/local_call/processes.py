@@ -32,21 +32,28 @@ STOP_TIMEOUT_S = 6.0
 killed."""
 
 
-class ChildProcess:
-    """A Python program in a process of its own, which ends when its standard input does.
+class Child:
+    """One `pica` command in a process of its own, which ends when its standard input does.
 
-    Modules are run with `-P`: nothing is imported from whatever folder the user is in.
+    It is run with `-P`: nothing is imported from whatever folder the user is in.
     """
 
-    def __init__(self, name: str, words: Sequence[str], **streams: Any) -> None:
+    def __init__(self, name: str, arguments: Sequence[str], folder: Path) -> None:
         self.name = name
-        self._process = subprocess.Popen(
-            [sys.executable, *words],
-            stdin=subprocess.PIPE,
-            # Ctrl-C in a terminal goes to the parent, which ends its children in good order.
-            start_new_session=True,
-            **streams,
-        )
+        self._out, self._err = folder / f"{name}.out", folder / f"{name}.err"
+        # Without what our user set for commands of their own.
+        bare = {name: value for name, value in os.environ.items() if not name.startswith("PICA_")}
+        bare["PICA_CONFIG"] = os.devnull
+        with self._out.open("wb") as out, self._err.open("wb") as err:
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", MODULE, *arguments, "--json"],
+                stdin=subprocess.PIPE,
+                stdout=out,
+                stderr=err,
+                env=bare,
+                # Ctrl-C in a terminal goes to the parent, which ends its children in good order.
+                start_new_session=True,
+            )
 
     @property
     def pid(self) -> int:
@@ -72,36 +79,14 @@ class ChildProcess:
             self._process.kill()
             self._process.wait()
 
-
-def end_all(processes: Iterable[ChildProcess], timeout_s: float) -> None:
-    """Ask processes to end, wait, and kill those that did not in time."""
-    ending = list(processes)
-    for process in ending:
-        process.let_go()
-    deadline = time.monotonic() + timeout_s
-    for process in ending:
-        process.wait(deadline)
-
-
-class Child(ChildProcess):
-    """One `pica` command in a process of its own."""
-
-    def __init__(self, name: str, arguments: Sequence[str], folder: Path) -> None:
-        self._out, self._err = folder / f"{name}.out", folder / f"{name}.err"
-        words = ("-P", "-m", MODULE, *arguments, "--json")
-        # Without what our user set for commands of their own.
-        bare = {name: value for name, value in os.environ.items() if not name.startswith("PICA_")}
-        bare["PICA_CONFIG"] = os.devnull
-        with self._out.open("wb") as out, self._err.open("wb") as err:
-            super().__init__(name, words, stdout=out, stderr=err, env=bare)
-
     def result(self) -> dict[str, Any]:
         """What it printed as its result.
 
         Raises:
             CallProcessError: It failed, or printed none.
         """
-        self.check_alive_or_done()
+        if self.exit_code:
+            self.check()
         lines = self._out.read_text(errors="replace").splitlines()
         try:
             result = json.loads(lines[-1]) if lines else None
@@ -111,10 +96,10 @@ class Child(ChildProcess):
             raise CallProcessError(f"{self.name} gave no result; it said: {self.last_words()}")
         return result
 
-    def check_alive_or_done(self) -> None:
-        """Raise if it crashed or failed."""
+    def check(self) -> None:
+        """Raise if it has ended."""
         code = self.exit_code
-        if code not in (None, 0):
+        if code is not None:
             how = f"was killed by signal {-code}" if code < 0 else f"ended with status {code}"
             raise CallProcessError(
                 f"{self.name} {how}: {self.last_words()}", exit_code=2 if code == 2 else 1
@@ -124,6 +109,16 @@ class Child(ChildProcess):
         """The last line of its stderr."""
         lines = self._err.read_text(errors="replace").strip().splitlines()
         return lines[-1].strip()[:300] if lines else "nothing"
+
+
+def end_all(children: Iterable[Child], timeout_s: float) -> None:
+    """Ask processes to end, wait, and kill those that did not in time."""
+    ending = list(children)
+    for child in ending:
+        child.let_go()
+    deadline = time.monotonic() + timeout_s
+    for child in ending:
+        child.wait(deadline)
 
 
 class Children:
@@ -157,22 +152,11 @@ class Children:
         relay = self.start("relay", "relay", "--port", "0", "--ready-file", str(ready), *arguments)
         deadline = time.monotonic() + START_TIMEOUT_S
         while not ready.exists():
-            relay.check_alive_or_done()
-            if relay.exit_code is not None or time.monotonic() > deadline:
+            relay.check()
+            if time.monotonic() > deadline:
                 raise CallProcessError(f"relay did not start: {relay.last_words()}")
             time.sleep(0.02)
         return relay, ready.read_text().strip()
-
-    def check_first(self) -> None:
-        """Raise if the first process, on which all others depend, has ended.
-
-        Raises:
-            CallProcessError: Names it and quotes its last words.
-        """
-        first = self._children[0]
-        first.check_alive_or_done()
-        if first.exit_code is not None:
-            raise CallProcessError(f"{first.name} ended early: {first.last_words()}")
 
     def __enter__(self) -> Self:
         return self
