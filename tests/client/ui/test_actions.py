@@ -12,7 +12,6 @@ from pica_client.render.seats import LAYOUTS
 from pica_client.render.views import ViewState as Orbit
 from pica_client.ui.actions import (
     ACTIONS,
-    Action,
     Request,
     apply,
     help_lines,
@@ -99,23 +98,17 @@ def test_panels_open_and_close_by_key(controls: Controls) -> None:
     assert seen == ["statistics", "help", "participants", "none"]
 
 
-def test_layouts_follow_each_other_and_come_round(controls: Controls) -> None:
-    controls.state = ViewState(layout=LAYOUTS[0], pinned=2)
-    seen = []
-    for _ in LAYOUTS:
-        seen.append(controls.state.layout)
-        controls.press(KEY.l)
-    assert seen == list(LAYOUTS)
+def test_layouts_follow_each_other_and_come_round_and_one_without_room_is_explained(
+    controls: Controls,
+) -> None:
+    shown = tuple(each for each in LAYOUTS if each != "line")
+    controls.state = ViewState(layout=LAYOUTS[0], layouts=shown, pinned=2)
+    controls.press(*[KEY.l] * len(LAYOUTS))
     assert controls.state.layout == LAYOUTS[0]
     assert controls.state.pinned is None  # else nothing would be seen of them
-    said = [f"People sit: {LAYOUT_TITLES[each]}" for each in (*LAYOUTS[1:], LAYOUTS[0])]
+    titles = {**LAYOUT_TITLES, "line": "Grid – no room here for: Line"}
+    said = [f"People sit: {titles[each]}" for each in (*LAYOUTS[1:], LAYOUTS[0])]
     assert controls.take_requests() == said
-
-
-def test_a_layout_without_room_is_explained() -> None:
-    state = ViewState(layout="grid", layouts=("arc", "grid"))
-    said = [apply(Action.NEXT_LAYOUT, state) for _ in range(2)]
-    assert said == ["People sit: Grid – no room here for: Line", "People sit: Arc"]
 
 
 @pytest.mark.parametrize("key", [KEY.q, KEY.escape])
@@ -158,11 +151,6 @@ def test_the_wheel_comes_closer_and_reset_undoes_all(controls: Controls) -> None
     controls.state.pinned = 4
     controls.press(KEY.r)
     assert (controls.state.orbit, controls.state.pinned) == (Orbit(), None)
-
-
-def test_what_the_viewer_carries_out_is_left(controls: Controls) -> None:
-    controls.press(KEY.v, KEY.f11)
-    assert controls.take_requests() == [Action.RECORD, Action.FULL_SCREEN]
 
 
 def test_the_own_face_is_muted_and_shown_again(controls: Controls) -> None:

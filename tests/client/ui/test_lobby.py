@@ -13,13 +13,12 @@ from helpers.hand import Hand, open_hand
 from pica_client.errors import RelayRefusedError, RelayUnreachableError, SourceError
 from pica_client.sources import open_source
 from pica_client.sources.registry import TRACKER_KINDS
-from pica_client.ui.lobby import REFUSALS, JoinForm, connecting_panel, join_panel
+from pica_client.ui.lobby import JoinForm, connecting_panel, join_panel
 from pica_client.ui.options import ViewOptions
 from pica_client.ui.panels.settings import SOURCES
 from pica_client.ui.session import link_of
 from pica_client.ui.state import ViewState
 from pica_client.voice.sound.settings import SoundState
-from pica_protocol.errors import CloseCode, is_worth_retrying
 
 pytestmark = pytest.mark.unit
 
@@ -53,36 +52,18 @@ def hand() -> Iterator[Hand]:
 
 
 def test_the_form_is_filled_and_joined_by_mouse_and_keys(hand: Hand) -> None:
-    shown = Shown(replace(FILLED, name=""))
+    shown = Shown(replace(FILLED, name="", voice="mic"), SoundState(microphones=("Desk",)))
+    state = shown.form.state
     hand.click("##name", shown)
     hand.type("Grace", shown)
-    hand.click("avatar nora", shown)
-    assert shown.form.state == replace(FILLED, name="Grace", avatar="nora")
-    hand.click("Join", shown)
+    for label in ("avatar nora", "##source", "Watch only", "##microphone", "Desk"):
+        hand.click(label, shown)
+    assert (state.name, state.avatar, state.source) == ("Grace", "nora", "")
+    assert (state.voice, state.sound.microphone) == ("mic", "Desk")
+    for label in ("avatar nora", "##microphone", "Off: only listen", "Join"):
+        hand.click(label, shown)
+    assert (state.avatar, state.voice) == ("", "none")  # the avatar that goes by the name again
     assert shown.form.outcome == "join"
-
-
-def test_a_microphone_is_chosen_or_none(hand: Hand) -> None:
-    shown = Shown(replace(FILLED, voice="mic"), SoundState(microphones=("Desk",)))
-    hand.click("##microphone", shown)
-    hand.click("Desk", shown)
-    assert (shown.form.state.voice, shown.form.state.sound.microphone) == ("mic", "Desk")
-    hand.click("##microphone", shown)
-    hand.click("Off: only listen", shown)
-    assert shown.form.state.voice == "none"
-
-
-def test_the_avatar_that_goes_by_the_name_is_had_by_a_second_click(hand: Hand) -> None:
-    shown = Shown(replace(FILLED, avatar="nora"))
-    hand.click("avatar nora", shown)
-    assert shown.form.state.avatar == ""
-
-
-def test_one_who_only_watches_says_so_in_the_list_of_faces(hand: Hand) -> None:
-    shown = Shown(FILLED)
-    hand.click("##source", shown)
-    hand.click("Watch only", shown)
-    assert shown.form.state.source == ""
 
 
 @pytest.mark.parametrize(("key", "outcome"), [(Key.enter, "join"), (Key.escape, "leave")])
@@ -115,27 +96,14 @@ def test_what_is_waited_for_is_seen_in_the_first_frame(hand: Hand) -> None:
     assert shapes["connecting"] > 0
 
 
-@pytest.mark.parametrize("way", ["button", "key"])
-def test_waiting_can_be_given_up(hand: Hand, way: str) -> None:
-    given_up: list[bool] = []
-
-    def show() -> list[bool]:
-        given_up.append(connecting_panel("Connecting …"))
-        return []
-
-    if way == "button":
-        hand.click("Cancel", show)
-    else:
-        hand.frame(show)
-        hand.press(Key.escape, show)
-    assert given_up.count(True) == 1
+def test_waiting_can_be_given_up(hand: Hand) -> None:
+    assert True in hand.click("Cancel", lambda: [connecting_panel("Connecting …")])
 
 
 @pytest.mark.parametrize(
     ("state", "error"),
     [
         (replace(FILLED, url="http://x"), "is no relay address"),
-        (replace(FILLED, url="ws://[x:99999"), "is no relay address"),
         (replace(FILLED, room="a b"), "room must be"),
         (replace(FILLED, name=" "), "name must"),
     ],
@@ -146,17 +114,6 @@ def test_what_cannot_be_right_is_said(state: ViewState, error: str) -> None:
     assert form.outcome == "asking"
     assert form.trouble is not None
     assert error in form.trouble[0]
-
-
-def test_a_refused_join_can_be_tried_again_and_typing_takes_the_error_away() -> None:
-    form = form_of()
-    form.join()
-    form.refuse(RelayUnreachableError("no relay answers"))
-    assert (form.outcome, form.trouble is None) == ("asking", False)
-    form.typed()
-    assert form.trouble is None
-    form.join()
-    assert form.outcome == "join"
 
 
 def test_every_source_of_the_form_opens() -> None:
@@ -170,36 +127,11 @@ def test_an_invite_link_in_the_first_field_fills_the_form() -> None:
     form = form_of()
     form.state.url = "pica://relay.example/standup#token=abc"
     form.typed()
-    assert form.state == replace(
-        FILLED,
-        url="wss://relay.example",
-        room="standup",
-        token="abc",
-        name="Ada",
-    )
+    assert form.state == replace(FILLED, url="wss://relay.example", room="standup", token="abc")
     form.state.url = "pica://relay.example"
     form.typed()
     assert form.trouble is not None
     assert "names no room" in form.trouble[0]
-
-
-# What a client cannot cause by joining, or what is tried again without a word.
-NEVER_AT_THE_FORM = {
-    CloseCode.NORMAL,
-    CloseCode.PROTOCOL_ERROR,
-    CloseCode.INVALID_TEXT,
-    CloseCode.MESSAGE_TOO_BIG,
-    CloseCode.MALFORMED,
-    CloseCode.UNEXPECTED_MESSAGE,
-    CloseCode.FOREIGN_STREAM,
-    CloseCode.UNFIT_FILE,
-    CloseCode.STORE_FULL,
-}
-
-
-def test_every_close_code_that_ends_a_join_has_words_and_a_remedy() -> None:
-    final = {code for code in CloseCode if not is_worth_retrying(code)} - NEVER_AT_THE_FORM
-    assert final <= REFUSALS.keys()
 
 
 @pytest.mark.parametrize(
@@ -211,9 +143,13 @@ def test_every_close_code_that_ends_a_join_has_words_and_a_remedy() -> None:
         (SourceError("take.csv: no such file"), "take.csv: no such file"),
     ],
 )
-def test_why_joining_failed_is_said_with_the_raw_error(error: Exception, said: str) -> None:
+def test_why_joining_failed_is_said_until_something_is_typed(error: Exception, said: str) -> None:
     form = form_of()
     form.refuse(error)
     assert form.trouble is not None
     assert said in form.trouble[0]
     assert str(error) in form.trouble[0] + form.trouble[1]
+    form.typed()
+    assert form.trouble is None
+    form.join()
+    assert form.outcome == "join"

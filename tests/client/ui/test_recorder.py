@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pica_client.errors import OptionError
-from pica_client.ui.recorder import KEY_FRAMES, Recorder, new_path, save_png
+from pica_client.ui.recorder import KEY_FRAMES, Recorder, new_path
 from pica_client.voice.opus import FRAME_SAMPLES, SAMPLE_RATE_HZ
 from pica_client.voice.sound.soundtrack import Soundtrack
 
@@ -30,28 +30,17 @@ def frames_of(path: Path) -> list[tuple[float, int]]:
         ]
 
 
-def test_frames_keep_their_times_and_brightness(tmp_path: Path) -> None:
+def test_frames_keep_their_times_and_brightness_at_a_rate_that_players_know(tmp_path: Path) -> None:
     with Recorder(tmp_path / "a.mp4", (64, 48)) as recorder:
-        for time_s, level in ((0.0, 50), (0.033, 100), (0.5, 150), (0.533, 200)):
+        for time_s, level in ((0.0, 50), (0.0002, 60), (0.033, 100), (0.5, 150), (0.533, 200)):
             recorder.write(grey(level), time_s)
     frames = frames_of(tmp_path / "a.mp4")
     assert [time_s for time_s, _ in frames] == pytest.approx([0, 0.033, 0.5, 0.533], abs=9e-3)
     levels = [level for _, level in frames]
     assert levels == sorted(levels)
     assert levels[-1] - levels[0] > 100
-
-
-@pytest.mark.parametrize("spread_s", [0.0, 0.008])
-def test_a_recording_has_a_rate_that_players_know(tmp_path: Path, spread_s: float) -> None:
-    rng = np.random.default_rng(0)
-    with Recorder(tmp_path / "a.mp4", (64, 48)) as recorder:
-        for index in range(60):
-            late_s = float(rng.uniform(0, spread_s)) if spread_s else 0.0
-            recorder.write(grey(80), index / 30 + late_s)
     with av.open(str(tmp_path / "a.mp4")) as container:
-        stream = container.streams.video[0]
-        assert stream.base_rate in (30, 60)
-        assert float(stream.average_rate) == pytest.approx(30, abs=1.5)
+        assert container.streams.video[0].base_rate in (30, 60)
 
 
 def test_a_window_of_another_size_is_recorded_whole(tmp_path: Path) -> None:
@@ -68,13 +57,6 @@ def test_a_window_of_another_size_is_recorded_whole(tmp_path: Path) -> None:
         assert np.abs(shown[:, 36:62] - 220).max() < 20
         bars = np.delete(frame, np.s_[max(top - 2, 0) : bottom + 2], axis=0)
         assert bars.size == 0 or bars.max() < 20
-
-
-def test_a_frame_of_the_same_tick_is_dropped(tmp_path: Path) -> None:
-    with Recorder(tmp_path / "a.mp4", (64, 48)) as recorder:
-        for time_s in (0.0, 0.0002, 0.1, 0.05):
-            recorder.write(grey(10), time_s)
-    assert len(frames_of(tmp_path / "a.mp4")) == 2
 
 
 def test_a_recording_without_frames_leaves_no_file_and_can_be_closed_twice(tmp_path: Path) -> None:
@@ -100,13 +82,6 @@ def test_what_was_recorded_before_the_process_was_killed_can_be_played(tmp_path:
     path = tmp_path / "a.mp4"
     assert subprocess.run([sys.executable, "-c", KILLED, str(path)], timeout=60).returncode == 9
     assert len(frames_of(path)) >= 300 - 2 * KEY_FRAMES - 20
-
-
-def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
-    with pytest.raises(OptionError, match=r"nowhere/a\.mp4: cannot be written"):
-        Recorder(tmp_path / "nowhere" / "a.mp4", (64, 48))
-    with pytest.raises(OptionError, match=r"nowhere/a\.png: cannot be written"):
-        save_png(tmp_path / "nowhere" / "a.png", grey(1))
 
 
 def test_names_count_up_and_a_folder_that_is_a_file_is_refused(tmp_path: Path) -> None:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -16,7 +14,7 @@ from imgui_bundle import imgui
 from PIL import Image
 
 from helpers.hand import Event, hold, point, press
-from helpers.toy import make_toy_avatar, with_toy_levels
+from helpers.toy import make_toy_avatar
 from pica_client.call.faces import FaceState, FaceStatus
 from pica_client.call.status import CallStatus
 from pica_client.publish.face_controls import FaceControls
@@ -25,10 +23,9 @@ from pica_client.sources import open_source
 from pica_client.ui.options import ViewOptions
 from pica_client.ui.state import ViewState
 from pica_client.ui.viewer import Viewer
-from pica_client.ui.window import Window
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import AvatarSpec
-from pica_core.errors import AvatarFileError, GraphicsError
+from pica_core.errors import AvatarFileError
 
 pytestmark = pytest.mark.render
 
@@ -115,8 +112,10 @@ def two() -> Iterator[tuple[Faces, Viewer]]:
         yield source, viewer
 
 
-def test_every_peer_is_decoded_drawn_and_counted(two: tuple[Faces, Viewer]) -> None:
-    _, viewer = two
+def test_every_peer_is_decoded_drawn_and_counted_until_they_leave(
+    two: tuple[Faces, Viewer],
+) -> None:
+    source, viewer = two
     step_until_decoded(viewer)
     assert viewer.last_draw is not None
     assert (viewer.last_draw.num_avatars, viewer.last_draw.num_placeholders) == (2, 0)
@@ -125,7 +124,10 @@ def test_every_peer_is_decoded_drawn_and_counted(two: tuple[Faces, Viewer]) -> N
     assert report["frames_rendered"] == 2
     assert report["errors"] == 0
     assert report["decodes"] == {"ada": 1, "grace": 1}
-    assert report["gl_renderer"]
+    source.present.remove("ada")
+    step_until_decoded(viewer)
+    assert viewer.last_draw.num_avatars == 1
+    assert viewer.report()["decodes"].keys() == {"grace"}
 
 
 def test_latency_is_counted_once_per_sample_on_the_shared_clock(two: tuple[Faces, Viewer]) -> None:
@@ -138,38 +140,18 @@ def test_latency_is_counted_once_per_sample_on_the_shared_clock(two: tuple[Faces
     assert viewer.report()["decodes"] == {"ada": 2, "grace": 2}
 
 
-def test_a_peer_who_leaves_is_forgotten(two: tuple[Faces, Viewer]) -> None:
-    source, viewer = two
-    step_until_decoded(viewer)
-    source.present.remove("ada")
-    step_until_decoded(viewer)
-    assert viewer.last_draw is not None
-    assert viewer.last_draw.num_avatars == 1
-    assert viewer.report()["decodes"].keys() == {"grace"}
-
-
-def test_a_broken_avatar_is_a_placeholder_with_its_reason_and_the_others_go_on(
+def test_a_broken_or_late_avatar_is_a_placeholder_and_the_others_go_on(
     two: tuple[Faces, Viewer],
 ) -> None:
     source, viewer = two
-    source.avatar_of["ada"] = "evil"
-    step_until_decoded(viewer)
-    assert viewer.last_draw is not None
-    assert (viewer.last_draw.num_avatars, viewer.last_draw.num_placeholders) == (1, 1)
-    assert viewer.problems == {"ada": "evil.pica: tensor u_encoding is missing"}
-    step_until_decoded(viewer)
+    for avatar, num_placeholders in (("evil", 1), ("late", 1), ("toy", 0)):
+        source.avatar_of["ada"] = avatar
+        step_until_decoded(viewer)
+        assert viewer.last_draw is not None
+        assert viewer.last_draw.num_placeholders == num_placeholders
+        reasons = ["evil.pica: tensor u_encoding is missing"] if avatar == "evil" else []
+        assert list(viewer.problems.values()) == reasons
     assert viewer.report()["errors"] == 1
-
-
-def test_an_avatar_that_comes_late_replaces_its_placeholder(two: tuple[Faces, Viewer]) -> None:
-    source, viewer = two
-    source.avatar_of["ada"] = "late"
-    step_until_decoded(viewer)
-    assert viewer.last_draw is not None
-    assert viewer.last_draw.num_placeholders == 1
-    source.avatars["late"] = TOY
-    step_until_decoded(viewer)
-    assert viewer.last_draw.num_placeholders == 0
 
 
 def test_a_decoder_that_fails_breaks_its_own_peer(two: tuple[Faces, Viewer]) -> None:
@@ -265,23 +247,6 @@ def test_a_recording_begins_and_ends_by_the_same_key_also_one_that_has_a_name(
             assert sum(1 for _ in container.decode(video=0)) >= 1
 
 
-def test_a_face_that_goes_stale_fades_and_does_not_blink(two: tuple[Faces, Viewer]) -> None:
-    source, viewer = two
-    step_until_decoded(viewer)
-    bright = [read(viewer)]
-    source.status = "stale"
-    for step in range(12):
-        viewer.step(2.0 + 0.05 * step)
-        bright.append(read(viewer))
-    steps = [
-        np.abs(after[20:70].astype(int) - before[20:70]).max()
-        for before, after in pairwise(bright[2:])
-    ]
-    whole = np.abs(bright[-1][20:70].astype(int) - bright[0][20:70]).max()
-    assert whole > 40
-    assert max(steps) < 0.5 * whole
-
-
 def test_muting_ones_own_face_is_told_and_shown() -> None:
     publisher = Publisher(SenderConfig(), open_source("performance:talk"), TOY, "5" * 64)
     controls = FaceControls(publisher, "Ada", "performance:talk")
@@ -299,14 +264,6 @@ def test_muting_ones_own_face_is_told_and_shown() -> None:
         viewer.step(1.3)
         assert publisher.mode == "sent"
     controls.close()
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere there is always a display")
-def test_without_a_display_a_window_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    with pytest.raises(GraphicsError, match=r"DISPLAY is not set.*--headless"):
-        Window((64, 64))
 
 
 def test_a_prepared_viewer_shows_faces_in_its_first_frame() -> None:
@@ -331,19 +288,3 @@ def test_preparing_does_not_wait_for_a_broken_or_silent_peer() -> None:
         viewer.prepare(timeout_s=1000.0)
 
     assert next(ticks) < 100
-
-
-def test_a_viewer_short_of_time_gives_up_detail_and_says_which() -> None:
-    levels = []
-    for max_fps in (1000.0, 1.0):
-        source = Faces("ada")
-        source.avatars["toy"] = with_toy_levels(TOY)
-        options = replace(SMALL, size="640x360", max_fps=max_fps)
-        with Viewer(source, options, state=ViewState(layout="grid")) as viewer:
-            for frame in range(12):
-                source.latent = np.full((8, 8, 4), 0.1 * frame, np.float32)
-                step_until_decoded(viewer, now=1.0 + 0.1 * frame)
-            assert viewer.last_draw is not None
-            (head,) = viewer.last_draw.heads
-            levels.append(head.level)
-    assert levels == [64, 128]

@@ -9,10 +9,10 @@ import sys
 
 import pytest
 
-pytestmark = [
-    pytest.mark.render,
-    pytest.mark.skipif(shutil.which("Xvfb") is None, reason="needs Xvfb"),
-]
+from pica_client.ui.window import Window
+from pica_core.errors import GraphicsError
+
+pytestmark = pytest.mark.render
 
 OPEN = """
 from pica_client.ui.window import Window
@@ -22,6 +22,15 @@ with Window((60, 40)) as window:
 """
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere there is always a display")
+def test_without_a_display_a_window_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    with pytest.raises(GraphicsError, match=r"DISPLAY is not set.*--headless"):
+        Window((64, 64))
+
+
+@pytest.mark.skipif(shutil.which("Xvfb") is None, reason="needs Xvfb")
 def test_a_window_is_never_too_small_for_its_bar() -> None:
     read, write = os.pipe()
     words = ["Xvfb", "-displayfd", str(write), "-screen", "0", "640x480x24", "-nolisten", "tcp"]

@@ -6,12 +6,11 @@ from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations, pairwise
 
-import numpy as np
 import pytest
 from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
 
-from helpers.hand import Hand, open_hand, point
+from helpers.hand import Hand, open_hand
 from pica_client.call.roster import Member
 from pica_client.call.status import CallStatus
 from pica_client.publish.face_controls import TrackerPreview
@@ -28,11 +27,9 @@ from pica_client.ui.call_view import (
 from pica_client.ui.panels.bar import control_bar, leave_question
 from pica_client.ui.panels.overlay import (
     NO_FACE,
-    OWN_PT,
     banner,
     call_signs,
     names,
-    own_face,
     own_signs,
     signs,
 )
@@ -98,17 +95,6 @@ def test_leaving_is_asked_and_both_answers_are_buttons(hand: Hand) -> None:
         said = hand.click(label, lambda: leave_question(asking, CALL))
         assert (said, asking.wants_close) == (asked, leaves)
     assert hand.frame(lambda: leave_question(STATE, CALL)) == []
-
-
-def test_the_pointer_on_a_panel_is_the_surfaces_and_beside_it_the_scenes(hand: Hand) -> None:
-    def frame(*events: object) -> bool:
-        hand.frame(lambda: control_bar(STATE, CALL), *events)  # type: ignore[arg-type]
-        return bool(hand.surface.io.want_capture_mouse)
-
-    for _ in range(3):
-        frame()
-    left, top, *_ = hand.where("Settings")
-    assert [frame(point(left + 5, top + 5)), frame(point(640, 100))] == [True, False]
 
 
 @pytest.mark.parametrize(
@@ -185,18 +171,6 @@ def test_notices_stand_for_a_while_and_loud_ones_longer() -> None:
     assert [each.text for each in board.shown(11.0)] == ["one", "three", "Ben records"]
     assert [each.text for each in board.shown(10.0 + NOTICE_S)] == ["Ben records"]
     assert board.shown(10.0 + LOUD_NOTICE_S) == ()
-
-
-def test_the_own_face_stands_beside_what_the_camera_sees(hand: Hand) -> None:
-    picture = np.zeros((48, 64, 3), np.uint8)
-    own = OwnFaceView(texture=1, camera=2, seen=TrackerPreview(True, picture))
-    call = replace(CALL, own=own)
-    for shows_self, width in ((False, 0), (True, 2 * 4 / 3 * OWN_PT)):
-        state = replace(STATE, shows_self=shows_self)
-        for _ in range(2):
-            hand.frame(lambda state=state: own_face(state, call))  # type: ignore[misc]
-        window = imgui.internal.find_window_by_name("own face")
-        assert (window.size.x if window else 0) == pytest.approx(width, abs=12)
 
 
 SCRIPTS = ["Ada", "Ольга", "Ελένη", "李小龍 さくら 김", "שרה", "مريم", "กานดา", "आशा", "Ani 😀🎉"]

@@ -16,18 +16,6 @@ from pica_core.gl import create_context
 pytestmark = pytest.mark.render
 
 
-def test_two_surfaces_live_side_by_side() -> None:
-    with Surface() as first, Surface() as second:
-        for surface, width in ((first, 640), (second, 1280), (first, 640)):
-            with frame(surface, 1.0, (width, 360)):
-                assert imgui.get_io().display_size.x == width
-                imgui.get_background_draw_list().add_text((0, 0), 0xFFFFFFFF, "Ada")
-            assert imgui.get_draw_data().total_vtx_count > 0
-        first.close()
-        with frame(second, 2.0, (640, 360)):
-            pass
-
-
 def test_keys_are_a_fields_own_while_a_text_is_typed() -> None:
     with Surface() as surface:
         found = []
