@@ -6,8 +6,7 @@
 Nothing in such a test waits for real: no socket, no thread, no executor. ``create_server`` and
 ``create_connection`` go to the simulated network (``simnet.network``), so real clients and the real
 relay run unchanged. When nothing is scheduled any more, time could stand still for ever: the loop
-raises ``NothingScheduledError`` instead. A test that leaves tasks behind fails with
-``TasksLeftError``.
+raises RuntimeError instead. A test that leaves tasks behind fails.
 
 Unrealistic: code takes no time, however long it runs, of the processor neither (a relay that counts
     the real seconds that its thread works would believe itself overloaded on a busy machine); all
@@ -30,18 +29,6 @@ T = TypeVar("T")
 
 GRACE_S = 0.001
 """What cancelled tasks get to end in, before they count as left behind."""
-
-
-class NothingScheduledError(RuntimeError):
-    """Everybody waits and no timer is set: the test would hang."""
-
-
-class VirtualTimeoutError(RuntimeError):
-    """The test ran longer than its limit in virtual time."""
-
-
-class TasksLeftError(AssertionError):
-    """Tasks are still running at the end of the test."""
 
 
 class VirtualTimeLoop(asyncio.SelectorEventLoop):
@@ -71,11 +58,11 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
 
     def _jump(self, seconds: float | None) -> None:
         if seconds is None:
-            raise NothingScheduledError(f"nothing is scheduled at t = {self._now} s")
+            raise RuntimeError(f"nothing is scheduled at t = {self._now} s")
         # Rounded, so that sums of timeouts do not drift away from the numbers in a test.
         self._now = round(self._now + seconds, 9)
         if self._now > self._limit_s:
-            raise VirtualTimeoutError(f"still running after {self._limit_s} virtual seconds")
+            raise RuntimeError(f"still running after {self._limit_s} virtual seconds")
 
 
 class _JumpingSelector(selectors.DefaultSelector):
@@ -124,5 +111,5 @@ async def _supervised(main: Coroutine[Any, Any, T]) -> T:
     await asyncio.sleep(GRACE_S)
     left = asyncio.all_tasks() - {asyncio.current_task()}
     if left:
-        raise TasksLeftError(f"{len(left)} tasks left: {sorted(map(repr, left))}")
+        raise AssertionError(f"{len(left)} tasks left: {sorted(map(repr, left))}")
     return result

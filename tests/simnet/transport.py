@@ -71,14 +71,8 @@ class SimTransport(asyncio.Transport):
     def set_protocol(self, protocol: asyncio.BaseProtocol) -> None:
         self._protocol = protocol
 
-    def get_protocol(self) -> Any:
-        return self._protocol
-
     def is_closing(self) -> bool:
         return self._is_closing
-
-    def is_reading(self) -> bool:
-        return self._is_reading
 
     def pause_reading(self) -> None:
         self._is_reading = False
@@ -90,9 +84,6 @@ class SimTransport(asyncio.Transport):
     def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
         self._high = high if high is not None else 65_536
         self._low = low if low is not None else self._high // 4
-
-    def get_write_buffer_limits(self) -> tuple[int, int]:
-        return self._low, self._high
 
     def get_write_buffer_size(self) -> int:
         return len(self._buffer)

@@ -1,7 +1,7 @@
 """What the user sets of sound, and how sound stands. Pure data, which also travels by pickle."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Final
 
 from pica_client.errors import OptionError
@@ -10,7 +10,6 @@ from pica_client.voice.opus import MAX_LEVEL
 
 MAX_VOLUME: Final = 4.0
 """Largest volume of one voice or of all: 12 dB."""
-MAX_DEVICE_NAME: Final = 256
 NO_DEVICE: Final = "none"
 """The loudspeaker that makes no sound: voices are played all the same, and can be recorded."""
 NO_LIBRARY: Final = "no sound system: SoundCard is not installed; install the extra voice"
@@ -35,15 +34,14 @@ class SoundSettings:
     """Whether the own voice is sent only while a key is held."""
 
     def __post_init__(self) -> None:
-        for name in ("microphone", "speaker"):
-            text = getattr(self, name)
-            if not isinstance(text, str) or len(text) > MAX_DEVICE_NAME or not text.isprintable():
-                raise OptionError(f"{name} is no text of up to {MAX_DEVICE_NAME} characters")
-        if type(self.volume) not in (int, float) or not 0 <= self.volume <= MAX_VOLUME:
+        for each in fields(self):
+            value = getattr(self, each.name)
+            if type(value) is not type(each.default):
+                raise OptionError(
+                    f"{each.name} is {value!r}; a {type(each.default).__name__} is needed"
+                )
+        if not 0 <= self.volume <= MAX_VOLUME:
             raise OptionError(f"volume is {self.volume!r}; 0 to {MAX_VOLUME:g}")
-        for name in ("is_stereo", "cleans", "push_to_talk"):
-            if not isinstance(getattr(self, name), bool):
-                raise OptionError(f"{name} is {getattr(self, name)!r}; true or false")
 
 
 @dataclass(frozen=True, slots=True)

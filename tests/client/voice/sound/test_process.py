@@ -17,7 +17,6 @@ from pica_client.voice.opus import FRAME_S, FRAME_SAMPLES, MAX_LEVEL, OpusEncode
 from pica_client.voice.sound.process import SoundProcess
 from pica_client.voice.sound.settings import SoundSettings
 from pica_client.voice.source import shipped_speech
-from pica_core.types import FloatArray
 from pica_protocol.frames import Frame
 
 pytestmark = [
@@ -116,21 +115,6 @@ def say(sound: SoundProcess, seconds: float, peer_id: str = "ann") -> tuple[int,
     return speaker, microphone
 
 
-def echo_db(sound: SoundProcess, settings: SoundSettings, seconds: float = 6.0) -> float:
-    """How loud what is said by somebody else comes through the microphone, decibels below full
-    scale, after the first half, in which the canceller learns."""
-    heard: list[FloatArray] = []
-    sound.follow(settings)
-    sound.use_microphone(True)
-    until(lambda: sound.state.microphone.name)
-    sound.on_frame = lambda frame, captured_us: heard.append(frame)
-    say(sound, seconds)
-    sound.on_frame = lambda *_: None
-    sound.use_microphone(False)
-    rest = np.concatenate(heard)[len(heard) * FRAME_SAMPLES // 2 :]
-    return float(-10 * np.log10(np.mean(np.square(rest, dtype=np.float64)) + 1e-13))
-
-
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SoundProcess]:
     with sound_server(tmp_path_factory.mktemp("sound")):
@@ -185,13 +169,6 @@ def test_what_is_said_is_heard_seen_on_meters_and_followed_by_faces(sound: Sound
     assert until(lambda: sound.state.microphone_level < 40)
     assert set(sound.state.voices) == {"ann"}
     sound.use_microphone(False)
-
-
-def test_what_others_say_is_taken_out_of_the_microphone(sound: SoundProcess) -> None:
-    pytest.importorskip("livekit", reason="extra echo")
-    plain = echo_db(sound, SoundSettings(cleans=False), 2.0)
-    cleaned = echo_db(sound, SoundSettings(cleans=True), 4.0)
-    assert cleaned - plain > 15
 
 
 def test_sound_that_ends_by_itself_begins_again_as_it_was(sound: SoundProcess) -> None:

@@ -46,10 +46,3 @@ def test_voices_are_added_and_what_came_before_the_beginning_is_left_out() -> No
     assert np.all(sound[FRAME_SAMPLES:] == 0)
     assert len(track.take(0.03)[0]) == 0
     assert track.take(0.05)[1] == 3 * FRAME_SAMPLES // 2
-
-
-def test_the_end_is_told() -> None:
-    ended: list[Soundtrack] = []
-    track = Soundtrack(ended.append)
-    track.close()
-    assert ended == [track]
