@@ -19,7 +19,7 @@ from pica_client.bench.head import FaceRenderer
 from pica_client.errors import check_ranges
 from pica_client.output import say
 from pica_client.playout.motion import blend
-from pica_client.render.drawing import Drawing, change_mse, drawn_mse
+from pica_client.render.drawing import drawn_mse
 from pica_client.sources import open_source
 from pica_client.stats import wire_bytes
 from pica_core.avatar.expression_encoder import ExpressionEncoder
@@ -84,18 +84,20 @@ def run_codec_bench(config: CodecConfig, avatar: Avatar) -> dict[str, Any]:
         GraphicsError: No GL context.
     """
     profile = avatar.stream_profile()
-    takes = {source: _read(source, config.seconds, avatar) for source in config.sources}
     rows: list[dict[str, Any]] = []
-    coders = _coders(profile)
-    for source, samples in takes.items():
-        places = np.linspace(FPS / 2, len(samples) - 2, config.moments).astype(int)
-        moments = np.unique(places).tolist()
-        with FaceRenderer(avatar, size_px=config.image_size, views=VIEWS) as renderer:
-            compare = _Comparison(renderer, samples, moments)
-            for name, code in coders.items():
+    with FaceRenderer(avatar, size_px=config.image_size, views=VIEWS) as renderer:
+        for source in config.sources:
+            sent = _read(source, config.seconds, avatar)
+            places = np.linspace(FPS / 2, len(sent) - 1, config.moments).astype(int)
+            moments = np.unique(places).tolist()
+            uncoded = [renderer.draw(sent[moment].latent) for moment in moments]
+            for name, code in _coders(profile).items():
                 say(f"{source}: {name}")
-                row = {"profile": name, "source": source, "fps": FPS, **compare(code(samples))}
-                rows.append(row)
+                coded = code(sent)
+                shown = [renderer.draw(coded.shown[moment].latent) for moment in moments]
+                errors = [drawn_mse(*pair) for pair in zip(uncoded, shown, strict=True)]
+                about = {"profile": name, "source": source, "fps": FPS}
+                rows.append(about | _row(sent, coded, errors))
     return report(
         config, rows, avatar=avatar.manifest.identity, stream_profile=profile.hash, views=VIEWS
     )
@@ -112,44 +114,23 @@ def _read(source: str, seconds: float, avatar: Avatar) -> list[LatentSample]:
     ]
 
 
-class _Comparison:
-    """Draws what a profile shows beside what it should."""
-
-    def __init__(
-        self,
-        renderer: FaceRenderer,
-        sent: Sequence[LatentSample],
-        moments: Sequence[int],
-    ) -> None:
-        self._renderer, self._sent, self._moments = renderer, sent, moments
-        self._uncoded = [self._draw_pair(sent, moment) for moment in moments]
-
-    def _draw_pair(self, samples: Sequence[LatentSample], at: int) -> list[Drawing]:
-        return [self._renderer.draw(sample.latent) for sample in samples[at : at + 2]]
-
-    def __call__(self, coded: Coded) -> dict[str, Any]:
-        errors, changes = [], []
-        for index, moment in enumerate(self._moments):
-            plain, plain_next = self._uncoded[index]
-            shown, shown_next = self._draw_pair(coded.shown, moment)
-            errors.append(drawn_mse(plain, shown))
-            changes.append(change_mse((shown, shown_next), (plain, plain_next)))
-        seconds = len(self._sent) / FPS
-        pairs = zip(coded.shown, self._sent, strict=True)
-        pose = np.mean([np.abs(_pose(shown) - _pose(sent)) for shown, sent in pairs], axis=0)
-        wire = sum(wire_bytes(1 + HEADER_BYTES + size, is_masked=True) for size in coded.sizes)
-        return {
-            "payload_bps": round(sum(coded.sizes) * 8 / seconds),
-            "wire_bps": round(wire * 8 / seconds),
-            "frames_per_s": round(len(coded.sizes) / seconds, 2),
-            "mse": round(float(np.mean(errors)), 3),
-            "worst_frame_mse": round(max(errors), 3),
-            "change_mse": round(float(np.mean(changes)), 3),
-            "pose_mrad": round(float(pose[:3].mean()) * 1e3, 3),
-            "pose_mm": round(float(pose[3:].mean()) * 1e3, 3),
-            "encode_us": round(median(coded.encode_s) * 1e6, 1),
-            "decode_us": round(median(coded.decode_s) * 1e6, 1),
-        }
+def _row(sent: Sequence[LatentSample], coded: Coded, errors: Sequence[float]) -> dict[str, Any]:
+    """What a profile takes, and what it leaves of a performance."""
+    seconds = len(sent) / FPS
+    pairs = zip(coded.shown, sent, strict=True)
+    pose = np.mean([np.abs(_pose(shown) - _pose(sent)) for shown, sent in pairs], axis=0)
+    wire = sum(wire_bytes(1 + HEADER_BYTES + size, is_masked=True) for size in coded.sizes)
+    return {
+        "payload_bps": round(sum(coded.sizes) * 8 / seconds),
+        "wire_bps": round(wire * 8 / seconds),
+        "frames_per_s": round(len(coded.sizes) / seconds, 2),
+        "mse": round(float(np.mean(errors)), 3),
+        "worst_frame_mse": round(max(errors), 3),
+        "pose_mrad": round(float(pose[:3].mean()) * 1e3, 3),
+        "pose_mm": round(float(pose[3:].mean()) * 1e3, 3),
+        "encode_us": round(median(coded.encode_s) * 1e6, 1),
+        "decode_us": round(median(coded.decode_s) * 1e6, 1),
+    }
 
 
 def _coders(profile: StreamProfile) -> dict[str, Callable[[Sequence[LatentSample]], Coded]]:

@@ -57,7 +57,7 @@ def bench_codec(avatars: AvatarChoice, options: CodecConfig) -> Result:
     Compares all qualities, and one of them thinned.
     """
     result = run_codec_bench(options, avatars.load()[0])
-    say_rows(result["rows"], "source profile payload_bps mse change_mse")
+    say_rows(result["rows"], "source profile payload_bps mse")
     return result
 
 

@@ -83,18 +83,3 @@ def drawn_mse(a: Drawing, b: Drawing) -> float:
 def masked_mse(a: Image, b: Image | FloatArray, where: BoolArray) -> float:
     """Mean squared error, 0-255, over some pixels; 0 if there are none."""
     return float(np.square(a[where].astype(np.float32) - b[where]).mean()) if where.any() else 0.0
-
-
-def change_mse(shown: tuple[Drawing, Drawing], truth: tuple[Drawing, Drawing]) -> float:
-    """The error of the change from one frame to the next, over what any of the four covers.
-
-    Flicker hides from the error of single frames.
-    """
-    where = np.logical_or.reduce([drawing.covered for drawing in (*shown, *truth)])
-    if not where.any():
-        return 0.0
-    change, wanted = (
-        after.image[where].astype(np.float32) - before.image[where]
-        for before, after in (shown, truth)
-    )
-    return float(np.square(change - wanted).mean())
