@@ -75,7 +75,6 @@ mip levels cost 1 ms of an image of 2.4, and leave more error, in stills and in 
 head moves."""
 MARGIN_PX = 8
 """So far beside its charts a texture has their colours."""
-_WHOLE_SCREEN = (-1.0, -1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -318,7 +317,7 @@ def bake_texture(
     coloured.depth_mask = False
     context.depth_func = ">"
     set_values(shade.program, expression_rows=(0, MAP_SIZE, MAP_SIZE, False))
-    set_values(shade.program, slot=1.0, shown=WHOLE_M, rect=_WHOLE_SCREEN)
+    set_values(shade.program, slot=1.0, shown=WHOLE_M)
     shade.render(moderngl.TRIANGLE_STRIP, vertices=4)
     context.depth_func = "<"
     context.detect_framebuffer(0).use()  # those of here are freed

@@ -460,7 +460,6 @@ def _screen(
 ) -> moderngl.VertexArray:
     """A rectangle over a whole target, drawn by a program of its own."""
     program = build_program(context, compose("rect.vert"), compose(name, defines=defines))
-    set_values(program, rect=(-1.0, -1.0, 1.0, 1.0))
     set_values(program, **{name: unit for name, unit in _UNITS.items() if name in program})
     return context.vertex_array(program, [])
 

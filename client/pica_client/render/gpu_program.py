@@ -17,12 +17,10 @@ from types import MappingProxyType
 from typing import Any, Literal
 
 import moderngl
-import numpy as np
 
 from pica_client.errors import ShaderError
 from pica_core.avatar.spec import NUM_FREQUENCIES, AvatarSpec
 from pica_core.gl import link_program
-from pica_core.types import FloatArray
 
 Dialect = Literal["330 core", "300 es"]
 
@@ -175,6 +173,8 @@ def build_program(
     for name, unit in _SAMPLERS.items():
         if name in program:
             program[name] = unit
+    if "rect" in program:
+        set_values(program, rect=(-1.0, -1.0, 1.0, 1.0))
     return program
 
 
@@ -185,13 +185,7 @@ def clamp(texture: moderngl.Texture, filtering: int = moderngl.LINEAR) -> modern
     return texture
 
 
-def set_matrix(program: moderngl.Program, name: str, matrix: FloatArray) -> None:
-    """Set a mat4 uniform from a matrix for column vectors."""
-    member: Any = program[name]
-    member.write(np.ascontiguousarray(matrix.T, np.float32).tobytes())
-
-
-def set_values(program: moderngl.Program, **values: float | tuple[float, ...]) -> None:
+def set_values(program: moderngl.Program, **values: float | tuple[Any, ...]) -> None:
     """Set uniforms by name."""
     for name, value in values.items():
         member: Any = program[name]

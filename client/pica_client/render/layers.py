@@ -11,7 +11,7 @@ import moderngl
 import numpy as np
 
 from pica_client.render.gpu_program import UNIT_VISIBLE_UV, UNIT_VISIBLE_XYZ, clamp
-from pica_core.types import Array, FloatArray
+from pica_core.types import Array
 
 PixelRect = tuple[int, int, int, int]
 """Left, bottom, right, top in pixels of the whole image, rows counted from the bottom as GL
@@ -32,7 +32,7 @@ class Layer:
 
     Attributes:
         look: All that what was drawn last depends on.
-        clip_from_head: The matrix that it is drawn with, ``[4, 4]``.
+        clip_from_head: The matrix that it is drawn with, 16 float32, column by column.
     """
 
     def __init__(self, context: moderngl.Context, size: tuple[int, int], scale: float) -> None:
@@ -57,7 +57,7 @@ class Layer:
         self.coloured = context.framebuffer([self.colour], self.depth)
         self.smoothed = context.framebuffer([self.smooth])
         self.look: Hashable = None
-        self.clip_from_head: FloatArray = np.eye(4, dtype=np.float32)
+        self.clip_from_head = b""
 
     def read(self, texture: moderngl.Texture) -> Array:
         """What one of its textures holds, ``[rows, columns, channels]``, the lowest row first."""
@@ -71,16 +71,6 @@ class Layer:
             for side, own in zip(size, self.size, strict=True)
         )
         return scale == self.scale and (fits or self.size == layer_size(size))
-
-    def cropped(self, matrix: FloatArray, rect: PixelRect, view: PixelRect) -> FloatArray:
-        """A matrix ``[4, 4]`` to clip space of a view of the image, made one to that of the layer,
-        for a head that may cover a rectangle of the image."""
-        found = matrix.copy()
-        sides = zip(viewport(view)[2:], view[:2], rect[:2], self.size, strict=True)
-        for axis, (side, start, corner, own) in enumerate(sides):
-            moved = (2 * (start - corner) + side) * self.scale / own - 1
-            found[axis] = side * self.scale / own * matrix[axis] + moved * matrix[3]
-        return found
 
 
 def layer_size(size: tuple[int, int]) -> tuple[int, int]:

@@ -21,7 +21,6 @@ from pica_client.render.gpu_program import (
     UNIT_STILL,
     build_program,
     compose,
-    set_matrix,
     set_values,
 )
 from pica_client.render.layers import (
@@ -35,8 +34,7 @@ from pica_client.render.layers import (
 )
 from pica_client.render.room import Room, lens_of
 from pica_core.camera import Camera
-
-WHOLE_SCREEN = (-1.0, -1.0, 1.0, 1.0)
+from pica_core.gl import is_software
 
 LayeredHead = tuple[ShownHead, Layer]
 """A head and the layer that it is drawn into."""
@@ -51,6 +49,7 @@ class DrawPasses:
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
+        self._is_software = is_software(str(context.info["GL_RENDERER"]))
         shared, static = {"SHARED": ""}, {"STATIC": ""}
         mesh, surface = compose("mesh.vert", defines={"MAPPED": ""}), compose("surface.frag")
         self.mesh_programs = MeshPrograms(
@@ -71,7 +70,6 @@ class DrawPasses:
         self._place_whole = self._screen("place_head.frag")
         self._place_fading = self._screen("place_head.frag", {"FADING": ""})
         self._smooth = self._screen("smooth_edges.frag")
-        set_values(self._smooth.program, rect=WHOLE_SCREEN)
         self.placeholder = upload_placeholder(context, self.mesh_programs)
         self._queries: list[moderngl.Query] = []
 
@@ -108,7 +106,6 @@ class DrawPasses:
                 eye_m=tuple(camera.centre_m.tolist()),
                 table_m=room.table_m,
                 num_seats=min(len(room.seats_m), len(seats)),
-                rect=WHOLE_SCREEN,
             )
             images.small_room.use()
             self._background.render(moderngl.TRIANGLE_STRIP, vertices=4)
@@ -126,7 +123,6 @@ class DrawPasses:
         programs = self.mesh_programs
         self._context.enable(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
         for head, layer in heads:
-            layer.clip_from_head = layer.cropped(head.matrix, head.rect, head.view)
             layer.empty.use()
             layer.empty.clear(depth=1.0)
             layer.surface.use()
@@ -138,7 +134,7 @@ class DrawPasses:
                 rows = shown.position.first_row, shown.position.num_rows
                 set_values(program, slot=float(number), position_rows=rows)
                 if is_shared:
-                    set_values(program, share=shown.share, corner=head.rect[:2])
+                    set_values(program, turns=(*shown.share, *head.rect[:2]))
                 shown.mesh.vertices[is_shared].render()
 
     def colour(self, heads: Sequence[LayeredHead], *, count: bool) -> list[list[tuple[int, int]]]:
@@ -187,7 +183,7 @@ class DrawPasses:
         # any program runs.
         self._context.depth_func, layer.coloured.depth_mask = ">", False
         self._context.disable(moderngl.CULL_FACE)
-        set_values(body.shade.program, slot=number + 1.0, shown=body.fade_m, rect=WHOLE_SCREEN)
+        set_values(body.shade.program, slot=number + 1.0, shown=body.fade_m)
         body.shade.render(moderngl.TRIANGLE_STRIP, vertices=4)
 
     def _texture(self, head: ShownHead, layer: Layer, number: int) -> None:
@@ -201,8 +197,7 @@ class DrawPasses:
             if static is None or body.skin is None:
                 return
             program, texture, vertices = self.mesh_programs.static, body.skin, static
-            share = head.levels[number].share
-            set_values(program, share=share, corner=head.rect[:2])
+            set_values(program, turns=(*head.levels[number].share, *head.rect[:2]))
         layer.coloured.use()
         self._context.depth_func, layer.coloured.depth_mask = "<", True
         self._context.enable(moderngl.CULL_FACE)
@@ -212,8 +207,9 @@ class DrawPasses:
         vertices.render()
 
     def _set_head(self, program: moderngl.Program, head: ShownHead, layer: Layer) -> None:
-        set_matrix(program, "clip_from_head", layer.clip_from_head)
-        set_values(program, low_m=head.body.low_m, high_m=head.body.high_m)
+        member: Any = program["clip_from_head"]
+        member.write(layer.clip_from_head)
+        set_values(program, box_m=(head.body.low_m, head.body.high_m))
 
     def smooth(self, heads: Sequence[LayeredHead]) -> None:
         """Copy layers without the stair-steps of silhouettes."""
@@ -238,15 +234,18 @@ class DrawPasses:
         context.blend_func = moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA
         context.blend_equation = moderngl.FUNC_ADD  # type: ignore[assignment]
         for region in regions:
-            people.scissor = viewport(region)
+            # Without a scissor the driver copies memory (llvmpipe: a quarter of the time).
+            is_whole = viewport(region)[2:] == images.size
+            people.scissor = None if is_whole else viewport(region)  # type: ignore[assignment]
             people.use()
             context.copy_framebuffer(people, images.room)
         images.room_image.use(UNIT_ROOM)
         for head, layer in heads:
             (layer.smooth if is_smooth else layer.colour).use(UNIT_LAYER)
             (left, bottom, right, top), highest = head.rect, math.ceil(max(head.fading_rows))
-            # All of it is there from here on.
-            split = min(max(highest, bottom), top) if head.opacity == 1 else top
+            # All of it is there from here on; a GPU gains less by it than one more draw costs.
+            is_split = self._is_software and head.opacity == 1
+            split = min(max(highest, bottom), top) if is_split else top
             fading, whole = (left, bottom, right, split), (left, split, right, top)
             for screen, part in ((self._place_fading, fading), (self._place_whole, whole)):
                 parts = [common_part(part, region) for region in regions]

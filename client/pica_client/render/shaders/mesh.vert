@@ -11,8 +11,7 @@ in vec3 vertex_xyz_m;
 in vec2 vertex_uv;
 
 uniform mat4 clip_from_head;
-uniform vec3 low_m; // the box that the avatar promised to stay in
-uniform vec3 high_m;
+uniform vec3 box_m[2]; // two corners of the box that the avatar promised to stay in
 
 out vec2 surface_uv;
 out vec3 surface_xyz_m;
@@ -50,7 +49,7 @@ void main() {
     // What is no number fails every comparison, and falls to the origin: a broken map must not reach
     // over the screen and hide its neighbours.
     bool is_sound = all(lessThan(abs(xyz_m), vec3(1e6)));
-    surface_xyz_m = clamp(is_sound ? xyz_m : vec3(0.0), low_m, high_m);
+    surface_xyz_m = clamp(is_sound ? xyz_m : vec3(0.0), box_m[0], box_m[1]);
     surface_uv = vertex_uv;
     gl_Position = clip_from_head * vec4(surface_xyz_m, 1.0);
 #ifdef STATIC

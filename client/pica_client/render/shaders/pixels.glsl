@@ -1,7 +1,9 @@
 // What the passes over a head's pixels share.
 
 uniform vec2 shown; // height at which nothing is left of a bust, height from which all is there
-uniform vec2 corner; // of the layer, in the image
+// The share of the pixels that a level of a head gets, from and to, where two of them are mixed; the
+// layer's corner in the image.
+uniform vec4 turns;
 
 // How a head passes into the room: towards its lower border it fades out.
 float presence(vec3 xyz_m) {
@@ -11,7 +13,7 @@ float presence(vec3 xyz_m) {
 // A number from 0 to 1 for each pixel of the image, spread evenly over neighbours: two surfaces that
 // give way to one another take turns by it.
 float turn_of_pixel() {
-    return fract(52.9829189 * fract(dot(floor(gl_FragCoord.xy) + corner, vec2(0.06711056, 0.00583715))));
+    return fract(52.9829189 * fract(dot(floor(gl_FragCoord.xy) + turns.zw, vec2(0.06711056, 0.00583715))));
 }
 
 // The surface pass writes the number of the head, and beside it, packed into a fraction below 1, how

@@ -6,7 +6,6 @@ in vec3 surface_xyz_m;
 
 uniform float slot; // 1, 2, ...; 0 is nobody
 #ifdef SHARED
-uniform vec2 share; // the part of the pixels that this level of a head gets, from and to
 #endif
 
 layout(location = 0) out vec4 xyz_and_owner;
@@ -18,7 +17,7 @@ void main() {
 #ifdef SHARED
     // Two levels of a head take turns from pixel to pixel while one gives way to the other.
     float turn = turn_of_pixel();
-    if (turn < share.x || turn >= share.y) {
+    if (turn < turns.x || turn >= turns.y) {
         discard;
     }
 #endif

@@ -8,7 +8,6 @@ in float surface_opacity;
 
 uniform sampler2D skin; // row 0 is v = 0
 #ifdef STATIC
-uniform vec2 share; // the part of the pixels that this level of a head gets, from and to
 #endif
 
 layout(location = 0) out vec4 colour;
@@ -20,7 +19,7 @@ void main() {
     // At its seam it takes turns with the decoded surface below, and where two levels are mixed
     // they with each other.
     float turn = turn_of_pixel();
-    if (surface_opacity <= fract(turn + 0.5) || turn < share.x || turn >= share.y) {
+    if (surface_opacity <= fract(turn + 0.5) || turn < turns.x || turn >= turns.y) {
         discard;
     }
 #endif
