@@ -22,7 +22,7 @@ from pica_client.errors import OptionError
 from pica_client.local_call.processes import Children
 from pica_client.transport.config import LinkConfig
 from pica_client.ui.lobby import JoinForm
-from pica_client.ui.options import ViewOptions
+from pica_client.ui.options import JoinOptions, ViewOptions
 from pica_client.ui.session import first_state, view_calls
 from pica_client.ui.state import PreferencesFile, ViewState
 from pica_client.ui.surface.surface import Surface
@@ -84,7 +84,7 @@ def relay_url() -> Iterator[str]:
         yield url
 
 
-OPTIONS = ViewOptions(size="640x360", seconds=0.4, wait=True, layout="grid")
+OPTIONS = ViewOptions(join=JoinOptions(wait=True), size="640x360", seconds=0.4, layout="grid")
 HEADLESS = replace(OPTIONS, headless=True)
 
 
@@ -197,7 +197,7 @@ def test_what_the_command_line_says_comes_before_what_was_kept(tmp_path: Path) -
     kept = PreferencesFile(tmp_path)
     sent = ViewState(url="ws://old", room="old", name="Old", voice="none", source="webcam")
     kept.save(sent)
-    state = first_state(ViewOptions(room="new", voice="speech"), kept)
+    state = first_state(ViewOptions(join=JoinOptions(room="new"), voice="speech"), kept)
     assert (state.url, state.room, state.name) == ("ws://old", "new", "Old")
     assert (state.source, state.voice) == ("webcam", "speech")
     for said, source in (("vmc", "vmc"), ("none", "")):
@@ -215,7 +215,9 @@ def test_a_token_file_that_is_not_for_the_relay_of_a_link_is_said_to_stay(
     library: AvatarLibrary, relay_url: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     link = relay_url.replace("ws://", "pica://") + "/fun?plain=1"
-    options = replace(HEADLESS, link=link, token_file=tmp_path / "not there")
+    options = replace(
+        HEADLESS, link=link, join=JoinOptions(token_file=tmp_path / "not there", wait=True)
+    )
     view_calls(options, first_state(options, None), library)
     line = f"token-file is not sent to {relay_url}; --url {relay_url} would send it"
     assert capsys.readouterr().err.count(line) == 1

@@ -112,8 +112,8 @@ def _view_arguments(config: DemoConfig, stage: local_call.LocalCall) -> list[str
         arguments += ["--avatar", config.call.avatar]
     if config.headless:
         # There is no listener: the voices are played, and measured, without a sound.
-        return [*arguments, "--speaker", "none", "--headless"]
-    return [*arguments, "--statistics"]
+        arguments += ["--speaker", "none", "--headless"]
+    return arguments
 
 
 def _watch(config: DemoConfig, stage: local_call.LocalCall, viewer: Child) -> None:

@@ -3,19 +3,23 @@
 import asyncio
 from contextlib import closing
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import Parameter
 
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.avatars.upload import GiveAvatar
 from pica_client.endpoint.endpoint import LinkNews, Sender
 from pica_client.output import say
 from pica_client.publish.publisher import DEFAULT_SOURCE, SenderConfig, open_face
 from pica_client.system import on_stop_signal
 from pica_client.transport.config import LinkConfig, guest_name
-from pica_client.ui.options import check_voice, connect_timeout_s
+from pica_client.ui.options import (
+    DEFAULT_ROOM,
+    DEFAULT_URL,
+    JoinOptions,
+    check_voice,
+    connect_timeout_s,
+)
 from pica_client.voice.publisher import VoicePublisher
 from pica_client.voice.source import open_voice
 
@@ -24,15 +28,7 @@ from pica_client.voice.source import open_voice
 class SendOptions:
     """Options of `pica send`."""
 
-    url: str = "ws://127.0.0.1:8765"
-    """Address of the relay, ws:// or wss://."""
-    redirect_hosts: tuple[str, ...] = ()
-    """Other hosts that the relay may redirect to, with the token; over wss://, names of its domain
-    need not be listed."""
-    room: str = "lobby"
-    """Room to join: letters, digits and _ . -"""
-    name: str | None = None
-    """Name the others see; Guest and a number by default."""
+    join: Annotated[JoinOptions, Parameter(name="*")] = field(default_factory=JoinOptions)
     avatar: str | None = None
     """Name of a shipped avatar, or a .pica file; by default a shipped one that goes by the name."""
     source: str = DEFAULT_SOURCE
@@ -46,19 +42,7 @@ class SendOptions:
     clean: bool = True
     """Take noise out of the microphone, and even out how loud it is, where the extra echo is
     installed."""
-    wait: bool = False
-    """Wait for a relay that is not there yet, for --seconds if given, instead of giving up after 3
-    seconds."""
     sender: Annotated[SenderConfig, Parameter(name="*")] = field(default_factory=SenderConfig)
-    token_file: Path | None = None
-    """File with the join token that the relay wants, see pica token."""
-    ca_file: Path | None = None
-    """Trust the certificates of this PEM file instead of the system's, at a wss:// address."""
-    secret_file: Path | None = None
-    """File with the room secret, from pica secret: encrypts end to end, see docs/privacy.md."""
-    give_avatar: GiveAvatar = "auto"
-    """Give the avatar's file to the relay, for those who do not have it; auto does, unless it ships
-    with this package or there is a secret: the relay's operator can look at the file."""
 
 
 def send(options: SendOptions) -> dict[str, Any]:
@@ -71,14 +55,14 @@ def send(options: SendOptions) -> dict[str, Any]:
     """
     check_voice(options.source, options.voice)
     link = LinkConfig(
-        url=options.url,
-        room=options.room,
-        name=options.name or guest_name(),
-        connect_timeout_s=connect_timeout_s(wait=options.wait, seconds=options.sender.seconds),
-        secret_file=options.secret_file,
-        token_file=options.token_file,
-        ca_file=options.ca_file,
-        redirect_hosts=options.redirect_hosts,
+        url=options.join.url or DEFAULT_URL,
+        room=options.join.room or DEFAULT_ROOM,
+        name=options.join.name or guest_name(),
+        connect_timeout_s=connect_timeout_s(wait=options.join.wait, seconds=options.sender.seconds),
+        secret_file=options.join.secret_file,
+        token_file=options.join.token_file,
+        ca_file=options.join.ca_file,
+        redirect_hosts=options.join.redirect_hosts,
     )
     voice = open_voice(options.voice, cleans=options.clean)
     is_sealed = link.secret_file is not None
@@ -89,7 +73,7 @@ def send(options: SendOptions) -> dict[str, Any]:
             library,
             say,
             avatar=options.avatar,
-            give=options.give_avatar,
+            give=options.join.give_avatar,
             config=options.sender,
         )
     if voice is not None:
@@ -104,7 +88,7 @@ def send(options: SendOptions) -> dict[str, Any]:
             await sender.run()
         return sender.stats()
 
-    if options.wait:
+    if options.join.wait:
         say(f"waiting for {where}")
     result = asyncio.run(run())
     say(f"sent {result['sent']} frames, {result['payload_bps'] or 0} bit/s of payload")

@@ -21,7 +21,7 @@ def view(options: ViewOptions) -> dict[str, Any]:
     from pica_client.ui.session import first_state, view_calls
     from pica_client.ui.state import PreferencesFile
 
-    asks = not options.headless and bool(options.link or not options.url) and has_display()
+    asks = not options.headless and bool(options.link or not options.join.url) and has_display()
     kept = PreferencesFile() if asks else None
     state = first_state(options, kept)
     with closing(AvatarLibrary()) as library:

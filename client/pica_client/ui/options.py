@@ -5,6 +5,9 @@ It imports little, so that the help comes at once.
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
 
 from pica_client.avatars.upload import GiveAvatar
 from pica_client.decode.request import DecodeChoice
@@ -14,6 +17,8 @@ from pica_protocol.limits import MAX_PEERS
 
 BUDGET_SHARE = 0.8
 """Part of the time between two frames: the rest is for texts, the window system and recording."""
+DEFAULT_URL = "ws://127.0.0.1:8765"
+DEFAULT_ROOM = "lobby"
 CONNECT_TIMEOUT_S = 3.0
 """How long a command tries to reach a relay before it gives up, unless told to wait."""
 
@@ -46,22 +51,41 @@ def parse_size(text: str) -> tuple[int, int]:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class JoinOptions:
+    """Options of the commands that join a room."""
+
+    url: str = ""
+    """Address of the relay, ws:// or wss://; by default ws://127.0.0.1:8765, but pica view asks by a
+    form where there is a display."""
+    redirect_hosts: tuple[str, ...] = ()
+    """Other hosts that the relay may redirect to, with the token; over wss://, names of its domain
+    need not be listed."""
+    room: str = ""
+    """Room to join, of letters, digits and _ . -; lobby by default."""
+    name: str = ""
+    """Name the others see."""
+    give_avatar: GiveAvatar = "auto"
+    """Give the own avatar's file to the relay, for those who do not have it; auto does, unless it
+    ships with this package or there is a secret: the relay's operator can look at the file."""
+    wait: bool = False
+    """Wait for a relay that is not there yet, for --seconds if given, instead of giving up after 3
+    seconds."""
+    token_file: Path | None = None
+    """File with the join token that the relay of --url wants, see pica token."""
+    ca_file: Path | None = None
+    """Trust the certificates of this PEM file instead of the system's, at a wss:// address."""
+    secret_file: Path | None = None
+    """File with the room secret, from pica secret: encrypts end to end, see docs/privacy.md."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class ViewOptions:
     """Options of `pica view`."""
 
     link: str = field(default="", kw_only=False)
     """An invite link, pica://HOST/ROOM, as `pica token --link` prints it: it fills in the form, or
     says where to go where there is none."""
-    url: str | None = None
-    """Address of the relay, ws:// or wss://. Without one, and with a display, a form asks; off
-    the screen it is ws://127.0.0.1:8765."""
-    redirect_hosts: tuple[str, ...] = ()
-    """Other hosts that the relay may redirect to, with the token; over wss://, names of its domain
-    need not be listed."""
-    room: str | None = None
-    """Room to look into; lobby by default."""
-    name: str | None = None
-    """Our own name."""
+    join: Annotated[JoinOptions, Parameter(name="*")] = field(default_factory=JoinOptions)
     send: str | None = None
     """Send your own face as well: a source as in pica send; none only watches, the default with
     --url. Who joins by the form is seen, by performance:talk if nothing else is named here. M mutes
@@ -69,8 +93,6 @@ class ViewOptions:
     own_avatar: str | None = None
     """Avatar of your own face: a shipped one by its name, or a .pica file; by default a shipped
     one that goes by the name."""
-    give_avatar: GiveAvatar = "auto"
-    """Give that avatar's file to the relay, for those who do not have it; as in pica send."""
     layout: Layout | None = None
     """How people sit: line, arc, table or grid; L goes through them. By default as it was left."""
     voice: str | None = None
@@ -99,19 +121,8 @@ class ViewOptions:
     relay."""
     seconds: float = 0.0
     """How long to look; 0 is until the window is closed, or Ctrl-C."""
-    wait: bool = False
-    """Wait for a relay that is not there yet, for --seconds if given, instead of giving up after 3
-    seconds."""
     expect: int = 0
     """Begin to draw once so many peers are seen."""
-    statistics: bool = False
-    """Show the statistics from the start; S toggles them, H shows all keys."""
-    token_file: Path | None = None
-    """File with the join token that the relay of --url wants, see pica token."""
-    ca_file: Path | None = None
-    """Trust the certificates of this PEM file instead of the system's, at a wss:// address."""
-    secret_file: Path | None = None
-    """File with the room secret of an encrypted call: shows its participants alone."""
 
     def __post_init__(self) -> None:
         if self.size is not None:

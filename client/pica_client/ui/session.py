@@ -29,8 +29,14 @@ from pica_client.transport.config import LinkConfig
 from pica_client.transport.connect import trusting
 from pica_client.ui.call_sound import CallSound
 from pica_client.ui.lobby import JoinForm, Lobby, follow_invite
-from pica_client.ui.options import ViewOptions, check_voice, connect_timeout_s, parse_size
-from pica_client.ui.state import DEFAULT_URL, PreferencesFile, ViewState
+from pica_client.ui.options import (
+    DEFAULT_URL,
+    ViewOptions,
+    check_voice,
+    connect_timeout_s,
+    parse_size,
+)
+from pica_client.ui.state import PreferencesFile, ViewState
 from pica_client.ui.viewer import Viewer
 from pica_client.ui.window import Window
 from pica_client.voice.opus import available
@@ -59,9 +65,13 @@ def first_state(options: ViewOptions, kept: PreferencesFile | None) -> ViewState
         OptionError: An option cannot be right.
     """
     state = ViewState(name=DEFAULT_NAME, source="", voice="none") if kept is None else kept.load()
-    given = {"url": options.url, "room": options.room, "name": options.name}
+    given: dict[str, str | None] = {
+        "url": options.join.url,
+        "room": options.join.room,
+        "name": options.join.name,
+    }
     given |= {"avatar": options.own_avatar, "layout": options.layout, "voice": options.voice}
-    given |= {name: str(getattr(options, name) or "") for name in ("ca_file", "secret_file")}
+    given |= {name: str(getattr(options.join, name) or "") for name in ("ca_file", "secret_file")}
     for name, value in given.items():
         if value:
             setattr(state, name, value)
@@ -101,18 +111,18 @@ def link_of(options: ViewOptions, state: ViewState) -> LinkConfig:
         OptionError: A part of it cannot be right; names it.
     """
     url, token = state.url.strip(), state.token.strip()
-    takes_file = not token and url == (options.url or DEFAULT_URL)
-    needs_ca = options.ca_file is not None or "wss://" in url
+    takes_file = not token and url == (options.join.url or DEFAULT_URL)
+    needs_ca = options.join.ca_file is not None or "wss://" in url
     return LinkConfig(
         url=url,
         room=state.room.strip(),
         name=state.name.strip(),
-        connect_timeout_s=connect_timeout_s(wait=options.wait, seconds=options.seconds),
+        connect_timeout_s=connect_timeout_s(wait=options.join.wait, seconds=options.seconds),
         secret_file=_path(state.secret_file),
         token=token,
-        token_file=options.token_file if takes_file else None,
+        token_file=options.join.token_file if takes_file else None,
         ca_file=_path(state.ca_file) if needs_ca else None,
-        redirect_hosts=options.redirect_hosts,
+        redirect_hosts=options.join.redirect_hosts,
     )
 
 
@@ -123,7 +133,7 @@ def open_own(
     if not state.source:
         return Outgoing()
     avatar = state.avatar.strip() or None
-    return open_face(state.source, link, library, say, avatar=avatar, give=options.give_avatar)
+    return open_face(state.source, link, library, say, avatar=avatar, give=options.join.give_avatar)
 
 
 def view_calls(
@@ -190,11 +200,10 @@ def stay(
         GraphicsError: There is no way to draw.
     """
     link = link_of(options, state)
-    if options.token_file is not None and not link.token and link.token_file is None:
+    if options.join.token_file is not None and not link.token and link.token_file is None:
         say(f"token-file is not sent to {link.url}; --url {link.url} would send it")
     state.name = link.name
     state.enter()
-    state.side = "statistics" if options.statistics else "none"
     is_stopping = threading.Event()
     with on_stop_signal(is_stopping.set), ExitStack() as stack:
         pool = ThreadPoolExecutor(1, thread_name_prefix="own-face")

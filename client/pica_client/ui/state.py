@@ -19,6 +19,7 @@ from pica_client.render.seats import LAYOUTS, Layout
 from pica_client.render.views import OrbitLimits
 from pica_client.render.views import ViewState as Orbit
 from pica_client.system import make_private, preferences_folder
+from pica_client.ui.options import DEFAULT_ROOM, DEFAULT_URL
 from pica_client.voice.sound.settings import SoundSettings
 from pica_core.files import replacing
 
@@ -28,7 +29,6 @@ Side = Literal["none", "help", "participants", "settings", "statistics"]
 """What stands in the panel at the right."""
 SCALES: Final = (0.8, 1.0, 1.25, 1.5)
 """Sizes of type and buttons to choose from."""
-DEFAULT_URL: Final = "ws://127.0.0.1:8765"
 FILE_NAME: Final = "preferences.json"
 CHOICES: Final[dict[str, tuple[Any, ...]]] = {
     "layout": LAYOUTS,
@@ -48,7 +48,7 @@ class Preferences:
 
     url: str = DEFAULT_URL
     """The relay of the last call."""
-    room: str = "lobby"
+    room: str = DEFAULT_ROOM
     name: str = ""
     """The user's name in the call."""
     avatar: str = ""

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from pica_client.ui.options import ViewOptions
+from pica_client.ui.options import JoinOptions, ViewOptions
 from pica_client.ui.session import first_state, link_of
 from pica_client.ui.state import ViewState
 
@@ -24,7 +24,7 @@ def test_a_token_is_not_printed_but_joined_with() -> None:
 
 
 def test_a_typed_token_takes_the_place_of_a_token_file(tmp_path: Path) -> None:
-    options = ViewOptions(token_file=tmp_path / "token")
+    options = ViewOptions(join=JoinOptions(token_file=tmp_path / "token"))
     assert link_of(options, FILLED).token_file == tmp_path / "token"
     assert link_of(options, replace(FILLED, token="t")).token_file is None
 
@@ -36,13 +36,13 @@ def test_a_typed_token_takes_the_place_of_a_token_file(tmp_path: Path) -> None:
         ("wss://relay.example", "pica://relay.example/fun", True),
         ("wss://relay.example", "pica://relay.example/fun?plain=1", False),
         ("wss://relay.example", "pica://relay.example:8443/fun", False),
-        (None, "pica://evil.example/fun", False),
+        ("", "pica://evil.example/fun", False),
     ],
 )
 def test_an_invite_link_takes_a_token_file_to_no_other_relay(
-    relay: str | None, link: str, is_sent: bool, tmp_path: Path
+    relay: str, link: str, is_sent: bool, tmp_path: Path
 ) -> None:
-    options = ViewOptions(url=relay, link=link, token_file=tmp_path / "token")
+    options = ViewOptions(link, join=JoinOptions(url=relay, token_file=tmp_path / "token"))
     assert (link_of(options, first_state(options, None)).token_file is None) != is_sent
 
 

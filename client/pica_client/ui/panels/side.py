@@ -86,7 +86,9 @@ def _width_pt(state: ViewState) -> float:
 
 def _help(state: ViewState) -> None:
     """What keys and mouse do."""
-    if imgui.begin_table("columns", 2, imgui.TableFlags_.sizing_fixed_fit):
+    if imgui.begin_table("columns", 2):
+        imgui.table_setup_column("keys", imgui.TableColumnFlags_.width_fixed)
+        imgui.table_setup_column("meaning", imgui.TableColumnFlags_.width_stretch)
         for keys, meaning in help_lines(state):
             imgui.table_next_column()
             imgui.text_unformatted(keys)

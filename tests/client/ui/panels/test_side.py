@@ -16,7 +16,7 @@ from pica_client.call.roster import Member
 from pica_client.call.status import AvatarFigures, CallStatus
 from pica_client.playout.buffer import PlayoutReport
 from pica_client.publish.face_controls import TrackerPreview
-from pica_client.ui.actions import Action, Request
+from pica_client.ui.actions import Action, Request, help_lines
 from pica_client.ui.call_view import CallView, Notice, OwnFaceView, Panel, PersonView
 from pica_client.ui.panels.overlay import signs
 from pica_client.ui.panels.side import side_panel, signs_of, waiting_page
@@ -232,6 +232,14 @@ def test_the_statistics_have_a_line_for_each_participant_and_a_dash_for_what_is_
     assert said[first : first + 7] == ["Ada", "128", "4.2", "1.7", "–", "12", "1.5"]
     assert said[first + 7 : first + 14] == ["", *["–"] * 6]
     assert "30.0 fps" in said
+
+
+def test_the_help_has_a_line_for_each_key(hand: Hand) -> None:
+    state = replace(STATE, side="help")
+    for _ in range(3):
+        hand.frame(lambda: side_panel(state, CALL))
+    height = imgui.internal.find_window_by_name("Help").size.y
+    assert height == pytest.approx((len(help_lines(state)) + 2) * 24, rel=0.25)
 
 
 @pytest.mark.parametrize("size", [(320, 240), (640, 360), (1280, 720), (3840, 2160)])
