@@ -55,8 +55,8 @@ class JoinOptions:
     """Options of the commands that join a room."""
 
     url: str = ""
-    """Address of the relay, ws:// or wss://; by default ws://127.0.0.1:8765, but pica view asks by a
-    form where there is a display."""
+    """Address of the relay, ws:// or wss://; by default ws://127.0.0.1:8765, but pica view asks
+    for it where there is a display."""
     redirect_hosts: tuple[str, ...] = ()
     """Other hosts that the relay may redirect to, with the token; over wss://, names of its domain
     need not be listed."""

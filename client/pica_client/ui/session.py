@@ -65,13 +65,9 @@ def first_state(options: ViewOptions, kept: PreferencesFile | None) -> ViewState
         OptionError: An option cannot be right.
     """
     state = ViewState(name=DEFAULT_NAME, source="", voice="none") if kept is None else kept.load()
-    given: dict[str, str | None] = {
-        "url": options.join.url,
-        "room": options.join.room,
-        "name": options.join.name,
-    }
+    kinds = ("url", "room", "name", "ca_file", "secret_file")
+    given: dict[str, str | None] = {k: str(getattr(options.join, k) or "") for k in kinds}
     given |= {"avatar": options.own_avatar, "layout": options.layout, "voice": options.voice}
-    given |= {name: str(getattr(options.join, name) or "") for name in ("ca_file", "secret_file")}
     for name, value in given.items():
         if value:
             setattr(state, name, value)
