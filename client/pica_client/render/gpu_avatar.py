@@ -39,9 +39,8 @@ from pica_core.avatar.bust import (
     seen_faces,
 )
 from pica_core.avatar.file import Avatar
-from pica_core.avatar.levels import sheet_uv
+from pica_core.avatar.levels import SEAM, parts_of, sheet_uv
 from pica_core.avatar.spec import MAP_SIZE
-from pica_core.avatar.static import SEAM, parts_of
 from pica_core.reference.decoders import still_map
 from pica_core.sampling import order_faces
 from pica_core.types import Array, FloatArray

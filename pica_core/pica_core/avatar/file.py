@@ -20,7 +20,7 @@ Tensors, float32 in memory unless stated:
     encoder.{i}.weight .bias  [out, in], [out]: 52 ARKit values to a latent, LeakyReLU between
     stream.*              tables of the latent bitstream, integers (`codec.profile`); may be absent
     level.*               levels of detail (`levels`); may be absent
-    static.parts          which vertices do not change with the face (`static`); may be absent
+    static.parts          which vertices do not change with the face (`levels`); may be absent
 
 In the file big maps may be smaller than in memory: see `storage`.
 """
@@ -40,18 +40,21 @@ import safetensors.numpy
 
 from pica_core.avatar.levels import PREFIX as LEVEL_PREFIX
 from pica_core.avatar.levels import (
+    STATIC_NAME,
+    decoded_faces,
     faces_name,
     is_faces,
     is_index,
     level_shapes,
     levels_of,
+    parts_of,
     sheet_rows,
+    static_shape,
+    textured_faces,
 )
 from pica_core.avatar.linear import check_linear, linear_shapes
 from pica_core.avatar.manifest import Manifest
 from pica_core.avatar.spec import MAP_SIZE, AvatarSpec, spec_tensor_shapes
-from pica_core.avatar.static import NAME as STATIC_NAME
-from pica_core.avatar.static import decoded_faces, parts_of, static_shape, textured_faces
 from pica_core.avatar.storage import check_finite, to_memory, to_storage
 from pica_core.codec.profile import PREFIX as STREAM_PREFIX
 from pica_core.codec.profile import StreamProfile

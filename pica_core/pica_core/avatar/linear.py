@@ -117,13 +117,9 @@ may err; `docs/training.md`)."""
 SIGNED_STEP = float(np.float32(1 / 127))
 """Step of "s8": values from -1 to 1 in 8 bits, 0 exactly."""
 LEAST_FRAMES = 8
-"""Fewer good meshes make no bases."""
+"""Fewer meshes make no bases."""
 MOST_FRAMES = 1024
 """Meshes that the components are found from; of more, evenly spaced ones."""
-JUMP_RATIO = 10.0
-JUMP_M = 2e-3
-"""A mesh is bad if the others explain it so much worse than a usual one (both, root mean square:
-a face that is shown once is off by less)."""
 LEAST_SHARE = 1e-9
 LEAST_M = 1e-7
 """Components below this share of the first one's variance, or this deviation, are rounding."""
@@ -140,8 +136,6 @@ class Bases:
     deviation 1 over the training meshes."""
     vertex_weights: FloatArray
     """How much an error of each vertex counts, ``[V]``."""
-    left_out: tuple[int, ...] = ()
-    """Numbers of the meshes that were not used: not finite, or nothing like the others."""
 
     def positions(self, weights: FloatArray) -> FloatArray:
         """Weights ``[N, K]`` to vertices in metres ``[N, V, 3]``."""
@@ -164,14 +158,13 @@ class Bases:
             mean_m=self.mean_m[vertices],
             components_m=self.components_m[:, vertices],
             vertex_weights=self.vertex_weights[vertices],
-            left_out=self.left_out,
         )
 
 
 def fit_bases(
     meshes_m: FloatArray, num_bases: int, vertex_weights: FloatArray | None = None
 ) -> Bases:
-    """Find mean and principal components of meshes, without those that are not like the others.
+    """Find mean and principal components of meshes.
 
     Args:
         meshes_m: Metres, ``[F, V, 3]``.
@@ -179,45 +172,36 @@ def fit_bases(
         vertex_weights: How much an error of each vertex counts, ``[V]``; all alike without.
 
     Raises:
-        CaptureError: Fewer than `LEAST_FRAMES` good meshes, or meshes that do not move.
+        CaptureError: Fewer than `LEAST_FRAMES` meshes, or meshes that do not move.
     """
+    if len(meshes_m) < LEAST_FRAMES:
+        raise CaptureError(
+            f"{len(meshes_m)} training meshes; bases need {LEAST_FRAMES}, "
+            "the variant full needs none"
+        )
     num_vertices = meshes_m.shape[1]
     weights = np.ones(num_vertices) if vertex_weights is None else vertex_weights
-    frames = np.unique(np.linspace(0, len(meshes_m) - 1, MOST_FRAMES).round().astype(int))
-    good = frames[np.isfinite(meshes_m[frames]).all((1, 2))]
-    left_out = sorted(set(frames.tolist()) - set(good.tolist()))
+    some = np.unique(np.linspace(0, len(meshes_m) - 1, MOST_FRAMES).round().astype(int))
+    meshes_m = meshes_m[some]
     root = np.sqrt(weights / weights.sum()).astype(np.float32)[:, None]
-    while True:
-        if len(good) < LEAST_FRAMES:
-            raise CaptureError(
-                f"{len(good)} good training meshes ({_named(left_out)}); "
-                f"bases need {LEAST_FRAMES}, the variant full needs none"
-            )
-        # From the median, which no single mesh moves; about the mean, they would be dependent.
-        products = _products((meshes_m[good] - np.median(meshes_m[good], axis=0)) * root)
-        bad = _jumps(products)
-        if not bad:
-            break
-        left_out = sorted([*left_out, *good[bad].tolist()])
-        good = np.delete(good, bad)
+    products = _products((meshes_m - np.median(meshes_m, axis=0)) * root)
     products -= products.mean(0)
     products -= products.mean(1, keepdims=True)
     spread, vectors = np.linalg.eigh(products)
     order = np.argsort(spread)[::-1][:num_bases]
-    least = max(float(spread.max()) * LEAST_SHARE, LEAST_M**2 * len(good))
+    least = max(float(spread.max()) * LEAST_SHARE, LEAST_M**2 * len(meshes_m))
     order = order[spread[order] > least]
     if not len(order):
         raise CaptureError("the training meshes are all alike; there is no movement to learn")
-    mean_m = meshes_m[good].mean(0, dtype=np.float64).astype(np.float32)
-    offsets = meshes_m[good] - mean_m
-    # Rows are the good meshes; a component is what goes with a unit of its weight.
-    unit = vectors[:, order] * np.sqrt(len(good))
-    components_m = (unit.T / len(good)).astype(np.float32) @ offsets.reshape(len(good), -1)
+    mean_m = meshes_m.mean(0, dtype=np.float64).astype(np.float32)
+    offsets = (meshes_m - mean_m).reshape(len(meshes_m), -1)
+    # Rows are the meshes; a component is what goes with a unit of its weight.
+    unit = vectors[:, order] * np.sqrt(len(meshes_m))
+    components_m = (unit.T / len(meshes_m)).astype(np.float32) @ offsets
     return Bases(
         mean_m=mean_m,
         components_m=components_m.reshape(len(order), num_vertices, 3),
         vertex_weights=np.asarray(weights, np.float32),
-        left_out=tuple(left_out),
     )
 
 
@@ -228,23 +212,6 @@ def _products(offsets: FloatArray) -> Float64Array:
         part = offsets[:, start : start + 2048].reshape(len(offsets), -1).astype(np.float64)
         total += part @ part.T
     return total
-
-
-def _jumps(products: Float64Array) -> list[int]:
-    """Places of meshes that the others do not explain: the square of a mesh's distance from what
-    the others span is one over its entry in the inverse of their inner products."""
-    spread, vectors = np.linalg.eigh(products)
-    noise = max(float(spread.max()), 1e-18) * 1e-9
-    inverse = (vectors**2 / (np.maximum(spread, 0) + noise)).sum(1)
-    off_m = np.sqrt(np.maximum(1 / inverse - noise, 0))
-    limit_m = max(JUMP_M, JUMP_RATIO * float(np.median(off_m)))
-    bad: list[int] = np.flatnonzero(off_m > limit_m).tolist()
-    return bad if len(bad) <= len(off_m) // 4 else []
-
-
-def _named(frames: list[int]) -> str:
-    shown = ", ".join(map(str, frames[:8])) + (", ..." if len(frames) > 8 else "")
-    return f"left out: {shown}" if frames else "none left out"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -11,9 +11,8 @@ from typing import Any, Literal
 import numpy as np
 
 from pica_core.avatar.levels import PREFIX as LEVEL_PREFIX
-from pica_core.avatar.levels import is_index
+from pica_core.avatar.levels import STATIC_NAME, is_index
 from pica_core.avatar.linear import SIGNED_STEP, signed_codes
-from pica_core.avatar.static import NAME as STATIC_NAME
 from pica_core.codec.profile import PREFIX as STREAM_PREFIX
 from pica_core.types import Array
 

@@ -253,24 +253,6 @@ class DeepAppearanceModel(interface.AvatarModel):
             "encoding": [texels],
         }
 
-    def named_tensors(self) -> dict[str, Tensor]:
-        """The decoder as `BaselineSpec.tensor_shapes` names it: outputs in metres and in colours,
-        with mean and units folded into the last weights."""
-        tensors: dict[str, Tensor] = {}
-        connected = {"view": self.view, "latent": self.latent, "mesh": self.mesh}
-        for name, layer in (connected | {"grid": self.texture.grid}).items():
-            assert layer.bias is not None
-            tensors[f"{name}.weight"], tensors[f"{name}.bias"] = layer.weight, layer.bias
-        for part in ("weight", "bias"):
-            tensors[f"mesh.{part}"] = self.position_scale_m * tensors[f"mesh.{part}"]
-        tensors["mesh.bias"] = tensors["mesh.bias"] + self.tracked_mean_m.flatten()
-        layers = self.texture.layers
-        for index, (convolution, bias) in enumerate(layers):
-            unit = TEXTURE_SCALE if index + 1 == len(layers) else 1.0
-            tensors[f"texture.{index}.weight"] = unit * convolution.weight
-            tensors[f"texture.{index}.bias"] = unit * bias.weight
-        return tensors
-
     def _code(self, latent: Tensor) -> Tensor:
         return functional.leaky_relu(self.latent(interface.flat_latent(latent)), LEAKY_SLOPE)
 

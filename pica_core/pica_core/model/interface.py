@@ -71,7 +71,6 @@ class LinearPrior(NamedTuple):
         texels: Texels of the position map that the encoder reads, row * S + column, ``[P]``.
         projection: From their three coordinates to the weights, in position scales, ``[K, 3 P]``.
         deviation_m: Root mean square movement of each basis, ``[K]``.
-        notes: What is wrong with the meshes, in words.
     """
 
     tracked: Bases
@@ -79,7 +78,6 @@ class LinearPrior(NamedTuple):
     texels: IntArray
     projection: FloatArray
     deviation_m: FloatArray
-    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -23,9 +23,8 @@ from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.interface import AvatarModel
 from pica_core.model.linear import LinearGeometry
 from pica_core.model.pixel_decoder import XYZ_UNIT_M
-from pica_core.train.data.images import view_direction
 from pica_core.train.data.meshes import rasterise_uv
-from pica_core.train.data.training import TrainingData
+from pica_core.train.data.training import TrainingData, view_direction
 from pica_core.train.evaluate import ModelEvaluator, Picture, mean_mse
 from pica_core.train.stream_learning import RenderMetric, learn_profile
 from pica_core.train.train import Trainer

@@ -22,9 +22,8 @@ from pica_core.model.encoder import hold_log_variance, reparameterise
 from pica_core.model.interface import AvatarModel, DecodedMesh, ExpressionEncoder, flat_latent
 from pica_core.model.linear import LinearGeometry
 from pica_core.train.config import TrainConfig
-from pica_core.train.data.images import view_direction
 from pica_core.train.data.meshes import important_vertices, vertex_importance
-from pica_core.train.data.training import TrainingData
+from pica_core.train.data.training import TrainingData, view_direction
 from pica_core.train.losses import (
     depth_loss,
     depth_mask,

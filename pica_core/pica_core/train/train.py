@@ -90,8 +90,6 @@ class Trainer:
         self.step, self.seconds = 0, 0.0
         self.rasteriser = rasteriser
         self.objectives = Objectives(data, config, self.model, rasteriser, self.device)
-        if prior.linear is not None:
-            self.objectives.notes += prior.linear.notes
         geometry, joint = config.geometry_steps, config.joint_steps
         driver = config.driver_steps if data.capture.has_expressions else 0
         self._has_live_steps = False

@@ -12,8 +12,8 @@ from pica_client.decode.decoder import OnnxDecoder
 from pica_client.render.renderer import DrawStats, Renderer, RenderOptions
 from pica_client.render.scene import Placement
 from pica_core.avatar.file import Avatar, load_avatar
+from pica_core.avatar.levels import STATIC, STATIC_NAME, parts_of
 from pica_core.avatar.shipped import shipped_avatar_files
-from pica_core.avatar.static import NAME, STATIC, parts_of
 from pica_core.camera import look_at
 from pica_core.reference.decoders import still_colours
 from pica_core.sampling import sample_bilinear
@@ -23,7 +23,7 @@ pytestmark = pytest.mark.render
 
 SIZE = (240, 240)
 AVATAR = load_avatar(shipped_avatar_files()[1])
-DECODED = replace(AVATAR, tensors={k: a for k, a in AVATAR.tensors.items() if k != NAME})
+DECODED = replace(AVATAR, tensors={k: a for k, a in AVATAR.tensors.items() if k != STATIC_NAME})
 WHOLE = Placement(slot="head", world_from_head=np.eye(4, dtype=np.float32))
 CAMERA = look_at(
     centre_m=(0.2, -0.05, 0.9),

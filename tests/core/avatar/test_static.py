@@ -13,10 +13,16 @@ from hypothesis.extra import numpy as arrays
 
 from helpers.toy import make_toy_avatar, with_toy_levels
 from pica_core.avatar.file import Avatar, load_avatar, save_avatar
-from pica_core.avatar.levels import STILL_NAME
+from pica_core.avatar.levels import (
+    MOVING,
+    STATIC,
+    STATIC_NAME,
+    STILL_NAME,
+    pack_parts,
+    parts_of,
+)
 from pica_core.avatar.shipped import shipped_avatar_files
 from pica_core.avatar.spec import AvatarSpec
-from pica_core.avatar.static import MOVING, NAME, STATIC, pack_parts, parts_of
 from pica_core.errors import AvatarFileError
 from pica_core.types import Array
 
@@ -27,12 +33,12 @@ NUM_VERTICES = len(TOY.tensors["mesh.vertex_uv"])
 
 
 def marked(packed: Array) -> Avatar:
-    return replace(TOY, tensors={**TOY.tensors, NAME: packed})
+    return replace(TOY, tensors={**TOY.tensors, STATIC_NAME: packed})
 
 
 @given(arrays.arrays(np.uint8, st.integers(1, 50), elements=st.integers(MOVING, STATIC)))
 def test_parts_come_back_from_two_bits_each(parts: Array) -> None:
-    tensors = {NAME: pack_parts(parts), "mesh.vertex_uv": np.zeros((len(parts), 2))}
+    tensors = {STATIC_NAME: pack_parts(parts), "mesh.vertex_uv": np.zeros((len(parts), 2))}
 
     np.testing.assert_array_equal(parts_of(tensors), parts)
 
@@ -55,7 +61,7 @@ def test_parts_come_back_from_a_file_as_they_are(tmp_path: Path) -> None:
     packed = np.arange(-(-NUM_VERTICES // 4), dtype=np.uint8) & 0x55
     save_avatar(tmp_path / "a.pica", marked(packed))
 
-    np.testing.assert_array_equal(load_avatar(tmp_path / "a.pica").tensors[NAME], packed)
+    np.testing.assert_array_equal(load_avatar(tmp_path / "a.pica").tensors[STATIC_NAME], packed)
 
 
 @pytest.mark.parametrize(
@@ -76,7 +82,7 @@ def test_parts_without_a_still_face_are_refused(tmp_path: Path) -> None:
     tensors = {name: a for name, a in TOY.tensors.items() if name != STILL_NAME}
 
     with pytest.raises(AvatarFileError, match=r"level\.still is missing"):
-        save_avatar(tmp_path / "a.pica", replace(TOY, tensors={**tensors, NAME: packed}))
+        save_avatar(tmp_path / "a.pica", replace(TOY, tensors={**tensors, STATIC_NAME: packed}))
 
 
 @pytest.mark.parametrize("file", shipped_avatar_files(), ids=lambda file: file.stem)

@@ -1,4 +1,4 @@
-"""Closed-form bases: exact where meshes are linear, and no bad frame among them."""
+"""Closed-form bases: exact where meshes are linear."""
 
 import numpy as np
 import pytest
@@ -49,18 +49,8 @@ def test_selected_vertices_follow_the_same_weights(meshes_m: FloatArray) -> None
     assert error_mm(meshes_m[:, chosen], found_m) < 2e-4
 
 
-def test_a_frame_that_jumps_is_left_out_and_named(meshes_m: FloatArray) -> None:
-    bad = meshes_m.copy()
-    bad[7, :50] += 0.2
-    bad[11, 3, 1] = np.nan
-    bases = fit_bases(bad, RANK)
-    assert bases.left_out == (7, 11)
-    good = np.delete(meshes_m, [7, 11], axis=0)
-    assert error_mm(good, bases.positions(bases.weights_of(good))) < 2e-4
-
-
 def test_too_few_or_still_meshes_are_refused(meshes_m: FloatArray) -> None:
-    with pytest.raises(CaptureError, match=r"7 good training meshes .none left out.; bases need 8"):
+    with pytest.raises(CaptureError, match="7 training meshes; bases need 8"):
         fit_bases(meshes_m[:7], 4)
     with pytest.raises(CaptureError, match="all alike"):
         fit_bases(np.repeat(meshes_m[:1], 12, axis=0), 4)

@@ -5,7 +5,7 @@ most, a mouth what mouth movements do.
 
 A vertex is static where neither its colour nor its place leaves the still face's by more than the
 limits, over performances and random strong faces, each seen from another side. Specks are evened
-out: static is what is so with all around it. `pica_core.avatar.static` says what the marks mean.
+out: static is what is so with all around it. `pica_core.avatar.levels` says what the marks mean.
 """
 
 from collections.abc import Callable
@@ -19,8 +19,14 @@ from torch import Tensor
 from pica_core.avatar.arkit import ARKIT_NAMES, NUM_ARKIT
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
-from pica_core.avatar.levels import STILL_NAME
-from pica_core.avatar.static import MOVING, NAME, SEAM, STATIC, pack_parts
+from pica_core.avatar.levels import (
+    MOVING,
+    SEAM,
+    STATIC,
+    STATIC_NAME,
+    STILL_NAME,
+    pack_parts,
+)
 from pica_core.capture.stage.dome import NAMED_VIEWS, dome_cameras
 from pica_core.capture.stage.expressions import combinations, sentence
 from pica_core.capture.triangles import areas, components
@@ -105,7 +111,7 @@ mesh)."""
 def mark_static(avatar: Avatar) -> Avatar:
     """The avatar with its static vertices marked; unmarked where there are none, or where it has no
     levels, and so no still face."""
-    tensors = {name: array for name, array in avatar.tensors.items() if name != NAME}
+    tensors = {name: array for name, array in avatar.tensors.items() if name != STATIC_NAME}
     bare = replace(avatar, tensors=tensors)
     if STILL_NAME not in tensors:
         return bare
@@ -113,7 +119,7 @@ def mark_static(avatar: Avatar) -> Avatar:
     is_static = (change < MOST_MSE) & (moved_m < MOST_MOVED_M)
     parts = divide(bare, is_static)
     if (parts == STATIC).any():
-        tensors[NAME] = pack_parts(parts)
+        tensors[STATIC_NAME] = pack_parts(parts)
     return replace(bare, tensors=tensors)
 
 
