@@ -32,7 +32,5 @@ def voice_track() -> Track:
 
 
 def voice_of(peer: Peer) -> Track | None:
-    """Return the first voice of a peer, or None; one with a profile is of a codec that is not known
-    here."""
-    voices = (each for each in peer.tracks if each.kind == VOICE_TRACK and not each.profile)
-    return next(voices, None)
+    """Return the first voice of a peer, or None."""
+    return next((each for each in peer.tracks if each.kind == VOICE_TRACK), None)

@@ -109,8 +109,6 @@ class Track(Checked):
     """SHA-256 of the avatar file a receiver needs to draw this track, in hexadecimal, or empty."""
     stream: Annotated[int, within(0, limits.MAX_STREAM)] = 0
     """The stream its frames travel on; 0 in ``Join``, allotted by the relay in ``Joined``."""
-    profile: Sha256 = ""
-    """SHA-256 of the stream profile the payloads are encoded with, in hexadecimal."""
     deadline_ms: int = 0
     """Says, with ``ordered``, how long a frame may wait for a receiver, milliseconds; else 0."""
 

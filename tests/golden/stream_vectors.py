@@ -5,7 +5,6 @@ language; all in it is integers or hexadecimal.
 
     profile        the arrays of docs/wire.md: type, shape, values row after row
     fixed          what is the same for all profiles: steps by quality, and frequencies
-    profile_hash   their SHA-256, as the handshake names them
     performance    faces: latents in units of 2^-12, poses (rotation, translation) of 2^-14; the
                    last one is held for so many faces more
     streams        by quality, of each frame: multiple, payload, whether the sender falls silent,
@@ -110,7 +109,6 @@ def made_vectors() -> dict[str, Any]:
             "pose_tables": [frequencies(table) for table in POSE_TABLES],
             "tables": coefficient_frequencies().tolist(),
         },
-        "profile_hash": profile.hash,
         "performance": {
             "latents": np.rint(talk / LATENT_UNIT).astype(int).reshape(-1, 256).tolist(),
             "poses": np.rint(nod / POSE_UNIT).astype(int).reshape(-1, 6).tolist(),

@@ -35,11 +35,10 @@ from pica_protocol.store import Offer, Ready, Stored, StoreMessage, encode_chunk
 GOLDEN = Path(__file__).with_name("wire.json")
 
 _AVATAR = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
-_PROFILE = "60303ae22b998861bce3b28f33eec1be758a213c86c93c076dbe9f558c11c752"
 _ADA = Peer(
     peer_id="p1",
     name="Ada",
-    tracks=(Track(kind="face", avatar=_AVATAR, stream=1, profile=_PROFILE),),
+    tracks=(Track(kind="face", avatar=_AVATAR, stream=1),),
     metadata=(("role", "host"),),
 )
 _KNOWN_ADA = replace(_ADA, identity="ada-1", is_name_assured=True)

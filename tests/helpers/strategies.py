@@ -53,7 +53,6 @@ def tracks(stream: st.SearchStrategy[int]) -> st.SearchStrategy[tuple[Track, ...
         "kind": st.text(_TOKEN_CHARS, min_size=1, max_size=16),
         "avatar": st.sampled_from(["", "0f" * 32]),
         "stream": stream,
-        "profile": st.sampled_from(["", "1e" * 32]),
     }
     ordered = {"policy": st.just("ordered"), "deadline_ms": st.integers(1, MAX_DEADLINE_MS)}
     track = st.builds(Track, **fields) | st.builds(Track, **fields, **ordered)

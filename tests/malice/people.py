@@ -21,7 +21,6 @@ _TOY = make_toy_avatar()
 AVATARS = tuple(f"{number:064x}" for number in range(1, len(NAMES) + 1))
 _STORE = LoadedAvatars(dict.fromkeys(AVATARS, _TOY))
 FACE = toy_payload(_TOY)
-_PROFILE = _TOY.stream_profile().hash
 
 
 class BrokenPromiseError(AssertionError):
@@ -59,7 +58,7 @@ class Person:
     @property
     def track(self) -> Track:
         """What it publishes."""
-        return Track(kind="face", avatar=AVATARS[self.index], profile=_PROFILE)
+        return Track(kind="face", avatar=AVATARS[self.index])
 
     @property
     def is_joined(self) -> bool:

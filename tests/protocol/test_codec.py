@@ -170,7 +170,6 @@ def test_the_fullest_room_fits_a_control_message() -> None:
         policy="ordered",
         avatar="f" * 64,
         stream=65_535,
-        profile="f" * 64,
         deadline_ms=10_000,
     )
     metadata = tuple((f"{i}" * 16, "x" * 64) for i in range(8))

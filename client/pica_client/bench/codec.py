@@ -98,9 +98,7 @@ def run_codec_bench(config: CodecConfig, avatar: Avatar) -> dict[str, Any]:
                 errors = [drawn_mse(*pair) for pair in zip(uncoded, shown, strict=True)]
                 about = {"profile": name, "source": source, "fps": FPS}
                 rows.append(about | _row(sent, coded, errors))
-    return report(
-        config, rows, avatar=avatar.manifest.identity, stream_profile=profile.hash, views=VIEWS
-    )
+    return report(config, rows, avatar=avatar.manifest.identity, views=VIEWS)
 
 
 def _read(source: str, seconds: float, avatar: Avatar) -> list[LatentSample]:

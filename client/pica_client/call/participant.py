@@ -162,11 +162,10 @@ class Participant:
     # The stream
 
     def open_decoder(self, avatar: Avatar) -> bool:
-        """Make the decoder, if the avatar is of the sender's version; return True if there is
-        one."""
+        """Make the decoder, if the avatar has a stream profile; return True if there is one."""
         if self._decoder is None and not self.trouble:
             try:
-                self._decoder = LatentDecoder(avatar.stream_profile(self.track.profile))
+                self._decoder = LatentDecoder(avatar.stream_profile())
             except ProfileError as error:
                 self.trouble = str(error)
         return self._decoder is not None

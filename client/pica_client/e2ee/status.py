@@ -29,7 +29,7 @@ class SealState(Enum):
     SECRET_DIFFERS = "secret differs", "secret differs: compare the secret files"
     """Its key messages are not made with our secret and room."""
     RELABELLED = "relabelled", "not who the relay says it is"
-    """It describes itself otherwise than the relay does: name, avatar, tracks, profile, streams."""
+    """It describes itself otherwise than the relay does: name, avatar, tracks, streams."""
 
     def __new__(cls, value: str, note: str) -> "SealState":
         """Make a state of its name and its note."""

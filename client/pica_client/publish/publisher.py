@@ -115,9 +115,8 @@ class Publisher:
         self.source = source
         self.seen: ExpressionFrame | None = None
         self._encoder = ExpressionEncoder(avatar)
-        profile = avatar.stream_profile()
-        self._stream = LatentEncoder(profile, config.stream())
-        self.track = Track(kind=FACE_TRACK, avatar=avatar_identity, profile=profile.hash)
+        self._stream = LatentEncoder(avatar.stream_profile(), config.stream())
+        self.track = Track(kind=FACE_TRACK, avatar=avatar_identity)
         self._first_sent_s: float | None = None
         self._last_sent_s = 0.0
         self.num_sent = self._faceless = self._payload_bytes = 0

@@ -156,25 +156,14 @@ class Avatar:
             return sample_vertices(position_map, self.tensors["mesh.vertex_uv"])
         return position_map.reshape(-1, 3)[: len(used)]
 
-    def stream_profile(self, name: str | None = None) -> StreamProfile:
-        """The tables of its latent stream, which every stream of this avatar is coded with.
-
-        Args:
-            name: Hash of the profile that a sender names; None for whichever the file holds.
-
-        Raises:
-            ProfileError: The file holds no profile, or another one.
-        """
+    def stream_profile(self) -> StreamProfile:
+        """The tables of its latent stream, which every stream of this avatar is coded with;
+        ProfileError if the file holds none."""
         profile = StreamProfile.from_tensors(self.tensors)
         if profile is None:
             raise ProfileError(
                 f"avatar {self.manifest.name} has no stream profile, which a call needs; "
                 "`pica export` learns one"
-            )
-        if name is not None and name != profile.hash:
-            raise ProfileError(
-                f"the stream is coded with profile {name[:8] or '(none)'}, this avatar file holds "
-                f"{profile.hash[:8]}; get the sender's version of the file"
             )
         return profile
 

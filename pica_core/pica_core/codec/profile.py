@@ -1,8 +1,8 @@
 """The profile of a latent stream: what a frame's coefficients mean, and how likely they are.
 
 Learned at export (`pica_core.train.stream_learning`) and carried by the avatar file under the names
-``stream.*``. Integers throughout, so that all machines that read the same profile make the same
-bytes and the same latents. `StreamProfile.hash` names it in the handshake.
+``stream.*``. Integers throughout, so that all machines that read the same file make the same bytes
+and the same latents.
 
 A *frame* of the stream is C = K + 6 coefficients: K of the latent, then head rotation and
 translation, 3 each. One unit of a latent coefficient is 1/64 of a root of rendered MSE: two latents
@@ -20,7 +20,6 @@ The tables are the same for all avatars: a coefficient is 0 with one chance, and
 so much rarer than the one before. Tables learned for each avatar save 1.6 % of a payload.
 """
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cache, cached_property
@@ -35,9 +34,6 @@ from pica_core.latent import NUM_LATENT
 from pica_core.types import Array, Float64Array, FloatArray, Int64Array
 
 PREFIX = "stream."
-FORMAT = "pica latent stream 3\n"
-"""Begins the text that a profile's hash is taken of: arrays of the same numbers under another
-bitstream are another profile."""
 NUM_POSE = 6
 ESCAPE = 20
 """Coefficients of this magnitude and beyond are written as this and a rest."""
@@ -142,16 +138,6 @@ class StreamProfile:
     def num_coefficients(self) -> int:
         """C, coefficients of a frame."""
         return self.num_components + NUM_POSE
-
-    @cached_property
-    def hash(self) -> str:
-        """SHA-256 over the format, names, types, shapes and little-endian contents, hexadecimal."""
-        digest = hashlib.sha256(FORMAT.encode())
-        for name in sorted(_ARRAYS):
-            array = getattr(self, name)
-            digest.update(f"{name} {array.dtype} {list(array.shape)}\n".encode())
-            digest.update(array.astype(array.dtype.newbyteorder("<")).tobytes())
-        return digest.hexdigest()
 
     def to_tensors(self) -> dict[str, Array]:
         """The arrays under the names that they have in the avatar file."""

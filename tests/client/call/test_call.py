@@ -12,12 +12,10 @@ from helpers.senders import LoadedAvatars
 from helpers.stream_toy import (
     Publisher,
     Sent,
-    other_profile,
     perform,
     stream_avatar,
     toy_faces,
     toy_pose,
-    toy_profile,
 )
 from helpers.toy import make_toy_avatar, toy_payload, without_stream
 from pica_client.avatars.library import AvatarLibrary
@@ -42,11 +40,10 @@ pytestmark = pytest.mark.unit
 
 TOY = make_toy_avatar()
 TOY_ID = "a" * 64
-PROFILE = TOY.stream_profile().hash
 
 
 def peer(peer_id: str, name: str, stream: int, avatar: str = TOY_ID, kind: str = "face") -> Peer:
-    track = Track(kind=kind, avatar=avatar, stream=stream, profile=PROFILE)
+    track = Track(kind=kind, avatar=avatar, stream=stream)
     return Peer(peer_id=peer_id, name=name, tracks=(track,))
 
 
@@ -211,10 +208,8 @@ def test_a_damaged_file_is_an_error_each_time_without_keeping_the_last(tmp_path:
 STREAM_ID = "c" * 64
 
 
-def coded_peer(name: str, stream: int, profile: str | None = None) -> Peer:
-    if profile is None:
-        profile = toy_profile().hash
-    track = Track(kind="face", avatar=STREAM_ID, stream=stream, profile=profile)
+def coded_peer(name: str, stream: int) -> Peer:
+    track = Track(kind="face", avatar=STREAM_ID, stream=stream)
     return Peer(peer_id=name, name=name, tracks=(track,))
 
 
@@ -245,24 +240,9 @@ def test_a_coded_stream_is_played(coded_call: Call) -> None:
     assert np.abs(face.latent - sent[-1].decoded().latent).max() < 1
 
 
-@pytest.mark.parametrize("profile", ["f" * 64, other_profile().hash, ""])
-def test_a_profile_that_we_do_not_have_is_a_note_and_counted_and_no_face(profile: str) -> None:
-    call = Call(LoadedAvatars({STREAM_ID: stream_avatar()}))
-    call.receive_event(joined(coded_peer("ada", 1, profile), coded_peer("ben", 2)), now=0.0)
-    for sent in perform(num_frames=10):
-        call.receive_event(coded(sent, 1), now=sent.captured_us / 1e6)
-        call.receive_event(coded(sent, 2), now=sent.captured_us / 1e6)
-    ada, ben = call.faces(0.4)
-    assert (ada.status, ada.latent) == ("waiting", None)
-    assert f"coded with profile {profile[:8] or '(none)'}" in ada.note
-    assert "get the sender's version of the file" in ada.note
-    assert call.errors == 10  # each frame that could have been a face
-    assert (ben.note, ben.latent is not None) == ("", True)
-
-
 def test_a_stream_of_an_avatar_without_tables_is_a_note() -> None:
     call = Call(LoadedAvatars({TOY_ID: without_stream(TOY)}))
-    track = Track(kind="face", avatar=TOY_ID, stream=1, profile=toy_profile().hash)
+    track = Track(kind="face", avatar=TOY_ID, stream=1)
     call.receive_event(joined(Peer(peer_id="a", name="Ada", tracks=(track,))), now=0.0)
     call.receive_event(coded(perform(num_frames=1)[0]), now=0.0)
     assert "has no stream profile" in call.faces(0.1)[0].note

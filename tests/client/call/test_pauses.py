@@ -26,7 +26,7 @@ PAYLOAD = toy_payload(TOY)
 
 
 def ada(peer_id: str, stream: int) -> Peer:
-    track = Track(kind="face", avatar=TOY_ID, stream=stream, profile=TOY.stream_profile().hash)
+    track = Track(kind="face", avatar=TOY_ID, stream=stream)
     return Peer(peer_id=peer_id, name="Ada", tracks=(track,))
 
 

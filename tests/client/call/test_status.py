@@ -40,8 +40,7 @@ class AvatarOnItsWay(LoadedAvatars):
 
 
 def person(peer_id: str, name: str, stream: int) -> Peer:
-    profile = make_toy_avatar().stream_profile().hash
-    track = Track(kind="face", avatar=TOY_ID, stream=stream, profile=profile)
+    track = Track(kind="face", avatar=TOY_ID, stream=stream)
     return Peer(peer_id=peer_id, name=name, tracks=(track,))
 
 

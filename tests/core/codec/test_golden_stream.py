@@ -41,10 +41,6 @@ def test_what_is_the_same_for_all_profiles_is_golden() -> None:
     assert json.loads(json.dumps(made_vectors()["fixed"])) == VECTORS["fixed"]
 
 
-def test_the_profile_has_its_golden_name() -> None:
-    assert PROFILE.hash == VECTORS["profile_hash"]
-
-
 @pytest.mark.parametrize("quality", QUALITIES)
 def test_golden_faces_encode_to_golden_payloads(quality: int) -> None:
     made = [(frame.multiple, frame.payload.hex()) for frame in encode_stream(VECTORS, quality)]

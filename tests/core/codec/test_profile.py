@@ -34,29 +34,16 @@ def with_value(name: str, place: tuple[int, ...], value: int) -> np.ndarray[Any,
     return array
 
 
-def test_a_profile_comes_back_from_its_tensors_under_the_same_name() -> None:
+def test_a_profile_comes_back_from_its_tensors() -> None:
     again = StreamProfile.from_tensors(toy_profile().to_tensors())
     assert again is not None
-    assert again.hash == toy_profile().hash
-    assert len(again.hash) == 64
+    for name, array in again.to_tensors().items():
+        np.testing.assert_array_equal(array, array_of(name.removeprefix("stream.")))
     assert (again.num_components, again.num_coefficients) == (NUM_COMPONENTS, NUM_COMPONENTS + 6)
 
 
 def test_tensors_without_a_stream_have_no_profile() -> None:
     assert StreamProfile.from_tensors({"mesh.faces": np.zeros((1, 3), np.int32)}) is None
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_every_array_is_part_of_the_name(name: str) -> None:
-    arrays = toy_profile().to_tensors()
-    array = arrays[name].copy().reshape(-1)
-    if array[0] > 1:
-        array[0] -= 1
-    else:
-        array[0] += 1
-    other = StreamProfile.from_tensors({**arrays, name: array.reshape(arrays[name].shape)})
-    assert other is not None
-    assert other.hash != toy_profile().hash
 
 
 @pytest.mark.parametrize("name", NAMES)
