@@ -12,7 +12,6 @@ import os
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -56,14 +55,6 @@ RENDER = RenderOptions(fade_busts=True)
 DECODE_WAIT_S = 0.008
 """An image waits this long for the faces that it asked for: what comes later is seen an image
 later, behind its voice (chosen: half an image of 60 a second)."""
-
-
-@dataclass(slots=True, eq=False)
-class _DrawnFrame:
-    """What a frame was made of, until it is known how long it took."""
-
-    shaded_px: float
-    num_triangles: int = 0
 
 
 class Viewer(Closing):
@@ -139,7 +130,7 @@ class Viewer(Closing):
             shaders = choose_decoder(options.decode, context, self._renderer, clock)
             if shaders is not None:
                 stack.enter_context(shaders)
-            self._draw_clock: DrawClock[_DrawnFrame] = DrawClock(context)
+            self._draw_clock: DrawClock[list[float]] = DrawClock(context)
             self._scheduler = Scheduler()
             self._presenter = AvatarPresenter(
                 source,
@@ -243,14 +234,14 @@ class Viewer(Closing):
         """Draw a frame, and show and record it."""
         begin_s = self._clock()
         # What a frame cost is known some frames later, when the GPU is done with it.
-        drawn = _DrawnFrame(plan.shaded_px)
+        drawn: list[float] = []
         with self._draw_clock.around(drawn):
-            self.last_draw = self._renderer.draw(scene.placements, scene.camera, room=scene.room)
+            last = self._renderer.draw(scene.placements, scene.camera, room=scene.room)
             self.surface.paint(self._renderer.image, panels=self._window is None)
-        drawn.num_triangles = self.last_draw.num_triangles
-        drawn.shaded_px *= self.last_draw.drawn_share
-        for frame, seconds in self._draw_clock.take():
-            self._scheduler.costs.observe_draw(frame.num_triangles, frame.shaded_px, seconds)
+        self.last_draw = last
+        drawn += [last.num_triangles, plan.shaded_px * last.drawn_share]
+        for (num_triangles, shaded_px), seconds in self._draw_clock.take():
+            self._scheduler.costs.observe_draw(int(num_triangles), shaded_px, seconds)
         image = None
         if self._window is None:
             image = self._renderer.read_pixels()  # waits for the GPU: the draw time is a true one

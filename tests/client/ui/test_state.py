@@ -8,8 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from pica_client.ui.state import PreferencesFile, ViewState
 from pica_client.voice.sound.settings import SoundSettings
@@ -40,10 +38,11 @@ def kept(tmp_path: Path) -> Kept:
     return Kept(tmp_path / "made" / "when needed")
 
 
-def test_what_is_saved_is_loaded(kept: Kept) -> None:
-    kept.file.save(KEPT)
+def test_what_is_saved_is_loaded_without_what_belongs_to_one_call(kept: Kept) -> None:
+    kept.file.save(replace(KEPT, token="abc", pinned=2, side="help", volumes={1: 0.5}))
     assert kept.file.load() == KEPT
     assert kept.warnings == []
+    assert "abc" not in kept.file.path.read_text()
 
 
 @pytest.mark.parametrize(
@@ -51,6 +50,7 @@ def test_what_is_saved_is_loaded(kept: Kept) -> None:
     [
         "",
         "null",
+        "\\ud800",
         '{"layout": "pyramid"}',
         '{"window_size": [0, 5, 7]}',
         '{"window_size": [0, "x"]}',
@@ -69,26 +69,12 @@ def test_a_damaged_file_is_one_warning_and_defaults(kept: Kept, content: str) ->
     assert str(kept.file.path) in kept.warnings[0]
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(content=st.binary(max_size=300))
-def test_any_bytes_are_preferences_or_a_warning(kept: Kept, content: bytes) -> None:
-    kept.file.path.parent.mkdir(parents=True, exist_ok=True)
-    kept.file.path.write_bytes(content)
-    assert isinstance(kept.file.load(), ViewState)
-
-
 def test_no_secret_of_an_address_is_kept(kept: Kept) -> None:
     kept.file.save(ViewState(url="wss://ada:word@relay.example:99/way?token=abc#part"))
     text = kept.file.path.read_text()
     assert json.loads(text)["url"] == "wss://relay.example:99/way"
     assert "word" not in text
     assert "abc" not in text
-
-
-def test_what_belongs_to_one_call_and_its_token_are_not_kept(kept: Kept) -> None:
-    kept.file.save(replace(KEPT, token="abc", pinned=2, side="help", volumes={1: 0.5}))
-    assert kept.file.load() == KEPT
-    assert "abc" not in kept.file.path.read_text()
 
 
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(

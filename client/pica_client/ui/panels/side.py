@@ -262,10 +262,6 @@ def _menu(person: Member, state: ViewState, call: CallView) -> list[Request]:
             imgui.separator()
             before = state.volumes.get(person.place, 1.0)
             volume = volume_slider("##volume", before, width=px(VOLUME_PT))
-            if before == 0 and _item(icons.ICON_FA_VOLUME_HIGH, "Hear again"):
-                volume = 1.0
-            elif before != 0 and _item(icons.ICON_FA_VOLUME_XMARK, "Mute for me"):
-                volume = 0.0
             if volume != before:
                 state.volumes[person.place] = volume
         if call.status.is_admin:

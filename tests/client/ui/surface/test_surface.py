@@ -9,7 +9,7 @@ from imgui_bundle import imgui
 from helpers.hand import frame, press
 from pica_client.ui.actions import keyboard
 from pica_client.ui.state import ViewState
-from pica_client.ui.surface.style import CARD, FAINT, FIELD, INK, ON_ACCENT, TONES, scale_for
+from pica_client.ui.surface.style import scale_for
 from pica_client.ui.surface.surface import ON_PICTURE, Surface
 from pica_core.gl import create_context
 
@@ -70,18 +70,3 @@ def test_larger_pictures_have_larger_type_within_limits(
     size: tuple[int, int], content_scale: float, low: float, high: float
 ) -> None:
     assert low <= scale_for(size, content_scale) <= high
-
-
-def test_text_can_be_read_on_what_it_stands_on() -> None:
-    def luminance(colour: tuple[float, ...]) -> float:
-        parts = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in colour[:3]]
-        return 0.2126 * parts[0] + 0.7152 * parts[1] + 0.0722 * parts[2]
-
-    for ink, ground in (
-        (INK, CARD),
-        (FAINT, CARD),
-        (INK, FIELD),
-        (ON_ACCENT, TONES["accent"]),
-    ):
-        light, dark = sorted((luminance(ink), luminance(ground)), reverse=True)
-        assert (light + 0.05) / (dark + 0.05) >= 4.5  # (WCAG 2.2, 1.4.3)
