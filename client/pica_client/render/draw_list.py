@@ -6,10 +6,11 @@ import math
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 
+import moderngl
 import numpy as np
 
 from pica_client.render.gpu_avatar import Body, Mesh
-from pica_client.render.gpu_maps import MapSeries, MapView, whole_map
+from pica_client.render.gpu_maps import HeadMaps
 from pica_client.render.gpu_plain import TexturedHead
 from pica_client.render.gpu_program import UNIT_POSITION
 from pica_client.render.layers import PixelRect, area_px, common_part, viewport
@@ -75,8 +76,7 @@ class RenderSlot:
 
     avatar: Avatar | None = None
     body: Body | None = None
-    maps: tuple[MapSeries, MapSeries] | None = None
-    """Maps of positions, and of expressions."""
+    maps: HeadMaps | None = None
     textured: TexturedHead | None = None
     version: int = 0
     """Never the same for two contents of a slot."""
@@ -87,8 +87,8 @@ class ShownLevel:
     """One level of a head: its triangles and its maps."""
 
     mesh: Mesh
-    position: MapView
-    expression: MapView | None
+    position: moderngl.Texture
+    expression: moderngl.Texture | None
     """None for a placeholder."""
     share: tuple[float, float]
     """The part of the head's pixels that it draws, from and to; (0, 1) is all."""
@@ -214,8 +214,7 @@ def _body(entry: RenderSlot, placeholder: Body) -> Body | TexturedHead:
     """What is drawn of a slot."""
     if entry.textured and entry.textured.has_maps:
         return entry.textured
-    has_maps = entry.maps is not None and all(series.level for series in entry.maps)
-    return entry.body if entry.body and has_maps else placeholder
+    return entry.body if entry.body and entry.maps and entry.maps.level else placeholder
 
 
 def _shown(
@@ -232,8 +231,8 @@ def _shown(
         (
             shown.share,
             shown.mesh.vertices[0].glo,
-            shown.position.key,
-            shown.expression and shown.expression.key,
+            shown.position.glo,
+            shown.expression and shown.expression.glo,
         )
         for shown in levels
     ]
@@ -279,22 +278,21 @@ def _fading_rows(
 def _levels(entry: RenderSlot, body: Body, placement: Placement) -> tuple[ShownLevel, ...]:
     """What comes and what goes while levels are mixed, else what is there."""
     if entry.maps is None or body is not entry.body:
-        mesh, unmoved = body.mesh(0, None), whole_map(body.textures[UNIT_POSITION])
+        mesh, unmoved = body.mesh(0, None), body.textures[UNIT_POSITION]
         return (ShownLevel(mesh=mesh, position=unmoved, expression=None, share=WHOLE),)
-    blend = min(max(placement.blend, 0.0), 1.0)
-    position, expression = entry.maps
-    newest = (position.level, position.newest, expression.newest)
-    before = (position.level_before, position.before, expression.before)
-    if placement.is_same_maps:
-        before = newest
-    elif before == newest:
+    maps, blend = entry.maps, min(max(placement.blend, 0.0), 1.0)
+    before = maps.level if placement.is_same_maps else maps.level_before
+    if before == maps.level and not placement.is_same_maps:
         blend = 1.0
     mixed = (
-        (*newest, placement.mesh_level, (0.0, blend)),
-        (*before, placement.mesh_before, (blend, 1.0)),
+        (maps.level, placement.mesh_level, (0.0, blend)),
+        (before, placement.mesh_before, (blend, 1.0)),
     )
-    return tuple(
-        ShownLevel(mesh=body.mesh(level, mesh_level), position=shape, expression=codes, share=share)
-        for level, shape, codes, mesh_level, share in mixed
-        if share[0] < share[1]
-    )
+    shown = []
+    for level, mesh_level, share in mixed:
+        if share[0] < share[1]:
+            mesh, (position, expression) = body.mesh(level, mesh_level), maps.pair(level)
+            shown.append(
+                ShownLevel(mesh=mesh, position=position, expression=expression, share=share)
+            )
+    return tuple(shown)

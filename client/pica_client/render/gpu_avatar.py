@@ -40,7 +40,6 @@ from pica_core.avatar.bust import (
 )
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.levels import SEAM, parts_of, sheet_uv
-from pica_core.avatar.spec import MAP_SIZE
 from pica_core.reference.decoders import still_map
 from pica_core.sampling import order_faces
 from pica_core.types import Array, FloatArray
@@ -315,8 +314,7 @@ def bake_texture(
     coloured.use()
     coloured.depth_mask = False
     context.depth_func = ">"
-    set_values(shade.program, expression_rows=(0, MAP_SIZE, MAP_SIZE, False))
-    set_values(shade.program, slot=1.0, shown=WHOLE_M)
+    set_values(shade.program, is_change=False, slot=1.0, shown=WHOLE_M)
     shade.render(moderngl.TRIANGLE_STRIP, vertices=4)
     context.depth_func = "<"
     context.detect_framebuffer(0).use()  # those of here are freed

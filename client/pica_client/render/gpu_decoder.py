@@ -1,6 +1,6 @@
 """Latents to maps by shaders: all heads of a frame at once, into textures that they share.
 
-    decoder = GpuDecoder(context, renderer.show_maps)
+    decoder = GpuDecoder(context, renderer)
     if decoder.add("peer-1", avatar): ...               # else such avatars are decoded elsewhere
     decoder.submit("peer-1", request)
     results = decoder.take_results()                    # draws: the maps are shown afterwards
@@ -8,7 +8,7 @@
 Each step is one draw for all who are decoded: heads lie one below the other in its images, and an
 avatar's numbers are a layer of each array (`gpu_tables`). A level below the full one leaves the
 steps that all share at its size. Vertices are sums over the directions of their regions. The last
-step puts the maps into pages of `NUM_TILES` heads, where they stay. A head and frame take one
+step is one draw for each map, straight to where the renderer has it. A head and frame take one
 kilobyte of upload.
 
 Everything belongs to the thread of the context.
@@ -17,10 +17,10 @@ Everything belongs to the thread of the context.
 from __future__ import annotations
 
 import time
-from collections import defaultdict, deque
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import moderngl
@@ -29,7 +29,6 @@ import numpy as np
 from pica_client.decode.request import DecodeChoice, DecodedMaps, DecodeRequest, DecodeResult
 from pica_client.errors import OptionError
 from pica_client.render.draw_clock import DrawClock
-from pica_client.render.gpu_maps import MapView
 from pica_client.render.gpu_program import build_program, clamp, compose, set_values
 from pica_client.render.gpu_tables import GATHER, SHEET, VECTOR, Pass, Plan, lay_out
 from pica_client.render.renderer import Renderer
@@ -47,8 +46,6 @@ MAX_BATCH = 32
 TIMED_EVERY, NUM_TIMED = 4, 8
 """Of how many batches one is timed on the GPU, for queries take time, too; and how many of these
 count."""
-NUM_TILES = 8
-"""Heads whose maps share a texture: full ones fill 2048 rows (chosen)."""
 UNIT_ROWS, UNIT_HEADS, UNIT_TABLE, UNIT_PLACES, UNIT_MEAN, UNIT_BASIS = 0, 4, 5, 6, 7, 8
 _UNITS = {
     **{f"phase{number}": number for number in range(4)},
@@ -56,9 +53,6 @@ _UNITS = {
     **{"places": UNIT_PLACES, "mean": UNIT_MEAN, "basis": UNIT_BASIS},
 }
 _DTYPES = {"float16": "f2", "float32": "f4", "uint16": "u2", "uint8": "f1"}
-
-ShowMaps = Callable[[str, int, MapView | None, MapView], bool]
-"""Has a slot drawn with maps of a level; see `Renderer.show_maps`."""
 
 
 def draws_floats(context: moderngl.Context) -> bool:
@@ -92,47 +86,7 @@ def choose_decoder(
         )
     if choice == "cpu" or not can or (choice == "auto" and is_software(renderer.gl_renderer)):
         return None
-    return GpuDecoder(context, renderer.show_maps, clock)
-
-
-class _Page:
-    """A texture with the maps of several heads.
-
-    Attributes:
-        free: Tiles that are not in use.
-    """
-
-    def __init__(self, context: moderngl.Context, columns: int, rows: int) -> None:
-        # Vertices are looked up by texelFetch, which takes no notice of the filter.
-        size = columns, NUM_TILES * rows
-        self._texture = clamp(context.texture(size, VECTOR, dtype="f4"))
-        self._target = context.framebuffer([self._texture])
-        self._rows = rows
-        self.free = list(reversed(range(NUM_TILES)))
-
-    def view(self, tile: int, num_rows: int) -> MapView:
-        """What a head's map is drawn with."""
-        return MapView(self._texture, tile * self._rows, num_rows)
-
-    def draw(self, screen: moderngl.VertexArray, heads: Mapping[int, int]) -> None:
-        """Draw the tiles of some heads of a batch."""
-        low, high = min(heads), max(heads) + 1
-        self._target.viewport = (
-            *(0, low * self._rows),
-            *(self._texture.width, (high - low) * self._rows),
-        )
-        self._target.use()
-        of_tiles = tuple(heads.get(tile, -1) for tile in range(NUM_TILES))
-        set_values(screen.program, tile_heads=of_tiles, tile_rows=self._rows)
-        screen.render(moderngl.TRIANGLE_STRIP, vertices=4)
-
-
-class _Tile(NamedTuple):
-    """Where one of a head's maps is."""
-
-    page: _Page
-    number: int
-    view: MapView
+    return GpuDecoder(context, renderer, clock)
 
 
 @dataclass(slots=True, eq=False)
@@ -141,8 +95,6 @@ class _Slot:
 
     avatar: Avatar
     bank: _Bank
-    tiles: dict[tuple[int, bool], _Tile] = field(default_factory=dict)
-    """By level, of codes or of vertices."""
     request: DecodeRequest | None = None
     submitted_s: float = 0.0
 
@@ -154,15 +106,15 @@ class _Job(NamedTuple):
     entry: _Slot
     request: DecodeRequest
     level: int
-    codes: _Tile
-    vertices: _Tile | None
+    vertices: moderngl.Framebuffer | None
+    codes: moderngl.Framebuffer
 
 
 class GpuDecoder(Closing):
     """Decodes the newest latent of every head by shaders.
 
     Args:
-        show_maps: Told which maps a slot is to be drawn with.
+        renderer: Holds the maps of its slots.
         clock: Seconds, monotonic.
 
     Attributes:
@@ -172,12 +124,12 @@ class GpuDecoder(Closing):
     def __init__(
         self,
         context: moderngl.Context,
-        show_maps: ShowMaps,
+        renderer: Renderer,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.bytes_uploaded = 0
         self._context = context
-        self._show_maps = show_maps
+        self._map_targets = renderer.map_targets
         self._clock = clock
         self._slots: dict[str, _Slot] = {}
         self._banks: list[_Bank] = []
@@ -212,8 +164,6 @@ class GpuDecoder(Closing):
         gone = self._slots.pop(slot, None)
         if gone is None:
             return
-        for tile in gone.tiles.values():
-            tile.page.free.append(tile.number)
         if all(entry.avatar is not gone.avatar for entry in self._slots.values()):
             gone.bank.remove(gone.avatar)
 
@@ -242,11 +192,9 @@ class GpuDecoder(Closing):
                 self.remove(slot)
                 continue
             level = request.level or MAP_SIZE
-            codes = entry.bank.tile(entry, level, is_codes=True)
-            both = request.parts == "both"
-            vertices = entry.bank.tile(entry, level, is_codes=False) if both else None
-            if self._show_maps(slot, level, vertices and vertices.view, codes.view):
-                jobs.append(_Job(slot, entry, request, level, codes, vertices))
+            targets = self._map_targets(slot, level, both=request.parts == "both")
+            if targets is not None:
+                jobs.append(_Job(slot, entry, request, level, *targets))
         if jobs:
             results += self._decode(jobs)
         return results
@@ -309,7 +257,6 @@ class _Bank:
         self._vertices = [_Step(context, step) for step in plan.vertices]
         self._full = _screen(context, plan.full.shader, plan.full.defines)
         self._gather, self._sheet = (_screen(context, name, {}) for name in (GATHER, SHEET))
-        self._pages: dict[tuple[int, bool], list[_Page]] = defaultdict(list)
 
     def __contains__(self, avatar: Avatar) -> bool:
         return avatar in self._layers
@@ -336,21 +283,6 @@ class _Bank:
         """Forget an avatar; its layer is for the next one."""
         del self._arrays[avatar], self._layers[avatar]
 
-    def tile(self, entry: _Slot, level: int, *, is_codes: bool) -> _Tile:
-        """The place of one of a head's maps."""
-        key = level, is_codes
-        if key not in entry.tiles:
-            pages = self._pages[key]
-            page = next((each for each in pages if each.free), None)
-            if page is None:
-                rows = level if is_codes else self.plan.sheet_rows[level]
-                page = _Page(self._context, level, rows)
-                pages.append(page)
-            number = page.free.pop()
-            view = page.view(number, level if is_codes else entry.avatar.position_rows(level))
-            entry.tiles[key] = _Tile(page, number, view)
-        return entry.tiles[key]
-
     def decode(self, jobs: Sequence[_Job]) -> int:
         """Decode a batch, those of the full level first; how many bytes were uploaded."""
         self._reserve(len(jobs))
@@ -376,14 +308,12 @@ class _Bank:
             left = [place for place, length in enumerate(lengths) if length == number + 1]
             if not left:
                 continue
-            tiles = {place: jobs[place].codes for place in left}
             last = self._exits.get(jobs[left[0]].level)
-            if last is None:
-                _draw_tiles(self._full, tiles)
-            else:
+            if last is not None:
                 last.draw(left[-1] + 1, self._textures)
                 last.bind()
-                _draw_tiles(self._gather, tiles)
+            for place in left:
+                _draw_map(self._gather if last else self._full, jobs[place].codes, place)
             if left[0] == 0:
                 return
             step.bind()
@@ -394,11 +324,11 @@ class _Bank:
             step.draw(len(jobs), self._textures)
             step.bind()
         self._textures["basis"].use(UNIT_BASIS)
-        for level in self.plan.sheet_rows:
-            tiles = {n: job.vertices for n, job in enumerate(jobs) if job.level == level}
-            self._textures[f"places {level}"].use(UNIT_PLACES)
-            self._textures[f"mean {level}"].use(UNIT_MEAN)
-            _draw_tiles(self._sheet, {n: tile for n, tile in tiles.items() if tile is not None})
+        for number, job in enumerate(jobs):
+            if job.vertices is not None:
+                self._textures[f"places {job.level}"].use(UNIT_PLACES)
+                self._textures[f"mean {job.level}"].use(UNIT_MEAN)
+                _draw_map(self._sheet, job.vertices, number)
 
     def _layered(self, array: Array, layers: int) -> moderngl.TextureArray:
         rows, columns, components = array.shape
@@ -446,13 +376,11 @@ class _Step:
         self._screen.render(moderngl.TRIANGLE_STRIP, vertices=4)
 
 
-def _draw_tiles(screen: moderngl.VertexArray, tiles: Mapping[int, _Tile]) -> None:
-    """Draw maps of some heads of a batch, page after page."""
-    pages: dict[_Page, dict[int, int]] = defaultdict(dict)
-    for head, tile in tiles.items():
-        pages[tile.page][tile.number] = head
-    for page, heads in pages.items():
-        page.draw(screen, heads)
+def _draw_map(screen: moderngl.VertexArray, target: moderngl.Framebuffer, head: int) -> None:
+    """Draw a map of a head of the batch."""
+    target.use()
+    set_values(screen.program, head=head)
+    screen.render(moderngl.TRIANGLE_STRIP, vertices=4)
 
 
 def _screen(

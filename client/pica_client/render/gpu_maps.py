@@ -1,101 +1,95 @@
-"""The decoded maps of one slot on the GPU, by kind and level: uploaded into textures of their own,
-or drawn by a decoder in shaders into textures that many heads share.
+"""The decoded maps of one head on the GPU, by level: uploaded, or drawn there by a decoder in
+shaders.
 
-A kind remembers which level came last and which one before it, so that a change of level can fade
+Which level came last, and which one before it, is remembered, so that a change of level can fade
 in: `Placement.blend` mixes the two.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import moderngl
 import numpy as np
 
 from pica_client.render.gpu_program import clamp
+from pica_core.avatar.spec import EXPRESSION_CHANNELS, POSITION_CHANNELS
 from pica_core.errors import ShapeError
 from pica_core.types import FloatArray
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MapView:
-    """A map: so many rows of a texture, in all its columns."""
-
-    texture: moderngl.Texture
-    first_row: int
-    num_rows: int
-
-    @property
-    def key(self) -> tuple[int, int]:
-        """The same for the same part of the same texture."""
-        return self.texture.glo, self.first_row
-
-    def read(self) -> FloatArray:
-        """What is there, ``[rows, columns, channels]``; for tests."""
-        size = self.texture.height, self.texture.width, self.texture.components
-        values = np.frombuffer(self.texture.read(), np.float32).reshape(size)
-        return values[self.first_row : self.first_row + self.num_rows]
+POSITIONS, EXPRESSIONS = 0, 1
+"""The two kinds of maps."""
 
 
-def whole_map(texture: moderngl.Texture) -> MapView:
-    """A texture as a map."""
-    return MapView(texture, 0, texture.height)
-
-
-class MapSeries:
-    """One kind of map at every level.
+class HeadMaps:
+    """Positions and expressions of one head.
 
     Args:
-        rows: Of the maps that may come, by level; a level is their columns.
-        components: Channels of the maps, 1 to 4.
-        filtering: How shaders look them up: moderngl.NEAREST for texelFetch.
+        rows: Of its position maps, by level. A level is the columns of both maps, and the rows of
+            expression maps.
+
+    Attributes:
+        level: That of the maps that came last; 0 before both are there.
+        level_before: The level before, or the same where there is none.
+        bytes_written: What `write` has uploaded so far.
 
     32-bit floats: converting a map to 16 bits on the CPU takes 0.4 ms, uploading it as it is 0.02
     ms (llvmpipe).
     """
 
-    def __init__(
-        self, context: moderngl.Context, rows: Mapping[int, int], components: int, filtering: int
-    ) -> None:
-        self._context, self._rows = context, rows
-        self._components, self._filtering = components, filtering
-        self._views: dict[int, MapView] = {}
+    def __init__(self, context: moderngl.Context, rows: Mapping[int, int]) -> None:
+        self._context = context
+        self._shapes = (
+            {level: (count, level, POSITION_CHANNELS) for level, count in rows.items()},
+            {level: (level, level, EXPRESSION_CHANNELS) for level in rows},
+        )
+        self._textures: dict[tuple[int, int], moderngl.Texture] = {}
+        self._targets: dict[tuple[int, int], moderngl.Framebuffer] = {}
         self.level = self.level_before = 0
-        """Level of the map that came last, 0 if none came; and of the last map of another level
-        before, or the same where there is none."""
         self.bytes_written = 0
-        """What `write` has uploaded so far."""
 
-    @property
-    def newest(self) -> MapView:
-        """What came last. Not to be asked before the first map."""
-        return self._views[self.level]
+    def pair(self, level: int) -> tuple[moderngl.Texture, moderngl.Texture]:
+        """Positions and expressions of `level` or `level_before`."""
+        return self._textures[level, POSITIONS], self._textures[level, EXPRESSIONS]
 
-    @property
-    def before(self) -> MapView:
-        """The last map of the level before; the newest where there is none."""
-        return self._views[self.level_before]
+    def write(self, *arrays: FloatArray | None) -> None:
+        """Upload positions and expressions of one level, or one of the two.
 
-    def check(self, array: FloatArray) -> None:
-        """Raise a ShapeError for what is not float32, or of no level's shape."""
-        shapes = [(rows, level, self._components) for level, rows in self._rows.items()]
-        if array.shape not in shapes or array.dtype != np.float32:
-            known = ", ".join(map(str, shapes))
+        Raises:
+            ShapeError: What is not float32, or of no level's shape; nothing is changed.
+        """
+        for shapes, array in zip(self._shapes, arrays, strict=True):
+            if array is None or (array.shape in shapes.values() and array.dtype == np.float32):
+                continue
+            known = ", ".join(map(str, shapes.values()))
             raise ShapeError(f"map is {array.dtype} {array.shape}; float32 {known} is needed")
+        for kind, array in enumerate(arrays):
+            if array is not None:
+                _, level, components = array.shape
+                texture = self._texture(level, kind, components)
+                texture.write(np.ascontiguousarray(array))
+                self.bytes_written += array.nbytes
+                self._show(level)
 
-    def write(self, array: FloatArray) -> None:
-        """Upload a map that `check` has passed."""
-        level = array.shape[1]
-        view = self._views.get(level)
-        if view is None:
-            size = (level, self._rows[level])
-            texture = self._context.texture(size, self._components, dtype="f4")
-            view = whole_map(clamp(texture, self._filtering))
-        view.texture.write(np.ascontiguousarray(array))
-        self.bytes_written += array.nbytes
-        self.show(level, view)
+    def target(self, level: int, kind: int) -> moderngl.Framebuffer:
+        """Where a map of a level, four channels a texel, is to be drawn now."""
+        key = level, kind
+        if key not in self._targets:
+            self._targets[key] = self._context.framebuffer([self._texture(level, kind, 4)])
+        self._show(level)
+        return self._targets[key]
 
-    def show(self, level: int, view: MapView) -> None:
-        """Take what is there as the newest map."""
-        self._views[level] = view
-        if level != self.level:
+    def _texture(self, level: int, kind: int, components: int) -> moderngl.Texture:
+        key = level, kind
+        if key not in self._textures:
+            size = level, self._shapes[kind][level][0]
+            texture = self._context.texture(size, components, dtype="f4")
+            # Positions are looked up by texelFetch.
+            clamp(texture, moderngl.NEAREST if kind == POSITIONS else moderngl.LINEAR)
+            self._textures[key] = texture
+        return self._textures[key]
+
+    def _show(self, level: int) -> None:
+        """Take a level as the newest if both of its maps are there."""
+        if level != self.level and {(level, POSITIONS), (level, EXPRESSIONS)} <= set(
+            self._textures
+        ):
             self.level, self.level_before = level, self.level or level

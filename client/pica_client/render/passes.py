@@ -129,10 +129,9 @@ class DrawPasses:
             for number, shown in enumerate(head.levels, start=1):
                 is_shared = shown.share != WHOLE
                 program = programs.sharing if is_shared else programs.whole
-                shown.position.texture.use(UNIT_POSITION)
+                shown.position.use(UNIT_POSITION)
                 self._set_head(program, head, layer)
-                rows = shown.position.first_row, shown.position.num_rows
-                set_values(program, slot=float(number), position_rows=rows)
+                set_values(program, slot=float(number))
                 if is_shared:
                     set_values(program, turns=(*shown.share, *head.rect[:2]))
                 shown.mesh.vertices[is_shared].render()
@@ -171,11 +170,8 @@ class DrawPasses:
         expression = head.levels[number].expression
         body.bind()
         if expression is not None:
-            codes = expression.texture
-            codes.use(UNIT_EXPRESSION)
-            rows = expression.first_row, expression.num_rows, codes.height
-            is_change = codes.width < body.still_size
-            set_values(body.shade.program, expression_rows=(*rows, is_change))
+            expression.use(UNIT_EXPRESSION)
+            set_values(body.shade.program, is_change=expression.width < body.still_size)
         for unit, texture in layer.visible.items():
             texture.use(unit)
         layer.coloured.use()

@@ -41,7 +41,7 @@ from pica_client.render.draw_list import (
     list_heads,
 )
 from pica_client.render.gpu_avatar import WeightsPlace, upload_avatar
-from pica_client.render.gpu_maps import MapSeries, MapView
+from pica_client.render.gpu_maps import EXPRESSIONS, POSITIONS, HeadMaps
 from pica_client.render.gpu_plain import TexturedHead
 from pica_client.render.gpu_program import UNIT_VISIBLE_UV, UNIT_VISIBLE_XYZ
 from pica_client.render.layers import (
@@ -57,7 +57,7 @@ from pica_client.render.room import EMPTY_ROOM, STILL, Room, lens_of
 from pica_client.render.scene import Placement
 from pica_client.system import Closing
 from pica_core.avatar.file import Avatar
-from pica_core.avatar.spec import EXPRESSION_CHANNELS, POSITION_CHANNELS
+from pica_core.avatar.spec import POSITION_CHANNELS
 from pica_core.camera import Camera
 from pica_core.errors import GraphicsError
 from pica_core.gl import GL_VERSION, freeing, is_software, wait_for_gpu
@@ -169,15 +169,11 @@ class Renderer(Closing):
                     program=self._program_for(avatar),
                 )
         rows = {level: avatar.position_rows(level) for level in avatar.levels}
-        square, codes = {level: level for level in rows}, EXPRESSION_CHANNELS
         self._slots[slot] = RenderSlot(
             version=self._next_version(),
             avatar=avatar,
             body=body,
-            maps=(
-                MapSeries(self._context, rows, POSITION_CHANNELS, moderngl.NEAREST),
-                MapSeries(self._context, square, codes, moderngl.LINEAR),
-            ),
+            maps=HeadMaps(self._context, rows),
         )
 
     def add_textured(self, slot: str, avatar: BaselineAvatar) -> None:
@@ -196,6 +192,7 @@ class Renderer(Closing):
     def remove(self, slot: str) -> None:
         """Forget a slot and free what no other slot uses; an unknown one is no error."""
         with freeing(self._context):
+            self._unbind()
             self._slots.pop(slot, None)
             self._shown = [each for each in self._shown if each[0].slot != slot]
 
@@ -215,7 +212,7 @@ class Renderer(Closing):
         position_map: FloatArray | None,
         expression_map: FloatArray | None,
     ) -> None:
-        """Upload freshly decoded maps; the two need not be of one level.
+        """Upload freshly decoded maps of one level.
 
         Args:
             slot: Has an avatar; otherwise nothing happens (it may have left meanwhile).
@@ -229,39 +226,25 @@ class Renderer(Closing):
         entry = self._slots.get(slot)
         if entry is None or entry.maps is None:
             return
-        arrays = position_map, expression_map
-        for series, array in zip(entry.maps, arrays, strict=True):
-            if array is not None:
-                series.check(array)
-        for series, array in zip(entry.maps, arrays, strict=True):
-            if array is not None:
-                series.write(array)
+        entry.maps.write(position_map, expression_map)
         entry.version = self._next_version()
 
-    def show_maps(
-        self, slot: str, level: int, positions: MapView | None, expressions: MapView
-    ) -> bool:
-        """Draw a slot with maps that are on the GPU already, and change there at will.
-
-        Args:
-            positions: None keeps those that are shown.
-
-        Returns:
-            False for a slot without an avatar.
-        """
+    def map_targets(
+        self, slot: str, level: int, *, both: bool
+    ) -> tuple[moderngl.Framebuffer | None, moderngl.Framebuffer] | None:
+        """Where a decoder in shaders is to draw a slot's positions and expressions of a level now;
+        without `both` the positions stay. None for a slot without an avatar."""
         entry = self._slots.get(slot)
         if entry is None or entry.maps is None:
-            return False
-        for series, view in zip(entry.maps, (positions, expressions), strict=True):
-            if view is not None:
-                series.show(level, view)
+            return None
         entry.version = self._next_version()
-        return True
+        positions = entry.maps.target(level, POSITIONS) if both else None
+        return positions, entry.maps.target(level, EXPRESSIONS)
 
     def bytes_uploaded(self, slot: str) -> int:
         """Bytes of maps that went to the GPU for a slot; 0 where there is no avatar."""
         entry = self._slots.get(slot)
-        return sum(series.bytes_written for series in (entry and entry.maps) or ())
+        return entry.maps.bytes_written if entry and entry.maps else 0
 
     def update_textured(self, slot: str, vertices_m: FloatArray, texture: FloatArray) -> None:
         """Upload what a baseline's decoder made; see `TexturedHead.update`."""
@@ -416,7 +399,10 @@ class Renderer(Closing):
         """The newest maps of an avatar, positions and expressions; for tests."""
         maps = self._slots[slot].maps
         assert maps is not None  # of an avatar
-        position, expression = (series.newest.read() for series in maps)
+        position, expression = (
+            np.frombuffer(texture.read(), np.float32).reshape(*texture.size[::-1], -1)
+            for texture in maps.pair(maps.level)
+        )
         return position[..., :POSITION_CHANNELS], expression
 
     def read_texture(self, slot: str) -> Image | None:

@@ -12,11 +12,6 @@ uniform sampler2D phase3;
 
 const int VIEW = 64;
 const int SCALE = 65;
-const int NUM_TILES = 8;
-
-// The part of a texture that many heads share: tiles of so many rows, one below the other.
-uniform int tile_heads[NUM_TILES]; // which head of the batch each is of; -1 stays as it is
-uniform int tile_rows;
 
 vec4 number(int place, int avatar) {
     return texelFetch(table, ivec3(place & 1023, place >> 10, avatar), 0);
@@ -30,13 +25,6 @@ mat4 block(int place, int avatar) {
 
 int avatar_of(int head) {
     return int(texelFetch(heads, ivec2(VIEW, head), 0).w);
-}
-
-// Which head a tile is of, and the texel of its map.
-ivec3 head_and_texel() {
-    ivec2 place = ivec2(gl_FragCoord.xy);
-    int tile = place.y / tile_rows;
-    return ivec3(tile_heads[tile], place.x, place.y - tile * tile_rows);
 }
 
 // A place of one of the four textures: 1 is an odd column, 2 an odd row.

@@ -1,17 +1,14 @@
-// The full expression maps of some heads: the last 1x1 convolution, and the pixel shuffle after it.
+// The full expression map of a head: the last 1x1 convolution, and the pixel shuffle after it.
 
 layout(location = 0) out vec4 value;
+
+uniform int head; // which of the batch
 
 #include "decode.glsl"
 
 void main() {
-    ivec3 place = head_and_texel();
-    int head = place.x;
-    if (head < 0) {
-        discard;
-    }
+    ivec2 texel = ivec2(gl_FragCoord.xy);
     int avatar = avatar_of(head);
-    ivec2 texel = place.yz;
     int phase = 2 * (texel.y & 1) + (texel.x & 1);
     value = number(BIAS + phase, avatar);
     for (int from = 0; from < IN_VECTORS; ++from) {

@@ -1,8 +1,9 @@
-// The vertices of some heads: the mean, and what the directions of each one's region add.
+// The vertices of a head: the mean, and what the directions of each one's region add.
 
 uniform usampler2DArray places; // column in the basis, first row and the one after the last
 uniform sampler2DArray mean;
 uniform sampler2DArray basis; // signed bytes, from 0 to 1
+uniform int head; // which of the batch
 uniform sampler2D rows; // four directions in a texel, a row for each head
 
 layout(location = 0) out vec4 xyz_m;
@@ -10,13 +11,8 @@ layout(location = 0) out vec4 xyz_m;
 #include "decode.glsl"
 
 void main() {
-    ivec3 place = head_and_texel();
-    if (place.x < 0) {
-        discard;
-    }
-    int head = place.x;
     int avatar = avatar_of(head);
-    ivec3 texel = ivec3(place.yz, avatar);
+    ivec3 texel = ivec3(gl_FragCoord.xy, avatar);
     ivec3 sum = ivec3(texelFetch(places, texel, 0).xyz);
     vec3 moved = vec3(0.0);
     float all = 0.0;

@@ -4,8 +4,7 @@
 uniform sampler2D visible_xyz; // what surface.frag wrote
 uniform sampler2D visible_uv;
 uniform sampler2D expression_map;
-uniform vec4 expression_rows; // of this head: the first, and how many; of all in the texture; and
-                              // whether the map is what is added to the still one
+uniform bool is_change; // whether the expression map is what is added to the still one
 uniform sampler2D still_map;
 uniform float slot;
 
@@ -22,9 +21,8 @@ void main() {
         discard;
     }
     vec2 uv = texelFetch(visible_uv, pixel, 0).xy;
-    float row = clamp(uv.y * expression_rows.y, 0.5, expression_rows.y - 0.5) + expression_rows.x;
-    vec4 expression = textureLod(expression_map, vec2(uv.x, row / expression_rows.z), 0.0);
-    if (expression_rows.w > 0.0) {
+    vec4 expression = textureLod(expression_map, uv, 0.0);
+    if (is_change) {
         expression += textureLod(still_map, uv, 0.0);
     }
     vec2 reach = unpack_footprint(surface.w);
