@@ -69,6 +69,7 @@ class ClientSession(session.Session):
         metadata: messages.Metadata = (),
         resumable: bool = False,
         ticket: Ticket | None = None,
+        drops: Counter[str] | None = None,
     ) -> None:
         """Start on a websocket that is open: ``Join`` waits in ``messages_to_send``.
 
@@ -77,6 +78,7 @@ class ClientSession(session.Session):
             seal: Makes the payload that travels out of a frame whose header is final.
             resumable: Whether we may come back with the `ticket` of this session.
             ticket: Of the last session, to come back to its place; if that is gone, we join again.
+            drops: Of the sessions before, to be counted on.
 
         Raises:
             ValueError: A name, room, track, token or metadata is out of its limits.
@@ -89,7 +91,7 @@ class ClientSession(session.Session):
         self.away: set[str] = set()
         self.is_admin = False
         self.muted: frozenset[int] = frozenset()
-        self.drops: Counter[str] = Counter()
+        self.drops = Counter() if drops is None else drops
         self._room = room
         self._seal = seal
         self._next_sequence = [0] * len(tracks)

@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 import json
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import pytest
 
 from helpers.toy import make_toy_avatar
 from pica_client.cli.demo import DemoCallConfig, DemoConfig, run_demo
-from pica_client.local_call.processes import Children
 from pica_core.avatar.file import save_avatar
 
 pytestmark = pytest.mark.realtime
@@ -55,27 +50,3 @@ def test_a_short_demo_draws_everybody_and_writes_its_files(
     assert all(rate > 0 for rate in stats["latents_per_s"].values())
     assert (out / "call.mp4").stat().st_size > 1000
     assert (out / "frame.png").read_bytes().startswith(b"\x89PNG")
-
-
-def test_a_viewer_that_is_told_to_stop_finishes_its_files(
-    avatar_file: Path, tmp_path: Path
-) -> None:
-    pytest.importorskip("moderngl")
-    pytest.importorskip("av")
-    picture, film = tmp_path / "last.png", tmp_path / "call.mp4"
-    with Children() as children:
-        _, url = children.start_relay()
-        children.start("sender", "send", "--url", url, "--avatar", str(avatar_file))
-        command = [sys.executable, "-m", "pica_command", "view", "--url", url, "--json"]
-        command += ["--headless", "--size", "96x54", "--expect", "1", "--png", str(picture)]
-        command += ["--avatar", str(avatar_file), "--record", str(film)]
-        viewer = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-        while not (film.exists() and film.stat().st_size) and viewer.poll() is None:
-            time.sleep(0.02)
-        viewer.send_signal(signal.SIGTERM)
-        out, err = viewer.communicate(timeout=30)
-    assert viewer.returncode == 0, err
-    result = json.loads(out.splitlines()[-1])
-    assert result["frames_rendered"] > 0
-    assert result["errors"] == 0
-    assert picture.exists()

@@ -18,7 +18,6 @@ from pica_protocol.messages import (
     BarIdentity,
     Joined,
     MutePeer,
-    PeerJoined,
     StreamMuted,
     Subscribe,
     Whisper,
@@ -28,7 +27,7 @@ from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
 from pica_server.tokens import Admission, KeyRing, load_keys, mint
 from simnet.clock import current_network, in_virtual_time
-from simnet.peers import FACE, peer_in_room
+from simnet.peers import peer_in_room
 
 pytestmark = pytest.mark.call
 
@@ -158,18 +157,6 @@ def test_two_seconds_of_wrong_keys_end_no_call(tmp_path: Path) -> None:
 
 
 @in_virtual_time
-async def test_alone_in_a_quiet_room_a_link_stays() -> None:
-    async with Relay(RelayConfig()) as relay:
-        link, seen = make_link()
-        running = asyncio.create_task(link.run())
-        await seen.joined.wait()
-        await asyncio.sleep(600)
-        assert (link.reconnects, relay.stats()["connections"]) == (0, 1)
-        link.leave()
-        await running
-
-
-@in_virtual_time
 async def test_a_relay_that_is_busy_for_a_second_and_a_half_loses_nobody() -> None:
     async with Relay(RelayConfig()) as relay:
         link, seen = make_link()
@@ -238,35 +225,6 @@ async def test_frames_are_refused_while_nobody_listens() -> None:
     assert not link.is_joined
     assert not link.tell(Subscribe(stream=1, every=1))
     assert not link.tell(Whisper(peer_id="p1", data=b"x"))
-
-
-@in_virtual_time
-async def test_subscriptions_and_whispers_go_through_the_relay() -> None:
-    events: list[ClientEvent] = []
-    async with Relay(RelayConfig()), peer_in_room(URL, "Bob", room="r") as bob:
-        config = LinkConfig(url=URL, room="r")
-        link = Link(config, (FACE,), on_event=lambda event, now: events.append(event))
-        running = asyncio.create_task(link.run())
-        ada = (await bob.until(PeerJoined)).peer
-        bobs = bob.session.tracks[0].stream
-        assert link.tell(Whisper(peer_id=bob.session.peer_id, data=b"key"))
-        assert await bob.until(Whisper) == Whisper(peer_id=ada.peer_id, data=b"key")
-        assert link.tell(Subscribe(stream=bobs, every=0))
-        await asyncio.sleep(0.001)
-        await bob.send_frame(b"unseen")
-        bob.session.tell(Whisper(peer_id=ada.peer_id, data=b"answer"))
-        await bob.flush()
-        await asyncio.sleep(0.001)
-        assert link.send_frame(b"base", 1)
-        await asyncio.sleep(0.001)  # it leaves; one that waited would be replaced, number and all
-        assert link.send_frame(b"top", 2, multiple=4)
-        await asyncio.sleep(0.001)
-        assert [frame.sequence for _, frame in bob.arrivals][-1] == 4
-        assert events[1:] == [
-            Whisper(peer_id=bob.session.peer_id, data=b"answer"),
-        ]
-        link.leave()
-        await running
 
 
 def test_a_link_shows_its_token_and_reads_a_fresh_one_when_it_comes_back(tmp_path: Path) -> None:

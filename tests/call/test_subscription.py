@@ -118,6 +118,29 @@ def distance(one: npt.NDArray[np.float32], other: npt.NDArray[np.float32]) -> fl
 
 
 @in_virtual_time
+async def test_who_joins_late_sees_the_face_of_now_with_the_answer_to_the_join(
+    avatar: Avatar,
+) -> None:
+    current_network().route("viewer", up=Wire(delay_s=ONE_WAY_S), down=Wire(delay_s=ONE_WAY_S))
+    loop = asyncio.get_running_loop()
+    async with Relay(RelayConfig(port=0)) as relay:
+        began_s = loop.time()
+        sending = asyncio.create_task(make_sender(relay.url, avatar, 10).run())
+        await asyncio.sleep(5.21)
+        came_s = loop.time()
+        viewer = Viewer(make_receiver(relay.url, avatar))
+        await viewer.run(2)
+        await sending
+    at_s, face = next(seen for seen in viewer.faces if seen[1].latent is not None)
+    # Opening a connection takes two round trips, the join and its answer a third.
+    assert at_s - came_s <= 3 * 2 * ONE_WAY_S + 2 * DISPLAY_FRAME_S + 0.01
+    assert at_s - face.captured_us / 1e6 <= 4 * DISPLAY_FRAME_S + ONE_WAY_S
+    assert face.latent is not None
+    truth = Truth(avatar, began_s).latent(face.captured_us)
+    assert distance(face.latent, truth) <= 0.5
+
+
+@in_virtual_time
 async def test_a_stream_that_nobody_sees_costs_next_to_nothing(avatar: Avatar) -> None:
     async with Relay(RelayConfig(port=0)) as relay:
         sending = asyncio.create_task(make_sender(relay.url, avatar, 31).run())

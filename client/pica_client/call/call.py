@@ -70,8 +70,6 @@ class Call:
         guard: How the encryption stands is asked of it; None where nothing is encrypted.
         ears: Take the voices; None: none are wanted.
         errors: Payloads that could not be read.
-        without_avatar: Frames whose avatar is not there, or not yet.
-        strays: Frames of unknown streams, as when their peer has just left.
         skews_s: By how much each face is off its voice when it is seen, either way.
         delays_s: How old the sound was that was heard when a face was shown; only where sender and
             receiver share a clock does it say anything.
@@ -91,7 +89,7 @@ class Call:
             on_face: Takes every face that can be read, in the order of arrival, on the network's
                 thread.
         """
-        self.errors = self.without_avatar = self.strays = 0
+        self.errors = 0
         self._avatars = avatars
         self._on_face = on_face
         self._lock = threading.Lock()
@@ -250,8 +248,6 @@ class Call:
                 "dropped": sum(peer["lost"] for peer in peers),
                 "concealed": sum(peer["concealed"] for peer in peers),
                 "errors": self.errors,
-                "without_avatar": self.without_avatar,
-                "strays": self.strays,
             }
 
     def _add(self, peer: messages.Peer) -> None:
@@ -280,8 +276,7 @@ class Call:
     def _receive_frame(self, frame: Frame, now: float) -> ArrivedFace | None:
         seat = self._by_stream.get(frame.stream)
         if seat is None:
-            self.strays += 1
-            return None
+            return None  # as when its peer has just left
         if self._lacks_secret(seat):
             return None  # it could be read as a latent, and would be a heap of triangles
         if not (seat.has_decoder or self._open_decoder(seat)):
@@ -300,7 +295,6 @@ class Call:
         except AvatarFileError:
             avatar = None  # the viewer asks for it too, and shows what is wrong with it
         if avatar is None:
-            self.without_avatar += 1
             return False
         is_open = seat.open_decoder(avatar)
         self.errors += not is_open

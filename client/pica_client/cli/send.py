@@ -12,7 +12,7 @@ from pica_client.endpoint.endpoint import LinkNews, Sender
 from pica_client.output import say
 from pica_client.publish.publisher import DEFAULT_SOURCE, SenderConfig, open_face
 from pica_client.system import on_stop_signal
-from pica_client.transport.config import LinkConfig, guest_name
+from pica_client.transport.config import LinkConfig
 from pica_client.ui.options import (
     DEFAULT_ROOM,
     DEFAULT_URL,
@@ -57,7 +57,7 @@ def send(options: SendOptions) -> dict[str, Any]:
     link = LinkConfig(
         url=options.join.url or DEFAULT_URL,
         room=options.join.room or DEFAULT_ROOM,
-        name=options.join.name or guest_name(),
+        name=options.join.name or "guest",
         connect_timeout_s=connect_timeout_s(wait=options.join.wait, seconds=options.sender.seconds),
         secret_file=options.join.secret_file,
         token_file=options.join.token_file,

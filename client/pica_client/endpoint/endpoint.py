@@ -91,8 +91,6 @@ class Endpoint:
             RelayError: The relay is not there, or will not have us.
             Exception: What the source of the face or of the voice raised.
         """
-        if self._loop is not None:
-            raise RuntimeError(f"a {type(self).__name__} is good for one call")
         self._loop = asyncio.get_running_loop()
         try:
             async with asyncio.TaskGroup() as beside:

@@ -65,31 +65,6 @@ class SenderConfig:
             raise OptionError(str(error)) from error
 
 
-class Pacer:
-    """An absolute schedule: frame k is due k / fps after the first, so small delays never add up.
-
-    A sender that is late by more than a frame skips to the newest one that is due: it sends the
-    face of now, not those it has missed.
-    """
-
-    def __init__(self, fps: float, now: float) -> None:
-        """Start; the first frame is due at once."""
-        self._fps = fps
-        self._begin_s = now
-        self._index = 0
-
-    @property
-    def due_s(self) -> float:
-        """When the next frame is due."""
-        return self._begin_s + self._index / self._fps
-
-    def advance(self, now: float) -> None:
-        """The frame that was due is done; go on to the next."""
-        # The tolerance keeps a frame that ends exactly on the next one's time from being skipped.
-        newest_due = math.floor((now - self._begin_s) * self._fps + 1e-6)
-        self._index = max(self._index + 1, newest_due)
-
-
 class Publisher:
     """Sends one face over a link.
 
@@ -177,9 +152,10 @@ class Publisher:
         """Send until told to stop, or for the configured time."""
         loop = asyncio.get_running_loop()
         begin_s, joined_s = loop.time(), math.inf
-        pacer, self._begin_s = Pacer(self.config.fps, begin_s), begin_s
+        self._begin_s, index = begin_s, 0
         while not stopping.is_set():
-            now = await sleep_until(pacer.due_s)
+            # Frame k is due k / fps after the first, so small delays never add up.
+            now = await sleep_until(begin_s + index / self.config.fps)
             if stopping.is_set():
                 return
             if link.is_joined:
@@ -189,7 +165,10 @@ class Publisher:
             self._tell_mode(link)
             self._tell_trouble()
             self._send_face(link, now - begin_s, now)
-            pacer.advance(max(loop.time(), now))
+            # Who is late by more than a frame sends the face of now, not those that were missed.
+            # The tolerance is for a frame that ends exactly on the next one's time.
+            newest = math.floor((max(loop.time(), now) - begin_s) * self.config.fps + 1e-6)
+            index = max(index + 1, newest)
 
     def stats(self) -> dict[str, Any]:
         """What was sent so far; rates are over the time from the first frame to the last."""

@@ -2,17 +2,18 @@
 
 import binascii
 import json
-import secrets
 import unicodedata
 from base64 import urlsafe_b64decode
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Final
 from urllib.parse import urlsplit
 
 from pica_client.errors import OptionError
 from pica_protocol.limits import check_pass, check_text, check_token, text_of_file
 
-_JOINERS = "\u200c\u200d"
+_JOINERS: Final = dict.fromkeys((0x200C, 0x200D))
+"""Keyboards of some scripts write them, and relays refuse what is invisible."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -27,8 +28,7 @@ class LinkConfig:
     room: str = "lobby"
     """Room to join: 1 to 64 of A-Z a-z 0-9 _ . -"""
     name: str = "guest"
-    """Name shown to the others, up to 64 bytes. Wide and fixed spaces become ordinary ones, and
-    joiners, which are invisible, are left out."""
+    """Name shown to the others, up to 64 bytes, in Unicode's form NFKC and without joiners."""
     connect_timeout_s: float | None = 3.0
     """How long to try the first time before giving up, seconds; None tries without end."""
     secret_file: Path | None = None
@@ -43,7 +43,8 @@ class LinkConfig:
     """PEM file whose certificates a wss:// address is checked with, instead of the system's."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "name", _without_odd_spaces(self.name))
+        name = unicodedata.normalize("NFKC", self.name)  # wide spaces become ordinary ones
+        object.__setattr__(self, "name", name.translate(_JOINERS))
         check_address(self.url)
         if self.ca_file is not None and not self.url.startswith("wss://"):
             raise OptionError(f"ca-file requires a wss:// URL; url is {self.url}")
@@ -55,12 +56,6 @@ class LinkConfig:
             check_pass("token", self.token)
         except ValueError as error:
             raise OptionError(str(error)) from error
-
-
-def _without_odd_spaces(name: str) -> str:
-    """A name as keyboards of all scripts write it, in the signs that a relay takes."""
-    seen = (char for char in name if char not in _JOINERS)
-    return "".join(" " if unicodedata.category(char) == "Zs" else char for char in seen)
 
 
 def check_address(url: str) -> None:
@@ -76,11 +71,6 @@ def check_address(url: str) -> None:
         usable = False
     if not usable:
         raise OptionError(f"url {url!r} is no relay address; write ws://HOST:PORT")
-
-
-def guest_name() -> str:
-    """Return a name for a guest who gave none: the names of a few guests differ."""
-    return f"Guest {secrets.randbelow(90) + 10}"
 
 
 def read_token(path: Path | None) -> str:

@@ -22,6 +22,7 @@ import asyncio
 import logging
 import math
 import random
+from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Final, cast
 
@@ -130,7 +131,7 @@ class Link:
         self._session: ClientSession | None = None
         self._wake = asyncio.Event()
         self._is_leaving = False
-        self._num_replaced = 0  # on connections that are over
+        self._drops: Counter[str] = Counter()
         self.metadata: Metadata = ()
         self._told: Metadata = ()
         self._told_s = -math.inf
@@ -151,8 +152,7 @@ class Link:
     def num_replaced(self) -> int:
         """How many of our frames a newer one overtook, or came too late, before the socket took
         them."""
-        session = self._session  # another thread may ask
-        return self._num_replaced + (0 if session is None else num_late(session))
+        return self._drops.total() - self._drops["muted"]
 
     def send_frame(
         self,
@@ -323,6 +323,7 @@ class Link:
             resumable=True,
             # It is a secret between us and the relay that gave it.
             ticket=self._ticket if self._ticket_url == self.url else None,
+            drops=self._drops,
         )
         self._session = session
         self._told, self._told_s = self.metadata, loop.time()
@@ -357,7 +358,6 @@ class Link:
             # One that was refused meanwhile does not cost the place: it is kept for a while.
             if session.ticket is not None:
                 self._ticket, self._ticket_url = session.ticket, url
-            self._num_replaced += num_late(session)
             # In case we are cancelled: no socket outlives its link.
             websocket.transport.abort()
         closed = session.closed
@@ -450,8 +450,3 @@ class Link:
             timers += [self._tell_timer(), self._session.frames_due_s]
         timer = min((each for each in timers if each is not None), default=None)
         return await wait_until(self._wake, timer)
-
-
-def num_late(session: ClientSession) -> int:
-    """Return how many frames of one connection the network did not take in time."""
-    return session.drops.total() - session.drops["muted"]

@@ -61,40 +61,6 @@ def test_who_comes_back_to_another_seat_is_counted_as_one_person(call: Call) -> 
     assert stats["received"] == 150
 
 
-def test_the_clocks_of_two_machines_may_differ(call: Call) -> None:
-    send_ada(call, 0, 2)
-    call.faces(2.0)
-    (stats,) = call.stats(2.0)["peers"]
-    assert stats["age_ms"] < 100
-
-
-def ages_s(call: Call, begin_s: float, end_s: float) -> list[float]:
-    """How old the face is, a hundred times a second, by the clock of who sends."""
-    moments = [begin_s + index / 100 for index in range(round((end_s - begin_s) * 100))]
-    return [now + 3600 - call.faces(now)[0].captured_us / 1e6 for now in moments]
-
-
-@pytest.mark.parametrize("backlog_s", [0.0, 0.05, 0.7])
-def test_soon_after_a_thaw_the_face_is_that_of_now(call: Call, backlog_s: float) -> None:
-    """Eight seconds of frames come at once, or as fast as they can be decoded."""
-    thaw_s, fresh_s = 10.0, 10.0 + backlog_s
-    send_ada(call, 0, 2)
-    ages_s(call, 1.9, 2.0)
-    waiting = range(60, round(fresh_s * 30))
-    seen = []
-    for place, index in enumerate(waiting):
-        now = thaw_s + backlog_s * place / len(waiting)
-        send_frame(call, index, now=now)
-        seen.append(call.faces(now)[0].captured_us / 1e6 - 3600)
-    for index in range(waiting.stop, waiting.stop + 60):
-        send_frame(call, index)
-        seen.append(call.faces(index / 30 + 0.001)[0].captured_us / 1e6 - 3600)
-        assert index / 30 - seen[-1] < 0.15 or index < waiting.stop + 4
-    (stats,) = call.stats(fresh_s + 2)["peers"]
-    assert (stats["lost"], stats["restarts"], stats["refused"]) == (0, 0, 0)
-    assert stats["playout_delay_ms"] == pytest.approx(33.3, abs=1)
-
-
 def test_a_face_is_away_while_its_tracker_sees_nobody(call: Call) -> None:
     send_frame(call, 0)
     statuses = []

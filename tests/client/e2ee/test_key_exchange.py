@@ -13,7 +13,7 @@ pytest.importorskip("cryptography", reason="needs the extra seal")
 
 from helpers.sealed_room import DELAY_S, SECRET, Room
 from pica_client.e2ee.errors import SealError
-from pica_client.e2ee.frames import FACE_BYTES, decode_header
+from pica_client.e2ee.frames import decode_header
 from pica_client.e2ee.guard import MESSAGES_AT_ONCE, YOUNG_KEY_S, Guard
 from pica_client.e2ee.key_messages import MESSAGE_BYTES
 from pica_client.e2ee.peer_keys import LATE_FRAMES_S, LONGEST_WAIT_S
@@ -48,15 +48,6 @@ def test_two_peers_agree_within_three_messages_each() -> None:
     assert [sender for sender, _, _ in room.whispers] == ["ada", "ben"] * 3
     assert {len(data) for _, _, data in room.whispers} == {MESSAGE_BYTES}
     assert MESSAGE_BYTES <= MAX_WHISPER_BYTES
-
-
-def test_faces_of_any_usual_size_look_alike() -> None:
-    room = full_room("ada", "ben")
-    for _ in range(10):
-        room.send("ada")
-    payloads = [bytes([number]) * number for number in range(FACE_BYTES)]
-    assert {len(room.send("ada", payload).payload) for payload in payloads} == {FACE_BYTES + 18}
-    assert [frame.payload for frame in room.members["ben"].frames[-FACE_BYTES:]] == payloads
 
 
 def test_outside_a_room_nothing_is_sealed() -> None:
@@ -173,18 +164,6 @@ def test_without_the_secret_nobody_opens_anything_and_is_asked_ever_less() -> No
     asked = sum(sender == "ada" and to == "mallory" for sender, to, _ in room.whispers)
     assert asked <= 600 / LONGEST_WAIT_S + 10
     assert room.members["ada"].guard.counters.messages_refused > 0
-
-
-def test_lost_notes_are_sent_again_until_everybody_has_every_key() -> None:
-    chance = random.Random(7)
-    room = Room(fate=lambda whispered: chance.random() < 0.4)
-    for name in ("ada", "ben", "cho", "dee"):
-        room.join(name)
-        room.run(0.2)
-    room.run(60)
-    for name in room.members:
-        room.send(name)
-    assert all(len(member.frames) == 3 for member in room.members.values())
 
 
 def test_an_old_note_under_a_reused_peer_id_gives_way_to_the_fresh_one() -> None:

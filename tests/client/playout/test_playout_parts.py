@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 import random
-from itertools import pairwise
 
 import pytest
 
 from helpers.playout_trial import face
-from pica_client.playout.motion import Correction, Playhead, coasted_s
+from pica_client.playout.motion import Playhead
 from pica_client.playout.sender_clock import DecodedFrame, FrameInterval, Transit
 
 pytestmark = pytest.mark.unit
@@ -96,23 +95,6 @@ def test_frames_that_are_merely_overtaken_are_not_lost() -> None:
 # The display's time
 
 
-def test_display_time_speeds_up_by_a_tenth_and_slows_down_by_a_quarter() -> None:
-    media = Playhead()
-    media.advance(0.0, 10.0, math.inf)
-    assert media.advance(0.1, 10.3, math.inf).moved_s == pytest.approx(0.11)
-    assert media.advance(0.2, 10.0, math.inf).moved_s == pytest.approx(0.075)
-    assert media.position_s == pytest.approx(10.185)
-
-
-def test_display_time_that_is_far_behind_leaps_and_never_back() -> None:
-    media = Playhead()
-    media.advance(0.0, 10.0, math.inf)
-    assert media.advance(0.1, 15.0, math.inf).is_leap
-    assert media.position_s == 15.0
-    assert not media.advance(0.2, 3.0, math.inf).is_leap
-    assert media.position_s == pytest.approx(15.075)
-
-
 def test_where_nothing_moves_any_more_display_time_may_fall_back() -> None:
     media = Playhead()
     media.advance(0.0, 10.0, math.inf)
@@ -123,37 +105,4 @@ def test_where_nothing_moves_any_more_display_time_may_fall_back() -> None:
     assert media.position_s == pytest.approx(10.3)
 
 
-def test_a_clock_that_steps_back_stops_the_display() -> None:
-    media = Playhead()
-    media.advance(5.0, 10.0, math.inf)
-    media.advance(4.0, 9.0, math.inf)
-    assert media.position_s == 10.0
-
-
 # Motion
-
-
-def test_coasting_slows_down_evenly_and_rests() -> None:
-    assert coasted_s(0.001, 0.1) == pytest.approx(0.001, rel=0.01)
-    assert coasted_s(0.1, 0.1) == coasted_s(5.0, 0.1) == pytest.approx(0.05)
-    assert coasted_s(0.05, 0.1) == pytest.approx(0.0375)
-    assert coasted_s(1.0, 0.0) == 0.0
-
-
-def test_a_correction_takes_evenly_the_time_that_is_set() -> None:
-    correction, true = Correction(0.15), face(0.0)
-    correction.aim(face(0.6, yaw=0.2), true)
-    apart = [0.6]
-    while (shown := correction.corrected(true := face(math.sin(len(apart))), 1 / 90)) is not true:
-        apart.append(float((shown.latent - true.latent).max()))
-    moved = [before - after for before, after in pairwise(apart)]
-    assert moved == pytest.approx([0.6 / 13.5] * 13, abs=1e-4)
-
-
-def test_a_correction_under_way_is_not_begun_again_by_no_news() -> None:
-    correction, true = Correction(0.15), face(0.0)
-    correction.aim(face(0.5), true)
-    for _ in range(13):
-        shown = correction.corrected(true, 1 / 90)
-        correction.aim(shown, true)
-    assert correction.corrected(true, 1 / 90) is true

@@ -1,44 +1,18 @@
-"""The pure parts of the shells: pacing, percentiles, wire cost, options."""
+"""The pure parts of the shells: percentiles, wire cost, options."""
 
 from __future__ import annotations
 
 import base64
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from pica_client.errors import OptionError
 from pica_client.local_call.local_call import peer_sources
-from pica_client.publish.publisher import Pacer, SenderConfig
+from pica_client.publish.publisher import SenderConfig
 from pica_client.stats import Samples, summarise_ms, wire_bytes
 from pica_client.transport.config import LinkConfig, shown_name
 
 pytestmark = pytest.mark.unit
-
-
-def test_a_schedule_does_not_drift_when_every_frame_is_a_little_late() -> None:
-    pacer = Pacer(30, now=10.0)
-    for index in range(300):
-        assert pacer.due_s == pytest.approx(10 + index / 30)
-        pacer.advance(pacer.due_s + 0.02)
-
-
-def test_a_late_schedule_skips_to_the_newest_frame_that_is_due() -> None:
-    pacer = Pacer(10, now=0.0)
-    pacer.advance(0.57)
-    assert pacer.due_s == pytest.approx(0.5)
-
-
-@given(st.lists(st.floats(0, 0.5), min_size=1, max_size=60), st.sampled_from([1, 24, 30, 90, 240]))
-def test_due_times_rise_and_stay_on_the_grid(delays: list[float], fps: int) -> None:
-    pacer = Pacer(fps, now=0.0)
-    for delay in delays:
-        before = pacer.due_s
-        pacer.advance(before + delay)
-        assert pacer.due_s > before
-        assert pacer.due_s * fps == pytest.approx(round(pacer.due_s * fps), abs=1e-6)
-        assert pacer.due_s <= before + max(delay, 1 / fps) + 1e-6
 
 
 def test_percentiles_are_samples_by_nearest_rank() -> None:
