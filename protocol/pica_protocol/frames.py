@@ -37,6 +37,9 @@ _HEADER = struct.Struct(">HHI")
 HEADER_BYTES: Final = _HEADER.size
 MAX_PAYLOAD_BYTES: Final = limits.MAX_FRAME_BYTES - HEADER_BYTES
 FrameSpan = tuple[int, int, int, int]
+_read_header = _HEADER.unpack_from
+_MAX_FRAME_BYTES: Final = limits.MAX_FRAME_BYTES
+_MAX_MESSAGE_BYTES: Final = limits.MAX_MEDIA_MESSAGE_BYTES
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -81,10 +84,11 @@ def scan_frames(message: bytes) -> list[FrameSpan]:
         RemoteProtocolError: The message is too long or empty, or a frame is cut off, too long, or
             of stream 0.
     """
+    # Once for every frame of a relay: written for speed.
     size = len(message)
-    if size > limits.MAX_MEDIA_MESSAGE_BYTES:
+    if size > _MAX_MESSAGE_BYTES:
         raise RemoteProtocolError(
-            f"media message of {size} bytes, the limit is {limits.MAX_MEDIA_MESSAGE_BYTES}"
+            f"media message of {size} bytes, the limit is {_MAX_MESSAGE_BYTES}"
         )
     if size < 1 + HEADER_BYTES or message[0] != MEDIA_KIND:
         raise RemoteProtocolError(f"no media frame in a message of {size} bytes")
@@ -93,17 +97,13 @@ def scan_frames(message: bytes) -> list[FrameSpan]:
     while start < size:
         if size - start < HEADER_BYTES:
             raise RemoteProtocolError(f"frame header cut off after {size - start} bytes")
-        stream, sequence, word = _HEADER.unpack_from(message, start)
-        length = word & LENGTH_MASK
-        end = start + HEADER_BYTES + length
-        if length > MAX_PAYLOAD_BYTES:
+        stream, sequence, word = _read_header(message, start)
+        end = start + HEADER_BYTES + (word & LENGTH_MASK)
+        if end > size or end - start > _MAX_FRAME_BYTES or not stream:
             raise RemoteProtocolError(
-                f"frame payload of {length} bytes, the limit is {MAX_PAYLOAD_BYTES}"
+                f"frame of stream {stream} with {word & LENGTH_MASK} bytes of payload, of which "
+                f"{size - start - HEADER_BYTES} are there; the limit is {MAX_PAYLOAD_BYTES}"
             )
-        if end > size:
-            raise RemoteProtocolError(f"frame payload cut off, {end - size} bytes are missing")
-        if stream == 0:
-            raise RemoteProtocolError("frame of stream 0, which has no owner")
         spans.append((stream, sequence, start, end))
         start = end
     return spans

@@ -63,8 +63,8 @@ def test_a_header_is_sixteen_bytes_with_the_stream_first() -> None:
     ("header", "complaint"),
     [
         ("0000 0000 00000000", "stream 0"),
-        ("0001 0000 000004a9", "1193 bytes, the limit is 1192"),
-        ("0001 0000 00000005", "5 bytes are missing"),
+        ("0001 0000 000004a9", "1193 bytes of payload.*the limit is 1192"),
+        ("0001 0000 00000005", "5 bytes of payload, of which 0 are there"),
         ("0001 0000 00000000 00", "cut off after 1 bytes"),
     ],
 )

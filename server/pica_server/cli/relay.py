@@ -139,6 +139,7 @@ def _spare_the_collector() -> None:
     """
     gc.collect()
     gc.freeze()
+    gc.set_threshold(10_000)  # a turn of a full core makes more objects than the usual 700
 
 
 @contextmanager

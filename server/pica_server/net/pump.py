@@ -174,27 +174,26 @@ class Pump:
             peer: _Peer | None = connection.peer
             if peer is None:
                 continue
-            outbox, under_way = connection.outbox, None
+            outbox = connection.outbox
+            under_way: OutboundMessage | None = None
             if outbox.is_quick and peer.writer is None:  # nearly always
                 frames = outbox.fresh
                 if not frames:
                     continue
                 outbox.fresh = []
-                frame = frames[0]
-                if len(frames) > 1:
+                frame, num = frames[0], len(frames)
+                if num > 1:
                     framed = websocket_message(media_message([each.data for each in frames]))
-                else:
-                    framed = frame.framed
-                    if not framed:
-                        framed = frame.framed = websocket_message(media_message((frame.data,)))
+                elif not (framed := frame.framed):
+                    framed = frame.framed = websocket_message(media_message((frame.data,)))
                 if peer.websocket.write(framed):
                     num_messages += 1
                     num_bytes += len(framed)
-                    num_frames += len(frames)
+                    num_frames += num
                     if frame.received_s < oldest_s:
                         oldest_s = frame.received_s
                     continue
-                under_way = OutboundMessage(framed, len(frames), frame.received_s)
+                under_way = OutboundMessage(framed, num, frame.received_s)
             elif peer.writer is None and connection.closed is None and not outbox.is_slow(now):
                 while (message := outbox.take(now)) is not None:
                     if not peer.websocket.write(websocket_message(message.data)):

@@ -110,9 +110,13 @@ class Forwarding:
             for receiver in receivers:
                 outbox = receiver.outbox
                 fresh = outbox.fresh
-                if not (fresh and outbox.is_quick):
+                if not fresh:
                     ready.append(receiver)
+                    fresh.append(frame)
+                    continue
                 fresh.append(frame)
+                if not outbox.is_quick:
+                    ready.append(receiver)
                 if len(fresh) > MAX_FRESH:
                     outbox.sort()
 

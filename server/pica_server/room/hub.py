@@ -98,28 +98,28 @@ class Hub:
 
     def receive(self, connection: Connection, messages: Sequence[bytes | str], now: float) -> None:
         """Take the websocket messages of a connection that came together."""
+        # Once for every message that comes: written for speed.
+        session = connection.session
         last: dict[int, int] | None = None
         if len(messages) > 1 and self.overload.sheds:
             last = _last_frames(messages)
         for data in messages:
             self.stats.bytes_in += len(data)
-            self._charge(connection, len(data) + MESSAGE_COST_BYTES, now)
-            if isinstance(data, bytes) and data[:1] == MEDIA_PREFIX:  # nearly always
-                spans = connection.session.receive_media(data)
-                if len(spans) > 1:
-                    self._charge(connection, (len(spans) - 1) * MESSAGE_COST_BYTES, now)
-                if connection.closed is None:
+            if isinstance(data, bytes) and data.startswith(MEDIA_PREFIX):  # nearly always
+                spans = session.receive_media(data)
+                cost_bytes = len(data) + MESSAGE_COST_BYTES * (len(spans) or 1)
+                if not connection.bytes_in.take(now, cost_bytes):
+                    self.connections.close_too_fast(connection, now)
+                if session.closed is None:
                     self.forwarding.forward(connection, data, spans, now, last)
                 else:
                     self.membership.clear_up(connection, now)
                 continue
-            for event in connection.session.receive_data(data, now):
+            if not connection.bytes_in.take(now, len(data) + MESSAGE_COST_BYTES):
+                self.connections.close_too_fast(connection, now)
+            for event in session.receive_data(data, now):
                 self._handle(connection, event, now)
             self.connections.flush(connection, now)
-
-    def _charge(self, connection: Connection, cost_bytes: int, now: float) -> None:
-        if not connection.bytes_in.take(now, cost_bytes):
-            self.connections.close_too_fast(connection, now)
 
     def disconnect(self, connection: Connection, code: int, reason: str, now: float) -> None:
         """Take note that a websocket has ended."""
