@@ -249,11 +249,7 @@ def join_panel(form: JoinForm) -> None:
 def connecting_panel(what: str) -> bool:
     """Say what is being waited for; return True once the user does not want to wait."""
     columns, rows = screen()
-    # Of a size that is known: ImGui shows no card while it learns its size, and there may be one
-    # frame alone.
-    height = 2 * px(PADDING_PT) + imgui.get_frame_height() + px(38) + px(GAP_PT)
-    size = (px(CANCEL_PT) + 2 * px(PADDING_PT), height)
-    with widgets.card("connecting", (columns / 2, rows / 2), pivot=(0.5, 0.5), size=size):
+    with widgets.card("connecting", (columns / 2, rows / 2), pivot=(0.5, 0.5)):
         accent = imgui.ImColor(*TONES["accent"])
         clear = imgui.ImColor(0.0, 0.0, 0.0, 0.0)
         imspinner.spinner_ang("spinner", px(9), px(3), accent, clear, speed=5.0, angle=4.2)

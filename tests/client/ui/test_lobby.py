@@ -89,13 +89,6 @@ def test_the_form_keeps_to_the_window_also_with_an_error(
         assert 0 <= left < right <= size[0]
 
 
-def test_what_is_waited_for_is_seen_in_the_first_frame(hand: Hand) -> None:
-    hand.frame(lambda: [connecting_panel("Connecting …")])
-    lists = imgui.get_draw_data().cmd_lists
-    shapes = {each._owner_name: each.vtx_buffer.size() for each in lists}
-    assert shapes["connecting"] > 0
-
-
 def test_waiting_can_be_given_up(hand: Hand) -> None:
     assert True in hand.click("Cancel", lambda: [connecting_panel("Connecting …")])
 
