@@ -9,6 +9,7 @@ still wanted.
 
 import hashlib
 import logging
+import math
 import os
 import ssl
 import threading
@@ -175,8 +176,8 @@ class _Wanted:
 
     asked_s: float
     due_s: float = 0.0
+    """When the relay is asked next; infinite while it is being asked."""
     retry_s: float = FIRST_RETRY_S
-    is_queued: bool = False
     note: str = "avatar is on its way"
     problem: str = ""
     """Why it will not come."""
@@ -232,8 +233,8 @@ class AvatarFetcher:
             wanted.asked_s = now
             if wanted.problem:
                 raise AvatarFileError(wanted.problem)
-            if not wanted.is_queued and wanted.due_s <= now and not self._is_closing:
-                wanted.is_queued = True
+            if wanted.due_s <= now and not self._is_closing:
+                wanted.due_s = math.inf
                 self._pool.submit(self._work, identity, wanted)
         return None
 
@@ -251,7 +252,6 @@ class AvatarFetcher:
         if not self._fetch(identity, wanted):
             wanted.due_s = time.monotonic() + wanted.retry_s
             wanted.retry_s = min(2 * wanted.retry_s, LAST_RETRY_S)
-            wanted.is_queued = False
 
     def _fetch(self, identity: str, wanted: _Wanted) -> bool:
         """Put an avatar into the library; False if it did not come."""

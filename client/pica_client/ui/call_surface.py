@@ -4,6 +4,7 @@ Keeps what lasts longer than a frame: the figures, which change twice a second, 
 whether the control bar is to be seen.
 """
 
+import math
 from collections import deque
 from collections.abc import Callable
 
@@ -28,7 +29,6 @@ from pica_client.ui.panels.overlay import free_shares, least_name, names, own_fa
 from pica_client.ui.panels.side import side_panel, waiting_page
 from pica_client.ui.state import ViewState
 from pica_client.ui.surface.style import screen
-from pica_client.ui.surface.surface import Surface
 from pica_client.voice.sound.settings import SoundState
 
 PANELS: tuple[Panel, ...] = (
@@ -62,7 +62,6 @@ class CallSurface:
 
     def __init__(
         self,
-        surface: Surface,
         meter: Meter,
         status: Callable[[float], CallStatus] | None,
         *,
@@ -70,10 +69,9 @@ class CallSurface:
     ) -> None:
         self.free = FreeShares()
         self.status = CallStatus()
-        self._surface = surface
         self._meter = meter
         self._ask_status = status
-        self._asked_s: float | None = None
+        self._asked_s = -math.inf
         self._figures: tuple[tuple[str, str], ...] = ()
         self._has_pointer = has_pointer
         self._pointer: tuple[float, float] | None = None
@@ -97,7 +95,7 @@ class CallSurface:
     ) -> list[Request]:
         """Draw the panels in the frame that was begun; return what the user asked for."""
         self._times.append(now)
-        if self._asked_s is None or now - self._asked_s >= STATUS_PERIOD_S:
+        if now - self._asked_s >= STATUS_PERIOD_S:
             self._asked_s = now
             if self._ask_status is not None:
                 self.status = self._ask_status(now)
@@ -119,7 +117,7 @@ class CallSurface:
 
     def _shows_bar(self, now: float, state: ViewState) -> bool:
         """Return True for a while after the pointer has moved, and once when a call begins."""
-        io = self._surface.io
+        io = imgui.get_io()
         at = (io.mouse_pos.x, io.mouse_pos.y) if imgui.is_mouse_pos_valid() else None
         if at is not None and (at != self._pointer or imgui.is_any_mouse_down()):
             self._has_pointer, self._pointer, self._pointer_s = True, at, now

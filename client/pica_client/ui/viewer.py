@@ -118,7 +118,7 @@ class Viewer(Closing):
             self._renderer = Renderer(context, size, RENDER)
             status = CallMonitor(receiver).status if receiver is not None else None
             has_pointer = window is not None
-            self._panels = CallSurface(self.surface, self._meter, status, has_pointer=has_pointer)
+            self._panels = CallSurface(self._meter, status, has_pointer=has_pointer)
             self._recorder: Recorder | None = None
             stack.callback(self._close_recording)
             if (path := options.record) is not None:

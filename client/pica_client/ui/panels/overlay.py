@@ -14,7 +14,7 @@ from pica_client.ui.actions import TALK_KEY, Request
 from pica_client.ui.call_view import CallView, PersonView
 from pica_client.ui.panels.bar import bar_share
 from pica_client.ui.panels.side import side_share
-from pica_client.ui.state import Sent, ViewState
+from pica_client.ui.state import ViewState
 from pica_client.ui.surface.style import EDGE_PT, PLATE, SMALL_PT, TEXT_PT, TONES, Tone, px, screen
 from pica_client.ui.surface.surface import ON_PICTURE
 from pica_client.ui.surface.widgets import (
@@ -51,12 +51,6 @@ DOT_PT = 18.0
 """What a dot and the gap behind it take."""
 SIGN_FLAGS = FIXED | imgui.WindowFlags_.no_inputs | imgui.WindowFlags_.no_bring_to_front_on_focus
 Line = tuple[str, Tone]
-OWN_SIGNS: dict[Sent, Line] = {
-    "sent": ("Your face is sent", "good"),
-    "muted": ("Your face is not sent", "alert"),
-}
-RECORDING: Line = ("Recording", "alert")
-NO_FACE: Line = ("Your tracker sees no face", "warning")
 
 
 def free_shares(state: ViewState, call: CallView) -> FreeShares:
@@ -172,11 +166,13 @@ def banner(call: CallView) -> Line | None:
 def own_signs(state: ViewState, call: CallView) -> list[Line]:
     """Return how the user's own face and voice are sent; nothing of what there is none of."""
     found: list[Line] = []
-    face: Sent = state.own_face if call.status.is_connected else "muted"
-    if face == "sent" and call.own.seen is not None and not call.own.seen.has_face:
-        found.append(NO_FACE)
+    is_sent = state.own_face == "sent" and call.status.is_connected
+    if is_sent and call.own.seen is not None and not call.own.seen.has_face:
+        found.append(("Your tracker sees no face", "warning"))
+    elif is_sent:
+        found.append(("Your face is sent", "good"))
     elif state.own_face != "none":
-        found.append(OWN_SIGNS[face])
+        found.append(("Your face is not sent", "alert"))
     if state.own_voice == "muted":
         found.append(("Your voice is muted", "alert"))
     elif state.own_voice == "sent" and state.sound.push_to_talk:
@@ -199,7 +195,9 @@ def signs(state: ViewState, call: CallView) -> list[Request]:
         place = (columns / 2, top)
         top += _sign(name, line, place, (0.5, 0.0), columns / 2) + step / 6
     if state.is_recording:
-        _sign("recording", RECORDING, (columns - edge, rows - edge), (1.0, 1.0), columns)
+        _sign(
+            "recording", ("Recording", "alert"), (columns - edge, rows - edge), (1.0, 1.0), columns
+        )
     for number, line in enumerate(own_signs(state, call)):
         place = (edge, _own_bottom() - number * step)
         _sign(f"own {number}", line, place, (0.0, 1.0), columns)

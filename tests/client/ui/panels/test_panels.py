@@ -26,7 +26,6 @@ from pica_client.ui.call_view import (
 )
 from pica_client.ui.panels.bar import control_bar, leave_question
 from pica_client.ui.panels.overlay import (
-    NO_FACE,
     banner,
     call_signs,
     names,
@@ -118,7 +117,7 @@ def test_signs_say_how_the_own_face_is_sent() -> None:
     unseen = replace(CALL, own=OwnFaceView(seen=TrackerPreview(False, None)))
     assert own_signs(STATE, CALL) == [("Your face is sent", "good")]
     assert own_signs(STATE, lost) == [("Your face is not sent", "alert")]
-    assert own_signs(STATE, unseen) == [NO_FACE]
+    assert own_signs(STATE, unseen) == [("Your tracker sees no face", "warning")]
     assert own_signs(ViewState(), CALL) == []
 
 
