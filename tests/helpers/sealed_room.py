@@ -69,13 +69,12 @@ class Room:
         secret: RoomSecret = SECRET,
         publishes: bool = True,
         guard: Guard | None = None,
-        more_tracks: tuple[Track, ...] = (),
         asks_for: str = "r",
     ) -> Member:
         """Let somebody in; the name is the peer id."""
         self._serial += 1
         stream = self._serial
-        tracks = (Track(kind="face", stream=stream), *more_tracks) if publishes else ()
+        tracks = (Track(kind="face", stream=stream),) if publishes else ()
         chance = random.Random(f"{name}/{self._serial}").randbytes
         guard = guard or Guard(secret, random_bytes=chance)
         others = tuple(member.peer for member in self.members.values())
