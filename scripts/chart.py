@@ -255,53 +255,6 @@ def chart_scene() -> None:
     save(figure, "scene", line)
 
 
-def source_of(text: str) -> str:
-    """Return the name of a source without its kind; a file is the real recording."""
-    kind, _, name = text.partition(":")
-    return "real recording" if kind == "csv" else name.replace("_", " ")
-
-
-def chart_codec() -> None:
-    """Draw and fill in what bits buy, beside the first line: a codec whose frames referred to
-    earlier ones, on a head of another kind."""
-    before, *_, line = read_lines("codec")
-    figure, axes = plt.subplots(1, 2, figsize=(7.2, 3.2), sharey=True)
-    for axis, source in zip(axes, ("talk", "real recording"), strict=True):
-        for drawn, style in (
-            (before, {"color": GREY, "marker": "x", "label": "frames refer to others"}),
-            (line, {"color": BLUE, "marker": "o", "label": "every frame alone"}),
-        ):
-            chosen = [
-                row
-                for row in drawn["result"]["rows"]
-                if source_of(row["source"]) == source and row["profile"][:-1] == "quality-"
-            ]
-            rates = [row["wire_bps"] / 1e3 for row in chosen]
-            axis.plot(rates, [row["mse"] for row in chosen], **style)
-        axis.set_title(source, fontsize=9)
-        axis.set_xlim(left=0)
-        axis.set_xlabel("on the wire, kbit/s")
-    axes[0].set_ylim(0, 5)
-    axes[0].set_ylabel("MSE of the picture, 0–255")
-    axes[0].legend(fontsize=8)
-    save(figure, "codec", line)
-    columns: dict[str, Column] = {
-        "source": lambda row: source_of(row["source"]),
-        "profile": "profile",
-        "payload, kbit/s": lambda row: f"{row['payload_bps'] / 1e3:.2f}",
-        "wire, kbit/s": lambda row: f"{row['wire_bps'] / 1e3:.1f}",
-        "MSE": "{mse:.2f}",
-        "encode + decode, µs": lambda row: f"{row['encode_us']:.0f}+{row['decode_us']:.0f}",
-    }
-    left_out = [f"quality-{number}" for number in (1, 2, 4, 5, 6)]
-    rows = [
-        row
-        for row in line["result"]["rows"]
-        if row["profile"] not in left_out and not row["source"].endswith("range_of_motion")
-    ]
-    fill_in("codec", table(rows, columns), source_line(line))
-
-
 def chart_voice() -> None:
     """Fill in what arrives of a voice and its face under network conditions."""
     line = read_lines("voice")[-1]

@@ -80,7 +80,6 @@ GROUPS: Final[dict[str, dict[str, Command]]] = {
     "Measurements": {
         "bench call": Command("pica_client.cli.bench:bench_call", ("bench",)),
         "bench claim": Command("pica_core.train.cli.claim:bench_claim", ("train",)),
-        "bench codec": Command("pica_client.cli.bench:bench_codec", ("bench",)),
         "bench decode": Command("pica_client.cli.bench:bench_decode", ("bench",)),
         "bench drive": Command("pica_client.cli.bench:bench_drive", ("bench",)),
         "bench relay": Command("pica_client.cli.bench_relay:bench_relay"),

@@ -2,7 +2,7 @@
 
 The truth is a rig, or a person of the face model, posed by what a source does. The avatar is driven
 by the same values and shown at each level of detail. They reach its expression encoder as they are
-(`driver`), and through the latent stream at its usual quality (`codec`).
+(`driver`), and through the latent stream (`codec`), whose rate is `wire_bps`, with all headers.
 
 Distances are of the vertices of lids and lips. What it does not show: people. The truth is
 synthetic, a tracker's own mistakes are not part of it, and delay is no error here.
@@ -15,19 +15,21 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from pica_client.bench.codec import FPS, code_stream
 from pica_client.bench.harness import Words, check_names, report
 from pica_client.bench.head import FaceRenderer, evaluation_cameras
 from pica_client.errors import OptionError, check_ranges
 from pica_client.output import say
 from pica_client.render.drawing import masked_mse
 from pica_client.sources import Source, open_source
+from pica_client.stats import wire_bytes
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
 from pica_core.capture.stage.subject import Subject
-from pica_core.codec.latent_stream import LatentSample, StreamConfig
+from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
 from pica_core.types import FloatArray, Image, IntArray
+from pica_protocol.frames import HEADER_BYTES
 
+FPS = 30
 VIEWS = ("front", "left")
 REGIONS = ("lids", "lips")
 STAGES: Final = ("driver", "codec")
@@ -41,6 +43,8 @@ class DriveBenchConfig:
     """What the person does, separated by commas; csv:FILE for recordings."""
     stages: Words = STAGES
     """Which of driver and codec."""
+    quality: int = StreamConfig().quality
+    """Of the latent stream: 0 is the coarsest."""
     rig: Path | None = None
     """The rig that the avatar was made of."""
     person: Path | None = None
@@ -56,6 +60,7 @@ class DriveBenchConfig:
         check_ranges(self, seconds=(1, 600), moments=(1, 2000))
         check_ranges(self, image_size=(64, 1024))
         check_names("stage", self.stages, STAGES)
+        StreamConfig(quality=self.quality)  # checks it
 
 
 class _Truth(NamedTuple):
@@ -112,14 +117,16 @@ def _measure(config: DriveBenchConfig, avatar: Avatar) -> list[dict[str, Any]]:
             values = values_of(open_source(source), num_frames)
             for stage in config.stages:
                 say(f"{name}: {source}: {stage}")
-                latents = shown_latents(avatar, values, coded=stage == "codec")
+                latents, wire_bps = ExpressionEncoder(avatar).encode(values), None
+                if stage == "codec":
+                    latents, wire_bps = through_stream(avatar, latents, config.quality)
                 for level in avatar.levels:
                     shown = [
                         compare(latents[moment], level, true)
                         for moment, true in zip(moments, truth[source], strict=True)
                     ]
                     about = {"avatar": name, "source": source, "stage": stage, "level": level}
-                    rows.append(about | _row(shown))
+                    rows.append(about | {"wire_bps": wire_bps} | _row(shown))
     return rows
 
 
@@ -234,24 +241,20 @@ def values_of(source: Source, num_frames: int) -> FloatArray:
     return np.stack([source.frame_at(number / FPS).arkit for number in range(num_frames)])
 
 
-def shown_latents(avatar: Avatar, arkit: FloatArray, *, coded: bool) -> FloatArray:
-    """What a receiver decodes of values.
-
-    Args:
-        arkit: One row a frame. float32 ``[T, 52]``.
-        coded: Through the avatar's latent stream.
-
-    Returns:
-        float32 ``[T, 8, 8, 4]``.
+def through_stream(avatar: Avatar, latents: FloatArray, quality: int) -> tuple[FloatArray, int]:
+    """What a receiver decodes of latents ``[T, 8, 8, 4]``, and bits a second of their way to it.
 
     Raises:
         ProfileError: The avatar has no stream profile.
     """
-    latents = ExpressionEncoder(avatar).encode(arkit)
-    if not coded:
-        return latents
     profile = avatar.stream_profile()
-    still = np.zeros(3, np.float32)
-    samples = [LatentSample(latent=each, rotation=still, translation_m=still) for each in latents]
-    coded_stream = code_stream(profile, StreamConfig(fps=FPS), samples)
-    return np.stack([sample.latent for sample in coded_stream.shown])
+    encoder = LatentEncoder(profile, StreamConfig(fps=FPS, quality=quality))
+    decoder, still = LatentDecoder(profile), np.zeros(3, np.float32)
+    shown, num_bytes = [], 0
+    for number, latent in enumerate(latents):
+        coded = encoder.encode(latent, still, still, number * 1_000_000 // FPS)
+        if coded is not None:
+            num_bytes += wire_bytes(1 + HEADER_BYTES + len(coded.payload), is_masked=False)
+            newest = decoder.decode(coded.payload).latent
+        shown.append(newest)  # a face that stands still is not sent
+    return np.stack(shown), round(num_bytes * 8 * FPS / len(latents))

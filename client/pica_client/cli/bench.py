@@ -6,7 +6,6 @@ from typing import Any
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.bench.call import BenchConfig, run_bench
-from pica_client.bench.codec import CodecConfig, run_codec_bench
 from pica_client.bench.decode import DecodeBenchConfig, run_decode_bench
 from pica_client.bench.drive import DriveBenchConfig, run_drive_bench
 from pica_client.bench.harness import say_rows
@@ -51,16 +50,6 @@ def bench_call(options: BenchConfig) -> Result:
     return result
 
 
-def bench_codec(avatars: AvatarChoice, options: CodecConfig) -> Result:
-    """Measure what the latent stream's bits buy: bitrate against rendered error.
-
-    Compares all qualities, and one of them thinned.
-    """
-    result = run_codec_bench(options, avatars.load()[0])
-    say_rows(result["rows"], "source profile payload_bps mse")
-    return result
-
-
 def bench_decode(avatars: AvatarChoice, options: DecodeBenchConfig) -> Result:
     """Measure what decoding and drawing one head costs, beside the paper's baseline.
 
@@ -81,7 +70,7 @@ def bench_drive(avatars: AvatarChoice, options: DriveBenchConfig) -> Result:
     The truth is the person or the rig itself, at the same values.
     """
     result = run_drive_bench(options, avatars.load())
-    say_rows(result["rows"], "avatar source stage level mse p95_mse lid_mm lip_mm")
+    say_rows(result["rows"], "avatar source stage level wire_bps mse p95_mse lid_mm lip_mm")
     return result
 
 

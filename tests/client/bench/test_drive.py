@@ -28,6 +28,8 @@ def test_an_avatar_resembles_its_head_most_at_the_full_level_without_the_codec()
     mse = {(row["stage"], row["level"]): row["mse"] for row in rows}
     assert len(mse) == len(rows) == 2 * 3
     assert mse["driver", 256] < mse["driver", 64]
+    assert {row["wire_bps"] is None for row in rows if row["stage"] == "driver"} == {True}
+    assert all(8_000 < row["wire_bps"] < 25_000 for row in rows if row["stage"] == "codec")
     assert mse["driver", 256] - 0.5 < mse["codec", 256] < mse["driver", 256] + 5
     assert all(row["lip_mm"] < 1 and row["lid_mm"] < 1 for row in rows)
 
