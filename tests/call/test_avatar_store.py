@@ -18,7 +18,7 @@ from pica_client.avatars.fetch import AvatarCache, AvatarFetcher
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.avatars.upload import AvatarGiver
 from pica_client.call.call import Call
-from pica_client.call.faces import FaceState
+from pica_client.call.status import FaceState
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.endpoint.endpoint import Receiver, Sender
 from pica_client.publish.publisher import open_face

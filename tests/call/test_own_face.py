@@ -14,8 +14,7 @@ import pytest
 from helpers.senders import LoadedAvatars
 from helpers.toy import make_toy_avatar
 from pica_client.call.call import Call
-from pica_client.call.faces import FaceState
-from pica_client.call.status import CallStatus
+from pica_client.call.status import CallStatus, FaceState
 from pica_client.endpoint.endpoint import Receiver
 from pica_client.endpoint.monitor import CallMonitor
 from pica_client.publish.publisher import Outgoing, Publisher, SenderConfig

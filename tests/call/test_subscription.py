@@ -17,7 +17,7 @@ import pytest
 
 from helpers.senders import LoadedAvatars, make_senders
 from pica_client.call.call import Call
-from pica_client.call.faces import FaceState
+from pica_client.call.status import FaceState
 from pica_client.endpoint.endpoint import Receiver, Sender
 from pica_client.publish.publisher import SenderConfig
 from pica_client.sources import open_source

@@ -15,10 +15,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pica_client.avatars.library import AvatarStore
-from pica_client.call.faces import FaceState, FaceStatus
-from pica_client.call.names import name_warnings
 from pica_client.call.participant import Participant, Tell
-from pica_client.call.roster import SECRET_NEEDED, Member, RoomState, Roster
+from pica_client.call.roster import SECRET_NEEDED, Member, RoomState, Roster, name_warnings
+from pica_client.call.status import FaceState, FaceStatus
 from pica_client.e2ee.status import SealState
 from pica_client.stats import Samples
 from pica_client.tracks import FACE_TRACK, voice_of
@@ -64,7 +63,7 @@ class Ears:
 
 
 class Call:
-    """The members of a room and how their faces look; a `pica_client.call.faces.FaceSource`.
+    """The members of a room and how their faces look.
 
     Attributes:
         guard: How the encryption stands is asked of it; None where nothing is encrypted.
@@ -152,20 +151,33 @@ class Call:
     # The display's side
 
     def subscribe(self, peer_id: str, every: int, now: float) -> None:
-        """Note how much of a peer's stream is worth having; see `FaceSource.subscribe`."""
+        """Note how much of a peer's stream is worth having, as often as every drawn frame.
+
+        Args:
+            peer_id: Whose; a peer that has left is no error.
+            every: 1 for every frame, 2 or 4 for each second or fourth one, 0 for nothing at all.
+        """
         with self._lock:
             seat = self._seats.get(peer_id)
             if seat is not None:
                 seat.subscribe(every, now)
 
     def faces(self, now: float, ahead_s: float = 0.0) -> list[FaceState]:
-        """Return all faces at display time; see `FaceSource.faces`."""
+        """Return everybody who should have a seat at local time `now`, seconds, by rising place.
+
+        ``ahead_s`` is in how many seconds these faces will be seen: lips go with the sound that is
+        heard then.
+        """
         with self._lock:
             faces = [self._face(seat, now, ahead_s) for seat in self._seats.values()]
             return sorted(faces, key=lambda face: face.place)
 
     def avatar(self, avatar_id: str) -> Avatar | None:
-        """See `FaceSource.avatar`; a missing avatar is an error with the fix."""
+        """Return the avatar with this id; None while it is still on its way.
+
+        Raises:
+            AvatarFileError: It is not to be had here, or came and must not be used: says the fix.
+        """
         if not self._avatars.has(avatar_id):
             short = avatar_id[:8] or "(none)"
             raise AvatarFileError(

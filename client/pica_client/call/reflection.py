@@ -22,7 +22,7 @@ class Reflection:
     """Looks at what one sender sends.
 
     Attributes:
-        call: Shows it; a `pica_client.call.faces.FaceSource`.
+        call: Shows it.
     """
 
     def __init__(self, avatar: Avatar, track: Track) -> None:

@@ -5,14 +5,53 @@ who can see us are listed.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final, Literal
+
+import numpy as np
 
 from pica_client.call.connection_quality import Quality
 from pica_client.call.roster import Member, News, NewsKind
+from pica_core.types import FloatArray
 
 NAMES_IN_A_ROW: Final = 3
 """Names in one line; of more, the others are counted."""
+
+
+FaceStatus = Literal["waiting", "live", "concealed", "stale", "away"]
+"""How fresh a face is.
+
+waiting: nothing received yet; live: a received or interpolated sample; concealed: held or
+extrapolated over a hole;
+stale: nothing for so long that it should be shown as such; away: the sender's tracker sees no face.
+"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class FaceState:
+    """One peer's face at display time."""
+
+    peer_id: str
+    """Unique in the call and stable while the connection stays."""
+    name: str
+    """Display name; drawn as it is, so the receiver has limited its length already."""
+    avatar_id: str
+    """SHA-256 of the avatar file, hexadecimal."""
+    latent: FloatArray | None
+    """Expression code at display time, float32 ``[8, 8, 4]``; None while nothing has arrived."""
+    rotation: FloatArray = field(default_factory=lambda: np.zeros(3, np.float32))
+    """Head to seat, rotation vector in radians. float32 ``[3]``."""
+    translation_m: FloatArray = field(default_factory=lambda: np.zeros(3, np.float32))
+    """Head offset from its seat, metres, seat axes. float32 ``[3]``."""
+    captured_us: int = 0
+    """Sender's clock at the *newest* sample that went into `latent`, for measuring latency. Between
+    two samples the latent may move on while this stands still."""
+    status: FaceStatus = "live"
+    note: str = ""
+    """What is wrong with the stream, for people; empty when nothing is."""
+    place: int = 0
+    """Number of the person, unique in the call and kept when the person comes back as another
+    peer. Rises with the order of coming."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

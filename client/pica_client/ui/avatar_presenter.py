@@ -20,9 +20,9 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-from pica_client.call.faces import FaceSource, FaceState
+from pica_client.call.call import Call
 from pica_client.call.speaking import JawReader, SpeakingMeter
-from pica_client.call.status import AvatarFigures
+from pica_client.call.status import AvatarFigures, FaceState
 from pica_client.decode.pool import DecodePool
 from pica_client.errors import ShaderError
 from pica_client.render import views
@@ -172,7 +172,7 @@ class AvatarPresenter:
 
     def __init__(
         self,
-        source: FaceSource,
+        source: Call,
         renderer: Renderer,
         pool: DecodePool,
         scheduler: Scheduler,

@@ -12,9 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
-from pica_client.call.faces import FaceStatus
 from pica_client.call.roster import Member
-from pica_client.call.status import AvatarFigures, CallStatus
+from pica_client.call.status import AvatarFigures, CallStatus, FaceStatus
 from pica_client.publish.face_controls import TrackerPreview
 from pica_client.render.scene import Rect
 from pica_client.ui.actions import Request

@@ -18,7 +18,7 @@ from typing import Any
 import moderngl
 from imgui_bundle import imgui
 
-from pica_client.call.faces import FaceSource
+from pica_client.call.call import Call
 from pica_client.call.reflection import Reflection
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.pool import DecodePool, num_workers
@@ -82,7 +82,7 @@ class Viewer(Closing):
 
     def __init__(
         self,
-        source: FaceSource,
+        source: Call,
         options: ViewOptions | None = None,
         *,
         state: ViewState | None = None,

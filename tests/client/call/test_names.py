@@ -3,7 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from helpers.strategies import names
-from pica_client.call.names import name_warnings
+from pica_client.call.roster import name_warnings
 from pica_protocol.messages import Peer
 
 pytestmark = pytest.mark.unit

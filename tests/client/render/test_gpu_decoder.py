@@ -13,7 +13,7 @@ import pytest
 
 from helpers import gl_es, tolerances
 from helpers.toy import make_toy_avatar, with_toy_levels
-from pica_client.call.faces import FaceState
+from pica_client.call.status import FaceState
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.pool import DecodePool
 from pica_client.decode.request import DecodeRequest, Parts

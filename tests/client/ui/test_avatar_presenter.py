@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from helpers.toy import make_toy_avatar
-from pica_client.call.faces import FaceState
+from pica_client.call.status import FaceState
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.pool import DecodePool
 from pica_client.render.renderer import Renderer

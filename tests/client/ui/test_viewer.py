@@ -15,8 +15,7 @@ from PIL import Image
 
 from helpers.hand import Event, hold, point, press
 from helpers.toy import make_toy_avatar
-from pica_client.call.faces import FaceState, FaceStatus
-from pica_client.call.status import CallStatus
+from pica_client.call.status import CallStatus, FaceState, FaceStatus
 from pica_client.publish.face_controls import FaceControls
 from pica_client.publish.publisher import Publisher, SenderConfig
 from pica_client.sources import open_source
