@@ -5,7 +5,7 @@ image before. Such a head keeps its layer: its colours, and how much of them is 
 the room with all layers over it, the farthest head first.
 """
 
-from collections.abc import Hashable, Iterable
+from collections.abc import Hashable
 
 import moderngl
 import numpy as np
@@ -86,8 +86,6 @@ class Images:
         self.size = size
         self.final = context.framebuffer([context.texture(size, 4)])
         """What the renderer hands out: others may draw over it, so nothing is kept in it."""
-        self.people = context.framebuffer([context.texture(size, 4)])
-        """The room with all heads."""
         self.room_image = clamp(context.texture(size, 4), moderngl.NEAREST)
         self.room = context.framebuffer([self.room_image])
         self.small_room_image = clamp(context.texture(SMALL_ROOM, 4, dtype="f2"))
@@ -99,18 +97,6 @@ def common_part(first: PixelRect, second: PixelRect) -> PixelRect:
     """What two rectangles share; empty where left is not below right, or bottom below top."""
     (left, bottom, right, top), other = first, second
     return max(left, other[0]), max(bottom, other[1]), min(right, other[2]), min(top, other[3])
-
-
-def merged(rects: Iterable[PixelRect]) -> list[PixelRect]:
-    """Rectangles that hold these, joined where they overlap."""
-    found: list[PixelRect] = []
-    for rect in rects:
-        while overlapping := [each for each in found if area_px(common_part(each, rect))]:
-            found = [each for each in found if each not in overlapping]
-            left, bottom, right, top = zip(rect, *overlapping, strict=True)
-            rect = min(left), min(bottom), max(right), max(top)
-        found.append(rect)
-    return found
 
 
 def area_px(rect: PixelRect) -> int:

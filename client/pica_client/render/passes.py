@@ -29,7 +29,6 @@ from pica_client.render.layers import (
     PixelRect,
     area_px,
     clip_rect,
-    common_part,
     viewport,
 )
 from pica_client.render.room import Room, lens_of
@@ -215,26 +214,13 @@ class DrawPasses:
             layer.colour.use(UNIT_LAYER)
             self._smooth.render(moderngl.TRIANGLE_STRIP, vertices=4)
 
-    def place(
-        self,
-        images: Images,
-        heads: Sequence[LayeredHead],
-        regions: Sequence[PixelRect],
-        *,
-        is_smooth: bool,
-    ) -> None:
-        """Put the image together: in regions, which do not overlap, the room and over it all heads,
-        the farthest first; elsewhere it stays as it was."""
-        context, people = self._context, images.people
+    def place(self, images: Images, heads: Sequence[LayeredHead], *, is_smooth: bool) -> None:
+        """Put the image together: the room, and over it all heads, the farthest first."""
+        context, image = self._context, images.final
+        context.copy_framebuffer(image, images.room)
         context.enable_only(moderngl.BLEND)
         context.blend_func = moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA
         context.blend_equation = moderngl.FUNC_ADD  # type: ignore[assignment]
-        for region in regions:
-            # Without a scissor the driver copies memory (llvmpipe: a quarter of the time).
-            is_whole = viewport(region)[2:] == images.size
-            people.scissor = None if is_whole else viewport(region)  # type: ignore[assignment]
-            people.use()
-            context.copy_framebuffer(people, images.room)
         images.room_image.use(UNIT_ROOM)
         for head, layer in heads:
             (layer.smooth if is_smooth else layer.colour).use(UNIT_LAYER)
@@ -244,18 +230,14 @@ class DrawPasses:
             split = min(max(highest, bottom), top) if is_split else top
             fading, whole = (left, bottom, right, split), (left, split, right, top)
             for screen, part in ((self._place_fading, fading), (self._place_whole, whole)):
-                parts = [common_part(part, region) for region in regions]
-                parts = [each for each in parts if area_px(each)]
-                if parts:
+                if area_px(part):
                     self._set_place(screen.program, head, layer, images.size)
-                for each in parts:
-                    people.scissor = viewport(each)
-                    people.use()
+                    image.scissor = viewport(part)
+                    image.use()
                     screen.render(moderngl.TRIANGLE_STRIP, vertices=4)
-        people.scissor = None  # type: ignore[assignment]
+        image.scissor = None  # type: ignore[assignment]
+        image.use()
         context.disable(moderngl.BLEND)
-        images.final.use()
-        context.copy_framebuffer(images.final, people)
 
     def _set_place(
         self, program: moderngl.Program, head: ShownHead, layer: Layer, size: tuple[int, int]

@@ -47,9 +47,7 @@ from pica_client.render.gpu_program import UNIT_VISIBLE_UV, UNIT_VISIBLE_XYZ
 from pica_client.render.layers import (
     Images,
     Layer,
-    PixelRect,
     layer_size,
-    merged,
     viewport,
 )
 from pica_client.render.passes import DrawPasses, LayeredHead
@@ -142,7 +140,6 @@ class Renderer(Closing):
 
     def forget_frame(self) -> None:
         """Draw the next frame as a whole, whatever stayed the same: for measuring."""
-        self._placed: dict[tuple[str, int], tuple[object, float, PixelRect]] | None = None
         for layer in self._layers.values():
             layer.look = None
 
@@ -280,8 +277,7 @@ class Renderer(Closing):
             (camera, (left, 0, right, height))
             for camera, (left, right) in zip(cameras, pairwise(edges), strict=True)
         ]
-        if self._draw_room(room, views):
-            self._placed = None
+        self._draw_room(room, views)
         heads = list_heads(self._slots, placements, views, passes.placeholder)
         self._shown = shown = self._with_layers(heads)
         old = [place for place, (head, layer) in enumerate(shown) if layer.look != head.look]
@@ -294,7 +290,7 @@ class Renderer(Closing):
             passes.smooth(changed)
         for head, layer in changed:
             layer.look = head.look
-        passes.place(self._images, self._farthest_first, self._regions(), is_smooth=is_smooth)
+        passes.place(self._images, self._farthest_first, is_smooth=is_smooth)
         counted = dict(zip(old, counts, strict=True))
         return count_draws(heads, counted, is_counted=count_pixels)
 
@@ -302,31 +298,16 @@ class Renderer(Closing):
     def _farthest_first(self) -> list[LayeredHead]:
         return sorted(self._shown, key=lambda each: -float(each[0].matrix[3, 3]))
 
-    def _regions(self) -> list[PixelRect]:
-        """Where the image has changed since this was last asked."""
-        before, now = self._placed, {}
-        for head, _ in self._shown:
-            now[head.slot, head.view[0]] = head.look, head.opacity, head.rect
-        self._placed = now
-        if before is None:
-            return [(0, 0, *self.size)]
-        changed = [key for key in before.keys() | now.keys() if before.get(key) != now.get(key)]
-        if 2 * len(changed) > len(now):
-            return [(0, 0, *self.size)]
-        return merged(state[key][2] for key in changed for state in (before, now) if key in state)
-
-    def _draw_room(self, room: Room, views: Sequence[View]) -> bool:
-        """Draw the room if it looks different; return whether it does."""
+    def _draw_room(self, room: Room, views: Sequence[View]) -> None:
+        """Draw the room where it looks different."""
         seen = [(camera if room != EMPTY_ROOM else STILL, rect) for camera, rect in views]
         eyes: list[object] = [
             (lens_of(eye), eye.rotation.tobytes(), eye.translation_m.tobytes(), rect)
             for eye, rect in seen
         ]
-        if (room, eyes) == self._drawn_room:
-            return False
-        self._passes.draw_room(self._images, seen, room)
-        self._drawn_room = room, eyes
-        return True
+        if (room, eyes) != self._drawn_room:
+            self._passes.draw_room(self._images, seen, room)
+            self._drawn_room = room, eyes
 
     def _with_layers(self, heads: Sequence[ShownHead]) -> list[LayeredHead]:
         """Heads with the layers that they are drawn into; what no head needs any more is freed."""
