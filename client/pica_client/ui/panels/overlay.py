@@ -184,7 +184,7 @@ def own_signs(state: ViewState, call: CallView) -> list[Line]:
 
 def signs(state: ViewState, call: CallView) -> list[Request]:
     """Write on the picture how the call stands, above, and how the user is sent, below."""
-    (columns, rows), edge, step = screen(), px(EDGE_PT), px(SIGN_PT)
+    (columns, _), edge, step = screen(), px(EDGE_PT), px(SIGN_PT)
     for number, line in enumerate(call_signs(call)):
         place = (edge, edge + number * step)
         _sign(f"call {number}", line, place, (0.0, 0.0), columns / 4 - edge)
@@ -195,9 +195,8 @@ def signs(state: ViewState, call: CallView) -> list[Request]:
         place = (columns / 2, top)
         top += _sign(name, line, place, (0.5, 0.0), columns / 2) + step / 6
     if state.is_recording:
-        _sign(
-            "recording", ("Recording", "alert"), (columns - edge, rows - edge), (1.0, 1.0), columns
-        )
+        place = (columns - edge, _own_bottom())
+        _sign("recording", ("Recording", "alert"), place, (1.0, 1.0), columns)
     for number, line in enumerate(own_signs(state, call)):
         place = (edge, _own_bottom() - number * step)
         _sign(f"own {number}", line, place, (0.0, 1.0), columns)
