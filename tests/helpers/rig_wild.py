@@ -20,11 +20,11 @@ KIND = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 BLOCKS = 8
 
 
-def picture(margin: int = 4) -> Array:
-    """Random blocks of 4 x 4 pixels; the outermost go on for so many blocks. ``[H, W, 3]``."""
+def picture() -> Array:
+    """Random blocks of 4 x 4 pixels; the outermost go on for four blocks. ``[H, W, 3]``."""
     random = np.random.default_rng(5)
     blocks = random.integers(60, 220, (BLOCKS, BLOCKS, 3), np.uint8)
-    blocks = np.pad(blocks, ((margin, margin), (margin, margin), (0, 0)), mode="edge")
+    blocks = np.pad(blocks, ((4, 4), (4, 4), (0, 0)), mode="edge")
     return blocks.repeat(4, 0).repeat(4, 1)
 
 
@@ -123,19 +123,6 @@ def wild_rig() -> WildRig:
 
 def repeated(rig: WildRig) -> None:
     rig.move_uv(lambda uv: uv - np.array([1, -3]))
-
-
-def mirrored(rig: WildRig) -> None:
-    rig.document["samplers"] = [{"wrapS": 33648, "wrapT": 33648}]
-    rig.texture()["sampler"] = 0
-    rig.move_uv(lambda uv: uv * [-1, 1] + [0, 2])
-
-
-def clamped(rig: WildRig) -> None:
-    rig.document["samplers"] = [{"wrapS": 33071, "wrapT": 33071}]
-    rig.texture()["sampler"] = 0
-    rig.image = png(picture(0))
-    rig.move_uv(lambda uv: 2 * uv - 0.5)
 
 
 def transformed(rig: WildRig) -> None:
@@ -289,7 +276,7 @@ def glasses(rig: WildRig) -> None:
 FORMS: dict[str, Callable[[WildRig], None]] = {
     form.__name__: form
     for form in (
-        repeated, mirrored, clamped, transformed, second_uv, quantized, skinned, jointed, tinted,
+        repeated, transformed, second_uv, quantized, skinned, jointed, tinted,
         named_by_targets, open_at_rest, lines, many_meshes, sparse, glasses,
     )
 }  # fmt: skip

@@ -12,11 +12,11 @@ short are left out when the capture is opened, counted and told of once.
 from __future__ import annotations
 
 import logging
-from collections import OrderedDict
 from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -251,7 +251,7 @@ class CaptureReader(AbstractContextManager["CaptureReader"]):
         pixels = max(camera.width * camera.height for camera in capture.cameras)
         self.max_arrays = max(max_bytes // (4 * max(pixels, capture.texture_size**2)), 1)
         self._pool = ThreadPoolExecutor(THREADS, thread_name_prefix="decode")
-        self._kept: OrderedDict[Request, Future[Array]] = OrderedDict()
+        self._begin = lru_cache(self.max_arrays)(self._submit)
 
     def __exit__(self, *error: object) -> None:
         self._pool.shutdown(wait=True, cancel_futures=True)
@@ -269,15 +269,8 @@ class CaptureReader(AbstractContextManager["CaptureReader"]):
         """
         return self._begin(request).result()
 
-    def _begin(self, request: Request) -> Future[Array]:
-        """Have an array decoded, if it is not there, and keep it in place of the oldest."""
-        if request in self._kept:
-            self._kept.move_to_end(request)
-        else:
-            self._kept[request] = self._pool.submit(self._decode, request)
-            if len(self._kept) > self.max_arrays:
-                self._kept.popitem(last=False)
-        return self._kept[request]
+    def _submit(self, request: Request) -> Future[Array]:
+        return self._pool.submit(self._decode, request)
 
     def _decode(self, request: Request) -> Array:
         capture, frame = self.capture, self.capture.frames[request.frame]

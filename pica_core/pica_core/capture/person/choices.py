@@ -147,18 +147,14 @@ def draw_person(seed: int, **chosen: Any) -> Person:
     return Person(seed=seed, **values)
 
 
-def person_of(table: dict[str, Any]) -> Person:
-    """A person of the values that `Person.as_json` and `capture.json` hold."""
-    if unknown := sorted(set(table) - {each.name for each in fields(Person)}):
-        raise CaptureError(f"{unknown[0]!r} is no property of a person")
-    return Person(**(table | {"coefficients": tuple(table["coefficients"])}))
-
-
 def read_person(path: Path) -> Person:
     """A person as `Person.as_json` wrote it; coefficients beyond `CLIP` are clipped."""
+    table = read_json(path)
+    if unknown := sorted(set(table) - {each.name for each in fields(Person)}):
+        raise CaptureError(f"{path}: {unknown[0]!r} is no property of a person")
     try:
-        table = read_json(path)
         coefficients = np.array(table["coefficients"], np.float64).reshape(-1)
-        return person_of(table | {"coefficients": np.clip(coefficients, -CLIP, CLIP).tolist()})
+        table["coefficients"] = tuple(np.clip(coefficients, -CLIP, CLIP).tolist())
+        return Person(**table)
     except (ValueError, TypeError, KeyError) as error:
         raise CaptureError(f"{path}: not a person ({error})") from error

@@ -157,7 +157,6 @@ class PackedChart:
     faces: IntArray
     face_source: Int64Array
     source: Int64Array
-    islands: int
 
 
 def make_islands(points: Float64Array, faces: IntArray) -> tuple[Float64Array, IntArray]:
@@ -229,8 +228,7 @@ def pack(
     points = uv[pairs[:, 0]].astype(np.float64)
     label = components(split, len(points))[split[:, 0]]
     floor = 1e-12 + 1e-3 * np.median(np.abs(signed_areas(points, split)))
-    names = np.unique(label)
-    for name in names:
+    for name in np.unique(label):
         mine = np.flatnonzero(label == name)
         used, again = np.unique(split[mine], return_inverse=True)
         local: IntArray = again.reshape(-1, 3).astype(np.int32)
@@ -249,7 +247,6 @@ def pack(
         faces=split,
         face_source=np.concatenate([np.arange(len(faces)), copied]),
         source=np.concatenate([pairs[:, 1], far]),
-        islands=len(names),
     )
 
 

@@ -264,14 +264,10 @@ def find_features(mesh: RigMesh) -> Features:
 
 
 class Limits:
-    """What keeps values of a rig's shapes from pushing skin through skin.
-
-    Attributes:
-        corrective_close: True when mouthClose takes back a part of jawOpen, as ARKit's does.
-    """
+    """What keeps values of a rig's shapes from pushing skin through skin."""
 
     def __init__(self, mesh: RigMesh, features: Features) -> None:
-        self.corrective_close = _is_corrective(mesh)
+        self._corrective_close = _is_corrective(mesh)
         self._lids = [
             (index, _closing(mesh, features, side, index))
             for side, name in ((1.0, "Left"), (-1.0, "Right"))
@@ -287,7 +283,7 @@ class Limits:
         values = np.array(arkit, np.float32)
         if values.shape != (NUM_ARKIT,):
             raise ShapeError(f"arkit is {values.shape}; [{NUM_ARKIT}] is needed")
-        if self.corrective_close:
+        if self._corrective_close:
             # Alone it is nonsense: lips cannot close further than the jaw has opened them.
             close, opening = ARKIT_INDEX["mouthClose"], ARKIT_INDEX["jawOpen"]
             values[close] = min(values[close], max(float(values[opening]), 0.0))
@@ -299,6 +295,7 @@ class Limits:
 
 
 def _is_corrective(mesh: RigMesh) -> bool:
+    """Return True if mouthClose takes back a part of jawOpen, as ARKit's does."""
     opened = mesh.motion_m[ARKIT_INDEX["jawOpen"], :, 1]
     closed = mesh.motion_m[ARKIT_INDEX["mouthClose"], :, 1]
     if not closed.any() or not opened.any():

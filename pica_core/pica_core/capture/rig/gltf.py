@@ -1,7 +1,7 @@
 """Read a rig from glTF (.glb, .vrm, .gltf): every mesh of the scene with its morph targets.
 
 Understood are triangles, node transforms, skins in the pose of their nodes, default weights, base
-colours (images with their samplers and texture transforms, factors, vertex colours), and materials
+colours (images with their texture transforms, factors, vertex colours), and materials
 that one sees through.
 """
 
@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from pica_core.capture.rig.cards import cut
 from pica_core.capture.rig.gltf_file import MAX_ELEMENTS, WIDTH, GltfFile, count_of, extension
 from pica_core.capture.rig.source import (
-    RigImage,
     RigSource,
     check_counts,
     check_source,
@@ -25,11 +25,10 @@ from pica_core.capture.rig.source import (
     open_image,
 )
 from pica_core.errors import CaptureError
-from pica_core.types import Array, Float64Array, FloatArray, Int64Array, IntArray
+from pica_core.types import Array, ByteArray, Float64Array, FloatArray, Int64Array, IntArray
 
 TRIANGLES = 4
 MAX_NODE_DEPTH = 64
-WRAP = {10497: "repeat", 33648: "mirror", 33071: "clamp"}
 CLEAR = 0.5
 """Where a blended material is less opaque than this, it hides nothing."""
 MALFORMED = (
@@ -39,7 +38,7 @@ MALFORMED = (
 """What entries raise that are missing or of another kind than they should be."""
 
 
-WHITE = RigImage(pixels=np.full((1, 1, 4), 255, np.uint8), wrap=("repeat", "repeat"))
+WHITE: ByteArray = np.full((1, 1, 4), 255, np.uint8)
 """The picture of a material that has a colour alone."""
 
 
@@ -57,14 +56,7 @@ def _matrix(node: dict[str, Any]) -> Float64Array:
     if "matrix" in node:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T
     result = np.eye(4)
-    x, y, z, w = np.array(node.get("rotation", [0, 0, 0, 1]), np.float64)
-    turn = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    turn = Rotation.from_quat(np.array(node.get("rotation", [0, 0, 0, 1]), np.float64)).as_matrix()
     result[:3, :3] = turn * np.array(node.get("scale", [1, 1, 1]), np.float64).reshape(3)
     result[:3, 3] = np.array(node.get("translation", [0, 0, 0]), np.float64).reshape(3)
     return result
@@ -142,7 +134,7 @@ class _Material:
     """The attribute that holds its texture coordinates."""
     transform: Float64Array
     """What moves texture coordinates, as ``uv @ [:2] + [2]``. ``[3, 2]``."""
-    image: RigImage | None
+    image: ByteArray | None
     colour: Float64Array
     """Linear RGB that image and vertex colours are multiplied with. ``[3]``."""
     alpha: float
@@ -181,11 +173,9 @@ def _material(file: GltfFile, index: int) -> _Material:
     )
 
 
-def _image(file: GltfFile, index: Any) -> RigImage:
+def _image(file: GltfFile, index: Any) -> ByteArray:
     texture = file.item("textures", index)
     other = extension(texture, "EXT_texture_webp")
-    sampler = file.item("samplers", texture["sampler"]) if "sampler" in texture else {}
-    wrap = WRAP[sampler.get("wrapS", 10497)], WRAP[sampler.get("wrapT", 10497)]
     number = other.get("source", texture.get("source"))
     if number is None:
         names = ", ".join(texture.get("extensions", {})) or "a source"
@@ -194,7 +184,7 @@ def _image(file: GltfFile, index: Any) -> RigImage:
     data = file.resource(image["uri"]) if "uri" in image else None
     if data is None:
         data = bytes(file.view(count_of(image, "bufferView"))[0])
-    return RigImage(pixels=open_image(f"{file.path}: image {number}", data), wrap=wrap)
+    return open_image(f"{file.path}: image {number}", data)
 
 
 class _Builder:

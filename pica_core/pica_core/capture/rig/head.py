@@ -78,8 +78,6 @@ class RigHead:
     Attributes:
         chart: Its one chart; ``chart.source`` leads from split to welded vertices.
         mended: Triangles whose texture coordinates were made here.
-        corrective_close: True when mouthClose takes back a part of jawOpen, as ARKit's does.
-        eyes_turned_here: How many eyeballs are turned here, since the rig's shapes do not.
     """
 
     def __init__(self, mesh: RigMesh, names: NameMap, name: str) -> None:
@@ -106,13 +104,11 @@ class RigHead:
         self._motion = mesh.motion_m[self._shapes].reshape(len(self._shapes), -1)
         self._limits = Limits(mesh, self.features)
         self._guard = PoseGuard(mesh, self.features)
-        self.corrective_close = self._limits.corrective_close
         self._turns = [
             (eye, self._rest[eye.vertices] - eye.centre_m.astype(np.float32))
             for eye in mesh.eyes
             if not eye.turned
         ]
-        self.eyes_turned_here = len(self._turns)
 
     def vertices(self, arkit: npt.ArrayLike) -> FloatArray:
         """Split vertices at the 52 shapes ``[52]``, metres, head frame. float32 ``[V, 3]``.

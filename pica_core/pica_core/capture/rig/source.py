@@ -23,19 +23,6 @@ MAX_SHAPE_VALUES = 30_000_000
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class RigImage:
-    """A base colour image, and how it goes on beyond its edges, across and down.
-
-    Attributes:
-        pixels: sRGB with alpha, row 0 on top. uint8 ``[H, W, 4]``.
-        wrap: ``repeat``, ``mirror`` or ``clamp`` each.
-    """
-
-    pixels: ByteArray
-    wrap: tuple[str, str]
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class RigSource:
     """A head with blendshapes, in the units of its file, +y up.
 
@@ -43,12 +30,13 @@ class RigSource:
         positions: Vertices of the neutral face, there twice where texture coordinates part.
             float64 ``[V, 3]``.
         faces: Triangles as indices into `positions`. int32 ``[F, 3]``.
-        uv: Texture coordinates with v downwards, 0 where there are none. Beyond [0, 1] images go
-            on as their `wrap` says. float64 ``[V, 2]``.
+        uv: Texture coordinates with v downwards, 0 where there are none. Beyond [0, 1] images
+            repeat. float64 ``[V, 2]``.
         face_material: Index into `materials`. int32 ``[F]``.
         shapes: What each shape adds to `positions` at a value of 1. float32 ``[V, 3]`` each.
         copyright: What the file says of its rights.
-        images: Base colour image of a material, where the file has one.
+        images: Base colour image of a material, where the file has one: sRGB with alpha, row 0 on
+            top. uint8 ``[H, W, 4]``.
         colours: Linear RGB that images are multiplied with. float32 ``[V, 3]``.
     """
 
@@ -60,7 +48,7 @@ class RigSource:
     face_material: IntArray
     shapes: dict[str, FloatArray]
     copyright: str
-    images: dict[int, RigImage]
+    images: dict[int, ByteArray]
     colours: FloatArray
 
 
@@ -127,16 +115,11 @@ def open_image(where: str, data: bytes) -> ByteArray:
         raise CaptureError(f"{where}: not a complete image ({error})") from error
 
 
-def opacity_at(image: RigImage, uv: Float64Array) -> Float64Array:
+def opacity_at(image: ByteArray, uv: Float64Array) -> Float64Array:
     """Opacity 0 to 1 of an image at texture coordinates ``[..., 2]``, linear between pixels."""
-    fold = {
-        "repeat": lambda t: np.mod(t, 1.0),
-        "mirror": lambda t: 1 - np.abs(np.mod(t, 2.0) - 1),
-        "clamp": lambda t: np.clip(t, 0.0, 1.0),
-    }
-    opacity = image.pixels[..., 3]
+    opacity = image[..., 3]
     height, width = opacity.shape
-    column, row = (fold[how](uv[..., axis]) for axis, how in enumerate(image.wrap))
+    column, row = np.moveaxis(np.mod(uv, 1.0), -1, 0)
     at = [row * height - 0.5, column * width - 0.5]
     found: Float64Array = map_coordinates(opacity, at, np.float64, order=1, mode="nearest")
     return found / 255

@@ -13,9 +13,8 @@ from scipy.ndimage import distance_transform_edt
 from pica_core.capture.dataset.multiface import MATERIALS
 from pica_core.capture.rig.features import hair_coverage
 from pica_core.capture.rig.head import RigHead
-from pica_core.capture.rig.source import RigImage
 from pica_core.gl import link_program
-from pica_core.types import FloatArray, IntArray
+from pica_core.types import ByteArray, FloatArray, IntArray
 
 
 def make_program(
@@ -153,7 +152,7 @@ CORNER = {
 def paint(
     context: moderngl.Context,
     head: RigHead,
-    albedo: dict[int, RigImage],
+    albedo: dict[int, ByteArray],
     look: dict[str, Any],
     growth: Growth | None,
     size: int,
@@ -183,17 +182,12 @@ def paint(
         chosen = np.flatnonzero((part == painted) & (material == name))
         mine = context.buffer((3 * chosen[:, None] + np.arange(3)).astype("i4").tobytes())
         image = albedo.get(name)
-        mirrored = 0.0, 0.0
         if image is not None:
-            pixels, across, down = image.pixels, *image.wrap
-            picture = context.texture(pixels.shape[1::-1], 4, pixels.tobytes())
+            picture = context.texture(image.shape[1::-1], 4, image.tobytes())
             picture.build_mipmaps()
-            picture.repeat_x, picture.repeat_y = across == "repeat", down == "repeat"
             picture.use(0)
-            mirrored = float(across == "mirror"), float(down == "mirror")
         program = make_program(context, "bake", "appearance", painted)
-        more = {"albedo": 0, "has_albedo": float(image is not None), "mirrored": mirrored}
-        set_uniforms(program, numbers | more)
+        set_uniforms(program, numbers | {"albedo": 0, "has_albedo": float(image is not None)})
         vertex_array(context, program, mine, corners).render()
     _settle(targets)
     return targets

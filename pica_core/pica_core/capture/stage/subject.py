@@ -4,7 +4,7 @@ The mesh keeps its topology, so buffers are made once.
 """
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from pica_core.capture.rig.features import LID_M
 from pica_core.capture.rig.gltf import read_rig
 from pica_core.capture.rig.head import RigHead, make_rig
 from pica_core.capture.rig.names import read_names
-from pica_core.capture.rig.source import RigImage, RigSource
+from pica_core.capture.rig.source import RigSource
 from pica_core.capture.stage.paint import (
     Growth,
     make_program,
@@ -81,7 +81,7 @@ class Subject:
         head: RigHead,
         about: dict[str, Any],
         *,
-        albedo: dict[int, RigImage] | None = None,
+        albedo: dict[int, ByteArray] | None = None,
         look: dict[str, Any] | None = None,
         growth: Growth | None = None,
         bake_size: int = BAKE_SIZE,
@@ -104,7 +104,6 @@ class Subject:
         self._context = c = create_context()
         head = self.head
         self._framebuffers: dict[tuple[str, int, int], Any] = {}
-        self._view_textures: dict[tuple[int, int], tuple[Any, Any]] = {}
         self._layout = {"position_m": 3, "normal": 3, "occlusion": 2, "tangent": 3}
         faces, material = head.chart.faces, split_parts(head)
         by_face = material[faces[:, 2]]  # the last vertex of a triangle counts
@@ -161,7 +160,6 @@ class Subject:
         if self._context is None:
             return
         self._framebuffers.clear()
-        self._view_textures.clear()
         self._context.gc()
         self._context.release()
         self._context = None
@@ -179,6 +177,7 @@ class Subject:
             c, size = self._context, (width, height)
             components, dtype = {"colour": (4, "f1"), "geometry": (2, "f4"), "sum": (4, "f4")}[kind]
             target = c.texture(size, components, dtype=dtype)
+            target.repeat_x = target.repeat_y = False
             if kind == "geometry":
                 target.filter = (moderngl.NEAREST, moderngl.NEAREST)
             self._framebuffers[key] = c.framebuffer([target], c.depth_renderbuffer(size))
@@ -245,52 +244,40 @@ class Subject:
         framebuffer.read_into(image, components=3, alignment=1)
         return image
 
-    def unwrap(self, images: list[tuple[Camera, View]], size: int) -> tuple[ByteArray, BoolArray]:
-        """Average texture: every image projected back onto the mesh, where its camera sees it.
+    def photograph(
+        self, cameras: Sequence[Camera], size: int
+    ) -> tuple[list[View], ByteArray, BoolArray]:
+        """What cameras in head axes see of the pose, and the average texture: every image projected
+        back onto the mesh, where its camera sees it.
 
         Args:
-            images: Cameras with what they saw of the pose that is set now.
             size: Side of the texture, texels.
 
         Returns:
-            sRGB texture, row 0 is v = 0, black where no camera looks; and where one does.
-            uint8 ``[S, S, 3]``, bool ``[S, S]``.
+            Views; the sRGB texture, row 0 is v = 0, black where no camera looks; and where one
+            does. uint8 ``[S, S, 3]``, bool ``[S, S]``.
         """
-        c = self._context
-        framebuffer = self._framebuffer("sum", size, size)
-        framebuffer.clear(0.0, 0.0, 0.0, 0.0)
+        c, views = self._context, []
+        total = self._framebuffer("sum", size, size)
+        total.clear(0.0, 0.0, 0.0, 0.0)
         program = self._unwrap.program
         set_uniforms(program, {"image": 0, "seen_m": 1, "tolerance_m": DEPTH_TOLERANCE_M})
-        framebuffer.use()
-        c.enable_only(moderngl.BLEND)
-        c.blend_func = moderngl.ONE, moderngl.ONE
-        for camera, view in images:
+        for camera in cameras:
+            views.append(self.draw(camera))
+            for unit, kind in enumerate(("colour", "geometry")):
+                self._framebuffer(kind, camera.width, camera.height).color_attachments[0].use(unit)
+            total.use()
+            c.enable_only(moderngl.BLEND)
+            c.blend_func = moderngl.ONE, moderngl.ONE
             self._aim(program, camera)
-            for unit, texture in enumerate(self._upload_view(view)):
-                texture.use(unit)
             self._unwrap.render()
         c.enable_only(moderngl.NOTHING)
-        raw = np.frombuffer(framebuffer.read(components=4, dtype="f4"), np.float32)
-        total = raw.reshape(size, size, 4)
-        seen = total[..., 3] > 1e-4
-        mean = total[..., :3] / np.maximum(total[..., 3:], 1e-4)
-        result = np.where(seen[..., None], np.rint(255 * np.clip(mean, 0, 1)), 0)
-        return result.astype(np.uint8), seen
-
-    def _upload_view(self, view: View) -> tuple[Any, Any]:
-        """A view's image and its depth as textures; row 0 at the bottom."""
-        h, w = view.depth_m.shape
-        if (w, h) not in self._view_textures:
-            c = self._context
-            pair = c.texture((w, h), 3), c.texture((w, h), 1, dtype="f4")
-            pair[1].filter = (moderngl.NEAREST, moderngl.NEAREST)
-            for texture in pair:
-                texture.repeat_x = texture.repeat_y = False
-            self._view_textures[w, h] = pair
-        image, depth = self._view_textures[w, h]
-        image.write(np.ascontiguousarray(view.image[::-1]), alignment=1)
-        depth.write(np.ascontiguousarray(view.depth_m[::-1]))
-        return image, depth
+        raw = np.frombuffer(total.read(components=4, dtype="f4"), np.float32)
+        sums = raw.reshape(size, size, 4)
+        seen = sums[..., 3] > 1e-4
+        mean = sums[..., :3] / np.maximum(sums[..., 3:], 1e-4)
+        texture = np.where(seen[..., None], np.rint(255 * np.clip(mean, 0, 1)), 0)
+        return views, texture.astype(np.uint8), seen
 
 
 def _lid_edges(head: RigHead) -> Iterator[tuple[Int64Array, Int64Array, Int64Array]]:
@@ -348,27 +335,17 @@ class RigSubject(Subject):
 def describe_rig(path: Path, source: RigSource, head: RigHead) -> dict[str, Any]:
     """Source, rights, names, unit and parts."""
     mesh = head.mesh
-    painted = [
-        name for k, name in enumerate(source.materials)
-        if k not in source.images and (mesh.material == k).any()
-    ]  # fmt: skip
     return {
         "source": f"rendered from the rig {path.name}",
         "licence": source.copyright or "that of the rig; its file does not say",
         "rig": {
             "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
             "unit": mesh.frame.unit,
-            "turned": mesh.frame.turned,
             "guessed": list(mesh.frame.guessed),
             "mapped": list(head.names.mapped),
             "missing": list(head.names.missing),
             "ignored": list(head.names.ignored),
             "left_out_materials": list(mesh.dropped),
-            "painted_materials": painted,
-            "eyeballs": len(mesh.eyes),
-            "eyeballs_turned_by_importer": head.eyes_turned_here,
-            "mouth_close_is_corrective": head.corrective_close,
-            "islands": head.chart.islands,
             "triangles_with_new_coordinates": head.mended,
         },
     }

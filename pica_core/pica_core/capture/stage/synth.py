@@ -239,18 +239,15 @@ class _Rendering:
         arkit = take.arkit[index]
         exact = self.subject.pose(arkit)
         pose = head_to_world(self.options.seed, number, time_s)
-        views = []
-        for camera in self.cameras:
-            in_head = camera.in_head(pose)
-            view = self.subject.draw(in_head)
-            views.append((in_head, view))
+        cameras = [camera.in_head(pose) for camera in self.cameras]
+        views, texture, _ = self.subject.photograph(cameras, self.options.texture_size)
+        for camera, view in zip(cameras, views, strict=True):
             for kind, make in (
                 ("images", partial(np.asarray, view.image)),
                 ("depth", partial(depth_units, view.depth_m)),
             ):
                 path = multiface.image_path(kind, take.segment, camera.name, frame)
                 self.writer.image(self.out / path, make)
-        texture, _ = self.subject.unwrap(views, self.options.texture_size)
         path = multiface.texture_path(self.options.texture_size, take.segment, frame)
         self.writer.image(self.out / path, lambda: np.ascontiguousarray(texture[::-1]))
         rows = np.concatenate([pose[:, :3], multiface.MILLIMETRES * pose[:, 3:]], axis=1)

@@ -63,7 +63,6 @@ def test_the_chart_holds_every_triangle_once(toy: RigHead) -> None:
 
     assert chart.vertex_uv.min() >= 0
     assert chart.vertex_uv.max() <= 1
-    assert chart.islands == 4  # skin, two eyes that share their place in the file, a tooth
     own = len(toy.mesh.faces)
     assert (chart.source[chart.faces[:own]] == toy.mesh.faces).all()
     assert (chart.face_source[:own] == np.arange(own)).all()
@@ -119,7 +118,6 @@ def test_eyeballs_that_the_shapes_leave_alone_are_turned_about_their_centres(toy
     looking = toy.vertices(blend(eyeLookOutLeft=1.0, eyeLookInRight=1.0))
     rest = toy.vertices(np.zeros(NUM_ARKIT))
 
-    assert toy.eyes_turned_here == 2
     before, after = rest[front] - eye.centre_m, looking[front] - eye.centre_m
     assert np.linalg.norm(after) == pytest.approx(np.linalg.norm(before), rel=1e-4)
     turned = np.arctan2(after[0], after[2]) - np.arctan2(before[0], before[2])

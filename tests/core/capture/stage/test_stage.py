@@ -61,7 +61,7 @@ def test_a_dome_of_one_lens_looks_at_the_head_from_all_its_cameras() -> None:
     for camera, others in zip(cameras, apart, strict=True):
         assert min(np.linalg.norm(camera.centre_m - c.centre_m) for c in others) > 0.03
     with pytest.raises(CaptureError, match="lenses is 'two'; there are mixed, one"):
-        dome_cameras(5, 64, 64, "two")
+        RenderOptions(lenses="two")
 
 
 def test_a_capture_reads_back_what_the_stage_rendered(rendered: Path) -> None:

@@ -72,7 +72,7 @@ def test_a_texture_of_other_cameras_shows_a_held_out_one() -> None:
     held_out, *cameras = dome_cameras(9, 320, 320)
     subject = small_subject(bake_size=512)
     vertices = subject.pose(blend(jawOpen=0.2, mouthSmile=0.4))
-    texture, covered = subject.unwrap([(each, subject.draw(each)) for each in cameras], 512)
+    _, texture, covered = subject.photograph(cameras, 512)
     view, topology = subject.draw(held_out), subject.topology
     subject.release()
 

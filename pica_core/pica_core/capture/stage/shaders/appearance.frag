@@ -17,7 +17,6 @@ layout(location = 0) out vec4 colour_out;
 layout(location = 1) out vec4 relief_out;
 uniform float has_albedo;
 uniform sampler2D albedo;
-uniform vec2 mirrored;      // 1 where the image goes on mirrored, across and down
 uniform float seed;
 uniform vec3 skin_rgb;
 uniform vec3 lip_rgb;
@@ -254,8 +253,7 @@ void main() {
         height = hairs;
         third = 0.5 * fine + 0.5 * thin;
     }
-    vec2 folded = mix(albedo_uv, 1.0 - abs(mod(albedo_uv, 2.0) - 1.0), mirrored);
-    if (has_albedo > 0.5) rgb = pow(texture(albedo, folded).rgb, vec3(2.2)) * tinted;
+    if (has_albedo > 0.5) rgb = pow(texture(albedo, albedo_uv).rgb, vec3(2.2)) * tinted;
     colour_out = vec4(sqrt(clamp(rgb, 0.0, 1.0)), gloss);
     relief_out = vec4(height, translucent, third, 1.0);
 }

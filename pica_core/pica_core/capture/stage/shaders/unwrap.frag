@@ -3,7 +3,7 @@ in vec4 clip;
 in float depth_m;
 in float facing;
 out vec4 sum_out;
-uniform sampler2D image;      // row 0 is the bottom row
+uniform sampler2D image;      // row 0 is the top row
 uniform sampler2D seen_m;       // 0 where no head is
 uniform float tolerance_m;
 void main() {
@@ -13,5 +13,5 @@ void main() {
     // Visible: this camera's nearest surface here is this one, within the depth that a slanted pixel spans.
     if (nearest_m <= 0.0 || depth_m > nearest_m + tolerance_m / facing) discard;
     float weight = facing * facing * facing;
-    sum_out = vec4(texture(image, at).rgb * weight, weight);
+    sum_out = vec4(texture(image, vec2(at.x, 1.0 - at.y)).rgb * weight, weight);
 }
