@@ -1,12 +1,12 @@
 """The meshes of a capture: tracked ones, exact ones, and both as the maps that encoders see.
 
-A *dense* mesh is of the capture's topology, a *tracked* one of the tracker's, which may be the
-same. The best meshes there are: exact ones; without them the tracked ones, through their position
-maps where they are of another topology.
+A *dense* mesh is of the capture's topology, a *tracked* one of the tracker's, which has some of
+the dense one's vertices, or all. The best meshes there are: exact ones; without them the tracked
+ones.
 """
 
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import lru_cache
 
 import numpy as np
 import torch
@@ -114,10 +114,11 @@ class CaptureMeshes:
     def __init__(self, capture: Capture, train_frames: list[int]) -> None:
         self._capture, self._train_frames = capture, train_frames
         dense, tracked = capture.topology, capture.tracked_topology
-        self._one_mesh = tracked is dense
+        index = capture.dense_vertex
+        self._dense_vertex = np.arange(len(dense.vertex_uv)) if index is None else index
         self.uv_raster = rasterise_uv(dense.vertex_uv, dense.faces, MAP_SIZE)
         self._tracked_raster = self.uv_raster
-        if not self._one_mesh:
+        if tracked is not dense:
             self._tracked_raster = rasterise_uv(tracked.vertex_uv, tracked.faces, MAP_SIZE)
         frames = capture.frames
         self.tracked_m = np.stack([capture.vertices_m(frame) for frame in frames])
@@ -125,15 +126,11 @@ class CaptureMeshes:
         self.dense_m = self.tracked_m
         if capture.has_truth:
             self.dense_m = np.stack([capture.true_vertices_m(frame) for frame in frames])
-        elif not self._one_mesh:
-            self.dense_m = np.stack([self._dense_of_tracked(i) for i in range(len(frames))])
         train = self.dense_m[train_frames]
         self.dense_mean_m: FloatArray = train.mean(0, dtype=np.float64).astype(np.float32)
         self.position_mean = self.uv_raster.position_map(self.dense_mean_m)
         self.position_scale_m = float(np.sqrt(np.square(train - self.dense_mean_m).mean()) * 2)
         self.source: MeshSource = "truth" if capture.has_truth else "tracked"
-        uv = tracked.vertex_uv
-        self._true_tracked = cache(lambda i: _resampled(self.uv_raster, self.dense_m[i], uv))
         self._map = lru_cache(MAX_MAPS)(self._map_of)
 
     def use(self, source: MeshSource) -> bool:
@@ -149,9 +146,7 @@ class CaptureMeshes:
 
     def tracked_position_mean(self) -> FloatArray:
         """The mean of the tracked topology's meshes as a map, ``[S, S, 3]``."""
-        index = self._capture.dense_vertex
-        mean = self.tracked_mean_m if index is None else self.dense_mean_m[index]
-        return self._tracked_raster.position_map(mean)
+        return self._tracked_raster.position_map(self.dense_mean_m[self._dense_vertex])
 
     def neutral_m(self, name: TopologyName, arkit: Tensor) -> FloatArray:
         """The mesh of the training frame nearest to a neutral expression, as `source` says:
@@ -171,18 +166,21 @@ class CaptureMeshes:
 
     def true_at_tracked(self, frame: int) -> FloatArray:
         """The best mesh at the vertices of the tracked topology, ``[Vt, 3]``."""
-        index = self._capture.dense_vertex
-        if not self._one_mesh and index is None:
-            return self._true_tracked(frame)
-        mesh: FloatArray = self.dense_m[frame]
-        return mesh if index is None else mesh[index]
+        mesh: FloatArray = self.dense_m[frame, self._dense_vertex]
+        return mesh
 
     def best_dense(self, frame: int) -> FloatArray:
-        """The mesh of the dense topology that `source` has, ``[V, 3]``."""
-        if self.source == "tracked" and not self._one_mesh:
-            return self._dense_of_tracked(frame)
-        mesh: FloatArray = (self.tracked_m if self.source == "tracked" else self.dense_m)[frame]
-        return mesh
+        """The mesh of the dense topology that `source` has, ``[V, 3]``: a tracked one through its
+        position map where it has fewer vertices."""
+        if self.source == "truth" or self._tracked_raster is self.uv_raster:
+            mesh: FloatArray = (
+                self.dense_m[frame] if self.source == "truth" else self.tracked_m[frame]
+            )
+            return mesh
+        values = torch.from_numpy(self._tracked_raster.position_map(self.tracked_m[frame]))
+        uv = torch.from_numpy(np.ascontiguousarray(self._capture.topology.vertex_uv, np.float32))
+        found = sample_map(values.permute(2, 0, 1)[None], uv)[0]
+        return found.contiguous().numpy()
 
     def best_tracked(self, frame: int) -> FloatArray:
         """The same of the tracked topology, ``[Vt, 3]``."""
@@ -213,11 +211,6 @@ class CaptureMeshes:
             offset, raster = self.dense_m[frame] - self.dense_mean_m, self.uv_raster
         return raster.position_map(offset / self.position_scale_m)
 
-    def _dense_of_tracked(self, frame: int) -> FloatArray:
-        """The tracked mesh at the vertices of the dense topology, through its position map."""
-        uv = self._capture.topology.vertex_uv
-        return _resampled(self._tracked_raster, self.tracked_m[frame], uv)
-
 
 def important_vertices(topology: Topology) -> BoolArray:
     """Which vertices are of `IMPORTANT_REGIONS`. bool ``[V]``."""
@@ -231,11 +224,3 @@ def vertex_importance(
     """How much an error of each vertex counts: mouth and eyes above the rest, lids most. ``[V]``"""
     weights = {**dict.fromkeys(IMPORTANT_REGIONS, region_weight), "lids": lid_weight}
     return topology.by_region(weights, 1.0).astype(np.float32)
-
-
-def _resampled(raster: UvRaster, vertices_m: FloatArray, uv: FloatArray) -> FloatArray:
-    """What lies at UVs ``[V, 2]`` of a mesh's position map, bilinear."""
-    values = torch.from_numpy(raster.position_map(vertices_m)).permute(2, 0, 1)[None]
-    found = sample_map(values, torch.from_numpy(np.ascontiguousarray(uv, np.float32)))[0]
-    vertices: FloatArray = found.contiguous().numpy()
-    return vertices
