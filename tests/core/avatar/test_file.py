@@ -71,14 +71,8 @@ def test_a_saved_avatar_is_read_back_with_its_manifest_and_nearly_its_tensors(
     for name, array in TOY.tensors.items():
         spread = float(np.ptp(array.astype(np.float64)))
         # 8 bits over the channel's range is the coarsest storage: half a step, plus rounding.
-        assert np.abs(loaded.tensors[name] - array).max() <= 0.51 / 255 * spread, name
-
-
-def test_positions_and_uvs_keep_sixteen_bits_by_default(toy_bytes: bytes) -> None:
-    loaded = load_avatar(toy_bytes)
-    error_m = np.abs(loaded.tensors["geometry.mean"] - TOY.tensors["geometry.mean"]).max()
-    assert error_m < 5e-6
-    assert np.abs(loaded.tensors["mesh.vertex_uv"] - TOY.tensors["mesh.vertex_uv"]).max() < 1e-5
+        steps = 65535 if name in ("geometry.mean", "mesh.vertex_uv") else 255
+        assert np.abs(loaded.tensors[name] - array).max() <= 0.51 / steps * spread, name
 
 
 def test_loaded_arrays_cannot_be_written(toy_bytes: bytes) -> None:
@@ -86,24 +80,12 @@ def test_loaded_arrays_cannot_be_written(toy_bytes: bytes) -> None:
         load_avatar(toy_bytes).tensors["u_encoding"][0] = 0
 
 
-def test_the_identity_is_the_hash_of_the_bytes(tmp_path: Path, toy_bytes: bytes) -> None:
-    (tmp_path / "a.pica").write_bytes(toy_bytes)
-    assert avatar_id(tmp_path / "a.pica") == avatar_id(toy_bytes)
-    assert avatar_id(toy_bytes) != avatar_id(toy_bytes + b"\0")
-    assert len(avatar_id(toy_bytes)) == 64
-
-
 def test_saving_the_same_avatar_again_gives_the_same_identity(tmp_path: Path) -> None:
     identities = set()
     for _ in range(8):  # what is left to chance shows by then
         save_avatar(tmp_path / "a.pica", TOY)
         identities.add(avatar_id(tmp_path / "a.pica"))
-    assert len(identities) == 1
-
-
-def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(AvatarFileError, match=r"nobody\.pica: cannot be read"):
-        load_avatar(tmp_path / "nobody.pica")
+    assert identities == {avatar_id((tmp_path / "a.pica").read_bytes())}
 
 
 def test_a_file_over_the_limit_is_refused_unread(
@@ -116,14 +98,10 @@ def test_a_file_over_the_limit_is_refused_unread(
 
 
 @pytest.mark.parametrize("keep", [0, 7, 8, 100, 5000, -1])
-def test_a_truncated_file_is_refused(toy_bytes: bytes, keep: int) -> None:
-    with pytest.raises(AvatarFileError):
-        load_avatar(toy_bytes[:keep])
-
-
-def test_bytes_after_the_end_are_refused(toy_bytes: bytes) -> None:
-    with pytest.raises(AvatarFileError):
-        load_avatar(toy_bytes + b"smuggled")
+def test_a_file_that_is_cut_or_goes_on_is_refused(toy_bytes: bytes, keep: int) -> None:
+    for data in (toy_bytes[:keep], toy_bytes + b"smuggled"):
+        with pytest.raises(AvatarFileError):
+            load_avatar(data)
 
 
 def test_a_giant_header_length_is_refused_before_anything_is_allocated() -> None:
@@ -210,14 +188,6 @@ def test_what_a_spec_holds_is_told_in_a_short_printable_line(
         load_avatar(changed)
     assert str(told.value).isprintable()
     assert len(str(told.value)) < 300
-
-
-def test_a_spec_that_disagrees_with_the_tensors_is_refused(toy_bytes: bytes) -> None:
-    changed = with_manifest(
-        toy_bytes, lambda manifest: manifest["spec"].update(uv_encoding_size=2048)
-    )
-    with pytest.raises(AvatarFileError, match=r"uv_encoding has shape \[16, 16, 4\]"):
-        load_avatar(changed)
 
 
 @pytest.mark.parametrize("dtype", ["F64", "I64", "BOOL", "BF16", None])
@@ -347,9 +317,3 @@ def test_tables_that_do_not_fit_are_refused_by_name(
 ) -> None:
     with pytest.raises(AvatarFileError, match=message):
         load_avatar(with_stream_tensor(stream_bytes, f"stream.{name}", change))
-
-
-def test_a_table_that_nobody_knows_is_refused() -> None:
-    tensors = {**WITH_STREAM.tensors, "stream.surprise": np.zeros(3, np.int32)}
-    with pytest.raises(AvatarFileError, match=r"stream\.surprise is missing or unknown"):
-        save_avatar(Path("unwritten.pica"), Avatar(TOY.manifest, tensors))
