@@ -16,7 +16,6 @@ from helpers.store_peers import store_relay
 from helpers.toy import make_toy_avatar
 from pica_client.avatars.fetch import AvatarCache, AvatarFetcher
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.avatars.upload import AvatarGiver
 from pica_client.call.call import Call
 from pica_client.call.status import FaceState
 from pica_client.decode.decoder import OnnxDecoder
@@ -25,7 +24,6 @@ from pica_client.publish.publisher import open_face
 from pica_client.transport.config import LinkConfig
 from pica_core.avatar.file import avatar_id, save_avatar
 from pica_server.relay import Relay
-from pica_server.tokens import Admission, KeyRing, mint
 
 pytestmark = pytest.mark.call
 
@@ -103,26 +101,3 @@ async def test_a_strangers_face_is_seen_by_who_does_not_have_its_file(
         notes = await hold_call(relay, tmp_path, also_views=also_views)
         assert relay.stats()["store"]["uploads_kept"] == 1
     assert any("avatar" in note for note in notes)
-
-
-@pytest.mark.asyncio
-async def test_with_tokens_a_stranger_gives_the_avatar_that_the_token_names(
-    tmp_path: Path,
-) -> None:
-    save_avatar(tmp_path / "stranger.pica", make_toy_avatar(seed=24))
-    line = KeyRing.new_line()
-    (tmp_path / "keys").write_text(line)
-    identity = avatar_id(tmp_path / "stranger.pica")
-    tokens = tmp_path / "token"
-    admission = Admission(identity="stranger", avatars=(identity,))
-    tokens.write_text(
-        mint(KeyRing.parse(line), "lobby", admission, now=1e9, lasts_s=60, starts_s=0)
-    )
-    config = {"keys": tmp_path / "keys"}
-    async with store_relay(tmp_path / "store", config=config, unix_time=lambda: 1e9) as relay:
-        link, path = LinkConfig(token_file=tokens), tmp_path / "stranger.pica"
-        giver = AvatarGiver(link, path, identity, lambda line: None)
-        giver.begin(relay.url)
-        await until(lambda: giver.outcome == "given")
-        await giver.close()
-    assert (tmp_path / "store" / f"{identity}.pica").exists()

@@ -154,16 +154,6 @@ async def test_a_face_whose_sender_is_away_is_concealed_then_stale_then_live_in_
 
 
 @in_virtual_time
-async def test_a_sender_that_is_away_for_too_long_gets_a_new_seat() -> None:
-    display, sent, _, stats = await break_calls(
-        "ada", how=partial(Network.reset, down_s=11.0), seconds=40.0
-    )
-    assert (sent["reconnects"], sent["resumes"]) == (1, 0)
-    assert len(display.peer_ids) == 2
-    assert stats["resumes"] == {"away": 1, "unknown": 1}
-
-
-@in_virtual_time
 async def test_a_receiver_that_comes_back_keeps_its_seats_and_sees_everybody_at_once() -> None:
     display, _, received, stats = await break_calls("viewer")
     assert (received["reconnects"], received["resumes"]) == (1, 1)

@@ -19,7 +19,7 @@ from pica_client.e2ee.secret import RoomSecret
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.link import Link
 from pica_protocol.frames import Frame
-from pica_protocol.messages import Joined, PeerLeft, Subscribe, Track, Whisper
+from pica_protocol.messages import Joined, PeerLeft, Track, Whisper
 from pica_protocol.session import ClientEvent
 from pica_server.config.relay import RelayConfig
 from pica_server.relay import Relay
@@ -145,28 +145,6 @@ async def test_a_late_joiner_sees_a_face_one_round_trip_and_one_frame_after_it_j
 
 
 @in_virtual_time
-async def test_the_relay_thins_what_it_cannot_read() -> None:
-    async with Relay(RelayConfig(port=8765)):
-        ada, ben = Sealed("ada"), Sealed("ben", publishes=False)
-        async with running(ada, ben):
-            await asyncio.sleep(1)  # the first frames would come before the first keys
-            publishing = asyncio.create_task(ada.publish(12))
-            await asyncio.sleep(2)
-            (stream,) = ben.streams()
-            for every in (2, 4, 0, 1):
-                ben.link.tell(Subscribe(stream=stream, every=every))
-                await asyncio.sleep(0.1)
-                ben.frames.clear()
-                await asyncio.sleep(2)
-                numbers = [frame.sequence for _, frame in ben.frames]
-                assert len(numbers) == pytest.approx(2 * FPS / every if every else 0, abs=2)
-                assert not any(number % (every or 1) for number in numbers)
-            await publishing
-    counters = ben.guard.counters
-    assert (counters.forged, counters.replayed, counters.unreadable) == (0, 0, 0)
-
-
-@in_virtual_time
 async def test_those_who_stay_miss_nothing_when_somebody_leaves() -> None:
     network = current_network()
     network.route("slow", up=Wire(delay_s=0.2), down=Wire(delay_s=0.2, jitter_s=0.03))
@@ -185,23 +163,3 @@ async def test_those_who_stay_miss_nothing_when_somebody_leaves() -> None:
             seen_s = [arrived_s for arrived_s, _ in ben.frames]
     gaps_s = [after - before for before, after in pairwise(seen_s)]
     assert max(gaps_s) < 0.3  # the jitter of the network, and nothing on top
-
-
-@in_virtual_time
-async def test_everybody_reads_again_after_the_relay_came_back() -> None:
-    ada, ben = Sealed("ada"), Sealed("ben")
-    async with Relay(RelayConfig(port=8765)):
-        tasks = [asyncio.create_task(peer.link.run()) for peer in (ada, ben)]
-        await asyncio.gather(ada.joined.wait(), ben.joined.wait())
-        await asyncio.gather(ada.publish(2), ben.publish(2))
-    await asyncio.sleep(3)
-    async with Relay(RelayConfig(port=8765)):
-        await asyncio.sleep(10)
-        for peer in (ada, ben):
-            peer.frames.clear()
-        await asyncio.gather(ada.publish(2), ben.publish(2))
-        await asyncio.sleep(0.5)
-        for peer in (ada, ben):
-            assert len(peer.frames) == 2 * FPS
-            peer.link.leave()
-        await asyncio.gather(*tasks)

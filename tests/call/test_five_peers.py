@@ -130,18 +130,6 @@ async def test_on_a_perfect_network_every_latent_comes_at_once() -> None:
 
 
 @in_virtual_time
-async def test_each_peer_costs_its_payload_and_a_stated_overhead() -> None:
-    watched, sent, _ = await hold_call({})
-    for each in sent:
-        # Kind byte, frame header, websocket header and mask, TCP and IP headers.
-        headers_bps = 30 * (1 + 8 + 6 + 40) * 8
-        assert each["wire_bps"] == pytest.approx(each["payload_bps"] + headers_bps, rel=0.02)
-    for name, each in zip(PEERS, sent, strict=True):
-        received_bps = watched.peer(name)["payload_bps"]
-        assert received_bps == pytest.approx(each["payload_bps"], rel=0.1)
-
-
-@in_virtual_time
 async def test_jitter_is_waited_for_where_it_is_and_nowhere_else() -> None:
     watched, _, _ = await hold_call({"ben": Wire(delay_s=0.02, jitter_s=0.02)})
     waits_ms = {name: watched.peer(name)["playout_delay_ms"] for name in PEERS}
@@ -177,13 +165,3 @@ async def test_a_slow_receiver_gets_every_peer_at_a_lower_rate_within_bounded_de
     assert max(watched.delay_percentile(name, 99) for name in PEERS) <= 0.4
     assert sum(relay_stats["dropped"].values()) > 0
     assert relay_stats["open_connections"] == 0
-
-
-@in_virtual_time
-async def test_retransmissions_stall_one_peer_alone() -> None:
-    watched, _, _ = await hold_call({"dee": Wire(delay_s=0.01, loss_ratio=0.02)}, seconds=60)
-    assert watched.peer("dee")["latents_per_s"] == pytest.approx(30, rel=0.02)
-    assert watched.delay_percentile("dee", 50) <= 0.05
-    assert watched.peer("dee")["playout_delay_ms"] <= 200  # the ceiling
-    for name in set(PEERS) - {"dee"}:
-        assert watched.delay_percentile(name, 99) <= 0.0005

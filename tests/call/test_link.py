@@ -15,12 +15,7 @@ from pica_client.transport.config import LinkConfig
 from pica_client.transport.link import Link
 from pica_protocol import SUBPROTOCOL
 from pica_protocol.messages import (
-    BarIdentity,
     Joined,
-    MutePeer,
-    StreamMuted,
-    Subscribe,
-    Whisper,
 )
 from pica_protocol.session import ClientEvent, Closed
 from pica_server.config.relay import RelayConfig
@@ -74,20 +69,6 @@ async def test_a_relay_that_comes_late_is_found_within_a_second_of_its_coming() 
         assert loop.time() <= 61.1
         assert link.is_joined
         link.leave()
-        await running
-
-
-@in_virtual_time
-async def test_a_full_room_is_no_place_to_come_back_to() -> None:
-    async with Relay(RelayConfig(room_capacity=1)):
-        first, _ = make_link()
-        running = asyncio.create_task(first.run())
-        await asyncio.sleep(1)
-        second, _ = make_link()
-        with pytest.raises(RelayRefusedError, match=r"the relay said no: .*full.* \(code 4004\)"):
-            await second.run()
-        assert first.is_joined
-        first.leave()
         await running
 
 
@@ -218,15 +199,6 @@ async def test_a_websocket_server_of_another_language_is_refused_by_name() -> No
                 await link.run()
 
 
-@in_virtual_time
-async def test_frames_are_refused_while_nobody_listens() -> None:
-    link, _ = make_link()
-    assert not link.send_frame(b"x", 1)
-    assert not link.is_joined
-    assert not link.tell(Subscribe(stream=1, every=1))
-    assert not link.tell(Whisper(peer_id="p1", data=b"x"))
-
-
 def test_a_link_shows_its_token_and_reads_a_fresh_one_when_it_comes_back(tmp_path: Path) -> None:
     keys, token_file = tmp_path / "keys", tmp_path / "token"
     keys.write_text(KeyRing.new_line())
@@ -266,37 +238,5 @@ def test_a_token_file_without_a_token_is_named(content: bytes | None, tmp_path: 
     async def scenario() -> None:
         with pytest.raises(OptionError, match=r"token-file .*token: "):
             await Link(LinkConfig(url=URL, token_file=path)).run()
-
-    scenario()
-
-
-def test_an_admins_link_mutes_and_bars_and_tells_what_is_muted(tmp_path: Path) -> None:
-    path = tmp_path / "keys"
-    path.write_text(KeyRing.new_line())
-
-    def token(identity: str, *, may_admin: bool = False) -> str:
-        admission = Admission(identity=identity, may_admin=may_admin)
-        return mint(load_keys(path), "r", admission, now=1e9, lasts_s=60, starts_s=0)
-
-    @in_virtual_time
-    async def scenario() -> None:
-        seen = Seen()
-        config = LinkConfig(url=URL, room="r", token=token("olga", may_admin=True))
-        link = Link(config, on_event=seen.take)
-        assert not link.is_admin
-        async with (
-            Relay(RelayConfig(keys=path), unix_time=lambda: 1e9),
-            peer_in_room(URL, "Ada", room="r", token=token("ada")) as ada,
-        ):
-            running = asyncio.create_task(link.run())
-            await seen.joined.wait()
-            assert link.is_admin
-            link.tell(MutePeer(peer_id=ada.session.peer_id, kind="face", is_muted=True))
-            await ada.until(StreamMuted)
-            link.tell(BarIdentity(identity="ada", is_barred=True))
-            closed = await ada.until(Closed)
-            assert closed.reason == "an admin has removed you from the room"
-            link.leave()
-            await running
 
     scenario()

@@ -159,17 +159,6 @@ def test_bad_input_of_a_part_is_bad_input_of_the_whole(children: Children) -> No
     assert raised.value.exit_code == 2
 
 
-def test_a_sender_without_a_relay_says_so_and_ends_with_two(avatar_file: Path) -> None:
-    command = [sys.executable, "-m", "pica_command", "send", "--url", "ws://127.0.0.1:9"]
-    done = subprocess.run(
-        [*command, "--avatar", str(avatar_file)], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 2
-    last = done.stderr.strip().splitlines()[-1]
-    assert last.startswith("pica send: no relay answers at ws://127.0.0.1:9 (tried for 3 s: ")
-    assert "Traceback" not in done.stderr
-
-
 def test_a_short_bench_decodes_every_peer_without_errors(avatar_file: Path) -> None:
     stage = LocalCallConfig(peers=2, avatar=str(avatar_file))
     result = run_bench(BenchConfig(call=stage, seconds=1.5))

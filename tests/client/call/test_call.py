@@ -18,6 +18,7 @@ from helpers.toy import make_toy_avatar, toy_payload, without_stream
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.call.call import Call
 from pica_client.errors import AvatarLookupError
+from pica_client.tracks import FACE_KEY, FACE_LOST
 from pica_core.avatar.file import Avatar, save_avatar
 from pica_core.errors import AvatarFileError
 from pica_protocol.frames import Frame
@@ -299,3 +300,29 @@ def test_a_face_says_why_it_stands_still(call: Call) -> None:
         notes.append(call.faces(0.1)[0].note)
     nothing = "no face yet"
     assert notes == ["connection lost", nothing, "muted by an admin", nothing, nothing, nothing]
+
+
+def test_who_comes_back_to_another_seat_is_counted_as_one_person(call: Call) -> None:
+    call.begin_window(0.0)
+    for came_s, event, stream in (
+        (0.0, joined(peer("p1", "Ada", 1)), 1),
+        (25.0, PeerJoined(peer=peer("p2", "Ada", 2)), 2),
+        (29.0, joined(peer("p7", "Ada", 4)), 4),
+    ):
+        call.receive_event(event, now=came_s)
+        for index in range(30):
+            call.receive_event(frame(stream, index, index * 33_333), now=came_s + index / 30)
+        call.receive_event(PeerLeft(peer_id="p1", reason="lost"), now=came_s + 12)
+    (stats,) = call.stats(30.0)["peers"]
+    assert stats["received"] == 90
+
+
+def test_a_face_is_away_while_its_tracker_sees_nobody(call: Call) -> None:
+    call.receive_event(joined(peer("p1", "Ada", 1)), now=0.0)
+    call.receive_event(frame(1, 0, 0), now=0.0)
+    statuses = []
+    for says in (FACE_LOST, "", "odd"):
+        told = PeerUpdated(peer_id="p1", metadata=((FACE_KEY, says),))
+        call.receive_event(told, now=0.0)
+        statuses.append(call.faces(0.1)[0].status)
+    assert statuses == ["away", "live", "live"]

@@ -7,9 +7,8 @@ import base64
 import pytest
 
 from pica_client.errors import OptionError
-from pica_client.local_call.local_call import peer_sources
 from pica_client.publish.publisher import SenderConfig
-from pica_client.stats import Samples, summarise_ms, wire_bytes
+from pica_client.stats import summarise_ms, wire_bytes
 from pica_client.transport.config import LinkConfig, shown_name
 
 pytestmark = pytest.mark.unit
@@ -19,13 +18,6 @@ def test_percentiles_are_samples_by_nearest_rank() -> None:
     assert summarise_ms([0.001 * n for n in range(1, 101)]) == {"p50": 50, "p95": 95, "p99": 99}
     assert summarise_ms([0.5]) == {"p50": 500, "p95": 500, "p99": 500}
     assert summarise_ms([]) == {"p50": None, "p95": None, "p99": None}
-
-
-def test_samples_are_bounded_and_drop_the_oldest() -> None:
-    samples = Samples(max_samples=3)
-    for value in (9.0, 0.001, 0.002, 0.003):
-        samples.add(value)
-    assert samples.summary_ms() == {"p50": 2, "p95": 3, "p99": 3}
 
 
 @pytest.mark.parametrize(
@@ -62,11 +54,6 @@ def test_a_room_or_name_beyond_its_limits_is_refused(room: str, name: str) -> No
 def test_a_rate_or_duration_out_of_range_is_refused(fps: float, seconds: float) -> None:
     with pytest.raises(OptionError, match="allowed"):
         SenderConfig(fps=fps, seconds=seconds)
-
-
-def test_peers_of_one_recording_start_at_different_places() -> None:
-    assert len(set(peer_sources("csv:take.csv", 5))) == 5
-    assert len(set(peer_sources(None, 5))) == 5
 
 
 @pytest.mark.parametrize(
