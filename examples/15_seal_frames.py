@@ -8,8 +8,8 @@ open.
 import os
 from dataclasses import replace
 
-from pica_client.e2ee.errors import OpenError
 from pica_client.e2ee.frames import derive_key, metadata_of, open_, seal
+from pica_client.errors import OpenError
 from pica_protocol.frames import Frame
 
 key = derive_key(os.urandom(16), key_id=0)

@@ -6,6 +6,10 @@
     ├── ShaderError         shader text that is wrong, or that a driver does not take
     ├── VoiceError          sound that cannot be opened, encoded, decoded or played
     ├── AvatarLookupError   an avatar that is neither shipped nor in the given files
+    ├── SealError           end-to-end encryption
+    │   ├── SecretFileError     the file with the room secret cannot be read or written
+    │   ├── KeyMessageError     a message about keys that is not from a member, or not for us
+    │   └── OpenError           a payload that is not what its sender sealed
     ├── RelayError          the way to the relay
     │   ├── RelayUnreachableError   no answer at that address
     │   └── RelayRefusedError       the relay refuses us
@@ -47,6 +51,22 @@ class VoiceError(ClientError):
 
 class AvatarLookupError(ClientError):
     """No avatar of that name or hash: names those that are there."""
+
+
+class SealError(ClientError):
+    """Sealed payloads or keys cannot be used."""
+
+
+class SecretFileError(SealError):
+    """The secret cannot be used: names the file and the fix."""
+
+
+class KeyMessageError(SealError):
+    """A message about keys cannot be trusted."""
+
+
+class OpenError(SealError):
+    """A sealed payload does not open; it is dropped and counted, and not reported further."""
 
 
 class RelayError(ClientError):

@@ -247,10 +247,10 @@ async def hold_call(
                     presenter.collect(now)
                     scene = presenter.dressed(scene)
                     renderer.count(scene.placements, scene.camera, scene.room)
-                counters, elapsed_s = receiver.link.counters, loop.time()
+                link, elapsed_s = receiver.link, loop.time()
                 carried = {
-                    "messages_received": counters.received_messages / elapsed_s,
-                    "bytes_received": counters.received_wire_bytes / elapsed_s,
+                    "messages_received": link.received_messages / elapsed_s,
+                    "bytes_received": link.received_wire_bytes / elapsed_s,
                 }
                 receiver.stop()
                 await receiving

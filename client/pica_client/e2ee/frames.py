@@ -16,7 +16,7 @@ from cryptography.hazmat.primitives.ciphers.aead import AESGCM
 from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 
-from pica_client.e2ee.errors import OpenError
+from pica_client.errors import OpenError
 from pica_protocol.frames import Frame, clear_header
 
 BASE_KEY_BYTES: Final = 16

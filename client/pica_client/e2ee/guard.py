@@ -23,7 +23,8 @@ from typing import Any, Final
 
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 
-from pica_client.e2ee import errors, frames, key_messages
+from pica_client import errors
+from pica_client.e2ee import frames, key_messages
 from pica_client.e2ee.peer_keys import FIRST_WAIT_S, KEY_IDS, PeerKeys
 from pica_client.e2ee.secret import RandomBytes, RoomSecret
 from pica_client.e2ee.status import SealState, SealStatus

@@ -20,8 +20,8 @@ from cryptography.hazmat.primitives.ciphers.aead import AESGCM
 from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 
-from pica_client.e2ee.errors import KeyMessageError
 from pica_client.e2ee.secret import RoomSecret
+from pica_client.errors import KeyMessageError
 from pica_protocol.messages import Track
 
 PUBLIC_KEY_BYTES: Final = 32

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-from pica_client.e2ee.errors import SecretFileError
+from pica_client.errors import SecretFileError
 from pica_protocol.limits import text_of_file
 
 SECRET_BYTES: Final = 32

@@ -155,11 +155,11 @@ class Endpoint:
             self._loop.call_soon_threadsafe(action)
 
     def _own_stats(self) -> dict[str, Any]:
-        counters, guard = self.link.counters, self.link.guard
+        guard = self.link.guard
         return {
             "voice": None if self.own.voice is None else self.own.voice.stats(),
             "reconnects": self.link.reconnects,
-            "resumes": counters.resumes,
+            "resumes": self.link.resumes,
             "seal": None if guard is None else guard.stats(),
         }
 
@@ -169,16 +169,16 @@ class Sender(Endpoint):
 
     def stats(self) -> dict[str, Any]:
         """What was sent so far, and the link's side of it."""
-        face, counters = self.own.face, self.link.counters
+        face, link = self.own.face, self.link
         seconds = 0.0 if face is None else face.seconds_sent
         return {
-            "name": self.link.config.name,
+            "name": link.config.name,
             **({} if face is None else face.stats()),
             **self._own_stats(),
-            "replaced": self.link.num_replaced,
-            "wire_bytes": counters.sent_wire_bytes,
-            "wire_bps": round(counters.sent_wire_bytes * 8 / seconds) if seconds else None,
-            "errors": counters.errors,
+            "replaced": link.num_replaced,
+            "wire_bytes": link.sent_wire_bytes,
+            "wire_bps": round(link.sent_wire_bytes * 8 / seconds) if seconds else None,
+            "errors": link.errors,
         }
 
 
@@ -232,11 +232,11 @@ class Receiver(Endpoint):
 
     def stats(self, now: float) -> dict[str, Any]:
         """`Call.stats`, and the link's side of it."""
-        stats, counters = self.call.stats(now), self.link.counters
+        stats = self.call.stats(now)
         return stats | {
             **self._own_stats(),
-            "errors": stats["errors"] + counters.errors,
-            "received_wire_bytes": counters.received_wire_bytes,
+            "errors": stats["errors"] + self.link.errors,
+            "received_wire_bytes": self.link.received_wire_bytes,
             "sent": None if self.own.face is None else self.own.face.stats(),
         }
 

@@ -8,7 +8,6 @@ import math
 import socket
 import ssl
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import SplitResult, urlsplit
@@ -61,21 +60,6 @@ CONNECT_ERRORS: Final = (OSError, EOFError, WebSocketException, UnicodeError, Im
 """Errors of the network, of an address and of a proxy; see `refusal` and `trouble`."""
 _NOT_TLS: Final = ("WRONG_VERSION_NUMBER", "RECORD_LAYER_FAILURE", "PACKET_LENGTH_TOO_LONG")
 """What OpenSSL calls an answer that is none of its own."""
-
-
-@dataclass(kw_only=True, slots=True)
-class LinkCounters:
-    """What went over the link since it was made."""
-
-    connects: int = 0
-    resumes: int = 0
-    """How many of them led back to the old place in the room."""
-    errors: int = 0
-    """Connections that ended because one end broke the protocol."""
-    sent_wire_bytes: int = 0
-    """Bytes with all that lies around a message, see `stats.wire_bytes`."""
-    received_messages: int = 0
-    received_wire_bytes: int = 0
 
 
 class RelayWebsocket(ClientConnection):

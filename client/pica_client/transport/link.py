@@ -33,7 +33,6 @@ from pica_client.stats import wire_bytes
 from pica_client.transport.config import LinkConfig, read_token, shown_name
 from pica_client.transport.connect import (
     CONNECT_ERRORS,
-    LinkCounters,
     RelayConnect,
     RelayWebsocket,
     breaks_protocol,
@@ -91,6 +90,10 @@ class Link:
         metadata: What we say of ourselves.
         guard: What seals and opens frames, or None.
         url: The relay that we are at, or try: the configured one, or one that it sent us to.
+        connects: How often we came into the room.
+        resumes: How many of these led back to the old place.
+        errors: Connections that ended because one end broke the protocol.
+        sent_wire_bytes: With all that lies around a message, see `stats.wire_bytes`.
     """
 
     def __init__(
@@ -119,7 +122,8 @@ class Link:
             guard = Guard(load_secret(config.secret_file))
         self.config = config
         self.url = config.url
-        self.counters = LinkCounters()
+        self.connects = self.resumes = self.errors = 0
+        self.sent_wire_bytes = self.received_wire_bytes = self.received_messages = 0
         self.guard = guard
         self.tracks = tracks
         self._on_event = on_event
@@ -146,7 +150,7 @@ class Link:
     @property
     def reconnects(self) -> int:
         """How often the link came back."""
-        return max(self.counters.connects - 1, 0)
+        return max(self.connects - 1, 0)
 
     @property
     def num_replaced(self) -> int:
@@ -285,7 +289,7 @@ class Link:
         """Take a refusal, or the trouble with our own token file, and raise it if it is the end: at
         the first join, or if waiting cannot mend it."""
         is_final = isinstance(error, RelayRefusedError) and not error.may_pass
-        if is_final or not self.counters.connects:
+        if is_final or not self.connects:
             raise error
         if self._refused_since_s is None:
             self._refused_since_s = now
@@ -337,8 +341,8 @@ class Link:
                     if self._first_join is not None:
                         self._first_join.reschedule(None)
                     self._refused_since_s = None
-                    self.counters.connects += 1
-                    self.counters.resumes += event.resumed
+                    self.connects += 1
+                    self.resumes += event.resumed
                 passed = [event]
                 if self.guard is not None:
                     passed = self.guard.receive_event(event, now)
@@ -363,7 +367,7 @@ class Link:
         closed = session.closed
         if closed is not None and not self._is_leaving:
             _log.info("connection to the relay ended", extra={"code": closed.code})
-            self.counters.errors += breaks_protocol(closed)
+            self.errors += breaks_protocol(closed)
             if (refused := refusal_of(url, closed)) is not None:
                 raise refused
         return joined_s, closed
@@ -393,8 +397,8 @@ class Link:
                     code, reason = error.rcvd.code, error.rcvd.reason  # type: ignore[assignment]
                 handle(session.receive_close(code, reason, loop.time()), loop.time())
             else:
-                self.counters.received_messages += 1
-                self.counters.received_wire_bytes += wire_bytes(len(data), is_masked=False)
+                self.received_messages += 1
+                self.received_wire_bytes += wire_bytes(len(data), is_masked=False)
                 events = session.receive_data(data, loop.time())
                 handle(events, loop.time())
                 if events and isinstance(events[0], Frame):
@@ -412,7 +416,7 @@ class Link:
                 self._whisper_keys(session, now)
                 self._describe(session, now)
                 for message in session.messages_to_send(now):
-                    self.counters.sent_wire_bytes += wire_bytes(len(message), is_masked=True)
+                    self.sent_wire_bytes += wire_bytes(len(message), is_masked=True)
                     await websocket.send(message)
                 if session.closed is not None or session.state is State.LEAVING:
                     break

@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 
 pytest.importorskip("cryptography", reason="needs the extra seal")
 
-from pica_client.e2ee.errors import OpenError
 from pica_client.e2ee.frames import (
     FACE_BYTES,
     TAG_BYTES,
@@ -29,6 +28,7 @@ from pica_client.e2ee.frames import (
     seal,
     unpad,
 )
+from pica_client.errors import OpenError
 from pica_protocol.frames import Frame
 
 pytestmark = pytest.mark.unit

@@ -11,7 +11,6 @@ pytest.importorskip("cryptography", reason="needs the extra seal")
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 
 from helpers.sealed_room import SECRET
-from pica_client.e2ee.errors import KeyMessageError
 from pica_client.e2ee.key_messages import (
     MESSAGE_BYTES,
     KeyMessage,
@@ -21,6 +20,7 @@ from pica_client.e2ee.key_messages import (
     room_key,
     unwrap,
 )
+from pica_client.errors import KeyMessageError
 
 pytestmark = pytest.mark.unit
 
