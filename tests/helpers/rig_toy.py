@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+from collections.abc import Container
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,8 @@ import numpy as np
 
 from pica_core.types import Array
 
+COMPONENT = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}
+KIND = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 EYES = {"eye_left": (0.032, 0.03, 0.078), "eye_right": (-0.032, 0.03, 0.078)}
 
 
@@ -85,36 +88,27 @@ def glb_bytes(document: dict[str, Any], binary: bytes) -> bytes:
     return head + chunks + struct.pack("<II", len(binary), 0x004E4942) + binary
 
 
-def glb_parts(rig: ToyRig, *, image: bytes | None = None) -> tuple[dict[str, Any], bytes]:
-    """JSON document and binary chunk of a rig; z up in the file, turned upright by its node."""
-    binary = b""
-    views: list[dict[str, Any]] = []
-    accessors: list[dict[str, Any]] = []
+def document_of(rig: ToyRig, image: bytes | None = None) -> tuple[dict[str, Any], list[Array]]:
+    """A glTF document and the arrays of its accessors; z up, turned upright by its node."""
+    arrays: list[Array] = []
 
-    def add(data: Array, kind: str, component: int) -> int:
-        nonlocal binary
-        views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": data.nbytes})
-        accessors.append(
-            {"bufferView": len(views) - 1, "componentType": component, "type": kind,
-             "count": len(data)}
-        )  # fmt: skip
-        binary += data.tobytes()
-        return len(accessors) - 1
+    def add(data: Array) -> int:
+        arrays.append(data)
+        return len(arrays) - 1
 
     def turned(points: Array) -> Array:  # our (x, y, z) as the file's (x, -z, y)
         return np.stack([points[:, 0], -points[:, 2], points[:, 1]], 1).astype("<f4")
 
-    position = add(turned(rig.positions), "VEC3", 5126)
-    v_down = np.stack([rig.uv[:, 0], 1 - rig.uv[:, 1]], 1).astype("<f4")
-    texture = add(v_down, "VEC2", 5126)
-    targets = [{"POSITION": add(turned(delta), "VEC3", 5126)} for delta in rig.shapes.values()]
+    position = add(turned(rig.positions))
+    texture = add(np.stack([rig.uv[:, 0], 1 - rig.uv[:, 1]], 1).astype("<f4"))  # v goes down
+    targets = [{"POSITION": add(turned(delta))} for delta in rig.shapes.values()]
     primitives = []
     for number, quads in enumerate(rig.quads.values()):
         triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]).astype("<u2")
         primitives.append(
             {
                 "attributes": {"POSITION": position, "TEXCOORD_0": texture},
-                "indices": add(triangles.reshape(-1, 1), "SCALAR", 5123),
+                "indices": add(triangles.reshape(-1, 1)),
                 "material": number,
                 "targets": targets,
             }
@@ -126,18 +120,56 @@ def glb_parts(rig: ToyRig, *, image: bytes | None = None) -> tuple[dict[str, Any
         "nodes": [{"mesh": 0, "rotation": [-(0.5**0.5), 0, 0, 0.5**0.5]}],
         "meshes": [{"primitives": primitives, "extras": {"targetNames": list(rig.shapes)}}],
         "materials": [{"name": name} for name in rig.quads],
-        "accessors": accessors,
-        "bufferViews": views,
-        "buffers": [{"byteLength": len(binary)}],
     }
     if image is not None:
-        views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": len(image)})
-        binary += image
-        document["images"] = [{"bufferView": len(views) - 1, "mimeType": "image/png"}]
         document["textures"] = [{"source": 0}]
         document["materials"][0]["pbrMetallicRoughness"] = {"baseColorTexture": {"index": 0}}
-        document["buffers"][0]["byteLength"] = len(binary)
+    return document, arrays
+
+
+def packed(
+    document: dict[str, Any],
+    arrays: list[Array],
+    image: bytes | None = None,
+    *,
+    normalized: Container[int] = (),
+    sparse: Container[int] = (),
+) -> tuple[dict[str, Any], bytes]:
+    """A document with accessors of its arrays, and its one buffer."""
+    binary = b""
+    views: list[dict[str, Any]] = []
+
+    def view(data: bytes) -> int:
+        nonlocal binary
+        binary += b"\0" * (-len(binary) % 4)
+        views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": len(data)})
+        binary += data
+        return len(views) - 1
+
+    accessors = []
+    for number, values in enumerate(arrays):
+        entry: dict[str, Any] = {
+            "componentType": COMPONENT[values.dtype.str[1:]], "count": len(values),
+            "type": KIND[values.shape[1]], "normalized": number in normalized,
+        }  # fmt: skip
+        if number in sparse:
+            moved = np.flatnonzero(np.abs(values).max(1) > 0)
+            indices = {"bufferView": view(moved.astype("<u2").tobytes()), "componentType": 5123}
+            where = {"bufferView": view(values[moved].tobytes())}
+            entry["sparse"] = {"count": len(moved), "indices": indices, "values": where}
+        else:
+            entry["bufferView"] = view(values.tobytes())
+        accessors.append(entry)
+    document = {**document, "accessors": accessors, "bufferViews": views}
+    if image is not None:
+        document["images"] = [{"bufferView": view(image), "mimeType": "image/png"}]
+    document["buffers"] = [{"byteLength": len(binary)}]
     return document, binary
+
+
+def glb_parts(rig: ToyRig, *, image: bytes | None = None) -> tuple[dict[str, Any], bytes]:
+    """JSON document and binary chunk of a rig."""
+    return packed(*document_of(rig, image), image)
 
 
 def write_glb(path: Path, rig: ToyRig, *, image: bytes | None = None) -> Path:

@@ -1,20 +1,260 @@
 """One head in the forms in which rigs are found: all must give the same picture."""
 
+from __future__ import annotations
+
+import io
 import json
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
-from helpers.rig_wild import FORMS, wild_rig, write_beside
+from helpers.rig_toy import document_of, glb_bytes, packed, toy_rig
 from pica_core.capture.rig.gltf import read_rig
 from pica_core.capture.stage.dome import dome_cameras
 from pica_core.capture.stage.expressions import blend
 from pica_core.capture.stage.subject import RigSubject
 from pica_core.errors import CaptureError
-from pica_core.types import ByteArray
+from pica_core.types import Array, ByteArray
 
 pytestmark = pytest.mark.render
+
+BLOCKS = 8
+
+
+def picture() -> Array:
+    """Random blocks of 4 x 4 pixels; the outermost go on for four blocks. ``[H, W, 3]``."""
+    random = np.random.default_rng(5)
+    blocks = random.integers(60, 220, (BLOCKS, BLOCKS, 3), np.uint8)
+    blocks = np.pad(blocks, ((4, 4), (4, 4), (0, 0)), mode="edge")
+    return blocks.repeat(4, 0).repeat(4, 1)
+
+
+def png(pixels: Array) -> bytes:
+    out = io.BytesIO()
+    Image.fromarray(pixels).save(out, "PNG")
+    return out.getvalue()
+
+
+@dataclass
+class WildRig:
+    """A document whose accessors are arrays; `save` makes the rest."""
+
+    document: dict[str, Any]
+    arrays: list[Array]
+    image: bytes
+    normalized: set[int] = field(default_factory=set)
+    sparse: set[int] = field(default_factory=set)
+
+    @property
+    def primitives(self) -> list[dict[str, Any]]:
+        return [p for mesh in self.document["meshes"] for p in mesh["primitives"]]
+
+    def add(self, values: Array) -> int:
+        self.arrays.append(values)
+        return len(self.arrays) - 1
+
+    def info(self) -> dict[str, Any]:
+        pbr = self.document["materials"][0]["pbrMetallicRoughness"]
+        found: dict[str, Any] = pbr["baseColorTexture"]
+        return found
+
+    def needs(self, *extensions: str) -> None:
+        self.document["extensionsRequired"] = list(extensions)
+
+    def move_uv(self, move: Callable[[Array], Array]) -> None:
+        at = self.primitives[0]["attributes"]["TEXCOORD_0"]
+        self.arrays[at] = move(self.arrays[at].astype(np.float64)).astype("<f4")
+
+    def save(self, path: Path) -> Path:
+        packing = {"normalized": self.normalized, "sparse": self.sparse}
+        path.write_bytes(glb_bytes(*packed(self.document, self.arrays, self.image, **packing)))
+        return path
+
+
+def wild_rig() -> WildRig:
+    """The toy head with a picture on its skin."""
+    image = png(picture())
+    return WildRig(*document_of(toy_rig(), image), image)
+
+
+def repeated(rig: WildRig) -> None:
+    rig.move_uv(lambda uv: uv - np.array([1, -3]))
+
+
+def transformed(rig: WildRig) -> None:
+    rig.needs("KHR_texture_transform")
+    move = {"offset": [0.25, 0.5], "rotation": 0.5, "scale": [2.0, 0.5]}
+    rig.info()["extensions"] = {"KHR_texture_transform": move}
+    c, s = np.cos(0.5), np.sin(0.5)
+    rig.move_uv(lambda uv: (uv - [0.25, 0.5]) @ np.array([[c, s], [-s, c]]) / [2.0, 0.5])
+
+
+def second_uv(rig: WildRig) -> None:
+    own = rig.primitives[0]["attributes"]["TEXCOORD_0"]
+    other = rig.add(rig.arrays[own][::-1].copy())
+    for primitive in rig.primitives:
+        primitive["attributes"] |= {"TEXCOORD_0": other, "TEXCOORD_1": own}
+    rig.info()["texCoord"] = 1
+
+
+def quantized(rig: WildRig) -> None:
+    rig.needs("KHR_mesh_quantization")
+    step = 0.15 / 32767
+    for index, values in enumerate(rig.arrays):
+        if values.shape[1] == 3:
+            rig.arrays[index] = np.rint(values / step).astype("<i2")
+    at = rig.primitives[0]["attributes"]["TEXCOORD_0"]
+    rig.arrays[at] = np.rint(np.mod(rig.arrays[at], 1.0) * 65535).astype("<u2")
+    rig.normalized.add(at)
+    rig.document["nodes"][0]["scale"] = [step] * 3
+
+
+def skinned(rig: WildRig) -> None:
+    """Quantised under a skin: only the inverse bind matrix knows the size."""
+    quantized(rig)
+    node = rig.document["nodes"][0]
+    scale = node.pop("scale")
+    inverse = np.diag([*scale, 1.0])
+    node["skin"] = 0
+    rig.document["nodes"].append({"rotation": node["rotation"]})
+    rig.document["scenes"] = [{"nodes": [0, 1]}]
+    matrices = rig.add(inverse.T.reshape(1, 16).astype("<f4"))
+    rig.document["skins"] = [{"joints": [1], "inverseBindMatrices": matrices}]
+
+
+def jointed(rig: WildRig) -> None:
+    """Each vertex hangs on two joints; where these stand is what their inverse matrices undo."""
+    node = rig.document["nodes"][0]
+    upright = {key: node.pop(key) for key in ("rotation", "scale") if key in node}
+    count = len(rig.arrays[rig.primitives[0]["attributes"]["POSITION"]])
+    joints = np.tile(np.array([[0, 1, 0, 0]], "u1"), (count, 1))
+    share = np.linspace(0.1, 0.9, count)[:, None]
+    zero = np.zeros((count, 2))
+    weights = np.concatenate([share, 1 - share, zero], 1).astype("<f4")
+    more = {"JOINTS_0": rig.add(joints), "WEIGHTS_0": rig.add(weights)}
+    for primitive in rig.primitives:
+        primitive["attributes"] |= more
+    inverse = np.tile(np.eye(4), (2, 1, 1))
+    inverse[1, :3, 3] = -3.0, 2.0, 1.0
+    rig.document["nodes"] += [
+        {**upright, "children": [2]}, {"translation": [3.0, -2.0, -1.0]},
+    ]  # fmt: skip
+    node["skin"] = 0
+    rig.document["scenes"] = [{"nodes": [0, 1]}]
+    matrices = rig.add(inverse.swapaxes(1, 2).reshape(2, 16).astype("<f4"))
+    rig.document["skins"] = [{"joints": [1, 2], "inverseBindMatrices": matrices}]
+
+
+def tinted(rig: WildRig) -> None:
+    """A brighter picture, which a factor and colours of vertices darken."""
+    bright = np.rint(picture() * (0.9 * 0.8) ** (-1 / 2.2))
+    rig.image = png(bright.astype(np.uint8))
+    skin = rig.primitives[0]
+    material = rig.document["materials"][skin["material"]]
+    material["pbrMetallicRoughness"]["baseColorFactor"] = [0.9, 0.9, 0.9, 1.0]
+    count = len(rig.arrays[skin["attributes"]["POSITION"]])
+    skin["attributes"] = skin["attributes"] | {"COLOR_0": rig.add(np.full((count, 4), 0.8, "<f4"))}
+
+
+def named_by_targets(rig: WildRig) -> None:
+    names = rig.document["meshes"][0].pop("extras")["targetNames"]
+    for primitive in rig.primitives:
+        for name, target in zip(names, primitive.get("targets", []), strict=True):
+            target["extras"] = {"name": name}
+
+
+def open_at_rest(rig: WildRig) -> None:
+    """A shape that is set in the file, and undone in its vertices."""
+    at = rig.primitives[0]["attributes"]["POSITION"]
+    shape = np.zeros_like(rig.arrays[at])
+    shape[:, 2] = np.linspace(0, 0.02, len(shape))
+    rig.arrays[at] = rig.arrays[at] - shape
+    index = rig.add(shape)
+    for primitive in rig.primitives:
+        primitive["targets"] = [*primitive["targets"], {"POSITION": index}]
+    mesh = rig.document["meshes"][0]
+    mesh["extras"]["targetNames"] = [*mesh["extras"]["targetNames"], "Chin_Long"]
+    mesh["weights"] = [0.0] * (len(rig.primitives[0]["targets"]) - 1) + [1.0]
+
+
+def lines(rig: WildRig) -> None:
+    """A sheet behind the face, whose far side has the texture coordinates of the near one."""
+    at = rig.primitives[0]["attributes"]
+    start, count = len(rig.arrays[at["POSITION"]]), 8
+    near = np.stack([np.linspace(-0.04, 0.04, count), np.full(count, 0.02), np.zeros(count)], 1)
+    sheet = np.concatenate([near, near + np.array([0, 0, 0.03]), near + np.array([0, 0.02, 0.03])])
+    for index in {at["POSITION"], *(t["POSITION"] for t in rig.primitives[0]["targets"])}:
+        new = sheet if index == at["POSITION"] else 0 * sheet
+        rig.arrays[index] = np.concatenate([rig.arrays[index], new.astype("<f4")])
+    row = np.stack([np.linspace(0.3, 0.6, count), np.full(count, 0.5)], 1)
+    uv = np.concatenate([row, row + np.array([0, 0.1]), row + np.array([0, 0.1])]).astype("<f4")
+    rig.arrays[at["TEXCOORD_0"]] = np.concatenate([rig.arrays[at["TEXCOORD_0"]], uv])
+    faces = []
+    for first in (start, start + count):
+        for a in range(first, first + count - 1):
+            faces += [(a, a + 1, a + count), (a + 1, a + count + 1, a + count)]
+    index = rig.add(np.array(faces, "<u2").reshape(-1, 1))
+    rig.document["meshes"][0]["primitives"].append({**rig.primitives[0], "indices": index})
+
+
+def many_meshes(rig: WildRig) -> None:
+    mesh = rig.document["meshes"][0]
+    rig.document["meshes"] = [{**mesh, "primitives": [p]} for p in mesh["primitives"]]
+    node = rig.document["nodes"][0]
+    count = len(rig.document["meshes"])
+    rig.document["nodes"] = [{**node, "mesh": k} for k in range(count)]
+    rig.document["scenes"] = [{"nodes": list(range(count))}]
+
+
+def sparse(rig: WildRig) -> None:
+    rig.sparse = {t["POSITION"] for t in rig.primitives[0]["targets"]}
+
+
+def glasses(rig: WildRig) -> None:
+    """A lens before the face, and a tear film over an eye: both are seen through."""
+    at = rig.primitives[0]["attributes"]
+    corners = np.array([[-0.06, -0.13, 0], [0.06, -0.13, 0], [0.06, -0.13, 0.06]])
+    start = len(rig.arrays[at["POSITION"]])
+    names = [at["POSITION"], *(t["POSITION"] for t in rig.primitives[0]["targets"])]
+    for index in names:
+        new = corners if index == at["POSITION"] else 0 * corners
+        rig.arrays[index] = np.concatenate([rig.arrays[index], new.astype("<f4")])
+    uv = rig.arrays[at["TEXCOORD_0"]]
+    rig.arrays[at["TEXCOORD_0"]] = np.concatenate([uv, uv[:3]])
+    index = rig.add(np.arange(start, start + 3, dtype="<u2").reshape(-1, 1))
+    pbr = {"baseColorFactor": [1, 1, 1, 0.2]}
+    glass = {"name": "Glass", "alphaMode": "BLEND", "pbrMetallicRoughness": pbr}
+    rig.document["materials"].append(glass)
+    lens = {**rig.primitives[0], "indices": index, "material": len(rig.document["materials"]) - 1}
+    rig.document["meshes"][0]["primitives"].append(lens)
+
+
+FORMS: dict[str, Callable[[WildRig], None]] = {
+    form.__name__: form
+    for form in (
+        repeated, transformed, second_uv, quantized, skinned, jointed, tinted,
+        named_by_targets, open_at_rest, lines, many_meshes, sparse, glasses,
+    )
+}  # fmt: skip
+
+
+def write_beside(folder: Path) -> Path:
+    """The head as .gltf, with its buffer and picture beside it under names that need care."""
+    rig = wild_rig()
+    document, binary = packed(rig.document, rig.arrays)
+    (folder / "my head").mkdir()
+    (folder / "my head" / "büffer.bin").write_bytes(binary)
+    (folder / "skin #1.png").write_bytes(rig.image)
+    document["buffers"][0]["uri"] = "my%20head/b%C3%BCffer.bin"
+    document["images"] = [{"uri": "skin%20%231.png"}]
+    path = folder / "toy.gltf"
+    path.write_text(json.dumps(document))
+    return path
 
 
 def render(path: Path) -> ByteArray:
