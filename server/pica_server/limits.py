@@ -1,6 +1,5 @@
 """How much is too much: token buckets, and who holds how many sockets. Pure."""
 
-import ipaddress
 from collections import Counter
 from contextlib import suppress
 from typing import Final
@@ -39,24 +38,6 @@ class TokenBucket:
             return False
         self._level -= amount
         return True
-
-
-def address_group(host: str) -> str:
-    """Return what counts as one address: an IPv4 address, or the /64 of an IPv6 one.
-
-    Empty for this machine, which is not limited: behind a proxy everybody comes from there, and
-    the proxy can limit better.
-    """
-    try:
-        address = ipaddress.ip_address(host.partition("%")[0])
-    except ValueError:
-        return ""
-    if isinstance(address, ipaddress.IPv6Address):
-        if address.ipv4_mapped is None:
-            packed = address.packed[:8]
-            return "" if address.is_loopback else packed.hex()
-        address = address.ipv4_mapped
-    return "" if address.is_loopback else str(address)
 
 
 class SocketGuard:

@@ -35,16 +35,6 @@ class LatencyHistogram:
         self.count += times
         self.sum_s += latency_s * times
 
-    def percentile_s(self, percent: float) -> float | None:
-        """Return the upper bound of the bucket where the percentile lies; None without any latency,
-        or above all bounds."""
-        seen = 0
-        for bound_s, count in zip(BOUNDS_S, self.buckets, strict=False):
-            seen += count
-            if seen and seen >= self.count * percent / 100:
-                return bound_s
-        return None
-
 
 _LABELLED: Final = {
     "dropped": ("frames_dropped", "reason"),
@@ -124,13 +114,11 @@ class RelayStats:
         return {each.name: getattr(self, each.name) for each in fields(self)[:-1]}
 
     def as_dict(self) -> dict[str, Any]:
-        """Return everything as plain values; latencies in milliseconds."""
+        """Return all counters as plain values."""
         counted: dict[str, Any] = dict(self.counters())
         for name in _LABELLED:
             counted[name] = {str(key): counted[name][key] for key in sorted(counted[name], key=str)}
-        percentiles = {f"p{p}": self.forwarding.percentile_s(p) for p in (50, 95, 99)}
-        forward_ms = {p: s if s is None else round(s * 1000, 4) for p, s in percentiles.items()}
-        return {**counted, "forward_ms": forward_ms}
+        return counted
 
 
 def metrics_text(stats: RelayStats, gauges: Mapping[str, float]) -> str:

@@ -2,7 +2,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pica_server.limits import MOST_REMEMBERED, SocketGuard, TokenBucket, address_group
+from pica_server.limits import MOST_REMEMBERED, SocketGuard, TokenBucket
 
 pytestmark = pytest.mark.unit
 
@@ -29,24 +29,6 @@ def test_no_more_goes_through_than_burst_and_rate_allow(steps: list[tuple[float,
         waited_s += max(step_s, 0.0)
         taken += amount * bucket.take(now, amount)
         assert taken <= 5.0 + 2.0 * waited_s + 1e-6
-
-
-@pytest.mark.parametrize(
-    ("host", "group"),
-    [
-        ("192.0.2.7", "192.0.2.7"),
-        ("::ffff:192.0.2.7", "192.0.2.7"),
-        ("2001:db8:1:2:3:4:5:6", "20010db800010002"),
-        ("2001:db8:1:2::", "20010db800010002"),
-        ("fe80::1%eth0", "fe80000000000000"),
-        ("127.0.0.1", ""),
-        ("::1", ""),
-        ("::ffff:127.0.0.1", ""),
-        ("a name", ""),
-    ],
-)
-def test_what_counts_as_one_address(host: str, group: str) -> None:
-    assert address_group(host) == group
 
 
 def guard_of(

@@ -67,15 +67,6 @@ def running_relay(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]
         process.communicate()
 
 
-def test_a_relay_without_a_certificate_outlives_sighup() -> None:
-    with running_relay() as (process, _):
-        assert process.stderr is not None
-        process.send_signal(signal.SIGHUP)
-        assert "there is no certificate to read again\n" in process.stderr
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(timeout=60) == 0
-
-
 @pytest.mark.parametrize("name", [signal.SIGTERM, signal.SIGINT])
 def test_a_relay_without_numpy_forwards_stops_on_a_signal_and_prints_its_numbers(
     name: signal.Signals, tmp_path: Path
@@ -94,7 +85,6 @@ def test_a_relay_without_numpy_forwards_stops_on_a_signal_and_prints_its_numbers
     assert process.returncode == 0, stderr
     stats = json.loads(stdout.splitlines()[-1])
     assert (stats["frames_in"], stats["frames_out"]) == (1, 1)
-    assert stats["forward_ms"]["p99"] > 0
     size = stats["bytes_out"]
     summary = f"forwarded 1 frames ({size} bytes) for 2 joins; 0 frames dropped"
     assert stderr.splitlines()[-1] == summary

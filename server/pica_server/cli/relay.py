@@ -52,7 +52,7 @@ def relay(options: RelayOptions) -> dict[str, Any]:
     first line on stderr says where it listens.
 
     Returns:
-        Its statistics at the end; `forward_ms` holds bounds of percentiles of forwarding.
+        Its counters at the end.
 
     Raises:
         ConfigurationError: The certificate cannot be used.
@@ -86,7 +86,9 @@ async def _run(options: RelayOptions, signals: "_Signals") -> dict[str, Any]:
         if not await _unless(signals.wait(), server.__aenter__()):
             return {"url": "", **server.stats()}
         try:
-            stack.enter_context(_certificate_kept_fresh(server.certificate))
+            if server.certificate is not None:
+                keeping = asyncio.create_task(_keep_fresh(server.certificate))
+                stack.callback(keeping.cancel)
             url = server.url
             _spare_the_collector()
             with _ready_file(options.ready_file, url):
@@ -142,41 +144,20 @@ def _spare_the_collector() -> None:
     gc.set_threshold(10_000)  # a turn of a full core makes more objects than the usual 700
 
 
-@contextmanager
-def _certificate_kept_fresh(certificate: Certificate | None) -> Iterator[None]:
-    """Read the certificate again on SIGHUP, and when its files have changed; without one a relay
-    goes on all the same."""
-
-    def reload() -> None:
-        if certificate is None:
-            _say("nothing to read again", "there is no certificate to read again")
-            return
+async def _keep_fresh(certificate: Certificate) -> None:
+    """Read the certificate again when its files have changed."""
+    while True:
+        await asyncio.sleep(CERTIFICATE_PERIOD_S)
+        if not certificate.has_changed():
+            continue
+        # Both files are written one after the other; the pair is there a moment later.
+        await asyncio.sleep(CERTIFICATE_SETTLES_S)
         try:
             certificate.reload()
         except ConfigurationError as error:
             _say("certificate refused", f"the old certificate stays: {error}", why=str(error))
         else:
             _say("certificate read", "read the certificate again")
-
-    async def look() -> None:
-        while certificate is not None:
-            await asyncio.sleep(CERTIFICATE_PERIOD_S)
-            if certificate.has_changed():
-                # Both files are written one after the other; the pair is there a moment later.
-                await asyncio.sleep(CERTIFICATE_SETTLES_S)
-                reload()
-
-    loop = asyncio.get_running_loop()
-    looking = loop.create_task(look())
-    before = None
-    if hasattr(signal, "SIGHUP"):
-        before = signal.signal(signal.SIGHUP, lambda *_: loop.call_soon_threadsafe(reload))
-    try:
-        yield
-    finally:
-        looking.cancel()
-        if hasattr(signal, "SIGHUP"):
-            signal.signal(signal.SIGHUP, before)
 
 
 async def _unless(interruption: Awaitable[object], work: Awaitable[object]) -> bool:

@@ -54,6 +54,19 @@ def names_this_machine(host: str) -> bool:
         return False
 
 
+def address_group(host: str) -> str:
+    """Return what counts as one address: an IPv4 address, or the /64 of an IPv6 one.
+
+    Empty for this machine, which is not limited: behind a proxy everybody comes from there, and
+    the proxy can limit better.
+    """
+    address = _address(host)
+    if address is None or address.is_loopback:
+        return ""
+    is_short = isinstance(address, ipaddress.IPv4Address)
+    return str(address) if is_short else address.packed[:8].hex()
+
+
 def is_loopback(host: str) -> bool:
     """Return True if only this machine reaches an address."""
     address = _address(host)

@@ -40,8 +40,15 @@ except ImportError:  # the library was installed without its C extension
 
 from pica_protocol.errors import CloseCode
 from pica_protocol.limits import bound_tls_buffer
-from pica_server.config.proxies import PROXY_HEADERS, Network, client_of, is_in, names_this_machine
-from pica_server.limits import SocketGuard, TokenBucket, address_group
+from pica_server.config.proxies import (
+    PROXY_HEADERS,
+    Network,
+    address_group,
+    client_of,
+    is_in,
+    names_this_machine,
+)
+from pica_server.limits import SocketGuard, TokenBucket
 from pica_server.stats import RelayStats
 
 _WHOLE_BINARY: Final = 0x82
@@ -108,7 +115,7 @@ class RelaySocket(ServerConnection):
         silent: Those of the relay that are admitted and have not asked for anything yet; it keeps
             itself in there.
         proxies: Whose word counts for who is behind them.
-        address: Whose it is, see `limits.address_group`.
+        address: Whose it is, see `proxies.address_group`.
         is_local: Whether it comes from this machine, not through a proxy, and asks for this machine
             by a name that no stranger's name server can have made.
         is_misnamed: Whether it asks for another host than this machine, and no proxy of ours does.

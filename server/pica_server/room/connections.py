@@ -110,7 +110,7 @@ class Connections:
         that was may be dead without anybody having noticed.
 
         Args:
-            address: Whose it is, see ``limits.address_group``; empty is not limited.
+            address: Whose it is, see ``proxies.address_group``; empty is not limited.
         """
         config, limits = self.config, self.config.limits
         session = ServerSession(now=now, timeout_s=config.handshake_timeout_s)

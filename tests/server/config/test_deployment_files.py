@@ -122,7 +122,7 @@ def test_a_relay_of_the_compose_file_can_start_and_may_do_little(name: str) -> N
 def test_the_clients_of_the_compose_file_have_options_that_exist(name: str) -> None:
     command, *words = CLIENTS[name]["command"]
     options = read_options(command, words)
-    assert set(options.url.split(",")) == {f"ws://{relay}:8765" for relay in RELAYS}
+    assert set(options.join.url.split(",")) == {f"ws://{relay}:8765" for relay in RELAYS}
 
 
 def pod_of(workload: dict[str, Any]) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from websockets.exceptions import ConnectionClosed
 from pica_protocol import SUBPROTOCOL
 from pica_protocol.client_session import ClientSession
 from pica_protocol.session import State
-from pica_server.config.proxies import client_of, networks
+from pica_server.config.proxies import address_group, client_of, networks
 from pica_server.config.relay import LimitsConfig, RelayConfig
 from pica_server.errors import ConfigurationError
 from pica_server.relay import Relay
@@ -163,3 +163,21 @@ def test_limits_of_an_address_are_those_of_the_client_behind_a_trusted_proxy() -
 
     call((), [None, None])  # everybody is this machine, which has no limit
     call(("127.0.0.1",), [4010, None])
+
+
+@pytest.mark.parametrize(
+    ("host", "group"),
+    [
+        ("192.0.2.7", "192.0.2.7"),
+        ("::ffff:192.0.2.7", "192.0.2.7"),
+        ("2001:db8:1:2:3:4:5:6", "20010db800010002"),
+        ("2001:db8:1:2::", "20010db800010002"),
+        ("fe80::1%eth0", "fe80000000000000"),
+        ("127.0.0.1", ""),
+        ("::1", ""),
+        ("::ffff:127.0.0.1", ""),
+        ("a name", ""),
+    ],
+)
+def test_what_counts_as_one_address(host: str, group: str) -> None:
+    assert address_group(host) == group
