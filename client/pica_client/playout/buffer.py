@@ -92,9 +92,7 @@ class PlayoutReport:
     concealed: int = 0
     """Display times without a fresh face."""
     delay_s: float = 0.0
-    """What the face waits beyond the fastest transit; follows `target_s` smoothly."""
-    target_s: float = 0.0
-    """What it should wait."""
+    """What the face waits beyond the fastest transit; follows what it should wait smoothly."""
     jitter_s: float = 0.0
     """Lateness that is waited for."""
     interval_s: float = 0.0
@@ -231,7 +229,6 @@ class Playout:
             missed_s=self._missed_s,
             concealed=self._concealed,
             delay_s=target_s if self._delay_s is None else self._delay_s,
-            target_s=target_s,
             jitter_s=0.0 if transit is None else transit.jitter_s,
             interval_s=self._interval.interval_s,
             age_s=self._age_s,

@@ -80,12 +80,11 @@ def blend(before: LatentSample, after: LatentSample, weight: float) -> LatentSam
     )
 
 
-def coasted_s(past_s: float, limit_s: float = COAST_S) -> float:
-    """How far a motion goes in some time that slows down evenly and rests after `limit_s`: the time
-    in which it would have gone as far at full speed, at most half of `limit_s`."""
-    if past_s >= limit_s:
-        return limit_s / 2
-    return past_s - past_s * past_s / (2 * limit_s)
+def coasted_s(past_s: float) -> float:
+    """How far a motion goes in some time that slows down evenly and rests after `COAST_S`: the time
+    in which it would have gone as far at full speed, at most half of `COAST_S`."""
+    past_s = min(past_s, COAST_S)
+    return past_s - past_s * past_s / (2 * COAST_S)
 
 
 class _Offset(NamedTuple):

@@ -150,20 +150,16 @@ def test_a_display_that_paused_goes_on_at_the_present() -> None:
     assert played.captured_us == pytest.approx(captured(298), abs=100)
 
 
-@pytest.mark.parametrize(("images_per_s", "delay_s"), [(12, 0.004), (20, 0.018)])
-def test_a_display_slower_than_the_stream_waits_for_no_next_frame(
-    images_per_s: float, delay_s: float
-) -> None:
-    playout = Playout()
-    ticks = play(playout, arrivals(seconds=8), seconds=8, display_hz=images_per_s)
+@pytest.mark.parametrize("images_per_s", [12, 20])
+def test_a_display_slower_than_the_stream_waits_for_no_next_frame(images_per_s: int) -> None:
+    ticks = play(Playout(), arrivals(seconds=8), seconds=8, display_hz=images_per_s)
     shown_s = [
         tick.now - WAY_S - (tick.played.captured_us - FAR_CLOCK_US) / 1e6
         for tick in between(ticks, 4, 8)
         if tick.played is not None and not tick.played.is_concealed
     ]
     assert len(shown_s) == 4 * images_per_s
-    assert max(shown_s) <= FRAME_S + 0.005
-    assert playout.report().target_s == pytest.approx(delay_s, abs=0.002)
+    assert sum(shown_s) / len(shown_s) <= 0.8 * FRAME_S
 
 
 def test_jitter_that_a_slow_display_hides_conceals_nothing() -> None:
