@@ -154,6 +154,13 @@ def test_a_manifest_out_of_its_limits_is_refused(
         load_avatar(changed)
 
 
+def test_triangles_that_cover_a_face_many_times_are_refused(tmp_path: Path) -> None:
+    across = np.tile(np.array([26, 60, 29], np.int32), (5000, 1))  # from cheek to cheek and chin
+    layered = Avatar(TOY.manifest, {**TOY.tensors, "mesh.faces": across})
+    with pytest.raises(AvatarFileError, match=r"level 256 cover .* times the box"):
+        save_avatar(tmp_path / "layered.pica", layered)
+
+
 def test_bases_of_more_components_than_fit_into_memory_are_refused_unread() -> None:
     assert linear_shapes({"linear.mix": (8192, 64)}, 60_000)
     with pytest.raises(ValueError, match="25600000 components; at most 4000000"):
