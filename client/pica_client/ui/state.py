@@ -6,7 +6,6 @@ user, password or query, tokens are not kept at all.
 """
 
 import json
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -29,11 +28,7 @@ Side = Literal["none", "help", "participants", "settings", "statistics"]
 """What stands in the panel at the right."""
 SCALES: Final = (0.8, 1.0, 1.25, 1.5)
 """Sizes of type and buttons to choose from."""
-FILE_NAME: Final = "preferences.json"
-CHOICES: Final[dict[str, tuple[Any, ...]]] = {
-    "layout": LAYOUTS,
-    "scale": SCALES,
-}
+CHOICES: Final[dict[str, tuple[Any, ...]]] = {"layout": LAYOUTS, "scale": SCALES}
 LAYOUT_TITLES: Final[dict[Layout, str]] = {
     "line": "Line",
     "arc": "Arc",
@@ -136,12 +131,10 @@ class PreferencesFile:
 
     Args:
         folder: Where it is; by default `preferences_folder`.
-        warn: Called, at most once, with what is wrong with it.
     """
 
-    def __init__(self, folder: Path | None = None, *, warn: Callable[[str], None] = say) -> None:
-        self.path = (preferences_folder() if folder is None else folder) / FILE_NAME
-        self._warn = warn
+    def __init__(self, folder: Path | None = None) -> None:
+        self.path = (preferences_folder() if folder is None else folder) / "preferences.json"
 
     def load(self) -> ViewState:
         """What is in the file; defaults if there is none, or none that can be used."""
@@ -153,7 +146,7 @@ class PreferencesFile:
             return ViewState()
         except (OSError, ValueError, TypeError, RecursionError, OptionError) as error:
             reason = getattr(error, "strerror", None) or error
-            self._warn(f"{self.path}: preferences cannot be used, taking defaults: {reason}")
+            say(f"{self.path}: preferences cannot be used, taking defaults: {reason}")
             return ViewState()
 
     def save(self, state: ViewState) -> None:
@@ -168,7 +161,7 @@ class PreferencesFile:
                 unfinished.write_text(json.dumps(kept, indent=2) + "\n")
         except OSError as error:
             reason = getattr(error, "strerror", None) or error
-            self._warn(f"{self.path}: preferences cannot be kept: {reason}")
+            say(f"{self.path}: preferences cannot be kept: {reason}")
 
 
 def _without_secrets(url: str) -> str:

@@ -27,22 +27,15 @@ KEPT = ViewState(
 )
 
 
-class Kept:
-    def __init__(self, folder: Path) -> None:
-        self.warnings: list[str] = []
-        self.file = PreferencesFile(folder, warn=self.warnings.append)
-
-
 @pytest.fixture
-def kept(tmp_path: Path) -> Kept:
-    return Kept(tmp_path / "made" / "when needed")
+def kept(tmp_path: Path) -> PreferencesFile:
+    return PreferencesFile(tmp_path / "made" / "when needed")
 
 
-def test_what_is_saved_is_loaded_without_what_belongs_to_one_call(kept: Kept) -> None:
-    kept.file.save(replace(KEPT, token="abc", pinned=2, side="help", volumes={1: 0.5}))
-    assert kept.file.load() == KEPT
-    assert kept.warnings == []
-    assert "abc" not in kept.file.path.read_text()
+def test_what_is_saved_is_loaded_without_what_belongs_to_one_call(kept: PreferencesFile) -> None:
+    kept.save(replace(KEPT, token="abc", pinned=2, side="help", volumes={1: 0.5}))
+    assert kept.load() == KEPT
+    assert "abc" not in kept.path.read_text()
 
 
 @pytest.mark.parametrize(
@@ -61,32 +54,34 @@ def test_what_is_saved_is_loaded_without_what_belongs_to_one_call(kept: Kept) ->
         "[" * 20_000,
     ],
 )
-def test_a_damaged_file_is_one_warning_and_defaults(kept: Kept, content: str) -> None:
-    kept.file.path.parent.mkdir(parents=True)
-    kept.file.path.write_text(content)
-    assert kept.file.load() == ViewState()
-    assert len(kept.warnings) == 1
-    assert str(kept.file.path) in kept.warnings[0]
+def test_a_damaged_file_is_one_warning_and_defaults(
+    kept: PreferencesFile, content: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kept.path.parent.mkdir(parents=True)
+    kept.path.write_text(content)
+    assert kept.load() == ViewState()
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(str(kept.path))
 
 
-def test_no_secret_of_an_address_is_kept(kept: Kept) -> None:
-    kept.file.save(ViewState(url="wss://ada:word@relay.example:99/way?token=abc#part"))
-    text = kept.file.path.read_text()
+def test_no_secret_of_an_address_is_kept(kept: PreferencesFile) -> None:
+    kept.save(ViewState(url="wss://ada:word@relay.example:99/way?token=abc#part"))
+    text = kept.path.read_text()
     assert json.loads(text)["url"] == "wss://relay.example:99/way"
     assert "word" not in text
     assert "abc" not in text
 
 
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(
-    kept: Kept, monkeypatch: pytest.MonkeyPatch
+    kept: PreferencesFile, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    kept.file.save(KEPT)
+    kept.save(KEPT)
 
     def refuse(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "replace", refuse)
-    kept.file.save(ViewState())
-    assert "No space left" in kept.warnings[0]
-    assert kept.file.load() == KEPT
-    assert [path.name for path in kept.file.path.parent.iterdir()] == [kept.file.path.name]
+    kept.save(ViewState())
+    assert "No space left" in capsys.readouterr().err
+    assert kept.load() == KEPT
+    assert [path.name for path in kept.path.parent.iterdir()] == [kept.path.name]
