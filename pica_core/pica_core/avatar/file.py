@@ -69,7 +69,7 @@ MAX_VERTICES = 200_000
 MAX_FACES = 400_000
 MAX_COVER = 4.0
 """A level's triangles together, at rest, over the surface of the box around the head (measured: 0.4
-to 0.8 for the six that ship): hundreds of thousands across a face would stop whoever draws it."""
+to 0.8 for the six that ship): hundreds of thousands across a face would stop every viewer."""
 
 _INDEX_TYPES = {"I32", "U16"}
 _WEIGHT_TYPES = {"F32", "F16", "U8", "U16"}
