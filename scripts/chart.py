@@ -225,7 +225,9 @@ def chart_scene() -> None:
             for row in drawn["result"]["rows"]
             if row["avatars"] == max(r["avatars"] for r in drawn["result"]["rows"])
         ]
-        for distance, colour in zip(sorted({r["distance_cm"] for r in most}), COLOURS, strict=True):
+        for distance, colour in zip(
+            sorted({r["distance_cm"] for r in most}), COLOURS, strict=False
+        ):
             chosen = [row for row in most if row["distance_cm"] == distance and row["scheduler"]]
             chosen.sort(key=lambda row: row["cpu_ms"])
             colour = colour if drawn is line else GREY
