@@ -9,7 +9,7 @@ import stat
 import sys
 import time
 from collections.abc import Awaitable, Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -60,8 +60,8 @@ def relay(options: RelayOptions) -> dict[str, Any]:
         KeyFileError: The key file cannot be used.
         StoreError: The avatar store cannot be used.
     """
-    with _Signals() as signals, asyncio.Runner(loop_factory=_loop_factory(options)) as runner:
-        return runner.run(_run(options, signals))
+    with asyncio.Runner(loop_factory=_loop_factory(options)) as runner:
+        return runner.run(_run(options))
 
 
 def _loop_factory(options: RelayOptions) -> Callable[[], asyncio.AbstractEventLoop] | None:
@@ -78,12 +78,16 @@ def _loop_factory(options: RelayOptions) -> Callable[[], asyncio.AbstractEventLo
     return factory
 
 
-async def _run(options: RelayOptions, signals: "_Signals") -> dict[str, Any]:
+async def _run(options: RelayOptions) -> dict[str, Any]:
     from pica_server.relay import Relay  # `pica relay --help` does without it
 
-    with logging_to(sys.stderr, options.log, time.monotonic), ExitStack() as stack:
+    with (
+        _signals_to_stop() as signals,
+        logging_to(sys.stderr, options.log, time.monotonic),
+        ExitStack() as stack,
+    ):
         server = Relay(options.config)
-        if not await _unless(signals.wait(), server.__aenter__()):
+        if not await _unless(signals.get(), server.__aenter__()):
             return {"url": "", **server.stats()}
         try:
             if server.certificate is not None:
@@ -174,41 +178,21 @@ async def _unless(interruption: Awaitable[object], work: Awaitable[object]) -> b
         await asyncio.gather(*tasks, return_exceptions=True)
 
 
-class _Signals:
-    """Takes the signals to stop while the block runs, which is nearly as long as the process: one
-    that comes before the event loop is not lost, and one after its end, which is ignored, does not
-    cost the result."""
+@contextmanager
+def _signals_to_stop() -> Iterator["asyncio.Queue[int]"]:
+    """Yield a queue that gets each signal to stop; what comes after the block is ignored, and does
+    not cost the result."""
+    loop, came = asyncio.get_running_loop(), asyncio.Queue[int]()
 
-    def __init__(self) -> None:
-        self._came: list[int] = []
-        self._loop: asyncio.AbstractEventLoop | None = None
-        self._has_come = asyncio.Event()
+    def note(number: int, _: object) -> None:
+        loop.call_soon_threadsafe(came.put_nowait, number)
 
-    async def wait(self) -> None:
-        """Wait until one is there."""
-        self._loop = asyncio.get_running_loop()
-        while not self._came:
-            self._has_come.clear()
-            await self._has_come.wait()
-
-    async def get(self) -> int:
-        """Wait for the next one, and take it."""
-        await self.wait()
-        return self._came.pop(0)
-
-    def _note(self, number: int, _: object) -> None:
-        self._came.append(number)
-        if self._loop is not None:
-            with suppress(RuntimeError):  # it has ended
-                self._loop.call_soon_threadsafe(self._has_come.set)
-
-    def __enter__(self) -> "_Signals":
-        # signal.signal and not loop.add_signal_handler: the latter is missing on Windows.
-        for name in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(name, self._note)
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    # signal.signal and not loop.add_signal_handler: the latter is missing on Windows.
+    for name in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(name, note)
+    try:
+        yield came
+    finally:
         for name in (signal.SIGINT, signal.SIGTERM):
             signal.signal(name, signal.SIG_IGN)
 
