@@ -15,13 +15,14 @@ from helpers.store_peers import (
     talk,
     upload,
 )
+from pica_core.avatar import file as avatar_file
 from pica_protocol.codec import encode_message
 from pica_protocol.errors import CloseCode
 from pica_protocol.store import Offer
 from pica_server.config.relay import RelayConfig, StoreConfig
-from pica_server.errors import StoreError
+from pica_server.errors import ConfigurationError, StoreError, StoreRefusalError
 from pica_server.relay import Relay
-from pica_server.store.store import AvatarStore
+from pica_server.store.store import AvatarStore, Slots
 from pica_server.tokens import Admission, KeyRing, mint
 
 pytestmark = pytest.mark.call
@@ -168,3 +169,20 @@ def test_more_files_than_a_store_may_hold_are_named_at_the_start(tmp_path: Path)
         (tmp_path / f"{number:064x}.pica").write_bytes(b"x")
     with pytest.raises(StoreError, match="holds more than 2 avatars"):
         AvatarStore(str(tmp_path), StoreConfig(max_avatars=2))
+
+
+def test_no_file_is_taken_that_receivers_would_not() -> None:
+    assert StoreConfig(largest_bytes=avatar_file.MAX_FILE_BYTES)
+    with pytest.raises(ConfigurationError, match=r"--store\.largest-bytes"):
+        StoreConfig(largest_bytes=avatar_file.MAX_FILE_BYTES + 1)
+
+
+def test_slots_are_limited_in_all_and_for_each_address_and_come_back() -> None:
+    slots = Slots(limit=3, per_address=2)
+    with slots.taken("a"), slots.taken("a"):
+        with pytest.raises(StoreRefusalError), slots.taken("a"):
+            pass
+        with slots.taken("b"), pytest.raises(StoreRefusalError), slots.taken("c"):
+            pass
+    with slots.taken(""), slots.taken(""), slots.taken(""):
+        pass
