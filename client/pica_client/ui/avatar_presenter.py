@@ -162,7 +162,7 @@ class AvatarPresenter:
         pool: Where they are decoded; its slots are peer ids.
         shaders: Where those are decoded whom it takes; None: all in the pool.
         scheduler: Says what is decoded, and how finely it is drawn.
-        levels: How loud each is who sends a voice, by peer id; see `VoiceMixer.levels`.
+        levels: How loud each is who sends a voice, by peer id; see `voice.opus.level_of`.
         clock: Seconds, monotonic; see `viewer.Viewer`.
 
     Attributes:

@@ -105,15 +105,6 @@ def test_a_rate_below_the_demand_keeps_the_delay_bounded() -> None:
     assert delays(arrived).max() < CALM.delay_s + 8 * (400 + 3 * 100) / 12_000
 
 
-def test_when_the_rate_comes_back_what_waits_leaves_at_once() -> None:
-    path = FramePath(Impairment(rate_bps=8000, queue_bytes=5000), rng())
-    for index in range(50):
-        path.send(frame(index), 0.0)
-    assert len(path.arrivals(0.121)) == 1
-    path.change(CALM, 0.2)
-    assert len(path.arrivals(0.5)) > 20
-
-
 def test_an_impairment_out_of_range_is_refused() -> None:
     for arguments in ({"jitter_s": float("nan")}, {"loss_ratio": 1.0}):
         with pytest.raises(OptionError):
