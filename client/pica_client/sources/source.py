@@ -50,7 +50,7 @@ class Recording:
     The last sample runs into the first one within `loop_gap_s`.
 
     Attributes:
-        times_s: Strictly rising times of the samples; the first is 0. float64 ``[T]``.
+        times_s: Strictly rising times of the samples, one or more, from 0 on. float64 ``[T]``.
         arkit: Values in `ARKIT_NAMES` order. float32 ``[T, 52]``.
         rotation: Head rotation vectors, radians, head to seat. float32 ``[T, 3]``.
         translation_m: Head offsets from the seat in metres. float32 ``[T, 3]``.
@@ -66,18 +66,6 @@ class Recording:
     has_face: BoolArray
     loop_gap_s: float
     start_s: float = 0.0
-
-    def __post_init__(self) -> None:
-        count = len(self.times_s)
-        if count == 0:
-            raise ValueError("a recording needs at least one sample")
-        shapes = (self.arkit.shape, self.rotation.shape, self.translation_m.shape)
-        if shapes != ((count, NUM_ARKIT), (count, 3), (count, 3)) or len(self.has_face) != count:
-            raise ValueError(f"recording of {count} samples has arrays of shapes {shapes}")
-        if self.times_s[0] != 0 or np.any(np.diff(self.times_s) <= 0):
-            raise ValueError("times_s must start at 0 and rise")
-        if not self.loop_gap_s > 0:
-            raise ValueError(f"loop_gap_s is {self.loop_gap_s}; it must be above 0")
 
     @property
     def duration_s(self) -> float:

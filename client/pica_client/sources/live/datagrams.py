@@ -3,7 +3,7 @@
 VMC, the protocol of VTuber programs: OSC messages over UDP.
 
 Blendshapes come one a message and hold from ``/VMC/Ext/Blend/Apply`` on. Perfect Sync gives them
-ARKit's names, in any case; a plain VRM model has vowels, blinks and moods, which are translated
+ARKit's names, in any case; a plain VRM model has vowels, blinks and smiles, which are translated
 into the shapes that do not come by their own name. Where Apply never comes, values hold as soon as
 a name comes again.
 Bones are Unity's, left-handed with the subject's left at -x: mirrored in x they are ours. Bones of
@@ -172,25 +172,12 @@ _OH: Final = {"jawOpen": 0.4, "mouthFunnel": 0.6}
 _OU: Final = {"jawOpen": 0.15, "mouthPucker": 0.8}
 _LEFT: Final = {"eyeBlinkLeft": 1.0}
 _RIGHT: Final = {"eyeBlinkRight": 1.0}
-_JOY: Final = {
-    **dict.fromkeys(("mouthSmileLeft", "mouthSmileRight"), 0.9),
-    **dict.fromkeys(("cheekSquintLeft", "cheekSquintRight"), 0.6),
-}
-_ANGRY: Final = {
-    **dict.fromkeys(("browDownLeft", "browDownRight"), 0.8),
-    **dict.fromkeys(("mouthPressLeft", "mouthPressRight"), 0.3),
-}
-_SORROW: Final = {
-    "browInnerUp": 0.8,
-    **dict.fromkeys(("mouthFrownLeft", "mouthFrownRight"), 0.6),
-}
-_FUN: Final = dict.fromkeys(("mouthSmileLeft", "mouthSmileRight"), 0.6)
+_SMILE: Final = dict.fromkeys(("mouthSmileLeft", "mouthSmileRight"), 0.8)
 VRM_SHAPES: Final[dict[str, dict[str, float]]] = {
     **{"a": _AA, "e": _EE, "i": _IH, "o": _OH, "u": _OU},
     **{"aa": _AA, "ee": _EE, "ih": _IH, "oh": _OH, "ou": _OU},
     **{"blink_l": _LEFT, "blinkleft": _LEFT, "blink_r": _RIGHT, "blinkright": _RIGHT},
-    **{"blink": _LEFT | _RIGHT, "joy": _JOY, "happy": _JOY, "angry": _ANGRY},
-    **{"sorrow": _SORROW, "sad": _SORROW, "fun": _FUN, "relaxed": _FUN},
+    **{"blink": _LEFT | _RIGHT, "joy": _SMILE, "happy": _SMILE, "fun": _SMILE, "relaxed": _SMILE},
 }
 """What a plain VRM expression at 1 is in ARKit's shapes, by its name in lower case; chosen by
 eye."""

@@ -8,11 +8,7 @@ on its users, and hides what it does to the values.
 
 import hashlib
 import io
-import os
-import sys
 import zipfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -117,11 +113,10 @@ class FaceNetworks:
             from ai_edge_litert.interpreter import Interpreter
         except ImportError as error:
             raise SourceError("webcam: install the extra webcam; LiteRT is missing") from error
-        with _quiet():
-            self._detector, self._landmarks, self._shapes = (
-                _Network(Interpreter(model_content=each, num_threads=1))
-                for each in (detector, landmarks, shapes)
-            )
+        self._detector, self._landmarks, self._shapes = (
+            _Network(Interpreter(model_content=each, num_threads=1))
+            for each in (detector, landmarks, shapes)
+        )
         self._anchors = _anchors()
 
     def detect(self, picture: Image.Image) -> list[Region]:
@@ -169,20 +164,6 @@ def region_of(landmarks: FloatArray) -> Region:
     (x, y), (dx, dy) = (low + high) / 2, left - right
     side = MARGIN * float((high - low).max())
     return Region(float(x), float(y), side, float(np.arctan2(dy, dx)))
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Keep what LiteRT writes by itself, that it has made a delegate, from the error stream."""
-    sys.stderr.flush()
-    kept, nothing = os.dup(2), os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(nothing, 2)
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-        os.close(nothing)
 
 
 class _Network:
