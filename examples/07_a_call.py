@@ -12,7 +12,7 @@ from pica_client.endpoint.endpoint import Receiver, Sender
 from pica_client.publish.publisher import SenderConfig, open_face
 from pica_client.stats import percentile
 from pica_client.transport.config import LinkConfig
-from pica_server.config.relay import RelayConfig
+from pica_server.config import RelayConfig
 from pica_server.relay import Relay
 
 NAMES = ("Ada", "Ben", "Cho")

@@ -19,7 +19,7 @@ from pica_client.transport.config import LinkConfig
 from pica_core.avatar.arkit import ARKIT_INDEX
 from pica_core.avatar.file import avatar_id, load_avatar
 from pica_core.avatar.shipped import shipped_avatar_files
-from pica_server.config.relay import RelayConfig
+from pica_server.config import RelayConfig
 from pica_server.relay import Relay
 
 

@@ -8,7 +8,7 @@
 
 Needs root on Linux with buildah. Not checked: limits that an engine sets (read-only root, dropped
 capabilities, memory), the compose file and the manifests, whose commands and settings
-`tests/server/config/test_deployment_files.py` checks.
+`tests/server/test_deployment_files.py` checks.
 """
 
 from __future__ import annotations

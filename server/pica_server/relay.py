@@ -20,16 +20,16 @@ from pica_protocol import SUBPROTOCOL
 from pica_protocol.errors import CloseCode
 from pica_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
 from pica_protocol.store import AVATARS_PATH, STORE_SUBPROTOCOL
-from pica_server.config.proxies import is_in, is_loopback, networks
-from pica_server.config.relay import RelayConfig
+from pica_server.certificate import Certificate
+from pica_server.config import RelayConfig
 from pica_server.errors import AdmissionError, ClusterError, ListenError
 from pica_server.limits import SocketGuard, most_sockets
 from pica_server.net.pump import Pump
 from pica_server.net.socket import RelaySocket, bound_receive_buffer
-from pica_server.ops.certificate import Certificate
-from pica_server.ops.status_pages import StatusPages
+from pica_server.proxies import is_in, is_loopback, networks
 from pica_server.room.forwarding import PERIOD_S
 from pica_server.room.hub import Hub
+from pica_server.status_pages import StatusPages
 from pica_server.store.downloads import Downloads
 from pica_server.store.store import AvatarStore
 from pica_server.store.uploads import Uploads

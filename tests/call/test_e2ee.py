@@ -21,7 +21,7 @@ from pica_client.transport.link import Link
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Joined, PeerLeft, Track, Whisper
 from pica_protocol.session import ClientEvent
-from pica_server.config.relay import RelayConfig
+from pica_server.config import RelayConfig
 from pica_server.relay import Relay
 from simnet.clock import current_network, in_virtual_time
 from simnet.network import Wire

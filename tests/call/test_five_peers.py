@@ -23,7 +23,7 @@ from pica_client.publish.publisher import SenderConfig
 from pica_client.stats import percentile
 from pica_client.transport.config import LinkConfig
 from pica_core.avatar.file import Avatar
-from pica_server.config.relay import RelayConfig
+from pica_server.config import RelayConfig
 from pica_server.relay import Relay
 from simnet.clock import current_network, in_virtual_time
 from simnet.network import Wire

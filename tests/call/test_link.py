@@ -18,7 +18,7 @@ from pica_protocol.messages import (
     Joined,
 )
 from pica_protocol.session import ClientEvent, Closed
-from pica_server.config.relay import RelayConfig
+from pica_server.config import RelayConfig
 from pica_server.relay import Relay
 from pica_server.tokens import Admission, KeyRing, load_keys, mint
 from simnet.clock import current_network, in_virtual_time

@@ -25,7 +25,7 @@ from pica_client.publish.publisher import Outgoing, Publisher, SenderConfig
 from pica_client.sources.live.tracker import UdpOptions, UdpTracker
 from pica_client.sources.registry import decoder_of, open_live
 from pica_client.transport.config import LinkConfig
-from pica_server.config.relay import RelayConfig
+from pica_server.config import RelayConfig
 from pica_server.relay import Relay
 
 pytestmark = pytest.mark.realtime

@@ -21,7 +21,7 @@ from pica_client.publish.publisher import Outgoing, Publisher, SenderConfig
 from pica_client.sources import open_source
 from pica_client.tracks import FaceMode
 from pica_client.transport.config import LinkConfig
-from pica_server.config.relay import RelayConfig
+from pica_server.config import RelayConfig
 from pica_server.relay import Relay
 from simnet.clock import current_network, in_virtual_time
 from simnet.network import Wire

@@ -12,7 +12,7 @@ from pica_protocol import SUBPROTOCOL
 from pica_protocol.errors import CloseCode
 from pica_protocol.messages import Joined
 from pica_protocol.session import ClientEvent, ServerSession, State
-from pica_server.config.relay import RelayConfig
+from pica_server.config import RelayConfig
 from pica_server.relay import Relay
 from simnet.clock import in_virtual_time
 

@@ -18,7 +18,7 @@ from pica_client.sources import open_source
 from pica_client.transport.config import LinkConfig
 from pica_core.avatar.arkit import ExpressionFrame
 from pica_core.avatar.expression_encoder import ExpressionEncoder
-from pica_server.config.relay import RelayConfig
+from pica_server.config import RelayConfig
 from pica_server.relay import Relay
 from simnet.clock import in_virtual_time
 

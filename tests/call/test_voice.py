@@ -25,7 +25,7 @@ from pica_client.voice.publisher import VoicePublisher
 from pica_client.voice.source import TURN_S, SoundSource
 from pica_core.avatar.file import load_avatar
 from pica_protocol.frames import Frame
-from pica_server.config.relay import RelayConfig
+from pica_server.config import RelayConfig
 from pica_server.relay import Relay
 from simnet.clock import current_network, in_virtual_time
 from simnet.network import Wire

@@ -18,7 +18,7 @@ from pica_client.endpoint.endpoint import Receiver
 from pica_client.endpoint.monitor import CallMonitor
 from pica_client.publish.publisher import SenderConfig
 from pica_client.transport.config import LinkConfig
-from pica_server.config.relay import RelayConfig
+from pica_server.config import RelayConfig
 from pica_server.relay import Relay
 from simnet.clock import in_virtual_time
 

@@ -6,7 +6,7 @@ from pica_protocol.client_session import ClientSession, Ticket
 from pica_protocol.codec import decode_message
 from pica_protocol.frames import Frame, decode_media
 from pica_protocol.messages import Message, Metadata, Track
-from pica_server.config.relay import RelayConfig
+from pica_server.config import RelayConfig
 from pica_server.room.connections import Connection
 from pica_server.room.hub import Hub
 

@@ -21,7 +21,7 @@ from websockets.typing import Subprotocol
 from pica_protocol.codec import decode_store_message, encode_message
 from pica_protocol.messages import Bye
 from pica_protocol.store import MAX_CHUNK_BYTES, STORE_SUBPROTOCOL, Offer, Stored, encode_chunk
-from pica_server.config.relay import RelayConfig, StoreConfig
+from pica_server.config import RelayConfig, StoreConfig
 from pica_server.relay import Relay
 
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import pytest
 
 from pica_protocol.session import Closed
-from pica_server.config.relay import RelayConfig
+from pica_server.config import RelayConfig
 from pica_server.relay import Relay
 from simnet.clock import current_network, in_virtual_time
 from simnet.peers import now, peer_in_room

@@ -16,7 +16,7 @@ from pica_protocol.messages import (
     RemovePeer,
 )
 from pica_protocol.session import Closed
-from pica_server.config.relay import LimitsConfig, RelayConfig
+from pica_server.config import LimitsConfig, RelayConfig
 from pica_server.relay import Relay
 from pica_server.tokens import Admission, KeyRing, load_keys, mint
 from simnet.clock import current_network, in_virtual_time

@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from pica_server.config.relay import RelayConfig
+from pica_server.certificate import Certificate
+from pica_server.config import RelayConfig
 from pica_server.errors import ConfigurationError, ListenError
 from pica_server.log import Style, logging_to, say
-from pica_server.ops.certificate import Certificate
 
 if TYPE_CHECKING:
     from pica_server.store.store import AvatarStore

@@ -25,7 +25,7 @@ from pica_protocol import SUBPROTOCOL
 from pica_protocol.client_session import RIDE_S
 from pica_protocol.errors import CloseCode
 from pica_protocol.frames import media_message
-from pica_server.config.relay import RelayConfig
+from pica_server.config import RelayConfig
 from pica_server.net.socket import RelaySocket, set_tcp_option, websocket_message
 from pica_server.room.connections import Connection
 from pica_server.room.hub import Hub

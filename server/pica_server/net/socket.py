@@ -40,7 +40,8 @@ except ImportError:  # the library was installed without its C extension
 
 from pica_protocol.errors import CloseCode
 from pica_protocol.limits import bound_tls_buffer
-from pica_server.config.proxies import (
+from pica_server.limits import SocketGuard, TokenBucket
+from pica_server.proxies import (
     PROXY_HEADERS,
     Network,
     address_group,
@@ -48,7 +49,6 @@ from pica_server.config.proxies import (
     is_in,
     names_this_machine,
 )
-from pica_server.limits import SocketGuard, TokenBucket
 from pica_server.stats import RelayStats
 
 _WHOLE_BINARY: Final = 0x82

@@ -16,7 +16,7 @@ from pica_protocol.codec import encode_message
 from pica_protocol.errors import CloseCode
 from pica_protocol.messages import Message
 from pica_protocol.session import Closed, ServerSession
-from pica_server.config.relay import LimitsConfig, RelayConfig
+from pica_server.config import LimitsConfig, RelayConfig
 from pica_server.errors import OutboxFullError
 from pica_server.limits import TokenBucket
 from pica_server.room.outbox import Outbox

@@ -29,7 +29,7 @@ from pica_protocol.messages import (
     Whisper,
 )
 from pica_protocol.session import Closed, ServerEvent
-from pica_server.config.relay import RelayConfig
+from pica_server.config import RelayConfig
 from pica_server.room.connections import MESSAGE_COST_BYTES, Connection, Connections
 from pica_server.room.forwarding import Forwarding, Overload
 from pica_server.room.membership import Membership

@@ -25,7 +25,7 @@ from typing import Final, TypeVar
 
 from pica_protocol.errors import CloseCode
 from pica_protocol.store import is_avatar_id
-from pica_server.config.relay import StoreConfig
+from pica_server.config import StoreConfig
 from pica_server.errors import StoreError, StoreRefusalError
 
 NUM_THREADS: Final = 4

@@ -21,7 +21,7 @@ from pica_client.transport.config import LinkConfig
 from pica_client.transport.link import Link
 from pica_core.avatar.arkit import ExpressionFrame
 from pica_protocol.messages import FromMember, Subscribe, Track
-from pica_server.config.relay import RelayConfig
+from pica_server.config import RelayConfig
 from pica_server.relay import Relay
 from simnet.clock import in_virtual_time
 from simnet.peers import FACE, peer_in_room

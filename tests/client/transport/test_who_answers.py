@@ -12,7 +12,7 @@ from pica_client.errors import RelayRefusedError
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.connect import RelayConnect, proxy_of, trouble
 from pica_client.transport.link import Link
-from pica_server.config.relay import RelayConfig
+from pica_server.config import RelayConfig
 from pica_server.relay import Relay
 
 pytestmark = pytest.mark.call

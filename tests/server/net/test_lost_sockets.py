@@ -9,7 +9,7 @@ from websockets.asyncio.client import connect
 from websockets.typing import Subprotocol
 
 from pica_protocol import SUBPROTOCOL
-from pica_server.config.relay import RelayConfig
+from pica_server.config import RelayConfig
 from pica_server.net.socket import RelaySocket
 from pica_server.relay import Relay
 

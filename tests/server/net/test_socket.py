@@ -18,7 +18,7 @@ from pica_protocol.errors import CloseCode
 from pica_protocol.frames import Frame, encode_frame, media_message
 from pica_protocol.messages import PeerJoined, PeerLeft
 from pica_protocol.session import Closed
-from pica_server.config.relay import RelayConfig
+from pica_server.config import RelayConfig
 from pica_server.limits import SocketGuard
 from pica_server.net.socket import RelaySocket
 from pica_server.relay import Relay

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pica_server.config.relay import RelayConfig
+from pica_server.config import RelayConfig
 from pica_server.placement.bucket import Bucket
 from pica_server.placement.placement import (
     BEAT_S,

@@ -18,7 +18,7 @@ from pica_protocol.messages import (
     Whisper,
 )
 from pica_protocol.session import Closed
-from pica_server.config.relay import LimitsConfig, RelayConfig
+from pica_server.config import LimitsConfig, RelayConfig
 from pica_server.errors import ConfigurationError
 from pica_server.relay import Relay
 from pica_server.room.hub import Hub

@@ -13,7 +13,7 @@ from pica_protocol.messages import (
     PeerLeft,
     Whisper,
 )
-from pica_server.config.relay import LimitsConfig, RelayConfig
+from pica_server.config import LimitsConfig, RelayConfig
 from pica_server.errors import AdmissionError
 from pica_server.room.hub import Hub
 from pica_server.room.outbox import MAX_CONTROL_BYTES

@@ -13,7 +13,7 @@ from pica_protocol.messages import (
     RemovePeer,
     StreamMuted,
 )
-from pica_server.config.relay import RelayConfig
+from pica_server.config import RelayConfig
 from pica_server.room.connections import MODERATION_COST, TOLD_AT_ONCE
 from pica_server.room.hub import Hub
 from pica_server.room.room import MAX_DECISIONS, Room

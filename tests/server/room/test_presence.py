@@ -20,7 +20,7 @@ from pica_protocol.messages import (
     UpdateMetadata,
 )
 from pica_protocol.session import State
-from pica_server.config.relay import LimitsConfig, RelayConfig
+from pica_server.config import LimitsConfig, RelayConfig
 from pica_server.room.hub import Hub
 from pica_server.tokens import Admission
 

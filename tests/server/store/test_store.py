@@ -19,7 +19,7 @@ from pica_core.avatar import file as avatar_file
 from pica_protocol.codec import encode_message
 from pica_protocol.errors import CloseCode
 from pica_protocol.store import Offer
-from pica_server.config.relay import RelayConfig, StoreConfig
+from pica_server.config import RelayConfig, StoreConfig
 from pica_server.errors import ConfigurationError, StoreError, StoreRefusalError
 from pica_server.relay import Relay
 from pica_server.store.store import AvatarStore, Slots

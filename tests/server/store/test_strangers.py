@@ -24,7 +24,7 @@ from pica_protocol.codec import encode_message
 from pica_protocol.errors import CloseCode
 from pica_protocol.messages import Bye, Leave
 from pica_protocol.store import Offer, encode_chunk
-from pica_server.config.relay import StoreConfig
+from pica_server.config import StoreConfig
 from pica_server.store.store import AvatarStore
 from simnet.peers import peer_in_room
 

@@ -1,6 +1,6 @@
 import pytest
 
-from pica_server.config.relay import LimitsConfig, RelayConfig
+from pica_server.config import LimitsConfig, RelayConfig
 from pica_server.errors import ConfigurationError
 
 pytestmark = pytest.mark.unit

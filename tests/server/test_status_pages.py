@@ -7,11 +7,11 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from helpers.members import FACE, VOICE, Member
 from pica_protocol.errors import CloseCode
-from pica_server.config.relay import LimitsConfig, RelayConfig
+from pica_server.config import LimitsConfig, RelayConfig
 from pica_server.errors import AdmissionError
-from pica_server.ops.status_pages import MAX_LISTED, Page, StatusPages
 from pica_server.room.hub import Hub
 from pica_server.stats import BOUNDS_S, RelayStats, metrics_text
+from pica_server.status_pages import MAX_LISTED, Page, StatusPages
 
 pytestmark = pytest.mark.unit
 

@@ -20,10 +20,10 @@ import yaml
 from helpers.paths import ROOT
 from pica_command.options import CommandLine
 from pica_command.table import COMMANDS
-from pica_server.config.relay import RelayConfig
+from pica_server.config import RelayConfig
 from pica_server.errors import ConfigurationError
-from pica_server.ops.status_pages import StatusPages
 from pica_server.room.hub import Hub
+from pica_server.status_pages import StatusPages
 
 pytestmark = pytest.mark.unit
 

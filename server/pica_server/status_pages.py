@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from pica_protocol.errors import CloseCode
 from pica_protocol.messages import Peer
-from pica_server.config.relay import RelayConfig
+from pica_server.config import RelayConfig
 from pica_server.errors import AdmissionError
 from pica_server.room.forwarding import CALM_S
 from pica_server.room.hub import Hub

@@ -1,1 +1,0 @@
-"""What an operator may set, and where a setting came from."""

@@ -1,1 +1,0 @@
-"""How a relay is watched: log, metrics, status pages, event loop, certificate."""
