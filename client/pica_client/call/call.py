@@ -23,7 +23,7 @@ from pica_client.stats import Samples
 from pica_client.tracks import FACE_TRACK, voice_of
 from pica_core.avatar.file import Avatar
 from pica_core.codec.latent_stream import LatentSample
-from pica_core.errors import AvatarFileError
+from pica_core.errors import AvatarFileError, LatentError, ProfileError
 from pica_protocol import messages
 from pica_protocol.frames import Frame
 from pica_protocol.session import ClientEvent
@@ -291,26 +291,16 @@ class Call:
             return None  # as when its peer has just left
         if self._lacks_secret(seat):
             return None  # it could be read as a latent, and would be a heap of triangles
-        if not (seat.has_decoder or self._open_decoder(seat)):
-            return None
-        sample, peer = seat.receive_frame(frame, now), seat.member.peer
-        if sample is None:
+        try:
+            sample = seat.receive_frame(frame, now, self._avatars)
+        except (LatentError, ProfileError):
             self.errors += 1
             return None
+        if sample is None:
+            return None
+        peer = seat.member.peer
         who = peer.peer_id, peer.name, seat.track.avatar
         return ArrivedFace(*who, sample, frame.captured_us, now)
-
-    def _open_decoder(self, seat: Participant) -> bool:
-        """Make the decoder of a stream, if its avatar is there and of the sender's version."""
-        try:
-            avatar = self._avatars.get(seat.track.avatar)
-        except AvatarFileError:
-            avatar = None  # the viewer asks for it too, and shows what is wrong with it
-        if avatar is None:
-            return False
-        is_open = seat.open_decoder(avatar)
-        self.errors += not is_open
-        return is_open
 
     def _lacks_secret(self, seat: Participant) -> bool:
         """Whether a peer's payloads are encrypted, as it has told us, and we have no secret."""

@@ -11,17 +11,18 @@ screen costs a message or two a second at most, and its stream is there whenever
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from enum import Enum
 from typing import Any, Final
 
+from pica_client.avatars.library import AvatarStore
 from pica_client.call.connection_quality import QualityMeter
 from pica_client.call.roster import Member
 from pica_client.playout.buffer import PlayedFace, Playout, PlayoutReport
 from pica_client.tracks import FACE_KEY, FACE_LOST
-from pica_core.avatar.file import Avatar
 from pica_core.codec.latent_stream import LatentDecoder, LatentSample
-from pica_core.errors import LatentError, ProfileError
+from pica_core.errors import AvatarFileError, ProfileError
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Peer, Subscribe, Track
 
@@ -161,28 +162,19 @@ class Participant:
 
     # The stream
 
-    def open_decoder(self, avatar: Avatar) -> bool:
-        """Make the decoder, if the avatar has a stream profile; return True if there is one."""
-        if self._decoder is None and not self.trouble:
-            try:
-                self._decoder = LatentDecoder(avatar.stream_profile())
-            except ProfileError as error:
-                self.trouble = str(error)
-        return self._decoder is not None
+    def receive_frame(self, frame: Frame, now: float, avatars: AvatarStore) -> LatentSample | None:
+        """Take a frame off the wire and return its face; None while the avatar is not here.
 
-    @property
-    def has_decoder(self) -> bool:
-        """Whether frames can be taken."""
-        return self._decoder is not None
-
-    def receive_frame(self, frame: Frame, now: float) -> LatentSample | None:
-        """Take a frame off the wire and return its face, None if it cannot be read; there must be
-        a decoder."""
-        assert self._decoder is not None
-        try:
-            sample = self._decoder.decode(frame.payload)
-        except LatentError:
+        Raises:
+            LatentError: It cannot be read.
+            ProfileError: The avatar has no stream profile.
+        """
+        if self.trouble:
+            raise ProfileError(self.trouble)
+        if self._decoder is None and not self._open_decoder(avatars):
             return None
+        assert self._decoder is not None
+        sample = self._decoder.decode(frame.payload)
         if self.state is not StreamState.PAUSED:  # else it was under way when it was unsubscribed
             self.playout.receive(frame, sample, now)
         if self.state is StreamState.JOINING:
@@ -191,6 +183,16 @@ class Participant:
             self.state = StreamState.LIVE
         self.last_arrival_s = now
         return sample
+
+    def _open_decoder(self, avatars: AvatarStore) -> bool:
+        with suppress(AvatarFileError):  # the viewer asks for it too, and shows what is wrong
+            if (avatar := avatars.get(self.track.avatar)) is not None:
+                try:
+                    self._decoder = LatentDecoder(avatar.stream_profile())
+                except ProfileError as error:
+                    self.trouble = str(error)
+                    raise
+        return self._decoder is not None
 
     def play(self, now: float, heard_us: int | None = None) -> tuple[PlayedFace | None, bool]:
         """The face to show now, None before the first one; and whether the stream is stopped on
