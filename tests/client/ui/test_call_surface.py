@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pica_client.render.scene import Rect, head_matrix, overlap
 from pica_client.render.seats import LAYOUTS, Layout, plan_seats
 from pica_client.render.views import ViewState, plan_camera
-from pica_client.ui.labels import FACE_HIGH_M, FACE_LOW_M, HALF_WIDTH_M, place_labels
+from pica_client.ui.call_surface import FACE_HIGH_M, FACE_LOW_M, HALF_WIDTH_M, place_labels
 from pica_core.camera import Camera
 from pica_core.types import FloatArray
 
