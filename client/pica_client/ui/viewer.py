@@ -20,6 +20,7 @@ from imgui_bundle import imgui
 
 from pica_client.call.call import Call
 from pica_client.call.reflection import Reflection
+from pica_client.call.roster import SELF_ID
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.pool import DecodePool, num_workers
 from pica_client.endpoint.endpoint import Receiver
@@ -39,8 +40,7 @@ from pica_client.ui.call_sound import CallSound
 from pica_client.ui.call_surface import CallSurface
 from pica_client.ui.call_view import OwnFaceView
 from pica_client.ui.options import ViewOptions, parse_size
-from pica_client.ui.own_face import SelfView
-from pica_client.ui.panels.overlay import own_face_height
+from pica_client.ui.panels.overlay import ASPECT, own_face_height
 from pica_client.ui.recorder import Recorder, new_path, save_png
 from pica_client.ui.state import ViewState
 from pica_client.ui.surface.surface import Surface
@@ -55,6 +55,10 @@ RENDER = RenderOptions(fade_busts=True)
 DECODE_WAIT_S = 0.008
 """An image waits this long for the faces that it asked for: what comes later is seen an image
 later, behind its voice (chosen: half an image of 60 a second)."""
+OWN_PERIOD_S = 1 / 15
+"""Between two images (chosen: the own face is to be checked, not watched)."""
+OWN_BUDGET_S = 0.01
+"""What one image may take."""
 
 
 class Viewer(Closing):
@@ -376,3 +380,57 @@ class Viewer(Closing):
             case messages.RemovePeer() | messages.MutePeer() | messages.BarIdentity():
                 if self._receiver is not None:
                     self._receiver.moderate(request)
+
+
+class SelfView:
+    """The user's own face as the others see it, decoded and drawn beside the call into a texture of
+    its own, and what the tracker sees.
+
+    Args:
+        context: Where to draw; current on this thread.
+        options: How avatars are drawn.
+    """
+
+    def __init__(
+        self, context: moderngl.Context, reflection: Reflection, options: RenderOptions
+    ) -> None:
+        self._renderer = Renderer(context, (16, 12), options)
+        self._pool = DecodePool(OnnxDecoder)
+        self._presenter = AvatarPresenter(reflection.call, self._renderer, self._pool, Scheduler())
+        self._looked_s = -OWN_PERIOD_S
+        self._shown = OwnFaceView()
+
+    def close(self) -> None:
+        """End the decoding thread."""
+        self._pool.close()
+
+    def draw(self, now: float, height_px: int) -> moderngl.Texture | None:
+        """Draw the own face so many pixels high; None before there is one."""
+        size = (round(ASPECT * height_px), height_px)
+        self._renderer.resize(size)
+        scene = self._presenter.arrange(now, size, ViewState(layout="line"))
+        self._presenter.decide(scene, (scene.camera,), OWN_BUDGET_S)
+        self._presenter.collect(now)
+        scene = self._presenter.dressed(scene)
+        self._renderer.draw(scene.placements, scene.camera)
+        if not self._presenter.num_decoded().get(SELF_ID):
+            return None
+        (texture,) = self._renderer.image.color_attachments
+        assert isinstance(texture, moderngl.Texture)
+        return texture
+
+    def look(
+        self, now: float, height_px: int, controls: FaceControls, surface: Surface
+    ) -> OwnFaceView:
+        """Return what there is to see on a picture so many pixels high."""
+        if height_px and now - self._looked_s >= OWN_PERIOD_S:
+            self._looked_s = now
+            texture, seen = self.draw(now, height_px), controls.preview()
+            picture = None if seen is None else seen.picture
+            self._shown = OwnFaceView(
+                texture=None if texture is None else surface.adopt("own face", texture),
+                source=controls.source,
+                seen=seen,
+                camera=None if picture is None else surface.show("camera", picture),
+            )
+        return self._shown if height_px else OwnFaceView()

@@ -12,7 +12,7 @@ from pica_client.call.reflection import Reflection
 from pica_client.publish.publisher import Publisher, SenderConfig
 from pica_client.render.renderer import RenderOptions
 from pica_client.sources import open_source
-from pica_client.ui.own_face import SelfView
+from pica_client.ui.viewer import SelfView
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.codec.latent_stream import LatentEncoder
