@@ -192,7 +192,7 @@ def save_avatar(path: Path | str, avatar: Avatar) -> None:
     """
     # Row after row: safetensors writes the memory of an array as it lies there.
     tensors = {name: np.ascontiguousarray(array) for name, array in avatar.tensors.items()}
-    with naming(path):
+    with _naming(path):
         _check_tensors(avatar.spec, tensors)
     stored: dict[str, Array] = {}
     affine: dict[str, Any] = {}
@@ -208,7 +208,11 @@ def save_avatar(path: Path | str, avatar: Avatar) -> None:
     }
     data = _with_ordered_metadata(safetensors.numpy.save(stored, metadata))
     load_avatar(data, str(path))  # what we write, we must be able to read; checks the manifest, too
-    write_bytes(path, data)
+    try:
+        with replacing(Path(path)) as unfinished:
+            unfinished.write_bytes(data)
+    except OSError as error:
+        raise AvatarFileError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
 def load_avatar(source: Path | str | bytes, name: str | None = None) -> Avatar:
@@ -223,7 +227,7 @@ def load_avatar(source: Path | str | bytes, name: str | None = None) -> Avatar:
             its spec asks for. The message names file, field and limit.
     """
     data = _content(source)
-    with naming(name or ("avatar" if isinstance(source, bytes) else source)):
+    with _naming(name or ("avatar" if isinstance(source, bytes) else source)):
         header = _read_header(data)
         metadata = header.pop("__metadata__", None)
         if not isinstance(metadata, dict) or "pica" not in metadata:
@@ -246,6 +250,15 @@ def load_avatar(source: Path | str | bytes, name: str | None = None) -> Avatar:
     return avatar
 
 
+@contextmanager
+def _naming(where: Path | str) -> Iterator[None]:
+    """Turn each ValueError about a file's content into an AvatarFileError that names the file."""
+    try:
+        yield
+    except ValueError as error:
+        raise AvatarFileError(f"{where}: {error}") from error
+
+
 def read_bytes(path: Path | str, limit: int) -> bytes:
     """The content of a file; AvatarFileError if it cannot be read, or is larger than a limit."""
     try:
@@ -256,24 +269,6 @@ def read_bytes(path: Path | str, limit: int) -> bytes:
     if len(data) > limit:
         raise AvatarFileError(f"{path}: file is larger than {limit} bytes, the limit")
     return data
-
-
-def write_bytes(path: Path | str, data: bytes) -> None:
-    """Write a file, whole or not at all; AvatarFileError if it cannot be written."""
-    try:
-        with replacing(Path(path)) as unfinished:
-            unfinished.write_bytes(data)
-    except OSError as error:
-        raise AvatarFileError(f"{path}: cannot be written: {error.strerror or error}") from error
-
-
-@contextmanager
-def naming(where: Path | str) -> Iterator[None]:
-    """Turn each ValueError about a file's content into an AvatarFileError that names the file."""
-    try:
-        yield
-    except ValueError as error:
-        raise AvatarFileError(f"{where}: {error}") from error
 
 
 def _content(source: Path | str | bytes) -> bytes:

@@ -23,7 +23,7 @@ from pica_core.model.decoders import (
     sample_per_image,
     tile_view_direction,
 )
-from pica_core.model.encoder import make_encoder
+from pica_core.model.encoder import ENCODERS
 from pica_core.model.interface import AvatarModel, FacePrior, ModelOptions
 from pica_core.model.linear import LinearEncoder, LinearGeometry
 from pica_core.model.pixel_decoder import PixelDecoder
@@ -57,7 +57,7 @@ class PixelCodecAvatar(interface.AvatarModel):
         self.register_buffer("_drawn_uv", interface.uv_buffer(drawn), persistent=False)
         self.register_buffer("_tracked_uv", interface.uv_buffer(prior.tracked_uv), persistent=False)
         self._draws_tracked = drawn is prior.tracked_uv
-        self.encoder: interface.LatentEncoder = make_encoder(options.encoder)
+        self.encoder: interface.LatentEncoder = ENCODERS[options.encoder]()
         self.geometry: MapDecoder | LinearGeometry
         if spec.geometry == "bases":
             assert prior.linear is not None  # the maker of the prior asks the variant
@@ -132,9 +132,6 @@ def make_model(
 
     Args:
         spec: Sizes of the full model; the row replaces its encoding and geometry.
-
-    Raises:
-        ValueError: An unknown encoder.
     """
     row: Variant = VARIANTS[variant]
     spec = replace(spec, encoding=row.encoding, geometry=row.geometry)

@@ -114,17 +114,12 @@ class DeepAppearanceEncoder(interface.LatentEncoder):
     """Average texture and tracked vertices to the latent, "paper" or "light".
 
     Vertices are read from the position map that all models' encoders are given.
-
-    Raises:
-        ValueError: An unknown name.
     """
 
     _uv: Tensor
 
     def __init__(self, name: str, prior: interface.FacePrior) -> None:
         super().__init__()
-        if name not in _ENCODERS:
-            raise ValueError(f"encoder is {name!r}; known are 'paper' and 'light'")
         self.texture_size, channels = _ENCODERS[name]
         self.register_buffer("_uv", interface.uv_buffer(prior.tracked_uv), persistent=False)
         steps: list[nn.Module] = []
@@ -181,11 +176,7 @@ class TextureDecoder(nn.Module):
 
 
 class DeepAppearanceModel(interface.AvatarModel):
-    """Encoder and decoders of one person.
-
-    Raises:
-        ValueError: An unknown encoder, or a texture that no number of layers makes.
-    """
+    """Encoder and decoders of one person."""
 
     topology = "tracked"
     tracked_mean_m: Tensor

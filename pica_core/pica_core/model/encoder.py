@@ -68,18 +68,10 @@ class LightEncoder(_GridEncoder):
         super().__init__(_halving([3, 8, 16]), geom_head, [28, 32, 48, 64])
 
 
-def make_encoder(name: str) -> PaperEncoder | LightEncoder:
-    """The encoder called "paper" or "light".
-
-    Raises:
-        ValueError: Another name.
-    """
-    match name:
-        case "paper":
-            return PaperEncoder()
-        case "light":
-            return LightEncoder()
-    raise ValueError(f"encoder is {name!r}; known are 'paper' and 'light'")
+ENCODERS: dict[str, type[PaperEncoder | LightEncoder]] = {
+    "paper": PaperEncoder,
+    "light": LightEncoder,
+}
 
 
 def hold_log_variance(log_variance: Tensor) -> Tensor:

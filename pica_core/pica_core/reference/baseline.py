@@ -106,20 +106,10 @@ class BaselineAvatar:
 
 
 def baseline_channels(texture_size: int) -> tuple[int, ...]:
-    """The published channels for a texture of another size: the last layers but one are left out.
-
-    Args:
-        texture_size: Rows and columns, texels: 1024 as published, or 32, 64, ... below.
-
-    Raises:
-        ValueError: Another size.
-    """
-    published = BaselineSpec().channels
-    sizes = {FIRST_SIZE << count: count for count in range(3, len(published) + 1)}
-    if texture_size not in sizes:
-        known = ", ".join(map(str, sizes))
-        raise ValueError(f"texture_size is {texture_size}; known are {known}")
-    return (*published[: sizes[texture_size] - 1], RGB_CHANNELS)
+    """The published channels for a texture of 1024 texels a side, or of 32, 64, ... below, for
+    which the last layers but one are left out."""
+    layers = (texture_size // FIRST_SIZE).bit_length() - 1
+    return (*BaselineSpec().channels[: layers - 1], RGB_CHANNELS)
 
 
 MESH_SPREAD_M = 2e-4

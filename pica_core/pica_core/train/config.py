@@ -6,13 +6,10 @@ the presets share is a constant beside its use, in `objectives` and `train`.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import Literal
 
 from pica_core.avatar.spec import AvatarSpec
-from pica_core.avatar.variants import VARIANTS
-from pica_core.errors import TrainingOptionError, check_ranges
 from pica_core.model.avatar import make_model
 from pica_core.model.interface import AvatarModel, FacePrior, ModelOptions
 
@@ -83,25 +80,6 @@ class TrainConfig(ModelOptions):
     """Seed of initial weights, batches and noise."""
     checkpoint_every: int = 500
     """Steps between checkpoints."""
-
-    def __post_init__(self) -> None:
-        for name, known in (("variant", tuple(VARIANTS)), ("mesh_source", ("truth", "tracked"))):
-            if (value := getattr(self, name)) not in known:
-                raise TrainingOptionError(f"{name} is {value!r}; known are {', '.join(known)}")
-        steps = {
-            f"{phase}_steps": (0, math.inf) for phase in ("geometry", "joint", "driver", "live")
-        }
-        check_ranges(
-            self,
-            TrainingOptionError,
-            **steps,
-            joint_batch=(1, math.inf),
-            pixels_per_image=(0, math.inf),
-            frame_balance=(0, 2),
-            clip_norm=(0, math.inf),
-            seed=(0, (1 << 31) - 1),
-            checkpoint_every=(1, math.inf),
-        )
 
     def build(self, prior: FacePrior) -> AvatarModel:
         """A model with fresh weights, for the person that the prior describes."""

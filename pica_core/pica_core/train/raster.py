@@ -61,8 +61,6 @@ FAR_M = 20.0
 EDGE_ON = 0.5
 """A pixel in a triangle has volumes of one sign, so their sum is the sum of their sizes. Where
 rounding leaves no more than this part of it, the triangle is seen edge-on."""
-_MAX_TRIANGLES = 1 << 24
-"""Whole numbers that a float32 target holds exactly."""
 
 
 class Rasteriser:
@@ -72,18 +70,14 @@ class Rasteriser:
     new framebuffer and releases the old one.
 
     Args:
-        faces: Triangles, counter-clockwise seen from outside, int32 ``[F, 3]``.
+        faces: Triangles, counter-clockwise seen from outside, int32 ``[F, 3]``; at most 2^24, as
+            many as a float32 target tells apart.
 
     Raises:
-        GraphicsError: No GL context, or more than 2^24 triangles.
-        ShapeError: Faces of another shape.
+        GraphicsError: No GL context.
     """
 
     def __init__(self, faces: IntArray, num_vertices: int) -> None:
-        if faces.ndim != 2 or faces.shape[1] != 3:
-            raise ShapeError(f"faces is {faces.shape}; [F, 3] is needed")
-        if len(faces) >= _MAX_TRIANGLES:
-            raise GraphicsError(f"{len(faces)} triangles; the id image holds {_MAX_TRIANGLES}")
         self.num_vertices = num_vertices
         self._context = create_context()
         self._program = link_program(self._context, vertex=_VERTEX, fragment=_FRAGMENT)
@@ -120,11 +114,6 @@ class Rasteriser:
         return np.frombuffer(content, np.float32).reshape(size)[:, ::-1].astype(np.int32) - 1
 
     def _draw(self, vertices_m: FloatArray, cameras: Sequence[Camera]) -> None:
-        if vertices_m.shape != (len(cameras), self.num_vertices, 3):
-            raise ShapeError(
-                f"vertices_m is {vertices_m.shape}; "
-                f"[{len(cameras)}, {self.num_vertices}, 3] is needed"
-            )
         width, height = cameras[0].width, cameras[0].height
         if any((camera.width, camera.height) != (width, height) for camera in cameras):
             raise ShapeError("cameras of several image sizes; a batch needs one")

@@ -64,7 +64,8 @@ class TrainOptions:
     """Held-out frames to evaluate at the end."""
 
     def __post_init__(self) -> None:
-        check_ranges(self, TrainingOptionError, threads=(1, 1024), eval_frames=(1, 1_000_000))
+        ranges = {"seed": (0, 2**31 - 1), "threads": (1, 1024), "eval_frames": (1, 1_000_000)}
+        check_ranges(self, TrainingOptionError, **ranges)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -8,7 +8,6 @@ with noise, seen from all over the front. Nothing of the full model changes.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -58,41 +57,33 @@ METRIC_FACES = 6
 """Faces that the slope of the pixel decoder is averaged over."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class LevelOptions:
-    """How much it takes to make levels."""
-
-    faces: int = 320
-    """Faces to fit on."""
-    rounds: int = 12
-    """Performances of each kind to draw them from."""
-    points: int = 24_000
-    """Points of the surface at which colours are compared."""
-    bias_points: int = 200_000
-    """Points at which the bias of a map is fitted: 12 for each texel of 128 (with 24,000, as many
-    as colours are compared at, single texels went wrong and showed as specks)."""
-    mesh_ratios: tuple[float, ...] = (0.22, 0.35)
-    """Triangles of the levels' meshes, the coarsest first, as shares of the full mesh (chosen: with
-    0.16 nostrils of people tear at heads 300 pixels high: docs/architecture.md)."""
+NUM_FACES = 320
+"""Faces to fit on."""
+ROUNDS = 12
+"""Performances of each kind to draw them from."""
+POINTS = 24_000
+"""Points of the surface at which colours are compared."""
+BIAS_POINTS = 200_000
+"""Points at which the bias of a map is fitted: 12 for each texel of 128 (with 24,000, as many as
+colours are compared at, single texels went wrong and showed as specks)."""
+MESH_RATIOS = (0.22, 0.35)
+"""Triangles of the levels' meshes, the coarsest first, as shares of the full mesh (chosen: with
+0.16 nostrils of people tear at heads 300 pixels high: docs/architecture.md)."""
 
 
-def add_levels(
-    avatar: Avatar,
-    options: LevelOptions | None = None,
-    show: Callable[[str], None] = lambda _: None,
-) -> Avatar:
+def add_levels(avatar: Avatar, show: Callable[[str], None] = lambda _: None) -> Avatar:
     """Fit exits and simplify meshes for every level below the full one: the avatar with its levels
     and its static surface marked; as it is where no bases make its vertices."""
-    options, tensors = options or LevelOptions(), dict(avatar.tensors)
     if avatar.spec.geometry != "bases":
         return avatar
-    faces = _draw_faces(avatar, options)
-    full = _FullLevel(avatar, faces, options)
+    tensors = dict(avatar.tensors)
+    faces = _draw_faces(avatar)
+    full = _FullLevel(avatar, faces)
     show("meshes")
     mean_face = FaceSet(faces.latents.mean(dim=0, keepdim=True), torch.tensor([FRONT]))
     ((_, (still,)),) = full.decoder.run(mean_face, EXIT_SIZES[0])
     tensors[STILL_NAME] = mean_face.latents[0].permute(1, 2, 0).numpy().copy()
-    for level, mesh in zip(EXIT_SIZES, _simplify(full, options), strict=True):
+    for level, mesh in zip(EXIT_SIZES, _simplify(full), strict=True):
         show(f"level {level}: {len(mesh)} triangles; exit")
         fitted = fit_convolution(
             full.decoder, faces, level, full.points, full.metric, full.bias_points, still
@@ -106,18 +97,18 @@ def add_levels(
     return mark_static(Avatar(avatar.manifest, tensors))
 
 
-def _draw_faces(avatar: Avatar, options: LevelOptions) -> FaceSet:
+def _draw_faces(avatar: Avatar) -> FaceSet:
     """Draw faces to fit on."""
     rng = np.random.default_rng([0, 0])
     seed = int(rng.integers(2**31))
-    arkit = np.concatenate(stream_training_performances(options.rounds, seed=seed))
+    arkit = np.concatenate(stream_training_performances(ROUNDS, seed=seed))
     shown = arkit[:, [ARKIT_NAMES.index(name) for name in MORE_OF]].max(axis=1)
     chance = LEAST_CHANCE + np.clip(shown, 0, 1)
-    count, chance = options.faces, chance / chance.sum()
-    chosen = rng.choice(len(arkit), count, replace=len(arkit) < count, p=chance)
+    chance /= chance.sum()
+    chosen = rng.choice(len(arkit), NUM_FACES, replace=len(arkit) < NUM_FACES, p=chance)
     codes = ExpressionEncoder(avatar).encode(arkit[chosen])
     codes = codes + NOISE_RATIO * codes.std(axis=0) * rng.standard_normal(codes.shape)
-    views = rng.standard_normal((count, 3))
+    views = rng.standard_normal((NUM_FACES, 3))
     views[:, 2] = np.abs(views[:, 2])
     views /= np.linalg.norm(views, axis=1, keepdims=True)
     return FaceSet(
@@ -138,13 +129,13 @@ class _FullLevel:
         metric: See `colour_metric`; float32.
     """
 
-    def __init__(self, avatar: Avatar, faces: FaceSet, options: LevelOptions) -> None:
+    def __init__(self, avatar: Avatar, faces: FaceSet) -> None:
         self.avatar, self.decoder = avatar, FrozenDecoder(avatar)
         rest, far = avatar.mean_vertices_m, _far_apart(self.vertices_m(faces), STRONG_SHAPES)
         self.shapes_m = np.concatenate([rest[None], far])
         rng = np.random.default_rng(0)
         mesh = rest, avatar.tensors["mesh.vertex_uv"], avatar.tensors["mesh.faces"]
-        self.points, xyz_m = _scatter(*mesh, options.points, rng)
+        self.points, xyz_m = _scatter(*mesh, POINTS, rng)
         some = rng.choice(len(faces), METRIC_FACES, replace=False)
         runs = self.decoder.run(FaceSet(faces.latents[some], faces.views[some]), EXIT_SIZES[0])
         codes = torch.cat([sample_map(full, self.points) for _, full in runs])
@@ -152,7 +143,7 @@ class _FullLevel:
             avatar, list(codes.double().numpy()), xyz_m, self.points.double().numpy()
         )
         self.metric = torch.from_numpy(metric.astype(np.float32))
-        self.bias_points, _ = _scatter(*mesh, options.bias_points, rng)
+        self.bias_points, _ = _scatter(*mesh, BIAS_POINTS, rng)
 
     def vertices_m(self, faces: FaceSet) -> Array:
         """Vertices of faces, metres, ``[N, V, 3]``."""
@@ -189,7 +180,7 @@ def _scatter(
     return torch.from_numpy(uv.astype(np.float32)), xyz_m
 
 
-def _simplify(level: _FullLevel, options: LevelOptions) -> list[Array]:
+def _simplify(level: _FullLevel) -> list[Array]:
     """A mesh for each level, the coarsest first; each uses vertices of the next finer one."""
     avatar, shapes_m = level.avatar, level.shapes_m
     full, uv = (np.array(avatar.tensors[f"mesh.{name}"]) for name in ("faces", "vertex_uv"))
@@ -197,7 +188,7 @@ def _simplify(level: _FullLevel, options: LevelOptions) -> list[Array]:
     importance = 1 + (np.array(IMPORTANCE) - 1) @ regions
     importance[~seen_vertices(shapes_m, full)] *= UNSEEN
     mesh, meshes = Simplifier(shapes_m, uv, full, importance), list[Array]()
-    for ratio in reversed(options.mesh_ratios):
+    for ratio in reversed(MESH_RATIOS):
         mesh.reduce(round(ratio * len(full)))
         meshes.insert(0, mesh.faces())
     return meshes

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import functools
-
 import numpy as np
 import pytest
 import torch
@@ -12,6 +10,7 @@ from helpers.toy import grid_faces, make_toy_avatar, with_bases
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import MAP_SIZE, AvatarSpec
 from pica_core.model.decoders import sample_map
+from pica_core.train.lod import levels
 from pica_core.train.lod.exits import (
     FaceSet,
     FrozenDecoder,
@@ -19,7 +18,6 @@ from pica_core.train.lod.exits import (
     fit_local,
     fit_map,
 )
-from pica_core.train.lod.levels import LevelOptions, add_levels
 from pica_core.train.lod.simplify import Simplifier, weld
 from pica_core.train.lod.surface import seen_vertices
 
@@ -28,28 +26,30 @@ pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
 
 SMALL = AvatarSpec(uv_encoding_size=16, axis_encoding_size=20)
 TOY = with_bases(make_toy_avatar(grid=20, spec=SMALL))
-QUICK = LevelOptions(
-    faces=64,
-    rounds=1,
-    points=500,
-    bias_points=10_000,
-    mesh_ratios=(0.3, 0.6),
-)
+QUICK = {
+    "NUM_FACES": 64,
+    "ROUNDS": 1,
+    "POINTS": 500,
+    "BIAS_POINTS": 10_000,
+    "MESH_RATIOS": (0.3, 0.6),
+}
 
 
-@functools.cache
+@pytest.fixture(scope="module")
 def levelled() -> Avatar:
-    return add_levels(TOY, QUICK)
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in QUICK.items():
+            patch.setattr(levels, name, value)
+        return levels.add_levels(TOY)
 
 
 # Exits
 
 
-def test_an_avatar_gets_every_level_and_keeps_all_else() -> None:
-    avatar = levelled()
-    assert avatar.levels == (64, 128, 256)
+def test_an_avatar_gets_every_level_and_keeps_all_else(levelled: Avatar) -> None:
+    assert levelled.levels == (64, 128, 256)
     for name, array in TOY.tensors.items():
-        assert avatar.tensors[name] is array
+        assert levelled.tensors[name] is array
 
 
 # Maps that are read at points
@@ -97,7 +97,7 @@ def test_no_texel_goes_wrong_with_as_many_points_as_a_level_gets() -> None:
         return torch.sin(25 * uv[:, :1]) + torch.cos(30 * uv[:, 1:])
 
     generator = torch.Generator().manual_seed(2)
-    per_texel = LevelOptions().bias_points // 128**2
+    per_texel = levels.BIAS_POINTS // 128**2
     points = torch.rand(per_texel * 24 * 24, 2, generator=generator)
     others = 0.05 + 0.9 * torch.rand(40 * 24 * 24, 2, generator=generator)
     found = fit_map(points, waves(points), torch.zeros(1, 24, 24))
