@@ -6,12 +6,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from helpers.paths import SHARED_DATA
 from pica_client.errors import SourceError
 from pica_client.sources import Recording, open_source
 from pica_client.sources.registry import load_livelink_csv
-from pica_client.sources.rotation import rotation_vector_from_yaw_pitch_roll
+from pica_client.sources.rotation import (
+    rotation_vector_from_yaw_pitch_roll,
+    yaw_pitch_roll_from_rotation_vector,
+)
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES
 
 pytestmark = pytest.mark.unit
@@ -87,22 +91,16 @@ def test_a_row_without_blendshapes_is_a_moment_without_a_face(tmp_path: Path) ->
     assert recording.frame_at(0.9 / 30).arkit[ARKIT_INDEX["jawOpen"]] == pytest.approx(0.5)
 
 
-def test_yaw_pitch_and_roll_compose_from_the_outside_in() -> None:
-    def turn(axis: int, angle: float) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-        first, second = [(1, 2), (2, 0), (0, 1)][axis]
-        matrix = np.eye(3)
-        matrix[first, first] = matrix[second, second] = np.cos(angle)
-        matrix[second, first], matrix[first, second] = np.sin(angle), -np.sin(angle)
-        return matrix
-
-    yaw, pitch, roll = 0.7, -0.4, 1.1
-    vector = rotation_vector_from_yaw_pitch_roll(np.array([[yaw, pitch, roll]]))[0].astype(float)
-    angle = np.linalg.norm(vector)
-    x, y, z = vector / angle
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    rodrigues = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
-    composed = turn(1, yaw) @ turn(0, pitch) @ turn(2, roll)
-    np.testing.assert_allclose(rodrigues, composed, atol=1e-6)
+def test_yaw_pitch_and_roll_compose_from_the_outside_in_and_come_back() -> None:
+    angles = np.random.default_rng(0).uniform(-1.4, 1.4, (50, 3))
+    vectors = rotation_vector_from_yaw_pitch_roll(angles)
+    np.testing.assert_allclose(
+        Rotation.from_rotvec(vectors).as_matrix(),
+        Rotation.from_euler("YXZ", angles).as_matrix(),
+        atol=1e-6,
+    )
+    back = [yaw_pitch_roll_from_rotation_vector(vector) for vector in vectors]
+    np.testing.assert_allclose(back, angles, atol=1e-5)
 
 
 @pytest.mark.skipif(not REAL_TAKE.exists(), reason="the real recording is not here")

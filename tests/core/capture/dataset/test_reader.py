@@ -36,6 +36,8 @@ def test_a_published_directory_is_read_as_it_is(original: Path) -> None:
     assert texture[0].min() == 200
     assert texture[1:].max() == 0
     np.testing.assert_allclose(capture.head_to_world(frame)[:, 3], [0.01, 0.02, 0.03])
+    with pytest.raises(CaptureError, match=r"no expressions\.csv"):
+        capture.arkit(frame)
 
 
 def test_a_published_mesh_has_a_vertex_for_each_side_of_a_seam(original: Path) -> None:
@@ -57,14 +59,6 @@ def test_whole_segments_of_a_published_directory_are_held_out(original: Path) ->
     assert train
     assert test
     assert not train & test
-
-
-def test_a_published_directory_says_what_it_has_not(original: Path) -> None:
-    capture = Capture.open(original)
-    with pytest.raises(CaptureError, match=r"no expressions\.csv"):
-        capture.arkit(capture.frames[0])
-    assert not capture.has_depth
-    assert not capture.has_truth
 
 
 def test_a_camera_may_miss_a_frame(original: Path) -> None:
