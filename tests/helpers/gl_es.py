@@ -11,7 +11,7 @@ import sys
 from typing import Any
 
 from pica_client.render.gpu_program import compose
-from pica_client.render.gpu_tables import lay_out
+from pica_client.render.gpu_tables import GATHER, SHEET, lay_out
 from pica_core.avatar.file import load_avatar
 from pica_core.avatar.shipped import shipped_avatar_files
 
@@ -65,12 +65,16 @@ def main() -> int:
     if egl is None:
         print("no driver of GL ES 3.0")
         return UNABLE
+    plan = laid_out[0]
+    exits = [last for _, last in plan.exits.values()]
     texts = [(VERTEX_SHADER, compose("rect.vert", dialect="300 es"))]
-    for name, defines in laid_out[0].shaders:
-        texts.append((FRAGMENT_SHADER, compose(name, dialect="300 es", defines=defines)))
+    texts += [(FRAGMENT_SHADER, compose(name, dialect="300 es")) for name in (GATHER, SHEET)]
+    for step in (*plan.trunk, plan.full, *exits, *plan.vertices):
+        source = compose(step.shader, dialect="300 es", defines=step.defines)
+        texts.append((FRAGMENT_SHADER, source))
     for kind, source in texts:
-        if said := complaint(egl, kind, source.text):
-            print(source.explain(said))
+        if said := complaint(egl, kind, source):
+            print(said)
             return 1
     print(f"{len(texts)} shaders compile")
     return 0

@@ -105,7 +105,7 @@ class _Decoding:
     """Decodes every frame that arrives, and remembers its way."""
 
     def __init__(self, library: AvatarLibrary) -> None:
-        self.pool = DecodePool(OnnxDecoder, workers=DECODE_THREADS, prepares_ahead=False)
+        self.pool = DecodePool(OnnxDecoder, workers=DECODE_THREADS)
         self.frames: deque[_Frame] = deque(maxlen=MAX_FRAMES)
         self.errors = 0
         self._library, self._slots = library, set[str]()

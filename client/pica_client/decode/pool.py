@@ -43,8 +43,12 @@ class _Slot:
     request: DecodeRequest | None = None
     submitted_s: float = 0.0
     result: DecodeResult | None = None
-    unprepared: list[tuple[int, Parts]] = field(default_factory=list)
+    unprepared: list[tuple[int, Parts]] = field(init=False)
     """What to get ready for when there is time; the last first."""
+
+    def __post_init__(self) -> None:
+        both: tuple[Parts, ...] = ("expression", "both")
+        self.unprepared = [(level, parts) for level in self.avatar.levels for parts in both]
 
     @property
     def has_work(self) -> bool:
@@ -59,7 +63,6 @@ class DecodePool(Closing):
         make_decoder: Builds the decoder of an avatar; runs on a worker, for it may take long.
         clock: Seconds, monotonic.
         workers: Threads; see `num_workers`.
-        prepares_ahead: Idle workers get ready for levels that were not asked for yet.
 
     Attributes:
         num_replaced: Requests that a newer one replaced before a worker took them.
@@ -73,11 +76,9 @@ class DecodePool(Closing):
         clock: Callable[[], float] = time.monotonic,
         *,
         workers: int = 1,
-        prepares_ahead: bool = True,
     ) -> None:
         self.num_replaced = 0
         self._make_decoder = make_decoder
-        self._prepares_ahead = prepares_ahead
         self._clock = clock
         self._slots: dict[str, _Slot] = {}
         self._closed = False
@@ -93,11 +94,7 @@ class DecodePool(Closing):
         """Prepare a slot for an avatar; replaces what was there. Its decoder is built on a
         worker."""
         with self._changed:
-            entry = self._slots[slot] = _Slot(avatar)
-            if self._prepares_ahead:
-                entry.unprepared = [
-                    (level, parts) for level in avatar.levels for parts in ("expression", "both")
-                ]
+            self._slots[slot] = _Slot(avatar)
             self._changed.notify()
 
     def remove(self, slot: str) -> None:

@@ -116,9 +116,6 @@ class GpuDecoder(Closing):
     Args:
         renderer: Holds the maps of its slots.
         clock: Seconds, monotonic.
-
-    Attributes:
-        bytes_uploaded: What went to the GPU for all heads so far.
     """
 
     def __init__(
@@ -127,7 +124,6 @@ class GpuDecoder(Closing):
         renderer: Renderer,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.bytes_uploaded = 0
         self._context = context
         self._map_targets = renderer.map_targets
         self._clock = clock
@@ -211,7 +207,7 @@ class GpuDecoder(Closing):
             for bank in self._banks:
                 own = [job for job in jobs if job.entry.bank is bank]
                 for start in range(0, len(own), MAX_BATCH):
-                    self.bytes_uploaded += bank.decode(own[start : start + MAX_BATCH])
+                    bank.decode(own[start : start + MAX_BATCH])
         for num_heads, seconds in self._gpu_clock.take():
             self._head_s.append(seconds / num_heads)
         finished_s = started_s + min(self._head_s, default=0.0)
@@ -283,8 +279,8 @@ class _Bank:
         """Forget an avatar; its layer is for the next one."""
         del self._arrays[avatar], self._layers[avatar]
 
-    def decode(self, jobs: Sequence[_Job]) -> int:
-        """Decode a batch, those of the full level first; how many bytes were uploaded."""
+    def decode(self, jobs: Sequence[_Job]) -> None:
+        """Decode a batch, those of the full level first."""
         self._reserve(len(jobs))
         numbers = self._numbers[: len(jobs)]
         for row, job in zip(numbers, jobs, strict=True):
@@ -297,7 +293,6 @@ class _Bank:
         self._decode_codes(jobs)
         if any(job.vertices for job in jobs):
             self._decode_vertices(jobs)
-        return numbers.nbytes
 
     def _decode_codes(self, jobs: Sequence[_Job]) -> None:
         """Go through the trunk with those who are still in it; others leave at their level."""

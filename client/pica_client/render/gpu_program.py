@@ -10,7 +10,6 @@ and as GLSL ES 3.00, the dialect of a browser.
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from types import MappingProxyType
@@ -24,9 +23,6 @@ from pica_core.gl import link_program
 
 Dialect = Literal["330 core", "300 es"]
 
-LINES_PER_FILE = 10_000
-MAX_ERRORS = 4
-"""How many of a driver's complaints are told; the first is the cause, the others follow from it."""
 AXIS_ROW = 1024
 """Entries per texture row of the per-axis encodings: the narrowest largest texture of GL 3.3. A
 power of two: the shader takes remainders by its bits."""
@@ -52,7 +48,7 @@ _PRECISION = [
     f"precision highp {kind};"
     for kind in ("float", "int", "sampler2D", "sampler2DArray", "usampler2DArray")
 ]
-_INCLUDE = re.compile(r'#include "([^"]*)"')
+_INCLUDE = re.compile(r'^#include "([^"]*)".*$', re.MULTILINE)
 _NOTHING: Mapping[str, str] = MappingProxyType({})
 _CODES: Mapping[str, str] = MappingProxyType(
     {
@@ -65,34 +61,6 @@ _CODES: Mapping[str, str] = MappingProxyType(
 """What the pixel decoder gets of each part of a surface encoding (`ENCODINGS`)."""
 
 
-@dataclass(frozen=True, slots=True)
-class ShaderSource:
-    """Composed text, and the files it came from.
-
-    Line n of file i is numbered ``i * LINES_PER_FILE + n``: drivers keep line numbers but not all
-    keep source numbers.
-    """
-
-    text: str
-    files: tuple[str, ...]
-
-    def explain(self, log: str) -> str:
-        """The errors of a driver's message, with our file names and lines.
-
-        Mesa writes ``0:20017(5): error: …``, Nvidia ``0(20017) : error …``, Apple ``ERROR: 0:20017:
-        …``; all become ``siren.glsl:17: …``.
-        """
-
-        def name(match: re.Match[str]) -> str:
-            number, line = divmod(int(match["line"]), LINES_PER_FILE)
-            return f"{self.files[number]}:{line}:" if number < len(self.files) else match[0]
-
-        pattern = r"^(?:ERROR: )?0[:(](?P<line>\d+)\)?(?:\(\d+\))?\s*:"
-        lines = [line for line in log.splitlines() if "error" in line.lower()]
-        told = [re.sub(pattern, name, line) for line in lines]
-        return "; ".join(told[:MAX_ERRORS]) or log.strip()
-
-
 def compose(
     name: str,
     spec: AvatarSpec | None = None,
@@ -100,8 +68,8 @@ def compose(
     dialect: Dialect = "330 core",
     generated: Mapping[str, str] = _NOTHING,
     defines: Mapping[str, object] = _NOTHING,
-) -> ShaderSource:
-    """Compose one shader.
+) -> str:
+    """Compose the text of one shader.
 
     Args:
         name: File in ``pica_client/render/shaders``.
@@ -109,27 +77,15 @@ def compose(
         dialect: Desktop GL or GL ES.
         generated: Texts to include that are in no file, by name.
     """
-    lines, names = [f"#version {dialect}"], ["generated header"]
-    if dialect == "300 es":
-        lines += _PRECISION
+    lines = [f"#version {dialect}", *(_PRECISION if dialect == "300 es" else ())]
     defines = {**defines, **({} if spec is None else _sizes(spec))}
     lines += [f"#define {key} {value}".rstrip() for key, value in defines.items()]
 
-    def include(name: str) -> None:
-        number = LINES_PER_FILE * len(names)
-        names.append(name)
-        lines.append(f"#line {number + 1}")
+    def included(name: str) -> str:
         text = generated[name] if name in generated else _read(name)
-        for line in text.splitlines():
-            number += 1
-            if match := _INCLUDE.match(line):
-                include(match[1])
-                lines.append(f"#line {number + 1}")
-            else:
-                lines.append(line)
+        return _INCLUDE.sub(lambda match: included(match[1]), text)
 
-    include(name)
-    return ShaderSource("\n".join(lines) + "\n", tuple(names))
+    return "\n".join([*lines, included(name)])
 
 
 def _sizes(spec: AvatarSpec) -> dict[str, object]:
@@ -157,25 +113,38 @@ def _read(name: str) -> str:
     return (files("pica_client.render") / "shaders" / name).read_text(encoding="utf-8")
 
 
-def build_program(
-    context: moderngl.Context, vertex: ShaderSource, fragment: ShaderSource
-) -> moderngl.Program:
+def build_program(context: moderngl.Context, vertex: str, fragment: str) -> moderngl.Program:
     """Compile and link; sampler units of known names are set.
 
     Raises:
-        ShaderError: The driver refuses; its message names our files and lines.
+        ShaderError: The driver refuses; the message has the line that it complains of.
     """
     try:
-        program = link_program(context, vertex=vertex.text, fragment=fragment.text)
+        program = link_program(context, vertex=vertex, fragment=fragment)
     except moderngl.Error as error:
         at_fault = vertex if "vertex_shader" in str(error) else fragment
-        raise ShaderError(f"the driver refuses a shader: {at_fault.explain(str(error))}") from error
+        raise ShaderError(
+            f"the driver refuses a shader: {complaint(str(error), at_fault)}"
+        ) from error
     for name, unit in _SAMPLERS.items():
         if name in program:
             program[name] = unit
     if "rect" in program:
         set_values(program, rect=(-1.0, -1.0, 1.0, 1.0))
     return program
+
+
+def complaint(log: str, text: str) -> str:
+    """The first error of a driver's message, which the others follow from, and the line of the text
+    that it complains of.
+
+    Mesa writes ``0:17(5): error: …``, Nvidia ``0(17) : error …``, Apple ``ERROR: 0:17: …``.
+    """
+    first = next((line for line in log.splitlines() if "error" in line.lower()), log.strip())
+    number, lines = re.search(r"\b0[:(](\d+)", first), text.splitlines()
+    if number is None or not 1 <= int(number[1]) <= len(lines):
+        return first
+    return f"{first} in {lines[int(number[1]) - 1].strip()!r}"
 
 
 def clamp(texture: moderngl.Texture, filtering: int = moderngl.LINEAR) -> moderngl.Texture:

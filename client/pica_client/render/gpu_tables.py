@@ -90,12 +90,6 @@ class Plan:
     sheet_rows: Mapping[int, int]
     """Room for the vertices of each level, rows of so many columns."""
 
-    @property
-    def shaders(self) -> list[tuple[str, Mapping[str, int]]]:
-        """Files and defines of all fragment shaders."""
-        steps = (*self.trunk, self.full, *(last for _, last in self.exits.values()), *self.vertices)
-        return [(GATHER, {}), (SHEET, {}), *((step.shader, step.defines) for step in steps)]
-
     def trunk_length(self, level: int) -> int:
         """How many steps of the trunk a level takes."""
         return self.exits[level][0] if level in self.exits else len(self.trunk)

@@ -210,7 +210,7 @@ def test_building_a_session_does_not_count_as_decoding() -> None:
             for _ in range(100):
                 next(times)
 
-    with DecodePool(lambda avatar: Slow(), lambda: next(times), prepares_ahead=False) as pool:
+    with DecodePool(lambda avatar: Slow(), lambda: next(times)) as pool:
         pool.add("a", TOY)
         pool.submit("a", request(1))
         assert pool.wait_idle(PATIENCE_S)

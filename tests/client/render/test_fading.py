@@ -7,14 +7,12 @@ import numpy as np
 import pytest
 
 from helpers.painted import painted_head
-from helpers.toy import make_toy_avatar
 from pica_client.avatars.library import shipped_avatar_files
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.request import DecodedMaps
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.room import Room
 from pica_client.render.scene import Placement
-from pica_client.render.views import stereo_cameras
 from pica_core.avatar.bust import (
     CHIN_M,
     LOWEST_M,
@@ -155,21 +153,6 @@ def test_a_textured_head_fades_as_a_decoded_one(context: moderngl.Context) -> No
     assert_fades(pictures[0], pictures[1], room, covered)
 
 
-def test_both_eyes_see_the_fade_and_the_room(
-    context: moderngl.Context, person: tuple[Avatar, DecodedMaps]
-) -> None:
-    renderer = Renderer(context, (2 * SIZE[0], SIZE[1]), FADING)
-    renderer.add_avatar("p", person[0])
-    renderer.update_maps("p", person[1].position_map, person[1].expression_map)
-    eyes = stereo_cameras(camera_at(), 0.0, 1.2)
-    renderer.draw([REST], *eyes, room=ROOM)
-    both = renderer.read_image().astype(int)
-    left, right = both[:, : SIZE[0]], both[:, SIZE[0] :]
-    assert (np.abs(left - right) > 2).mean() < 0.002  # but for noise, and edges of thin hair
-    alone = picture(with_person(context, person, FADING), REST)
-    assert np.abs(left - alone).max() <= 2
-
-
 def test_a_room_is_drawn_anew_only_when_it_looks_different(context: moderngl.Context) -> None:
     renderer = Renderer(context, SIZE, SHARP)
     first = picture(renderer)
@@ -181,14 +164,6 @@ def test_a_room_is_drawn_anew_only_when_it_looks_different(context: moderngl.Con
     ring = renderer.read_image().astype(int) - first
     assert ring[..., 1].max() > 20  # a green ring
     assert ring[..., 1].max() > ring[..., 0].max()
-
-
-def test_an_empty_room_is_the_same_from_everywhere(context: moderngl.Context) -> None:
-    renderer = Renderer(context, SIZE, SHARP)
-    renderer.draw([], camera_at())
-    still = renderer.read_image()
-    renderer.draw([], camera_at(0.7))
-    np.testing.assert_array_equal(renderer.read_image(), still)
 
 
 def test_the_stand_in_is_a_bust_that_is_lit_from_above(context: moderngl.Context) -> None:
@@ -203,13 +178,6 @@ def test_the_stand_in_is_a_bust_that_is_lit_from_above(context: moderngl.Context
     assert neck < 0.8 * width[60:90].max()
     assert width[130:160].max() > 1.6 * width[60:90].max()  # shoulders
     assert column[35] > column[105]  # crown, under the chin
-
-
-def test_a_mesh_that_is_no_number_has_an_extent() -> None:
-    avatar = make_toy_avatar()
-    mean = np.full_like(avatar.tensors["geometry.mean"], np.nan)
-    bust = bust_of(Avatar(avatar.manifest, {**avatar.tensors, "geometry.mean": mean}))
-    assert (bust.width_m, bust.lower_m) == (0.0, 0.0)
 
 
 @pytest.mark.parametrize("lower_m", [-5.0, -0.27, -0.15, -0.1, 0.0])

@@ -9,7 +9,7 @@ import pytest
 
 from helpers.toy import make_toy_avatar
 from pica_client.render import gpu_program
-from pica_client.render.gpu_program import LINES_PER_FILE, compose
+from pica_client.render.gpu_program import complaint, compose
 from pica_client.render.gpu_tables import pack_weights, siren_source
 from pica_core.avatar.spec import ENCODINGS, AvatarSpec
 
@@ -23,47 +23,35 @@ def fake_files(monkeypatch: pytest.MonkeyPatch, **texts: str) -> None:
     monkeypatch.setattr(gpu_program, "_read", lambda name: files[name])
 
 
-def test_lines_are_numbered_by_file(monkeypatch: pytest.MonkeyPatch) -> None:
-    fake_files(monkeypatch, a='first\n#include "b.glsl"\nthird', b="inner")
-    lines = compose("a.glsl").text.splitlines()
-    assert lines == [
-        "#version 330 core",
-        f"#line {LINES_PER_FILE + 1}",
-        "first",
-        f"#line {2 * LINES_PER_FILE + 1}",
-        "inner",
-        f"#line {LINES_PER_FILE + 3}",
-        "third",
-    ]
+def test_an_include_is_replaced_by_its_text(monkeypatch: pytest.MonkeyPatch) -> None:
+    fake_files(monkeypatch, a='first\n#include "b.glsl" // why\nthird', b="inner")
+    lines = compose("a.glsl", defines={"WIDE": ""}).splitlines()
+    assert lines == ["#version 330 core", "#define WIDE", "first", "inner", "third"]
 
 
 @pytest.mark.parametrize(
-    "log",
+    "error",
     [
-        "0:20017(5): error: `x' undeclared",
-        "0(20017) : error C1503: undefined variable",
-        "ERROR: 0:20017: 'x' : undeclared",
+        "0:2(5): error: `x' undeclared",
+        "0(2) : error C1503: undefined variable",
+        "ERROR: 0:2: 'x' : undeclared",
     ],
     ids=["mesa", "nvidia", "apple"],
 )
-def test_a_drivers_message_is_told_with_our_file_and_line(
-    monkeypatch: pytest.MonkeyPatch, log: str
-) -> None:
-    fake_files(monkeypatch, a='#include "b.glsl"', b="inner")
-    told = compose("a.glsl").explain(f"GLSL Compiler failed\n{log}\n0:20018(1): warning: dull\n")
-    assert told.startswith("b.glsl:17: ")
-    assert "warning" not in told
+def test_a_drivers_message_is_told_with_the_line_that_it_complains_of(error: str) -> None:
+    log = f"GLSL Compiler failed\n0:1(1): warning: dull\n{error}\n0:3(1): error: more\n"
+    assert complaint(log, "first\n  x = 1;\nthird") == f"{error} in 'x = 1;'"
 
 
 def test_a_message_without_errors_is_told_as_it_is() -> None:
-    assert compose("rect.vert").explain(" out of registers \n") == "out of registers"
+    assert complaint(" out of registers \n", "text") == "out of registers"
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
 def test_every_encoding_gives_the_decoder_its_sizes_and_vectors(encoding: str) -> None:
     spec = AvatarSpec(encoding=encoding)
     generated = {"siren.glsl": siren_source(spec)}
-    text = compose("pixel_decoder.frag", spec, generated=generated).text
+    text = compose("pixel_decoder.frag", spec, generated=generated)
     assert f"#define AXIS_SIZE {spec.axis_encoding_size}\n" in text
     (codes,) = re.findall(r"^#define SURFACE_CODES\b(.*)$", text, re.MULTILINE)
     assert codes.count("(") == -(-spec.pixel_input_channels // 4) - 2

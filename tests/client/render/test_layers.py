@@ -138,15 +138,6 @@ def test_another_room_is_seen_behind_heads_that_are_kept(stage: Stage) -> None:
     assert stage.drawn() == []
 
 
-def test_a_glow_changes_the_picture_around_its_seat_alone(stage: Stage) -> None:
-    before = stage.kept.read_image().astype(int)
-    stage.room = Room(seats_m=ROOM.seats_m, speaking=(1, 0, 0))
-    stage.drawn()
-    changed = np.abs(stage.kept.read_image() - before).max(axis=(0, 2)) > 0
-    assert changed[:20].any()
-    assert not changed[-20:].any()
-
-
 def test_from_another_camera_or_at_another_size_all_are_drawn(stage: Stage) -> None:
     stage.camera = camera(SIZE, 0.1)
     assert stage.drawn() == list(PEOPLE)

@@ -103,15 +103,6 @@ def test_a_camera_in_a_head_or_on_its_skin_draws_a_frame(
     assert renderer.read_image().shape == (SIZE[1], SIZE[0], 3)
 
 
-@pytest.mark.parametrize("centre_m", [(0, 0, -0.7), (0, -0.7, 0.001), (0, 0.7, 0.001)])
-def test_from_behind_below_and_above_the_visible_side_is_shaded_once(
-    context: moderngl.Context, centre_m: tuple[float, float, float]
-) -> None:
-    renderer = renderer_with(context, 1)
-    stats = renderer.draw([placed("p0")], camera_at(*centre_m), count_pixels=True)
-    assert stats.shaded_pixels == (renderer.read_surface()[2] == 0).sum()
-
-
 def test_a_head_that_fills_the_screen_shades_each_pixel_once(context: moderngl.Context) -> None:
     renderer = renderer_with(context, 1)
     stats = renderer.draw([placed("p0")], camera_at(0, 0, 0.25, fov=0.2), count_pixels=True)
@@ -146,7 +137,7 @@ def test_an_avatar_whose_shader_fails_leaves_the_others_alone(
         "siren_source",
         lambda *_, **__: "vec4 encode_xyz(vec3 x) { return odd_driver; }",
     )
-    with pytest.raises(ShaderError, match=r"siren\.glsl:1: .*odd_driver"):
+    with pytest.raises(ShaderError, match=r"odd_driver.* in .vec4 encode_xyz"):
         renderer.add_avatar("p1", SISTER)
     stats = renderer.draw(both, camera)
     assert (stats.num_avatars, stats.num_placeholders) == (1, 1)

@@ -108,15 +108,6 @@ def test_a_nearer_head_hides_a_farther_one(context: moderngl.Context) -> None:
     assert (heads == 1).sum() < 0.2 * (heads == 0).sum()
 
 
-def test_the_order_of_placements_does_not_change_the_picture(context: moderngl.Context) -> None:
-    renderer = renderer_with(context, TOY, SISTER)
-    placements = [still("p0", -0.05, 0, 0.05), still("p1", 0.05, 0, 0)]
-    renderer.draw(placements, camera_at(0, 0, 0.9))
-    one_way = renderer.read_image()
-    renderer.draw(placements[::-1], camera_at(0, 0, 0.9))
-    np.testing.assert_array_equal(one_way, renderer.read_image())
-
-
 def test_the_inside_of_a_head_is_not_drawn(context: moderngl.Context) -> None:
     renderer = renderer_with(context, TOY)
     stats = renderer.draw([still("p0")], camera_at(0, 0, 0.001), count_pixels=True)

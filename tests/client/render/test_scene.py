@@ -167,10 +167,6 @@ def test_a_box_around_the_camera_may_cover_everything() -> None:
     assert rect == (-1, -1, 1, 1)
 
 
-def test_a_matrix_that_is_not_finite_covers_nothing() -> None:
-    assert box_rect(np.full((4, 4), np.nan, np.float32)) is None
-
-
 def test_a_click_finds_the_head_under_it_and_the_nearer_of_two() -> None:
     camera = view_camera(ViewState(), 2, 960, 540)
     left, right = (

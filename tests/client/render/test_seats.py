@@ -235,13 +235,6 @@ def test_faces_stay_of_a_useful_size_on_any_picture(layout: Layout, size: tuple[
                 assert rect[3] - rect[1] >= least * min(size)
 
 
-def test_a_row_gives_way_to_a_grid_where_its_faces_would_be_small() -> None:
-    for layout in ("line", "arc", "table"):
-        for aspect, num_rows in ((16 / 9, 1), (4 / 3, 2), (0.6, 3)):
-            heights = {round(float(seat[1, 3]), 6) for seat in plan_seats(layout, 5, aspect).seats}
-            assert len(heights) == num_rows
-
-
 @given(layout=layouts, count=st.integers(2, 5), aspect=st.floats(0.5, 2.6), data=st.data())
 def test_whoever_is_pinned_stands_in_the_middle_and_hides_nobody(
     layout: Layout, count: int, aspect: float, data: st.DataObject
