@@ -288,7 +288,7 @@ def _show(
         )
         with viewer:
             # In a window a person looks on: they see who is ready, at once.
-            if window is None:
+            if window is None or options.expect:
                 viewer.prepare()
             begin_s = time.monotonic()
             call.begin_window(begin_s)
