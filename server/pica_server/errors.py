@@ -1,14 +1,10 @@
 """What keeps a relay from running, and the refusals its pure parts report.
 
 RelayError
-├── ConfigurationError   a setting that cannot work: names field, value and range
-├── ListenError          the address cannot be bound
-├── KeyFileError         the file of signing keys cannot be used
+├── ConfigurationError   a setting that cannot work, or what it names: an address, a file, NATS
 ├── AdmissionError       a join without a token that allows it; carries the close code
 ├── StoreError           the avatar store cannot be used
 │   └── StoreRefusalError   a peer is refused; carries the close code
-├── ClusterError         the cluster cannot be joined
-├── RoomFullError        one peer more than the room takes
 └── OutboxFullError      more control messages than a peer that reads would leave waiting
 """
 
@@ -22,15 +18,7 @@ class RelayError(Exception):
 
 
 class ConfigurationError(RelayError, ValueError):
-    """A setting cannot work: names the field, the value and the allowed range."""
-
-
-class ListenError(RelayError):
-    """The relay cannot listen on its address: names it and the fix."""
-
-
-class KeyFileError(RelayError):
-    """The file of signing keys cannot be used: names the line and the fix."""
+    """A setting cannot work, or what it names cannot be used: names the setting and the fix."""
 
 
 class AdmissionError(RelayError):
@@ -51,14 +39,6 @@ class StoreRefusalError(StoreError):
     def __init__(self, message: str, code: CloseCode) -> None:
         super().__init__(message)
         self.code = code
-
-
-class ClusterError(RelayError):
-    """The cluster cannot be joined: names the setting and the fix."""
-
-
-class RoomFullError(RelayError):
-    """The room has as many peers as it may."""
 
 
 class OutboxFullError(RelayError):

@@ -22,7 +22,7 @@ from pica_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
 from pica_protocol.store import AVATARS_PATH, STORE_SUBPROTOCOL
 from pica_server.certificate import Certificate
 from pica_server.config import RelayConfig
-from pica_server.errors import AdmissionError, ClusterError, ListenError
+from pica_server.errors import AdmissionError, ConfigurationError
 from pica_server.limits import SocketGuard, most_sockets
 from pica_server.net.pump import Pump
 from pica_server.net.socket import RelaySocket, bound_receive_buffer
@@ -58,11 +58,9 @@ class Relay:
     """A relay that listens inside ``async with Relay(config) as relay``, and stops at its end.
 
     Raises:
-        ConfigurationError: The certificate cannot be used.
-        KeyFileError: The key file cannot be used.
+        ConfigurationError: The certificate or the key file cannot be used. On entry: the address
+            cannot be bound, or NATS has no JetStream or does not let us in.
         StoreError: The avatar store cannot be used.
-        ListenError: On entry, when the address cannot be bound.
-        ClusterError: On entry, when NATS has no JetStream or does not let us in.
     """
 
     def __init__(self, config: RelayConfig, *, unix_time: Callable[[], float] = time.time) -> None:
@@ -170,7 +168,7 @@ class Relay:
                 logger=_websockets_logger,
             )
         except OSError as error:
-            raise ListenError(
+            raise ConfigurationError(
                 f"cannot listen on {config.host}:{config.port}: {error.strerror or error}; "
                 "choose another --port (0 takes a free one) or --host"
             ) from error
@@ -179,7 +177,7 @@ class Relay:
         if self._placement is not None:
             try:
                 await self._placement.start(config.public_url or self.url)
-            except ClusterError:
+            except ConfigurationError:
                 await self.__aexit__(None, None, None)
                 raise
         self._watch_later()

@@ -23,7 +23,7 @@ from pica_protocol.errors import CloseCode
 from pica_protocol.limits import MAX_PASS_BYTES, check_name, check_token, quoted, text_of_file
 from pica_protocol.messages import Join
 from pica_protocol.store import is_avatar_id
-from pica_server.errors import AdmissionError, KeyFileError
+from pica_server.errors import AdmissionError, ConfigurationError
 
 ALGORITHM: Final = "HS256"
 AUDIENCE: Final = "pica-relay"
@@ -73,8 +73,8 @@ class KeyRing:
         """Read a key file.
 
         Raises:
-            KeyFileError: A line is wrong, two keys share an id, or there is none; names the line,
-                never a secret.
+            ConfigurationError: A line is wrong, two keys share an id, or there is none; names the
+                line, never a secret.
         """
         keys: dict[str, bytes] = {}
         for number, line in enumerate(text.splitlines(), start=1):
@@ -82,21 +82,23 @@ class KeyRing:
             if not words:
                 continue
             if len(words) != 2:
-                raise KeyFileError(f"line {number}: write a key id and its secret")
+                raise ConfigurationError(f"line {number}: write a key id and its secret")
             key_id, encoded = words
             try:
                 check_token("the key id", key_id)
                 padded = encoded + "=" * (-len(encoded) % 4)
                 secret = base64.b64decode(padded, altchars=b"-_", validate=True)
             except (ValueError, binascii.Error) as error:
-                raise KeyFileError(f"line {number}: a bad key id, or no base64url") from error
+                raise ConfigurationError(f"line {number}: a bad key id, or no base64url") from error
             if len(secret) < MIN_SECRET_BYTES:
-                raise KeyFileError(f"line {number}: a secret has {MIN_SECRET_BYTES} bytes or more")
+                raise ConfigurationError(
+                    f"line {number}: a secret has {MIN_SECRET_BYTES} bytes or more"
+                )
             if key_id in keys:
-                raise KeyFileError(f"line {number}: key id {key_id} is there already")
+                raise ConfigurationError(f"line {number}: key id {key_id} is there already")
             keys[key_id] = secret
         if not keys:
-            raise KeyFileError("there is no key in it; make one with `pica token --new-key`")
+            raise ConfigurationError("there is no key in it; make one with `pica token --new-key`")
         return cls(keys)
 
     @staticmethod
@@ -119,17 +121,17 @@ def load_keys(path: Path) -> KeyRing:
     """Read a key file.
 
     Raises:
-        KeyFileError: It cannot be read, or used, or anybody may write their own key into it.
+        ConfigurationError: It cannot be read, or used, or anybody may write their own key into it.
     """
     try:
         if os.name == "posix" and path.stat().st_mode & stat.S_IWOTH:
-            raise KeyFileError("anybody can write keys into it: make new ones, for its owner")
+            raise ConfigurationError("anybody can write keys into it: make new ones, for its owner")
         return KeyRing.parse(text_of_file(path.read_bytes()))
     except (OSError, UnicodeDecodeError) as error:
         what = error.strerror if isinstance(error, OSError) else "no text"
-        raise KeyFileError(f"--keys {path}: {what}") from error
-    except KeyFileError as error:
-        raise KeyFileError(f"--keys {path}: {error}") from error
+        raise ConfigurationError(f"--keys {path}: {what}") from error
+    except ConfigurationError as error:
+        raise ConfigurationError(f"--keys {path}: {error}") from error
 
 
 def mint(

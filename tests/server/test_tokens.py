@@ -14,7 +14,7 @@ from pica_protocol.errors import CloseCode
 from pica_protocol.invite import Invite, parse_link
 from pica_protocol.messages import Join, Track
 from pica_server.cli.token import TokenOptions, token
-from pica_server.errors import AdmissionError, ConfigurationError, KeyFileError
+from pica_server.errors import AdmissionError, ConfigurationError
 from pica_server.tokens import (
     ANY_AVATAR,
     AUDIENCE,
@@ -223,13 +223,13 @@ def test_a_token_is_not_shown_when_its_join_is_printed() -> None:
 def test_a_bad_key_file_is_refused_with_its_line_and_without_its_secrets(
     text: str, complaint: str
 ) -> None:
-    with pytest.raises(KeyFileError, match=complaint) as caught:
+    with pytest.raises(ConfigurationError, match=complaint) as caught:
         KeyRing.parse(text)
     assert "AAAA" not in str(caught.value)
 
 
 def test_a_key_file_that_is_not_there_is_named(tmp_path: Path) -> None:
-    with pytest.raises(KeyFileError, match=r"--keys .*missing: No such file"):
+    with pytest.raises(ConfigurationError, match=r"--keys .*missing: No such file"):
         load_keys(tmp_path / "missing")
 
 
@@ -263,7 +263,7 @@ def test_a_key_file_that_anybody_may_write_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "keys"
     token(TokenOptions(keys=path, new_key=True))
     path.chmod(0o602)
-    with pytest.raises(KeyFileError, match=r"--keys .*: anybody can write keys into it"):
+    with pytest.raises(ConfigurationError, match=r"--keys .*: anybody can write keys into it"):
         load_keys(path)
     path.chmod(0o644)
     assert load_keys(path)

@@ -18,7 +18,7 @@ from cyclopts import Parameter
 
 from pica_server.certificate import Certificate
 from pica_server.config import RelayConfig
-from pica_server.errors import ConfigurationError, ListenError
+from pica_server.errors import ConfigurationError
 from pica_server.log import Style, logging_to, say
 
 if TYPE_CHECKING:
@@ -55,9 +55,8 @@ def relay(options: RelayOptions) -> dict[str, Any]:
         Its counters at the end.
 
     Raises:
-        ConfigurationError: The certificate cannot be used.
-        ListenError: The address or the ready file cannot be had.
-        KeyFileError: The key file cannot be used.
+        ConfigurationError: The address, the certificate, the key file or the ready file cannot be
+            used.
         StoreError: The avatar store cannot be used.
     """
     with asyncio.Runner(loop_factory=_loop_factory(options)) as runner:
@@ -207,7 +206,7 @@ def _ready_file(path: Path | None, url: str) -> Iterator[None]:
         unfinished.write_text(f"{url}\n")
         os.replace(unfinished, path)
     except OSError as error:
-        raise ListenError(f"cannot write --ready-file {path}: {error.strerror}") from error
+        raise ConfigurationError(f"cannot write --ready-file {path}: {error.strerror}") from error
     try:
         yield
     finally:

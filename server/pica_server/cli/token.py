@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from pica_protocol.invite import Invite, make_link
-from pica_server.errors import ConfigurationError, KeyFileError
+from pica_server.errors import ConfigurationError
 from pica_server.tokens import ANY_AVATAR, Admission, KeyRing, load_keys, mint
 
 
@@ -52,8 +52,7 @@ def token(options: TokenOptions) -> dict[str, Any]:
     The token is all that is needed to come in: hand it over on a private way.
 
     Raises:
-        KeyFileError: The key file cannot be used.
-        ConfigurationError: A field is out of its limits.
+        ConfigurationError: The key file cannot be used, or a field is out of its limits.
     """
     if options.new_key:
         return _add_key(options.keys)
@@ -103,7 +102,7 @@ def _add_key(path: Path) -> dict[str, Any]:
                     path.unlink()
                 raise
     except OSError as error:
-        raise KeyFileError(f"--keys {path}: {error.strerror}") from error
+        raise ConfigurationError(f"--keys {path}: {error.strerror}") from error
     key_id = load_keys(path).newest
     print(f"added key {key_id} to {path}; start the relay again to use it", file=sys.stderr)
     return {"key_id": key_id, "file": str(path)}

@@ -17,7 +17,7 @@ from nats.aio.msg import Msg
 from nats.js.api import RePublish
 from nats.js.kv import KeyValue
 
-from pica_server.errors import ClusterError
+from pica_server.errors import ConfigurationError
 
 BUCKET: Final = "pica_placement"
 NEWS: Final = "pica.placement."
@@ -60,7 +60,7 @@ class Bucket:
         """Connect, subscribe to changes, and make the bucket if it does not exist.
 
         Raises:
-            ClusterError: NATS has no JetStream, or refuses this relay.
+            ConfigurationError: NATS has no JetStream, or refuses this relay.
             OSError: It does not answer; or what else is in `AWAY`.
         """
         client = Client()
@@ -87,7 +87,7 @@ class Bucket:
                 raise
             parts = map(urlsplit, self._urls)  # without the password
             places = ",".join(f"{each.hostname}:{each.port or 4222}" for each in parts)
-            raise ClusterError(
+            raise ConfigurationError(
                 f"--cluster {places}: {type(error).__name__}; start nats-server with -js, and "
                 "give this user access to it"
             ) from error

@@ -29,7 +29,7 @@ from dataclasses import asdict, dataclass, field, fields
 from typing import Final, TypeVar
 
 from pica_protocol.limits import check_url
-from pica_server.errors import ClusterError
+from pica_server.errors import ConfigurationError
 from pica_server.log import say
 from pica_server.placement.bucket import AWAY, RECONNECT_S, TTL_S, Bucket
 from pica_server.room.hub import Hub
@@ -174,7 +174,7 @@ class RoomPlacement:
             url: Where clients reach this relay.
 
         Raises:
-            ClusterError: NATS has no JetStream, or refuses this relay.
+            ConfigurationError: NATS has no JetStream, or refuses this relay.
         """
         self._url = url
         with suppress(*AWAY):
@@ -279,7 +279,7 @@ class RoomPlacement:
                 elif not self.is_up:
                     await self._bucket.open()
                 await self.renew()
-            except (*AWAY, ClusterError):
+            except (*AWAY, ConfigurationError):
                 self._lose()
 
     async def _tick_on(self) -> None:

@@ -4,7 +4,6 @@ A relay that is late has more to do than it can: of several faces that one publi
 last turn of the event loop it then forwards the newest alone, and refuses newcomers (`Overload`).
 """
 
-from collections import deque
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final
@@ -25,7 +24,6 @@ PERIOD_S: Final = 0.05
 """Between two looks at the clock (chosen: half of what is late)."""
 REMEMBERED_S: Final = 10.0
 """How long a stall counts (chosen: a health check each ten seconds sees every stall)."""
-MOST_TURNS: Final = round(REMEMBERED_S / PERIOD_S)
 CALM_S: Final = 5.0
 """Without such a turn until newcomers are let in again (chosen)."""
 
@@ -41,13 +39,14 @@ class Overload:
         self.sheds = False
         self._late_s = 0.0
         self._refuses_until_s = float("-inf")
-        self._worst: deque[tuple[float, float]] = deque(maxlen=MOST_TURNS)
+        self._worst_s, self._worst_until_s = 0.0, float("-inf")
 
     def note_turn(self, late_s: float, now: float) -> None:
         """Note how late the event loop has just been; one pause alone is no overload."""
         before_s, self._late_s = self._late_s, late_s
         self.sheds = late_s >= LATE_S
-        self._worst.append((now, late_s))
+        if late_s >= self.worst_s(now):
+            self._worst_s, self._worst_until_s = late_s, now + REMEMBERED_S
         if late_s >= LATE_S and before_s >= LATE_S:
             self._refuses_until_s = now + CALM_S
 
@@ -56,9 +55,8 @@ class Overload:
         return now < self._refuses_until_s
 
     def worst_s(self, now: float) -> float:
-        """Return by how much the event loop was late at worst in the last ten seconds."""
-        recent = (late_s for at, late_s in self._worst if now - at <= REMEMBERED_S)
-        return max(recent, default=0.0)
+        """Return by how much the event loop was late at worst; a stall counts for ten seconds."""
+        return self._worst_s if now <= self._worst_until_s else 0.0
 
 
 class Forwarding:

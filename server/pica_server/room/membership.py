@@ -27,7 +27,7 @@ from pica_protocol.messages import (
     UpdateMetadata,
 )
 from pica_protocol.session import Closed
-from pica_server.errors import AdmissionError, RoomFullError
+from pica_server.errors import AdmissionError
 from pica_server.limits import MOST_REMEMBERED, TokenBucket
 from pica_server.room.connections import MODERATION_COST, UPDATE_COST, Connection, Connections
 from pica_server.room.forwarding import CALM_S, Forwarding, Overload
@@ -173,12 +173,11 @@ class Membership:
             return
         self._make_place(join.room, now)
         room = self._room(join.room)
-        try:
-            joined = room.join(connection.peer_id, join, admission)
-        except RoomFullError:
+        if room.is_full:
             reason = f"room {join.room} is full: {self._connections.config.room_capacity} peers"
             refuse(connection, "room", CloseCode.ROOM_FULL, reason, now)
             return
+        joined = room.join(connection.peer_id, join, admission)
         self._enter(connection, room, joined, admission, now)
 
     def update_metadata(self, connection: Connection, update: UpdateMetadata, now: float) -> None:

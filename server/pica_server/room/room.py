@@ -11,7 +11,6 @@ from typing import Any, Final, TypeVar
 from pica_protocol.frame_queue import QueuedFrame
 from pica_protocol.limits import MAX_STREAM
 from pica_protocol.messages import SHARES, Join, Joined, Metadata, Peer, Track
-from pica_server.errors import RoomFullError
 from pica_server.tokens import Admission
 
 _T = TypeVar("_T")
@@ -84,13 +83,8 @@ class Room:
         return tuple(member.peer for member in self._members.values())
 
     def join(self, peer_id: str, join: Join, admission: Admission) -> Joined:
-        """Let a peer in, allot streams to its tracks, and return what to tell them.
-
-        Raises:
-            RoomFullError: The room has no place left.
-        """
-        if self.is_full:
-            raise RoomFullError(f"room {self.name} is full: {self._capacity} peers")
+        """Let a peer into a room that is not full, allot streams to its tracks, and return what to
+        tell them."""
         peer = Peer(
             peer_id=peer_id,
             name=admission.name or join.name,

@@ -66,16 +66,18 @@ class Downloads:
         store = self._store
         identity = request.path.removeprefix(AVATARS_PATH).partition("?")[0]
         if store is None:
-            return _refusal(HTTPStatus.NOT_IMPLEMENTED, "this relay keeps no avatars")
+            return _refusal(websocket, HTTPStatus.NOT_IMPLEMENTED, "this relay keeps no avatars")
         if request.method != "GET":
-            return _refusal(HTTPStatus.METHOD_NOT_ALLOWED, "use GET", Allow="GET")
+            return _refusal(websocket, HTTPStatus.METHOD_NOT_ALLOWED, "use GET", Allow="GET")
         if not is_avatar_id(identity):
-            return _refusal(HTTPStatus.NOT_FOUND, "an avatar's id is its SHA-256, in 64 digits")
+            return _refusal(
+                websocket, HTTPStatus.NOT_FOUND, "an avatar's id is its SHA-256, in 64 digits"
+            )
         try:
             with self._slots.taken(websocket.address):
                 size = await store.size(identity)
                 if not size:
-                    return _refusal(HTTPStatus.NOT_FOUND, "no such avatar here")
+                    return _refusal(websocket, HTTPStatus.NOT_FOUND, "no such avatar here")
                 return await self._send(store, websocket, request, identity, size)
         except StoreRefusalError:
             self._stats["downloads_refused"] += 1
@@ -84,7 +86,7 @@ class Downloads:
             self._stats["faults"] += 1
             _logger.warning("avatar store failed", extra={"error": type(error).__name__})
             text = "the store does not answer"
-        return _refusal(HTTPStatus.SERVICE_UNAVAILABLE, text, **{"Retry-After": "1"})
+        return _refusal(websocket, HTTPStatus.SERVICE_UNAVAILABLE, text, **{"Retry-After": "1"})
 
     async def _send(
         self,
@@ -99,7 +101,8 @@ class Downloads:
         origin = ",".join(request.headers.get_all("Origin"))
         if origin in self._origins:
             headers["Access-Control-Allow-Origin"] = origin
-        head = _response(HTTPStatus.OK, headers)
+        headers |= {"Date": formatdate(usegmt=True), "Connection": "close"}
+        head = Response(HTTPStatus.OK, HTTPStatus.OK.phrase, Headers(headers))
         data = await store.read(identity, 0, min(READ_BYTES, size))
         websocket.note_opened()  # its handshake is over, so to say
         transport = websocket.transport
@@ -135,16 +138,8 @@ class Downloads:
             self._stats["download_bytes"] += len(piece)
 
 
-def _refusal(status: HTTPStatus, text: str, **more: str) -> Response:
+def _refusal(websocket: RelaySocket, status: HTTPStatus, text: str, **more: str) -> Response:
     """Say no, in a line for people."""
-    headers = {
-        "Cache-Control": "no-store",
-        "Content-Type": "text/plain; charset=utf-8",
-        "Content-Length": str(len(text) + 1),
-    }
-    return _response(status, headers | more, f"{text}\n".encode())
-
-
-def _response(status: HTTPStatus, headers: dict[str, str], body: bytes = b"") -> Response:
-    common = {"Date": formatdate(usegmt=True), "Connection": "close"}
-    return Response(status, status.phrase, Headers(headers | common), body)
+    response = websocket.respond(status, f"{text}\n")
+    response.headers.update({"Cache-Control": "no-store", **more})
+    return response

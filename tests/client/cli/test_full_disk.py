@@ -18,7 +18,7 @@ from pica_client.ui.recorder import save_png
 from pica_core.avatar.file import save_avatar
 from pica_core.errors import AvatarFileError
 from pica_server.cli.token import TokenOptions, token
-from pica_server.errors import KeyFileError
+from pica_server.errors import ConfigurationError
 from pica_server.tokens import load_keys
 
 pytestmark = pytest.mark.unit
@@ -79,12 +79,12 @@ def test_half_a_secret_does_not_stand_in_the_way_of_the_next_try(tmp_path: Path)
 def test_half_a_key_does_not_spoil_the_key_file(tmp_path: Path) -> None:
     path = tmp_path / "keys"
     options = TokenOptions(keys=path, new_key=True)
-    with room_for(20), pytest.raises(KeyFileError):
+    with room_for(20), pytest.raises(ConfigurationError):
         token(options)
     assert not path.exists()
     token(options)
     first = path.read_bytes()
-    with room_for(len(first) + 10), pytest.raises(KeyFileError):
+    with room_for(len(first) + 10), pytest.raises(ConfigurationError):
         token(options)
     assert path.read_bytes() == first
     load_keys(path)
