@@ -23,6 +23,7 @@ import numpy as np
 
 from pica_client.playout.sender_clock import DecodedFrame
 from pica_core.codec.latent_stream import LatentSample
+from pica_core.latent import LATENT_SHAPE, NUM_LATENT
 from pica_core.types import FloatArray
 
 NUM_SHOWN = 9
@@ -72,11 +73,20 @@ def blend(before: LatentSample, after: LatentSample, weight: float) -> LatentSam
         return before
     if weight == 1:
         return after
-    share = np.float32(weight)
+    one = _flat(before)
+    return _face(one + np.float32(weight) * (_flat(after) - one))
+
+
+def _flat(face: LatentSample) -> FloatArray:
+    """Latent, rotation and translation one after the other, float32 ``[262]``."""
+    return np.concatenate((face.latent.ravel(), face.rotation, face.translation_m))
+
+
+def _face(flat: FloatArray, *, is_still: bool = False) -> LatentSample:
+    latent = flat[:NUM_LATENT].reshape(LATENT_SHAPE)
+    rotation, translation_m = flat[NUM_LATENT:].reshape(2, 3)
     return LatentSample(
-        latent=before.latent + share * (after.latent - before.latent),
-        rotation=before.rotation + share * (after.rotation - before.rotation),
-        translation_m=before.translation_m + share * (after.translation_m - before.translation_m),
+        latent=latent, rotation=rotation, translation_m=translation_m, is_still=is_still
     )
 
 
@@ -85,18 +95,6 @@ def coasted_s(past_s: float) -> float:
     in which it would have gone as far at full speed, at most half of `COAST_S`."""
     past_s = min(past_s, COAST_S)
     return past_s - past_s * past_s / (2 * COAST_S)
-
-
-class _Offset(NamedTuple):
-    """What turns one face into another."""
-
-    latent: FloatArray
-    turn: FloatArray
-    move_m: FloatArray
-
-    def size(self) -> float:
-        """The largest of its parts, in their own units."""
-        return max(float(np.abs(part).max()) for part in self)
 
 
 class Correction:
@@ -110,37 +108,26 @@ class Correction:
         """A difference is gone in so many seconds; 0 shows it at once."""
         self._seconds = seconds
         self._left_s = 0.0
-        self._offset: _Offset | None = None
+        self._offset: FloatArray | None = None
 
     def aim(self, shown: LatentSample, true: LatentSample) -> None:
         """Begin to go from what is shown to what should have been at the same moment."""
         if self._seconds <= 0 or (shown is true and self._offset is None):
             return
-        offset = _Offset(
-            shown.latent - true.latent,
-            shown.rotation - true.rotation,
-            shown.translation_m - true.translation_m,
-        )
-        if self._offset is not None:
-            change = _Offset(*(new - old for new, old in zip(offset, self._offset, strict=True)))
-            if change.size() < UNSEEN:
-                return  # nothing new: what is under way goes on
-        self._offset, self._left_s = (offset if offset.size() >= UNSEEN else None), self._seconds
+        offset = _flat(shown) - _flat(true)
+        if self._offset is not None and np.abs(offset - self._offset).max() < UNSEEN:
+            return  # nothing new: what is under way goes on
+        self._offset = offset if np.abs(offset).max() >= UNSEEN else None
+        self._left_s = self._seconds
 
     def corrected(self, true: LatentSample, elapsed_s: float) -> LatentSample:
         """The face to show instead of the true one, some time after the last."""
         if self._offset is None or self._left_s <= elapsed_s:
             self._offset = None
             return true
-        share = np.float32(1 - elapsed_s / self._left_s)
+        self._offset = np.float32(1 - elapsed_s / self._left_s) * self._offset
         self._left_s -= elapsed_s
-        self._offset = _Offset(*(share * part for part in self._offset))
-        return LatentSample(
-            latent=true.latent + self._offset.latent,
-            rotation=true.rotation + self._offset.turn,
-            translation_m=true.translation_m + self._offset.move_m,
-            is_still=true.is_still,
-        )
+        return _face(_flat(true) + self._offset, is_still=true.is_still)
 
 
 class Timeline:
