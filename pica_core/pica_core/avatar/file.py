@@ -55,7 +55,7 @@ from pica_core.avatar.levels import (
 from pica_core.avatar.linear import check_linear, linear_shapes
 from pica_core.avatar.manifest import Manifest
 from pica_core.avatar.spec import MAP_SIZE, AvatarSpec, spec_tensor_shapes
-from pica_core.avatar.storage import check_finite, to_memory, to_storage
+from pica_core.avatar.storage import MAX_MAGNITUDE, to_memory, to_storage
 from pica_core.codec.profile import PREFIX as STREAM_PREFIX
 from pica_core.codec.profile import StreamProfile
 from pica_core.errors import AvatarFileError, ProfileError
@@ -371,7 +371,11 @@ def _check_tensors(spec: AvatarSpec, tensors: Mapping[str, Array]) -> None:
         wanted = np.int32 if is_index(name) else np.float32
         if array.dtype != wanted:
             raise ValueError(f"tensor {name} is {array.dtype}; {np.dtype(wanted)} is needed")
-    check_finite({name: array for name, array in own.items() if not is_index(name)})
+        is_within = array.min() >= -MAX_MAGNITUDE and array.max() <= MAX_MAGNITUDE  # so no NaN
+        if not is_index(name) and not is_within:
+            raise ValueError(
+                f"tensor {name} has values that are not finite or beyond {MAX_MAGNITUDE:g}"
+            )
     uv = tensors["mesh.vertex_uv"]
     if uv.min() < 0 or uv.max() > 1:
         raise ValueError(

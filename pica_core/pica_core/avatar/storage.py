@@ -103,16 +103,6 @@ def to_memory(name: str, stored: Array, affine: Any) -> Array:
     return memory
 
 
-def check_finite(tensors: Mapping[str, Array]) -> None:
-    """Raise a ValueError that names a tensor with values that are not finite, or too large."""
-    for name, array in tensors.items():
-        # One pass: NaN fails both comparisons' negation.
-        if not (array.min() >= -MAX_MAGNITUDE and array.max() <= MAX_MAGNITUDE):
-            raise ValueError(
-                f"tensor {name} has values that are not finite or beyond {MAX_MAGNITUDE:g}"
-            )
-
-
 def _usual(name: str) -> Storage:
     if name.startswith(LEVEL_PREFIX):
         if name.endswith(".expression.local"):

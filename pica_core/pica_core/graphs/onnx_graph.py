@@ -8,13 +8,8 @@
     decoder_graph(avatar, positions=False)      the expression map alone
 
 The decoders are the layers of `decoder_layers`, one chain each, in one graph at opset 17,
-rearranged for ONNX Runtime's CPU kernels. One thread of AVX-512, both maps, in one run on a busy
-machine (`docs/architecture.md` has more; H2 gains nothing):
-
-    level                                    64      128     256
-    layers as they stand                     1.21    3.55    6.08 ms
-    expansions as transposed convolutions    0.72    2.11    3.13 ms
-    and 3x3 convolutions turned round        0.59    1.63    2.23 ms
+rearranged for ONNX Runtime's CPU kernels: both full maps in 2.2 ms instead of 6.1 on one thread of
+AVX-512, and at level 64 in 0.6 instead of 1.2 (H2 gains nothing):
 
 - *Expand + pixel shuffle = transposed convolution 2x2, stride 2.* DepthToSpace moves single floats
   and took 40 % of the time; the transposed convolution writes the shuffled result at once (8

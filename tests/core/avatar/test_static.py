@@ -17,7 +17,6 @@ from pica_core.avatar.levels import (
     MOVING,
     STATIC,
     STATIC_NAME,
-    STILL_NAME,
     pack_parts,
     parts_of,
 )
@@ -75,14 +74,6 @@ def test_parts_come_back_from_a_file_as_they_are(tmp_path: Path) -> None:
 def test_parts_that_do_not_fit_are_refused(tmp_path: Path, packed: Array, complaint: str) -> None:
     with pytest.raises(AvatarFileError, match=complaint):
         save_avatar(tmp_path / "a.pica", marked(packed))
-
-
-def test_parts_without_a_still_face_are_refused(tmp_path: Path) -> None:
-    packed = np.zeros(-(-NUM_VERTICES // 4), np.uint8)
-    tensors = {name: a for name, a in TOY.tensors.items() if name != STILL_NAME}
-
-    with pytest.raises(AvatarFileError, match=r"level\.still is missing"):
-        save_avatar(tmp_path / "a.pica", replace(TOY, tensors={**tensors, STATIC_NAME: packed}))
 
 
 @pytest.mark.parametrize("file", shipped_avatar_files(), ids=lambda file: file.stem)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from helpers.tolerances import EXPRESSION_ONNX, MAP_TORCH_M, PIXEL_FLOAT32
+from helpers.tolerances import EXPRESSION_ONNX, MAP_TORCH_M
 from helpers.toy import grid_faces, with_toy_levels
 from helpers.trainable import grid_uv, toy_prior
 from pica_client.decode.decoder import onnxruntime
@@ -20,15 +20,12 @@ from pica_core.avatar.manifest import Manifest, ViewSpan
 from pica_core.avatar.spec import BLOCKS, EXPRESSION_CHANNELS, AvatarSpec
 from pica_core.graphs.onnx_graph import decoder_graph
 from pica_core.model.avatar import PixelCodecAvatar
-from pica_core.model.interface import ModelOptions, Surface
-from pica_core.reference.decoders import count_parameters, decode_expression_map, decode_pixels
-from pica_core.sampling import sample_bilinear
+from pica_core.model.interface import ModelOptions
+from pica_core.reference.decoders import decode_expression_map
 from pica_core.train.export import avatar_tensors
 from pica_core.train.lod.exits import FaceSet, FrozenDecoder, MapExit
 
 pytestmark = pytest.mark.train
-
-NUM_PIXELS = 2000
 
 
 def trained_looking_model(block: str) -> PixelCodecAvatar:
@@ -116,22 +113,3 @@ def test_torch_and_onnx_leave_by_the_same_exit(block: str, level: int) -> None:
     assert np.ptp(expression) > 100 * EXPRESSION_ONNX
     assert np.abs(expression - codes).max() <= EXPRESSION_ONNX
     assert np.abs(expression - told).max() <= EXPRESSION_ONNX
-
-
-def test_torch_colours_pixels_as_the_reference_does() -> None:
-    model = trained_looking_model("G")
-    *_, expression_map = decoded(model)
-    generator = torch.Generator().manual_seed(5)
-    uv = torch.rand(NUM_PIXELS, 2, generator=generator)
-    xyz = 0.1 * torch.randn(NUM_PIXELS, 3, generator=generator)
-    with torch.no_grad():
-        surface = Surface(torch.zeros(NUM_PIXELS, dtype=torch.int64), uv, xyz)
-        colours = model.shade(expression_map, surface).numpy()
-    avatar = exported(model)
-    codes = sample_bilinear(expression_map[0].permute(1, 2, 0).numpy(), uv.numpy(), np.float64)
-    pixels = (codes, xyz.numpy(), uv.numpy())
-    reference = decode_pixels(avatar.spec, avatar.tensors, *pixels, dtype=np.float64)
-
-    assert np.ptp(reference) > 0.3, "the test would not notice a constant colour"
-    assert np.abs(colours - reference).max() <= PIXEL_FLOAT32
-    assert count_parameters(avatar.tensors, "pixel") == 307

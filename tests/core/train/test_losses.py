@@ -134,19 +134,6 @@ def test_gradient_smoothness_agrees_with_numpy() -> None:
     assert float(losses.gradient_smoothness(values)) == pytest.approx(wanted, rel=1e-9)
 
 
-TETRAHEDRON = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], np.float64)
-TETRAHEDRON_FACES = np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]], np.int32)
-
-
-def test_the_laplacian_of_a_tetrahedron_is_four_thirds_of_its_corners() -> None:
-    # The other three corners add up to minus the fourth: x - (-x / 3) = 4/3 x.
-    laplacian = mesh_laplacian(TETRAHEDRON, TETRAHEDRON_FACES, random(1))
-
-    values = (laplacian @ torch.from_numpy(TETRAHEDRON)).numpy()
-
-    assert np.allclose(values, 4 / 3 * TETRAHEDRON)
-
-
 def naive_laplacian(points: Float64Array, faces: npt.NDArray[np.int32]) -> Float64Array:
     """L as a dense matrix: angles by arc tangent, triangle by triangle."""
     count = len(points)

@@ -24,7 +24,7 @@ from pica_core.train.config import PRESETS, TrainConfig
 from pica_core.train.data.meshes import rasterise_uv
 from pica_core.train.data.training import TrainingData, view_direction
 from pica_core.train.evaluate import evaluate, mean_mse
-from pica_core.train.export import fill_unseen, make_avatar
+from pica_core.train.export import EVALUATION_FILE, fill_unseen, make_avatar, model_card
 from pica_core.train.train import open_trainer, rate_ratio, read_checkpoint
 from pica_core.types import FloatArray
 
@@ -156,6 +156,20 @@ def test_an_exported_avatar_encodes_as_the_model_does(data: TrainingData, tmp_pa
     latent = ExpressionEncoder(load_avatar(tmp_path / "t.pica")).encode(data.arkit[0].numpy())
 
     assert np.abs(latent - wanted).max() < 0.01  # weights are stored as fp16
+
+
+def test_the_card_says_what_was_measured_and_nothing_before(
+    data: TrainingData, tmp_path: Path
+) -> None:
+    with open_trainer(data, short(1, 1, 1), tmp_path) as trainer:
+        before = model_card(trainer, tmp_path)
+        rows = evaluate(trainer, max_frames=1)
+        (tmp_path / EVALUATION_FILE).write_text(json.dumps(rows))
+        after = model_card(trainer, tmp_path)
+
+    assert set(after) - set(before) == {"held_out_mse", "held_out_mse_live", "vertex_error"}
+    assert before["training"] == "0 of 3 steps, seed 0"
+    assert f"{rows[0]['view']} {rows[0]['mse']:.1f}" in after["held_out_mse"]
 
 
 def parts_of_texels(topology: Topology, size: int) -> FloatArray:
