@@ -46,7 +46,6 @@ ADA = Member(peer=Peer(peer_id="p1", name="Ada", tracks=(FACE,)), place=1)
 BEN = Member(peer=Peer(peer_id="p2", name="Ben", metadata=RECORDS), place=5)
 STATUS = CallStatus(participants=(ME, ADA, BEN), room="standup", duration_s=247.0)
 CALL = CallView(people=(PersonView(peer_id="p1", name="Ada"),), status=STATUS)
-ALONE = CallView(status=replace(STATUS, participants=(ME,)))
 SIZES = [((320, 240), 1.0), ((1280, 720), 1.0), ((2560, 1440), 2.0)]
 BUTTONS = {
     "Hide your face": Action.MUTE_FACE,
