@@ -13,7 +13,6 @@ from typing import Annotated, Any, Final, cast, get_args, get_type_hints
 
 from pica_protocol import limits
 
-MAX_COUNTER: Final = 2**63 - 1
 MAX_TRACK_KIND_BYTES: Final = 16
 DROP_POLICIES: Final = ("latest", "ordered")
 """What may be dropped when a receiver is slow, see `frame_queue`. ``latest``: all but the newest
@@ -64,7 +63,6 @@ Name = Annotated[str, _text(limits.MAX_NAME_BYTES)]
 Reason = Annotated[str, _text(limits.MAX_REASON_BYTES)]
 Said = Annotated[Metadata, limits.check_metadata]
 Stream = Annotated[int, within(1, limits.MAX_STREAM)]
-Count = Annotated[int, within(0, MAX_COUNTER)]
 
 
 def wire_name(cls: type) -> str:
@@ -174,8 +172,6 @@ class Joined(Checked):
     seen no peer come or go."""
     resume: Pass = field(default="", repr=False)
     """What to come back with, once; empty: the place is not kept. A secret."""
-    resume_ms: Count = 0
-    """How long the place is kept after the connection broke, milliseconds."""
     name: Annotated[str, _text(limits.MAX_NAME_BYTES)] = ""
     """What the others are shown, where the token says it; empty: the name of the ``Join``."""
     is_admin: bool = False

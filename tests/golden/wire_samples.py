@@ -63,7 +63,6 @@ MESSAGES: dict[str, Message] = {
         peers=(_ADA,),
         resumed=True,
         resume="Zk3vT8mN5rLa",
-        resume_ms=10_000,
     ),
     "joined with a name": Joined(
         room="lobby", peer_id="p2", peers=(replace(_KNOWN_ADA, tracks=()),), name="Bob"

@@ -38,7 +38,6 @@ _TOKEN_CHARS = string.ascii_letters + string.digits + "_.-"
 
 tokens = st.text(_TOKEN_CHARS, min_size=1, max_size=64)
 streams = st.integers(1, 65_535)
-counters = st.integers(0, 2**63 - 1)
 texts = st.text(max_size=15).filter(str.isprintable)
 names = texts.filter(lambda text: not all(map(draws_nothing, text)))
 metadata = st.dictionaries(
@@ -88,7 +87,6 @@ messages: st.SearchStrategy[Message] = st.one_of(
         peers=st.lists(peers, max_size=3).map(tuple),
         resumed=st.booleans(),
         resume=secrets,
-        resume_ms=counters,
         name=texts,
         is_admin=st.booleans(),
     ),

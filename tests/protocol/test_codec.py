@@ -188,7 +188,6 @@ def test_the_fullest_room_fits_a_control_message() -> None:
         peers=(peer,) * MAX_PEERS,
         resumed=True,
         resume="s" * 64,
-        resume_ms=2**63 - 1,
         name="n" * 64,
     )
     assert len(encode_message(joined)) <= MAX_CONTROL_BYTES

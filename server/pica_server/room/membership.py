@@ -346,12 +346,12 @@ class Membership:
         """Tell a peer that it is in, and what else is so in the room."""
         connection.room, connection.is_admin = room, admission.may_admin
         joined = replace(joined, is_admin=admission.may_admin)
-        grace_s = self._connections.config.resume_grace_s
-        if connection.is_resumable and self._new_secret is not None and grace_s > 0:
+        is_kept = connection.is_resumable and self._connections.config.resume_grace_s > 0
+        if is_kept and self._new_secret is not None:
             secret = self._new_secret()
             connection.ticket = _hash_of(secret)
             self._places[connection.ticket] = connection.peer_id
-            joined = replace(joined, resume=secret, resume_ms=round(grace_s * 1000))
+            joined = replace(joined, resume=secret)
         connection.has_joined = True
         connection.session.accept(joined)
         self._connections.flush(connection, now)
