@@ -127,11 +127,7 @@ def _tell(console: Console, about: dict[str, Any]) -> None:
         f"{len(about['mapped'])} shapes mapped, {len(about['missing'])} ARKit shapes missing, "
         f"{len(about['ignored'])} shapes ignored; unit {about['unit']}"
     )
-    for name, text in (
-        ("missing", "missing"),
-        ("ignored", "ignored"),
-        ("left_out_materials", "materials left out"),
-        ("guessed", "assumed"),
-    ):
+    for name in ("missing", "ignored", "left_out_materials", "guessed"):
         if about[name]:
-            console.print(f"{text}: {', '.join(about[name])}", highlight=False)
+            told = f"{name.replace('_', ' ')}: {', '.join(about[name])}"
+            console.print(told, highlight=False)

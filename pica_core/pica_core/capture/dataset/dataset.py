@@ -150,9 +150,7 @@ class Capture:
         return str(self.info.get("head", self.path.name))
 
     def frames_of(self, split: str) -> tuple[CaptureFrame, ...]:
-        """The frames of one split."""
-        if split not in SPLITS:
-            raise CaptureError(f"split {split!r} is unknown; {', '.join(SPLITS)} are known")
+        """The frames of one of `SPLITS`."""
         return tuple(frame for frame in self.frames if frame.split == split)
 
     def camera(self, name: str) -> Camera:

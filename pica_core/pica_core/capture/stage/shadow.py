@@ -15,9 +15,6 @@ from pica_core.capture.rig.head import RigHead
 from pica_core.capture.triangles import edges
 from pica_core.types import BoolArray, Float64Array, FloatArray
 
-DrawDepth = Callable[[FloatArray, FloatArray, int], FloatArray]
-"""Draws a depth map of vertices along a clip matrix, so many texels wide."""
-
 KEY_DIRECTION = np.array([0.50, 0.55, 0.80]) / np.linalg.norm([0.50, 0.55, 0.80])
 """Must agree with shaders/stage.frag."""
 KEY_SPREAD = 0.22
@@ -47,11 +44,16 @@ class Occlusion:
     """Shadow of one head as a function of its expression.
 
     Args:
-        draw_depth: Draws it for this.
+        draw_depth: Draws a depth map of vertices along a clip matrix, so many texels wide.
         centre_y_m: Height that the depth maps are aimed at, head frame.
     """
 
-    def __init__(self, head: RigHead, draw_depth: DrawDepth, centre_y_m: float) -> None:
+    def __init__(
+        self,
+        head: RigHead,
+        draw_depth: Callable[[FloatArray, FloatArray, int], FloatArray],
+        centre_y_m: float,
+    ) -> None:
         self._head, self._draw_depth = head, draw_depth
         self._span_m = max(SPAN_M, float(np.ptp(head.mesh.rest_m, axis=0).max()) + 0.05)
         self._centre_m = np.array([0.0, centre_y_m, 0.0])
