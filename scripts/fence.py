@@ -146,9 +146,6 @@ ROWS: dict[str, Row] = {
     "relay 60": Row(words=RELAY.format(rooms=60), figures=_relay, repeats=3),
     "relay 100": Row(words=RELAY.format(rooms=100), figures=_relay, repeats=3),
     "call": Row(words="bench call --seconds 10", figures=_call, repeats=3),
-    "call 64 kbit/s": Row(
-        words="bench call --seconds 10 --peers 4 --voices --rate 64000", figures=_call
-    ),
     "decode": Row(words="bench decode --rounds 30 --threads 1", figures=_decode),
     "scene": Row(words="bench scene --rounds 4", figures=_scene),
     "drive amara": Row(words=DRIVE.format(name="amara"), figures=_drive),

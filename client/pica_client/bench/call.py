@@ -2,10 +2,8 @@
 and the time from the tracker's sample to the decoded maps is what counts. What the playout buffer
 of a display would wait is reported beside it.
 
-With an impairment the receiver sits behind a proxy that makes its network worse (`proxy`);
-what that does to rendered faces is measured by `playout`, on a virtual clock.
-
-What it does not show: real networks (all is loopback), displays, and more machines than one.
+What it does not show: real networks (all is loopback; `voice` imposes bad ones on a virtual clock),
+displays, and more machines than one.
 Wall-clock numbers hold for this machine under its present load.
 """
 
@@ -13,7 +11,7 @@ import asyncio
 import contextlib
 from collections import Counter, deque
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -21,8 +19,6 @@ import numpy as np
 from cyclopts import Parameter
 
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.bench.impairment import Impairment
-from pica_client.bench.proxy import ImpairedProxy
 from pica_client.call.call import ArrivedFace, Call
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.pool import DecodePool
@@ -47,34 +43,6 @@ FRONT = np.array([0, 0, 1], np.float32)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class NetworkOptions:
-    """How to worsen the receiver's network."""
-
-    delay: float = 0.0
-    """Milliseconds added each way."""
-    jitter: float = 0.0
-    """95th percentile of a further, varying delay, milliseconds."""
-    stall: float = 0.0
-    """Every few seconds nothing comes for so many milliseconds, then all at once."""
-    loss: float = 0.0
-    """Share of TCP segments that have to be sent again, which takes 200 ms each time, 0 to 0.9."""
-    rate: float = 0.0
-    """Bits a second that the receiver's network carries, all headers included; 0 is no limit."""
-
-    def impairment(self) -> Impairment | None:
-        """What they make of the way to the receiver; None leaves it as it is."""
-        if self == NetworkOptions():
-            return None
-        return Impairment(
-            delay_s=self.delay / 1e3,
-            jitter_s=self.jitter / 1e3,
-            stall_s=self.stall / 1e3,
-            loss_ratio=self.loss,
-            rate_bps=self.rate or None,
-        )
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
 class BenchConfig:
     """What to measure; the options of `pica bench call`."""
 
@@ -83,12 +51,10 @@ class BenchConfig:
     )
     seconds: float = 20.0
     """Measured time, seconds."""
-    network: Annotated[NetworkOptions, Parameter(name="*")] = field(default_factory=NetworkOptions)
 
     def __post_init__(self) -> None:
         if not 0 < self.seconds <= 600:
             raise OptionError(f"seconds is {self.seconds:g}; above 0 and at most 600 is allowed")
-        self.network.impairment()  # checks it
 
 
 class _Frame(NamedTuple):
@@ -159,19 +125,8 @@ def run_bench(config: BenchConfig, *, avatar_files: list[Path] | None = None) ->
 async def _measure(
     config: BenchConfig, local: local_call.LocalCall, library: AvatarLibrary
 ) -> dict[str, Any]:
-    impairment = config.network.impairment()
-    if impairment is None:
-        return await _measure_through(local.url, config, local, library)
-    async with ImpairedProxy(local.url, impairment) as proxy:
-        result = await _measure_through(proxy.url, config, local, library)
-    return result | {"impairment": asdict(impairment)}
-
-
-async def _measure_through(
-    url: str, config: BenchConfig, local: local_call.LocalCall, library: AvatarLibrary
-) -> dict[str, Any]:
     link = LinkConfig(
-        url=url,
+        url=local.url,
         room=local_call.ROOM,
         name="bench",
         connect_timeout_s=local_call.JOIN_TIMEOUT_S,

@@ -2,8 +2,8 @@
 a seed and a list of sends give the same arrivals on every machine.
 
 `Way` says when a piece of so many bytes arrives: `stream_trial` puts a relay in front of it and
-sends frames, `proxy` imposes it on the bytes of a real connection. `SCENARIOS` are the troubles
-that benches and tests share: each changes one thing about a calm way of 20 ms.
+sends frames. `SCENARIOS` are the troubles that benches and tests share: each changes one thing
+about a calm way of 20 ms.
 
 Delay. Jitter is a positive extra delay with a heavy tail: a Lomax (Pareto II) distribution of shape
 3 whose 95th percentile is `jitter_s`; median 0.15, 99th percentile 2.1, cut off at 5 times that.
@@ -64,7 +64,7 @@ class Impairment:
     """Bits per second, all headers included; None is no limit."""
     queue_bytes: int = 4096
     """Bytes that wait where the relay cannot drop them any more: its kernel keeps 2048 unsent, and
-    routers have queues (measured with the proxy: 4.5 KB; a real bottleneck may hold far more)."""
+    routers have queues (a real bottleneck may hold far more)."""
 
     def __post_init__(self) -> None:
         check_ranges(self, **dict.fromkeys(("delay_s", "jitter_s", "stall_s"), (0, 10)))
