@@ -70,6 +70,7 @@ GROUPS: Final[dict[str, dict[str, Command]]] = {
     },
     "Avatars": {
         "avatar info": Command("pica_core.cli.avatar:avatar_info", ("send",)),
+        "capture check": Command("pica_core.cli.capture:check", ("capture",)),
         "capture person": Command("pica_core.cli.capture:person", ("capture",)),
         "capture rig": Command("pica_core.cli.capture:rig", ("capture",)),
         "train": Command("pica_core.train.cli.train:train", ("train",)),

@@ -1,8 +1,8 @@
-"""`pica capture`: render people and rigs into captures."""
+"""`pica capture`: render people and rigs into captures, and check captures."""
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as ProgressBar
 
+from pica_core.capture.dataset.check import check_capture
 from pica_core.capture.dataset.multiface import write_aside
 from pica_core.capture.person.choices import NAMED, Person, draw_person, read_person
 from pica_core.capture.person.subject import PersonSubject
@@ -17,6 +18,8 @@ from pica_core.capture.stage.subject import RigSubject, Subject
 from pica_core.capture.stage.synth import RenderOptions, render_subject
 from pica_core.errors import CaptureError
 
+SHOWN_PROBLEMS = 20
+"""Problems that are shown; all are in the result."""
 TEXELS_PER_PIXEL = 4
 """Side of the baked appearance against the longer side of the images: close-ups show a third of a
 head, and its face covers half of the chart."""
@@ -41,6 +44,32 @@ def _render(
     seconds = time.monotonic() - started
     console.print(f"{counts['images']} images in {out}, {seconds:.1f} s")
     return {"out": str(out), "seconds": round(seconds, 3), **counts}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CheckOptions:
+    """Options of `pica capture check`."""
+
+    capture: Path = field(kw_only=False)
+    """Capture directory: one of ours, or a Multiface directory as published."""
+
+
+def check(options: CheckOptions) -> dict[str, Any]:
+    """Find what is wrong with a capture, by reading all of it."""
+    result = check_capture(options.capture)
+    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    for problem in result["problems"][:SHOWN_PROBLEMS]:
+        console.print(problem, markup=False)
+    if (more := len(result["problems"]) - SHOWN_PROBLEMS) > 0:
+        console.print(f"... and {more} more; --json has them all")
+    split = result["split"]
+    console.print(
+        f"{options.capture}: {'ok' if result['ok'] else 'not ok'}, {result['frames']} frames "
+        f"({split['train']} for training, {split['test']} for testing), {result['cameras']} "
+        f"cameras, {result['images']} images",
+        markup=False,
+    )
+    return result
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

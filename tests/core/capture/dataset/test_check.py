@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import shutil
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,7 @@ import pytest
 from PIL import Image
 
 from helpers.small_capture import render_capture
-from pica_core.capture.dataset.dataset import Capture
+from pica_core.capture.dataset.check import check_capture
 from pica_core.capture.stage.synth import RenderOptions
 from pica_core.errors import CaptureError
 
@@ -48,22 +47,12 @@ def first_of(root: Path, pattern: str) -> Path:
 
 
 def problems_of(root: Path) -> list[str]:
-    """What reading a whole capture says is wrong with it."""
+    """What a check says is wrong with a capture."""
     try:
-        capture = Capture.open(root)
+        problems: list[str] = check_capture(root)["problems"]
     except CaptureError as error:
         return [str(error)]
-    found = list(capture.left_out)
-    for frame in capture.frames:
-        works = [capture.vertices_m, capture.true_vertices_m, capture.head_to_world]
-        for name in ("front", "left"):
-            works += [partial(capture.image, camera=name), partial(capture.depth_m, camera=name)]
-        for work in [*works, capture.average_texture]:
-            try:
-                work(frame)
-            except CaptureError as error:
-                found.append(str(error))
-    return found
+    return problems
 
 
 def test_a_fresh_capture_is_whole(rendered: Path) -> None:
