@@ -12,18 +12,11 @@ pytestmark = pytest.mark.realtime
 if os.name == "nt":
     pytest.skip("the load generator needs poll", allow_module_level=True)
 
-KEYS = {
-    *("rooms", "peers", "fps", "seconds", "delivered_per_s", "forward_ms", "dropped"),
-    *("relay_cpu_s_per_1000", "bytes_per_connection", "errors"),
-}
-
 
 def test_everybody_gets_every_frame_from_the_relay_and_a_naive_one() -> None:
     config = RelayBenchConfig(rooms=2, seconds=1.0)
     result = run_comparison(config)
-    assert result.keys() >= KEYS
     for row in (result, *result["compare"].values()):
         assert row["connections"] == 10
         assert row["sent_per_s"] == pytest.approx(300, rel=0.1)
         assert (row["missing"], row["errors"]) == (0, 0)
-    assert result["dropped"] == 0

@@ -13,9 +13,7 @@ import sys
 from pathlib import Path
 from typing import Any, Final
 
-from pica_client.bench.relay.bench import RelayBenchConfig, Target, measure, relay_target
-from pica_client.local_call.processes import Children
-from pica_client.stats import describe_machine
+from pica_client.bench.relay.bench import RelayBenchConfig, measure, run_relay_bench
 from pica_client.system import terminate_as_interrupt
 
 NAIVE: Final = Path(__file__).parent / "naive.py"
@@ -30,15 +28,14 @@ def run_comparison(config: RelayBenchConfig) -> dict[str, Any]:
     Raises:
         ClientError: A server does not let everybody in.
     """
-    with Children() as children, relay_target(config, children) as target:
-        result = measure(config, target, "relay")
+    result = run_relay_bench(config)
     pipe = subprocess.PIPE
     with subprocess.Popen([sys.executable, NAIVE], stdin=pipe, stdout=pipe, text=True) as naive:
         assert naive.stdout is not None
         url = naive.stdout.readline().strip()
-        compare = {"naive": measure(config, Target(url=url, pid=naive.pid), "naive")}
+        compare = {"naive": measure(config, url, naive.pid, "naive")}
         # The end of the block closes its standard input, and so ends it.
-    return result | {"compare": compare, "machine": describe_machine()}
+    return result | {"compare": compare}
 
 
 def main() -> None:

@@ -121,18 +121,18 @@ def _shown(value: Any) -> str:
     return f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
-def _listed(kind: Callable[[str], Any], metavar: str, between: str = ",") -> Parameter:
+def _listed(kind: Callable[[str], Any], metavar: str) -> Parameter:
     """A list as one word of the command line."""
 
     def read(_type: object, tokens: Sequence[Token]) -> tuple[Any, ...]:
         text = tokens[0].value
         try:
-            return tuple(kind(part.strip()) for part in text.split(between) if part.strip())
+            return tuple(kind(part.strip()) for part in text.split(",") if part.strip())
         except ValueError as error:
             raise ValueError(f"{text!r} is given; write numbers with commas") from error
 
     def show(values: tuple[Any, ...]) -> str:
-        return between.join(f"{value}".removesuffix(".0") for value in values)
+        return ",".join(f"{value}".removesuffix(".0") for value in values)
 
     return Parameter(converter=read, n_tokens=1, metavar=metavar, show_default=show)
 
@@ -140,7 +140,6 @@ def _listed(kind: Callable[[str], Any], metavar: str, between: str = ",") -> Par
 Floats = Annotated[tuple[float, ...], _listed(float, "NUMBERS")]
 Ints = Annotated[tuple[int, ...], _listed(int, "NUMBERS")]
 Words = Annotated[tuple[str, ...], _listed(str, "NAMES")]
-Arguments = Annotated[tuple[str, ...], _listed(str, "ARGUMENTS", between=" ")]
 
 
 def check_names(option: str, names: Iterable[str], known: Collection[str]) -> None:

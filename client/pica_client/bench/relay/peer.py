@@ -14,9 +14,9 @@ No event loop: `swarm` calls `on_readable` when the socket is.
 
 import random
 import socket
-import ssl
 import struct
 import time
+from array import array
 from collections import Counter
 from collections.abc import Sequence
 from typing import Final
@@ -45,10 +45,6 @@ JOIN_TIMEOUT_S: Final = 10.0
 SIZES: Final[Sequence[int]] = (2, 13, 16, 17, 19, 20, 21, 22, 24, 26, 37)
 """Payload bytes of the shipped performance "talk" at the default quality: minimum, deciles and
 maximum (measured)."""
-STEP_US: Final = 10
-"""Width of the latency buckets."""
-NUM_STEPS: Final = 200_000
-"""Latencies up to 2 s; later frames count as that late."""
 _READ_BYTES: Final = 65_536
 _OUT = struct.Struct(">IBHHI")
 """A mask of zeros, kind of the message, header of the frame."""
@@ -63,14 +59,14 @@ class Tally:
 
     Attributes:
         now_us: When the last read was, in whole ticks of the wire.
-        latency: Frames received, by steps of `STEP_US` from capture to receipt.
+        delays_us: Of each frame received, from capture to receipt.
         codes: Websocket close codes of connections that the relay ended.
     """
 
     def __init__(self) -> None:
         self.begin_us = self.end_us = self.now_us = 0
-        self.sent = self.blocked = self.received = 0
-        self.latency: Counter[int] = Counter()
+        self.sent = self.blocked = 0
+        self.delays_us = array("q")
         self.codes: Counter[int] = Counter()
 
     def count_sent(self, captured_us: int, *, is_sent: bool) -> None:
@@ -82,8 +78,7 @@ class Tally:
     def count_received(self, captured_us: int) -> None:
         """Count a frame as of the last read."""
         if self.begin_us <= captured_us < self.end_us:
-            self.received += 1
-            self.latency[min((self.now_us - captured_us) // STEP_US, NUM_STEPS)] += 1
+            self.delays_us.append(self.now_us - captured_us)
 
 
 class SwarmPeer:
@@ -136,20 +131,9 @@ class SwarmPeer:
 
     def on_readable(self, now: float) -> None:
         """Read what has come."""
-        self._read(now)
-        # What TLS has decrypted already makes no socket readable.
-        while isinstance(self.sock, ssl.SSLSocket) and not self.is_closed and self.sock.pending():
-            self._read(now)
-
-    def close(self) -> None:
-        """Cut the connection."""
-        self.is_live, self.is_closed = False, True
-        self.sock.close()
-
-    def _read(self, now: float) -> None:
         try:
             data = self.sock.recv(_READ_BYTES)
-        except (BlockingIOError, InterruptedError, ssl.SSLWantReadError):
+        except (BlockingIOError, InterruptedError):
             return
         except OSError:
             data = b""
@@ -160,6 +144,11 @@ class SwarmPeer:
         else:
             self._tally.now_us = time.monotonic_ns() // 1000 // TICK_US * TICK_US
             self._read_messages(self._rest + data if self._rest else data, now)
+
+    def close(self) -> None:
+        """Cut the connection."""
+        self.is_live, self.is_closed = False, True
+        self.sock.close()
 
     def _shake_hands(self, handshake: ClientProtocol, data: bytes, now: float) -> None:
         handshake.receive_data(data)
@@ -234,7 +223,7 @@ class SwarmPeer:
         data = self._unsent + data
         try:
             sent = self.sock.send(data)
-        except (BlockingIOError, InterruptedError, ssl.SSLWantWriteError):
+        except (BlockingIOError, InterruptedError):
             sent = 0
         except OSError:
             return True  # the reader finds out
@@ -253,8 +242,6 @@ def _connect(url: str) -> socket.socket:
     uri = parse_uri(url)
     try:
         sock = socket.create_connection((uri.host, uri.port), timeout=CONNECT_TIMEOUT_S)
-        if uri.secure:
-            sock = ssl.create_default_context().wrap_socket(sock, server_hostname=uri.host)
     except OSError as error:
         raise RelayUnreachableError(
             f"no relay answers at {url}: {error.strerror or error}; start one with: pica relay"

@@ -2,22 +2,22 @@
 
 Latency is from just before a frame's ``send`` to just after the ``recv`` that brought it, both
 here, on one clock. So it holds the relay, the kernel on both ways, and the time that the frame
-waited here because this process was busy; ``turn`` bounds the last: how long the loop needed from
-one look at the sockets to the next, naps not counted.
+waited here because this process was busy.
 """
 
 import contextlib
 import random
 import select
 import time
-from collections import Counter
-from collections.abc import Sequence
 from typing import Final
 
-from pica_client.bench.relay.peer import JOIN_TIMEOUT_S, STEP_US, SwarmPeer, Tally
+from pica_client.bench.relay.peer import JOIN_TIMEOUT_S, SwarmPeer, Tally
 from pica_client.errors import CallProcessError
 from pica_protocol.frames import TICK_US
 
+FPS: Final = 30.0
+"""Frames a second of each peer."""
+JOINS_PER_S: Final = 400.0
 NAP_S: Final = 0.0002
 """Between two looks at the sockets under load: adds as much to the latencies at most (chosen)."""
 DRAIN_S: Final = 1.0
@@ -29,14 +29,11 @@ class Swarm:
 
     Attributes:
         tally: What they have counted.
-        turns: Turns of the loop, by steps of `STEP_US`.
     """
 
-    def __init__(self, *, fps: float, seed: int) -> None:
+    def __init__(self) -> None:
         self.tally = Tally()
-        self.turns: Counter[int] = Counter()
-        self._fps = fps
-        self._rng = random.Random(seed)
+        self._rng = random.Random(0)  # phases and sizes
         self._poller = select.poll() if not hasattr(select, "epoll") else select.epoll()
         self._by_fd: dict[int, SwarmPeer] = {}
         self._peers: list[SwarmPeer] = []
@@ -44,7 +41,7 @@ class Swarm:
         self._schedule: list[tuple[float, SwarmPeer]] = []
         self._next, self._cycle_s = 0, 0.0
 
-    def join(self, url: str, rooms: Sequence[str], num_peers: int, joins_per_s: float) -> None:
+    def join(self, url: str, num_rooms: int, num_peers: int) -> None:
         """Fill rooms with so many peers each, and wait until all are in.
 
         Raises:
@@ -52,12 +49,12 @@ class Swarm:
             CallProcessError: Some were refused.
         """
         due_s = time.monotonic()
-        for room in rooms:
+        for room in range(num_rooms):
             for number in range(num_peers):
                 while time.monotonic() < due_s:
                     self._turn(due_s)
-                due_s += 1 / joins_per_s
-                peer = SwarmPeer(url, room, f"load-{number}", self._rng, self.tally)
+                due_s += 1 / JOINS_PER_S
+                peer = SwarmPeer(url, f"load-{room}", f"load-{number}", self._rng, self.tally)
                 self._peers.append(peer)
                 self._by_fd[peer.sock.fileno()] = peer
                 self._poller.register(peer.sock.fileno(), select.POLLIN)
@@ -72,7 +69,7 @@ class Swarm:
                 f"{num_live} of {len(self._peers)} peers joined; the others were closed with "
                 f"{dict(self.tally.codes) or 'no code'}: see the limits of the relay"
             )
-        phases = [self._rng.random() / self._fps for _ in self._peers]
+        phases = [self._rng.random() / FPS for _ in self._peers]
         self._schedule = sorted(zip(phases, self._peers, strict=True), key=lambda item: item[0])
         self._cycle_s = time.monotonic()
 
@@ -92,7 +89,7 @@ class Swarm:
     def drain(self, expected: int) -> None:
         """Wait until so many frames have been received, or it is late."""
         deadline = time.monotonic() + DRAIN_S
-        while time.monotonic() < deadline and self.tally.received < expected:
+        while time.monotonic() < deadline and len(self.tally.delays_us) < expected:
             self._turn(time.monotonic() + 0.1)
 
     def close(self) -> None:
@@ -102,7 +99,6 @@ class Swarm:
 
     def _send_due(self) -> float:
         """Send what is due; return when the next frame is."""
-        interval_s = 1 / self._fps
         while True:
             phase_s, peer = self._schedule[self._next]
             now_us = time.monotonic_ns() // 1000
@@ -114,8 +110,8 @@ class Swarm:
             if self._next == len(self._schedule):
                 self._next = 0
                 # After a stall frames are skipped, not sent in a burst: a camera does not wait.
-                behind = (now_us / 1e6 - self._cycle_s) / interval_s
-                self._cycle_s += max(int(behind), 1) * interval_s
+                behind = (now_us / 1e6 - self._cycle_s) * FPS
+                self._cycle_s += max(int(behind), 1) / FPS
 
     def _turn(self, until_s: float) -> None:
         """Send what is due, and read what has come; nap if that is nothing.
@@ -128,12 +124,11 @@ class Swarm:
         if not ready:
             time.sleep(min(NAP_S, max(due_s - time.monotonic(), 0.0)))
             return
-        begin_ns = time.monotonic_ns()
+        now = time.monotonic()
         for fd, _ in ready:
             peer = self._by_fd[fd]
-            peer.on_readable(begin_ns / 1e9)
+            peer.on_readable(now)
             if peer.is_closed:
                 del self._by_fd[fd]
                 with contextlib.suppress(OSError, KeyError):  # epoll has forgotten it already
                     self._poller.unregister(fd)
-        self.turns[(time.monotonic_ns() - begin_ns) // 1000 // STEP_US] += 1
