@@ -8,9 +8,12 @@ output has gone, as after ``| head``.
 import json
 import os
 import re
+import signal
 import sys
+import threading
 import traceback
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
@@ -62,8 +65,9 @@ def _run(name: str, words: list[str]) -> Mapping[str, Any] | None:
             del os.environ[variable]  # an empty one is not set
     file = user_file()
     has_file = CONFIG_VARIABLE in os.environ or file.exists()
-    line = CommandLine(name, COMMANDS[name], file if has_file else None)
-    options = line.read(words)
+    with _nothing_begun():
+        line = CommandLine(name, COMMANDS[name], file if has_file else None)
+        options = line.read(words)
     if options is None:
         return None
     result: Mapping[str, Any] | None = line.function(**options)
@@ -74,6 +78,19 @@ def user_file() -> Path:
     """The TOML file of this user's options; it need not be there."""
     folder = PlatformDirs(DISTRIBUTION, appauthor=False, roaming=True).user_config_path
     return Path(os.environ.get(CONFIG_VARIABLE) or folder / "pica.toml")
+
+
+@contextmanager
+def _nothing_begun() -> Iterator[None]:
+    """Let SIGTERM end the command in good order while the block runs: loading takes a while."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _report(error: BaseException, name: str | None, words: list[str]) -> int:

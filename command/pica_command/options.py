@@ -9,6 +9,7 @@ Commands that join a room share a few options: ``PICA_URL``, and ``url`` above a
 """
 
 import inspect
+import os
 import re
 import tomllib
 import typing
@@ -46,7 +47,7 @@ class CommandLine:
         self._name = name
         self._joins = row.joins
         self._file = file
-        prefix = f"PICA_{name.replace(' ', '_').upper()}_"
+        prefix = self._prefix = f"PICA_{_upper(name)}_"
         shared = [Env("PICA_", command=False, show=False)] if row.joins else []
         self.app = App(
             name=f"pica {name}",
@@ -56,7 +57,7 @@ class CommandLine:
             help_flags=("--help", "-h"),
             version_flags=(),
             default_parameter=Parameter(consume_multiple=True, negative_iterable=()),
-            config=[Env(prefix, command=False, show=False), *shared, self._add_file],
+            config=[self._know, Env(prefix, command=False, show=False), *shared, self._add_file],
         )
         self._take = _taker(self.function)
         self.app.default(self._take)
@@ -65,7 +66,7 @@ class CommandLine:
         """Read the options: the arguments for the function; None after help was printed.
 
         Raises:
-            UsageError: A word or key is unknown, or a value is refused; names it.
+            UsageError: A word, variable or key is unknown, or a value is refused; names it.
         """
         try:
             take, bound, _ = self.app.parse_args(words, exit_on_error=False, print_error=False)
@@ -76,6 +77,15 @@ class CommandLine:
             return None
         bound.apply_defaults()
         return {name: each for name, each in bound.arguments.items() if name not in COMMON}
+
+    def _know(self, _: App, commands: tuple[str, ...], arguments: ArgumentCollection) -> None:
+        """Refuse variables of the command that mean no option: a relay whose key is misspelt would
+        let everybody in."""
+        names = [f"{self._prefix}{_upper(one.name.lstrip('-'))}" for one in arguments]
+        known = {*names, *(f"PICA_{_upper(key)}" for key in SHARED)}
+        for variable in sorted(os.environ.keys() - known):
+            if variable.startswith(self._prefix):
+                raise UsageError(f"unknown environment variable {variable}")
 
     def _add_file(self, app: App, commands: tuple[str, ...], arguments: ArgumentCollection) -> None:
         """Add what the file says of arguments that neither a flag nor a variable sets."""
@@ -132,6 +142,11 @@ def _taker(function: Any) -> Callable[..., None]:
     take.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     take.__annotations__ = {each.name: each.annotation for each in parameters}
     return take
+
+
+def _upper(name: str) -> str:
+    """A command or an option as variables name it."""
+    return re.sub(r"[ .-]", "_", name).upper()
 
 
 def _description(function: Any) -> str:

@@ -175,6 +175,7 @@ def test_what_is_wrong_in_a_file_is_one_line_with_file_and_key(
         ("PICA_BREW_CUPS", "ten", 'PICA_BREW_CUPS from env: unable to convert "ten" into int'),
         ("PICA_BREW_CUPS", "10", "cups must be in 1..9, got 10"),
         ("PICA_BREW_LEAF", "mint", 'Invalid value "mint" for PICA_BREW_LEAF'),
+        ("PICA_BREW_CUP", "1", "unknown environment variable PICA_BREW_CUP"),
     ],
 )
 def test_what_is_wrong_in_a_variable_is_one_line_with_its_name(

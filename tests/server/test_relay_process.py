@@ -70,6 +70,21 @@ def running_relay(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]
         process.communicate()
 
 
+def test_a_signal_while_the_relay_is_loaded_ends_it_in_good_order() -> None:
+    early = """
+import os, signal, sys
+
+class Early:
+    def find_spec(self, name, path=None, target=None):
+        if name == "pica_server.cli.relay":
+            os.kill(os.getpid(), signal.SIGTERM)
+
+sys.meta_path.insert(0, Early())
+"""
+    ended = subprocess.run([sys.executable, "-c", early + PROGRAM, "relay", "--port", "0"])
+    assert ended.returncode == 0
+
+
 @pytest.mark.parametrize("name", [signal.SIGTERM, signal.SIGINT])
 def test_a_relay_without_numpy_forwards_stops_on_a_signal_and_prints_its_numbers(
     name: signal.Signals, tmp_path: Path
