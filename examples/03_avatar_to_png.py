@@ -17,8 +17,7 @@ from pica_client.render.seats import plan_seats
 from pica_client.render.views import ViewState, plan_camera
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.avatar.expression_encoder import ExpressionEncoder
-from pica_core.avatar.file import load_avatar
-from pica_core.avatar.shipped import shipped_avatar_files
+from pica_core.avatar.file import load_avatar, shipped_avatar_files
 from pica_core.gl import create_context
 
 OUT = Path(sys.argv[1] if len(sys.argv) > 1 else "out")

@@ -6,8 +6,7 @@ at any moment. A receiver asks for the frames whose sequence number is a multipl
 
 from pica_client.sources import open_source
 from pica_core.avatar.expression_encoder import ExpressionEncoder
-from pica_core.avatar.file import load_avatar
-from pica_core.avatar.shipped import shipped_avatar_files
+from pica_core.avatar.file import load_avatar, shipped_avatar_files
 from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
 
 FPS, SECONDS = 30, 4

@@ -8,8 +8,7 @@ head counts; what cannot be seen costs nothing.
 from pica_client.schedule.head import Head
 from pica_client.schedule.scheduler import Scheduler
 from pica_client.schedule.visibility import Sight
-from pica_core.avatar.file import load_avatar
-from pica_core.avatar.shipped import shipped_avatar_files
+from pica_core.avatar.file import load_avatar, shipped_avatar_files
 
 HEIGHTS_PX = {"Ada": 520, "Ben": 260, "Cho": 140, "Dee": 24, "Eve": 0}  # Eve is off the screen
 

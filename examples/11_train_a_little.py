@@ -19,7 +19,7 @@ from pica_core.capture.person.subject import PersonSubject
 from pica_core.capture.stage.synth import RenderOptions, render_subject
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.train.config import PRESETS
-from pica_core.train.data.training import TrainingData
+from pica_core.train.data import TrainingData
 from pica_core.train.export import make_avatar
 from pica_core.train.train import Losses, open_trainer
 

@@ -8,8 +8,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from pica_core.avatar.file import avatar_id, load_avatar, save_avatar
-from pica_core.avatar.shipped import shipped_avatar_files
+from pica_core.avatar.file import avatar_id, load_avatar, save_avatar, shipped_avatar_files
 
 OUT = Path(sys.argv[1] if len(sys.argv) > 1 else "out")
 OUT.mkdir(parents=True, exist_ok=True)

@@ -6,8 +6,7 @@ replaced, so the difference between two rows is the ablation. The sizes are the 
 
 from dataclasses import replace
 
-from pica_core.avatar.spec import AvatarSpec
-from pica_core.avatar.variants import FULL, VARIANTS, pixel_codec_cost
+from pica_core.avatar.spec import FULL, VARIANTS, AvatarSpec, pixel_codec_cost
 
 SPEC = AvatarSpec(block="H2")
 

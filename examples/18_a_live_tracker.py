@@ -17,8 +17,7 @@ from pica_client.sources.live.tracker import UdpTracker
 from pica_client.sources.registry import open_live
 from pica_client.transport.config import LinkConfig
 from pica_core.avatar.arkit import ARKIT_INDEX
-from pica_core.avatar.file import avatar_id, load_avatar
-from pica_core.avatar.shipped import shipped_avatar_files
+from pica_core.avatar.file import avatar_id, load_avatar, shipped_avatar_files
 from pica_server.config import RelayConfig
 from pica_server.relay import Relay
 

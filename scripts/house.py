@@ -45,7 +45,7 @@ ROOMS: dict[str, tuple[int, tuple[str, ...]]] = {
     "core/codec": (450, (CORE + "codec/",)),
     "core/avatar, graphs, model, reference": (
         3900,
-        (CORE + "avatar/", CORE + "graphs/", CORE + "model/", CORE + "reference/"),
+        (CORE + "avatar/", CORE + "graphs", CORE + "model/", CORE + "reference"),
     ),
     "core/train": (4400, (CORE + "train/",)),
     "core/capture and the rest": (7000, (CORE,)),

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pica_core.capture.dataset.published import read_obj
+from pica_core.capture.dataset.dataset import read_obj
 from pica_core.capture.person.model import (
     COARSE,
     EYES,

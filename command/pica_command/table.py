@@ -69,10 +69,10 @@ GROUPS: Final[dict[str, dict[str, Command]]] = {
         "token": Command("pica_server.cli.token:token"),
     },
     "Avatars": {
-        "avatar info": Command("pica_core.cli.avatar:avatar_info", ("send",)),
-        "capture check": Command("pica_core.cli.capture:check", ("capture",)),
-        "capture person": Command("pica_core.cli.capture:person", ("capture",)),
-        "capture rig": Command("pica_core.cli.capture:rig", ("capture",)),
+        "avatar info": Command("pica_core.cli:avatar_info", ("send",)),
+        "capture check": Command("pica_core.cli:check", ("capture",)),
+        "capture person": Command("pica_core.cli:person", ("capture",)),
+        "capture rig": Command("pica_core.cli:rig", ("capture",)),
         "train": Command("pica_core.train.cli.train:train", ("train",)),
         "export": Command("pica_core.train.cli.train:export", ("train",)),
         "eval": Command("pica_core.train.cli.eval:eval_runs", ("train",)),
@@ -80,7 +80,7 @@ GROUPS: Final[dict[str, dict[str, Command]]] = {
     "This machine": {"doctor": Command("pica_client.cli.doctor:doctor")},
     "Measurements": {
         "bench call": Command("pica_client.cli.bench:bench_call", ("bench",)),
-        "bench claim": Command("pica_core.train.cli.claim:bench_claim", ("train",)),
+        "bench claim": Command("pica_core.train.cli.train:bench_claim", ("train",)),
         "bench decode": Command("pica_client.cli.bench:bench_decode", ("bench",)),
         "bench drive": Command("pica_client.cli.bench:bench_drive", ("bench",)),
         "bench relay": Command("pica_client.cli.bench_relay:bench_relay"),

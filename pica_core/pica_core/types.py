@@ -1,4 +1,4 @@
-"""Array types, named once: what an annotation says of an array's elements.
+"""Array types, named once: what an annotation says of an array's elements; and a latent's shape.
 
 Shapes stand in docstrings, because annotations cannot say them: arrays on the wire and in numpy are
 channel-last, torch is ``[N, C, H, W]``.
@@ -25,3 +25,10 @@ ByteArray = npt.NDArray[np.uint8]
 """Elements are uint8: bytes and 8 bit colours."""
 Image = ByteArray
 """A picture in sRGB, row 0 on top. uint8 ``[H, W, 3]``."""
+
+
+LATENT_SIZE = 8
+LATENT_CHANNELS = 4
+LATENT_SHAPE = (LATENT_SIZE, LATENT_SIZE, LATENT_CHANNELS)
+"""Rows, columns, channels of Z. Channel-last, as on the wire."""
+NUM_LATENT = LATENT_SIZE * LATENT_SIZE * LATENT_CHANNELS

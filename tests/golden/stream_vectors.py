@@ -35,8 +35,7 @@ from pica_core.codec.latent_stream import (
     StreamConfig,
     decode_frame,
 )
-from pica_core.codec.profile import StreamProfile, coefficient_frequencies
-from pica_core.codec.range_coder import Table
+from pica_core.codec.profile import StreamProfile, Table, coefficient_frequencies
 from pica_core.errors import LatentError
 
 GOLDEN = Path(__file__).with_name("stream.json")

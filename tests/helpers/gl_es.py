@@ -12,8 +12,7 @@ from typing import Any
 
 from pica_client.render.gpu_program import compose
 from pica_client.render.gpu_tables import GATHER, SHEET, lay_out
-from pica_core.avatar.file import load_avatar
-from pica_core.avatar.shipped import shipped_avatar_files
+from pica_core.avatar.file import load_avatar, shipped_avatar_files
 
 UNABLE = 77
 SURFACELESS, OPENGL_ES_API, NONE = 0x31DD, 0x30A0, 0x3038

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pica_core.reference.baseline import FIRST_SIZE, BaselineAvatar, BaselineSpec
+from pica_core.reference import FIRST_SIZE, BaselineAvatar, BaselineSpec
 from pica_core.types import FloatArray, IntArray
 
 Corner = tuple[float, float, float]

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from pica_core.camera import dome_cameras
 from pica_core.capture.dataset.multiface import krt_text
-from pica_core.capture.stage.dome import dome_cameras
 
 WIDTH, HEIGHT, TEXTURE = 24, 36, 16
 SEGMENTS = ("E001_Neutral_Eyes_Open", "SEN-01-call_me", "SEN-02-later")

@@ -21,9 +21,8 @@ from pica_core.avatar.spec import (
     spec_tensor_shapes,
 )
 from pica_core.codec.latent_stream import LatentEncoder
-from pica_core.latent import LATENT_SHAPE, NUM_LATENT
 from pica_core.train.stream_learning import RenderMetric, learn_profile
-from pica_core.types import FloatArray
+from pica_core.types import LATENT_SHAPE, NUM_LATENT, FloatArray
 
 PAPER_SPEC = AvatarSpec(block="H2")
 """The paper's sizes; H2 is the block whose parameter count lies nearest to the paper's 5.47 M."""

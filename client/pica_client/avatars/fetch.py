@@ -27,8 +27,7 @@ from pica_client.avatars.library import AvatarLibrary
 from pica_client.errors import RelayRefusedError, RelayUnreachableError
 from pica_client.system import cache_folder, make_private
 from pica_client.transport.connect import SOFTWARE, proxy_of
-from pica_core.avatar.file import MAX_FILE_BYTES, Avatar, avatar_id, load_avatar
-from pica_core.avatar.shipped import SUFFIX
+from pica_core.avatar.file import MAX_FILE_BYTES, SUFFIX, Avatar, avatar_id, load_avatar
 from pica_core.errors import AvatarFileError
 from pica_core.files import replacing
 from pica_protocol.store import AVATARS_PATH, is_avatar_id

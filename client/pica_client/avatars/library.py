@@ -13,10 +13,9 @@ from pathlib import Path
 from typing import Final, Protocol
 
 from pica_client.errors import AvatarLookupError
-from pica_core.avatar.file import Avatar, avatar_id, load_avatar
-from pica_core.avatar.shipped import SUFFIX, shipped_avatar_files
+from pica_core.avatar.file import SUFFIX, Avatar, avatar_id, load_avatar, shipped_avatar_files
 from pica_core.errors import AvatarFileError
-from pica_core.reference.decoders import still_map
+from pica_core.reference import still_map
 
 MAX_LOADED_BYTES: Final = 256 * 2**20
 """Files whose avatars stay loaded (chosen: sixty of those that ship, which take three times as much

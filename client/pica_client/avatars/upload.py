@@ -26,8 +26,7 @@ from pica_client.errors import (
 )
 from pica_client.transport.config import LinkConfig, read_token
 from pica_client.transport.connect import CONNECT_ERRORS, RelayConnect, refusal
-from pica_core.avatar.file import MAX_FILE_BYTES, read_bytes
-from pica_core.avatar.shipped import shipped_avatar_files
+from pica_core.avatar.file import MAX_FILE_BYTES, read_bytes, shipped_avatar_files
 from pica_core.errors import AvatarFileError
 from pica_protocol import store
 from pica_protocol.codec import decode_store_message, encode_message

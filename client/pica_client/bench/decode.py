@@ -36,7 +36,7 @@ from pica_client.sources import open_source
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
 from pica_core.gl import wait_for_gpu
-from pica_core.reference.baseline import baseline_like
+from pica_core.reference import baseline_like
 from pica_core.types import FloatArray
 
 NUM_LATENTS = 16

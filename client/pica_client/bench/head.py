@@ -17,8 +17,7 @@ from pica_client.render.scene import head_matrix, view_direction
 from pica_client.system import Closing
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.manifest import Manifest
-from pica_core.camera import Camera, look_at
-from pica_core.capture.stage.dome import dome_cameras
+from pica_core.camera import Camera, dome_cameras, look_at
 from pica_core.gl import create_context
 from pica_core.types import BoolArray, FloatArray, Image
 

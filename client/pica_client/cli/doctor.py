@@ -9,7 +9,7 @@ from typing import Any, Literal
 from pica_client.output import say
 from pica_client.system import has_display
 from pica_command.extras import install_line, modules_by_extra
-from pica_core.avatar.shipped import shipped_avatar_files
+from pica_core.avatar.file import shipped_avatar_files
 from pica_core.errors import GraphicsError
 
 

@@ -21,8 +21,8 @@ from pica_client.decode.request import DecodedMaps, Parts
 from pica_client.errors import OptionError
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import MAP_SIZE
-from pica_core.graphs.onnx_graph import baseline_graph, decoder_graph
-from pica_core.reference.baseline import BaselineAvatar
+from pica_core.graphs import baseline_graph, decoder_graph
+from pica_core.reference import BaselineAvatar
 from pica_core.types import FloatArray
 
 

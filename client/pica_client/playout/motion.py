@@ -23,8 +23,7 @@ import numpy as np
 
 from pica_client.playout.sender_clock import DecodedFrame
 from pica_core.codec.latent_stream import LatentSample
-from pica_core.latent import LATENT_SHAPE, NUM_LATENT
-from pica_core.types import FloatArray
+from pica_core.types import LATENT_SHAPE, NUM_LATENT, FloatArray
 
 NUM_SHOWN = 9
 """Frames kept after they were shown: 33 ms at 240 fps, for the speed of the face."""

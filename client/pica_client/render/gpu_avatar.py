@@ -40,7 +40,7 @@ from pica_core.avatar.bust import (
 )
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.levels import SEAM, parts_of, sheet_uv
-from pica_core.reference.decoders import still_map
+from pica_core.reference import still_map
 from pica_core.sampling import order_faces
 from pica_core.types import Array, FloatArray
 

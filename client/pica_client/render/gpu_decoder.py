@@ -36,8 +36,7 @@ from pica_client.system import Closing
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import MAP_SIZE
 from pica_core.gl import freeing, is_software
-from pica_core.latent import LATENT_SHAPE, NUM_LATENT
-from pica_core.types import Array
+from pica_core.types import LATENT_SHAPE, NUM_LATENT, Array
 
 HEAD_TEXELS = NUM_LATENT // VECTOR + 2
 """What goes to the GPU for each head and frame, texels of 16 bytes."""

@@ -9,7 +9,7 @@ from pica_client.render.gpu_avatar import Body, MeshPrograms, upload_mesh
 from pica_client.render.gpu_program import UNIT_POSITION, build_program, clamp, compose
 from pica_core.avatar.bust import WHOLE_M, box_corners, fade_heights_m, outline_of
 from pica_core.errors import ShapeError
-from pica_core.reference.baseline import BaselineAvatar
+from pica_core.reference import BaselineAvatar
 from pica_core.sampling import order_faces
 from pica_core.types import FloatArray
 

@@ -38,8 +38,7 @@ from pica_core.avatar.spec import (
     AvatarSpec,
     decoder_layers,
 )
-from pica_core.latent import NUM_LATENT
-from pica_core.types import Array, FloatArray
+from pica_core.types import NUM_LATENT, Array, FloatArray
 
 VECTOR = 4
 TABLE_COLUMNS = 1024

@@ -59,7 +59,7 @@ from pica_core.avatar.spec import POSITION_CHANNELS
 from pica_core.camera import Camera
 from pica_core.errors import GraphicsError
 from pica_core.gl import GL_VERSION, freeing, is_software, wait_for_gpu
-from pica_core.reference.baseline import BaselineAvatar
+from pica_core.reference import BaselineAvatar
 from pica_core.types import FloatArray, Image
 
 __all__ = ["DrawStats", "RenderOptions", "Renderer"]

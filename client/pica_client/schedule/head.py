@@ -21,8 +21,7 @@ from pica_client.render.scene import FAR_M, NEAR_M, Placement, view_direction
 from pica_client.schedule.visibility import NOTHING, Sight, look
 from pica_core.avatar.file import Avatar
 from pica_core.camera import Camera
-from pica_core.latent import LATENT_SHAPE
-from pica_core.types import FloatArray
+from pica_core.types import LATENT_SHAPE, FloatArray
 
 Decode = Literal["none", "expression", "both"]
 

@@ -40,7 +40,7 @@ from pica_client.ui.window import Window
 from pica_client.voice.opus import available
 from pica_client.voice.sound.process import SoundProcess
 from pica_client.voice.sound.settings import SoundState
-from pica_core.avatar.shipped import shipped_portraits
+from pica_core.avatar.file import shipped_portraits
 from pica_protocol.errors import CloseCode
 from pica_protocol.invite import is_link, parse_link
 

@@ -11,8 +11,7 @@ from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import ENCODER_CHANNELS, LEAKY_SLOPE
 from pica_core.errors import ShapeError
-from pica_core.latent import LATENT_SHAPE
-from pica_core.types import FloatArray
+from pica_core.types import LATENT_SHAPE, FloatArray
 
 
 class ExpressionEncoder:

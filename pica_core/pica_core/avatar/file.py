@@ -27,12 +27,14 @@ In the file big maps may be smaller than in memory: see `storage`.
 
 import hashlib
 import json
+import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import safetensors
@@ -418,3 +420,37 @@ def _with_ordered_metadata(data: bytes) -> bytes:
     text = json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode()
     text += b" " * (-len(text) % 8)  # as the format wants it: tensors begin at a multiple of 8
     return len(text).to_bytes(8, "little") + text + data[8 + length :]
+
+
+SUFFIX: Final = ".pica"
+
+
+def shipped_avatar_files() -> list[Path]:
+    """The avatar files inside the package, by name."""
+    folder = resources.files("pica_core") / "avatars"
+    if not folder.is_dir():
+        return []
+    return sorted(Path(str(item)) for item in folder.iterdir() if item.name.endswith(SUFFIX))
+
+
+def shipped_portraits() -> dict[str, Path]:
+    """The PNG files that show the shipped avatars at rest, by the avatars' names."""
+    pictures = {file.stem: file.with_suffix(".png") for file in shipped_avatar_files()}
+    return {name: picture for name, picture in pictures.items() if picture.is_file()}
+
+
+def avatar_file(named: Path) -> Path:
+    """The file that a name means: itself, or that of an avatar that ships.
+
+    Raises:
+        AvatarFileError: It is neither a file's name nor that of a shipped avatar.
+    """
+    if named.suffix == SUFFIX or named.is_file():
+        return Path(os.path.expanduser(named))
+    shipped = {path.stem: path for path in shipped_avatar_files()}
+    if (name := str(named).lower()) not in shipped:
+        known = ", ".join(shipped) or "none"
+        raise AvatarFileError(
+            f"avatar {str(named)!r} is unknown; shipped are: {known}; or give a {SUFFIX} file"
+        )
+    return shipped[name]

@@ -49,8 +49,7 @@ import numpy as np
 
 from pica_core.avatar.linear import RANK
 from pica_core.avatar.spec import EXPRESSION_CHANNELS, MAP_SIZE, AvatarSpec, trunk_layers
-from pica_core.latent import LATENT_SHAPE
-from pica_core.types import Array, ByteArray, FloatArray, IntArray
+from pica_core.types import LATENT_SHAPE, Array, ByteArray, FloatArray, IntArray
 
 EXIT_SIZES = (MAP_SIZE // 4, MAP_SIZE // 2)
 """Levels below the full one (chosen: the two last blocks are where the work of a decoder is)."""

@@ -37,8 +37,7 @@ import numpy as np
 
 from pica_core.avatar.spec import MAP_SIZE, POSITION_CHANNELS
 from pica_core.errors import CaptureError
-from pica_core.latent import NUM_LATENT
-from pica_core.types import Array, Float64Array, FloatArray, IntArray
+from pica_core.types import NUM_LATENT, Array, Float64Array, FloatArray, IntArray
 
 PREFIX = "linear."
 REGION = MAP_SIZE

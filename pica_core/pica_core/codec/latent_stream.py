@@ -30,9 +30,12 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 
-from pica_core.codec.profile import ACTIVITY_LEVELS, ACTIVITY_WINDOW, ESCAPE, StreamProfile
-from pica_core.codec.range_coder import (
+from pica_core.codec.profile import (
+    ACTIVITY_LEVELS,
+    ACTIVITY_WINDOW,
+    ESCAPE,
     Range,
+    StreamProfile,
     SymbolReader,
     Table,
     make_table,
@@ -40,8 +43,7 @@ from pica_core.codec.range_coder import (
     write_symbols,
 )
 from pica_core.errors import LatentError, ShapeError, check_ranges
-from pica_core.latent import LATENT_SHAPE, NUM_LATENT
-from pica_core.types import Array, FloatArray, Int64Array
+from pica_core.types import LATENT_SHAPE, NUM_LATENT, Array, FloatArray, Int64Array
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -13,19 +13,25 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pica_core.avatar.spec import AvatarSpec
-from pica_core.avatar.variants import VARIANTS, ModelCost, TopologyName, Variant, pixel_codec_cost
+from pica_core.avatar.spec import (
+    VARIANTS,
+    AvatarSpec,
+    ModelCost,
+    TopologyName,
+    Variant,
+    pixel_codec_cost,
+)
 from pica_core.model import interface
 from pica_core.model.baseline import DeepAppearanceModel
-from pica_core.model.decoders import (
+from pica_core.model.interface import AvatarModel, FacePrior, ModelOptions
+from pica_core.model.linear import LinearEncoder, LinearGeometry
+from pica_core.model.networks import (
+    ENCODERS,
     MapDecoder,
     sample_map,
     sample_per_image,
     tile_view_direction,
 )
-from pica_core.model.encoder import ENCODERS
-from pica_core.model.interface import AvatarModel, FacePrior, ModelOptions
-from pica_core.model.linear import LinearEncoder, LinearGeometry
 from pica_core.model.pixel_decoder import PixelDecoder
 
 

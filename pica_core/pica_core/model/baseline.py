@@ -2,7 +2,7 @@
 
 Source: Lombardi et al., "Deep Appearance Models for Face Rendering" (2018), in the sizes that were
 later published with a face capture data set; the decoder's layers are those of
-`pica_core.reference.baseline`. The encoder:
+`pica_core.reference`. The encoder:
 
     texture 1024    eight convolutions 4x4, stride 2, to 16, 16, 32, 32, 64, 64, 128, 128 channels;
                     fully connected 2048 -> 256
@@ -26,14 +26,12 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from pica_core.avatar.spec import LEAKY_SLOPE, VIEW_CHANNELS, AvatarSpec
-from pica_core.avatar.variants import ModelCost
-from pica_core.latent import NUM_LATENT
+from pica_core.avatar.spec import LEAKY_SLOPE, VIEW_CHANNELS, AvatarSpec, ModelCost
 from pica_core.model import interface
-from pica_core.model.decoders import Untied, sample_map, sample_per_image
-from pica_core.model.encoder import resize_texture
 from pica_core.model.interface import ModelOptions
-from pica_core.reference.baseline import FIRST_SIZE, VIEW_FEATURES, BaselineSpec, baseline_channels
+from pica_core.model.networks import Untied, resize_texture, sample_map, sample_per_image
+from pica_core.reference import FIRST_SIZE, VIEW_FEATURES, BaselineSpec, baseline_channels
+from pica_core.types import NUM_LATENT
 
 TEXTURE_SCALE = 0.25
 """Unit of the texture decoder's output, where 1.0 is white (chosen: about the deviation of a

@@ -24,10 +24,8 @@ from torch import Tensor, nn
 
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.avatar.linear import Bases, SplitBases
-from pica_core.avatar.spec import ENCODER_CHANNELS, LEAKY_SLOPE, AvatarSpec
-from pica_core.avatar.variants import ModelCost, TopologyName
-from pica_core.latent import LATENT_CHANNELS, LATENT_SIZE, NUM_LATENT
-from pica_core.types import FloatArray, IntArray
+from pica_core.avatar.spec import ENCODER_CHANNELS, LEAKY_SLOPE, AvatarSpec, ModelCost, TopologyName
+from pica_core.types import LATENT_CHANNELS, LATENT_SIZE, NUM_LATENT, FloatArray, IntArray
 
 GroupName = Literal["shape", "appearance", "pixel", "encoding"]
 ParameterGroups = dict[GroupName, list[nn.Parameter]]

@@ -11,9 +11,8 @@ import torch
 from torch import Tensor, nn
 
 from pica_core.avatar.linear import Bases, components_of
-from pica_core.latent import LATENT_SIZE, NUM_LATENT
 from pica_core.model.interface import LatentEncoder, LinearPrior, flat_latent
-from pica_core.types import FloatArray
+from pica_core.types import LATENT_SIZE, NUM_LATENT, FloatArray
 
 CODE_SIZE = LATENT_SIZE * LATENT_SIZE
 """Bases that the latent's first channel has room for."""

@@ -25,7 +25,7 @@ from pica_core.avatar.spec import (
     XYZ_CHANNELS,
     AvatarSpec,
 )
-from pica_core.model.decoders import sample_map
+from pica_core.model.networks import sample_map
 
 
 class SurfaceEncoding(nn.Module, ABC):

@@ -19,7 +19,7 @@ from pica_core.camera import Camera
 from pica_core.errors import CaptureError
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.interface import AvatarModel, Surface
-from pica_core.train.data.training import TrainingData, spaced, view_direction
+from pica_core.train.data import TrainingData, spaced, view_direction
 from pica_core.train.raster import MeshDrawer, Rasteriser
 from pica_core.train.train import Trainer
 from pica_core.types import Array, BoolArray, ByteArray, Float64Array, FloatArray, Int64Array

@@ -14,21 +14,19 @@ from torch import Tensor
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.linear import RANK
 from pica_core.avatar.manifest import Manifest, ViewSpan
-from pica_core.capture.stage.dome import dome_cameras
+from pica_core.camera import dome_cameras
 from pica_core.capture.stage.expressions import stream_training_performances
 from pica_core.capture.triangles import components
 from pica_core.codec.profile import StreamProfile
-from pica_core.latent import LATENT_SHAPE, NUM_LATENT
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.interface import AvatarModel
 from pica_core.model.linear import LinearGeometry
 from pica_core.model.pixel_decoder import XYZ_UNIT_M
-from pica_core.train.data.meshes import rasterise_uv
-from pica_core.train.data.training import TrainingData, view_direction
+from pica_core.train.data import TrainingData, rasterise_uv, view_direction
 from pica_core.train.evaluate import ModelEvaluator, Picture, mean_mse
 from pica_core.train.stream_learning import RenderMetric, learn_profile
 from pica_core.train.train import Trainer
-from pica_core.types import BoolArray, Float64Array, FloatArray, IntArray
+from pica_core.types import LATENT_SHAPE, NUM_LATENT, BoolArray, Float64Array, FloatArray, IntArray
 
 MARGIN_M = 0.02
 """How far decoded positions may leave the box of the training meshes."""

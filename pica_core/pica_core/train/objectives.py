@@ -17,13 +17,11 @@ from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.avatar.linear import Bases
 from pica_core.camera import Camera
 from pica_core.capture.stage.synth import Poses, read_picture, read_poses
-from pica_core.latent import LATENT_CHANNELS
-from pica_core.model.encoder import hold_log_variance, reparameterise
 from pica_core.model.interface import AvatarModel, DecodedMesh, ExpressionEncoder, flat_latent
 from pica_core.model.linear import LinearGeometry
+from pica_core.model.networks import hold_log_variance, reparameterise
 from pica_core.train.config import TrainConfig
-from pica_core.train.data.meshes import important_vertices, vertex_importance
-from pica_core.train.data.training import TrainingData, view_direction
+from pica_core.train.data import TrainingData, important_vertices, vertex_importance, view_direction
 from pica_core.train.losses import (
     depth_loss,
     depth_mask,
@@ -39,7 +37,7 @@ from pica_core.train.losses import (
     smoothness_weights,
 )
 from pica_core.train.raster import DrawnPixels, MeshDrawer, Rasteriser
-from pica_core.types import Array, FloatArray, Image, Int64Array
+from pica_core.types import LATENT_CHANNELS, Array, FloatArray, Image, Int64Array
 
 IMAGE_WEIGHT, MESH_WEIGHT, KL_WEIGHT = 2.0, 0.1, 0.001
 """Weights of losses that all presets share (paper 5); those of depth, normal and smoothness, 10, 1

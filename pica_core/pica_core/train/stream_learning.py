@@ -30,14 +30,13 @@ from pica_core.codec.profile import (
     MAX_SYNTHESIS_SHIFT,
     NUM_CONTEXTS,
     NUM_SYMBOLS,
+    TOTAL,
     UNITS_PER_RMSE,
     StreamProfile,
     coefficient_frequencies,
 )
-from pica_core.codec.range_coder import TOTAL
 from pica_core.errors import ProfileError
-from pica_core.latent import NUM_LATENT
-from pica_core.types import Float64Array, Int64Array
+from pica_core.types import NUM_LATENT, Float64Array, Int64Array
 
 TRAINING_QUALITIES = (1, 3, 4, 6)
 TURN_FRAMES = 8000

@@ -27,12 +27,12 @@ from typing import Any, TextIO
 import torch
 from torch import nn
 
-from pica_core.avatar.variants import VARIANTS
+from pica_core.avatar.spec import VARIANTS
 from pica_core.errors import CheckpointError, TrainingDivergedError
 from pica_core.files import replacing
 from pica_core.model.interface import AvatarModel
 from pica_core.train.config import TrainConfig
-from pica_core.train.data.training import TrainingData, face_prior
+from pica_core.train.data import TrainingData, face_prior
 from pica_core.train.objectives import LOSSES, Draw, Objectives
 from pica_core.train.raster import Rasteriser
 

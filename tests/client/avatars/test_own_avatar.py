@@ -10,7 +10,7 @@ from pica_client.avatars.upload import GiveAvatar, avatar_by_name, giver_of
 from pica_client.errors import AvatarLookupError
 from pica_client.local_call.local_call import NAMES
 from pica_client.transport.config import LinkConfig
-from pica_core.avatar.shipped import shipped_avatar_files
+from pica_core.avatar.file import shipped_avatar_files
 
 pytestmark = pytest.mark.unit
 

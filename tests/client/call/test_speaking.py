@@ -12,8 +12,7 @@ from pica_client.call.speaking import DEAD_BAND, HOLD_S, JawReader, SpeakingMete
 from pica_client.sources import open_source
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.avatar.expression_encoder import ExpressionEncoder
-from pica_core.avatar.file import Avatar, load_avatar
-from pica_core.avatar.shipped import shipped_avatar_files
+from pica_core.avatar.file import Avatar, load_avatar, shipped_avatar_files
 
 pytestmark = [pytest.mark.unit, pytest.mark.slow]
 

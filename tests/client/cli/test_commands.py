@@ -8,7 +8,7 @@ import pytest
 
 from helpers.toy import make_toy_avatar
 from pica_command.main import main
-from pica_core.avatar import shipped
+from pica_core.avatar import file as avatar_file
 from pica_core.avatar.file import save_avatar
 
 pytestmark = pytest.mark.unit
@@ -92,7 +92,7 @@ def test_a_truncated_avatar_is_named_with_the_fix(
 def test_a_build_without_avatars_says_so_in_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(shipped.resources, "files", lambda package: tmp_path)
+    monkeypatch.setattr(avatar_file.resources, "files", lambda package: tmp_path)
     assert main(["send"]) == 2
     assert capsys.readouterr().err == (
         "pica send: no avatar ships with this package; name one with --avatar FILE\n"

@@ -13,7 +13,7 @@ import pytest
 from pica_client.cli.doctor import examine
 from pica_command.extras import install_line, modules_by_extra
 from pica_command.table import COMMANDS
-from pica_core.avatar.shipped import shipped_avatar_files
+from pica_core.avatar.file import shipped_avatar_files
 from pica_core.errors import GraphicsError
 
 pytestmark = [pytest.mark.unit, pytest.mark.slow]

@@ -18,7 +18,7 @@ from pica_client.decode.request import DecodedMaps, DecodeRequest, Parts
 from pica_client.errors import OptionError
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import AvatarSpec
-from pica_core.reference.baseline import baseline_like
+from pica_core.reference import baseline_like
 
 pytestmark = pytest.mark.unit
 

@@ -23,10 +23,9 @@ from pica_client.render.gpu_decoder import GpuDecoder, choose_decoder, draws_flo
 from pica_client.render.renderer import Renderer
 from pica_client.schedule.scheduler import Scheduler
 from pica_client.ui.avatar_presenter import AvatarPresenter
-from pica_core.avatar.file import Avatar, load_avatar
-from pica_core.avatar.shipped import shipped_avatar_files
+from pica_core.avatar.file import Avatar, load_avatar, shipped_avatar_files
 from pica_core.avatar.spec import AvatarSpec
-from pica_core.reference.decoders import decode_expression_map, decode_position_map
+from pica_core.reference import decode_expression_map, decode_position_map
 
 pytestmark = pytest.mark.render
 

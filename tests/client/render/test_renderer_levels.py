@@ -22,8 +22,7 @@ from pica_core.avatar.levels import STILL_NAME
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.camera import Camera, look_at
 from pica_core.errors import ShapeError
-from pica_core.reference.baseline import BaselineAvatar
-from pica_core.reference.decoders import decode_pixels
+from pica_core.reference import BaselineAvatar, decode_pixels
 from pica_core.sampling import sample_bilinear
 
 pytestmark = pytest.mark.render

@@ -14,7 +14,7 @@ from pica_client.render.scene import Placement, head_matrix
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import ENCODINGS, AvatarSpec
 from pica_core.camera import look_at
-from pica_core.reference.decoders import decode_pixels
+from pica_core.reference import decode_pixels
 from pica_core.sampling import sample_bilinear
 
 pytestmark = pytest.mark.render

@@ -11,11 +11,10 @@ import pytest
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.render.renderer import DrawStats, Renderer, RenderOptions
 from pica_client.render.scene import Placement
-from pica_core.avatar.file import Avatar, load_avatar
+from pica_core.avatar.file import Avatar, load_avatar, shipped_avatar_files
 from pica_core.avatar.levels import STATIC, STATIC_NAME, parts_of
-from pica_core.avatar.shipped import shipped_avatar_files
 from pica_core.camera import look_at
-from pica_core.reference.decoders import still_colours
+from pica_core.reference import still_colours
 from pica_core.sampling import sample_bilinear
 from pica_core.types import Image
 

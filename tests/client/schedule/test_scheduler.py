@@ -23,7 +23,7 @@ from pica_client.schedule.scheduler import (
     Scheduler,
 )
 from pica_client.schedule.visibility import NOTHING, Sight
-from pica_core.latent import LATENT_SHAPE
+from pica_core.types import LATENT_SHAPE
 
 pytestmark = pytest.mark.unit
 

@@ -12,7 +12,7 @@ from pica_core.avatar.file import Avatar, load_avatar, save_avatar
 from pica_core.avatar.levels import STILL_NAME, faces_name, local_name, sheet_rows, sheet_uv
 from pica_core.avatar.spec import BLOCKS, AvatarSpec, decoder_layers, trunk_layers
 from pica_core.errors import AvatarFileError
-from pica_core.reference.decoders import FRONT, decode_expression_map, still_map
+from pica_core.reference import FRONT, decode_expression_map, still_map
 from pica_core.types import Array
 
 pytestmark = pytest.mark.unit

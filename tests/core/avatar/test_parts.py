@@ -10,7 +10,7 @@ import pytest
 from helpers.toy import make_toy_avatar
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import avatar_id, save_avatar
-from pica_core.cli.avatar import AvatarInfoOptions, avatar_info
+from pica_core.cli import AvatarInfoOptions, avatar_info
 from pica_core.errors import ShapeError
 from pica_core.sampling import order_faces, sample_vertices
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from pica_command.main import main
-from pica_core.avatar.shipped import avatar_file, shipped_avatar_files, shipped_portraits
+from pica_core.avatar.file import avatar_file, shipped_avatar_files, shipped_portraits
 from pica_core.errors import AvatarFileError
 
 pytestmark = pytest.mark.unit

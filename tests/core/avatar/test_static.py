@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from helpers.toy import make_toy_avatar, with_toy_levels
-from pica_core.avatar.file import Avatar, load_avatar, save_avatar
+from pica_core.avatar.file import Avatar, load_avatar, save_avatar, shipped_avatar_files
 from pica_core.avatar.levels import (
     MOVING,
     STATIC,
@@ -20,7 +20,6 @@ from pica_core.avatar.levels import (
     pack_parts,
     parts_of,
 )
-from pica_core.avatar.shipped import shipped_avatar_files
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.errors import AvatarFileError
 from pica_core.types import Array

@@ -17,8 +17,7 @@ from helpers.stream_toy import (
     toy_pose,
     toy_profile,
 )
-from pica_core.avatar.file import load_avatar
-from pica_core.avatar.shipped import shipped_avatar_files
+from pica_core.avatar.file import load_avatar, shipped_avatar_files
 from pica_core.codec.latent_stream import (
     DEFAULT_QUALITY,
     HEARTBEAT_US,

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from helpers.stream_toy import NUM_COMPONENTS, toy_faces, toy_metric, toy_profile
 from pica_core.codec.latent_stream import MAX_COEFFICIENT
-from pica_core.codec.profile import MAX_LATENT, StreamProfile, coefficient_frequencies
-from pica_core.codec.range_coder import TOTAL
+from pica_core.codec.profile import MAX_LATENT, TOTAL, StreamProfile, coefficient_frequencies
 from pica_core.errors import ProfileError
 
 pytestmark = pytest.mark.unit

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pica_core.codec.range_coder import (
+from pica_core.codec.profile import (
     MAX_PAYLOAD_BYTES,
     TOTAL,
     TOTAL_BITS,

@@ -13,11 +13,11 @@ from pica_client.decode.decoder import onnxruntime
 from pica_core.avatar.file import Avatar, load_avatar, save_avatar
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.errors import AvatarFileError
-from pica_core.graphs.onnx_graph import decoder_graph
+from pica_core.graphs import decoder_graph
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.interface import ModelOptions
 from pica_core.model.linear import CODE_LOG_VARIANCE
-from pica_core.reference.decoders import decode_position_map
+from pica_core.reference import decode_position_map
 from pica_core.train.export import avatar_tensors
 from pica_core.types import Array
 

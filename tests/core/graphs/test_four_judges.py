@@ -18,10 +18,10 @@ from pica_core.avatar.file import Avatar
 from pica_core.avatar.levels import local_name
 from pica_core.avatar.manifest import Manifest, ViewSpan
 from pica_core.avatar.spec import BLOCKS, EXPRESSION_CHANNELS, AvatarSpec
-from pica_core.graphs.onnx_graph import decoder_graph
+from pica_core.graphs import decoder_graph
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.interface import ModelOptions
-from pica_core.reference.decoders import decode_expression_map
+from pica_core.reference import decode_expression_map
 from pica_core.train.export import avatar_tensors
 from pica_core.train.lod.exits import FaceSet, FrozenDecoder, MapExit
 

@@ -13,8 +13,8 @@ from helpers.toy import make_toy_avatar, with_toy_levels
 from pica_client.decode.decoder import onnxruntime
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import BLOCKS, AvatarSpec
-from pica_core.graphs.onnx_graph import decoder_graph
-from pica_core.reference.decoders import decode_expression_map, decode_position_map
+from pica_core.graphs import decoder_graph
+from pica_core.reference import decode_expression_map, decode_position_map
 from pica_core.types import Array
 
 pytestmark = [pytest.mark.unit, pytest.mark.slow]

@@ -11,7 +11,7 @@ from pica_core.avatar.spec import AvatarSpec
 from pica_core.model.avatar import make_model
 from pica_core.model.baseline import USUAL_INPUTS, Connected
 from pica_core.model.interface import ModelOptions
-from pica_core.reference.baseline import (
+from pica_core.reference import (
     baseline_channels,
 )
 

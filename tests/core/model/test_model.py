@@ -9,9 +9,8 @@ from torch import nn
 from helpers.trainable import toy_prior
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.model.avatar import PixelCodecAvatar
-from pica_core.model.decoders import sample_map
-from pica_core.model.encoder import PaperEncoder
 from pica_core.model.interface import ModelOptions, Surface, flat_latent, grid_of_latent
+from pica_core.model.networks import PaperEncoder, sample_map
 from pica_core.model.pixel_decoder import PixelDecoder
 
 pytestmark = pytest.mark.train

@@ -15,8 +15,7 @@ from helpers.trainable import grid_uv, toy_prior
 from pica_core.avatar.arkit import ARKIT_INDEX
 from pica_core.avatar.file import Avatar, load_avatar, save_avatar
 from pica_core.avatar.manifest import Manifest, ViewSpan
-from pica_core.avatar.spec import AvatarSpec
-from pica_core.avatar.variants import FULL, TABLE_1, TABLE_2, VARIANTS
+from pica_core.avatar.spec import FULL, TABLE_1, TABLE_2, VARIANTS, AvatarSpec
 from pica_core.model.avatar import PixelCodecAvatar, make_model
 from pica_core.model.interface import (
     AvatarModel,
@@ -26,7 +25,7 @@ from pica_core.model.interface import (
     Surface,
     flat_latent,
 )
-from pica_core.reference.decoders import decode_pixels, encode_surface
+from pica_core.reference import decode_pixels, encode_surface
 from pica_core.train.export import avatar_tensors
 
 pytestmark = pytest.mark.train

@@ -7,7 +7,7 @@ import pytest
 
 from helpers.toy import make_toy_avatar, with_toy_levels
 from pica_core.avatar.spec import AvatarSpec
-from pica_core.reference.baseline import BaselineSpec, baseline_like
+from pica_core.reference import BaselineSpec, baseline_like
 
 pytestmark = [pytest.mark.unit, pytest.mark.slow]
 

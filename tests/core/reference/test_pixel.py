@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from helpers.toy import make_toy_avatar
 from pica_core.errors import ShapeError
-from pica_core.reference.decoders import (
+from pica_core.reference import (
     count_parameters,
     decode_pixels,
     pixel_inputs,

@@ -12,7 +12,7 @@ import pytest
 from helpers.small_capture import render_capture
 from pica_core.capture.stage.synth import RenderOptions
 from pica_core.errors import CaptureError, CheckpointError, TrainingOptionError
-from pica_core.train.cli.claim import ClaimOptions, bench_claim, views_below
+from pica_core.train.cli.train import ClaimOptions, bench_claim, views_below
 from pica_core.train.config import PRESETS
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]

@@ -13,15 +13,14 @@ import pytest
 from skimage.metrics import structural_similarity
 
 from helpers.small_capture import NAME, render_capture
-from pica_core.avatar.spec import BLOCKS
-from pica_core.avatar.variants import VARIANTS
+from pica_core.avatar.spec import BLOCKS, VARIANTS
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.stage.synth import RenderOptions
 from pica_core.errors import CheckpointError, TrainingOptionError
 from pica_core.train.cli.eval import EvalOptions, error_table, eval_runs
 from pica_core.train.cli.train import TrainOptions, train
 from pica_core.train.config import PRESETS
-from pica_core.train.data.training import TrainingData
+from pica_core.train.data import TrainingData
 from pica_core.train.evaluate import (
     BEST_PSNR_DB,
     bootstrap_interval,

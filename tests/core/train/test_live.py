@@ -10,9 +10,8 @@ import torch
 
 from helpers.small_capture import render_capture
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
-from pica_core.avatar.file import Avatar, load_avatar
+from pica_core.avatar.file import Avatar, avatar_file, load_avatar
 from pica_core.avatar.linear import Bases, components_of
-from pica_core.avatar.shipped import avatar_file
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.stage.expressions import sample_takes
 from pica_core.capture.stage.synth import (
@@ -24,13 +23,12 @@ from pica_core.capture.stage.synth import (
     write_poses,
 )
 from pica_core.errors import CaptureError
-from pica_core.latent import NUM_LATENT
 from pica_core.model.interface import ExpressionEncoder as TrainedEncoder
 from pica_core.train.config import PRESETS
-from pica_core.train.data.training import TrainingData
+from pica_core.train.data import TrainingData
 from pica_core.train.objectives import GEOMETRY, Draw, regress, regress_geometry
 from pica_core.train.train import Trainer, open_trainer
-from pica_core.types import FloatArray
+from pica_core.types import NUM_LATENT, FloatArray
 
 pytestmark = pytest.mark.train
 

@@ -19,10 +19,9 @@ from pica_core.capture.dataset.files import Topology
 from pica_core.capture.stage.synth import RenderOptions
 from pica_core.capture.triangles import components
 from pica_core.errors import CheckpointError, TrainingDivergedError
-from pica_core.model.decoders import sample_map
+from pica_core.model.networks import sample_map
 from pica_core.train.config import PRESETS, TrainConfig
-from pica_core.train.data.meshes import rasterise_uv
-from pica_core.train.data.training import TrainingData, view_direction
+from pica_core.train.data import TrainingData, rasterise_uv, view_direction
 from pica_core.train.evaluate import evaluate, mean_mse
 from pica_core.train.export import EVALUATION_FILE, fill_unseen, make_avatar, model_card
 from pica_core.train.train import open_trainer, rate_ratio, read_checkpoint

@@ -15,7 +15,7 @@ from helpers.small_capture import render_small
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.errors import CheckpointError, TrainingDivergedError
 from pica_core.train.config import PAPER, PRESETS, TrainConfig
-from pica_core.train.data.training import TrainingData
+from pica_core.train.data import TrainingData
 from pica_core.train.objectives import IMAGE_WEIGHT, KL_WEIGHT, MESH_WEIGHT
 from pica_core.train.train import open_trainer, read_checkpoint, write_checkpoint
 

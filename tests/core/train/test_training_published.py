@@ -16,7 +16,7 @@ from pica_core.capture.dataset.multiface import mesh_path
 from pica_core.errors import CaptureError
 from pica_core.train.cli.train import ExportOptions, export
 from pica_core.train.config import PRESETS
-from pica_core.train.data.training import TrainingData
+from pica_core.train.data import TrainingData
 from pica_core.train.evaluate import evaluate, successor
 from pica_core.train.train import open_trainer
 

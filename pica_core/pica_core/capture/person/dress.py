@@ -22,7 +22,7 @@ from pica_core.capture.person.hair import (
     smooth,
 )
 from pica_core.capture.rig.features import LID_M, Features, find_features
-from pica_core.capture.rig.guards import EyeSurface, PoseGuard, outwards
+from pica_core.capture.rig.head import EyeSurface, PoseGuard, outwards
 from pica_core.capture.rig.mesh import RigMesh
 from pica_core.capture.stage.paint import Growth
 from pica_core.capture.triangles import face_normals, nearest, unfolded, vertex_normals

@@ -21,6 +21,7 @@ from pica_core.capture.rig.names import read_names
 from pica_core.capture.rig.source import RigSource
 from pica_core.capture.stage.paint import (
     Growth,
+    Occlusion,
     make_program,
     paint,
     set_uniforms,
@@ -28,7 +29,6 @@ from pica_core.capture.stage.paint import (
     split_parts,
     vertex_array,
 )
-from pica_core.capture.stage.shadow import Occlusion
 from pica_core.gl import create_context, wait_for_gpu
 from pica_core.types import BoolArray, ByteArray, FloatArray, Int64Array
 

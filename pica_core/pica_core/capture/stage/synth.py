@@ -16,16 +16,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from pica_core.camera import EVALUATION_VIEWS, LENSES, dome_cameras
 from pica_core.capture.dataset import multiface
-from pica_core.capture.dataset.files import Take, load_image, read_arrays
-from pica_core.capture.dataset.writer import (
+from pica_core.capture.dataset.files import (
     BackgroundWriter,
+    Take,
     depth_units,
+    load_image,
+    read_arrays,
     write_archive,
     write_tables,
     write_topology,
 )
-from pica_core.capture.stage.dome import EVALUATION_VIEWS, LENSES, dome_cameras
 from pica_core.capture.stage.expressions import (
     RATE_HZ,
     STRIDE,

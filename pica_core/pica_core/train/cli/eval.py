@@ -10,11 +10,11 @@ from typing import Any, Literal
 import numpy as np
 import torch
 
-from pica_core.avatar.variants import TABLE_1, TABLE_2
+from pica_core.avatar.spec import TABLE_1, TABLE_2
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.errors import TrainingOptionError, check_ranges
 from pica_core.train.config import TrainConfig
-from pica_core.train.data.training import TrainingData
+from pica_core.train.data import TrainingData
 from pica_core.train.evaluate import evaluate
 from pica_core.train.train import open_trainer, read_checkpoint
 

@@ -24,8 +24,8 @@ from torch.nn import functional
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.levels import LOCAL_TEXELS
 from pica_core.avatar.spec import EXPRESSION_CHANNELS, trunk_layers
-from pica_core.model.decoders import MapDecoder, sample_map, tile_view_direction
-from pica_core.reference.decoders import decode_pixels
+from pica_core.model.networks import MapDecoder, sample_map, tile_view_direction
+from pica_core.reference import decode_pixels
 from pica_core.types import Float64Array
 
 CHUNK = 8

@@ -15,7 +15,7 @@ from pica_core.capture.person.dress import CUTS, close_lips, dress, dress_surfac
 from pica_core.capture.person.hair import STYLES, cover, grow, raise_cap
 from pica_core.capture.person.model import NUM_MODES, read_model
 from pica_core.capture.rig.features import LID_M, Limits, find_features
-from pica_core.capture.rig.guards import PoseGuard
+from pica_core.capture.rig.head import PoseGuard
 from pica_core.capture.rig.mesh import RigMesh
 from pica_core.capture.stage.expressions import blend
 from pica_core.capture.triangles import face_neighbours, front_view

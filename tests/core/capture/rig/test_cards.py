@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pica_core.capture.rig.cards import cut
+from pica_core.capture.rig.gltf import cut
 from pica_core.capture.triangles import components, signed_areas
 from pica_core.types import Float64Array, Int64Array, IntArray
 

@@ -8,8 +8,7 @@ import pytest
 from helpers.rig_toy import toy_rig, write_glb
 from pica_core.avatar.arkit import ARKIT_INDEX
 from pica_core.capture.rig.gltf import read_rig
-from pica_core.capture.rig.guards import FoldGuard, LidGuard, LipGuard, PoseGuard
-from pica_core.capture.rig.head import RigHead, make_rig
+from pica_core.capture.rig.head import FoldGuard, LidGuard, LipGuard, PoseGuard, RigHead, make_rig
 from pica_core.types import BoolArray, Float64Array
 
 pytestmark = pytest.mark.unit

@@ -14,8 +14,8 @@ import pytest
 from PIL import Image
 
 from helpers.rig_toy import document_of, glb_bytes, packed, toy_rig
+from pica_core.camera import dome_cameras
 from pica_core.capture.rig.gltf import read_rig
-from pica_core.capture.stage.dome import dome_cameras
 from pica_core.capture.stage.expressions import blend
 from pica_core.capture.stage.subject import RigSubject
 from pica_core.errors import CaptureError

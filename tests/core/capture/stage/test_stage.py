@@ -7,9 +7,9 @@ import pytest
 
 from helpers.small_capture import render_capture, small_head
 from pica_command.main import main
+from pica_core.camera import EVALUATION_VIEWS, dome_cameras
 from pica_core.capture.dataset.dataset import Capture
-from pica_core.capture.dataset.writer import BackgroundWriter
-from pica_core.capture.stage.dome import EVALUATION_VIEWS, dome_cameras
+from pica_core.capture.dataset.files import BackgroundWriter
 from pica_core.capture.stage.synth import RenderOptions
 from pica_core.errors import CaptureError
 

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from helpers.small_capture import render_capture, small_subject
-from pica_core.camera import Camera
+from pica_core.camera import Camera, dome_cameras
 from pica_core.capture.dataset.dataset import Capture
-from pica_core.capture.stage.dome import dome_cameras
 from pica_core.capture.stage.expressions import blend
 from pica_core.capture.stage.synth import RenderOptions
 from pica_core.capture.triangles import vertex_normals

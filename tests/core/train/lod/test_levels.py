@@ -9,7 +9,7 @@ import torch
 from helpers.toy import grid_faces, make_toy_avatar, with_bases
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.spec import MAP_SIZE, AvatarSpec
-from pica_core.model.decoders import sample_map
+from pica_core.model.networks import sample_map
 from pica_core.train.lod import levels
 from pica_core.train.lod.exits import (
     FaceSet,
@@ -18,8 +18,8 @@ from pica_core.train.lod.exits import (
     fit_local,
     fit_map,
 )
+from pica_core.train.lod.levels import seen_vertices
 from pica_core.train.lod.simplify import Simplifier, weld
-from pica_core.train.lod.surface import seen_vertices
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
 

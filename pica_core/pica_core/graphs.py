@@ -49,9 +49,8 @@ from pica_core.avatar.spec import (
     decoder_layers,
     trunk_layers,
 )
-from pica_core.latent import LATENT_SHAPE, LATENT_SIZE, NUM_LATENT
-from pica_core.reference.baseline import FIRST_SIZE, BaselineAvatar
-from pica_core.types import Array
+from pica_core.reference import FIRST_SIZE, BaselineAvatar
+from pica_core.types import LATENT_SHAPE, LATENT_SIZE, NUM_LATENT, Array
 
 OPSET = 17
 """Newer operator sets lack ONNX Runtime's fused CPU kernels for some of what we use."""

@@ -1,1 +1,0 @@
-"""The commands of the avatar and of captures that need no torch."""

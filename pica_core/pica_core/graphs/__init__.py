@@ -1,1 +1,0 @@
-"""Decoders as ONNX graphs, built from checked numbers and never read from a file."""

@@ -1,1 +1,0 @@
-"""The arithmetic of an avatar in plain numpy: the judge of torch, ONNX and GLSL."""

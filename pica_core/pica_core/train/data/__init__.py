@@ -1,1 +1,0 @@
-"""A capture as tensors: its meshes, its images behind a cache, and which frames are drawn."""
