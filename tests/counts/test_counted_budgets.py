@@ -208,9 +208,9 @@ def test_five_talking_heads_stay_within_their_budget(
                 assert result.maps is not None
                 maps = result.maps.position_map, result.maps.expression_map
                 renderer.update_maps(result.slot, *maps)
-                scheduler.note_decoded(by_slot[result.slot], result, 0.0, now)
+                scheduler.note_decoded(by_slot[result.slot], result, 0.0)
             placements = [
-                head.dressed(Placement(slot=head.slot, world_from_head=head.world_from_head), now)
+                head.dressed(Placement(slot=head.slot, world_from_head=head.world_from_head))
                 for head in heads
             ]
             renderer.count(placements, camera)

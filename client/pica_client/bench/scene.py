@@ -197,7 +197,7 @@ class _Bench:
         placements = []
         for head in case.heads:
             placement = Placement(slot=head.slot, world_from_head=head.world_from_head)
-            placements.append(head.dressed(placement, now) if case.is_scheduled else placement)
+            placements.append(head.dressed(placement) if case.is_scheduled else placement)
         self._renderer.forget_frame()
         begin_s = time.perf_counter()
         stats = self._renderer.draw(placements, camera)
@@ -257,7 +257,7 @@ class _Bench:
             if case.is_scheduled:
                 took_s, parts = decoded.wall_s, request.parts
                 result = DecodeResult(slot, maps, None, finished_s=took_s, parts=parts)
-                case.scheduler.note_decoded(head, result, uploaded.wall_s, now)
+                case.scheduler.note_decoded(head, result, uploaded.wall_s)
 
     def _draw_truth(self, heads: Sequence[Head], camera: Camera) -> Drawing:
         """What should be shown: everybody's newest latent at the full level."""

@@ -20,35 +20,14 @@ from pica_core.avatar.file import Avatar
 from pica_core.camera import Camera
 from pica_core.types import FloatArray
 
-MAX_HEADS = 255
-"""Heads that a frame draws, both eyes together; further ones are left out: a head's number fits 8
-bits."""
 MAX_FADE = 0.75
 """A head that has faded completely can still be made out."""
 EDGE_PX = 1
 """A smoothed silhouette reaches so far beyond the pixels that a head covers."""
 NO_ROWS = (-2.0, -1.0, -2.0, -1.0)
 """Those of a head that does not fade."""
-WHOLE = (0.0, 1.0)
-"""The share of a head that no other level is mixed into."""
-
 View = tuple[Camera, PixelRect]
 """A camera and the part of the image that it fills."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class HeadStats:
-    """What one level of one head of one view took."""
-
-    slot: str
-    level: int
-    """Level of its mesh; 0 for a placeholder or a textured head."""
-    num_triangles: int
-    """0 of a head that stayed as it was."""
-    shaded_pixels: int | None
-    """Pixels that were decoded; None unless asked for."""
-    textured_pixels: int | None
-    """Pixels of what has a texture, again where it overlaps itself; None unless asked for."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -65,9 +44,8 @@ class DrawStats:
     """Pixels that pixel decoders coloured; None unless asked for."""
     textured_pixels: int | None
     """Pixels of what has a texture; None unless asked for."""
-    heads: tuple[HeadStats, ...]
-    """Of the heads that are on the screen; an avatar that both eyes see is there twice, as is one
-    while two of its levels are mixed."""
+    drawn: tuple[str, ...]
+    """Slots of the heads that did not stay as they were; one that both eyes see is there twice."""
 
 
 @dataclass(slots=True, eq=False)
@@ -80,18 +58,6 @@ class RenderSlot:
     textured: TexturedHead | None = None
     version: int = 0
     """Never the same for two contents of a slot."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class ShownLevel:
-    """One level of a head: its triangles and its maps."""
-
-    mesh: Mesh
-    position: moderngl.Texture
-    expression: moderngl.Texture | None
-    """None for a placeholder."""
-    share: tuple[float, float]
-    """The part of the head's pixels that it draws, from and to; (0, 1) is all."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -113,10 +79,20 @@ class ShownHead:
     """Rows of the image at which nothing is left of that side of it which fades first, and from
     which all is there; then those of the side that fades last."""
     body: Body | TexturedHead
-    levels: tuple[ShownLevel, ...]
-    """One, or two while levels are mixed; none of a head that is a texture as a whole."""
+    mesh: Mesh | None
+    """Its triangles; None of a head that is a texture as a whole."""
+    position: moderngl.Texture | None
+    expression: moderngl.Texture | None
+    """None for a placeholder."""
     look: Hashable
     """All that its layer depends on."""
+
+    @property
+    def num_triangles(self) -> int:
+        """Triangles of its mesh."""
+        mesh = self.body if isinstance(self.body, TexturedHead) else self.mesh
+        assert mesh is not None
+        return mesh.num_triangles
 
     @property
     def size(self) -> tuple[int, int]:
@@ -147,7 +123,7 @@ def list_heads(
         for placement, body, matrix, covered, rows in zip(
             known, bodies, matrices, rects, fades, strict=True
         ):
-            if covered is not None and len(listed) < MAX_HEADS:
+            if covered is not None:
                 left, bottom, right, top = rect_in_view(covered, part)
                 grown = left - EDGE_PX, bottom - EDGE_PX, right + EDGE_PX, top + EDGE_PX
                 entry, rect = slots[placement.slot], common_part(grown, part)
@@ -156,46 +132,27 @@ def list_heads(
 
 
 def count_draws(
-    heads: Sequence[ShownHead],
-    drawn: Mapping[int, Sequence[tuple[int, int]]],
-    *,
-    is_counted: bool,
+    heads: Sequence[ShownHead], drawn: Sequence[ShownHead], pixels: tuple[int, int] | None
 ) -> DrawStats:
     """What a frame drew of its heads.
 
     Args:
-        drawn: The decoded and the textured pixels of each level of the heads that were drawn, keyed
-            by the head's place in the list.
-        is_counted: Whether pixels were counted.
+        drawn: Those that did not stay as they were.
+        pixels: That were decoded, and that were textured; None if they were not counted.
     """
-    stats = []
-    for place, head in enumerate(heads):
-        meshes: list[object] = [shown.mesh for shown in head.levels]
-        meshes = meshes or [head.body]
-        counts = drawn.get(place, [(0, 0)] * len(meshes))
-        for mesh, (shaded, textured) in zip(meshes, counts, strict=True):
-            assert isinstance(mesh, Mesh | TexturedHead)
-            stats.append(
-                HeadStats(
-                    slot=head.slot,
-                    level=mesh.level,
-                    num_triangles=mesh.num_triangles if place in drawn else 0,
-                    shaded_pixels=shaded if is_counted else None,
-                    textured_pixels=textured if is_counted else None,
-                )
-            )
-    num_placeholders = sum(
-        bool(head.levels) and head.levels[0].expression is None for head in heads
+    num_placeholders = sum(bool(head.mesh) and head.expression is None for head in heads)
+    shaded, textured = pixels or (None, None)
+    share = sum(area_px(head.rect) for head in drawn) / max(
+        sum(area_px(head.rect) for head in heads), 1
     )
-    areas = [area_px(head.rect) for head in heads]
     return DrawStats(
         num_avatars=len(heads) - num_placeholders,
         num_placeholders=num_placeholders,
-        num_triangles=sum(head.num_triangles for head in stats),
-        drawn_share=sum(areas[place] for place in drawn) / max(sum(areas), 1),
-        shaded_pixels=sum(head.shaded_pixels or 0 for head in stats) if is_counted else None,
-        textured_pixels=sum(head.textured_pixels or 0 for head in stats) if is_counted else None,
-        heads=tuple(stats),
+        num_triangles=sum(head.num_triangles for head in drawn),
+        drawn_share=share,
+        shaded_pixels=shaded,
+        textured_pixels=textured,
+        drawn=tuple(head.slot for head in drawn),
     )
 
 
@@ -226,16 +183,14 @@ def _shown(
     rect: PixelRect,
     fading_rows: tuple[float, ...],
 ) -> ShownHead:
-    levels = () if isinstance(body, TexturedHead) else _levels(entry, body, placement)
-    parts = [
-        (
-            shown.share,
-            shown.mesh.vertices[0].glo,
-            shown.position.glo,
-            shown.expression and shown.expression.glo,
-        )
-        for shown in levels
-    ]
+    mesh = position = expression = None
+    if isinstance(body, Body):
+        if entry.maps is None or body is not entry.body:
+            mesh, position = body.mesh(0, None), body.textures[UNIT_POSITION]
+        else:
+            mesh = body.mesh(entry.maps.level, placement.mesh_level)
+            position, expression = entry.maps.newest
+    mesh_level = mesh and mesh.level
     return ShownHead(
         slot=placement.slot,
         view=view,
@@ -245,8 +200,10 @@ def _shown(
         fading_rows=fading_rows,
         opacity=1 - min(max(placement.fade, 0.0), 1.0) * MAX_FADE,
         body=body,
-        levels=levels,
-        look=(entry.version, matrix.tobytes(), rect, placement.scale, tuple(parts)),
+        mesh=mesh,
+        position=position,
+        expression=expression,
+        look=(entry.version, matrix.tobytes(), rect, placement.scale, mesh_level),
     )
 
 
@@ -273,26 +230,3 @@ def _fading_rows(
         NO_ROWS if body.fade_m == WHOLE_M else tuple(each)
         for body, each in zip(bodies, found.tolist(), strict=True)
     ]
-
-
-def _levels(entry: RenderSlot, body: Body, placement: Placement) -> tuple[ShownLevel, ...]:
-    """What comes and what goes while levels are mixed, else what is there."""
-    if entry.maps is None or body is not entry.body:
-        mesh, unmoved = body.mesh(0, None), body.textures[UNIT_POSITION]
-        return (ShownLevel(mesh=mesh, position=unmoved, expression=None, share=WHOLE),)
-    maps, blend = entry.maps, min(max(placement.blend, 0.0), 1.0)
-    before = maps.level if placement.is_same_maps else maps.level_before
-    if before == maps.level and not placement.is_same_maps:
-        blend = 1.0
-    mixed = (
-        (maps.level, placement.mesh_level, (0.0, blend)),
-        (before, placement.mesh_before, (blend, 1.0)),
-    )
-    shown = []
-    for level, mesh_level, share in mixed:
-        if share[0] < share[1]:
-            mesh, (position, expression) = body.mesh(level, mesh_level), maps.pair(level)
-            shown.append(
-                ShownLevel(mesh=mesh, position=position, expression=expression, share=share)
-            )
-    return tuple(shown)

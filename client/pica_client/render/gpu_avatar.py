@@ -49,10 +49,8 @@ from pica_core.types import Array, FloatArray
 class MeshPrograms:
     """The programs that draw meshes, the same for all avatars."""
 
-    whole: moderngl.Program
-    """The surface pass of a head that is drawn whole."""
-    sharing: moderngl.Program
-    """That of a head that shares pixels with another level of itself."""
+    surface: moderngl.Program
+    """The surface pass."""
     static: moderngl.Program
     """Draws what does not change with the face."""
     unwrap: moderngl.Program
@@ -80,8 +78,8 @@ class Mesh:
     """The triangles of one level, for the positions of one level."""
 
     level: int
-    vertices: tuple[moderngl.VertexArray, moderngl.VertexArray]
-    """Arrays for the surface pass of a head that is drawn whole, and of one that shares pixels."""
+    vertices: moderngl.VertexArray
+    """For the surface pass."""
     static: moderngl.VertexArray | None
     """What of it does not change with the face, if something does not."""
     num_triangles: int
@@ -268,11 +266,8 @@ def upload_mesh(
     both = np.concatenate([places, vertex_uv], axis=1)
     corners = context.buffer(np.ascontiguousarray(both, np.float32).tobytes())
     content = [(corners, "2f 2f", "vertex_place", "vertex_uv")]
-    whole, sharing = (
-        context.vertex_array(program, content, index_buffer=indices)
-        for program in (programs.whole, programs.sharing)
-    )
-    return Mesh(level, (whole, sharing), static, len(faces) + num_static)
+    vertices = context.vertex_array(programs.surface, content, index_buffer=indices)
+    return Mesh(level, vertices, static, len(faces) + num_static)
 
 
 def bake_texture(
@@ -305,7 +300,7 @@ def bake_texture(
     coloured.clear()
     surface.use()
     surface.clear(depth=1.0)
-    set_values(unwrap, slot=1.0, margin=MARGIN_PX / TEXTURE_PX)
+    set_values(unwrap, margin=MARGIN_PX / TEXTURE_PX)
     flat.render(instances=9)
 
     bind_still()
@@ -314,7 +309,7 @@ def bake_texture(
     coloured.use()
     coloured.depth_mask = False
     context.depth_func = ">"
-    set_values(shade.program, is_change=False, slot=1.0, shown=WHOLE_M)
+    set_values(shade.program, is_change=False, shown=WHOLE_M)
     shade.render(moderngl.TRIANGLE_STRIP, vertices=4)
     context.depth_func = "<"
     context.detect_framebuffer(0).use()  # those of here are freed

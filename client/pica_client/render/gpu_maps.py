@@ -1,8 +1,5 @@
 """The decoded maps of one head on the GPU, by level: uploaded, or drawn there by a decoder in
 shaders.
-
-Which level came last, and which one before it, is remembered, so that a change of level can fade
-in: `Placement.blend` mixes the two.
 """
 
 from collections.abc import Mapping
@@ -28,7 +25,6 @@ class HeadMaps:
 
     Attributes:
         level: That of the maps that came last; 0 before both are there.
-        level_before: The level before, or the same where there is none.
         bytes_written: What `write` has uploaded so far.
 
     32-bit floats: converting a map to 16 bits on the CPU takes 0.4 ms, uploading it as it is 0.02
@@ -43,12 +39,13 @@ class HeadMaps:
         )
         self._textures: dict[tuple[int, int], moderngl.Texture] = {}
         self._targets: dict[tuple[int, int], moderngl.Framebuffer] = {}
-        self.level = self.level_before = 0
+        self.level = 0
         self.bytes_written = 0
 
-    def pair(self, level: int) -> tuple[moderngl.Texture, moderngl.Texture]:
-        """Positions and expressions of `level` or `level_before`."""
-        return self._textures[level, POSITIONS], self._textures[level, EXPRESSIONS]
+    @property
+    def newest(self) -> tuple[moderngl.Texture, moderngl.Texture]:
+        """Positions and expressions of `level`."""
+        return self._textures[self.level, POSITIONS], self._textures[self.level, EXPRESSIONS]
 
     def write(self, *arrays: FloatArray | None) -> None:
         """Upload positions and expressions of one level, or one of the two.
@@ -89,7 +86,5 @@ class HeadMaps:
 
     def _show(self, level: int) -> None:
         """Take a level as the newest if both of its maps are there."""
-        if level != self.level and {(level, POSITIONS), (level, EXPRESSIONS)} <= set(
-            self._textures
-        ):
-            self.level, self.level_before = level, self.level or level
+        if {(level, POSITIONS), (level, EXPRESSIONS)} <= set(self._textures):
+            self.level = level

@@ -1,15 +1,14 @@
 """The passes of a frame: the programs they use, and the order of GL calls."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
-from functools import partial
 from typing import Any
 
 import moderngl
 import numpy as np
 
-from pica_client.render.draw_list import WHOLE, ShownHead
+from pica_client.render.draw_list import ShownHead
 from pica_client.render.gpu_avatar import MeshPrograms
 from pica_client.render.gpu_plain import TexturedHead, upload_placeholder
 from pica_client.render.gpu_program import (
@@ -49,11 +48,10 @@ class DrawPasses:
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
         self._is_software = is_software(str(context.info["GL_RENDERER"]))
-        shared, static = {"SHARED": ""}, {"STATIC": ""}
+        static = {"STATIC": ""}
         mesh, surface = compose("mesh.vert", defines={"MAPPED": ""}), compose("surface.frag")
         self.mesh_programs = MeshPrograms(
-            whole=build_program(context, mesh, surface),
-            sharing=build_program(context, mesh, compose("surface.frag", defines=shared)),
+            surface=build_program(context, mesh, surface),
             static=build_program(
                 context,
                 compose("mesh.vert", defines=static),
@@ -119,58 +117,47 @@ class DrawPasses:
         Only depth is cleared: where no mesh lies before the far plane the rest is not read, and
         clearing 20 bytes a pixel takes as long as shading 50,000 (llvmpipe).
         """
-        programs = self.mesh_programs
         self._context.enable(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
         for head, layer in heads:
             layer.empty.use()
             layer.empty.clear(depth=1.0)
             layer.surface.use()
-            for number, shown in enumerate(head.levels, start=1):
-                is_shared = shown.share != WHOLE
-                program = programs.sharing if is_shared else programs.whole
-                shown.position.use(UNIT_POSITION)
-                self._set_head(program, head, layer)
-                set_values(program, slot=float(number))
-                if is_shared:
-                    set_values(program, turns=(*shown.share, *head.rect[:2]))
-                shown.mesh.vertices[is_shared].render()
+            if head.mesh is not None and head.position is not None:
+                head.position.use(UNIT_POSITION)
+                self._set_head(self.mesh_programs.surface, head, layer)
+                head.mesh.vertices.render()
 
-    def colour(self, heads: Sequence[LayeredHead], *, count: bool) -> list[list[tuple[int, int]]]:
-        """Colour the layers of heads after their surfaces: decode the pixels of each level, draw
-        what has a texture.
+    def colour(self, heads: Sequence[LayeredHead], *, count: bool) -> tuple[int, int] | None:
+        """Colour the layers of heads after their surfaces: decode their pixels, draw what has a
+        texture.
 
         Returns:
-            The decoded and the textured pixels of each level of each head, a textured head counting
-            as one level, and a pixel that is drawn over again twice; zeros unless they are to be
-            counted, which waits for the GPU.
+            The decoded and the textured pixels, one that is drawn over again twice; None unless
+            they are to be counted, which waits for the GPU.
         """
-        draws: list[Callable[[], None]] = []
+        while count and len(self._queries) < 2 * len(heads):
+            self._queries.append(self._context.query(samples=True))
+        queries = iter(self._queries)
         for head, layer in heads:
             for draw in (self._decode, self._texture):
-                numbers = range(max(len(head.levels), 1))
-                draws += [partial(draw, head, layer, number) for number in numbers]
-        answers = self._drawn(draws, count)
+                with next(queries) if count else nullcontext():
+                    draw(head, layer)
         self._context.depth_func = "<"
-        found = []
-        for head, _ in heads:
-            num = max(len(head.levels), 1)
-            decoded, textured, answers = answers[:num], answers[num : 2 * num], answers[2 * num :]
-            found.append(list(zip(decoded, textured, strict=True)))
-        return found
+        # Asked for at the end: each answer waits for what was drawn before it.
+        answers = [query.samples for query in self._queries[: 2 * len(heads)]] if count else []
+        return (sum(answers[::2]), sum(answers[1::2])) if count else None
 
-    def _decode(self, head: ShownHead, layer: Layer, number: int) -> None:
-        """Run the pixel decoder where the surface pass says that a pixel is of this level."""
+    def _decode(self, head: ShownHead, layer: Layer) -> None:
+        """Run the pixel decoder where the surface pass has found something."""
         body = head.body
-        if number == 0:
-            layer.coloured.depth_mask = False
-            layer.coloured.clear()
+        layer.coloured.depth_mask = False
+        layer.coloured.clear()
         if isinstance(body, TexturedHead):
             return
-        expression = head.levels[number].expression
         body.bind()
-        if expression is not None:
-            expression.use(UNIT_EXPRESSION)
-            set_values(body.shade.program, is_change=expression.width < body.still_size)
+        if head.expression is not None:
+            head.expression.use(UNIT_EXPRESSION)
+            set_values(body.shade.program, is_change=head.expression.width < body.still_size)
         for unit, texture in layer.visible.items():
             texture.use(unit)
         layer.coloured.use()
@@ -178,21 +165,21 @@ class DrawPasses:
         # any program runs.
         self._context.depth_func, layer.coloured.depth_mask = ">", False
         self._context.disable(moderngl.CULL_FACE)
-        set_values(body.shade.program, slot=number + 1.0, shown=body.fade_m)
+        set_values(body.shade.program, shown=body.fade_m)
         body.shade.render(moderngl.TRIANGLE_STRIP, vertices=4)
 
-    def _texture(self, head: ShownHead, layer: Layer, number: int) -> None:
-        """Draw what has a texture, behind what is nearer: of a level what does not change, or a
+    def _texture(self, head: ShownHead, layer: Layer) -> None:
+        """Draw what has a texture, behind what is nearer: what does not change of an avatar, or a
         textured head as a whole."""
         body = head.body
         if isinstance(body, TexturedHead):
             program, texture, vertices = self.textured_program, body.texture, body.vertices
         else:
-            static = head.levels[number].mesh.static
+            static = head.mesh.static if head.mesh is not None else None
             if static is None or body.skin is None:
                 return
             program, texture, vertices = self.mesh_programs.static, body.skin, static
-            set_values(program, turns=(*head.levels[number].share, *head.rect[:2]))
+            set_values(program, corner=head.rect[:2])
         layer.coloured.use()
         self._context.depth_func, layer.coloured.depth_mask = "<", True
         self._context.enable(moderngl.CULL_FACE)
@@ -247,17 +234,6 @@ class DrawPasses:
         set_values(program, rect=clip_rect(head.rect, size), filled=filled)
         if program is self._place_fading.program:
             set_values(program, opacity=head.opacity, fading=head.fading_rows)
-
-    def _drawn(self, draws: Sequence[Callable[[], None]], count: bool) -> list[int]:
-        """Draw one after the other, and count what each colours if asked to."""
-        while count and len(self._queries) < len(draws):
-            self._queries.append(self._context.query(samples=True))
-        for number, draw in enumerate(draws):
-            with self._queries[number] if count else nullcontext():
-                draw()
-        # Asked for at the end: each answer waits for what was drawn before it.
-        queries = self._queries[: len(draws)] if count else []
-        return [int(query.samples) for query in queries] or [0] * len(draws)
 
     def _screen(self, name: str, defines: Mapping[str, str] | None = None) -> moderngl.VertexArray:
         """A rectangle of the screen, drawn by a program of its own."""

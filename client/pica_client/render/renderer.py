@@ -280,19 +280,17 @@ class Renderer(Closing):
         self._draw_room(room, views)
         heads = list_heads(self._slots, placements, views, passes.placeholder)
         self._shown = shown = self._with_layers(heads)
-        old = [place for place, (head, layer) in enumerate(shown) if layer.look != head.look]
-        changed = [shown[place] for place in old]
+        changed = [(head, layer) for head, layer in shown if layer.look != head.look]
         _crop(changed)
         passes.surfaces(changed)
-        counts = passes.colour(changed, count=count_pixels)
+        pixels = passes.colour(changed, count=count_pixels)
         is_smooth = self._options.smooth_edges
         if is_smooth:
             passes.smooth(changed)
         for head, layer in changed:
             layer.look = head.look
         passes.place(self._images, self._farthest_first, is_smooth=is_smooth)
-        counted = dict(zip(old, counts, strict=True))
-        return count_draws(heads, counted, is_counted=count_pixels)
+        return count_draws(heads, [head for head, _ in changed], pixels)
 
     @property
     def _farthest_first(self) -> list[LayeredHead]:
@@ -382,7 +380,7 @@ class Renderer(Closing):
         assert maps is not None  # of an avatar
         position, expression = (
             np.frombuffer(texture.read(), np.float32).reshape(*texture.size[::-1], -1)
-            for texture in maps.pair(maps.level)
+            for texture in maps.newest
         )
         return position[..., :POSITION_CHANNELS], expression
 

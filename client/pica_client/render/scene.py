@@ -35,13 +35,6 @@ class Placement:
     mesh_level: int | None = None
     """Level whose mesh to draw with the full maps; None for the full one. Maps of other levels are
     always drawn with their own."""
-    blend: float = 1.0
-    """Part of the pixels that show the maps that came last on `mesh_level`; the others show those
-    of the level before, on `mesh_before`."""
-    mesh_before: int | None = None
-    """Level whose mesh what fades out is drawn with, as `mesh_level`."""
-    is_same_maps: bool = False
-    """Whether only the mesh fades: what fades out are the maps that came last, too."""
 
 
 def rotation_matrix(rotation: npt.ArrayLike) -> Float64Array:

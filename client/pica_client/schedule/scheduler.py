@@ -4,8 +4,8 @@
     plan = scheduler.plan_view(heads, cameras, size_px, budget_s, now)
     for head, request in requests_of(heads, now): pool.submit(head.slot, request)
     ...
-    scheduler.note_decoded(head, result, upload_s, now)  # what it cost; its maps are shown now
-    placement = head.dressed(placement, now)             # its mesh, how far it blends
+    scheduler.note_decoded(head, result, upload_s)       # what it cost; its maps are shown now
+    placement = head.dressed(placement)                  # its mesh, its resolution
     scheduler.costs.observe_draw(num_triangles, plan.shaded_px, draw_s)
 
 Theory of operation. The taller a head is, the more it gets: the coarsest level, the middle one, the
@@ -162,11 +162,11 @@ class Scheduler:
             shaded_px=shaded_px,
         )
 
-    def note_decoded(self, head: Head, result: DecodeResult, upload_s: float, now: float) -> None:
+    def note_decoded(self, head: Head, result: DecodeResult, upload_s: float) -> None:
         """Learn what a decode and its upload cost; its maps are drawn from now on."""
         took_s = result.decode_s + upload_s
         self.costs.observe_decode(head.model, result.level, result.parts, took_s)
-        head.show(result.level, now)
+        head.show(result.level)
 
     def _fit(self, seen: Sequence[Head], budget_s: float) -> list[float]:
         """How many times smaller each head must count, the lowest first."""

@@ -311,7 +311,7 @@ class AvatarPresenter:
             maps = result.maps
             self._renderer.update_maps(result.slot, maps.position_map, maps.expression_map)
             upload_s = self._clock() - begin_s
-            self._scheduler.note_decoded(entry.head, result, upload_s, now)
+            self._scheduler.note_decoded(entry.head, result, upload_s)
             ahead_s = max(now - result.submitted_s, 0.0) + self._image_s
             self._ahead_s += AHEAD_SMOOTHING * (min(ahead_s, MAX_IMAGE_S) - self._ahead_s)
             self._meter.add("upload", upload_s)
@@ -328,7 +328,7 @@ class AvatarPresenter:
             self.seen.add(result.slot)
 
     def dressed(self, scene: CallScene) -> CallScene:
-        """The scene as its plan wants it drawn: meshes, levels that fade in."""
+        """The scene as its plan wants it drawn."""
         dressed = []
         for placement in scene.placements:
             entry = self._peers[placement.slot]
@@ -338,7 +338,7 @@ class AvatarPresenter:
                 placement = replace(placement, world_from_head=matrix)
             entry.drawn = placement
             head = entry.head
-            dressed.append(placement if head is None else head.dressed(placement, scene.now))
+            dressed.append(placement if head is None else head.dressed(placement))
         return replace(scene, placements=dressed)
 
     def is_ready(self, scene: CallScene) -> bool:

@@ -114,14 +114,14 @@ def test_heads_of_a_pixel_cost_a_pixel(context: moderngl.Context) -> None:
     renderer = renderer_with(context, 3)
     crowd = [placed(f"p{i}", 1.5 * i - 1.5, 0, 0) for i in range(3)]
     stats = renderer.draw(crowd, camera_at(0, 0, 19, fov=2.2), count_pixels=True)
-    assert len(stats.heads) == 3
-    assert all((head.shaded_pixels or 0) <= 4 for head in stats.heads)
+    assert len(stats.drawn) == 3
+    assert (stats.shaded_pixels or 0) <= 3 * 4
 
 
 def test_a_pose_that_is_no_number_draws_nothing(context: moderngl.Context) -> None:
     renderer = renderer_with(context, 1)
     broken = Placement(slot="p0", world_from_head=np.full((4, 4), np.nan, np.float32))
-    assert renderer.draw([broken], camera_at(0, 0, 1)).heads == ()
+    assert renderer.draw([broken], camera_at(0, 0, 1)).drawn == ()
 
 
 def test_an_avatar_whose_shader_fails_leaves_the_others_alone(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 from dataclasses import replace
-from itertools import pairwise
 
 import moderngl
 import numpy as np
@@ -93,10 +92,8 @@ def test_a_level_is_drawn_with_its_own_mesh(
 ) -> None:
     renderer = renderer_with(context, maps, level)
     stats = renderer.draw([placed()], NEAR, count_pixels=True)
-    (head,) = stats.heads
-    assert (head.slot, head.level) == ("p0", level)
-    assert head.num_triangles == stats.num_triangles == len(TOY.level_faces(level))
-    assert head.shaded_pixels == stats.shaded_pixels == (renderer.read_surface()[2] == 0).sum()
+    assert stats.num_triangles == len(TOY.level_faces(level))
+    assert stats.shaded_pixels == (renderer.read_surface()[2] == 0).sum()
 
 
 def test_a_coarse_map_is_added_to_the_still_one(context: moderngl.Context, maps: Maps) -> None:
@@ -130,8 +127,8 @@ def test_full_maps_are_drawn_with_any_mesh_and_others_with_their_own(
     context: moderngl.Context, maps: Maps, level: int, asked: int | None, mesh_level: int
 ) -> None:
     renderer = renderer_with(context, maps, level)
-    (head,) = renderer.draw([placed(mesh_level=asked)], NEAR).heads
-    assert head.level == mesh_level
+    stats = renderer.draw([placed(mesh_level=asked)], NEAR)
+    assert stats.num_triangles == len(TOY.level_faces(mesh_level))
 
 
 @pytest.mark.parametrize("level", TOY.levels[:-1])
@@ -161,55 +158,6 @@ def test_a_refused_map_changes_nothing(context: moderngl.Context, maps: Maps) ->
     np.testing.assert_array_equal(drawn(renderer, placed()), before)
 
 
-def test_a_blend_runs_from_the_level_before_to_the_newest(
-    context: moderngl.Context, maps: Maps
-) -> None:
-    old, new = (drawn(renderer_with(context, maps, level), placed()) for level in (64, 256))
-    renderer = renderer_with(context, maps, 64, 256)
-    steps = [drawn(renderer, placed(blend=share)) for share in np.linspace(0, 1, 9)]
-    np.testing.assert_array_equal(steps[0], old)
-    np.testing.assert_array_equal(steps[-1], new)
-    differs = (old != new).any(axis=-1)
-    for number, step in enumerate(steps):
-        is_new = (step == new).all(axis=-1)
-        assert (is_new | (step == old).all(axis=-1)).all()
-        assert is_new[differs].mean() == pytest.approx(number / 8, abs=0.03)
-    leaps = [float(np.square(b - a).mean()) for a, b in pairwise(steps)]
-    assert max(leaps) < 0.25 * float(np.square(new - old).mean())
-
-
-def test_while_levels_mix_each_has_its_own_mesh(context: moderngl.Context, maps: Maps) -> None:
-    renderer = renderer_with(context, maps, 256, 64)
-    stats = renderer.draw([placed(blend=0.5)], NEAR, count_pixels=True)
-    assert [head.level for head in stats.heads] == [64, 256]
-    assert stats.num_avatars == 1
-    assert stats.shaded_pixels == (renderer.read_surface()[2] >= 0).sum()
-    assert [head.level for head in renderer.draw([placed()], NEAR).heads] == [64]
-
-
-def test_a_mesh_fades_out_under_the_same_maps(context: moderngl.Context, maps: Maps) -> None:
-    renderer = renderer_with(context, maps, 256)
-    old, new = (drawn(renderer, placed(mesh_level=level)) for level in (64, 256))
-    fade = placed(mesh_level=256, mesh_before=64, is_same_maps=True)
-    ends = [drawn(renderer, replace(fade, blend=share)) for share in (0.0, 1.0)]
-    np.testing.assert_array_equal(ends[0], old)
-    np.testing.assert_array_equal(ends[1], new)
-    stats = renderer.draw([replace(fade, blend=0.5)], NEAR, count_pixels=True)
-    assert [head.level for head in stats.heads] == [256, 64]
-    assert stats.shaded_pixels == (renderer.read_surface()[2] >= 0).sum()
-    mixed = renderer.read_image()
-    assert ((mixed == new).all(axis=-1) | (mixed == old).all(axis=-1)).mean() > 0.99
-
-
-def test_without_a_level_before_a_blend_shows_the_newest(
-    context: moderngl.Context, maps: Maps
-) -> None:
-    renderer = renderer_with(context, maps, 128)
-    np.testing.assert_array_equal(
-        drawn(renderer, placed(blend=0.0)), drawn(renderer, placed(blend=1.0))
-    )
-
-
 @pytest.mark.parametrize("size", [(160, 120), (161, 119)])
 def test_an_eye_sees_what_one_camera_would(
     context: moderngl.Context, maps: Maps, size: tuple[int, int]
@@ -220,7 +168,7 @@ def test_an_eye_sees_what_one_camera_would(
     stereo = renderer_with(context, maps, 256, size=size)
     stats = stereo.draw([placed()], *eyes, count_pixels=True)
     image, heads = stereo.read_image(), stereo.read_surface()[2]
-    assert [head.slot for head in stats.heads] == ["p0", "p0"]
+    assert stats.drawn == ("p0", "p0")
     assert stats.shaded_pixels == (heads >= 0).sum()
     for camera, part, width in (
         (eyes[0], image[:, : half[0]], half),
@@ -239,12 +187,11 @@ def test_after_the_first_frames_nothing_is_made_whatever_changes(
     renderer = renderer_with(context, maps, 128, 64, 256, options=RenderOptions())
     size = (160 // num_eyes, 120)
     eyes = [camera_at(0.03 * number, 0, 0.6, size=size) for number in range(num_eyes)]
-    renderer.draw([placed(blend=0.5)], *eyes, count_pixels=True)
+    renderer.draw([placed()], *eyes, count_pixels=True)
     before = gpu_objects()
     for index in range(12):
         renderer.update_maps("p0", *maps[TOY.levels[index % 3]])
-        one = placed(mesh_level=TOY.levels[index % 2], blend=0.25 * (index % 5))
-        renderer.draw([one], *eyes, count_pixels=True)
+        renderer.draw([placed(mesh_level=TOY.levels[index % 2])], *eyes, count_pixels=True)
     assert gpu_objects() == before
 
 
@@ -315,7 +262,7 @@ def test_a_textured_head_shows_its_texture_where_the_other_kind_would_be(
     assert inside.sum() > 2000
     np.testing.assert_allclose(image[inside][:, :2], uv[inside], atol=0.012)
     assert stats.num_avatars == 1
-    assert stats.heads[0].textured_pixels == pytest.approx((heads == 0).sum(), rel=0.05)
+    assert stats.textured_pixels == pytest.approx((heads == 0).sum(), rel=0.05)
 
 
 def test_a_textured_head_of_another_size_is_refused(context: moderngl.Context, maps: Maps) -> None:

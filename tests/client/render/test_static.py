@@ -60,15 +60,6 @@ def test_a_textured_pullover_looks_as_a_decoded_one(context: moderngl.Context, l
     assert whole.textured_pixels == 0
 
 
-def test_every_pixel_is_textured_or_decoded_while_a_mesh_fades(context: moderngl.Context) -> None:
-    full = AVATAR.levels[-1]
-    fading = replace(WHOLE, mesh_level=64, mesh_before=full, blend=0.5, is_same_maps=True)
-    textured, _ = drawn(context, AVATAR, full, fading)
-    decoded, _ = drawn(context, DECODED, full, fading)
-
-    assert np.square(textured.astype(float) - decoded).mean() < 1.0
-
-
 def test_a_textured_pullover_does_not_flicker_as_its_wearer_moves(
     context: moderngl.Context,
 ) -> None:

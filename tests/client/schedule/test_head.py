@@ -10,7 +10,7 @@ import pytest
 from helpers.toy import make_toy_avatar, with_toy_levels
 from pica_client.decode.request import DecodeRequest
 from pica_client.render.scene import Placement, head_matrix
-from pica_client.schedule.head import BLEND_S, Head
+from pica_client.schedule.head import Head
 from pica_client.schedule.scheduler import Plan, Scheduler, requests_of
 from pica_core.avatar.file import Avatar
 from pica_core.camera import Camera, look_at
@@ -101,32 +101,16 @@ def test_behind_the_viewer_nothing_is_decoded_until_it_comes_back(avatar: Avatar
     assert ada.choice.every
 
 
-def test_maps_of_another_level_fade_in_and_those_of_the_same_do_not(avatar: Avatar) -> None:
-    ada = head(avatar)
-    planned(Scheduler(), ada)
-    ada.show(64, 1.0)
-    assert ada.dressed(PLACEMENT, 1.0).blend == 1.0
-    ada.show(128, 2.0)
-    blends = [ada.dressed(PLACEMENT, 2.0 + part * BLEND_S).blend for part in (0, 0.5, 1, 3)]
-    assert blends == pytest.approx([0, 0.5, 1, 1])
-    ada.show(128, 3.0)
-    assert ada.dressed(PLACEMENT, 3.0).blend == 1.0
-
-
-def test_a_change_of_mesh_fades_in_too(avatar: Avatar) -> None:
+def test_a_mesh_that_is_meant_for_maps_to_come_waits_for_them(avatar: Avatar) -> None:
     scheduler, ada = Scheduler(), head(avatar)
-    meshes = []
-    for frame in range(60):
-        now = frame * FRAME_S
-        ada.world_from_head[2, 3] = 0.5 if frame < 20 else -0.4
-        for request in asked(scheduler, ada, now=now):
-            ada.show(request.level or 0, now)
-        meshes.append(ada.dressed(PLACEMENT, now))
-    held = [each for each in meshes if each.is_same_maps]
-    assert held, "a far head draws the maps that it has with fewer triangles"
-    first = held[0]
-    assert (first.mesh_level, first.mesh_before, first.blend) == (128, 256, 0.0)
-    assert meshes[-1].blend == 1.0
+    ada.world_from_head[2, 3] = 0.5
+    (request,) = asked(scheduler, ada)
+    assert ada.dressed(PLACEMENT).mesh_level is None
+    ada.show(request.level or 0)
+    assert ada.dressed(PLACEMENT).mesh_level == 256
+    ada.world_from_head[2, 3] = -0.4
+    planned(scheduler, ada, now=FRAME_S)
+    assert ada.dressed(PLACEMENT).mesh_level == 128, "a far head has fewer triangles"
 
 
 def test_both_eyes_share_one_decode(avatar: Avatar) -> None:

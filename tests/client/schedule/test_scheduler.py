@@ -242,7 +242,7 @@ def test_what_is_measured_reaches_the_cost_model() -> None:
     scheduler, head = Scheduler(), view()
     maps = DecodedMaps(None, None, 256)
     result = DecodeResult("ada", maps, None, started_s=0.0, finished_s=0.05)
-    scheduler.note_decoded(head, result, 1e-3, now=0.0)
+    scheduler.note_decoded(head, result, 1e-3)
     assert scheduler.costs.decode_s(head.model, 256, "both") == pytest.approx(0.051)
     assert head.shown_level == 256
 

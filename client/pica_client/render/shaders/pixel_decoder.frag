@@ -6,7 +6,6 @@ uniform sampler2D visible_uv;
 uniform sampler2D expression_map;
 uniform bool is_change; // whether the expression map is what is added to the still one
 uniform sampler2D still_map;
-uniform float slot;
 
 layout(location = 0) out vec4 colour;
 
@@ -17,9 +16,6 @@ layout(location = 0) out vec4 colour;
 void main() {
     ivec2 pixel = ivec2(gl_FragCoord.xy);
     vec4 surface = texelFetch(visible_xyz, pixel, 0);
-    if (!is_owner(surface.w, slot)) {
-        discard;
-    }
     vec2 uv = texelFetch(visible_uv, pixel, 0).xy;
     vec4 expression = textureLod(expression_map, uv, 0.0);
     if (is_change) {

@@ -3,7 +3,6 @@
 uniform sampler2D visible_xyz;
 uniform sampler2D visible_uv;
 uniform sampler2D position_map;
-uniform float slot;
 
 layout(location = 0) out vec4 colour;
 
@@ -12,9 +11,6 @@ layout(location = 0) out vec4 colour;
 void main() {
     ivec2 pixel = ivec2(gl_FragCoord.xy);
     vec4 surface = texelFetch(visible_xyz, pixel, 0);
-    if (!is_owner(surface.w, slot)) {
-        discard;
-    }
     // Where the surface looks follows from its neighbours in the map.
     vec2 uv = texelFetch(visible_uv, pixel, 0).xy;
     vec2 texel = 1.0 / vec2(textureSize(position_map, 0));

@@ -2,12 +2,11 @@
 
 in vec2 surface_uv;
 in vec3 surface_xyz_m;
-#ifdef STATIC
-in float surface_opacity;
-#endif
-
 uniform sampler2D skin; // row 0 is v = 0
 #ifdef STATIC
+in float surface_opacity;
+
+uniform vec2 corner; // of the layer in the image
 #endif
 
 layout(location = 0) out vec4 colour;
@@ -16,10 +15,11 @@ layout(location = 0) out vec4 colour;
 
 void main() {
 #ifdef STATIC
-    // At its seam it takes turns with the decoded surface below, and where two levels are mixed
-    // they with each other.
-    float turn = turn_of_pixel();
-    if (surface_opacity <= fract(turn + 0.5) || turn < turns.x || turn >= turns.y) {
+    // At its seam it takes turns with the decoded surface below: by a number from 0 to 1 for each
+    // pixel of the image, spread evenly over neighbours.
+    vec2 pixel = floor(gl_FragCoord.xy) + corner;
+    float turn = fract(52.9829189 * fract(dot(pixel, vec2(0.06711056, 0.00583715))));
+    if (surface_opacity <= turn) {
         discard;
     }
 #endif
