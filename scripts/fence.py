@@ -82,7 +82,7 @@ def _demo(result: dict[str, Any]) -> Figures:
 
 
 def _decode(result: dict[str, Any]) -> Figures:
-    ratios = result["summary"]["by_threads"]["1"]["baseline_ratio"]
+    ratios = result["baseline_ratio"]
     found = {f"baseline_ratio_{level}": value for level, value in ratios.items()}
     for row in result["rows"]:
         if row["work"] == "draw" and row["level"] == 256:
@@ -140,13 +140,13 @@ RELAY = "tests/rivals/comparison.py --rooms {rooms} --seconds 6"
 RUNS = " ".join(f"{{work}}/claim/capture-{name}-0" for name in ("linear", "full", "baseline"))
 DRIVE = (
     "bench drive --avatar {name} --person scripts/people/{name}.json --sources csv:{{take}} "
-    "--stages codec --seconds 130 --moments 12"
+    "--seconds 130 --moments 12"
 )
 ROWS: dict[str, Row] = {
     "relay 60": Row(words=RELAY.format(rooms=60), figures=_relay, repeats=3),
     "relay 100": Row(words=RELAY.format(rooms=100), figures=_relay, repeats=3),
     "call": Row(words="bench call --seconds 10", figures=_call, repeats=3),
-    "decode": Row(words="bench decode --rounds 30 --threads 1", figures=_decode),
+    "decode": Row(words="bench decode --rounds 30", figures=_decode),
     "scene": Row(words="bench scene --rounds 4", figures=_scene),
     "drive amara": Row(words=DRIVE.format(name="amara"), figures=_drive),
     "drive yun": Row(words=DRIVE.format(name="yun"), figures=_drive),

@@ -16,8 +16,6 @@ import moderngl
 import numpy as np
 
 from pica_client.bench.harness import (
-    Floats,
-    Ints,
     Took,
     ratio,
     report,
@@ -25,10 +23,10 @@ from pica_client.bench.harness import (
     timed,
     times_ms,
 )
-from pica_client.bench.head import check_distances, front_camera, gl_context
+from pica_client.bench.head import front_camera, gl_context
 from pica_client.decode.decoder import BaselineDecoder, OnnxDecoder, onnxruntime
 from pica_client.decode.request import Parts
-from pica_client.errors import OptionError, check_ranges
+from pica_client.errors import check_ranges
 from pica_client.render.drawing import HEAD
 from pica_client.render.renderer import Renderer
 from pica_client.render.scene import Placement
@@ -43,6 +41,8 @@ NUM_LATENTS = 16
 """Faces decoded in turn, spread over the source (chosen: the cost does not depend on them)."""
 SOURCE, SOURCE_S = "performance:talk", 30.0
 WARM_UP_ROUNDS = 3
+DISTANCES_CM = (18.0, 65.0, 120.0)
+"""Of the camera from the front of the head."""
 AHEAD = np.array([0, 0, 1], np.float32)
 
 
@@ -52,21 +52,13 @@ class DecodeBenchConfig:
 
     rounds: int = 60
     """Turns of each case."""
-    threads: Ints = (1, 2)
-    """Threads of ONNX Runtime, separated by commas."""
-    distances_cm: Floats = (18.0, 65.0, 120.0)
-    """Distances of the camera from the front of the head, separated by commas."""
+    threads: int = 1
+    """Threads of ONNX Runtime."""
     image_size: int = 1024
     """Rows and columns of the image, pixels."""
-    seed: int = 0
-    """Seed of the baseline's random weights."""
 
     def __post_init__(self) -> None:
-        check_ranges(self, rounds=(1, 10_000), seed=(0, 2**32))
-        check_ranges(self, image_size=(64, 4096))
-        check_distances(self.distances_cm)
-        if not self.threads or not all(1 <= threads <= 64 for threads in self.threads):
-            raise OptionError(f"threads is {self.threads}; one or more of 1 to 64 are needed")
+        check_ranges(self, rounds=(1, 10_000), threads=(1, 64), image_size=(64, 4096))
 
 
 class Case(NamedTuple):
@@ -77,7 +69,6 @@ class Case(NamedTuple):
     model: str
     level: int | None
     parts: str | None = None
-    threads: int | None = None
     distance_cm: float | None = None
 
 
@@ -105,7 +96,7 @@ def run_decode_bench(config: DecodeBenchConfig, avatar: Avatar) -> dict[str, Any
         return report(
             config,
             [bench.row(case, took) for case in took],
-            summary={"by_threads": _decode_ratios(took)},
+            baseline_ratio=_decode_ratios(took),
             avatar=avatar.manifest.name,
             block=avatar.spec.block,
             gl_renderer=bench.renderer.gl_renderer,
@@ -121,27 +112,21 @@ class _Bench:
         self, context: moderngl.Context, config: DecodeBenchConfig, avatar: Avatar
     ) -> None:
         self._context, self._config, self._avatar = context, config, avatar
-        self._baseline = baseline_like(avatar, config.seed)
+        self._baseline = baseline_like(avatar, 0)
         self.renderer = Renderer(context, (config.image_size, config.image_size))
 
     def cases(self) -> Iterator[tuple[Case, Work]]:
-        """Every level and the baseline, decoded with so many threads, and drawn so far away."""
+        """Every level and the baseline, decoded, and drawn so far away."""
         all_parts: tuple[Parts, ...] = ("both", "expression")
-        baseline: BaselineDecoder | None = None
-        decoder: OnnxDecoder | None = None
-        for threads in self._config.threads:
-            decoder = OnnxDecoder(self._avatar, threads)
-            baseline = BaselineDecoder(self._baseline, threads)
-            for level in self._avatar.levels:
-                for parts in all_parts:
-                    decoder.prepare(level, parts)
-                    decode = partial(_decode, decoder, level, parts)
-                    yield Case("decode", "pica", level, parts, threads), decode
-            yield Case("decode", "baseline", None, None, threads), partial(_decode, baseline)
-        assert decoder is not None
-        assert baseline is not None  # there are threads
+        decoder = OnnxDecoder(self._avatar, self._config.threads)
+        baseline = BaselineDecoder(self._baseline, self._config.threads)
+        for level in self._avatar.levels:
+            for parts in all_parts:
+                decoder.prepare(level, parts)
+                yield Case("decode", "pica", level, parts), partial(_decode, decoder, level, parts)
+        yield Case("decode", "baseline", None), partial(_decode, baseline)
         self._upload(decoder, baseline)
-        for distance in self._config.distances_cm:
+        for distance in DISTANCES_CM:
             for drawn in (*self._avatar.levels, None):
                 model = "baseline" if drawn is None else "pica"
                 draw = partial(self._draw, _slot(drawn), distance)
@@ -195,12 +180,7 @@ def _decode(decoder: OnnxDecoder | BaselineDecoder, *arguments: Any) -> object:
     return decoder.decode(latent, AHEAD, *chosen)
 
 
-def _decode_ratios(took: dict[Case, list[Took]]) -> dict[str, dict[str, dict[str, float]]]:
-    """The baseline over each level, by threads."""
-    found: dict[str, dict[str, dict[str, float]]] = {}
-    for case in took:
-        if case.threads is not None and case.parts == "both":
-            baseline = case._replace(model="baseline", level=None, parts=None)
-            ratios = found.setdefault(str(case.threads), {}).setdefault("baseline_ratio", {})
-            ratios[str(case.level)] = ratio(took[baseline], took[case])
-    return found
+def _decode_ratios(took: dict[Case, list[Took]]) -> dict[str, float]:
+    """The baseline over each level, decoded whole."""
+    baseline = took[Case("decode", "baseline", None)]
+    return {str(case.level): ratio(baseline, took[case]) for case in took if case.parts == "both"}

@@ -1,8 +1,8 @@
 """Avatars under live drive, against the head itself at the same values.
 
 The truth is a rig, or a person of the face model, posed by what a source does. The avatar is driven
-by the same values and shown at each level of detail. They reach its expression encoder as they are
-(`driver`), and through the latent stream (`codec`), whose rate is `wire_bps`, with all headers.
+by the same values, through the latent stream, and shown at each level of detail. `wire_bps` is the
+stream's rate with all headers.
 
 Distances are of the vertices of lids and lips. What it does not show: people. The truth is
 synthetic, a tracker's own mistakes are not part of it, and delay is no error here.
@@ -11,11 +11,11 @@ synthetic, a tracker's own mistakes are not part of it, and delay is no error he
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from pica_client.bench.harness import Words, check_names, report
+from pica_client.bench.harness import Words, report
 from pica_client.bench.head import FaceRenderer, evaluation_cameras
 from pica_client.errors import OptionError, check_ranges
 from pica_client.output import say
@@ -32,7 +32,6 @@ from pica_protocol.frames import HEADER_BYTES
 FPS = 30
 VIEWS = ("front", "left")
 REGIONS = ("lids", "lips")
-STAGES: Final = ("driver", "codec")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -41,8 +40,6 @@ class DriveBenchConfig:
 
     sources: Words = ("performance:talk", "performance:listen", "performance:range_of_motion")
     """What the person does, separated by commas; csv:FILE for recordings."""
-    stages: Words = STAGES
-    """Which of driver and codec."""
     quality: int = StreamConfig().quality
     """Of the latent stream: 0 is the coarsest."""
     rig: Path | None = None
@@ -59,7 +56,6 @@ class DriveBenchConfig:
     def __post_init__(self) -> None:
         check_ranges(self, seconds=(1, 600), moments=(1, 2000))
         check_ranges(self, image_size=(64, 1024))
-        check_names("stage", self.stages, STAGES)
         StreamConfig(quality=self.quality)  # checks it
 
 
@@ -114,19 +110,17 @@ def _measure(config: DriveBenchConfig, avatar: Avatar) -> list[dict[str, Any]]:
     with FaceRenderer(avatar, size_px=config.image_size, views=VIEWS) as renderer:
         compare = _Comparison(avatar, subject, renderer)
         for source in config.sources:
+            say(f"{name}: {source}: the avatar")
             values = values_of(open_source(source), num_frames)
-            for stage in config.stages:
-                say(f"{name}: {source}: {stage}")
-                latents, wire_bps = ExpressionEncoder(avatar).encode(values), None
-                if stage == "codec":
-                    latents, wire_bps = through_stream(avatar, latents, config.quality)
-                for level in avatar.levels:
-                    shown = [
-                        compare(latents[moment], level, true)
-                        for moment, true in zip(moments, truth[source], strict=True)
-                    ]
-                    about = {"avatar": name, "source": source, "stage": stage, "level": level}
-                    rows.append(about | {"wire_bps": wire_bps} | _row(shown))
+            latents = ExpressionEncoder(avatar).encode(values)
+            latents, wire_bps = through_stream(avatar, latents, config.quality)
+            for level in avatar.levels:
+                shown = [
+                    compare(latents[moment], level, true)
+                    for moment, true in zip(moments, truth[source], strict=True)
+                ]
+                about = {"avatar": name, "source": source, "level": level}
+                rows.append(about | {"wire_bps": wire_bps} | _row(shown))
     return rows
 
 
@@ -204,13 +198,14 @@ class _Comparison:
 
     def __call__(self, latent: FloatArray, level: int, truth: _Truth) -> _Shown:
         """One moment at a level."""
-        surfaces = list(self._renderer.surfaces(latent, level))
+        drawn = self._renderer.draw(latent, level=level)
         errors = [
-            masked_mse(image, surface.image, surface.covered)
-            for surface, image in zip(surfaces, truth.images, strict=True)
+            masked_mse(image, drawing.image, drawing.covered)
+            for (drawing, _), image in zip(drawn, truth.images, strict=True)
         ]
-        region_mm = self._region_errors(surfaces[0].position_map, level, truth.vertices_m)
-        return _Shown(errors, region_mm)
+        position_map = drawn[0][1].position_map
+        assert position_map is not None  # both maps were asked for
+        return _Shown(errors, self._region_errors(position_map, level, truth.vertices_m))
 
     def _region_errors(
         self, position_map: FloatArray, level: int, truth_m: FloatArray
@@ -230,7 +225,6 @@ def _row(shown: Sequence[_Shown]) -> dict[str, Any]:
     mm = {name: np.mean([each.region_mm[name] for each in shown]) for name in REGIONS}
     return {
         "mse": round(float(mse.mean()), 3),
-        "p95_mse": round(float(np.percentile(mse, 95)), 3),
         "lid_mm": round(float(mm["lids"]), 4),
         "lip_mm": round(float(mm["lips"]), 4),
     }

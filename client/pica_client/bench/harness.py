@@ -121,25 +121,15 @@ def _shown(value: Any) -> str:
     return f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
-def _listed(kind: Callable[[str], Any], metavar: str) -> Parameter:
-    """A list as one word of the command line."""
-
-    def read(_type: object, tokens: Sequence[Token]) -> tuple[Any, ...]:
-        text = tokens[0].value
-        try:
-            return tuple(kind(part.strip()) for part in text.split(",") if part.strip())
-        except ValueError as error:
-            raise ValueError(f"{text!r} is given; write numbers with commas") from error
-
-    def show(values: tuple[Any, ...]) -> str:
-        return ",".join(f"{value}".removesuffix(".0") for value in values)
-
-    return Parameter(converter=read, n_tokens=1, metavar=metavar, show_default=show)
+def _words(_type: object, tokens: Sequence[Token]) -> tuple[str, ...]:
+    return tuple(part.strip() for part in tokens[0].value.split(",") if part.strip())
 
 
-Floats = Annotated[tuple[float, ...], _listed(float, "NUMBERS")]
-Ints = Annotated[tuple[int, ...], _listed(int, "NUMBERS")]
-Words = Annotated[tuple[str, ...], _listed(str, "NAMES")]
+Words = Annotated[
+    tuple[str, ...],
+    Parameter(converter=_words, n_tokens=1, metavar="NAMES", show_default=",".join),
+]
+"""A list as one word of the command line."""
 
 
 def check_names(option: str, names: Iterable[str], known: Collection[str]) -> None:

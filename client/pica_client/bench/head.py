@@ -4,22 +4,21 @@ stage."""
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import NamedTuple
 
 import moderngl
 import numpy as np
 import numpy.typing as npt
 
 from pica_client.decode.decoder import OnnxDecoder
-from pica_client.errors import OptionError
-from pica_client.render.drawing import HEAD, Drawing, HeadRenderer
+from pica_client.decode.request import DecodedMaps
+from pica_client.render.drawing import Drawing, HeadRenderer
 from pica_client.render.scene import head_matrix, view_direction
 from pica_client.system import Closing
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.manifest import Manifest
 from pica_core.camera import Camera, dome_cameras, look_at
 from pica_core.gl import create_context
-from pica_core.types import BoolArray, FloatArray, Image
+from pica_core.types import FloatArray
 
 FIELD_OF_VIEW = math.radians(50)
 """Opening of the camera both ways, radians: the distances 18, 65 and 120 cm then cover pixels in
@@ -45,16 +44,6 @@ def front_camera(head: Manifest, distance_cm: float, size: tuple[int, int]) -> C
     )
 
 
-def check_distances(distances_cm: tuple[float, ...]) -> None:
-    """Refuse distances to which no camera can be put.
-
-    Raises:
-        OptionError: None at all, or one that is not 1 to 1000 cm.
-    """
-    if not distances_cm or not all(1 <= d <= 1000 for d in distances_cm):
-        raise OptionError(f"distances_cm are {distances_cm}; 1 to 1000 are allowed")
-
-
 @contextmanager
 def gl_context() -> Iterator[moderngl.Context]:
     """A GL context for a block.
@@ -67,20 +56,6 @@ def gl_context() -> Iterator[moderngl.Context]:
         yield context
     finally:
         context.release()
-
-
-class Surface(NamedTuple):
-    """A face from one view.
-
-    Attributes:
-        image: uint8 ``[H, W, 3]``.
-        covered: Where the head is. bool ``[H, W]``.
-        position_map: What was decoded, float32 ``[R, S, 3]``.
-    """
-
-    image: Image
-    covered: BoolArray
-    position_map: FloatArray
 
 
 class FaceRenderer(Closing):
@@ -106,27 +81,22 @@ class FaceRenderer(Closing):
         latent: FloatArray,
         rotation: npt.ArrayLike = _NO_POSE,
         translation_m: npt.ArrayLike = _NO_POSE,
-    ) -> Drawing:
-        """Draw a face from every view.
+        level: int | None = None,
+    ) -> list[tuple[Drawing, DecodedMaps]]:
+        """Draw a face from every view; what was drawn, and what it was drawn of.
 
         Args:
             latent: float32 ``[8, 8, 4]``.
             rotation: Head pose, rotation vector in radians ``[3]``.
             translation_m: Head offset, metres ``[3]``.
+            level: Of detail; None is the full one.
         """
         matrix = head_matrix(np.eye(4), rotation, translation_m)
-        drawings = []
+        drawn = []
         for camera in self._cameras:
-            maps = self._decoder.decode(latent, view_direction(matrix, camera.centre_m))
-            drawings.append(self._renderer.draw(maps, camera, matrix))
-        return Drawing(*map(np.stack, zip(*drawings, strict=True)))
-
-    def surfaces(self, latent: FloatArray, level: int) -> Iterator[Surface]:
-        """Draw a face of a level from every view, without a head pose."""
-        for camera in self._cameras:
-            maps = self._decoder.decode(latent, view_direction(HEAD, camera.centre_m), level)
-            assert maps.position_map is not None  # both maps were asked for
-            yield Surface(*self._renderer.draw(maps, camera), maps.position_map)
+            maps = self._decoder.decode(latent, view_direction(matrix, camera.centre_m), level)
+            drawn.append((self._renderer.draw(maps, camera, matrix), maps))
+        return drawn
 
     def close(self) -> None:
         """Give the GL context back."""

@@ -58,8 +58,6 @@ class Impairment:
     """Time between a stall's end and the next one; spread by half of it to both sides."""
     loss_ratio: float = 0.0
     """Share of pieces that are late by a retransmission."""
-    thin_ratio: float = 0.0
-    """Share of frames that the relay drops."""
     rate_bps: float | None = None
     """Bits per second, all headers included; None is no limit."""
     queue_bytes: int = 4096
@@ -68,8 +66,9 @@ class Impairment:
 
     def __post_init__(self) -> None:
         check_ranges(self, **dict.fromkeys(("delay_s", "jitter_s", "stall_s"), (0, 10)))
-        check_ranges(self, **dict.fromkeys(("loss_ratio", "thin_ratio"), (0, 0.9)))
-        check_ranges(self, stall_interval_s=(0.1, 600), queue_bytes=(0, 1 << 20))
+        check_ranges(
+            self, loss_ratio=(0, 0.9), stall_interval_s=(0.1, 600), queue_bytes=(0, 1 << 20)
+        )
         check_ranges(self, rate_bps=(1000, 1e10))
 
 
@@ -169,11 +168,6 @@ SCENARIOS: Final[tuple[Scenario, ...]] = (
         *("stall", "every 2.5 s nothing comes for {} ms, then all at once"),
         lambda ms: Impairment(stall_s=ms / 1e3),
         *(100, 300, 1000),
-    ),
-    *_family(
-        *("thin", "the relay drops {} % of the frames"),
-        lambda percent: Impairment(thin_ratio=percent / 100),
-        *(10, 30),
     ),
     *_family(
         *("retransmit", "TCP loses {} % of the segments: each costs 200 ms, also behind it"),

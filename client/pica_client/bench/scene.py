@@ -18,11 +18,11 @@ from typing import Any
 import moderngl
 import numpy as np
 
-from pica_client.bench.harness import Floats, Ints, report, take_turns, timed
-from pica_client.bench.head import check_distances, front_camera, gl_context
+from pica_client.bench.harness import report, take_turns, timed
+from pica_client.bench.head import front_camera, gl_context
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.request import DecodeRequest, DecodeResult
-from pica_client.errors import OptionError, check_ranges
+from pica_client.errors import check_ranges
 from pica_client.render.drawing import Drawing, drawn_mse, read_drawing
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.scene import Placement, head_matrix, view_direction
@@ -42,6 +42,8 @@ WARM_UP_FRAMES = 12
 TURN_FRAMES = 5
 """Frames of a case before the next one has its turn. The error of the last is measured: the maps of
 the first are still those of the case before."""
+DISTANCES_CM = (65.0, 90.0, 120.0)
+"""Of the camera from the front of the middle head."""
 FULL_SCREEN_CM = 18.0
 """Where one head fills the screen; the paper's nearest distance."""
 TIMES = ("plan", "decode", "upload", "draw", "total", "cpu")
@@ -53,29 +55,17 @@ Turn = Mapping[str, float]
 class SceneBenchConfig:
     """What to measure."""
 
-    avatars: Ints = (1, 2, 3, 4, 5)
-    """How many heads, separated by commas."""
-    distances_cm: Floats = (65.0, 90.0, 120.0)
-    """Distances of the camera from the front of the middle head, separated by commas."""
+    heads: int = 5
+    """The most heads; scenes of fewer are measured too."""
     width: int = 1280
     """Columns of the image, pixels."""
     height: int = 720
     """Rows of the image, pixels."""
     rounds: int = 8
     """Turns of each case, of five frames each."""
-    budgets_ms: Floats = ()
-    """Budgets of a frame with which the scheduler has the largest number of heads, besides none,
-    milliseconds, separated by commas: what error is left at what cost."""
-    performance: str = "talk"
-    """What everybody does: talk, listen or range-of-motion."""
 
     def __post_init__(self) -> None:
-        if not self.avatars or not all(1 <= count <= 16 for count in self.avatars):
-            raise OptionError(f"avatars are {self.avatars}; 1 to 16 are allowed")
-        check_distances(self.distances_cm)
-        check_ranges(self, rounds=(2, 1000), width=(16, 8192), height=(16, 8192))
-        if not all(0 < budget < 1e4 for budget in self.budgets_ms):
-            raise OptionError(f"budgets_ms are {self.budgets_ms}; above 0 and below 10000")
+        check_ranges(self, heads=(1, 16), rounds=(2, 1000), width=(16, 8192), height=(16, 8192))
 
     @property
     def size(self) -> tuple[int, int]:
@@ -90,7 +80,6 @@ class _Case:
     num_avatars: int
     distance_cm: float
     is_scheduled: bool
-    budget_ms: float = math.inf
     heads: list[Head] = field(default_factory=list)
     scheduler: Scheduler = field(default_factory=Scheduler)
     frame: int = 0
@@ -124,15 +113,14 @@ class _Bench:
         self, context: moderngl.Context, config: SceneBenchConfig, avatars: Sequence[Avatar]
     ) -> None:
         self._context, self._config = context, config
-        count = max(config.avatars)
+        count = config.heads
         self._avatars = [avatars[index % len(avatars)] for index in range(count)]
         decoders = {id(avatar): OnnxDecoder(avatar) for avatar in avatars}
         self._decoders = [decoders[id(avatar)] for avatar in self._avatars]
         self._encoders = [ExpressionEncoder(avatar) for avatar in self._avatars]
         # Each from elsewhere: five people do not blink together.
         self._faces = [
-            make_performance(config.performance, seed=index, start_s=2.3 * index)
-            for index in range(count)
+            make_performance("talk", seed=index, start_s=2.3 * index) for index in range(count)
         ]
         # Smoothed edges cost the same everywhere and would hide errors of silhouettes.
         options = RenderOptions(smooth_edges=False)
@@ -143,17 +131,10 @@ class _Bench:
         self.gl_renderer = self._renderer.gl_renderer
 
     def cases(self) -> list[_Case]:
-        """Every scene and one head that fills the screen, without and with the scheduler; the most
-        heads with each budget."""
-        config, scenes = self._config, [(1, FULL_SCREEN_CM)]
-        scenes += [(n, cm) for cm in config.distances_cm for n in config.avatars]
-        cases = [_Case(n, cm, scheduled) for n, cm in scenes for scheduled in (False, True)]
-        most = max(config.avatars)
-        return cases + [
-            _Case(most, cm, is_scheduled=True, budget_ms=budget)
-            for cm in config.distances_cm
-            for budget in config.budgets_ms
-        ]
+        """Every scene and one head that fills the screen, without and with the scheduler."""
+        scenes = [(1, FULL_SCREEN_CM)]
+        scenes += [(n, cm) for cm in DISTANCES_CM for n in range(1, self._config.heads + 1)]
+        return [_Case(n, cm, scheduled) for n, cm in scenes for scheduled in (False, True)]
 
     def turn(self, case: _Case, number: int) -> Turn:
         """Draw some frames of a case; those of a negative number warm up."""
@@ -175,7 +156,6 @@ class _Bench:
             "avatars": case.num_avatars,
             "distance_cm": case.distance_cm,
             "scheduler": case.is_scheduled,
-            "budget_ms": None if math.isinf(case.budget_ms) else case.budget_ms,
             **{f"{name}_ms": round(float(means[name].mean()), 3) for name in TIMES},
             "spread": round(float((high - low) / middle), 3),
             "error": round(float(found["error"].mean()), 3),
@@ -235,8 +215,7 @@ class _Bench:
         requests = [(head, _whole(head, camera)) for head in case.heads]
         if case.is_scheduled:
             begin_s = time.perf_counter()
-            budget_s = case.budget_ms * 1e-3
-            plan = case.scheduler.plan_view(case.heads, [camera], self._config.size, budget_s, now)
+            plan = case.scheduler.plan_view(case.heads, [camera], self._config.size, math.inf, now)
             case.shaded_px = plan.shaded_px
             requests = requests_of(case.heads, now)
             took["plan"] = (time.perf_counter() - begin_s) * 1e3
@@ -280,9 +259,7 @@ def summarise(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     scenes = []
     for distance in sorted({row["distance_cm"] for row in rows} - {FULL_SCREEN_CM}):
         plain, free = (
-            row
-            for row in rows
-            if (row["avatars"], row["distance_cm"], row["budget_ms"]) == (most, distance, None)
+            row for row in rows if (row["avatars"], row["distance_cm"]) == (most, distance)
         )
         scenes.append(
             {

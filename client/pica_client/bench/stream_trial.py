@@ -1,17 +1,16 @@
 """One stream of one face through one trouble, on a virtual clock: what comes when, and what a
 playout policy then shows. Pure: no socket, no sleep; the same seed gives the same result.
 
-    delivery = deliver(face, encoder, scenario, schedule, seed=0)   sender, relay, network
-    ticks = play(delivery, decoder, Playout(), schedule)            decoder, playout, display
+    delivery = deliver(face, encoder, scenario, seconds)     sender, relay, network
+    ticks = play(delivery, decoder, Playout())               decoder, playout, display
 
-The trouble lasts from the end of the first third of the schedule to the end of the second. The
+The trouble lasts from the end of the first third of the run to the end of the second. The
 frames that come do not depend on the policy, so all policies are given the very same ones.
 
 The relay is the real one's decision (`pica_protocol.frame_queue`: of a face the newest frame waits)
 in front of a modelled way (`impairment`). While the way takes no more, up to `queue_bytes` wait in
 front of it, first in, first out; the rest waits in the relay, and what waits there together leaves
-as one message. `thin_ratio` stands for whatever else makes a relay drop frames, as the congestion
-of other streams. A voice shares the way with its face, leaves first, and takes along what waits of
+as one message. A voice shares the way with its face, leaves first, and takes along what waits of
 the face; while it speaks, the face waits for its next packet (`RIDE_S`), as at the real sender.
 
 Unrealistic: code takes no time; the display never misses a refresh; no peer joins late; the
@@ -21,14 +20,13 @@ the relay is perfect; a message carries the frames of one person only.
 
 import math
 from collections import Counter, deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from pica_client.bench.impairment import CALM, Impairment, Scenario, Way
-from pica_client.errors import check_ranges
 from pica_client.playout.buffer import PlayedFace, Playout, PlayoutReport
 from pica_client.stats import wire_bytes
 from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, LatentSample
@@ -54,33 +52,10 @@ Face = Callable[[float], LatentSample]
 FACE_STREAM, VOICE_STREAM = 1, 2
 CLOCK_OFFSET_US = 5_000_000_000
 """The sender's clock is ahead of the receiver's: nothing may depend on the difference."""
+FPS, DISPLAY_HZ = 30.0, 60.0
+"""Frames captured, and refreshes of the display, a second."""
 DISPLAY_PHASE = 0.37
 """Where in its own period the display's first refresh lies: not in step with the sender."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Schedule:
-    """How long, how often."""
-
-    seconds: float = 30.0
-    """Length of each run; the trouble lasts the middle third of it."""
-    fps: float = 30.0
-    """Frames captured a second."""
-    display_hz: float = 60.0
-    """Refreshes of the display a second."""
-
-    def __post_init__(self) -> None:
-        check_ranges(self, seconds=(3, 600), fps=(1, 240), display_hz=(10, 240))
-
-    @property
-    def begin_s(self) -> float:
-        """When the trouble begins."""
-        return self.seconds / 3
-
-    @property
-    def end_s(self) -> float:
-        """When the trouble ends."""
-        return 2 * self.seconds / 3
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -89,14 +64,14 @@ class Delivery:
 
     faces: tuple[tuple[float, Frame], ...]
     """Frames that came, each with its time of arrival."""
-    counts: Mapping[str, int]
-    """Frames that were sent, thinned and dropped."""
-    wire_bytes: int
-    """What went on to the receiver, with all headers."""
-    base_delay_s: float
-    """The fastest way through the network."""
-    voices: tuple[tuple[float, Frame], ...] = ()
+    voices: tuple[tuple[float, Frame], ...]
     """Voice packets that came, each with its time of arrival."""
+    seconds: float
+    """Length of the run."""
+
+    def is_troubled(self, now: float) -> bool:
+        """Whether a moment lies in the trouble, the middle third of the run."""
+        return self.seconds / 3 <= now < 2 * self.seconds / 3
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -109,13 +84,6 @@ class Tick:
     heard_us: int | None
     report: PlayoutReport
 
-    @property
-    def shown_s(self) -> float:
-        """When the face that is shown was captured; not defined before the first one."""
-        if self.played is None:
-            raise ValueError("nothing is shown yet")
-        return (self.played.captured_us - CLOCK_OFFSET_US) / 1e6
-
 
 class _Message(NamedTuple):
     data: bytes
@@ -127,17 +95,12 @@ class FramePath:
     """The way of one stream's frames.
 
     Attributes:
-        wire_bytes: What left the relay, with all headers.
-        counts: Frames that were ``sent``, or ``thinned`` to reach `thin_ratio`.
         drops: Frames that the relay dropped because the way is too slow, by reason.
     """
 
     def __init__(self, impairment: Impairment, rng: np.random.Generator) -> None:
-        self.wire_bytes = 0
-        self.counts: Counter[str] = Counter()
         self.drops: Counter[str] = Counter()
         self._way = Way(impairment, rng)
-        self._rng = rng
         self._relay = FrameQueue(self.drops)
         self._newest_us = 0
         self._queue: deque[_Message] = deque()  # behind the relay; bounded by `queue_bytes`
@@ -151,20 +114,9 @@ class FramePath:
         self._way.change(impairment)
 
     def send(self, frame: Frame, now: float) -> None:
-        """Offer a frame to the relay."""
+        """Offer a frame to the relay, which lets a voice go first and drops it when it is old."""
         self._advance(now)
-        self.counts["sent"] += 1
-        if self._rng.random() < self._way.impairment.thin_ratio:
-            self.counts["thinned"] += 1
-        else:
-            self._offer(frame, None, now)
-
-    def send_voice(self, frame: Frame, now: float) -> None:
-        """Offer a voice packet to the relay, which lets it go first and drops it when it is old."""
-        self._advance(now)
-        self._offer(frame, VOICE_DEADLINE_S, now)
-
-    def _offer(self, frame: Frame, deadline_s: float | None, now: float) -> None:
+        deadline_s = VOICE_DEADLINE_S if frame.stream == VOICE_STREAM else None
         self._newest_us = max(self._newest_us, frame.captured_us)
         self._relay.put(QueuedFrame("", frame.stream, encode_frame(frame), now, deadline_s))
         self._advance(now)
@@ -209,16 +161,13 @@ class FramePath:
             num_bytes = wire_bytes(len(data), is_masked=False)
             self._queue.append(_Message(data, num_bytes, now))
             self._queue_bytes += num_bytes
-            self.wire_bytes += num_bytes
 
 
 def deliver(
     face: Face,
     encoder: LatentEncoder,
     scenario: Scenario,
-    schedule: Schedule,
-    *,
-    seed: int = 0,
+    seconds: float,
     voice: Sequence[tuple[float, Frame]] = (),
 ) -> Delivery:
     """Send a face through a scenario.
@@ -229,22 +178,22 @@ def deliver(
         voice: Packets of a voice that goes along, of `VOICE_STREAM`, each with the time when it is
             sent, in order.
     """
-    path = FramePath(CALM, np.random.default_rng(seed))
+    path = FramePath(CALM, np.random.default_rng(0))
     came: dict[int, list[tuple[float, Frame]]] = {FACE_STREAM: [], VOICE_STREAM: []}
     spoken = deque(voice)
     sent = 0
-    changes = [(schedule.begin_s, scenario.trouble), (schedule.end_s, CALM)]
+    changes = [(seconds / 3, scenario.trouble), (2 * seconds / 3, CALM)]
 
     def receive(until_s: float) -> None:
         for arrived_s, frame in path.arrivals(until_s):
             came[frame.stream].append((arrived_s, frame))
 
-    for index in range(round(schedule.seconds * schedule.fps)):
-        now = index / schedule.fps
+    for index in range(round(seconds * FPS)):
+        now = index / FPS
         while spoken and spoken[0][0] <= now:
             sent_s, packet = spoken.popleft()
             receive(sent_s)
-            path.send_voice(packet, sent_s)
+            path.send(packet, sent_s)
         receive(now)
         if changes and changes[0][0] <= now:
             path.change(changes.pop(0)[1], now)
@@ -261,16 +210,11 @@ def deliver(
         )
         path.send(frame, now)
         sent += 1
-    receive(schedule.seconds)
+    receive(seconds)
     return Delivery(
         faces=tuple(came[FACE_STREAM]),
-        counts={
-            **{name: path.counts[name] for name in ("sent", "thinned")},
-            "dropped": path.drops.total(),
-        },
-        wire_bytes=path.wire_bytes,
-        base_delay_s=CALM.delay_s,
         voices=tuple(came[VOICE_STREAM]),
+        seconds=seconds,
     )
 
 
@@ -278,7 +222,6 @@ def play(
     delivery: Delivery,
     decoder: LatentDecoder,
     playout: Playout,
-    schedule: Schedule,
     heard_us: Callable[[float], int | None] = lambda now: None,
 ) -> list[Tick]:
     """Show what came on a display.
@@ -292,8 +235,8 @@ def play(
     """
     ticks: list[Tick] = []
     waiting = deque(delivery.faces)
-    for index in range(int(schedule.seconds * schedule.display_hz)):
-        now = (index + DISPLAY_PHASE) / schedule.display_hz
+    for index in range(int(delivery.seconds * DISPLAY_HZ)):
+        now = (index + DISPLAY_PHASE) / DISPLAY_HZ
         while waiting and waiting[0][0] <= now:
             arrived_s, frame = waiting.popleft()
             playout.receive(frame, decoder.decode(frame.payload), arrived_s)

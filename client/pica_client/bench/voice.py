@@ -1,6 +1,6 @@
 """What arrives of a voice and its face on troubled networks: quality, delay, and their step. On a
 virtual clock, with the real codec, jitter buffer and playout, so every figure comes out the same on
-every machine with the same libopus (processor time apart).
+every machine with the same libopus.
 
 Voice and face share one way; figures are of the troubled third of the run. PESQ is of the sound as
 it leaves the loudspeaker. `skew_ms` is the moment of the face less that of the voice. `face_mse` is
@@ -10,26 +10,25 @@ avatars are synthetic, and PESQ stands for listeners.
 """
 
 import math
-import time
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import groupby
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from cyclopts import Parameter
 
 from pica_client.bench.harness import Words, check_names, report
 from pica_client.bench.head import FaceRenderer
-from pica_client.bench.impairment import BY_NAME, SCENARIOS
+from pica_client.bench.impairment import BY_NAME, CALM, SCENARIOS
 from pica_client.bench.stream_trial import (
     CLOCK_OFFSET_US,
+    DISPLAY_HZ,
     DISPLAY_PHASE,
+    FPS,
     VOICE_STREAM,
     Delivery,
     Face,
-    Schedule,
     Tick,
     deliver,
     play,
@@ -38,7 +37,7 @@ from pica_client.errors import check_ranges
 from pica_client.output import say
 from pica_client.playout.buffer import Playout
 from pica_client.render.drawing import drawn_mse
-from pica_client.sources import open_source
+from pica_client.sources.performances import make_performance
 from pica_client.stats import summarise_ms
 from pica_client.voice.jitter_buffer import HeardVoice, JitterBuffer
 from pica_client.voice.opus import FRAME_S, PACKET_FRAMES, OpusDecoder, OpusEncoder
@@ -68,19 +67,14 @@ SIZE_PX = 192
 class BenchVoiceConfig:
     """What to compare."""
 
-    source: str = "performance:talk"
-    """The face that goes along; see pica send --help."""
     scenarios: Words = ()
     """Names of troubles, separated by commas; all by default."""
-    schedule: Annotated[Schedule, Parameter(name="*")] = field(default_factory=Schedule)
-    """When frames are captured and shown."""
-    seed: int = 0
-    """Seed of the network and of the room's noise."""
+    seconds: float = 30.0
+    """Length of each run; the trouble lasts the middle third of it."""
 
     def __post_init__(self) -> None:
         check_names("scenario", self.scenarios, BY_NAME)
-        check_ranges(self.schedule, seconds=(9, 600))
-        check_ranges(self, seed=(0, 2**32))
+        check_ranges(self, seconds=(9, 600))
 
 
 class _Ear:
@@ -98,13 +92,12 @@ class _Ear:
         self.delays_s: list[float] = []
         self.counted: list[tuple[float, int, int]] = []
         self.is_loud: list[bool] = []
-        self.cpu_s = 0.0
         self._buffer, self._voice = JitterBuffer(OpusDecoder()), HeardVoice()
         self._waiting = deque(packets)
 
     def heard_us(self, now: float) -> int | None:
         """Play up to `now`; what is heard then, sender's clock."""
-        begin_s, buffer = time.process_time(), self._buffer
+        buffer = self._buffer
         while (tick_s := (len(self.sounds) + DISPLAY_PHASE) * FRAME_S) <= now:
             while self._waiting and self._waiting[0][0] <= tick_s:
                 arrived_s, packet = self._waiting.popleft()
@@ -116,7 +109,6 @@ class _Ear:
                 captured_s = (buffer.moment[1] - CLOCK_OFFSET_US) / 1e6
             self.delays_s.append(tick_s - captured_s)
             self.counted.append((tick_s, report.played, report.concealed))
-        self.cpu_s += time.process_time() - begin_s
         self.is_loud.append(bool(self.sounds) and float(np.std(self.sounds[-1])) > SPOKEN_RMS)
         return self._voice.at(now)
 
@@ -126,44 +118,36 @@ def run_bench_voice(config: BenchVoiceConfig, avatar: Avatar) -> dict[str, Any]:
 
     Raises:
         ProfileError: The avatar has no stream profile.
-        SourceError: The source cannot be read.
         GraphicsError: No GL context; names the fix.
     """
-    schedule, profile = config.schedule, avatar.stream_profile()
-    sound = _speech(schedule.seconds, config.seed)
+    profile, sound = avatar.stream_profile(), _speech(config.seconds)
     frames = sound[: len(sound) // FRAME * FRAME].reshape(-1, FRAME)
     loud = np.sqrt(np.mean(np.square(frames), axis=1)) > SPOKEN_RMS
-    face = _true_face(config.source, avatar)
+    face = _true_face(avatar)
     chosen = [BY_NAME[name] for name in config.scenarios] or list(SCENARIOS)
     rows = []
-    begin_s = time.process_time()
     voice = _packets(sound)
-    encode_s = time.process_time() - begin_s
     with FaceRenderer(avatar, size_px=SIZE_PX, views=("front",)) as renderer:
         for scenario in chosen:
-            encoder = LatentEncoder(profile, StreamConfig(fps=schedule.fps))
-            delivery = deliver(face, encoder, scenario, schedule, seed=config.seed, voice=voice)
+            encoder = LatentEncoder(profile, StreamConfig(fps=FPS))
+            delivery = deliver(face, encoder, scenario, config.seconds, voice)
             ear = _Ear(delivery.voices)
-            ticks = play(delivery, LatentDecoder(profile), Playout(), schedule, ear.heard_us)
-            cpu_ms_per_s = (encode_s + ear.cpu_s) / schedule.seconds * 1e3
+            ticks = play(delivery, LatentDecoder(profile), Playout(), ear.heard_us)
             rows.append(
                 {
                     "condition": scenario.name,
-                    "wire_bps": round(delivery.wire_bytes * 8 / schedule.seconds),
-                    **delivery.counts,
-                    "pesq": _pesq(sound, ear, schedule),
-                    **_timing(ear, ticks, loud, schedule),
-                    **_pictures(ticks, delivery, face, renderer, schedule),
-                    "cpu_ms_per_s": round(cpu_ms_per_s, 2),
+                    "pesq": _pesq(sound, ear, config.seconds),
+                    **_timing(ear, ticks, loud, delivery),
+                    **_pictures(ticks, delivery, face, renderer),
                 }
             )
             say(f"{scenario.name}: {scenario.note}")
     return report(config, rows, avatar=avatar.manifest.name)
 
 
-def _true_face(source: str, avatar: Avatar) -> Face:
-    """The face that a source shows, as a function of time."""
-    opened, encoder = open_source(source), ExpressionEncoder(avatar)
+def _true_face(avatar: Avatar) -> Face:
+    """The face that goes along, as a function of time."""
+    opened, encoder = make_performance("talk"), ExpressionEncoder(avatar)
 
     def face(time_s: float) -> LatentSample:
         frame = opened.frame_at(time_s)
@@ -177,35 +161,30 @@ def _true_face(source: str, avatar: Avatar) -> Face:
 
 
 def _pictures(
-    ticks: Sequence[Tick],
-    delivery: Delivery,
-    face: Face,
-    renderer: FaceRenderer,
-    schedule: Schedule,
+    ticks: Sequence[Tick], delivery: Delivery, face: Face, renderer: FaceRenderer
 ) -> dict[str, Any]:
-    """Error, delay and longest standstill of the face in the troubled third."""
-    troubled = [tick for tick in ticks if schedule.begin_s <= tick.now_s < schedule.end_s]
+    """Error and longest standstill of the face in the troubled third."""
+    troubled = [tick for tick in ticks if delivery.is_troubled(tick.now_s)]
     errors = []
-    for tick in troubled[:: max(round(schedule.display_hz / RENDERS_PER_S), 1)]:
+    for tick in troubled[:: round(DISPLAY_HZ / RENDERS_PER_S)]:
         if tick.played is not None:
-            true = face(tick.now_s - delivery.base_delay_s - tick.report.delay_s)
+            true = face(tick.now_s - CALM.delay_s - tick.report.delay_s)
             pose = true.rotation, true.translation_m
-            shown = renderer.draw(tick.played.sample.latent, *pose)
-            errors.append(drawn_mse(shown, renderer.draw(true.latent, *pose)))
+            ((shown, _),) = renderer.draw(tick.played.sample.latent, *pose)
+            ((wanted, _),) = renderer.draw(true.latent, *pose)
+            errors.append(drawn_mse(shown, wanted))
     runs = groupby(troubled, key=lambda tick: tick.played and tick.played.captured_us)
     longest = max(sum(1 for _ in run) for _, run in runs)
-    delays_s = [t.now_s - t.shown_s - delivery.base_delay_s for t in troubled if t.played]
     return {
         "face_mse": round(float(np.mean(errors)), 3) if errors else None,
-        "face_delay_ms": summarise_ms(delays_s),
-        "face_still_ms": round(longest / schedule.display_hz * 1e3, 1),
+        "face_still_ms": round(longest / DISPLAY_HZ * 1e3, 1),
     }
 
 
-def _speech(seconds: float, seed: int) -> FloatArray:
+def _speech(seconds: float) -> FloatArray:
     """The shipped sentences again and again, in a room that is not quite silent."""
     size = int(seconds / FRAME_S) * FRAME
-    room = np.random.default_rng(seed).standard_normal(size).astype(np.float32)
+    room = np.random.default_rng(0).standard_normal(size).astype(np.float32)
     sound: FloatArray = np.resize(shipped_speech(), size) + ROOM_RMS * room
     return sound
 
@@ -227,11 +206,11 @@ def _packets(sound: FloatArray) -> list[tuple[float, Frame]]:
     return packets
 
 
-def _pesq(sound: FloatArray, ear: _Ear, schedule: Schedule) -> float | None:
+def _pesq(sound: FloatArray, ear: _Ear, seconds: float) -> float | None:
     """PESQ of the troubled third; None where nothing that sounds like an utterance is left."""
     from pesq import PesqError, pesq
 
-    begin, end = int(schedule.begin_s * RATE_HZ), int(schedule.end_s * RATE_HZ)
+    begin, end = int(seconds / 3 * RATE_HZ), int(2 * seconds / 3 * RATE_HZ)
     # Sample k of the sound leaves the loudspeaker at the first tick's time plus k samples.
     shift = round((np.nanmedian(ear.delays_s) - ear.counted[0][0]) * RATE_HZ)
     played = np.concatenate(ear.sounds)[begin + shift : end + shift]
@@ -243,17 +222,16 @@ def _pesq(sound: FloatArray, ear: _Ear, schedule: Schedule) -> float | None:
         return None
 
 
-def _timing(ear: _Ear, ticks: Sequence[Tick], loud: Array, schedule: Schedule) -> dict[str, Any]:
+def _timing(ear: _Ear, ticks: Sequence[Tick], loud: Array, delivery: Delivery) -> dict[str, Any]:
     """Delay and skew of the troubled third, the skew of refreshes at which speech is heard."""
-    begin_s, end_s = schedule.begin_s, schedule.end_s
     counted = np.array(ear.counted)
-    is_troubled = (counted[:, 0] >= begin_s) & (counted[:, 0] < end_s)
+    is_troubled = np.array([delivery.is_troubled(tick_s) for tick_s in counted[:, 0]])
     delays_s, counts = np.array(ear.delays_s)[is_troubled], counted[is_troubled]
     skews = []
     for tick, is_loud in zip(ticks, ear.is_loud, strict=True):
         if tick.played is None or tick.heard_us is None or not is_loud:
             continue
-        if not begin_s <= tick.now_s < end_s:
+        if not delivery.is_troubled(tick.now_s):
             continue
         place = int((tick.heard_us - CLOCK_OFFSET_US) / 1e6 / FRAME_S)
         if 0 <= place < len(loud) and loud[place]:

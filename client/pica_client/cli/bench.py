@@ -58,8 +58,7 @@ def bench_decode(avatars: AvatarChoice, options: DecodeBenchConfig) -> Result:
     result = run_decode_bench(options, avatars.load()[0])
     say_rows(
         result["rows"],
-        "work model level parts threads distance_cm ms p95 cpu_ms spread pixels triangles "
-        "over_baseline",
+        "work model level parts distance_cm ms p95 cpu_ms spread pixels triangles over_baseline",
     )
     return result
 
@@ -70,7 +69,7 @@ def bench_drive(avatars: AvatarChoice, options: DriveBenchConfig) -> Result:
     The truth is the person or the rig itself, at the same values.
     """
     result = run_drive_bench(options, avatars.load())
-    say_rows(result["rows"], "avatar source stage level wire_bps mse p95_mse lid_mm lip_mm")
+    say_rows(result["rows"], "avatar source level wire_bps mse lid_mm lip_mm")
     return result
 
 

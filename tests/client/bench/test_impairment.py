@@ -72,8 +72,7 @@ def test_nothing_is_overtaken_comes_twice_or_is_lost_without_a_count(scenario, s
     times, indices = zip(*arrived, strict=True)
     assert list(times) == sorted(times)
     assert list(indices) == sorted(set(indices))
-    assert path.counts["sent"] == 120
-    assert len(arrived) + path.counts["thinned"] + path.drops.total() == 120
+    assert len(arrived) + path.drops.total() == 120
 
 
 def test_after_a_stall_everything_comes_at_once() -> None:
@@ -91,9 +90,10 @@ def test_loss_on_a_stream_is_a_delay_for_all_behind_it() -> None:
     extra = delays(arrived) - CALM.delay_s
     assert len(arrived) == 300
     late = extra > 0.19
-    assert 5 <= np.flatnonzero(np.diff(late.astype(int)) == 1).size <= 25
+    stalls = np.flatnonzero(np.diff(late.astype(int)) == 1).size
+    assert 5 <= stalls <= 25
     # Six frames are captured while one waits for its retransmission; they wait with it.
-    assert (extra > 0.001).sum() > 5 * (extra > 0.199).sum() * 0.9
+    assert (extra > 0.001).sum() >= 5 * stalls
 
 
 def test_a_rate_below_the_demand_keeps_the_delay_bounded() -> None:

@@ -5,7 +5,6 @@ from pica_client.voice.opus import available
 pytest.importorskip("pesq", reason="extra bench")
 
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.bench.stream_trial import Schedule
 from pica_client.bench.voice import BenchVoiceConfig, run_bench_voice
 from pica_client.errors import OptionError
 
@@ -15,16 +14,13 @@ pytestmark = [pytest.mark.render, pytest.mark.skipif(available() is not None, re
 def test_a_clean_voice_is_clear_and_fresh_and_a_stalled_one_in_step_with_its_face():
     library = AvatarLibrary()
     avatar = library.load(library.find("Amara"))
-    config = BenchVoiceConfig(
-        scenarios=("jitter-0", "stall-300"), schedule=Schedule(seconds=9, display_hz=30)
-    )
+    config = BenchVoiceConfig(scenarios=("jitter-0", "stall-300"), seconds=9)
     clean, stalled = run_bench_voice(config, avatar)["rows"]
 
     assert clean["pesq"] >= 3.4
     assert clean["mouth_to_ear_ms"]["p95"] <= 120
     assert clean["concealed_ratio"] == 0
     assert clean["face_mse"] < 4
-    assert clean["face_delay_ms"]["p95"] <= 100
     assert clean["face_still_ms"] <= 67
     # 300 ms of silence, less what the voice waits.
     assert 150 < stalled["face_still_ms"] < 350
@@ -33,7 +29,7 @@ def test_a_clean_voice_is_clear_and_fresh_and_a_stalled_one_in_step_with_its_fac
 
 
 def test_settings_out_of_range_are_named():
-    with pytest.raises(OptionError, match="seed is -1"):
-        BenchVoiceConfig(seed=-1)
+    with pytest.raises(OptionError, match="seconds is 8"):
+        BenchVoiceConfig(seconds=8)
     with pytest.raises(OptionError, match="scenario 'rain' is unknown"):
         BenchVoiceConfig(scenarios=("rain",))
