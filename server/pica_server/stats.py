@@ -94,8 +94,8 @@ class RelayStats:
     ``uploads_cut`` by their sender, ``upload_bytes``; ``faults`` of its place."""
     placement: Counter[str] = field(default_factory=Counter)
     """What happened to rooms among several relays. ``claimed`` for this relay or another;
-    ``redirected`` to the relay that has them; ``taken_over`` from a dead relay; ``handed_over`` by
-    a drain; ``local``, made here while NATS was ``away``."""
+    ``redirected`` to the relay that has them; ``taken_over`` from one that is dead or drains;
+    ``local``, made here while NATS was ``away``."""
     forwarding: LatencyHistogram = field(default_factory=LatencyHistogram)
     """Latencies from a frame's receipt to the moment the receiver's socket took it."""
 

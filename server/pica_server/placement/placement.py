@@ -6,16 +6,17 @@ beats; a relay that has been silent for `LEASE_S` is dead. A key is written only
 that was read: of several relays that write at once one succeeds, and the others read again.
 
     the bucket names      the room is here           joins wait for it          neither
-    this relay            keep, or hand over         admit                      remove the key
+    this relay            keep                       admit                      remove the key
     a relay that beats    the better claim holds     redirect                   forget
     a relay that is late  keep                       wait                       forget
-    a dead relay          take over                  take over                  forget
+    one that is dead, or  take over                  take over                  forget
+    draining
     no relay              claim                      claim for the relay of     forget
                                                      the fewest connections
     (no answer)           keep                       admit                      forget
 
 The better claim is the one of the higher term, and of the same term the older one. Taking a room
-over or handing it over raises the term, so a relay that was cut off meanwhile gives way.
+over raises the term, so a relay that was cut off meanwhile gives way, and so does one that drains.
 """
 
 import asyncio
@@ -68,6 +69,8 @@ class Beat:
     num_connections: int
     is_open: bool
     """Whether it takes new rooms."""
+    is_draining: bool
+    """Whether its rooms are to be taken over."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +79,7 @@ class Claim:
 
     relay: str
     term: int
-    """How often the room was taken over or handed over."""
+    """How often the room was taken over."""
     since_ms: int
     """When it began, milliseconds since 1970."""
 
@@ -116,8 +119,6 @@ class _Place:
     written: bytes = b""
     """What this relay wrote to its key, at ``written_s``."""
     written_s: float = 0.0
-    leaves_to: str = ""
-    """The relay that the room is handed over to."""
     is_due: bool = False
     """It is to be looked at (again)."""
     task: "asyncio.Task[None] | None" = None
@@ -159,7 +160,7 @@ class RoomPlacement:
         self._on_placed, self._unix_time = on_placed, unix_time
         self._url = ""
         self._revision: int | None = 0
-        self._relays = {self.me: _Relay(Beat(self.me, "", 0, is_open=True), 0.0)}
+        self._relays = {self.me: _Relay(Beat(self.me, "", 0, is_open=True, is_draining=False), 0.0)}
         self._places: dict[str, _Place] = {}  # as many as rooms here, joins and reservations
         self._ticked_s: float | None = None
         self._at_once = asyncio.Semaphore(_NUM_AT_ONCE)
@@ -218,24 +219,22 @@ class RoomPlacement:
     def note_ended(self, room: str) -> None:
         """Note that the last peer has left a room."""
         place = self._place(room)
-        place.own, place.leaves_to, place.reserved_until_s = None, "", 0.0
+        place.own, place.reserved_until_s = None, 0.0
         self._look(place)
 
-    def hand_over(self, room: str) -> bool:
-        """Hand a room over to another relay; return False if there is none."""
-        target = self._choose(self._relays.keys() - {self.me})
-        if target is None or not self.is_up:
-            return False
+    def refuge(self) -> str:
+        """Return the address of another relay for the peers of a room, "" if there is none."""
+        target = self._choose(self._relays.keys() - {self.me}) if self.is_up else None
+        if target is None:
+            return ""
         target.placed_s.append(self._now())
-        place = self._place(room)
-        place.leaves_to = target.beat.relay
-        self._look(place)
-        return True
+        return target.beat.url
 
     async def renew(self) -> None:
         """Write a beat over the last one; if that is missing, look at all rooms again."""
         hub, now = self._hub, self._now()
-        beat = Beat(self.me, self._url, hub.num_connections, hub.takes_rooms(now))
+        is_draining = hub.connections.is_draining
+        beat = Beat(self.me, self._url, hub.num_connections, hub.takes_rooms(now), is_draining)
         self._hear(beat, now)
         key, was_up = f"relay.{self.me}", self.is_up
         revision = await self._bucket.write(key, _encode(beat), self._revision)
@@ -266,7 +265,7 @@ class RoomPlacement:
         for place in list(self._places.values()):
             is_here = place.room in self._rooms
             due_s = place.written_s + REWRITE_S if is_here else place.reserved_until_s
-            if place.has_joins or place.leaves_to or now >= due_s:
+            if place.has_joins or now >= due_s:
                 self._look(place)
 
     async def _keep(self) -> None:
@@ -334,8 +333,6 @@ class RoomPlacement:
         if place.has_joins:
             self._counts["local"] += 1
             self._let_in(place)
-        elif place.leaves_to and place.room in self._rooms:
-            self._send_to(place, "")
 
     async def _settle(self, place: _Place) -> None:
         """Bring a room and its key into line."""
@@ -370,16 +367,16 @@ class RoomPlacement:
                 self._let_in(place)
             elif not is_here and now >= place.reserved_until_s:
                 await self._bucket.write(place.key, b"", revision)
-            elif is_here and place.leaves_to:
-                wanted, what = self._new_claim(place.leaves_to, claim.term + 1), "handed_over"
             elif is_here:
                 place.own = claim
                 wanted = claim if now - place.written_s >= REWRITE_S else None
         elif is_here or place.has_joins:
             # A relay that was never heard is dead some time from now.
-            unknown = _Relay(Beat(claim.relay, "", 0, is_open=False), now - LATE_S)
+            unknown = _Relay(
+                Beat(claim.relay, "", 0, is_open=False, is_draining=False), now - LATE_S
+            )
             relay = self._relays.setdefault(claim.relay, unknown)
-            if now - relay.heard_s >= LEASE_S:
+            if relay.beat.is_draining or now - relay.heard_s >= LEASE_S:
                 wanted, what = self._new_claim(self.me, claim.term + 1), "taken_over"
             elif is_here and place.own is not None and place.own.rank < claim.rank:
                 wanted = place.own
@@ -404,7 +401,7 @@ class RoomPlacement:
 
     def _send_to(self, place: _Place, url: str) -> None:
         self._counts["redirected"] += 1
-        place.has_joins, place.leaves_to = False, ""
+        place.has_joins = False
         self._on_placed(place.room, url)
 
     def _place(self, room: str) -> _Place:

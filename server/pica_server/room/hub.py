@@ -183,8 +183,8 @@ class Hub:
         while self._departures and self._departures[0][0] <= now:
             _, name = self._departures.popleft()
             placement = self.membership.placement
-            if placement is None or not placement.hand_over(name):
-                self.membership.send_elsewhere(name, [], "", now)
+            url = "" if placement is None else placement.refuge()
+            self.membership.send_elsewhere(name, [], url, now)
 
     def _handle(self, connection: Connection, event: ServerEvent, now: float) -> None:
         match event:

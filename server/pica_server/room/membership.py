@@ -59,8 +59,8 @@ class Placement(Protocol):
     def note_ended(self, room: str) -> None:
         """Note that the last peer has left a room."""
 
-    def hand_over(self, room: str) -> bool:
-        """Hand a room over to another relay; return False if there is none."""
+    def refuge(self) -> str:
+        """Return the address of another relay for the peers of a room, "" if there is none."""
 
 
 @dataclass(eq=False)

@@ -322,25 +322,15 @@ async def test_of_two_rooms_of_one_name_the_older_stays_whoever_writes_first(
 
 
 @in_virtual_time
-async def test_a_room_is_handed_over_before_its_people_are_redirected() -> None:
+async def test_a_room_of_a_draining_relay_is_taken_over_and_its_people_follow() -> None:
     async with Cluster() as cluster:
         a, b = await cluster.with_lobby_at_b()
-        assert b.placement.hand_over("lobby")
-        assert b.redirects == []
-        await asyncio.sleep(0.05)
-        assert b.redirects == [a.url]
+        b.hub.connections.is_draining = True
+        assert b.placement.refuge() == a.url
+        await asyncio.sleep(BEAT_S + 0.05)
         await ask(a)
-        assert list(a.rooms) == ["lobby"]
-
-
-@in_virtual_time
-async def test_a_hand_over_that_the_bucket_does_not_see_ends_when_the_bucket_goes_away() -> None:
-    async with Cluster() as cluster:
-        _, b = await cluster.with_lobby_at_b()
-        assert b.placement.hand_over("lobby")
-        await b.cut(0.0)
-        assert b.redirects == [""]
-        assert list(b.rooms) == []
+        assert b.redirects == [a.url]
+        assert (list(a.rooms), list(b.rooms)) == (["lobby"], [])
 
 
 @settings(deadline=None)
