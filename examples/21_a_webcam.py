@@ -15,9 +15,9 @@ import numpy as np
 from PIL import Image
 
 from pica_client.errors import SourceError
-from pica_client.sources.rotation import rotation_vector_from_yaw_pitch_roll
-from pica_client.sources.webcam.networks import Region, load_networks
-from pica_client.sources.webcam.webcam import FaceFinder
+from pica_client.sources.live_face import rotation_vector_from_yaw_pitch_roll
+from pica_client.sources.networks import Region, load_networks
+from pica_client.sources.webcam import FaceFinder
 from pica_core.avatar.arkit import ARKIT_NAMES
 
 

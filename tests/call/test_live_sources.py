@@ -22,8 +22,8 @@ from pica_client.call.call import Call
 from pica_client.cli.track import CalibrateOptions, TrackOptions, calibrate, track
 from pica_client.endpoint.endpoint import Receiver, Sender
 from pica_client.publish.publisher import Outgoing, Publisher, SenderConfig
-from pica_client.sources.live.tracker import UdpOptions, UdpTracker
 from pica_client.sources.registry import decoder_of, open_live
+from pica_client.sources.tracker import UdpOptions, UdpTracker
 from pica_client.transport.config import LinkConfig
 from pica_server.config import RelayConfig
 from pica_server.relay import Relay

@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 from typing import Any, Final
 
-from pica_client.bench.relay.bench import RelayBenchConfig, measure, run_relay_bench
+from pica_client.bench.relay.bench import RelayBenchConfig, bench_relay, measure
 from pica_client.system import terminate_as_interrupt
 
 NAIVE: Final = Path(__file__).parent / "naive.py"
@@ -28,7 +28,7 @@ def run_comparison(config: RelayBenchConfig) -> dict[str, Any]:
     Raises:
         ClientError: A server does not let everybody in.
     """
-    result = run_relay_bench(config)
+    result = bench_relay(config)
     pipe = subprocess.PIPE
     with subprocess.Popen([sys.executable, NAIVE], stdin=pipe, stdout=pipe, text=True) as naive:
         assert naive.stdout is not None

@@ -28,7 +28,7 @@ from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.scene import Placement, head_matrix, view_direction
 from pica_client.schedule.head import Head
 from pica_client.schedule.scheduler import Scheduler, requests_of
-from pica_client.sources.performances import make_performance
+from pica_client.sources.source import make_performance
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
 from pica_core.camera import Camera

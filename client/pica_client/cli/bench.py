@@ -1,4 +1,4 @@
-"""The commands of `pica bench` that measure avatars and calls; `bench_relay` needs no numpy."""
+"""The commands of `pica bench` that measure avatars and calls, each of which needs numpy."""
 
 from contextlib import closing
 from dataclasses import dataclass

@@ -14,7 +14,7 @@ from typing import Final
 from pica_client.errors import SourceError
 from pica_client.publish.publisher import Publisher
 from pica_client.sources import Tracker, open_source
-from pica_client.sources.live.calibration import Calibration, CalibrationStore, calibrate
+from pica_client.sources.calibration import Calibration, CalibrationStore, calibrate
 from pica_client.sources.registry import calibrations, split_source
 from pica_client.sources.source import Unseen
 from pica_core.types import Image

@@ -3,7 +3,7 @@
 csv:FILE[@SECONDS]                    a recording of Live Link Face or `pica track --record`
 performance:NAME[#SEED][@SECONDS]     a performance that ships with the package
 voice                                 none: the face is moved by the voice alone
-livelink, vmc, webcam, ...            trackers; see `live.opening`
+livelink, vmc, webcam, ...            trackers; see `open_live`
 """
 
 import ipaddress
@@ -16,8 +16,8 @@ import numpy as np
 
 from pica_client.errors import SourceError
 from pica_client.output import say
-from pica_client.sources.live.calibration import Calibration, CalibrationStore
-from pica_client.sources.live.datagrams import (
+from pica_client.sources.calibration import Calibration, CalibrationStore
+from pica_client.sources.datagrams import (
     LIVELINK_PORT,
     REQUESTS,
     VMC_PORT,
@@ -25,8 +25,9 @@ from pica_client.sources.live.datagrams import (
     decode_ifacialmocap,
     decode_livelink,
 )
-from pica_client.sources.live.live_face import VALUE_LIMIT
-from pica_client.sources.live.tracker import (
+from pica_client.sources.live_face import VALUE_LIMIT, rotation_vector_from_yaw_pitch_roll
+from pica_client.sources.source import PERFORMANCES, Recording, Source, Unseen, make_performance
+from pica_client.sources.tracker import (
     ANY_HOST,
     LOOPBACK,
     Decode,
@@ -35,9 +36,6 @@ from pica_client.sources.live.tracker import (
     UdpOptions,
     UdpTracker,
 )
-from pica_client.sources.performances import PERFORMANCES, make_performance
-from pica_client.sources.rotation import rotation_vector_from_yaw_pitch_roll
-from pica_client.sources.source import Recording, Source, Unseen
 from pica_client.system import preferences_folder
 from pica_core.errors import CaptureError
 from pica_core.livelink import DAY_S, TIMECODE_FPS, read_livelink_csv
@@ -76,8 +74,8 @@ def open_live(
     """
     if kind == "webcam":
         # Only here: its networks need packages of their own.
-        from pica_client.sources.webcam.networks import load_networks
-        from pica_client.sources.webcam.webcam import Webcam
+        from pica_client.sources.networks import load_networks
+        from pica_client.sources.webcam import Webcam
 
         return Webcam(rest, load_networks(), calibration, tap)
     return UdpTracker(parse_live(kind, rest), decoder_of(kind), calibration, tap)

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from pica_client.sources.performances import make_performance
+from pica_client.sources.source import make_performance
 from pica_client.voice.opus import SAMPLE_RATE_HZ, level_of
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT, ExpressionFrame
 from pica_core.types import FloatArray

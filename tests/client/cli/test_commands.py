@@ -52,7 +52,6 @@ def avatar(tmp_path: Path) -> str:
         (["demo", "--seconds", "0"], "seconds is 0; 1 to 3600 is allowed"),
         (["bench", "call", "--seconds", "-1"], "seconds is -1; above 0"),
         (["bench", "call", "--source", "performance:sing"], "performance 'sing' is unknown"),
-        (["bench", "call", "--loss", "1"], "loss_ratio is 1; 0 to 0.9 is allowed"),
         (["bench", "voice", "--scenarios", "storm"], "scenario 'storm' is unknown; known are"),
     ],
 )

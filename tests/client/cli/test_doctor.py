@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from pica_client.cli.doctor import examine
+from pica_client.cli.machine import examine
 from pica_command.extras import install_line, modules_by_extra
 from pica_command.table import COMMANDS
 from pica_core.avatar.file import shipped_avatar_files

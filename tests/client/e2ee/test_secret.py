@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from pica_client.cli.secret import SecretOptions, secret
+from pica_client.cli.machine import SecretOptions, secret
 from pica_client.e2ee.secret import RoomSecret, load_secret, save_secret
 from pica_client.errors import SecretFileError
 

@@ -14,9 +14,9 @@ from helpers.toy import make_toy_avatar
 from pica_client.publish.face_controls import REST_S, FaceControls
 from pica_client.publish.publisher import Publisher, SenderConfig
 from pica_client.sources import Tracker, open_source
-from pica_client.sources.live.calibration import Calibration, CalibrationStore
-from pica_client.sources.live.live_face import TrackerSample
-from pica_client.sources.live.tracker import UdpTracker
+from pica_client.sources.calibration import Calibration, CalibrationStore
+from pica_client.sources.live_face import TrackerSample
+from pica_client.sources.tracker import UdpTracker
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 
 pytestmark = pytest.mark.unit

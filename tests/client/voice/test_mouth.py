@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pica_client.sources.performances import make_performance
-from pica_client.sources.source import Source, Unseen
+from pica_client.sources.source import Source, Unseen, make_performance
 from pica_client.voice import mouth
 from pica_client.voice.mouth import (
     DELAY_S,

@@ -18,6 +18,7 @@ from pica_client.errors import check_ranges
 from pica_client.local_call.processes import START_TIMEOUT_S, Children
 from pica_client.output import say
 from pica_client.stats import describe_machine, summarise_ms
+from pica_client.system import terminate_as_interrupt
 
 SETTLE_S: Final = 1.5
 """Between the first frame and the first that counts: queues and windows find their size."""
@@ -43,19 +44,21 @@ class RelayBenchConfig:
         check_ranges(self, rooms=(1, 10_000), peers=(2, 64), seconds=(0.5, 600))
 
 
-def run_relay_bench(config: RelayBenchConfig) -> dict[str, Any]:
-    """Start a relay and measure it.
+def bench_relay(options: RelayBenchConfig) -> dict[str, Any]:
+    """Load a relay with rooms of simulated peers; measure forwarding latency and cost.
+
+    Latency is from one peer's send call to another's receive call on this machine.
 
     Raises:
         ClientError: The relay does not answer, or refuses peers.
     """
-    with Children() as children:
+    with terminate_as_interrupt(), Children() as children:
         relay, url = children.start_relay(
-            *("--max-connections", str(config.rooms * config.peers + 64)),
-            *("--room-capacity", str(max(config.peers + 2, 16))),
+            *("--max-connections", str(options.rooms * options.peers + 64)),
+            *("--room-capacity", str(max(options.peers + 2, 16))),
             *NO_LIMITS,
         )
-        result = measure(config, url, relay.pid, "relay")
+        result = measure(options, url, relay.pid, "relay")
         relay.let_go()
         relay.wait(time.monotonic() + START_TIMEOUT_S)
     return result | {"machine": describe_machine()}

@@ -6,7 +6,7 @@ from dataclasses import replace
 from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
 
-from pica_client.sources.performances import PERFORMANCES
+from pica_client.sources.source import PERFORMANCES
 from pica_client.ui.actions import ACTIONS, TALK_KEY, Action, Request
 from pica_client.ui.call_view import CallView
 from pica_client.ui.state import LAYOUT_TITLES, SCALES, ViewState

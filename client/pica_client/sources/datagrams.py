@@ -22,14 +22,12 @@ import numpy as np
 import pythonosc
 from pythonosc.osc_packet import OscPacket
 
-from pica_client.sources.live.live_face import (
+from pica_client.sources.live_face import (
     INDEX_BY_FOLDED_NAME,
     VALUE_LIMIT,
     PacketError,
     TrackerSample,
     arkit_from_names,
-)
-from pica_client.sources.rotation import (
     rotation_vector_from_quaternion,
     rotation_vector_from_yaw_pitch_roll,
     turned,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pica_client.sources.live.calibration import Calibration
-from pica_client.sources.live.live_face import EASE_S, HOLD_S, MAX_DELAY_S, LiveFace, TrackerSample
+from pica_client.sources.calibration import Calibration
+from pica_client.sources.live_face import EASE_S, HOLD_S, MAX_DELAY_S, LiveFace, TrackerSample
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.types import FloatArray
 

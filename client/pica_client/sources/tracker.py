@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from pica_client.errors import SourceError
-from pica_client.sources.live.calibration import Calibration
-from pica_client.sources.live.live_face import LiveFace, PacketError, TrackerSample
+from pica_client.sources.calibration import Calibration
+from pica_client.sources.live_face import LiveFace, PacketError, TrackerSample
 from pica_core.avatar.arkit import ExpressionFrame
 from pica_core.types import Image
 

@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 
 from helpers import tracker_packets
+from pica_client.cli.track import Recorder
 from pica_client.errors import SourceError
 from pica_client.sources import Tracker, open_source
-from pica_client.sources.live.calibration import Calibration, CalibrationStore, calibrate
-from pica_client.sources.live.live_face import TrackerSample
-from pica_client.sources.live.recorder import Recorder
-from pica_client.sources.live.tracker import UdpOptions, UdpTracker
+from pica_client.sources.calibration import Calibration, CalibrationStore, calibrate
+from pica_client.sources.live_face import TrackerSample
 from pica_client.sources.registry import decoder_of, open_live, parse_live
+from pica_client.sources.tracker import UdpOptions, UdpTracker
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 
 pytestmark = pytest.mark.unit
@@ -100,7 +100,7 @@ def test_a_port_that_is_taken_is_said_with_the_way_out() -> None:
 
 
 def test_a_silent_tracker_says_where_it_must_send_to(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pica_client.sources.live.tracker.SILENT_S", 0.0)
+    monkeypatch.setattr("pica_client.sources.tracker.SILENT_S", 0.0)
     for place, words in (("127.0.0.1:0", "use vmc:lan"), ("lan:0", "must send to")):
         with closing(open_live("vmc", place)) as tracker:
             assert f"port {tracker.port}" in tracker.trouble
@@ -128,7 +128,7 @@ def test_a_tracker_in_the_wrong_mode_is_told_so(
     with closing(open_live("livelink", "127.0.0.1:0")) as tracker:
         phone.sendto(bytes(584), ("127.0.0.1", tracker.port))
         until(lambda: bool(tracker.refused))
-        monkeypatch.setattr("pica_client.sources.live.tracker.SILENT_S", 0.0)
+        monkeypatch.setattr("pica_client.sources.tracker.SILENT_S", 0.0)
         assert "switch it to Live Link (ARKit)" in tracker.trouble
 
 

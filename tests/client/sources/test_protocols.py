@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from helpers import tracker_packets
-from pica_client.sources.live.datagrams import VmcDecoder, decode_ifacialmocap, decode_livelink
-from pica_client.sources.live.live_face import PacketError
+from pica_client.sources.datagrams import VmcDecoder, decode_ifacialmocap, decode_livelink
+from pica_client.sources.live_face import PacketError
 from pica_client.sources.registry import LIVE_KINDS, decoder_of
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES
 from pica_core.types import FloatArray

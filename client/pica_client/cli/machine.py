@@ -1,11 +1,18 @@
-"""What this machine can do, and the fix for each lack. Runs on the base install."""
+"""What is done once on a machine: its examination, a room secret, the networks of a webcam.
+
+It runs on the base install.
+"""
 
 import importlib
 import sys
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
+from cyclopts import Parameter
+
+from pica_client.e2ee.secret import RoomSecret, save_secret
 from pica_client.output import say
 from pica_client.system import has_display
 from pica_command.extras import install_line, modules_by_extra
@@ -127,3 +134,47 @@ def _avatars() -> Finding:
     if names:
         return Finding("avatars", "ready", ", ".join(names))
     return Finding("avatars", "missing", "none ship with this build", "--avatar FILE")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SecretOptions:
+    """Options of `pica secret`."""
+
+    file: Path = field(kw_only=False)
+    """File to write; it must not be there yet."""
+
+
+def secret(options: SecretOptions) -> dict[str, Any]:
+    """Make a room secret for calls that the relay cannot look into.
+
+    Give the file to everybody in the call, on a way that is not the relay's, and name it with
+    --secret-file. Nothing of it is shown here.
+    """
+    save_secret(options.file, RoomSecret.new())
+    say(f"wrote {options.file}; hand it to the others, and use it with --secret-file")
+    return {"file": str(options.file)}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class WebcamOptions:
+    """Options of `pica webcam setup`."""
+
+    source: Annotated[str, Parameter(name="from")] = ""
+    """Where the face landmarker lies: an address, or a face_landmarker.task; by default where its
+    authors publish it."""
+
+
+def webcam_setup(options: WebcamOptions) -> dict[str, Any]:
+    """Fetch the networks that find a face in a webcam's pictures, 3.8 MB, and check them.
+
+    It is MediaPipe's face landmarker (Apache 2.0). Nothing else is ever fetched for a webcam, and
+    its pictures leave this program for nowhere.
+    """
+    # Only here: they need packages of their own.
+    from pica_client.sources.networks import SHA256, URL, install
+
+    source = options.source or URL
+    say(f"from {source}")
+    path = install(source)
+    say(f"stored in {path}; now: pica track webcam")
+    return {"path": str(path), "sha256": SHA256}

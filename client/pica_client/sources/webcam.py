@@ -12,11 +12,10 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from pica_client.errors import SourceError
-from pica_client.sources.live.calibration import Calibration
-from pica_client.sources.live.live_face import TrackerSample
-from pica_client.sources.live.tracker import SampleTap, Tracker
-from pica_client.sources.rotation import rotation_vector_from_quaternion
-from pica_client.sources.webcam.networks import FaceNetworks, Region, region_of
+from pica_client.sources.calibration import Calibration
+from pica_client.sources.live_face import TrackerSample, rotation_vector_from_quaternion
+from pica_client.sources.networks import FaceNetworks, Region, region_of
+from pica_client.sources.tracker import SampleTap, Tracker
 from pica_core.types import Float64Array, FloatArray
 from pica_core.types import Image as Picture
 

@@ -1,1 +1,0 @@
-"""A face by a plain webcam: three networks find it, its landmarks and its shapes."""
