@@ -7,6 +7,7 @@ import importlib
 import sys
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
+from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -16,7 +17,6 @@ from pica_client.e2ee.secret import RoomSecret, save_secret
 from pica_client.output import say
 from pica_client.system import has_display
 from pica_command.extras import install_line, modules_by_extra
-from pica_core.avatar.file import shipped_avatar_files
 from pica_core.errors import GraphicsError
 
 
@@ -130,7 +130,8 @@ def _display(is_there: bool) -> Finding:
 
 
 def _avatars() -> Finding:
-    names = [path.stem for path in shipped_avatar_files()]
+    folder = Path(str(resources.files("pica_core") / "avatars"))
+    names = sorted(path.stem for path in folder.glob("*.pica"))  # what reads them needs numpy
     if names:
         return Finding("avatars", "ready", ", ".join(names))
     return Finding("avatars", "missing", "none ship with this build", "--avatar FILE")
