@@ -32,8 +32,6 @@ from pica_core.types import Array, FloatArray
 
 MAX_WAITING = 500
 """Messages that wait for the other end, which reads as fast as it can; more are dropped."""
-NICENESS = -10
-"""Sound must come in time, and takes little of it; where the system lets us say so."""
 PART = FRAME_SAMPLES // 2
 """Samples that the echo canceller takes at once: 10 ms."""
 MAX_DELAY_MS = 500
@@ -210,8 +208,6 @@ def chime() -> FloatArray:
 def main() -> None:
     """Do what the parent says until it has nothing more to say, or is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends us
-    with suppress(OSError, AttributeError):
-        os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
     file = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints is no message
     outbox = Outbox(file)
