@@ -32,7 +32,7 @@ SIZE = (640, 360)
 talking = np.zeros(NUM_ARKIT, np.float32)
 talking[ARKIT_INDEX["jawOpen"]] = 0.5
 files = shipped_avatar_files()[:2]
-plan = plan_seats("arc", len(files), SIZE[0] / SIZE[1])
+plan = plan_seats("line", len(files), SIZE[0] / SIZE[1])
 camera = plan_camera(plan, ViewState(), *SIZE)
 
 context = create_context()

@@ -1,9 +1,8 @@
 """Who sits where, and from where all are seen: pure geometry. `views` has the camera.
 
-World: metres, +y up; the viewer is on the +z side and looks towards -z. Four layouts:
+World: metres, +y up; the viewer is on the +z side and looks towards -z. Three layouts:
 
-    line    side by side, all looking straight ahead
-    arc     the same on an arc around the viewer, everybody facing the viewer
+    line    side by side on an arc around the viewer, everybody facing the viewer
     table   around the far side of a round table, seen from a little above
     grid    rows and columns, everybody facing the viewer
 
@@ -11,8 +10,8 @@ Neighbours sit as far apart as the broadest shoulders need; where a row would be
 every second one moves back a little and they close up. Where a grid shows larger faces than the row
 all the same, as on a narrow picture, the grid is taken.
 
-In each of them one participant may be pinned: that one stands large in the middle, and the others
-look on from a strip at the side.
+In each of them one participant may be pinned: that one stands large, and the others look on from a
+strip at the side.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ import numpy as np
 from pica_core.errors import check_ranges
 from pica_core.types import Float64Array
 
-Layout = Literal["line", "arc", "table", "grid"]
+Layout = Literal["line", "table", "grid"]
 LAYOUTS: tuple[Layout, ...] = get_args(Layout)
 
 SHOULDERS_M = 0.36
@@ -71,16 +70,13 @@ GRID_FROM = 4
 STRIP_BESIDE = 1.25
 """Pictures at least so wide for their height have the strip of those who are not pinned at the
 right; others have it below."""
-STRIP_COLUMN_SHARE = 0.17
-"""Part of the picture's longer side for each column or row of it."""
+STRIP_LINE_SHARE = 0.17
+"""Part of what is free of the picture for each column or row of it."""
 STRIP_PER_LINE = 4
 STRIP_HEAD_SHARE = 0.26
 """Height of their heads, as part of the picture's height, at most."""
 MAX_STRIP_SHARE = 0.4
 """Part of the picture that the strip takes at most: the rest is for the pinned person."""
-CENTRING_LOSS = 1.35
-"""A pinned person stands in the middle of the picture unless the strip makes the head this many
-times smaller there than in the middle of what it leaves."""
 PINNED_CHEST_M = 0.36
 """How far below the middle of a pinned head nothing of the strip may begin."""
 MAX_FREE = 0.5
@@ -205,13 +201,7 @@ camera."""
 
 
 def _line(count: int, frame: _Frame, spacing_m: float) -> Arrangement:
-    across, behind = _closed_up(count, frame, spacing_m)
-    places = np.stack([across, np.zeros(count), -behind], axis=-1)
-    return places, 0.0, places + np.array([0.0, 0.0, 1.0])
-
-
-def _arc(count: int, frame: _Frame, spacing_m: float) -> Arrangement:
-    """About the viewer, who sees everybody's face from the front and of one size."""
+    """On an arc about the viewer, who sees everybody's face from the front and of one size."""
     across, behind = _closed_up(count, frame, spacing_m)
     radius = max(
         (BUST_M + HEAD_HALF_HEIGHT_M) / (frame.top - frame.bottom),
@@ -267,7 +257,6 @@ def _grid(count: int, frame: _Frame, spacing_m: float) -> Arrangement:
 
 _ARRANGEMENTS: dict[Layout, Callable[[int, _Frame, float], Arrangement]] = {
     "line": _line,
-    "arc": _arc,
     "table": _table,
 }
 
@@ -277,56 +266,39 @@ def _plan_pinned(
 ) -> SeatPlan:
     """One in front, the others in a strip at the right or below: as far away as makes them fit."""
     others = [index for index in range(count) if index != pinned]
-    tangent = math.tan(VERTICAL_FOV / 2)
-    is_wide = aspect >= STRIP_BESIDE
+    tangent, is_wide = math.tan(VERTICAL_FOV / 2), aspect >= STRIP_BESIDE
     lines = math.ceil(len(others) / STRIP_PER_LINE)
     per_line = math.ceil(len(others) / lines)
-    longer = 2 * tangent * (aspect if is_wide else 1.0)
+    share = min(lines * STRIP_LINE_SHARE, MAX_STRIP_SHARE)
     floor = frame.bottom - 2 * tangent * LABEL_SHARE
-    across, along = frame.right - frame.left, frame.top - floor
-    if not is_wide:
-        across, along = along, across
-    strip = min(lines * STRIP_COLUMN_SHARE * longer, MAX_STRIP_SHARE * across)
-    width, height = strip / lines, along / per_line
-    if not is_wide:
-        width, height = height, width
-    head_per_width = 2 * HEAD_HALF_HEIGHT_M / (shoulders_m + SHOULDER_GAP_M)
+    left, top = frame.left, frame.top
+    if is_wide:
+        left = frame.right - share * (frame.right - left)
+        own, below_m, columns, rows = (
+            replace(frame, right=left),
+            HEAD_HALF_HEIGHT_M,
+            lines,
+            per_line,
+        )
+    else:
+        top = floor + share * (top - floor)
+        own, below_m, columns, rows = replace(frame, bottom=top), PINNED_CHEST_M, per_line, lines
+    half_width = shoulders_m / 2
+    camera_m, target_m = _framing(
+        np.zeros((1, 3)), 0.0, own, half_width=half_width, below_m=below_m
+    )
+    width, height = (frame.right - left) / columns, (top - floor) / rows
     bust_per_head = (BUST_M + HEAD_HALF_HEIGHT_M) / (2 * HEAD_HALF_HEIGHT_M)
+    head_per_width = 2 * HEAD_HALF_HEIGHT_M / (shoulders_m + SHOULDER_GAP_M)
     head = min(height / bust_per_head, width * head_per_width, STRIP_HEAD_SHARE * 2 * tangent)
-    # No broader than its heads need.
-    strip = min(strip, lines * head * (1 / head_per_width if is_wide else bust_per_head))
-    edge = frame.right - strip if is_wide else floor + strip
-    camera_m, target_m = _framing_pinned(frame, edge, is_wide=is_wide, shoulders_m=shoulders_m)
     seats = [_seat(np.zeros(3), camera_m)] * count
     for number, index in enumerate(others):
-        line, place = divmod(number, per_line)
-        in_line = min(per_line, len(others) - line * per_line)
-        inwards, onwards = (line + 0.5) / lines * strip, (place + 0.5) / in_line * along
-        if is_wide:
-            x, y = edge + inwards, frame.top - onwards
-        else:
-            x, y = frame.left + onwards, edge - inwards
+        column, row = divmod(number, rows) if is_wide else divmod(number, columns)[::-1]
         # The bust stands in the middle of the cell.
-        at = np.array([x, y + head * (bust_per_head - 1) / 2, -1.0])
-        at *= 2 * HEAD_HALF_HEIGHT_M / head
+        y = top - (row + 0.5) * height + head * (bust_per_head - 1) / 2
+        at = np.array([left + (column + 0.5) * width, y, -1.0]) * 2 * HEAD_HALF_HEIGHT_M / head
         seats[index] = _seat(camera_m + at, camera_m)
     return SeatPlan(seats=tuple(seats), camera_m=camera_m, target_m=target_m, layout=layout)
-
-
-def _framing_pinned(
-    frame: _Frame, edge: float, *, is_wide: bool, shoulders_m: float
-) -> tuple[Float64Array, Float64Array]:
-    """The view of the pinned person, at the origin, beside a strip that begins at `edge`."""
-    origin, half_width = np.zeros((1, 3)), shoulders_m / 2
-    if not is_wide:
-        above, half_width = replace(frame, bottom=edge), min(HEAD_HALF_WIDTH_M, half_width)
-        return _framing(origin, 0.0, above, half_width=half_width, below_m=PINNED_CHEST_M)
-    beside = _framing(origin, 0.0, replace(frame, right=edge), half_width=half_width)
-    if edge <= 0:
-        return beside
-    side = min(edge, -frame.left)
-    centred = _framing(origin, 0.0, replace(frame, left=-side, right=side), half_width=half_width)
-    return centred if _distance(*centred) <= CENTRING_LOSS * _distance(*beside) else beside
 
 
 def _frame(aspect: float, free: FreeShares) -> _Frame:

@@ -80,32 +80,16 @@ class ViewState:
 def orbit_limits(plan: SeatPlan, spans: tuple[ViewSpan, ...]) -> OrbitLimits:
     """How far the view may turn before a person is seen from where their avatar was not trained,
     which is torn there: of each seat `spans` says from where. One that is beyond that already may
-    not get further."""
-    bounds = np.array([astuple(span) for span in spans], np.float64).reshape(len(spans), 2, 2)
-    bounds += [KEPT_DEGREES, -KEPT_DEGREES]
-
-    def reach(yaw: float, pitch: float, most: int) -> float:
-        """How far the view may turn towards this side."""
-        fine = np.full(most + 1, fill_value=True)
-        steps = np.radians(np.arange(most + 1.0))
-        directions, distance = _outlook(plan, yaw * steps, pitch * steps)
-        centres = plan.target_m + distance * directions
-        for seat, (low, high) in zip(plan.seats, bounds.transpose(0, 2, 1), strict=True):
-            seen = np.matmul(centres - seat[:3, 3], seat[:3, :3])
-            up = np.arctan2(seen[:, 1], np.hypot(seen[:, 0], seen[:, 2]))
-            angles = np.degrees(np.stack([np.arctan2(seen[:, 0], seen[:, 2]), up], axis=-1))
-            within = (angles >= np.minimum(low, angles[0])) & (
-                angles <= np.maximum(high, angles[0])
-            )
-            fine &= within.all(axis=-1)
-        return float(steps[most if fine.all() else fine.argmin() - 1])
-
-    return OrbitLimits(
-        min_yaw=-reach(-1, 0, MAX_YAW),
-        max_yaw=reach(1, 0, MAX_YAW),
-        min_pitch=-reach(0, -1, MAX_PITCH),
-        max_pitch=reach(0, 1, MAX_PITCH),
-    )
+    not get further. A turn about the middle counts as one about each head."""
+    low, high = np.array([[-MAX_YAW, -MAX_PITCH], [MAX_YAW, MAX_PITCH]], np.float64)
+    for seat, span in zip(plan.seats, spans, strict=True):
+        x, y, z = np.matmul(plan.camera_m - seat[:3, 3], seat[:3, :3])
+        home = np.degrees([math.atan2(x, z), math.atan2(y, math.hypot(x, z))])
+        least, most = np.array(astuple(span)).reshape(2, 2).T - home
+        low = np.maximum(low, np.minimum(least + KEPT_DEGREES, 0.0))
+        high = np.minimum(high, np.maximum(most - KEPT_DEGREES, 0.0))
+    (min_yaw, min_pitch), (max_yaw, max_pitch) = np.radians([low, high]).tolist()
+    return OrbitLimits(min_yaw=min_yaw, max_yaw=max_yaw, min_pitch=min_pitch, max_pitch=max_pitch)
 
 
 def plan_camera(
@@ -115,7 +99,12 @@ def plan_camera(
     limits = limits or OrbitLimits()
     yaw = min(max(view.yaw, limits.min_yaw), limits.max_yaw)
     pitch = min(max(view.pitch, limits.min_pitch), limits.max_pitch)
-    (direction,), distance = _outlook(plan, np.array([yaw]), np.array([pitch]))
+    offset = plan.camera_m - plan.target_m
+    distance = float(np.linalg.norm(offset))
+    around = math.atan2(offset[0], offset[2]) + yaw
+    up = math.asin(offset[1] / distance) + pitch
+    level = math.cos(up)
+    direction = np.array([math.sin(around) * level, math.sin(up), math.cos(around) * level])
     # The nearer the camera comes to a head, the less a notch of the wheel moves it.
     nearest = min(_nearest_m(plan, direction), distance)
     zoom = min(max(view.zoom, MIN_ZOOM), MAX_ZOOM)
@@ -128,17 +117,6 @@ def plan_camera(
         width=width,
         height=height,
     )
-
-
-def _outlook(plan: SeatPlan, yaw: Float64Array, pitch: Float64Array) -> tuple[Float64Array, float]:
-    """Where the camera is from what it looks at, turned by so much: directions ``[K, 3]``, and how
-    far away."""
-    offset = plan.camera_m - plan.target_m
-    distance = float(np.linalg.norm(offset))
-    around = math.atan2(offset[0], offset[2]) + yaw
-    up = math.asin(offset[1] / distance) + pitch
-    level = np.cos(up)
-    return np.stack([np.sin(around) * level, np.sin(up), np.cos(around) * level], axis=-1), distance
 
 
 def stereo_cameras(

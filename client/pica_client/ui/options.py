@@ -94,7 +94,7 @@ class ViewOptions:
     """Avatar of your own face: a shipped one by its name, or a .pica file; by default a shipped
     one that goes by the name."""
     layout: Layout | None = None
-    """How people sit: line, arc, table or grid; L goes through them. By default as it was left."""
+    """How people sit: line, table or grid; L goes through them. By default as it was left."""
     voice: str | None = None
     """Whose voice is sent: mic, the system's microphone; mic:NAME; or what pica send takes;
     none by default, but mic where a form asks, which can be changed there."""

@@ -31,7 +31,6 @@ SCALES: Final = (0.8, 1.0, 1.25, 1.5)
 CHOICES: Final[dict[str, tuple[Any, ...]]] = {"layout": LAYOUTS, "scale": SCALES}
 LAYOUT_TITLES: Final[dict[Layout, str]] = {
     "line": "Line",
-    "arc": "Arc",
     "table": "Round table",
     "grid": "Grid",
 }
@@ -56,7 +55,7 @@ class Preferences:
     """File of certificates to trust."""
     secret_file: str = ""
     """File with the room secret; the secret itself is not kept."""
-    layout: Layout = "arc"
+    layout: Layout = "line"
     scale: float = 1.0
     """Size of type and buttons, one of `SCALES`."""
     shows_self: bool = True

@@ -224,7 +224,7 @@ def test_five_seats_look_as_they_did(
         context, TOY, SISTER, TOY, SISTER, options=RenderOptions(fade_busts=True), size=size
     )
     renderer.add_placeholder("p4")
-    plan = plan_seats("arc", 5, 16 / 9)
+    plan = plan_seats("line", 5, 16 / 9)
     camera = plan_camera(plan, ViewState(), *size)
     placements = []
     for index, seat in enumerate(plan.seats):

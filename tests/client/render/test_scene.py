@@ -41,11 +41,11 @@ LIMITS = OrbitLimits()
 
 
 def arrange_seats(count: int, aspect: float = WIDE) -> tuple[Float64Array, ...]:
-    return plan_seats("arc", count, aspect).seats
+    return plan_seats("line", count, aspect).seats
 
 
 def view_camera(view: ViewState, count: int, width: int, height: int) -> Camera:
-    return plan_camera(plan_seats("arc", count, width / height), view, width, height)
+    return plan_camera(plan_seats("line", count, width / height), view, width, height)
 
 
 BOX_LOW, BOX_HIGH = (-0.1, -0.15, -0.1), (0.1, 0.15, 0.1)
@@ -54,7 +54,7 @@ small = st.floats(-3, 3, allow_nan=False)
 
 @pytest.mark.parametrize("count", [1, 2, 3, 5])
 def test_every_seat_of_the_arc_faces_the_viewer_from_about_the_same_distance(count: int) -> None:
-    plan = plan_seats("arc", count, WIDE)
+    plan = plan_seats("line", count, WIDE)
     ways = plan.camera_m - [seat[:3, 3] for seat in plan.seats]
     distances = np.linalg.norm(ways, axis=1)
     np.testing.assert_allclose([seat[:3, 2] for seat in plan.seats], ways / distances[:, None])
@@ -76,7 +76,7 @@ def test_a_head_that_turns_to_its_left_faces_the_seats_plus_x() -> None:
 
 
 def test_a_head_moves_along_the_axes_of_its_seat() -> None:
-    plan = plan_seats("arc", 2, WIDE)
+    plan = plan_seats("line", 2, WIDE)
     seat = plan.seats[0]
     moved = head_matrix(seat, [0, 0, 0], [0, 0, 0.3])[:3, 3]
     nearer = np.linalg.norm(plan.camera_m - seat[:3, 3]) - np.linalg.norm(plan.camera_m - moved)

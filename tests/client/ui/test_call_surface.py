@@ -57,7 +57,7 @@ def test_everybody_has_a_name_on_any_picture(layout: Layout, size: tuple[int, in
     pitch=st.floats(-0.4, 0.5),
     zoom=st.floats(0.4, 12),
 )
-@example(layout="arc", count=1, size=(300, 500), pinned=None, yaw=0, pitch=0, zoom=3)
+@example(layout="line", count=1, size=(300, 500), pinned=None, yaw=0, pitch=0, zoom=3)
 def test_no_name_covers_a_face_or_another_name_or_leaves_the_picture(
     layout: Layout,
     count: int,
