@@ -140,7 +140,7 @@ class PersonOptions(RenderOptions):
     hair_colour: str | None = None
     """black, brown, light_brown, blond, red, grey or white."""
     beard: str | None = None
-    """none, stubble, moustache, goatee, short or full."""
+    """none or stubble."""
     eyes: str | None = None
     """brown, dark, hazel, green, blue or grey."""
     clothes: str | None = None

@@ -35,7 +35,7 @@ EYE_COLOURS: dict[str, Rgb] = {
     "brown": (0.070, 0.030, 0.012), "dark": (0.034, 0.016, 0.008), "hazel": (0.085, 0.052, 0.019),
     "green": (0.046, 0.062, 0.026), "blue": (0.036, 0.068, 0.112), "grey": (0.058, 0.068, 0.078),
 }  # fmt: skip
-BEARDS = ("none", "stubble", "moustache", "goatee", "short", "full")
+BEARDS = ("none", "stubble")
 CLOTHES = ("tee", "vneck", "shirt", "turtleneck", "hoodie")
 CLOTH_COLOURS: dict[str, Rgb] = {
     "white": (0.55, 0.55, 0.53), "charcoal": (0.035, 0.037, 0.042), "navy": (0.02, 0.035, 0.085),

@@ -192,8 +192,8 @@ class Growth:
     """Hair of a head by welded vertex.
 
     Attributes:
-        hairs: Coverage of the scalp (0 at the hairline, 1 is 14 mm above), direction of strands,
-            density of the beard. float32 ``[P, 5]``.
+        hairs: Coverage of the scalp (0 at the hairline, 1 is 14 mm above), and direction
+            of strands. float32 ``[P, 4]``.
         strand: On hair: along 0 to 1, across -1 to 1, number, length in metres. On teeth: 0, or 1
             where an arch ends in the dark. float32 ``[P, 4]``.
     """
@@ -264,7 +264,7 @@ PAINT: dict[str, Any] = {
 }
 """Linear colours and marks of the synthetic skin (chosen)."""
 CORNER = {
-    "vertex_uv": 2, "rest_m": 3, "local": 4, "source_uv": 2, "cover": 1, "strand": 3, "beard": 1,
+    "vertex_uv": 2, "rest_m": 3, "local": 4, "source_uv": 2, "strand": 3,
     "tint": 3,
 }  # fmt: skip
 """What the shader is told of each corner of a triangle, and in how many numbers."""
@@ -292,7 +292,7 @@ def paint(
     corner = head.chart.faces.ravel()
     rest = head.mesh.rest_m[head.chart.source]
     split = np.concatenate([head.chart.vertex_uv, rest, surface(head, growth)], 1)
-    hairs, colours = split_hairs(head, growth)[corner], head.mesh.colours
+    hairs, colours = split_strands(head, growth)[corner], head.mesh.colours
     tint = np.ones((len(corner), 3)) if colours is None else colours[head.chart.face_source]
     data = np.concatenate([split[corner], _source_uv(head), hairs, tint.reshape(-1, 3)], 1)
     corners = context.buffer(data.astype(np.float32).tobytes()), CORNER
@@ -314,11 +314,11 @@ def paint(
     return targets
 
 
-def split_hairs(head: RigHead, growth: Growth | None) -> FloatArray:
-    """What `Growth.hairs` says of each split vertex; 0 without growth. float32 ``[V, 5]``."""
+def split_strands(head: RigHead, growth: Growth | None) -> FloatArray:
+    """Direction of strands at each split vertex; 0 without growth. float32 ``[V, 3]``."""
     if growth is None:
-        return np.zeros((len(head.chart.source), 5), np.float32)
-    return growth.hairs[head.chart.source]
+        return np.zeros((len(head.chart.source), 3), np.float32)
+    return growth.hairs[head.chart.source, 1:]
 
 
 def _places(head: RigHead) -> dict[str, Any]:

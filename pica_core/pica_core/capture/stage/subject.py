@@ -25,8 +25,8 @@ from pica_core.capture.stage.paint import (
     make_program,
     paint,
     set_uniforms,
-    split_hairs,
     split_parts,
+    split_strands,
     vertex_array,
 )
 from pica_core.gl import create_context, wait_for_gpu
@@ -92,7 +92,7 @@ class Subject:
         self._albedo, self._look, self._growth = albedo or {}, look or {}, growth
         self._bake_size, self._self_shadow = bake_size, self_shadow
         self._context: Any = None
-        self._strands = split_hairs(head, growth)[:, 1:4]
+        self._strands = split_strands(head, growth)
         self._lids = tuple(_lid_edges(head))
 
     def describe(self) -> dict[str, Any]:

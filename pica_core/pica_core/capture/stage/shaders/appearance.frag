@@ -11,7 +11,6 @@ in vec4 surface;
 in vec2 albedo_uv;
 in vec3 tinted;
 in vec3 strand_way;    // direction of hair
-in vec2 grown;         // coverage by hair, density of beard
 const int material_id = MATERIAL;   // a program each: software GL runs every branch
 layout(location = 0) out vec4 colour_out;
 layout(location = 1) out vec4 relief_out;
@@ -119,7 +118,7 @@ void skin(out vec3 rgb, out float gloss, out float height, out float translucent
     float creased = age * age * (1.3 * lines + 1.1 * feet + 0.8 * bag + 0.7 * perioral) + 0.8 * age * fold + 0.5 * age * neck;
     rgb *= 1.0 - vec3(0.17, 0.22, 0.22) * min(creased, 1.0);
     height -= 0.40 * min(creased, 1.2) + 0.12 * age * (noise(p * 0.9 + seed) - 0.5);
-    // Shadow of a shaved beard, then one that has grown.
+    // Shadow of a shaved beard, or stubble.
     float shaved = smoothstep(nose_mm.y - 8.0, nose_mm.y - 18.0, p.y + 0.12 * q.x * step(q.x, 40.0)) * smoothstep(66.0, 50.0, q.x) * smoothstep(mouth_mm - 72.0, mouth_mm - 48.0, p.y) * front;
     float bristle = smoothstep(0.52, 0.74, noise(p * vec3(4.4, 3.6, 4.0) + 3.0));
     float no_lip = 1.0 - smoothstep(-0.4, 0.0, surface.x);
@@ -157,7 +156,7 @@ void skin(out vec3 rgb, out float gloss, out float height, out float translucent
     gloss *= 1.0 - 0.4 * brow;
     // Hair on the scalp, strands along their direction; skin shines through at the edge. Without one: cropped grains.
     float c = surface.z, dense, tone;
-    if (has_growth > 0.5 && max(c, grown.y) > -0.6) {
+    if (has_growth > 0.5) {
         vec3 way = normalize(strand_way + 1e-4);
         float fine = streaks(p, way, 3.2, 1.9), wide = streaks(p, way, 11.0, 0.7);
         tone = 0.6 * fine + 0.4 * wide;
@@ -167,10 +166,8 @@ void skin(out vec3 rgb, out float gloss, out float height, out float translucent
         float scalp = smoothstep(-0.55, 0.6, c + ragged) * smoothstep(-0.75, -0.25, c);   // strands thin out, skin shines through
         dense = scalp * mix(smoothstep(0.30, 0.62, fine + 0.35 * scalp), 1.0, scalp);
         rgb = mix(rgb, mix(rgb, hair_rgb, 0.45), smoothstep(-0.9, 0.3, c));
-        float bearded = grown.y * no_lip;
-        float chin = smoothstep(0.12, 0.92, bearded + 0.6 * ragged * (1.0 - bearded));
-        rgb = mix(rgb, mix(rgb, hair_rgb, 0.5), smoothstep(0.0, 0.5, bearded));   // stubble beneath
-        dense = max(dense, chin * mix(smoothstep(0.3, 0.5, fine + 0.25 * chin), 1.0, 0.6 * chin));
+        float stray = smoothstep(0.12, 0.92, 0.6 * ragged);   // single hairs, down
+        dense = max(dense, stray * mix(smoothstep(0.3, 0.5, fine + 0.25 * stray), 1.0, 0.6 * stray));
     } else {
         tone = noise(p * vec3(1.4, 1.0, 0.6) + seed) * 0.4 + noise(p * vec3(3.1, 2.4, 1.3)) * 0.35 + noise(p * 0.3) * 0.25;
         float cover = smoothstep(-0.15, 0.75, c + 0.5 * (tone - 0.5));

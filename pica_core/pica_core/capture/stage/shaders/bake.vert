@@ -4,15 +4,12 @@ in vec2 vertex_uv;
 in vec3 rest_m;
 in vec4 local;
 in vec2 source_uv;
-in float cover;
 in vec3 strand;
-in float beard;
 in vec3 tint;
 out vec3 rest_mm;
 out vec4 surface;
 out vec2 albedo_uv;
 out vec3 strand_way;
-out vec2 grown;
 out vec3 tinted;
 void main() {
     rest_mm = rest_m * 1000.0;
@@ -20,6 +17,5 @@ void main() {
     albedo_uv = source_uv;
     strand_way = strand;
     tinted = tint;
-    grown = vec2(cover, beard);
     gl_Position = vec4(vertex_uv * 2.0 - 1.0, 0.0, 1.0);
 }
