@@ -9,7 +9,7 @@ from contextlib import closing
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.endpoint.endpoint import Sender
-from pica_client.publish.publisher import SenderConfig, open_face
+from pica_client.publish import SenderConfig, open_face
 from pica_client.transport.config import LinkConfig
 from pica_server.config import RelayConfig
 from pica_server.relay import Relay

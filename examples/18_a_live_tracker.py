@@ -12,7 +12,7 @@ import struct
 import time
 
 from pica_client.endpoint.endpoint import Sender
-from pica_client.publish.publisher import Outgoing, Publisher, SenderConfig
+from pica_client.publish import Outgoing, Publisher, SenderConfig
 from pica_client.sources.registry import open_live
 from pica_client.sources.tracker import UdpTracker
 from pica_client.transport.config import LinkConfig

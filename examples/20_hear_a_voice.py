@@ -12,7 +12,7 @@ import numpy as np
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.call.call import Call, Ears
 from pica_client.endpoint.endpoint import Receiver, Sender
-from pica_client.publish.publisher import SenderConfig, open_face
+from pica_client.publish import SenderConfig, open_face
 from pica_client.transport.config import LinkConfig
 from pica_client.voice.opus import OpusDecoder, level_of
 from pica_client.voice.publisher import VoicePublisher

@@ -51,7 +51,7 @@ ROOMS: dict[str, tuple[int, tuple[str, ...]]] = {
     "core/capture and the rest": (7000, (CORE,)),
     "client/avatars": (650, (CLIENT + "avatars/",)),
     "client/bench": (3200, (CLIENT + "bench/",)),
-    "client/call, publish": (1700, (CLIENT + "call/", CLIENT + "publish/")),
+    "client/call, publish": (1700, (CLIENT + "call/", CLIENT + "publish.py")),
     "client/cli": (900, (CLIENT + "cli/",)),
     "client/decode, schedule, render": (
         3500,

@@ -31,7 +31,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pica_client.output import say
+from pica_client.system import say
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.link import Link
 from pica_protocol.frames import Frame

@@ -19,7 +19,7 @@ from helpers.toy import make_toy_avatar
 from pica_client.bench.impairment import Impairment
 from pica_client.call.call import ArrivedFace, Call
 from pica_client.endpoint.endpoint import Receiver
-from pica_client.publish.publisher import SenderConfig
+from pica_client.publish import SenderConfig
 from pica_client.stats import percentile
 from pica_client.transport.config import LinkConfig
 from pica_core.avatar.file import Avatar

@@ -17,7 +17,7 @@ from pica_client.call.call import Call
 from pica_client.call.status import CallStatus, FaceState
 from pica_client.endpoint.endpoint import Receiver
 from pica_client.endpoint.monitor import CallMonitor
-from pica_client.publish.publisher import Outgoing, Publisher, SenderConfig
+from pica_client.publish import Outgoing, Publisher, SenderConfig
 from pica_client.sources import open_source
 from pica_client.tracks import FaceMode
 from pica_client.transport.config import LinkConfig

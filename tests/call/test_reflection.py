@@ -10,10 +10,9 @@ import pytest
 
 from helpers.senders import LoadedAvatars
 from helpers.stream_toy import stream_avatar
-from pica_client.call.call import Call
-from pica_client.call.reflection import Reflection
+from pica_client.call.call import Call, Reflection
 from pica_client.endpoint.endpoint import Receiver
-from pica_client.publish.publisher import Outgoing, Publisher, SenderConfig
+from pica_client.publish import Outgoing, Publisher, SenderConfig
 from pica_client.sources import open_source
 from pica_client.transport.config import LinkConfig
 from pica_core.avatar.arkit import ExpressionFrame

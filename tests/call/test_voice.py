@@ -15,7 +15,7 @@ from helpers.senders import LoadedAvatars
 from pica_client.call.call import Call, Ears
 from pica_client.e2ee.secret import RoomSecret, save_secret
 from pica_client.endpoint.endpoint import Receiver
-from pica_client.publish.publisher import Outgoing, Publisher, SenderConfig
+from pica_client.publish import Outgoing, Publisher, SenderConfig
 from pica_client.sources import open_source
 from pica_client.tracks import VOICE_KEY
 from pica_client.transport.config import LinkConfig

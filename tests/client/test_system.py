@@ -10,8 +10,7 @@ from platformdirs.macos import MacOS
 from platformdirs.unix import Unix
 
 from pica_client.avatars.fetch import AvatarCache
-from pica_client.output import say
-from pica_client.system import cache_folder, preferences_folder
+from pica_client.system import cache_folder, preferences_folder, say
 from pica_client.ui.state import PreferencesFile, ViewState
 
 pytestmark = pytest.mark.unit

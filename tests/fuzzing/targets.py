@@ -21,7 +21,7 @@ from golden.wire_samples import GOLDEN
 from helpers.stream_toy import perform, toy_profile
 from helpers.toy import make_toy_avatar, with_bases
 from pica_client.e2ee.frames import decode_header, derive_key, metadata_of, open_, seal
-from pica_client.e2ee.key_messages import KeyMessage, decode, encode, room_key
+from pica_client.e2ee.peer_keys import KeyMessage, decode, encode, room_key
 from pica_client.e2ee.secret import RoomSecret
 from pica_client.errors import OpenError
 from pica_core.avatar.file import load_avatar, save_avatar

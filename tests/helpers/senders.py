@@ -8,7 +8,7 @@ from typing import Any
 
 from pica_client.endpoint.endpoint import Sender
 from pica_client.local_call.local_call import peer_sources
-from pica_client.publish.publisher import Outgoing, Publisher, SenderConfig
+from pica_client.publish import Outgoing, Publisher, SenderConfig
 from pica_client.sources import Source, open_source
 from pica_client.transport.config import LinkConfig
 from pica_core.avatar.file import Avatar

@@ -27,8 +27,8 @@ from pica_client.endpoint.endpoint import Receiver
 from pica_client.errors import CallProcessError, OptionError
 from pica_client.local_call import local_call
 from pica_client.local_call.processes import Children
-from pica_client.output import say
 from pica_client.stats import describe_machine, summarise_ms
+from pica_client.system import say
 from pica_client.transport.config import LinkConfig
 
 WARM_UP_S = 2.0

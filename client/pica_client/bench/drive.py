@@ -18,10 +18,10 @@ import numpy as np
 from pica_client.bench.harness import Words, report
 from pica_client.bench.head import FaceRenderer, evaluation_cameras
 from pica_client.errors import OptionError, check_ranges
-from pica_client.output import say
 from pica_client.render.drawing import masked_mse
 from pica_client.sources import Source, open_source
 from pica_client.stats import wire_bytes
+from pica_client.system import say
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
 from pica_core.capture.stage.subject import Subject

@@ -14,8 +14,8 @@ from typing import Annotated, Any, NamedTuple, TypeVar
 from cyclopts import Parameter, Token
 
 from pica_client.errors import OptionError
-from pica_client.output import say
 from pica_client.stats import describe_machine, percentile
+from pica_client.system import say
 
 T = TypeVar("T")
 Case = TypeVar("Case")

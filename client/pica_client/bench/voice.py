@@ -34,11 +34,11 @@ from pica_client.bench.stream_trial import (
     play,
 )
 from pica_client.errors import check_ranges
-from pica_client.output import say
 from pica_client.playout.buffer import Playout
 from pica_client.render.drawing import drawn_mse
 from pica_client.sources.source import make_performance
 from pica_client.stats import summarise_ms
+from pica_client.system import say
 from pica_client.voice.jitter_buffer import HeardVoice, JitterBuffer
 from pica_client.voice.opus import FRAME_S, PACKET_FRAMES, OpusDecoder, OpusEncoder
 from pica_client.voice.opus import FRAME_SAMPLES as FRAME

@@ -12,20 +12,21 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from pica_client.avatars.library import AvatarStore
 from pica_client.call.participant import Participant, Tell
-from pica_client.call.roster import SECRET_NEEDED, Member, RoomState, Roster, name_warnings
+from pica_client.call.roster import SECRET_NEEDED, SELF_ID, Member, RoomState, Roster, name_warnings
 from pica_client.call.status import FaceState, FaceStatus
-from pica_client.e2ee.status import SealState
+from pica_client.e2ee.secret import SealState
 from pica_client.stats import Samples
 from pica_client.tracks import FACE_TRACK, voice_of
 from pica_core.avatar.file import Avatar
-from pica_core.codec.latent_stream import LatentSample
+from pica_core.codec.latent_stream import EncodedFrame, LatentSample
 from pica_core.errors import AvatarFileError, LatentError, ProfileError
 from pica_protocol import messages
-from pica_protocol.frames import Frame
+from pica_protocol.frames import SEQUENCE_MODULUS, Frame
+from pica_protocol.messages import Joined, Peer, Track
 from pica_protocol.session import ClientEvent
 
 if TYPE_CHECKING:  # a call without a secret needs no cryptography
@@ -354,3 +355,50 @@ class Call:
             captured_us=max(played.captured_us, 0),
             status=status,
         )
+
+
+_STREAM: Final = 1
+
+
+class Reflection:
+    """Our own face as the others get it: a call of one, fed with what is sent.
+
+    The frames that leave are decoded and played out as a receiver does it. So what the codec takes
+    away, and a face that is off, is seen here as it is seen there; what the network does to it is
+    not.
+
+    Attributes:
+        call: Shows it.
+    """
+
+    def __init__(self, avatar: Avatar, track: Track) -> None:
+        """Begin before the first frame."""
+        self.call = Call(_OneAvatar(track.avatar, avatar))
+        self._num_frames = 0
+        peer = Peer(peer_id=SELF_ID, name="You", tracks=(replace(track, stream=_STREAM),))
+        self.call.receive_event(Joined(room="mirror", peer_id="others", peers=(peer,)), now=0.0)
+
+    def receive(self, coded: EncodedFrame, captured_us: int, now: float) -> None:
+        """Take a frame that was sent at `now`, seconds."""
+        frame = Frame(
+            stream=_STREAM,
+            sequence=self._num_frames % SEQUENCE_MODULUS,
+            captured_us=captured_us,
+            payload=coded.payload,
+        )
+        self._num_frames += 1
+        self.call.receive_event(frame, now)
+
+
+class _OneAvatar:
+    def __init__(self, identity: str, avatar: Avatar) -> None:
+        self._identity, self._avatar = identity, avatar
+
+    def has(self, identity: str) -> bool:
+        return identity == self._identity
+
+    def get(self, identity: str) -> Avatar | None:
+        return self._avatar if self.has(identity) else None
+
+    def note(self, identity: str) -> str:
+        return ""

@@ -12,8 +12,7 @@ from pica_client.bench.harness import say_rows
 from pica_client.bench.scene import SceneBenchConfig, run_scene_bench
 from pica_client.bench.voice import BenchVoiceConfig, run_bench_voice
 from pica_client.local_call.local_call import choose_avatars
-from pica_client.output import say
-from pica_client.system import terminate_as_interrupt
+from pica_client.system import say, terminate_as_interrupt
 from pica_core.avatar.file import Avatar
 
 Result = dict[str, Any]

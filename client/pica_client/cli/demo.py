@@ -17,9 +17,15 @@ from pica_client.avatars.library import AvatarLibrary
 from pica_client.errors import CallProcessError, check_ranges
 from pica_client.local_call import local_call
 from pica_client.local_call.processes import Child, Children
-from pica_client.output import make_folder, say, writing, writing_whole
 from pica_client.stats import describe_machine
-from pica_client.system import has_display, terminate_as_interrupt
+from pica_client.system import (
+    has_display,
+    make_folder,
+    say,
+    terminate_as_interrupt,
+    writing,
+    writing_whole,
+)
 from pica_client.ui.options import parse_size
 
 END_TIMEOUT_S = 90.0

@@ -17,7 +17,6 @@ from rich.live import Live
 from rich.table import Table
 
 from pica_client.errors import OptionError, SourceError, check_ranges
-from pica_client.output import check_writable, say
 from pica_client.sources.calibration import MAX_GAIN, MAX_SOUND_OFFSET_S
 from pica_client.sources.calibration import calibrate as calibration_of_samples
 from pica_client.sources.live_face import TrackerSample, yaw_pitch_roll_from_rotation_vector
@@ -29,6 +28,7 @@ from pica_client.sources.registry import (
     split_source,
 )
 from pica_client.sources.tracker import SampleTap, Tracker
+from pica_client.system import check_writable, say
 from pica_core.avatar.arkit import ARKIT_NAMES, NUM_ARKIT
 from pica_core.files import replacing
 from pica_core.livelink import MAX_ROWS, livelink_csv

@@ -4,8 +4,7 @@ from contextlib import closing
 from typing import Any
 
 from pica_client.errors import OptionError
-from pica_client.output import say
-from pica_client.system import has_display
+from pica_client.system import has_display, say
 from pica_client.ui.options import ViewOptions
 
 

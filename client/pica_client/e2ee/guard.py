@@ -24,10 +24,9 @@ from typing import Any, Final
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 
 from pica_client import errors
-from pica_client.e2ee import frames, key_messages
+from pica_client.e2ee import frames, peer_keys
 from pica_client.e2ee.peer_keys import FIRST_WAIT_S, KEY_IDS, PeerKeys
-from pica_client.e2ee.secret import RandomBytes, RoomSecret
-from pica_client.e2ee.status import SealState, SealStatus
+from pica_client.e2ee.secret import RandomBytes, RoomSecret, SealState, SealStatus
 from pica_client.tracks import FACE_TRACK
 from pica_protocol import messages
 from pica_protocol.frames import Frame
@@ -105,8 +104,8 @@ class Guard:
     def begin(self, room: str, name: str) -> None:
         """Bind keys to the room that we are about to join, and to our name in it."""
         self._room, self._name = room, name
-        self._code_key = key_messages.room_key(self._secret, room, b"code")
-        self._pair_salt = key_messages.room_key(self._secret, room, b"pair")
+        self._code_key = peer_keys.room_key(self._secret, room, b"code")
+        self._pair_salt = peer_keys.room_key(self._secret, room, b"pair")
 
     def seal(self, frame: Frame) -> bytes:
         """Return the payload to send instead of the frame's own, once its header is final.
@@ -188,8 +187,8 @@ class Guard:
         self._streams: dict[int, tuple[str, str]] = {}  # owner and kind of the others' streams
         self._own_id = joined.peer_id
         self._kinds = {track.stream: track.kind for track in joined.tracks}
-        self._description = key_messages.describe(self._room, self._name, joined.tracks)
-        private_bytes = self._random_bytes(key_messages.PUBLIC_KEY_BYTES)
+        self._description = peer_keys.describe(self._room, self._name, joined.tracks)
+        private_bytes = self._random_bytes(peer_keys.PUBLIC_KEY_BYTES)
         self._private = X25519PrivateKey.from_private_bytes(private_bytes)
         self._public_key = self._private.public_key().public_bytes_raw()
         self._change_key()
@@ -201,8 +200,8 @@ class Guard:
         self._remove(peer.peer_id)
         added = self._peers[peer.peer_id] = PeerKeys(
             peer,
-            description=key_messages.describe(self._room, peer.name, peer.tracks),
-            challenge=self._random_bytes(key_messages.CHALLENGE_BYTES),
+            description=peer_keys.describe(self._room, peer.name, peer.tracks),
+            challenge=self._random_bytes(peer_keys.CHALLENGE_BYTES),
             came_s=self._now,
             due_s=self._now,
         )
@@ -241,7 +240,7 @@ class Guard:
     def _key_message(self, peer: PeerKeys) -> bytes:
         assert self._own is not None  # there are peers in a room only
         peer.given = self._generation if peer.public_key else 0
-        message = key_messages.KeyMessage(
+        message = peer_keys.KeyMessage(
             wants_answer=peer.wait_s > FIRST_WAIT_S,
             public_key=self._public_key,
             challenge=peer.challenge,
@@ -252,14 +251,14 @@ class Guard:
             description=self._description,
         )
         way, base_key = (self._own_id, peer.peer.peer_id), self._own.base_key
-        return key_messages.encode(message, self._code_key, way, peer.pair_key, base_key)
+        return peer_keys.encode(message, self._code_key, way, peer.pair_key, base_key)
 
     def _receive_key_message(self, peer_id: str, data: bytes) -> None:
         """Take what a peer whispers."""
         peer, way = self._peers.get(peer_id), (peer_id, self._own_id)
         if peer is None:
             raise errors.KeyMessageError("not from anybody in the room")
-        message = key_messages.decode(data, self._code_key, way)
+        message = peer_keys.decode(data, self._code_key, way)
         is_relabelled = message is not None and message.description != peer.description
         if not peer.is_verified:
             peer.state = SealState.RELABELLED if is_relabelled else SealState.WAITING
@@ -281,7 +280,7 @@ class Guard:
             acknowledged = min(message.acknowledged, self._generation)
             peer.acknowledged = max(peer.acknowledged, acknowledged)
             if message.generation > peer.newest:
-                base_key = key_messages.unwrap(data, way, peer.pair_key)
+                base_key = peer_keys.unwrap(data, way, peer.pair_key)
                 peer.take_key(message.generation, base_key, message.first, self._now)
         if message.wants_answer:
             peer.due_s = self._now
@@ -292,7 +291,7 @@ class Guard:
         """Learn a public key: from now on the peer can be given ours."""
         if public_key in {self._public_key, *(each.public_key for each in self._peers.values())}:
             raise errors.KeyMessageError("a public key of another member of the room")
-        peer.pair_key = key_messages.agree(self._private, public_key, self._pair_salt)
+        peer.pair_key = peer_keys.agree(self._private, public_key, self._pair_salt)
         peer.public_key = public_key
         assert self._own is not None  # there are peers in a room only
         if self._own.counter and self._now - self._own.made_s >= YOUNG_KEY_S:

@@ -14,7 +14,7 @@ from cyclopts import Parameter
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.errors import AvatarLookupError, OptionError
 from pica_client.local_call.processes import Child, Children, end_all
-from pica_client.publish.publisher import SenderConfig
+from pica_client.publish import SenderConfig
 from pica_client.sources import open_source, start_later
 from pica_client.voice.opus import available
 from pica_core.codec.latent_stream import DEFAULT_QUALITY

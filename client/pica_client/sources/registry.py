@@ -15,7 +15,6 @@ from typing import Final
 import numpy as np
 
 from pica_client.errors import SourceError
-from pica_client.output import say
 from pica_client.sources.calibration import Calibration, CalibrationStore
 from pica_client.sources.datagrams import (
     LIVELINK_PORT,
@@ -36,7 +35,7 @@ from pica_client.sources.tracker import (
     UdpOptions,
     UdpTracker,
 )
-from pica_client.system import preferences_folder
+from pica_client.system import preferences_folder, say
 from pica_core.errors import CaptureError
 from pica_core.livelink import DAY_S, TIMECODE_FPS, read_livelink_csv
 

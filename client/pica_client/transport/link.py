@@ -42,7 +42,6 @@ from pica_client.transport.connect import (
     trouble,
     watch,
 )
-from pica_client.transport.timers import time_after, wait_until
 from pica_protocol import SUBPROTOCOL
 from pica_protocol.client_session import ClientSession, Ticket
 from pica_protocol.errors import CloseCode
@@ -57,6 +56,31 @@ from pica_protocol.messages import (
     Whisper,
 )
 from pica_protocol.session import ClientEvent, Closed, State
+
+
+def time_after(timer: float | None) -> float:
+    """The loop's time after a timer fired: never before the timer's own."""
+    now = asyncio.get_running_loop().time()
+    return now if timer is None else max(now, timer)
+
+
+async def wait_until(event: asyncio.Event, timer: float | None) -> float:
+    """Wait until an event is set or its time has come, None is never; return the loop's time: at
+    least `timer` if that ended the wait."""
+    try:
+        async with asyncio.timeout_at(timer):
+            await event.wait()
+    except TimeoutError:
+        return time_after(timer)
+    return asyncio.get_running_loop().time()
+
+
+async def sleep_until(timer: float) -> float:
+    """Wait until a time has come; return the loop's time, at least that. Costs less than a wait for
+    an event that does not come."""
+    await asyncio.sleep(max(timer - asyncio.get_running_loop().time(), 0.0))
+    return time_after(timer)
+
 
 if TYPE_CHECKING:  # a link without a secret needs no cryptography
     from pica_client.e2ee.guard import Guard

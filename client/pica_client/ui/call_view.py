@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 
 from pica_client.call.roster import Member
 from pica_client.call.status import AvatarFigures, CallStatus, FaceStatus
-from pica_client.publish.face_controls import TrackerPreview
+from pica_client.publish import TrackerPreview
 from pica_client.render.scene import Rect
 from pica_client.ui.actions import Request
 from pica_client.ui.state import ViewState

@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 
 from pica_client.errors import OptionError
-from pica_client.output import make_folder, writing, writing_whole
-from pica_client.system import Closing
+from pica_client.system import Closing, make_folder, writing, writing_whole
 from pica_client.voice.opus import SAMPLE_RATE_HZ
 from pica_client.voice.sound.soundtrack import LATE_S, Soundtrack
 from pica_core.types import Image

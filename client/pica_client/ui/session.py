@@ -18,13 +18,10 @@ from typing import Any
 from pica_client.avatars.fetch import AvatarFetcher
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.call.call import Call
-from pica_client.endpoint.endpoint import LinkNews, Receiver
-from pica_client.endpoint.hearing import Hearing
+from pica_client.endpoint.endpoint import Hearing, LinkNews, Receiver
 from pica_client.errors import ClientError, OptionError, RelayUnreachableError
-from pica_client.output import check_writable, say
-from pica_client.publish.face_controls import FaceControls
-from pica_client.publish.publisher import DEFAULT_SOURCE, Outgoing, open_face
-from pica_client.system import on_stop_signal
+from pica_client.publish import DEFAULT_SOURCE, FaceControls, Outgoing, open_face
+from pica_client.system import check_writable, on_stop_signal, say
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.connect import trusting
 from pica_client.ui.call_sound import CallSound

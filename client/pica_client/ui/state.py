@@ -12,12 +12,11 @@ from typing import Any, Final, Literal
 from urllib.parse import urlsplit, urlunsplit
 
 from pica_client.errors import OptionError
-from pica_client.output import say
-from pica_client.publish.publisher import DEFAULT_SOURCE
+from pica_client.publish import DEFAULT_SOURCE
 from pica_client.render.seats import LAYOUTS, Layout
 from pica_client.render.views import OrbitLimits
 from pica_client.render.views import ViewState as Orbit
-from pica_client.system import make_private, preferences_folder
+from pica_client.system import make_private, preferences_folder, say
 from pica_client.ui.options import DEFAULT_ROOM, DEFAULT_URL
 from pica_client.voice.sound.settings import SoundSettings
 from pica_core.files import replacing

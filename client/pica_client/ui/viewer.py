@@ -18,22 +18,20 @@ from typing import Any
 import moderngl
 from imgui_bundle import imgui
 
-from pica_client.call.call import Call
-from pica_client.call.reflection import Reflection
+from pica_client.call.call import Call, Reflection
 from pica_client.call.roster import SELF_ID
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.pool import DecodePool, num_workers
 from pica_client.endpoint.endpoint import Receiver
 from pica_client.endpoint.monitor import CallMonitor
 from pica_client.errors import ClientError, OptionError
-from pica_client.output import Outputs, say
-from pica_client.publish.face_controls import FaceControls
+from pica_client.publish import FaceControls
 from pica_client.render.draw_clock import DrawClock
 from pica_client.render.gpu_decoder import choose_decoder
 from pica_client.render.renderer import DrawStats, Renderer, RenderOptions
 from pica_client.render.scene import pick_head
 from pica_client.schedule.scheduler import Plan, Scheduler
-from pica_client.system import Closing, videos_folder
+from pica_client.system import Closing, Outputs, say, videos_folder
 from pica_client.ui.actions import Action, Request, apply, keyboard, mouse
 from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter
 from pica_client.ui.call_sound import CallSound

@@ -12,8 +12,8 @@ from typing import Final
 import numpy as np
 
 from pica_client.errors import OptionError, SourceError
-from pica_client.output import say
-from pica_client.transport.timers import sleep_until
+from pica_client.system import say
+from pica_client.transport.link import sleep_until
 from pica_client.voice.opus import FRAME_S, FRAME_SAMPLES
 from pica_client.voice.opus import SAMPLE_RATE_HZ as RATE_HZ
 from pica_client.voice.publisher import VoiceSource

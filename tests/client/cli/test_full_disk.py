@@ -13,7 +13,7 @@ import pytest
 from helpers.toy import make_toy_avatar
 from pica_client.e2ee.secret import RoomSecret, load_secret, save_secret
 from pica_client.errors import OptionError, SecretFileError
-from pica_client.output import writing_whole
+from pica_client.system import writing_whole
 from pica_client.ui.recorder import save_png
 from pica_core.avatar.file import save_avatar
 from pica_core.errors import AvatarFileError

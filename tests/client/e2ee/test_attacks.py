@@ -11,8 +11,7 @@ pytest.importorskip("cryptography", reason="needs the extra seal")
 from helpers.sealed_room import DELAY_S, Room
 from pica_client.e2ee.guard import YOUNG_KEY_S
 from pica_client.e2ee.peer_keys import FIRST_WAIT_S, SILENT_S
-from pica_client.e2ee.secret import RoomSecret
-from pica_client.e2ee.status import SealState
+from pica_client.e2ee.secret import RoomSecret, SealState
 from pica_protocol.frames import Frame
 from pica_protocol.messages import (
     Peer,

@@ -14,7 +14,7 @@ pytest.importorskip("cryptography", reason="needs the extra seal")
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 
 from pica_client.e2ee.frames import derive_key, metadata_of, open_, pad, seal
-from pica_client.e2ee.key_messages import (
+from pica_client.e2ee.peer_keys import (
     KeyMessage,
     agree,
     decode,
@@ -23,8 +23,7 @@ from pica_client.e2ee.key_messages import (
     room_key,
     unwrap,
 )
-from pica_client.e2ee.secret import RoomSecret
-from pica_client.e2ee.status import SealStatus
+from pica_client.e2ee.secret import RoomSecret, SealStatus
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Track
 

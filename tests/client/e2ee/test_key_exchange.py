@@ -14,8 +14,7 @@ pytest.importorskip("cryptography", reason="needs the extra seal")
 from helpers.sealed_room import DELAY_S, SECRET, Room
 from pica_client.e2ee.frames import decode_header
 from pica_client.e2ee.guard import MESSAGES_AT_ONCE, YOUNG_KEY_S, Guard
-from pica_client.e2ee.key_messages import MESSAGE_BYTES
-from pica_client.e2ee.peer_keys import LATE_FRAMES_S, LONGEST_WAIT_S
+from pica_client.e2ee.peer_keys import LATE_FRAMES_S, LONGEST_WAIT_S, MESSAGE_BYTES
 from pica_client.e2ee.secret import RoomSecret
 from pica_client.errors import SealError
 from pica_protocol.frames import Frame

@@ -11,7 +11,7 @@ pytest.importorskip("cryptography", reason="needs the extra seal")
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 
 from helpers.sealed_room import SECRET
-from pica_client.e2ee.key_messages import (
+from pica_client.e2ee.peer_keys import (
     MESSAGE_BYTES,
     KeyMessage,
     agree,

@@ -15,7 +15,7 @@ from pica_client.call.call import Call
 from pica_client.call.roster import RoomState
 from pica_client.endpoint.endpoint import Receiver
 from pica_client.endpoint.monitor import CallMonitor
-from pica_client.publish.publisher import Outgoing, Publisher, SenderConfig
+from pica_client.publish import Outgoing, Publisher, SenderConfig
 from pica_client.sources.source import Unseen
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.link import Link

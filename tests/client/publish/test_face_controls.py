@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from helpers.toy import make_toy_avatar
-from pica_client.publish.face_controls import REST_S, FaceControls
-from pica_client.publish.publisher import Publisher, SenderConfig
+from pica_client.publish import REST_S, FaceControls, Publisher, SenderConfig
 from pica_client.sources import Tracker, open_source
 from pica_client.sources.calibration import Calibration, CalibrationStore
 from pica_client.sources.live_face import TrackerSample

@@ -7,7 +7,7 @@ import base64
 import pytest
 
 from pica_client.errors import OptionError
-from pica_client.publish.publisher import SenderConfig
+from pica_client.publish import SenderConfig
 from pica_client.stats import summarise_ms, wire_bytes
 from pica_client.transport.config import LinkConfig, shown_name
 

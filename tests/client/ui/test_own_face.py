@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from helpers.toy import make_toy_avatar
-from pica_client.call.reflection import Reflection
-from pica_client.publish.publisher import Publisher, SenderConfig
+from pica_client.call.call import Reflection
+from pica_client.publish import Publisher, SenderConfig
 from pica_client.render.renderer import RenderOptions
 from pica_client.sources import open_source
 from pica_client.ui.viewer import SelfView

@@ -16,8 +16,7 @@ from PIL import Image
 from helpers.hand import Event, hold, point, press
 from helpers.toy import make_toy_avatar
 from pica_client.call.status import CallStatus, FaceState, FaceStatus
-from pica_client.publish.face_controls import FaceControls
-from pica_client.publish.publisher import Publisher, SenderConfig
+from pica_client.publish import FaceControls, Publisher, SenderConfig
 from pica_client.sources import open_source
 from pica_client.ui.options import ViewOptions
 from pica_client.ui.state import ViewState

@@ -16,9 +16,8 @@ from typing import Any, Final
 from pica_client.bench.relay.swarm import FPS, Swarm
 from pica_client.errors import check_ranges
 from pica_client.local_call.processes import START_TIMEOUT_S, Children
-from pica_client.output import say
 from pica_client.stats import describe_machine, summarise_ms
-from pica_client.system import terminate_as_interrupt
+from pica_client.system import say, terminate_as_interrupt
 
 SETTLE_S: Final = 1.5
 """Between the first frame and the first that counts: queues and windows find their size."""

@@ -13,7 +13,7 @@ from imgui_bundle import imgui
 from helpers.hand import Hand, open_hand
 from pica_client.call.roster import Member
 from pica_client.call.status import CallStatus
-from pica_client.publish.face_controls import TrackerPreview
+from pica_client.publish import TrackerPreview
 from pica_client.ui.actions import Action
 from pica_client.ui.call_view import (
     LOUD_NOTICE_S,

@@ -15,7 +15,7 @@ from helpers.hand import Hand, open_hand
 from pica_client.call.roster import Member
 from pica_client.call.status import AvatarFigures, CallStatus
 from pica_client.playout.buffer import PlayoutReport
-from pica_client.publish.face_controls import TrackerPreview
+from pica_client.publish import TrackerPreview
 from pica_client.ui.actions import Action, Request, help_lines
 from pica_client.ui.call_view import CallView, Notice, OwnFaceView, Panel, PersonView
 from pica_client.ui.panels.overlay import signs
