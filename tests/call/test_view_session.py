@@ -25,7 +25,7 @@ from pica_client.ui.lobby import JoinForm
 from pica_client.ui.options import JoinOptions, ViewOptions
 from pica_client.ui.session import first_state, view_calls
 from pica_client.ui.state import PreferencesFile, ViewState
-from pica_client.ui.surface.surface import Surface
+from pica_client.ui.window import Surface
 from pica_core.gl import create_context
 
 pytestmark = pytest.mark.call

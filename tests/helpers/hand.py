@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from imgui_bundle import imgui
 
-from pica_client.ui.surface.surface import Surface
+from pica_client.ui.window import Surface
 
 Event = Callable[[imgui.IO], None]
 Show = Callable[[], list[Any]]

@@ -17,7 +17,7 @@ from imgui_bundle import imgui
 from pica_client.render.seats import LAYOUTS
 from pica_client.render.views import ViewState as Orbit
 from pica_client.ui.state import Side, ViewState
-from pica_client.ui.surface.style import Tone
+from pica_client.ui.widgets import Tone
 from pica_protocol.messages import Moderation
 
 CLICK_PX = 5.0

@@ -29,11 +29,18 @@ from pica_client.ui.call_view import (
     Panel,
     PersonView,
 )
-from pica_client.ui.panels.bar import control_bar, leave_question
-from pica_client.ui.panels.overlay import free_shares, least_name, names, own_face, signs
-from pica_client.ui.panels.side import side_panel, waiting_page
+from pica_client.ui.overlay import (
+    control_bar,
+    free_shares,
+    least_name,
+    leave_question,
+    names,
+    own_face,
+    signs,
+)
+from pica_client.ui.side import side_panel, waiting_page
 from pica_client.ui.state import ViewState
-from pica_client.ui.surface.style import screen
+from pica_client.ui.widgets import screen
 from pica_client.voice.sound.settings import SoundState
 from pica_core.camera import Camera
 from pica_core.types import FloatArray

@@ -1,7 +1,7 @@
 """All that the panels of a call may show, as one read-only value a frame. Pure.
 
 A panel is a function of the user's state and a `CallView`. It draws with
-stock ImGui and `surface.widgets`, writes settings into the state, and returns what else the user
+stock ImGui and `widgets`, writes settings into the state, and returns what else the user
 asked for:
 
     def leave_question(state: ViewState, call: CallView) -> list[Request]:
@@ -18,7 +18,7 @@ from pica_client.publish import TrackerPreview
 from pica_client.render.scene import Rect
 from pica_client.ui.actions import Request
 from pica_client.ui.state import ViewState
-from pica_client.ui.surface.style import Tone
+from pica_client.ui.widgets import Tone
 from pica_client.voice.sound.settings import SoundState
 from pica_protocol.messages import Peer
 

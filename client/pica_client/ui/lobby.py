@@ -22,10 +22,10 @@ from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.room import STILL
 from pica_client.system import Closing
 from pica_client.transport.config import LinkConfig
-from pica_client.ui.panels.settings import SOURCES, microphone_picker
+from pica_client.ui import widgets
+from pica_client.ui.settings import SOURCES, microphone_picker
 from pica_client.ui.state import ViewState
-from pica_client.ui.surface import widgets
-from pica_client.ui.surface.style import (
+from pica_client.ui.widgets import (
     BUTTON_PT,
     CARD,
     EDGE_PT,

@@ -38,11 +38,10 @@ from pica_client.ui.call_sound import CallSound
 from pica_client.ui.call_surface import CallSurface
 from pica_client.ui.call_view import OwnFaceView
 from pica_client.ui.options import ViewOptions, parse_size
-from pica_client.ui.panels.overlay import ASPECT, own_face_height
+from pica_client.ui.overlay import ASPECT, own_face_height
 from pica_client.ui.recorder import Recorder, new_path, save_png
 from pica_client.ui.state import ViewState
-from pica_client.ui.surface.surface import Surface
-from pica_client.ui.window import Window
+from pica_client.ui.window import Surface, Window
 from pica_core.gl import create_context
 from pica_protocol import messages
 

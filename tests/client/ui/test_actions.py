@@ -19,7 +19,7 @@ from pica_client.ui.actions import (
     mouse,
 )
 from pica_client.ui.state import LAYOUT_TITLES, ViewState
-from pica_client.ui.surface.surface import Surface
+from pica_client.ui.window import Surface
 from pica_client.voice.sound.settings import SoundSettings
 
 pytestmark = pytest.mark.unit

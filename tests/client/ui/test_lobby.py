@@ -15,8 +15,8 @@ from pica_client.sources import open_source
 from pica_client.sources.registry import TRACKER_KINDS
 from pica_client.ui.lobby import JoinForm, connecting_panel, join_panel
 from pica_client.ui.options import ViewOptions
-from pica_client.ui.panels.settings import SOURCES
 from pica_client.ui.session import link_of
+from pica_client.ui.settings import SOURCES
 from pica_client.ui.state import ViewState
 from pica_client.voice.sound.settings import SoundState
 

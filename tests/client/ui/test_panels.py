@@ -24,17 +24,18 @@ from pica_client.ui.call_view import (
     OwnFaceView,
     PersonView,
 )
-from pica_client.ui.panels.bar import control_bar, leave_question
-from pica_client.ui.panels.overlay import (
+from pica_client.ui.overlay import (
     banner,
     call_signs,
+    control_bar,
+    leave_question,
     names,
     own_signs,
     signs,
 )
 from pica_client.ui.state import ViewState
-from pica_client.ui.surface.surface import ON_PICTURE
-from pica_client.ui.surface.widgets import as_drawn
+from pica_client.ui.widgets import as_drawn
+from pica_client.ui.window import ON_PICTURE
 from pica_protocol.messages import Peer, Track
 
 pytestmark = pytest.mark.unit

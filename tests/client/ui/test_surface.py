@@ -9,8 +9,8 @@ from imgui_bundle import imgui
 from helpers.hand import frame, press
 from pica_client.ui.actions import keyboard
 from pica_client.ui.state import ViewState
-from pica_client.ui.surface.style import scale_for
-from pica_client.ui.surface.surface import ON_PICTURE, Surface
+from pica_client.ui.widgets import scale_for
+from pica_client.ui.window import ON_PICTURE, Surface
 from pica_core.gl import create_context
 
 pytestmark = pytest.mark.render

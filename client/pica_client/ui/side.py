@@ -11,13 +11,13 @@ from imgui_bundle import imgui
 
 from pica_client.call.roster import Member
 from pica_client.call.status import duration_text
+from pica_client.ui import widgets
 from pica_client.ui.actions import Action, Request, help_lines
 from pica_client.ui.call_view import CallView, PersonView
-from pica_client.ui.panels.bar import BAR_PT
-from pica_client.ui.panels.settings import settings_tabs, volume_slider
+from pica_client.ui.settings import settings_tabs, volume_slider
 from pica_client.ui.state import ViewState
-from pica_client.ui.surface import widgets
-from pica_client.ui.surface.style import (
+from pica_client.ui.widgets import (
+    BAR_PT,
     EDGE_PT,
     PADDING_PT,
     SMALL_PT,

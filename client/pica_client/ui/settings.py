@@ -10,8 +10,7 @@ from pica_client.sources.source import PERFORMANCES
 from pica_client.ui.actions import ACTIONS, TALK_KEY, Action, Request
 from pica_client.ui.call_view import CallView
 from pica_client.ui.state import LAYOUT_TITLES, SCALES, ViewState
-from pica_client.ui.surface.style import TONES, Tone, px
-from pica_client.ui.surface.widgets import action_button, choice_of, note
+from pica_client.ui.widgets import TONES, Tone, action_button, choice_of, note, px
 from pica_client.voice.sound.settings import DeviceState, SoundState
 
 NO_VOICE, MICROPHONE = "none", "mic"

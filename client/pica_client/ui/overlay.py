@@ -1,8 +1,10 @@
-"""What is drawn on the picture itself: names, signs, and the user's own face."""
+"""What is drawn on the picture itself: names, signs, the user's own face, the bar that steers the
+call by mouse, and the question whether to leave."""
 
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import groupby
 
 from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
@@ -10,24 +12,36 @@ from imgui_bundle import imgui
 from pica_client.call.status import duration_text, joined_names, recorders
 from pica_client.render.scene import Rect
 from pica_client.render.seats import MAX_FREE, FreeShares
-from pica_client.ui.actions import TALK_KEY, Request
+from pica_client.ui.actions import ACTIONS, TALK_KEY, Action, Request, Row
 from pica_client.ui.call_view import CallView, PersonView
-from pica_client.ui.panels.bar import bar_share
-from pica_client.ui.panels.side import side_share
+from pica_client.ui.side import side_share
 from pica_client.ui.state import ViewState
-from pica_client.ui.surface.style import EDGE_PT, PLATE, SMALL_PT, TEXT_PT, TONES, Tone, px, screen
-from pica_client.ui.surface.surface import ON_PICTURE
-from pica_client.ui.surface.widgets import (
+from pica_client.ui.widgets import (
+    BAR_PT,
+    BUTTON_PT,
+    EDGE_PT,
     FIXED,
+    GAP_PT,
+    PLATE,
+    SMALL_PT,
+    TEXT_PT,
+    TONES,
     Place,
+    Tone,
+    action_button,
     as_drawn,
     card,
+    icon_button,
     ink,
     note,
+    px,
+    screen,
     shortened,
     text_size,
+    title,
     type_size,
 )
+from pica_client.ui.window import ON_PICTURE
 
 NOTE_ROOM_PT = 90.0
 """With less room than this a name is small, and its dot alone says that something is wrong; the
@@ -50,6 +64,7 @@ NAME_PADDING = (8.0, 3.0)
 DOT_PT = 18.0
 """What a dot and the gap behind it take."""
 SIGN_FLAGS = FIXED | imgui.WindowFlags_.no_inputs | imgui.WindowFlags_.no_bring_to_front_on_focus
+SMALLEST_BUTTON_PT = 22.0
 Line = tuple[str, Tone]
 
 
@@ -83,11 +98,11 @@ def _name(person: PersonView, label: Rect) -> None:
     room = right - left - 2 * px(NAME_PADDING[0])
     is_narrow = right - left < px(NOTE_ROOM_PT)
     points = SMALL_PT if is_narrow else TEXT_PT
-    title = person.name
+    shown = person.name
     if person.member.is_voice_muted:
-        title = f"{icons.ICON_FA_MICROPHONE_SLASH} {title}"
+        shown = f"{icons.ICON_FA_MICROPHONE_SLASH} {shown}"
     before = 0 if tone == "plain" else px(DOT_PT)
-    name = shortened(title, room - before, points)
+    name = shortened(shown, room - before, points)
     remark = "" if is_narrow else shortened(person.remark, 2.5 * room, SMALL_PT)
     width = max(text_size(name, points)[0] + before, text_size(remark, SMALL_PT)[0])
     place = ((left + right) / 2, top)
@@ -256,3 +271,66 @@ def own_face(state: ViewState, call: CallView) -> list[Request]:
             imgui.image(imgui.ImTextureRef(own.camera), (columns / rows * height, height))
     imgui.pop_style_var(2)
     return []
+
+
+def control_bar(state: ViewState, call: CallView) -> list[Request]:
+    """Draw the bar at the lower edge while it is to be seen."""
+    if not call.shows_bar or state.asks_to_leave:
+        return []
+    groups = _groups(state)
+    gap = px(GAP_PT)
+    count = sum(len(group) for group in groups)
+    gaps = (count - len(groups)) * gap / 2 + (len(groups) - 1) * 2 * gap + 2 * gap
+    side_pt, room = BUTTON_PT, screen()[0] - 2 * px(EDGE_PT)
+    while side_pt > SMALLEST_BUTTON_PT and count * px(side_pt) + gaps > room:
+        side_pt -= 2
+    place = (screen()[0] / 2, screen()[1] - px(EDGE_PT))
+    requests: list[Request] = []
+    imgui.push_style_var(imgui.StyleVar_.window_padding, (gap, gap))
+    imgui.push_style_var(imgui.StyleVar_.window_rounding, (px(side_pt) + 2 * gap) / 2)
+    with card("bar", place, pivot=(0.5, 1.0)):
+        for number, group in enumerate(groups):
+            for at, (action, row) in enumerate(group):
+                if number or at:
+                    imgui.same_line(0, gap / 2 if at else 2 * gap)
+                icon, tip, tone = row.look(state)
+                keys = row.key_names[0]
+                if icon_button(icon, tip, keys=keys, tone=tone, size_pt=side_pt):
+                    requests.append(action)
+    imgui.pop_style_var(2)
+    return requests
+
+
+def leave_question(state: ViewState, call: CallView) -> list[Request]:
+    """Ask once whether to leave, before the middle of the picture."""
+    if not state.asks_to_leave:
+        return []
+    requests: list[Request] = []
+    columns, rows = screen()
+    imgui.get_background_draw_list().add_rect_filled((0, 0), (columns, rows), 0x73000000)
+    with card("leave", (columns / 2, rows / 2), pivot=(0.5, 0.5)):
+        title("Leave the call?")
+        note("You can come back at any time.")
+        if action_button("Stay", width=px(110)):
+            requests.append(Action.CLOSE)
+        imgui.same_line()
+        if action_button("Leave", tone="alert", width=px(110)):
+            state.wants_close = True
+        note("Enter leaves, Esc stays")
+    return requests
+
+
+def bar_share() -> float:
+    """Return the part of the picture's height that the bar takes from the people."""
+    return px(BAR_PT + EDGE_PT) / screen()[1]
+
+
+def _groups(state: ViewState) -> list[list[tuple[Action, Row]]]:
+    """The buttons: own voice and face, the picture, panels, and the way out."""
+    found = [
+        (action, row)
+        for action, row in ACTIONS.items()
+        if row.off is not None and row.is_possible(state)
+    ]
+    found.sort(key=lambda each: each[1].group)
+    return [list(group) for _, group in groupby(found, lambda each: each[1].group)]

@@ -18,8 +18,8 @@ from pica_client.playout.buffer import PlayoutReport
 from pica_client.publish import TrackerPreview
 from pica_client.ui.actions import Action, Request, help_lines
 from pica_client.ui.call_view import CallView, Notice, OwnFaceView, Panel, PersonView
-from pica_client.ui.panels.overlay import signs
-from pica_client.ui.panels.side import side_panel, signs_of, waiting_page
+from pica_client.ui.overlay import signs
+from pica_client.ui.side import side_panel, signs_of, waiting_page
 from pica_client.ui.state import Side, ViewState
 from pica_client.voice.sound.settings import DeviceState, SoundSettings, SoundState
 from pica_protocol.messages import BarIdentity, MutePeer, Peer, RemovePeer, Track
