@@ -57,17 +57,3 @@ def test_an_example_runs_without_a_warning(example: Path, tmp_path: Path) -> Non
     written = sorted(path.name for path in tmp_path.rglob("*") if path.is_file())
     assert written == FILES.get(example.stem, [])
     assert all((out / name).stat().st_size > 0 for name in written)
-
-
-def test_examples_are_numbered_short_and_say_what_one_learns() -> None:
-    numbers = [int(path.stem.split("_")[0]) for path in EXAMPLES]
-    assert numbers == list(range(1, len(EXAMPLES) + 1))
-    for path in EXAMPLES:
-        text = path.read_text()
-        assert 20 <= len(text.splitlines()) <= 100, path.name
-        assert "You learn" in text.partition('"""')[2].partition('"""')[0], path.name
-
-
-def test_every_example_is_on_the_page_about_them() -> None:
-    page = (ROOT / "examples" / "README.md").read_text()
-    assert [path.name for path in EXAMPLES if f"[{path.name}]({path.name})" not in page] == []

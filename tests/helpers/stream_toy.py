@@ -70,17 +70,6 @@ def toy_profile() -> StreamProfile:
 
 
 @functools.cache
-def other_profile() -> StreamProfile:
-    """What another version of the same avatar would bring."""
-    return learn_profile(
-        [toy_faces(9, 150)],
-        toy_metric(),
-        num_components=NUM_COMPONENTS,
-        turn_sweeps=0,
-    )
-
-
-@functools.cache
 def stream_avatar(seed: int = 7) -> Avatar:
     """The toy avatar with the toy stream."""
     avatar = make_toy_avatar(seed=seed)
@@ -92,41 +81,31 @@ class Sent:
     """A frame on the wire."""
 
     number: int
-    """Counts the frames; on the wire modulo 65536."""
+    """Counts the frames."""
     captured_us: int
     multiple: int
     payload: bytes
 
-    @property
-    def sequence(self) -> int:
-        """As it stands in the header."""
-        return self.number % 65536
-
-    def decoded(self, profile: StreamProfile | None = None) -> LatentSample:
+    def decoded(self) -> LatentSample:
         """What a receiver makes of it."""
-        return LatentDecoder(profile or toy_profile()).decode(self.payload)
+        return LatentDecoder(toy_profile()).decode(self.payload)
 
 
 class Publisher:
     """An encoder with what it sent."""
 
     def __init__(
-        self,
-        config: StreamConfig | None = None,
-        *,
-        first_number: int = 0,
-        profile: StreamProfile | None = None,
+        self, config: StreamConfig | None = None, *, profile: StreamProfile | None = None
     ) -> None:
         self.encoder = LatentEncoder(profile or toy_profile(), config)
         self.sent: list[Sent] = []
-        self._first = first_number
 
     def show(self, face: Float64Array, pose: Float64Array, now_us: int) -> Sent | None:
         """Encode one face; None when there was nothing to send."""
         frame = self.encoder.encode(face, pose[0], pose[1], now_us)
         if frame is None:
             return None
-        number = self.sent[-1].number + 1 if self.sent else self._first
+        number = self.sent[-1].number + 1 if self.sent else 0
         number += -number % frame.multiple
         self.sent.append(
             Sent(number=number, captured_us=now_us, multiple=frame.multiple, payload=frame.payload)
@@ -142,13 +121,6 @@ class Publisher:
         return self.sent[before:]
 
 
-def perform(
-    seed: int = 1,
-    num_frames: int = 120,
-    config: StreamConfig | None = None,
-    *,
-    first_number: int = 0,
-) -> list[Sent]:
+def perform(seed: int = 1, num_frames: int = 120) -> list[Sent]:
     """The frames of a performance."""
-    publisher = Publisher(config, first_number=first_number)
-    return publisher.show_all(toy_faces(seed, num_frames), toy_pose(seed, num_frames))
+    return Publisher().show_all(toy_faces(seed, num_frames), toy_pose(seed, num_frames))

@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from pica_client.bench.relay.swarm import FPS, Swarm
 from pica_client.errors import check_ranges
-from pica_client.local_call.processes import START_TIMEOUT_S, Children
+from pica_client.local_call.processes import Children
 from pica_client.stats import describe_machine, summarise_ms
 from pica_client.system import say, terminate_as_interrupt
 
@@ -57,10 +57,7 @@ def bench_relay(options: RelayBenchConfig) -> dict[str, Any]:
             *("--room-capacity", str(max(options.peers + 2, 16))),
             *NO_LIMITS,
         )
-        result = measure(options, url, relay.pid, "relay")
-        relay.let_go()
-        relay.wait(time.monotonic() + START_TIMEOUT_S)
-    return result | {"machine": describe_machine()}
+        return measure(options, url, relay.pid, "relay") | {"machine": describe_machine()}
 
 
 def measure(config: RelayBenchConfig, url: str, pid: int, name: str) -> dict[str, Any]:

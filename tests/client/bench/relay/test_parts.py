@@ -4,9 +4,7 @@ import socket
 import pytest
 
 from pica_client.bench.relay import peer
-from pica_client.bench.relay.bench import RelayBenchConfig
 from pica_client.bench.relay.peer import SwarmPeer, Tally
-from pica_client.errors import OptionError
 from pica_protocol.frames import MEDIA_KIND, decode_media
 
 pytestmark = pytest.mark.unit
@@ -41,8 +39,3 @@ def test_a_frame_is_counted_by_the_time_from_capture_to_receipt() -> None:
     for captured_us in (999, 1000, 2000):
         tally.count_received(captured_us)
     assert tally.delays_us.tolist() == [1500]
-
-
-def test_options_out_of_range_are_named_with_their_limits() -> None:
-    with pytest.raises(OptionError, match="rooms is 0; 1 to 10000"):
-        RelayBenchConfig(rooms=0)

@@ -49,16 +49,16 @@ def sound_server(folder: Path) -> Iterator[None]:
     """Run a server with two loudspeakers: "Speaker", whose sound the microphone hears, and
     "Mono44k", which is what its name says."""
     folder.chmod(0o700)
-    names = {"HOME": str(folder), "XDG_RUNTIME_DIR": str(folder), "PULSE_RUNTIME_PATH": str(folder)}
-    before = {name: os.environ.get(name) for name in names}
-    os.environ.update(names)
     modules = (
         f"module-native-protocol-unix socket={folder}/native",
         "module-null-sink sink_name=spk rate=48000 sink_properties=device.description=Speaker",
         "module-null-sink sink_name=old rate=44100 channels=1"
         " sink_properties=device.description=Mono44k",
     )
-    os.environ["PULSE_SERVER"] = f"unix:{folder}/native"
+    patch = pytest.MonkeyPatch()
+    for name in ("HOME", "XDG_RUNTIME_DIR", "PULSE_RUNTIME_PATH"):
+        patch.setenv(name, str(folder))
+    patch.setenv("PULSE_SERVER", f"unix:{folder}/native")
     server = subprocess.Popen(
         ["pulseaudio", "-n", "--daemonize=no", "--exit-idle-time=-1", "--use-pid-file=no"]
         + [f"--load={module}" for module in modules],
@@ -80,12 +80,7 @@ def sound_server(folder: Path) -> Iterator[None]:
     finally:
         server.terminate()
         server.wait(timeout=10)
-        del os.environ["PULSE_SERVER"]
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+        patch.undo()
 
 
 def until(holds: Callable[[], object], seconds: float = 8.0) -> bool:
