@@ -9,7 +9,7 @@ import base64
 import json
 
 from pica_protocol.messages import Join
-from pica_server.errors import AdmissionError
+from pica_server.limits import RefusalError
 from pica_server.tokens import Admission, KeyRing, admit, mint
 
 NOW = 1_800_000_000.0
@@ -33,7 +33,7 @@ cases = {
 for what, (ring, request, now) in cases.items():
     try:
         admit(ring, request, now=now)
-    except AdmissionError as error:
+    except RefusalError as error:
         print(f"{what}: {error}")
     else:
         raise AssertionError(what)

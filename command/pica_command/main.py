@@ -19,7 +19,15 @@ from typing import Any, Final
 
 from platformdirs import PlatformDirs
 
-from pica_command.table import COMMANDS, DISTRIBUTION, command_of, listing, refuse
+from pica_command.table import (
+    COMMANDS,
+    DISTRIBUTION,
+    command_of,
+    extra_with,
+    install_line,
+    listing,
+    refuse,
+)
 
 DEBUG_FLAG: Final = "--debug"
 JSON_FLAG: Final = "--json"
@@ -112,13 +120,11 @@ def _describe(error: BaseException, extras: Sequence[str]) -> tuple[str, str, in
     """Kind, message, exit status and further fields of an error."""
     if isinstance(error, KeyboardInterrupt):
         return "interrupted", "stopped", 130, {}
-    if isinstance(error, ModuleNotFoundError):
-        from pica_command.extras import extra_with, install_line
-
-        if extra := extra_with(error.name or "", extras):
-            fix = install_line(extra)
-            message = f"needs {error.name}; install it with: {fix}"
-            return "missing_extra", message, 2, {"extra": extra, "install": fix}
+    missing = error.name or "" if isinstance(error, ModuleNotFoundError) else ""
+    if missing and (extra := extra_with(missing, extras)):
+        fix = install_line(extra)
+        message = f"needs {missing}; install it with: {fix}"
+        return "missing_extra", message, 2, {"extra": extra, "install": fix}
     message = " ".join(str(error).split())
     code = getattr(error, "exit_code", None)
     if code is None and isinstance(error, OSError) and error.filename is not None:

@@ -6,11 +6,16 @@ from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
 from pica_protocol.limits import MAX_PEERS, check_url
-from pica_server.errors import ConfigurationError
-from pica_server.proxies import is_loopback, networks
+from pica_server.limits import is_loopback, networks
 
 _ORIGIN = re.compile(r"https?://[^/?#\s]+")
 _NATS_URL = re.compile(r"(nats|tls)://([^/?#\s@]+@)?[A-Za-z0-9._-]+(:[0-9]{1,5})?")
+
+
+class ConfigurationError(ValueError):
+    """A setting cannot work, or what it names cannot be used: names the setting and the fix."""
+
+    exit_code = 2
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,9 +7,11 @@ import asyncio
 import logging
 import secrets
 import socket
+import ssl
 import time
 from collections.abc import Awaitable, Callable, Sequence
 from http import HTTPStatus
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from websockets.asyncio.server import Server, ServerConnection, serve
@@ -20,19 +22,15 @@ from pica_protocol import SUBPROTOCOL
 from pica_protocol.errors import CloseCode
 from pica_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
 from pica_protocol.store import AVATARS_PATH, STORE_SUBPROTOCOL
-from pica_server.certificate import Certificate
-from pica_server.config import RelayConfig
-from pica_server.errors import AdmissionError, ConfigurationError
-from pica_server.limits import SocketGuard, most_sockets
+from pica_server.config import ConfigurationError, RelayConfig
+from pica_server.limits import RefusalError, SocketGuard, is_in, is_loopback, most_sockets, networks
 from pica_server.net.pump import Pump
 from pica_server.net.socket import RelaySocket, bound_receive_buffer
-from pica_server.proxies import is_in, is_loopback, networks
 from pica_server.room.forwarding import PERIOD_S
 from pica_server.room.hub import Hub
 from pica_server.status_pages import StatusPages
-from pica_server.store.downloads import Downloads
 from pica_server.store.store import AvatarStore
-from pica_server.store.uploads import Uploads
+from pica_server.store.transfers import Downloads, Uploads
 from pica_server.tokens import KeyRing, admin_scope, admit, admit_upload, load_keys
 
 if TYPE_CHECKING:
@@ -48,6 +46,7 @@ _WRITE_LIMIT_BYTES = 1  # of 0, TLS of the standard library would make no end of
 library waits until three quarters of it have drained: seconds of a slow reader's time, in which its
 streams fall behind and are cut."""
 
+_Stamp = tuple[tuple[int, int, int], ...]
 _logger = logging.getLogger(__name__)
 # What strangers do to a public port (bad HTTP, cut handshakes) is no error of ours and no news.
 _websockets_logger = logging.getLogger(f"{__name__}.websockets")
@@ -58,9 +57,8 @@ class Relay:
     """A relay that listens inside ``async with Relay(config) as relay``, and stops at its end.
 
     Raises:
-        ConfigurationError: The certificate or the key file cannot be used. On entry: the address
-            cannot be bound, or NATS has no JetStream or does not let us in.
-        StoreError: The avatar store cannot be used.
+        ConfigurationError: The certificate, the key file or the avatar store cannot be used. On
+            entry: the address cannot be bound, or NATS has no JetStream or does not let us in.
     """
 
     def __init__(self, config: RelayConfig, *, unix_time: Callable[[], float] = time.time) -> None:
@@ -80,7 +78,7 @@ class Relay:
             if keys is not None:
                 admit_upload(keys, token, avatar, now=unix_time())
             elif config.insecure:  # else strangers could fill the disk
-                raise AdmissionError("this relay has no tokens to ask for", CloseCode.FORBIDDEN)
+                raise RefusalError("this relay has no tokens to ask for", CloseCode.FORBIDDEN)
 
         self.store: AvatarStore | None = None
         if config.avatar_store != "none":
@@ -308,3 +306,81 @@ def _select_subprotocol(
         if known in offered:
             return Subprotocol(known)
     return None
+
+
+class Certificate:
+    """A certificate with its key, and the TLS settings of a relay; read from files, and again while
+    connections go on.
+
+    A connection keeps the certificate that it began with; one that begins later gets the new one.
+    New files are tried out first: what cannot be used never replaces what can.
+
+    Attributes:
+        context: What connections begin with.
+    """
+
+    def __init__(self, cert: Path, key: Path) -> None:
+        """Read the files.
+
+        Args:
+            cert: The certificate and those between it and a root, in PEM format.
+            key: Its private key in PEM format, without a password.
+
+        Raises:
+            ConfigurationError: One of them cannot be used; one line with the flag and the fix.
+        """
+        self._cert, self._key = cert, key
+        self._stamp = self._look()
+        self.context = _context(cert, key)
+
+    def has_changed(self) -> bool:
+        """Return True if the files are others than those that were last read, or tried."""
+        return self._look() != self._stamp
+
+    def reload(self) -> None:
+        """Read the files again; if that raises, as at first, the old certificate stays."""
+        self._stamp = self._look()
+        _context(self._cert, self._key)
+        self.context.load_cert_chain(self._cert, self._key, password=_no_password)
+
+    def _look(self) -> _Stamp:
+        stamps = []
+        for path in (self._cert, self._key):
+            try:
+                status = path.stat()
+            except OSError:
+                stamps.append((0, 0, 0))  # being replaced
+            else:
+                stamps.append((status.st_ino, status.st_mtime_ns, status.st_size))
+        return tuple(stamps)
+
+
+def _context(cert: Path, key: Path) -> ssl.SSLContext:
+    for flag, path in (("tls-cert", cert), ("tls-key", key)):
+        try:
+            text = path.read_bytes()
+        except OSError as error:
+            raise ConfigurationError(f"--{flag} {path}: {error.strerror}") from error
+        if b"-----BEGIN " not in text:
+            raise ConfigurationError(f"--{flag} {path}: it is no PEM file")
+        if flag == "tls-key" and b"ENCRYPTED" in text:
+            fix = "a relay cannot ask for a password: `openssl pkey` takes it off"
+            raise ConfigurationError(f"--{flag} {path}: it is encrypted, and {fix}")
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    context.set_alpn_protocols(["http/1.1"])
+    try:
+        context.load_cert_chain(cert, key, password=_no_password)
+    except ssl.SSLError as error:
+        if error.reason == "KEY_VALUES_MISMATCH":
+            raise ConfigurationError(f"--tls-key {key}: it is not the key of {cert}") from error
+        reason = (error.reason or "unreadable").replace("_", " ").lower()
+        raise ConfigurationError(
+            f"--tls-cert {cert}: it or its key {key} cannot be used: {reason}"
+        ) from error
+    return context
+
+
+def _no_password() -> str:
+    """Keep OpenSSL from asking on the terminal."""
+    return ""

@@ -10,7 +10,7 @@ from typing import Any, Final
 from pica_protocol.errors import CloseCode
 from pica_protocol.messages import Peer
 from pica_server.config import RelayConfig
-from pica_server.errors import AdmissionError
+from pica_server.limits import RefusalError
 from pica_server.room.forwarding import CALM_S
 from pica_server.room.hub import Hub
 from pica_server.room.room import Room
@@ -45,7 +45,7 @@ class StatusPages:
     _store: AvatarStore | None = None
     _admin_room: Callable[[str], str] | None = None
     """Takes a token and returns the room that it may moderate, or ``ANY_ROOM``; raises
-    `AdmissionError`. None: there are no tokens."""
+    `RefusalError`. None: there are no tokens."""
 
     def answer(
         self, path: str, *, authorization: str = "", is_local: bool, now: float
@@ -88,7 +88,7 @@ class StatusPages:
             return _unauthorized("send an admin's token: Authorization: Bearer TOKEN")
         try:
             scope = self._admin_room(token.strip())
-        except AdmissionError as error:
+        except RefusalError as error:
             if error.code == CloseCode.UNAUTHORIZED:
                 return _unauthorized(str(error))
             return Page(HTTPStatus.FORBIDDEN, f"{error}\n")

@@ -23,7 +23,8 @@ from pica_protocol.errors import CloseCode
 from pica_protocol.limits import MAX_PASS_BYTES, check_name, check_token, quoted, text_of_file
 from pica_protocol.messages import Join
 from pica_protocol.store import is_avatar_id
-from pica_server.errors import AdmissionError, ConfigurationError
+from pica_server.config import ConfigurationError
+from pica_server.limits import RefusalError
 
 ALGORITHM: Final = "HS256"
 AUDIENCE: Final = "pica-relay"
@@ -191,7 +192,7 @@ def admit(keys: KeyRing, join: Join, *, now: float) -> Admission:
     """Check the token of a join, and what the join asks for against it; ``now`` is Unix time.
 
     Raises:
-        AdmissionError: ``UNAUTHORIZED`` without a token that is good here and now, ``FORBIDDEN``
+        RefusalError: ``UNAUTHORIZED`` without a token that is good here and now, ``FORBIDDEN``
             for what the token does not grant; the text does not quote the token.
     """
     claims = _claims_that_hold(keys, join.token, now)
@@ -221,9 +222,9 @@ def admit(keys: KeyRing, join: Join, *, now: float) -> Admission:
 
 def _check_publishing(may_publish: bool, allowed: Sequence[str], worn: Sequence[str]) -> None:
     if not may_publish:
-        raise AdmissionError("the token does not let you publish", CloseCode.FORBIDDEN)
+        raise RefusalError("the token does not let you publish", CloseCode.FORBIDDEN)
     if ANY_AVATAR not in allowed and not set(worn) <= set(allowed):
-        raise AdmissionError("the token does not let you wear this", CloseCode.FORBIDDEN)
+        raise RefusalError("the token does not let you wear this", CloseCode.FORBIDDEN)
 
 
 def admit_upload(keys: KeyRing, token: str, avatar: str, *, now: float) -> None:
@@ -237,13 +238,13 @@ def admin_scope(keys: KeyRing, token: str, *, now: float) -> str:
     """Return the room that an admin's token is for, or ``ANY_ROOM``; ``now`` is Unix time.
 
     Raises:
-        AdmissionError: ``UNAUTHORIZED`` without a token that is good now, ``FORBIDDEN`` for one
+        RefusalError: ``UNAUTHORIZED`` without a token that is good now, ``FORBIDDEN`` for one
             that is no admin's; the text does not quote it.
     """
     claims = _claims_that_hold(keys, token, now)
     room = claims.get("room")
     if claims.get("admin") is not True or not isinstance(room, str):
-        raise AdmissionError("the token does not let you manage rooms", CloseCode.FORBIDDEN)
+        raise RefusalError("the token does not let you manage rooms", CloseCode.FORBIDDEN)
     return room
 
 
@@ -294,5 +295,5 @@ def _number(claims: Mapping[str, Any], field: str) -> float:
     return float(value)
 
 
-def _unauthorized(reason: str) -> AdmissionError:
-    return AdmissionError(reason, CloseCode.UNAUTHORIZED)
+def _unauthorized(reason: str) -> RefusalError:
+    return RefusalError(reason, CloseCode.UNAUTHORIZED)

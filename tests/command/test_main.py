@@ -12,9 +12,8 @@ from typing import Any
 
 import pytest
 
-from pica_command.extras import install_line
 from pica_command.main import main
-from pica_command.table import COMMANDS, GROUPS, Command, listing
+from pica_command.table import COMMANDS, GROUPS, Command, install_line, listing
 
 pytestmark = pytest.mark.unit
 

@@ -36,7 +36,7 @@ from pica_protocol.messages import (
 )
 from pica_protocol.session import Closed, State
 from pica_server.config import RelayConfig
-from pica_server.errors import AdmissionError
+from pica_server.limits import RefusalError
 from pica_server.room.connections import Connection
 from pica_server.room.hub import Hub
 from pica_server.room.outbox import OutboundMessage
@@ -60,7 +60,7 @@ def admitted(join: Join) -> Admission:
     """Let in any peer that gives a name as the token."""
     if join.token in LINES_BYTES_PER_S or join.token.startswith("eve"):
         return Admission(identity=join.token, name=join.token.title())
-    raise AdmissionError("no token", CloseCode.UNAUTHORIZED)
+    raise RefusalError("no token", CloseCode.UNAUTHORIZED)
 
 
 class Friend:

@@ -19,10 +19,8 @@ from pica_client.transport.connect import RelayConnect
 from pica_client.transport.link import Link
 from pica_protocol.limits import bound_tls_buffer
 from pica_protocol.messages import Joined
-from pica_server.certificate import Certificate
-from pica_server.config import LimitsConfig, RelayConfig
-from pica_server.errors import ConfigurationError
-from pica_server.relay import Relay
+from pica_server.config import ConfigurationError, LimitsConfig, RelayConfig
+from pica_server.relay import Certificate, Relay
 
 pytestmark = pytest.mark.realtime
 

@@ -1,7 +1,6 @@
 import pytest
 
-from pica_server.config import LimitsConfig, RelayConfig
-from pica_server.errors import ConfigurationError
+from pica_server.config import ConfigurationError, LimitsConfig, RelayConfig
 
 pytestmark = pytest.mark.unit
 

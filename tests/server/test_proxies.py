@@ -9,9 +9,8 @@ from websockets.exceptions import ConnectionClosed
 from pica_protocol import SUBPROTOCOL
 from pica_protocol.client_session import ClientSession
 from pica_protocol.session import State
-from pica_server.config import LimitsConfig, RelayConfig
-from pica_server.errors import ConfigurationError
-from pica_server.proxies import address_group, client_of, networks
+from pica_server.config import ConfigurationError, LimitsConfig, RelayConfig
+from pica_server.limits import address_group, client_of, networks
 from pica_server.relay import Relay
 from simnet.clock import current_network, in_virtual_time
 

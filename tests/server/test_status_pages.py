@@ -8,7 +8,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from helpers.members import FACE, VOICE, Member
 from pica_protocol.errors import CloseCode
 from pica_server.config import LimitsConfig, RelayConfig
-from pica_server.errors import AdmissionError
+from pica_server.limits import RefusalError
 from pica_server.room.hub import Hub
 from pica_server.stats import BOUNDS_S, RelayStats, metrics_text
 from pica_server.status_pages import MAX_LISTED, Page, StatusPages
@@ -28,9 +28,9 @@ def numbers(text: str) -> dict[tuple[str, str], float]:
 def admin_room(token: str) -> str:
     """Tokens are the rooms that they are for."""
     if not token:
-        raise AdmissionError("this relay wants a token", CloseCode.UNAUTHORIZED)
+        raise RefusalError("this relay wants a token", CloseCode.UNAUTHORIZED)
     if token == "nobody":
-        raise AdmissionError("the token does not let you manage rooms", CloseCode.FORBIDDEN)
+        raise RefusalError("the token does not let you manage rooms", CloseCode.FORBIDDEN)
     return token
 
 

@@ -14,7 +14,8 @@ from pica_protocol.errors import CloseCode
 from pica_protocol.invite import Invite, parse_link
 from pica_protocol.messages import Join, Track
 from pica_server.cli.token import TokenOptions, token
-from pica_server.errors import AdmissionError, ConfigurationError
+from pica_server.config import ConfigurationError
+from pica_server.limits import RefusalError
 from pica_server.tokens import (
     ANY_AVATAR,
     AUDIENCE,
@@ -69,14 +70,14 @@ def test_an_admins_token_for_all_rooms_lets_nobody_into_one() -> None:
     operator = Admission(identity="op", may_admin=True)
     token = mint(KEYS, "*", operator, now=NOW, lasts_s=60, starts_s=0.0)
     assert admin_scope(KEYS, token, now=NOW) == "*"
-    with pytest.raises(AdmissionError, match="another room"):
+    with pytest.raises(RefusalError, match="another room"):
         admit(KEYS, join(token, avatar=None), now=NOW)
     with pytest.raises(ValueError, match="room must be"):
         mint(KEYS, "*", ADA, now=NOW, lasts_s=60, starts_s=0.0)
 
 
 def test_a_token_without_the_grant_manages_no_room() -> None:
-    with pytest.raises(AdmissionError, match="does not let you manage") as caught:
+    with pytest.raises(RefusalError, match="does not let you manage") as caught:
         admin_scope(KEYS, minted(), now=NOW)
     assert caught.value.code == CloseCode.FORBIDDEN
 
@@ -84,7 +85,7 @@ def test_a_token_without_the_grant_manages_no_room() -> None:
 def test_tokens_of_an_older_key_hold_until_it_is_removed() -> None:
     token = minted(keys=KeyRing({"old": OLD}))
     assert admit(KEYS, join(token), now=NOW) == ADA
-    with pytest.raises(AdmissionError, match="a key that is not known here"):
+    with pytest.raises(RefusalError, match="a key that is not known here"):
         admit(KeyRing({"new": NEW}), join(token), now=NOW)
 
 
@@ -95,20 +96,20 @@ def test_tokens_of_an_older_key_hold_until_it_is_removed() -> None:
 def test_a_token_holds_for_its_time_with_ten_seconds_to_spare(
     now: float, complaint: str | None
 ) -> None:
-    expected = pytest.raises(AdmissionError, match=complaint) if complaint else None
+    expected = pytest.raises(RefusalError, match=complaint) if complaint else None
     with expected or contextlib.nullcontext():
         admit(KEYS, join(minted()), now=now)
 
 
 def test_a_token_opens_one_room() -> None:
-    with pytest.raises(AdmissionError, match="another room") as caught:
+    with pytest.raises(RefusalError, match="another room") as caught:
         admit(KEYS, join(minted(), room="boardroom"), now=NOW)
     assert caught.value.code == CloseCode.UNAUTHORIZED
 
 
 @pytest.mark.parametrize("avatar", [ANOTHER, "ab" * 32])
 def test_nobody_puts_on_another_persons_face(avatar: str) -> None:
-    with pytest.raises(AdmissionError, match="does not let you wear this") as caught:
+    with pytest.raises(RefusalError, match="does not let you wear this") as caught:
         admit(KEYS, join(minted(), avatar=avatar), now=NOW)
     assert caught.value.code == CloseCode.FORBIDDEN
     anybody = Admission(identity="ada", avatars=(ANY_AVATAR,))
@@ -117,7 +118,7 @@ def test_nobody_puts_on_another_persons_face(avatar: str) -> None:
 
 def test_who_may_not_publish_may_not_bring_a_track() -> None:
     viewer = Admission(identity="bob", may_publish=False, avatars=(ANY_AVATAR,))
-    with pytest.raises(AdmissionError, match="does not let you publish") as caught:
+    with pytest.raises(RefusalError, match="does not let you publish") as caught:
         admit(KEYS, join(minted(viewer)), now=NOW)
     assert caught.value.code == CloseCode.FORBIDDEN
 
@@ -159,7 +160,7 @@ def unsigned() -> str:
     ],
 )
 def test_what_is_no_good_token_is_refused_without_being_quoted(token: str) -> None:
-    with pytest.raises(AdmissionError) as caught:
+    with pytest.raises(RefusalError) as caught:
         admit(KEYS, join(token), now=NOW)
     assert caught.value.code == CloseCode.UNAUTHORIZED
     assert not token or token not in str(caught.value)
@@ -184,7 +185,7 @@ def test_a_grant_that_is_not_there_is_not_granted(grant: str) -> None:
 )
 @settings(max_examples=300)
 def test_any_text_is_a_token_or_an_admission_error(text: str) -> None:
-    with pytest.raises(AdmissionError):
+    with pytest.raises(RefusalError):
         admit(KEYS, join(text), now=NOW)
 
 
@@ -200,7 +201,7 @@ JSON = st.recursive(
 def test_a_good_signature_under_wild_claims_lets_in_nobody_without_an_identity(
     claim: str, value: object
 ) -> None:
-    with contextlib.suppress(AdmissionError):
+    with contextlib.suppress(RefusalError):
         assert admit(KEYS, join(signed({**CLAIMS, claim: value})), now=NOW).identity
 
 

@@ -15,7 +15,7 @@ from cyclopts import Parameter
 
 from pica_client.e2ee.secret import RoomSecret, save_secret
 from pica_client.system import has_display, say
-from pica_command.extras import install_line, modules_by_extra
+from pica_command.table import install_line, modules_by_extra
 from pica_core.errors import GraphicsError
 
 

@@ -16,10 +16,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from pica_server.certificate import Certificate
-from pica_server.config import RelayConfig
-from pica_server.errors import ConfigurationError
+from pica_server.config import ConfigurationError, RelayConfig
 from pica_server.log import Style, logging_to, say
+from pica_server.relay import Certificate
 
 if TYPE_CHECKING:
     from pica_server.store.store import AvatarStore
@@ -55,9 +54,8 @@ def relay(options: RelayOptions) -> dict[str, Any]:
         Its counters at the end.
 
     Raises:
-        ConfigurationError: The address, the certificate, the key file or the ready file cannot be
-            used.
-        StoreError: The avatar store cannot be used.
+        ConfigurationError: The address, the certificate, the key file, the ready file or the avatar
+            store cannot be used.
     """
     with asyncio.Runner(loop_factory=_loop_factory(options)) as runner:
         return runner.run(_run(options))

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from pica_protocol.invite import Invite, make_link
-from pica_server.errors import ConfigurationError
+from pica_server.config import ConfigurationError
 from pica_server.tokens import ANY_AVATAR, Admission, KeyRing, load_keys, mint
 
 

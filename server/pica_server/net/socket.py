@@ -40,10 +40,11 @@ except ImportError:  # the library was installed without its C extension
 
 from pica_protocol.errors import CloseCode
 from pica_protocol.limits import bound_tls_buffer
-from pica_server.limits import SocketGuard, TokenBucket
-from pica_server.proxies import (
+from pica_server.limits import (
     PROXY_HEADERS,
     Network,
+    SocketGuard,
+    TokenBucket,
     address_group,
     client_of,
     is_in,

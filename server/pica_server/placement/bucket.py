@@ -17,7 +17,7 @@ from nats.aio.msg import Msg
 from nats.js.api import RePublish
 from nats.js.kv import KeyValue
 
-from pica_server.errors import ConfigurationError
+from pica_server.config import ConfigurationError
 
 BUCKET: Final = "pica_placement"
 NEWS: Final = "pica.placement."

@@ -30,7 +30,7 @@ from dataclasses import asdict, dataclass, field, fields
 from typing import Final, TypeVar
 
 from pica_protocol.limits import check_url
-from pica_server.errors import ConfigurationError
+from pica_server.config import ConfigurationError
 from pica_server.log import say
 from pica_server.placement.bucket import AWAY, RECONNECT_S, TTL_S, Bucket
 from pica_server.room.hub import Hub

@@ -17,7 +17,6 @@ from pica_protocol.errors import CloseCode
 from pica_protocol.messages import Message
 from pica_protocol.session import Closed, ServerSession
 from pica_server.config import LimitsConfig, RelayConfig
-from pica_server.errors import OutboxFullError
 from pica_server.limits import TokenBucket
 from pica_server.room.outbox import Outbox
 from pica_server.room.room import Room
@@ -234,8 +233,7 @@ class Connections:
     def _put_control(self, connection: Connection, data: bytes, now: float) -> None:
         if connection.closed is not None:
             return
-        try:
-            connection.outbox.put_control(data)
-        except OutboxFullError as error:
-            self.refuse(connection, "control", CloseCode.TOO_SLOW, str(error), now)
+        if not connection.outbox.put_control(data):
+            reason = f"{connection.outbox.waiting_control_bytes} bytes of control messages wait"
+            self.refuse(connection, "control", CloseCode.TOO_SLOW, reason, now)
         self.ready.append(connection)

@@ -55,7 +55,7 @@ class Hub:
         """Begin empty.
 
         Args:
-            admit: Says what who joins may do, or raises `AdmissionError`; everybody may do
+            admit: Says what who joins may do, or raises `RefusalError`; everybody may do
                 everything by default.
             new_secret: Makes secrets to come back with; without it no place is kept.
         """

@@ -27,8 +27,7 @@ from pica_protocol.messages import (
     UpdateMetadata,
 )
 from pica_protocol.session import Closed
-from pica_server.errors import AdmissionError
-from pica_server.limits import MOST_REMEMBERED, TokenBucket
+from pica_server.limits import MOST_REMEMBERED, RefusalError, TokenBucket
 from pica_server.room.connections import MODERATION_COST, UPDATE_COST, Connection, Connections
 from pica_server.room.forwarding import CALM_S, Forwarding, Overload
 from pica_server.room.room import BAR, Room
@@ -75,7 +74,7 @@ class Membership:
     _connections: Connections
     _forwarding: Forwarding
     _admit: Callable[[Join], Admission]
-    """Says what who joins may do, or raises `AdmissionError`."""
+    """Says what who joins may do, or raises `RefusalError`."""
     _overload: Overload
     _new_secret: Callable[[], str] | None
     """Makes secrets to come back with; None: no place is kept."""
@@ -104,7 +103,7 @@ class Membership:
         # First of all: who has no token must not use up the joins of those who have one.
         try:
             admission = self._admit(join)
-        except AdmissionError as error:
+        except RefusalError as error:
             refuse(connection, "admission", error.code, str(error), now)
             return
         place = self._place_of(join.room, join.resume)

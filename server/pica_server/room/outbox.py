@@ -18,7 +18,6 @@ from typing import Final, NamedTuple
 from pica_protocol.frame_queue import FrameQueue, QueuedFrame
 from pica_protocol.frames import media_message
 from pica_protocol.limits import MAX_MEDIA_MESSAGE_BYTES
-from pica_server.errors import OutboxFullError
 
 MAX_CONTROL_BYTES: Final = 262_144
 """Control messages that may wait for one peer before it is closed (chosen: twice the largest)."""
@@ -104,17 +103,13 @@ class Outbox:
         self._slow_until_s = now + SLOW_S
         self.is_quick = False
 
-    def put_control(self, data: bytes) -> None:
-        """Queue a control message.
-
-        Raises:
-            OutboxFullError: The receiver has let too many pile up; nothing was queued.
-        """
-        if self.waiting_control_bytes + len(data) > MAX_CONTROL_BYTES:
-            raise OutboxFullError(
-                f"{self.waiting_control_bytes} bytes of control messages wait unread"
-            )
-        self._append(OutboundMessage(data))
+    def put_control(self, data: bytes) -> bool:
+        """Queue a control message; return False, and queue nothing, if the receiver has let too
+        many pile up."""
+        has_room = self.waiting_control_bytes + len(data) <= MAX_CONTROL_BYTES
+        if has_room:
+            self._append(OutboundMessage(data))
+        return has_room
 
     def put(self, frame: QueuedFrame) -> None:
         """Queue a frame."""

@@ -5,8 +5,8 @@ much it takes; what is inside of a file is not looked at. A file is there under 
 or not at all. Names are made of an id that was checked to be 64 hexadecimal digits, and of nothing
 else.
 
-What blocks happens in threads of the store. It knows no websocket; `downloads` and `uploads` are
-the ways out and in.
+What blocks happens in threads of the store. It knows no websocket; `transfers` are the
+ways in and out.
 """
 
 import asyncio
@@ -25,8 +25,8 @@ from typing import Final, TypeVar
 
 from pica_protocol.errors import CloseCode
 from pica_protocol.store import is_avatar_id
-from pica_server.config import StoreConfig
-from pica_server.errors import StoreError, StoreRefusalError
+from pica_server.config import ConfigurationError, StoreConfig
+from pica_server.limits import RefusalError
 
 NUM_THREADS: Final = 4
 SUFFIX: Final = ".pica"
@@ -50,11 +50,11 @@ class Slots:
         """Hold one; an empty address has no limit of its own.
 
         Raises:
-            StoreRefusalError: There is none.
+            RefusalError: There is none.
         """
         is_many = bool(address) and self._by_address[address] >= self._per_address
         if is_many or self._by_address.total() >= self._limit:
-            raise StoreRefusalError("too many at once, try again", CloseCode.BUSY)
+            raise RefusalError("too many at once, try again", CloseCode.BUSY)
         self._by_address[address] += 1
         try:
             yield
@@ -73,7 +73,7 @@ class AvatarStore:
             where: A folder, or ``temporary``.
 
         Raises:
-            StoreError: The folder cannot be used, or holds more files than it may.
+            ConfigurationError: The folder cannot be used, or holds more files than it may.
         """
         self.config = config
         self._temporary: TemporaryDirectory[str] | None = None
@@ -90,12 +90,12 @@ class AvatarStore:
                 if is_avatar_id(identity) and (size := self._size(identity)) is not None:
                     self._sizes[identity] = size
         except OSError as error:
-            raise StoreError(
+            raise ConfigurationError(
                 f"--avatar-store {where} cannot be written: {error.strerror or error}; "
                 "give the relay a folder of its own, or none"
             ) from error
         if len(self._sizes) > config.max_avatars:
-            raise StoreError(
+            raise ConfigurationError(
                 f"--avatar-store {where} holds more than {config.max_avatars} avatars; "
                 "raise --store.max-avatars, or remove some"
             )
@@ -162,7 +162,7 @@ class AvatarStore:
         """Hold room for a file while the block runs.
 
         Raises:
-            StoreRefusalError: There is none.
+            RefusalError: There is none.
         """
         config, why = self.config, ""
         if size > config.largest_bytes:
@@ -172,7 +172,7 @@ class AvatarStore:
         elif size > self.num_free_bytes:
             why = f"its {config.quota_bytes} bytes are taken"
         if why:
-            raise StoreRefusalError(why, CloseCode.STORE_FULL)
+            raise RefusalError(why, CloseCode.STORE_FULL)
         self._reserved_bytes += size
         self._num_reserved += 1
         try:
@@ -185,21 +185,21 @@ class AvatarStore:
         """Keep a whole file.
 
         Raises:
-            StoreRefusalError: It has another SHA-256, or the disk is full.
+            RefusalError: It has another SHA-256, or the disk is full.
             OSError: It cannot be written.
         """
 
         def check_and_keep() -> None:
             if hashlib.sha256(data).hexdigest() != identity:
                 reason = "its SHA-256 is not the one that was offered"
-                raise StoreRefusalError(reason, CloseCode.UNFIT_FILE)
+                raise RefusalError(reason, CloseCode.UNFIT_FILE)
             self._write(self._path(identity).name, data)
 
         try:
             await self._in_thread(check_and_keep)
         except OSError as error:
             if error.errno in _NO_ROOM:
-                raise StoreRefusalError("its disk is full", CloseCode.STORE_FULL) from error
+                raise RefusalError("its disk is full", CloseCode.STORE_FULL) from error
             raise
         self._sizes[identity] = len(data)
 

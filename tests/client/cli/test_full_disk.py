@@ -18,7 +18,7 @@ from pica_client.ui.recorder import save_png
 from pica_core.avatar.file import save_avatar
 from pica_core.errors import AvatarFileError
 from pica_server.cli.token import TokenOptions, token
-from pica_server.errors import ConfigurationError
+from pica_server.config import ConfigurationError
 from pica_server.tokens import load_keys
 
 pytestmark = pytest.mark.unit

@@ -11,8 +11,7 @@ from typing import Any
 import pytest
 
 from pica_client.cli.machine import examine
-from pica_command.extras import install_line, modules_by_extra
-from pica_command.table import COMMANDS
+from pica_command.table import COMMANDS, install_line, modules_by_extra
 from pica_core.avatar.file import shipped_avatar_files
 from pica_core.errors import GraphicsError
 

@@ -18,8 +18,7 @@ from pica_protocol.messages import (
     Whisper,
 )
 from pica_protocol.session import Closed
-from pica_server.config import LimitsConfig, RelayConfig
-from pica_server.errors import ConfigurationError
+from pica_server.config import ConfigurationError, LimitsConfig, RelayConfig
 from pica_server.relay import Relay
 from pica_server.room.hub import Hub
 from simnet.clock import current_network, in_virtual_time

@@ -14,7 +14,7 @@ from pica_protocol.messages import (
     Whisper,
 )
 from pica_server.config import LimitsConfig, RelayConfig
-from pica_server.errors import AdmissionError
+from pica_server.limits import RefusalError
 from pica_server.room.hub import Hub
 from pica_server.room.outbox import MAX_CONTROL_BYTES
 from pica_server.tokens import Admission
@@ -146,7 +146,7 @@ def test_more_joins_than_the_relay_takes_are_told_to_come_later() -> None:
 def test_who_may_not_join_does_not_use_up_the_joins_of_those_who_may() -> None:
     def admit(join: Join) -> Admission:
         if join.name != "Ada":
-            raise AdmissionError("no", CloseCode.UNAUTHORIZED)
+            raise RefusalError("no", CloseCode.UNAUTHORIZED)
         return Admission()
 
     limits = LimitsConfig(joins_per_s=1, joins_burst=1)

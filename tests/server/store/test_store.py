@@ -19,8 +19,8 @@ from pica_core.avatar import file as avatar_file
 from pica_protocol.codec import encode_message
 from pica_protocol.errors import CloseCode
 from pica_protocol.store import Offer
-from pica_server.config import RelayConfig, StoreConfig
-from pica_server.errors import ConfigurationError, StoreError, StoreRefusalError
+from pica_server.config import ConfigurationError, RelayConfig, StoreConfig
+from pica_server.limits import RefusalError
 from pica_server.relay import Relay
 from pica_server.store.store import AvatarStore, Slots
 from pica_server.tokens import Admission, KeyRing, mint
@@ -151,7 +151,7 @@ async def test_a_relay_that_lets_anybody_in_takes_files_from_nobody(tmp_path: Pa
 
 
 def test_a_store_that_cannot_be_written_stops_the_relay_with_the_setting() -> None:
-    with pytest.raises(StoreError, match=r"--avatar-store /proc/nowhere/store cannot be written"):
+    with pytest.raises(ConfigurationError, match="/proc/nowhere/store cannot be written"):
         Relay(RelayConfig(avatar_store="/proc/nowhere/store"))
 
 
@@ -160,14 +160,14 @@ def test_a_store_that_cannot_be_written_stops_the_relay_with_the_setting() -> No
 )
 def test_a_folder_without_permission_stops_the_relay(tmp_path: Path) -> None:
     tmp_path.chmod(0o500)
-    with pytest.raises(StoreError, match="Permission denied"):
+    with pytest.raises(ConfigurationError, match="Permission denied"):
         AvatarStore(str(tmp_path), StoreConfig())
 
 
 def test_more_files_than_a_store_may_hold_are_named_at_the_start(tmp_path: Path) -> None:
     for number in range(3):
         (tmp_path / f"{number:064x}.pica").write_bytes(b"x")
-    with pytest.raises(StoreError, match="holds more than 2 avatars"):
+    with pytest.raises(ConfigurationError, match="holds more than 2 avatars"):
         AvatarStore(str(tmp_path), StoreConfig(max_avatars=2))
 
 
@@ -180,9 +180,9 @@ def test_no_file_is_taken_that_receivers_would_not() -> None:
 def test_slots_are_limited_in_all_and_for_each_address_and_come_back() -> None:
     slots = Slots(limit=3, per_address=2)
     with slots.taken("a"), slots.taken("a"):
-        with pytest.raises(StoreRefusalError), slots.taken("a"):
+        with pytest.raises(RefusalError), slots.taken("a"):
             pass
-        with slots.taken("b"), pytest.raises(StoreRefusalError), slots.taken("c"):
+        with slots.taken("b"), pytest.raises(RefusalError), slots.taken("c"):
             pass
     with slots.taken(""), slots.taken(""), slots.taken(""):
         pass
