@@ -70,7 +70,7 @@ class Command:
         return ""
 
 
-SHARED: Final = ("url", "room", "name", "token_file", "ca_file", "secret_file")
+SHARED: Final = ("url", "room", "name", "token_file", "secret_file")
 """Options that the commands which join a room may have in common."""
 
 GROUPS: Final[dict[str, dict[str, Command]]] = {

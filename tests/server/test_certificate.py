@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from helpers.certificates import write_certificate
-from pica_client.errors import OptionError, RelayRefusedError
+from pica_client.errors import RelayRefusedError
 from pica_client.transport.config import LinkConfig
 from pica_client.transport.connect import RelayConnect
 from pica_client.transport.link import Link
@@ -92,10 +92,10 @@ def served_certificate(host: str, port: int) -> bytes:
 
 
 def test_new_connections_get_the_new_certificate_and_a_call_goes_on(
-    cert: Path, tmp_path: Path
+    cert: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    old = cert.read_bytes()
-    (tmp_path / "old.pem").write_bytes(old)
+    old = shutil.copy(cert, tmp_path / "old.pem")
+    monkeypatch.setenv("SSL_CERT_FILE", str(old))
 
     async def call() -> None:
         config = RelayConfig(port=0, tls_cert=cert, tls_key=key_of(cert))
@@ -109,9 +109,7 @@ def test_new_connections_get_the_new_certificate_and_a_call_goes_on(
             assert relay.url.startswith("wss://127.0.0.1:")
             assert relay.certificate is not None
             port = int(relay.url.rpartition(":")[2])
-            link = Link(
-                LinkConfig(url=relay.url, room="r", ca_file=tmp_path / "old.pem"), on_event=note
-            )
+            link = Link(LinkConfig(url=relay.url, room="r"), on_event=note)
             running = asyncio.create_task(link.run())
             await joined.get()
             renewed = write_certificate(tmp_path, "renewed")
@@ -120,7 +118,8 @@ def test_new_connections_get_the_new_certificate_and_a_call_goes_on(
             relay.certificate.reload()
             served = await asyncio.to_thread(served_certificate, "127.0.0.1", port)
             assert served == ssl.PEM_cert_to_DER_cert(renewed.read_text())
-            websocket = await RelayConnect(relay.url, renewed)
+            monkeypatch.setenv("SSL_CERT_FILE", str(renewed))
+            websocket = await RelayConnect(relay.url)
             assert bound_tls_buffer(websocket.transport)
             await websocket.close()
             assert link.is_joined
@@ -131,26 +130,18 @@ def test_new_connections_get_the_new_certificate_and_a_call_goes_on(
     asyncio.run(call())
 
 
-def test_whom_a_client_does_not_trust_it_does_not_join(cert: Path, tmp_path: Path) -> None:
-    other = write_certificate(tmp_path, "other")
+def test_whom_a_client_does_not_trust_it_does_not_join(
+    cert: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SSL_CERT_FILE", str(write_certificate(tmp_path, "other")))
 
     async def call() -> None:
         config = RelayConfig(port=0, tls_cert=cert, tls_key=key_of(cert))
         async with Relay(config) as relay, asyncio.timeout(30):
-            for ca_file in (None, other):
-                link = Link(LinkConfig(url=relay.url, room="r", ca_file=ca_file))
-                with pytest.raises(RelayRefusedError, match=r"its certificate is not trusted: "):
-                    await link.run()
-            link = Link(LinkConfig(url=relay.url, room="r", ca_file=key_of(cert)))
-            with pytest.raises(OptionError, match=r"ca-file .*: it holds no certificate"):
-                await link.run()
+            with pytest.raises(RelayRefusedError, match=r"its certificate is not trusted: "):
+                await Link(LinkConfig(url=relay.url, room="r")).run()
 
     asyncio.run(call())
-
-
-def test_certificates_to_trust_are_for_wss() -> None:
-    with pytest.raises(OptionError, match="ca-file requires a wss:// URL"):
-        LinkConfig(url="ws://a", ca_file=Path("ca.pem"))
 
 
 @contextmanager
@@ -245,7 +236,11 @@ def test_what_comes_with_the_end_of_the_handshake_is_not_lost(cert: Path) -> Non
     asyncio.run(ask())
 
 
-def test_sockets_in_a_tls_handshake_are_counted_and_free_their_places(cert: Path) -> None:
+def test_sockets_in_a_tls_handshake_are_counted_and_free_their_places(
+    cert: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SSL_CERT_FILE", str(cert))
+
     async def call() -> None:
         config = RelayConfig(
             port=0, tls_cert=cert, tls_key=key_of(cert), limits=LimitsConfig(handshakes=2)
@@ -261,7 +256,7 @@ def test_sockets_in_a_tls_handshake_are_counted_and_free_their_places(cert: Path
             silent[1][1].write(b"no TLS at all")
             with suppress(ConnectionResetError):
                 await silent[1][0].read()
-            websocket = await RelayConnect(relay.url, cert)
+            websocket = await RelayConnect(relay.url)
             await websocket.close()
             for each in (writer, silent[1][1]):
                 each.transport.abort()

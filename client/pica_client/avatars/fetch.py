@@ -98,14 +98,12 @@ def download(
     identity: str,
     *,
     progress: Progress = lambda ratio: True,
-    tls: ssl.SSLContext | None = None,
 ) -> bytes:
     """Get an avatar file and check its hash; blocks.
 
     Args:
         relay_url: ws:// or wss://.
         progress: Called after each piece.
-        tls: Certificates for wss://; the system's by default.
 
     Raises:
         RelayUnreachableError: It did not come.
@@ -117,7 +115,7 @@ def download(
     try:
         with (
             httpx.Client(
-                verify=(tls or ssl.create_default_context()) if url.startswith("https:") else False,
+                verify=ssl.create_default_context() if url.startswith("https:") else False,
                 proxy=proxy_of(relay_url),
                 trust_env=False,
                 timeout=TIMEOUT_S,
@@ -195,7 +193,6 @@ class AvatarFetcher:
         relay_url: Callable[[], str],
         *,
         cache: AvatarCache | None = None,
-        tls: ssl.SSLContext | None = None,
     ) -> None:
         """Begin.
 
@@ -205,7 +202,7 @@ class AvatarFetcher:
             cache: Keeps what has come; this user's by default.
         """
         self._library, self._relay_url = library, relay_url
-        self._cache, self._tls = cache or AvatarCache(), tls
+        self._cache = cache or AvatarCache()
         self._wanted: dict[str, _Wanted] = {}  # bounded by MAX_WANTED
         self._lock = threading.Lock()
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="avatar-fetch")
@@ -264,7 +261,7 @@ class AvatarFetcher:
             if path is None:
                 if not is_wanted(0.0):
                     return False
-                data = download(self._relay_url(), identity, progress=is_wanted, tls=self._tls)
+                data = download(self._relay_url(), identity, progress=is_wanted)
                 load_avatar(data)  # what is none would push avatars out of the cache
                 path = self._cache.keep(identity, data)
                 self.num_fetched += 1

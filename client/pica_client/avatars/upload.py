@@ -59,7 +59,7 @@ async def push_avatar(url: str, link: LinkConfig, path: Path, identity: str) -> 
     data = await asyncio.to_thread(read_bytes, path, MAX_FILE_BYTES)
     token = link.token or read_token(link.token_file)
     try:
-        websocket = await RelayConnect(url, link.ca_file, subprotocol=store.STORE_SUBPROTOCOL)
+        websocket = await RelayConnect(url, subprotocol=store.STORE_SUBPROTOCOL)
     except CONNECT_ERRORS as error:
         if why := refusal(error):
             raise RelayRefusedError(f"{url}: {why}") from error

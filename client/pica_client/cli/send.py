@@ -60,7 +60,6 @@ def send(options: SendOptions) -> dict[str, Any]:
         connect_timeout_s=connect_timeout_s(wait=options.join.wait, seconds=options.sender.seconds),
         secret_file=options.join.secret_file,
         token_file=options.join.token_file,
-        ca_file=options.join.ca_file,
         redirect_hosts=options.join.redirect_hosts,
     )
     voice = open_voice(options.voice, cleans=options.clean)

@@ -39,15 +39,11 @@ class LinkConfig:
     that a fresh one can be put there."""
     token: str = field(default="", repr=False)
     """The token itself, instead of a file; a secret."""
-    ca_file: Path | None = None
-    """PEM file whose certificates a wss:// address is checked with, instead of the system's."""
 
     def __post_init__(self) -> None:
         name = unicodedata.normalize("NFKC", self.name)  # wide spaces become ordinary ones
         object.__setattr__(self, "name", name.translate(_JOINERS))
         check_address(self.url)
-        if self.ca_file is not None and not self.url.startswith("wss://"):
-            raise OptionError(f"ca-file requires a wss:// URL; url is {self.url}")
         if self.token and self.token_file is not None:
             raise OptionError("token and token-file say the same thing; give one of them")
         try:

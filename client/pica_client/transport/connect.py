@@ -8,7 +8,6 @@ import math
 import socket
 import ssl
 from contextlib import suppress
-from pathlib import Path
 from typing import Any, Final
 from urllib.parse import SplitResult, urlsplit
 from urllib.request import getproxies, proxy_bypass
@@ -28,7 +27,7 @@ from websockets.proxy import get_proxy
 from websockets.typing import Subprotocol
 from websockets.uri import parse_uri
 
-from pica_client.errors import OptionError, RelayRefusedError
+from pica_client.errors import RelayRefusedError
 from pica_client.transport.config import LinkConfig
 from pica_protocol import SUBPROTOCOL
 from pica_protocol.errors import CloseCode, is_worth_retrying, may_pass
@@ -103,21 +102,11 @@ class RelayConnect(connect):
     def __init__(
         self,
         url: str,
-        ca_file: Path | None = None,
         *,
         subprotocol: str = SUBPROTOCOL,
         **options: Any,
     ) -> None:
-        """Prepare; `options` are further ones of the library.
-
-        Args:
-            ca_file: With wss://, certificates to trust instead of the system's.
-
-        Raises:
-            OptionError: There are no certificates in the file.
-        """
-        if ca_file is not None and url.startswith("wss://"):
-            options["ssl"] = trusting(ca_file)
+        """Prepare; `options` are further ones of the library."""
         super().__init__(
             url,
             create_connection=RelayWebsocket,
@@ -159,20 +148,6 @@ async def watch(websocket: RelayWebsocket) -> None:
     websocket.transport.abort()
 
 
-def trusting(ca_file: Path) -> ssl.SSLContext:
-    """Return a context that trusts the certificates of a file, and no others.
-
-    Raises:
-        OptionError: There are none in it.
-    """
-    try:
-        return ssl.create_default_context(cafile=ca_file)
-    except ssl.SSLError as error:
-        raise OptionError(f"ca-file {ca_file}: it holds no certificate in PEM format") from error
-    except OSError as error:
-        raise OptionError(f"ca-file {ca_file}: {error.strerror}") from error
-
-
 def proxy_of(url: str) -> str | None:
     """Return the proxy that the environment names for a relay, for the call and for avatar files;
     None for this machine, and where ``no_proxy`` names the host."""
@@ -194,7 +169,7 @@ def is_loopback(host: str) -> bool:
 def refusal(error: BaseException) -> str | None:
     """Return why trying again cannot help, or None if it may."""
     if isinstance(error, ssl.SSLCertVerificationError):
-        return f"its certificate is not trusted: {error.verify_message.rstrip('.')} (--ca-file)"
+        return f"its certificate is not trusted: {error.verify_message.rstrip('.')} (SSL_CERT_FILE)"
     if isinstance(error, InvalidURI | UnicodeError):
         return f"is no websocket address ({error})"
     if isinstance(error, InvalidProxy | ImportError):

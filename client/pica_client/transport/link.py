@@ -251,7 +251,7 @@ class Link:
         Raises:
             RelayUnreachableError: No answer within the first connect timeout.
             RelayRefusedError: The relay, or what answers there, will not have us.
-            OptionError: The token file, or that of certificates to trust, cannot be read.
+            OptionError: The token file cannot be read.
         """
         self._staying = asyncio.ensure_future(self._stay())
         try:
@@ -285,7 +285,7 @@ class Link:
         loop = asyncio.get_running_loop()
         joined_s, target, longest_s = None, "", LONGEST_REFUSED_S
         try:
-            websocket = await RelayConnect(url, self.config.ca_file)
+            websocket = await RelayConnect(url)
         except CONNECT_ERRORS as error:
             if url != self.config.url:
                 return self.config.url

@@ -55,7 +55,6 @@ LABELS = {
     "room": ("Room", "lobby"),
     "name": ("Your name", ""),
     "token": ("Token", "only if the relay wants one"),
-    "ca_file": ("CA file", "of a relay with a certificate of its own"),
     "secret_file": ("Room secret file", "for rooms that are encrypted end to end"),
     "avatar": ("Avatar file", "instead of one of the pictures"),
 }
@@ -297,7 +296,7 @@ def _fields(form: JoinForm) -> None:
         widgets.note("Your microphone")
         microphone_picker(state, form.sound, may_be_off=True)
     if imgui.tree_node_ex("More", FOLDED):
-        for name in ("token", "secret_file", "ca_file", "avatar"):
+        for name in ("token", "secret_file", "avatar"):
             _field(state, name)
 
 

@@ -72,8 +72,6 @@ class JoinOptions:
     seconds."""
     token_file: Path | None = None
     """File with the join token that the relay of --url wants, see pica token."""
-    ca_file: Path | None = None
-    """Trust the certificates of this PEM file instead of the system's, at a wss:// address."""
     secret_file: Path | None = None
     """File with the room secret, from pica secret: encrypts end to end, see docs/privacy.md."""
 

@@ -23,7 +23,6 @@ from pica_client.errors import ClientError, OptionError, RelayUnreachableError
 from pica_client.publish import DEFAULT_SOURCE, FaceControls, Outgoing, open_face
 from pica_client.system import check_writable, on_stop_signal, say
 from pica_client.transport.config import LinkConfig
-from pica_client.transport.connect import trusting
 from pica_client.ui.call_sound import CallSound
 from pica_client.ui.lobby import JoinForm, Lobby, follow_invite
 from pica_client.ui.options import (
@@ -62,7 +61,7 @@ def first_state(options: ViewOptions, kept: PreferencesFile | None) -> ViewState
         OptionError: An option cannot be right.
     """
     state = ViewState(name=DEFAULT_NAME, source="", voice="none") if kept is None else kept.load()
-    kinds = ("url", "room", "name", "ca_file", "secret_file")
+    kinds = ("url", "room", "name", "secret_file")
     given: dict[str, str | None] = {k: str(getattr(options.join, k) or "") for k in kinds}
     given |= {"avatar": options.own_avatar, "layout": options.layout, "voice": options.voice}
     for name, value in given.items():
@@ -105,7 +104,6 @@ def link_of(options: ViewOptions, state: ViewState) -> LinkConfig:
     """
     url, token = state.url.strip(), state.token.strip()
     takes_file = not token and url == (options.join.url or DEFAULT_URL)
-    needs_ca = options.join.ca_file is not None or "wss://" in url
     return LinkConfig(
         url=url,
         room=state.room.strip(),
@@ -114,7 +112,6 @@ def link_of(options: ViewOptions, state: ViewState) -> LinkConfig:
         secret_file=_path(state.secret_file),
         token=token,
         token_file=options.join.token_file if takes_file else None,
-        ca_file=_path(state.ca_file) if needs_ca else None,
         redirect_hosts=options.join.redirect_hosts,
     )
 
@@ -206,8 +203,7 @@ def stay(
         if lobby is not None and not lobby.wait("Getting your avatar …", opening.done):
             return None
         own = opening.result()
-        tls = None if link.ca_file is None else trusting(link.ca_file)
-        fetcher = AvatarFetcher(library, lambda: receiver.link.url, tls=tls)
+        fetcher = AvatarFetcher(library, lambda: receiver.link.url)
         stack.callback(fetcher.close)
         voice = sound if state.voice == "mic" else open_voice(state.voice)
         own_voice = None

@@ -50,8 +50,6 @@ class Preferences:
     """What plays the user's face; empty only watches."""
     voice: str = "mic"
     """Whose voice is sent, for `voice.source.open_voice`."""
-    ca_file: str = ""
-    """File of certificates to trust."""
     secret_file: str = ""
     """File with the room secret; the secret itself is not kept."""
     layout: Layout = "line"

@@ -24,7 +24,6 @@ from pica_client.avatars.library import AvatarLibrary
 from pica_client.avatars.upload import AvatarGiver, push_avatar
 from pica_client.errors import RelayRefusedError, RelayUnreachableError
 from pica_client.transport.config import LinkConfig
-from pica_client.transport.connect import trusting
 from pica_core.avatar.file import Avatar, load_avatar, save_avatar
 from pica_core.errors import AvatarFileError
 
@@ -272,7 +271,7 @@ def push(url: str, path: Path, **settings: Path) -> Coroutine[None, None, bool]:
 
 @pytest.mark.asyncio
 async def test_under_tls_avatars_go_both_ways_for_who_trusts_the_relay(
-    toy: AvatarFile, tmp_path: Path
+    toy: AvatarFile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     cert = write_certificate(tmp_path)
     config = {"tls_cert": cert, "tls_key": cert.with_suffix(".key")}
@@ -280,10 +279,11 @@ async def test_under_tls_avatars_go_both_ways_for_who_trusts_the_relay(
         assert relay.url.startswith("wss://")
         with pytest.raises(RelayRefusedError):
             await push(relay.url, toy.path)
-        await push(relay.url, toy.path, ca_file=cert)
         with pytest.raises(RelayUnreachableError):
             await asyncio.to_thread(download, relay.url, toy.identity)
-        got = await asyncio.to_thread(download, relay.url, toy.identity, tls=trusting(cert))
+        monkeypatch.setenv("SSL_CERT_FILE", str(cert))
+        await push(relay.url, toy.path)
+        got = await asyncio.to_thread(download, relay.url, toy.identity)
         assert got == toy.data
 
 

@@ -44,10 +44,3 @@ def test_an_invite_link_takes_a_token_file_to_no_other_relay(
 ) -> None:
     options = ViewOptions(link, join=JoinOptions(url=relay, token_file=tmp_path / "token"))
     assert (link_of(options, first_state(options, None)).token_file is None) != is_sent
-
-
-def test_a_certificate_file_is_for_addresses_that_use_one(tmp_path: Path) -> None:
-    given = replace(FILLED, ca_file=str(tmp_path / "ca.pem"))
-    assert link_of(ViewOptions(), given).ca_file is None
-    secure = replace(given, url="wss://relay")
-    assert link_of(ViewOptions(), secure).ca_file == tmp_path / "ca.pem"
