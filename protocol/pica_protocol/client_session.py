@@ -50,7 +50,6 @@ class ClientSession(session.Session):
         name: What we are called; once joined, what the others are shown.
         tracks: Our own tracks; with their streams, once joined.
         peers: Everybody else in the room by id, kept up to date.
-        away: Ids of those among them who have lost their connection and may come back.
         is_admin: Whether we may moderate the room, once joined.
         muted: Streams that an admin has stopped, our own among them.
         drops: Frames that did not go out because the network was too slow, by reason.
@@ -88,7 +87,6 @@ class ClientSession(session.Session):
         self.name = name
         self.tracks = tracks
         self.peers: dict[str, messages.Peer] = {}
-        self.away: set[str] = set()
         self.is_admin = False
         self.muted: frozenset[int] = frozenset()
         self.drops = Counter() if drops is None else drops
@@ -267,18 +265,11 @@ class ClientSession(session.Session):
                 is_known, self.peers = peer.peer_id in self.peers, others
                 self._forget_streams(peer.peer_id)
                 self._note_streams(peer)
-                self.away.discard(peer.peer_id)
                 if is_known:
                     return [messages.PeerLeft(peer_id=peer.peer_id), message]
             case messages.PeerLeft(peer_id=peer_id):
                 self.peers.pop(peer_id, None)
                 self._forget_streams(peer_id)
-                self.away.discard(peer_id)
-            case messages.PeerAway(peer_id=peer_id):
-                if peer_id in self.peers:  # else a relay could fill our memory
-                    self.away.add(peer_id)
-            case messages.PeerBack(peer_id=peer_id):
-                self.away.discard(peer_id)
             case messages.PeerUpdated(peer_id=peer_id, metadata=metadata):
                 if peer_id in self.peers:
                     self.peers[peer_id] = replace(self.peers[peer_id], metadata=metadata)

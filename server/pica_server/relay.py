@@ -26,7 +26,7 @@ from pica_server.config import ConfigurationError, RelayConfig
 from pica_server.limits import RefusalError, SocketGuard, is_in, is_loopback, most_sockets, networks
 from pica_server.net.pump import Pump
 from pica_server.net.socket import RelaySocket, bound_receive_buffer
-from pica_server.room.forwarding import PERIOD_S
+from pica_server.room.connections import PERIOD_S
 from pica_server.room.hub import Hub
 from pica_server.status_pages import StatusPages
 from pica_server.store.store import AvatarStore

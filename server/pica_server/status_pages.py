@@ -11,7 +11,7 @@ from pica_protocol.errors import CloseCode
 from pica_protocol.messages import Peer
 from pica_server.config import RelayConfig
 from pica_server.limits import RefusalError
-from pica_server.room.forwarding import CALM_S
+from pica_server.room.connections import CALM_S
 from pica_server.room.hub import Hub
 from pica_server.room.room import Room
 from pica_server.stats import CONTENT_TYPE, metrics_text

@@ -346,12 +346,6 @@ def test_a_client_does_not_believe_in_more_peers_than_a_room_holds() -> None:
     assert client.closed.code == CloseCode.MALFORMED
 
 
-def test_nobody_is_away_who_was_never_there() -> None:
-    client = joined_client()
-    client.receive_data(encode_message(PeerAway(peer_id="nobody")), now=1.0)
-    assert client.away == set()
-
-
 def test_a_retry_is_worth_it_when_nobody_is_at_fault() -> None:
     assert is_worth_retrying(CloseCode.GOING_AWAY)
     assert is_worth_retrying(CloseCode.CONNECTION_LOST)
@@ -468,13 +462,11 @@ def test_a_client_knows_who_is_away_and_what_the_others_say_of_themselves() -> N
     for message in (
         PeerJoined(peer=Peer(peer_id="p2", name="Bob")),
         PeerAway(peer_id="p2"),
+        PeerBack(peer_id="p2"),
         PeerUpdated(peer_id="p2", metadata=(("hand", "up"),)),
     ):
         assert client.receive_data(encode_message(message), now=0.0) == [message]
-    assert client.away == {"p2"}
     assert client.peers["p2"].metadata == (("hand", "up"),)
-    client.receive_data(encode_message(PeerBack(peer_id="p2")), now=0.0)
-    assert client.away == set()
 
 
 def test_frames_of_a_muted_stream_stay_here_and_leave_a_hole_in_the_sequence() -> None:

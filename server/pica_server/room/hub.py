@@ -4,8 +4,7 @@ The shell tells the hub what happened (``connect``, ``receive``, ``disconnect``,
 asks which connections have something to send (``take_ready``) and takes it from them one message at
 a time (``take``, ``sent``). The parts decide:
 
-    connections   the connections: how they begin and end, who is late, what is said to whom
-    forwarding    frames and whispers, from peer to peer
+    connections   the connections: how they begin and end, who is late, what passes between them
     membership    rooms: who comes, goes, is away for a while and comes back, and what admins do
 
 A connection is over when its ``closed`` is set; what it still has to send ends with a ``Bye``.
@@ -30,8 +29,12 @@ from pica_protocol.messages import (
 )
 from pica_protocol.session import Closed, ServerEvent
 from pica_server.config import RelayConfig
-from pica_server.room.connections import MESSAGE_COST_BYTES, Connection, Connections
-from pica_server.room.forwarding import Forwarding, Overload
+from pica_server.room.connections import (
+    MESSAGE_COST_BYTES,
+    Connection,
+    Connections,
+    Overload,
+)
 from pica_server.room.membership import Membership
 from pica_server.room.outbox import OutboundMessage
 from pica_server.room.room import Room
@@ -62,10 +65,8 @@ class Hub:
         self.stats = RelayStats()
         self.connections = Connections(config, self.stats)
         self.overload = Overload()
-        self.forwarding = Forwarding(self.connections)
         self.membership = Membership(
             self.connections,
-            self.forwarding,
             admit or (lambda join: Admission()),
             self.overload,
             new_secret,
@@ -111,7 +112,7 @@ class Hub:
                 if not connection.bytes_in.take(now, cost_bytes):
                     self.connections.close_too_fast(connection, now)
                 if session.closed is None:
-                    self.forwarding.forward(connection, data, spans, now, last)
+                    self.connections.forward(connection, data, spans, now, last)
                 else:
                     self.membership.clear_up(connection, now)
                 continue
@@ -193,9 +194,9 @@ class Hub:
             case Closed():
                 self.membership.clear_up(connection, now)
             case Subscribe(stream=stream, every=every):
-                self.forwarding.subscribe(connection, stream, every)
+                self.connections.subscribe(connection, stream, every)
             case Whisper():
-                self.forwarding.whisper(connection, event, now)
+                self.connections.whisper(connection, event, now)
             case RemovePeer() | MutePeer() | BarIdentity():
                 self.membership.moderate(connection, event, now)
             case UpdateMetadata():

@@ -28,8 +28,14 @@ from pica_protocol.messages import (
 )
 from pica_protocol.session import Closed
 from pica_server.limits import MOST_REMEMBERED, RefusalError, TokenBucket
-from pica_server.room.connections import MODERATION_COST, UPDATE_COST, Connection, Connections
-from pica_server.room.forwarding import CALM_S, Forwarding, Overload
+from pica_server.room.connections import (
+    CALM_S,
+    MODERATION_COST,
+    UPDATE_COST,
+    Connection,
+    Connections,
+    Overload,
+)
 from pica_server.room.room import BAR, Room
 from pica_server.tokens import Admission
 
@@ -72,7 +78,6 @@ class Membership:
     """
 
     _connections: Connections
-    _forwarding: Forwarding
     _admit: Callable[[Join], Admission]
     """Says what who joins may do, or raises `RefusalError`."""
     _overload: Overload
@@ -214,7 +219,7 @@ class Membership:
                     if track.kind == kind and stream and stream.is_muted is not is_muted:
                         room.decide(peer.identity, kind, holds=is_muted)
                         number = track.stream
-                        self._forwarding.mute(room, number, stream, is_muted=is_muted, now=now)
+                        self._connections.mute(room, number, stream, is_muted=is_muted, now=now)
             case BarIdentity(identity=identity, is_barred=is_barred):
                 room.decide(identity, BAR, holds=is_barred)
                 removed = room.peer_of(identity) if is_barred else None
@@ -294,7 +299,7 @@ class Membership:
         for number in room.muted_of(peer.peer_id):
             tell_others(room, peer.peer_id, StreamMuted(stream=number, is_muted=True), now)
         if admission.may_subscribe:
-            self._forwarding.catch_up(connection, room)
+            self._connections.catch_up(connection, room)
 
     def _place_of(self, room: str, secret: str) -> str | None:
         """Return whose place in a room a secret opens, or None."""
@@ -336,7 +341,7 @@ class Membership:
             news = PeerUpdated(peer_id=peer_id, metadata=join.metadata)
             connections.tell_others(room, peer_id, news, now)
         if admission.may_subscribe:
-            self._forwarding.catch_up(connection, room)
+            self._connections.catch_up(connection, room)
         return True
 
     def _accept(
@@ -399,7 +404,7 @@ class Membership:
             if self.placement is not None:
                 self.placement.note_ended(room.name)
             return
-        self._forwarding.forget_peer(room, peer_id)
+        self._connections.forget_peer(room, peer_id)
         news = PeerLeft(peer_id=peer_id, reason=reason)
         self._connections.tell_others(room, peer_id, news, now)
 

@@ -2,7 +2,7 @@ import pytest
 
 from helpers.members import hub_with
 from pica_protocol.frames import Frame, encode_frame, media_message
-from pica_server.room.forwarding import CALM_S, LATE_S, Overload
+from pica_server.room.connections import CALM_S, LATE_S, Overload
 
 pytestmark = pytest.mark.unit
 

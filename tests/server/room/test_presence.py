@@ -169,7 +169,7 @@ def test_a_newcomer_learns_who_is_away() -> None:
     ada.lose_connection(now=1.0)
     cyd = Member(hub, "Cyd", now=2.0)
     assert set(cyd.session.peers) == {ada.peer_id, bob.peer_id}
-    assert cyd.session.away == {ada.peer_id}
+    assert PeerAway(peer_id=ada.peer_id) in cyd.heard
 
 
 def test_nobody_comes_back_into_another_room_or_with_other_tracks() -> None:
