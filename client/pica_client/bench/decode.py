@@ -16,7 +16,6 @@ import moderngl
 import numpy as np
 
 from pica_client.bench.harness import (
-    Took,
     ratio,
     report,
     take_turns,
@@ -88,7 +87,7 @@ def run_decode_bench(config: DecodeBenchConfig, avatar: Avatar) -> dict[str, Any
         times_s = np.linspace(0, SOURCE_S, NUM_LATENTS, endpoint=False).tolist()
         latents = [encoder.encode(source.frame_at(time_s).arkit) for time_s in times_s]
 
-        def turn(case: Case, number: int) -> Took:
+        def turn(case: Case, number: int) -> float:
             return timed(works[case], latents[number % len(latents)])[0]
 
         samples = take_turns(list(works), turn, rounds=config.rounds, warm_up=WARM_UP_ROUNDS)
@@ -132,7 +131,7 @@ class _Bench:
                 draw = partial(self._draw, _slot(drawn), distance)
                 yield Case("draw", model, drawn, distance_cm=distance), draw
 
-    def row(self, case: Case, took: dict[Case, list[Took]]) -> dict[str, Any]:
+    def row(self, case: Case, took: dict[Case, list[float]]) -> dict[str, Any]:
         """What a case took, and what it drew."""
         found: dict[str, Any] = case._asdict() | times_ms(took[case])
         found |= dict.fromkeys(("pixels", "triangles", "over_baseline"))
@@ -180,7 +179,7 @@ def _decode(decoder: OnnxDecoder | BaselineDecoder, *arguments: Any) -> object:
     return decoder.decode(latent, AHEAD, *chosen)
 
 
-def _decode_ratios(took: dict[Case, list[Took]]) -> dict[str, float]:
+def _decode_ratios(took: dict[Case, list[float]]) -> dict[str, float]:
     """The baseline over each level, decoded whole."""
     baseline = took[Case("decode", "baseline", None)]
     return {str(case.level): ratio(baseline, took[case]) for case in took if case.parts == "both"}

@@ -1,4 +1,4 @@
-"""What all benches share: turns, times with their spread, tables, options, GL contexts.
+"""What all benches share: turns, times with their spread, tables, options.
 
 Cases of a bench take turns, round after round, so that a busy machine treats all alike; the first
 rounds warm up and are not counted. Results are medians.
@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from statistics import median, quantiles
-from typing import Annotated, Any, NamedTuple, TypeVar
+from typing import Annotated, Any, TypeVar
 
 from cyclopts import Parameter, Token
 
@@ -24,24 +24,11 @@ NUM_REPORTS = 5
 """Reports of progress on stderr of one bench."""
 
 
-class Took(NamedTuple):
-    """What some work took.
-
-    Attributes:
-        wall_s: Seconds by the clock.
-        cpu_s: Seconds of processor time of all threads of this process: with software GL what the
-            work costs others; meaningless with a GPU.
-    """
-
-    wall_s: float
-    cpu_s: float
-
-
-def timed(work: Callable[..., T], *arguments: Any) -> tuple[Took, T]:
-    """Do some work; what it took, and its result."""
-    wall_s, cpu_s = time.perf_counter(), time.process_time()
+def timed(work: Callable[..., T], *arguments: Any) -> tuple[float, T]:
+    """Do some work; the seconds that it took, and its result."""
+    begin_s = time.perf_counter()
     result = work(*arguments)
-    return Took(time.perf_counter() - wall_s, time.process_time() - cpu_s), result
+    return time.perf_counter() - begin_s, result
 
 
 def take_turns(
@@ -71,22 +58,20 @@ def take_turns(
     return found
 
 
-def times_ms(samples: Sequence[Took]) -> dict[str, float]:
-    """Median, 95th percentile and processor time in milliseconds, and (upper quartile - lower
-    quartile) / median."""
-    walls = sorted(took.wall_s for took in samples)
-    low, middle, high = quantiles(walls, n=4) if len(walls) > 1 else walls * 3
+def times_ms(samples_s: Sequence[float]) -> dict[str, float]:
+    """Median and 95th percentile in milliseconds, and the quartiles' distance over the median."""
+    ordered = sorted(samples_s)
+    low, middle, high = quantiles(ordered, n=4) if len(ordered) > 1 else ordered * 3
     return {
-        "ms": round(median(walls) * 1e3, 3),
-        "p95": round(percentile(walls, 95) * 1e3, 3),
-        "cpu_ms": round(median(took.cpu_s for took in samples) * 1e3, 3),
+        "ms": round(median(ordered) * 1e3, 3),
+        "p95": round(percentile(ordered, 95) * 1e3, 3),
         "spread": round((high - low) / middle, 3),
     }
 
 
-def ratio(over: Sequence[Took], under: Sequence[Took]) -> float:
+def ratio(over_s: Sequence[float], under_s: Sequence[float]) -> float:
     """The median over rounds of two times of the same round."""
-    return round(median(a.wall_s / b.wall_s for a, b in zip(over, under, strict=True)), 3)
+    return round(median(a / b for a, b in zip(over_s, under_s, strict=True)), 3)
 
 
 def report(config: Any, rows: Sequence[Mapping[str, Any]], **more: Any) -> dict[str, Any]:

@@ -227,16 +227,15 @@ class _Bench:
             decoder = self._decoders[int(slot.partition("-")[2])]
             decoder.prepare(request.level, request.parts)
             wanted = request.latent, request.view_direction, request.level, request.parts
-            decoded, maps = timed(decoder.decode, *wanted)
-            uploaded, _ = timed(
+            decoded_s, maps = timed(decoder.decode, *wanted)
+            uploaded_s, _ = timed(
                 self._renderer.update_maps, slot, maps.position_map, maps.expression_map
             )
-            took["decode"] += decoded.wall_s * 1e3
-            took["upload"] += uploaded.wall_s * 1e3
+            took["decode"] += decoded_s * 1e3
+            took["upload"] += uploaded_s * 1e3
             if case.is_scheduled:
-                took_s, parts = decoded.wall_s, request.parts
-                result = DecodeResult(slot, maps, None, finished_s=took_s, parts=parts)
-                case.scheduler.note_decoded(head, result, uploaded.wall_s)
+                result = DecodeResult(slot, maps, None, finished_s=decoded_s, parts=request.parts)
+                case.scheduler.note_decoded(head, result, uploaded_s)
 
     def _draw_truth(self, heads: Sequence[Head], camera: Camera) -> Drawing:
         """What should be shown: everybody's newest latent at the full level."""

@@ -57,7 +57,7 @@ def bench_decode(avatars: AvatarChoice, options: DecodeBenchConfig) -> Result:
     result = run_decode_bench(options, avatars.load()[0])
     say_rows(
         result["rows"],
-        "work model level parts distance_cm ms p95 cpu_ms spread pixels triangles over_baseline",
+        "work model level parts distance_cm ms p95 spread pixels triangles over_baseline",
     )
     return result
 
