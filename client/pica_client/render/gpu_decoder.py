@@ -19,7 +19,6 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -42,9 +41,8 @@ HEAD_TEXELS = NUM_LATENT // VECTOR + 2
 """What goes to the GPU for each head and frame, texels of 16 bytes."""
 MAX_BATCH = 32
 """Heads that are decoded together; more are decoded in several turns."""
-TIMED_EVERY, NUM_TIMED = 4, 8
-"""Of how many batches one is timed on the GPU, for queries take time, too; and how many of these
-count."""
+NUM_TIMED = 8
+"""Batches of which the fastest says what a head takes on the GPU."""
 UNIT_ROWS, UNIT_HEADS, UNIT_TABLE, UNIT_PLACES, UNIT_MEAN, UNIT_BASIS = 0, 4, 5, 6, 7, 8
 _UNITS = {
     **{f"phase{number}": number for number in range(4)},
@@ -131,7 +129,6 @@ class GpuDecoder(Closing):
         self._gpu_clock: DrawClock[int] = DrawClock(context)
         # That clock runs on while the GPU waits for this thread: the least of a few is its own.
         self._head_s: deque[float] = deque(maxlen=NUM_TIMED)
-        self._turn = 0
 
     def add(self, slot: str, avatar: Avatar) -> bool:
         """Prepare a slot for an avatar; return False for one that shaders do not evaluate.
@@ -200,9 +197,7 @@ class GpuDecoder(Closing):
         self._context.wireframe = False
         self._context.clear_samplers(0, UNIT_BASIS + 1)
         jobs.sort(key=lambda job: -job.level)
-        self._turn += 1
-        is_timed = self._turn % TIMED_EVERY == 0
-        with self._gpu_clock.around(len(jobs)) if is_timed else nullcontext():
+        with self._gpu_clock.around(len(jobs)):
             for bank in self._banks:
                 own = [job for job in jobs if job.entry.bank is bank]
                 for start in range(0, len(own), MAX_BATCH):

@@ -384,16 +384,6 @@ class Renderer(Closing):
         )
         return position[..., :POSITION_CHANNELS], expression
 
-    def read_texture(self, slot: str) -> Image | None:
-        """What an avatar's static surface looks like, uint8 ``[T, T, 3]``, row 0 is v = 0; None
-        where it has none. For tests."""
-        entry = self._slots.get(slot)
-        skin = entry.body.skin if entry and entry.body else None
-        if skin is None:
-            return None
-        texels = np.frombuffer(skin.read(), np.uint8).reshape(*skin.size, 4)
-        return np.ascontiguousarray(texels[..., :3])
-
     @property
     def image(self) -> moderngl.Framebuffer:
         """The last frame, for code that draws over it."""

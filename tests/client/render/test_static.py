@@ -12,10 +12,8 @@ from pica_client.decode.decoder import OnnxDecoder
 from pica_client.render.renderer import DrawStats, Renderer, RenderOptions
 from pica_client.render.scene import Placement
 from pica_core.avatar.file import Avatar, load_avatar, shipped_avatar_files
-from pica_core.avatar.levels import STATIC, STATIC_NAME, parts_of
+from pica_core.avatar.levels import STATIC_NAME
 from pica_core.camera import look_at
-from pica_core.reference import still_colours
-from pica_core.sampling import sample_bilinear
 from pica_core.types import Image
 
 pytestmark = pytest.mark.render
@@ -77,20 +75,3 @@ def test_a_textured_pullover_does_not_flicker_as_its_wearer_moves(
     change = decoded[1] - decoded[0]
     flicker = textured[1] - textured[0] - change
     assert np.square(flicker).mean() < 0.15 * np.square(change).mean()
-
-
-def test_the_texture_is_that_of_the_reference(context: moderngl.Context) -> None:
-    with Renderer(context, SIZE) as renderer:
-        renderer.add_avatar("head", AVATAR)
-        skin = renderer.read_texture("head")
-    uv, parts = AVATAR.tensors["mesh.vertex_uv"], parts_of(AVATAR.tensors)
-    assert skin is not None
-    assert parts is not None
-    chosen = parts == STATIC
-    wanted = 255 * still_colours(AVATAR, AVATAR.mean_vertices_m[chosen], uv[chosen])
-
-    error = sample_bilinear(skin, uv[chosen]) - wanted
-
-    # A texel shows the mean of what it covers, the reference one point of it.
-    assert np.abs(error).mean() < 2.0
-    assert np.median(np.abs(error)) < 1.0
