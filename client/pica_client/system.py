@@ -37,9 +37,9 @@ class Closing(ABC):
         self.close()
 
 
-def cache_folder(system: type[PlatformDirs] = PlatformDirs) -> Path:
+def cache_folder() -> Path:
     """Return the folder for avatars that can be fetched again."""
-    return system(_NAME, appauthor=False).user_cache_path / "avatars"
+    return PlatformDirs(_NAME, appauthor=False).user_cache_path / "avatars"
 
 
 def models_folder() -> Path:
@@ -52,9 +52,9 @@ def videos_folder() -> Path:
     return PlatformDirs(_NAME, appauthor=False).user_videos_path / _TITLE
 
 
-def preferences_folder(system: type[PlatformDirs] = PlatformDirs) -> Path:
+def preferences_folder() -> Path:
     """Return the folder for this user's preferences."""
-    return system(_NAME, appauthor=False, roaming=True).user_config_path
+    return PlatformDirs(_NAME, appauthor=False, roaming=True).user_config_path
 
 
 def make_private(folder: Path) -> None:

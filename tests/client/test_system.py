@@ -1,67 +1,16 @@
-"""Files of a user are in the folders of their system, for their eyes alone."""
+"""Files of a user are for their eyes alone."""
 
 import os
 import stat
 from pathlib import Path
 
 import pytest
-from platformdirs import PlatformDirs, windows
-from platformdirs.macos import MacOS
-from platformdirs.unix import Unix
 
 from pica_client.avatars.fetch import AvatarCache
 from pica_client.system import cache_folder, preferences_folder, say
 from pica_client.ui.state import PreferencesFile, ViewState
 
 pytestmark = pytest.mark.unit
-
-HOME = Path.home()
-
-
-@pytest.mark.parametrize(
-    ("system", "environment", "cache", "preferences"),
-    [
-        (Unix, {}, HOME / ".cache/pica-telepresence", HOME / ".config/pica-telepresence"),
-        (
-            Unix,
-            {"XDG_CACHE_HOME": "/c", "XDG_CONFIG_HOME": "/p"},
-            "/c/pica-telepresence",
-            "/p/pica-telepresence",
-        ),
-        (
-            Unix,
-            {"XDG_CACHE_HOME": "relative", "XDG_CONFIG_HOME": "relative"},
-            HOME / ".cache/pica-telepresence",
-            HOME / ".config/pica-telepresence",
-        ),
-        (
-            MacOS,
-            {},
-            HOME / "Library/Caches/pica-telepresence",
-            HOME / "Library/Application Support/pica-telepresence",
-        ),
-        (
-            windows.Windows,
-            {"LOCALAPPDATA": "/local", "APPDATA": "/roaming"},
-            "/local/pica-telepresence/Cache",
-            "/roaming/pica-telepresence",
-        ),
-    ],
-)
-def test_files_are_where_the_platform_has_them(
-    system: type[PlatformDirs],
-    environment: dict[str, str],
-    cache: str | Path,
-    preferences: str | Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    for name in ("XDG_CACHE_HOME", "XDG_CONFIG_HOME"):
-        monkeypatch.delenv(name, raising=False)
-    for name, value in environment.items():
-        monkeypatch.setenv(name, value)
-    monkeypatch.setattr(windows, "get_win_folder", windows.get_win_folder_from_env_vars)
-    assert cache_folder(system) == Path(cache, "avatars")
-    assert preferences_folder(system) == Path(preferences)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="files have no such modes")
