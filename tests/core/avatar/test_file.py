@@ -272,55 +272,23 @@ def test_a_file_that_cannot_be_written_is_named(tmp_path: Path) -> None:
 # The tables of the latent stream
 
 
-@pytest.fixture(scope="module")
-def stream_bytes(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    path = tmp_path_factory.mktemp("avatar") / "stream.pica"
-    save_avatar(path, WITH_STREAM)
-    return path.read_bytes()
-
-
-def with_stream_tensor(data: bytes, name: str, change: Callable[[Any], Any]) -> bytes:
-    """The file with one array of its stream changed, as an honest writer would store it."""
-    tensors = safetensors.numpy.load(data)
-    array = change(tensors[name])
-    tensors = {key: value for key, value in tensors.items() if key != name}
-    if array is not None:
-        tensors[name] = array
-    metadata = split(data)[0]["__metadata__"]
-    return safetensors.numpy.save(tensors, metadata)
-
-
-def with_place(place: tuple[int, ...], value: int) -> Callable[[Any], Any]:
-    def change(array: Any) -> Any:
-        array = array.copy()
-        array[place] = value
-        return array
-
-    return change
-
-
-def test_the_tables_of_a_stream_come_back_exactly(stream_bytes: bytes) -> None:
-    loaded = load_avatar(stream_bytes)
-    for name, array in toy_profile().to_tensors().items():
-        assert loaded.tensors[name].dtype == array.dtype
-        np.testing.assert_array_equal(loaded.tensors[name], array)
-
-
 def test_an_avatar_without_tables_is_refused_where_a_stream_begins() -> None:
     with pytest.raises(ProfileError, match="Toy has no stream profile, which a call needs"):
         without_stream(TOY).stream_profile()
 
 
-@pytest.mark.parametrize(
-    ("name", "change", "message"),
-    [
-        ("table_index", lambda array: None, r"tensor stream\.table_index is missing"),
-        ("analysis", lambda array: array.astype(np.float32), r"stream\.analysis is stored as F32"),
-        ("table_index", with_place((0, 0), 200), r"stream\.table_index spans"),
-    ],
-)
-def test_tables_that_do_not_fit_are_refused_by_name(
-    stream_bytes: bytes, name: str, change: Callable[[Any], Any], message: str
-) -> None:
-    with pytest.raises(AvatarFileError, match=message):
-        load_avatar(with_stream_tensor(stream_bytes, f"stream.{name}", change))
+def test_the_tables_of_a_stream_come_back_exactly(tmp_path: Path) -> None:
+    save_avatar(tmp_path / "stream.pica", WITH_STREAM)
+    loaded = load_avatar(tmp_path / "stream.pica")
+    for name, array in toy_profile().to_tensors().items():
+        assert loaded.tensors[name].dtype == array.dtype
+        np.testing.assert_array_equal(loaded.tensors[name], array)
+
+
+def test_tables_that_do_not_fit_are_refused_by_name(tmp_path: Path) -> None:
+    save_avatar(tmp_path / "stream.pica", WITH_STREAM)
+    data = (tmp_path / "stream.pica").read_bytes()
+    tables = safetensors.numpy.load(data)
+    tables["stream.table_index"] = np.full_like(tables["stream.table_index"], 200)
+    with pytest.raises(AvatarFileError, match=r"stream\.table_index spans"):
+        load_avatar(safetensors.numpy.save(tables, split(data)[0]["__metadata__"]))

@@ -2,15 +2,29 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
 
 from helpers.toy import make_toy_avatar, with_toy_levels
-from pica_core.avatar.file import Avatar, load_avatar, save_avatar
-from pica_core.avatar.levels import STILL_NAME, faces_name, local_name, sheet_rows, sheet_uv
-from pica_core.avatar.spec import BLOCKS, AvatarSpec, decoder_layers, trunk_layers
+from pica_core.avatar.file import Avatar, load_avatar, save_avatar, shipped_avatar_files
+from pica_core.avatar.levels import (
+    MOVING,
+    STATIC,
+    STATIC_NAME,
+    STILL_NAME,
+    faces_name,
+    pack_parts,
+    parts_of,
+    sheet_rows,
+    sheet_uv,
+)
+from pica_core.avatar.spec import AvatarSpec
 from pica_core.errors import AvatarFileError
 from pica_core.reference import FRONT, decode_expression_map, still_map
 from pica_core.types import Array
@@ -38,16 +52,6 @@ def changed(name: str, array: Array | None) -> Avatar:
 # Which levels there are
 
 
-@pytest.mark.parametrize("block", BLOCKS)
-@pytest.mark.parametrize("level", [64, 128])
-def test_a_trunk_ends_with_the_activation_behind_its_block(block: str, level: int) -> None:
-    spec = AvatarSpec(block=block)
-    trunk = trunk_layers(spec, level)
-    assert trunk == decoder_layers(spec, "expression")[: len(trunk)]
-    assert (trunk[-1].kind, trunk[-1].size) == ("leaky_relu", level)
-    assert trunk[-1].out_channels == {64: 16, 128: 8}[level]
-
-
 def test_an_avatar_has_all_levels_or_the_full_one_alone() -> None:
     assert TOY.levels == (64, 128, 256)
     assert len(TOY.level_faces(64)) < len(TOY.level_faces(128)) < len(TOY.level_faces(256))
@@ -67,14 +71,6 @@ def test_levels_come_back_from_a_file(toy_bytes: bytes) -> None:
     for name in LEVEL_NAMES:
         spread = float(np.ptp(TOY.tensors[name].astype(np.float64)))
         assert np.abs(loaded.tensors[name] - TOY.tensors[name]).max() <= 0.51 / 255 * spread, name
-
-
-def test_weights_of_blocks_are_added_to_what_the_convolution_makes() -> None:
-    local, latent = TOY.tensors[local_name(64)], np.random.default_rng(4).standard_normal((8, 8, 4))
-    avatars = [changed(local_name(64), local * np.float32(share)) for share in (0, 0.5, 1)]
-    none, half, all_ = (decode_expression_map(each, latent, FRONT, 64) for each in avatars)
-    assert np.abs(all_ - none).max() > 0.01
-    np.testing.assert_allclose(half, (all_ + none) / 2, atol=1e-5)
 
 
 def test_the_face_of_the_still_map_comes_back_from_a_file(tmp_path: Path) -> None:
@@ -124,3 +120,64 @@ def test_a_level_tensor_that_does_not_fit_is_refused_by_name(
     with pytest.raises(AvatarFileError, match=message):
         save_avatar(tmp_path / "bad.pica", changed(name, array))
     assert not (tmp_path / "bad.pica").exists()
+
+
+LEVELLED = with_toy_levels(make_toy_avatar(spec=AvatarSpec(uv_encoding_size=16), grid=20))
+NUM_VERTICES = len(LEVELLED.tensors["mesh.vertex_uv"])
+
+
+def marked(packed: Array) -> Avatar:
+    return replace(LEVELLED, tensors={**LEVELLED.tensors, STATIC_NAME: packed})
+
+
+@given(arrays.arrays(np.uint8, st.integers(1, 50), elements=st.integers(MOVING, STATIC)))
+def test_parts_come_back_from_two_bits_each(parts: Array) -> None:
+    tensors = {STATIC_NAME: pack_parts(parts), "mesh.vertex_uv": np.zeros((len(parts), 2))}
+
+    np.testing.assert_array_equal(parts_of(tensors), parts)
+
+
+@given(arrays.arrays(np.uint8, -(-NUM_VERTICES // 4)))
+def test_whatever_the_bits_every_triangle_is_decoded_or_opaque(packed: Array) -> None:
+    avatar = marked(packed)
+    parts = parts_of(avatar.tensors)
+    assert parts is not None
+
+    for level in avatar.levels:
+        decoded = set(map(tuple, avatar.decoded_faces(level).tolist()))
+        textured = avatar.textured_faces(level)
+        opaque = set(map(tuple, textured[(parts[textured] == STATIC).all(axis=1)].tolist()))
+        assert not decoded & opaque
+        assert decoded | opaque == set(map(tuple, avatar.level_faces(level).tolist()))
+
+
+def test_parts_come_back_from_a_file_as_they_are(tmp_path: Path) -> None:
+    packed = np.arange(-(-NUM_VERTICES // 4), dtype=np.uint8) & 0x55
+    save_avatar(tmp_path / "a.pica", marked(packed))
+
+    np.testing.assert_array_equal(load_avatar(tmp_path / "a.pica").tensors[STATIC_NAME], packed)
+
+
+@pytest.mark.parametrize(
+    ("packed", "complaint"),
+    [
+        (np.zeros(3, np.uint8), rf"static.parts has shape \[3\]; \[{-(-NUM_VERTICES // 4)}\]"),
+        (np.zeros(-(-NUM_VERTICES // 4), np.float32), "static.parts is float32; uint8"),
+        (np.full(-(-NUM_VERTICES // 4), 0xFF, np.uint8), "static.parts leaves 0 triangles of"),
+    ],
+)
+def test_parts_that_do_not_fit_are_refused(tmp_path: Path, packed: Array, complaint: str) -> None:
+    with pytest.raises(AvatarFileError, match=complaint):
+        save_avatar(tmp_path / "a.pica", marked(packed))
+
+
+@pytest.mark.parametrize("file", shipped_avatar_files(), ids=lambda file: file.stem)
+def test_shipped_heads_have_static_pullovers_and_moving_faces(file: Path) -> None:
+    avatar = load_avatar(file)
+    parts, rest_m = parts_of(avatar.tensors), avatar.mean_vertices_m
+    assert parts is not None
+    used = np.unique(avatar.tensors["mesh.faces"])
+    is_face = (rest_m[:, 2] > 0.07) & (np.abs(rest_m[:, 1] + 0.02) < 0.06)
+
+    assert (parts[used][rest_m[used, 1] < -0.2] == STATIC).mean() > 0.7
+    assert (parts[is_face] == MOVING).mean() > 0.8

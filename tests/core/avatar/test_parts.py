@@ -12,7 +12,7 @@ from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import avatar_id, save_avatar
 from pica_core.cli import AvatarInfoOptions, avatar_info
 from pica_core.errors import ShapeError
-from pica_core.sampling import order_faces, sample_vertices
+from pica_core.sampling import order_faces
 
 pytestmark = pytest.mark.unit
 
@@ -40,19 +40,6 @@ def test_many_expressions_are_encoded_as_one_by_one() -> None:
 def test_an_expression_of_another_length_is_refused() -> None:
     with pytest.raises(ShapeError, match=r"arkit is \(51,\)"):
         ExpressionEncoder(TOY).encode(np.zeros(51))
-
-
-def test_a_vertex_on_a_texel_centre_is_that_texel() -> None:
-    position_map = TOY.tensors["geometry.mean"]
-    uv = np.array([[(7 + 0.5) / 256, (200 + 0.5) / 256]])
-    np.testing.assert_allclose(
-        sample_vertices(position_map, uv)[0], position_map[200, 7], atol=1e-6
-    )
-
-
-def test_a_map_of_another_kind_is_refused() -> None:
-    with pytest.raises(ShapeError, match="position_map"):
-        sample_vertices(np.zeros((4, 4, 2)), np.zeros((1, 2)))
 
 
 def test_ordered_faces_are_the_same_triangles_with_neighbours_close_together() -> None:

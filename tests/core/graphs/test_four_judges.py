@@ -6,12 +6,15 @@ context. Tolerances and their reasons stand in `tests/helpers/tolerances.py`.
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
+import onnx
 import pytest
 import torch
 
-from helpers.tolerances import EXPRESSION_ONNX, MAP_TORCH_M
-from helpers.toy import grid_faces, with_toy_levels
+from helpers.tolerances import EXPRESSION_ONNX, MAP_ONNX_M, MAP_TORCH_M
+from helpers.toy import grid_faces, make_toy_avatar, with_toy_levels
 from helpers.trainable import grid_uv, toy_prior
 from pica_client.decode.decoder import onnxruntime
 from pica_core.avatar.file import Avatar
@@ -21,9 +24,10 @@ from pica_core.avatar.spec import BLOCKS, EXPRESSION_CHANNELS, AvatarSpec
 from pica_core.graphs import decoder_graph
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.interface import ModelOptions
-from pica_core.reference import decode_expression_map
+from pica_core.reference import decode_expression_map, decode_position_map
 from pica_core.train.export import avatar_tensors
 from pica_core.train.lod.exits import FaceSet, FrozenDecoder, MapExit
+from pica_core.types import Array
 
 pytestmark = pytest.mark.train
 
@@ -58,12 +62,6 @@ def exported(model: PixelCodecAvatar) -> Avatar:
     return Avatar(manifest, avatar_tensors(model, grid_uv(16), grid_faces(16, 16)))
 
 
-def session(graph: bytes) -> onnxruntime.InferenceSession:
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = 1
-    return onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
-
-
 def decoded(model: PixelCodecAvatar) -> tuple[torch.Tensor, ...]:
     torch.manual_seed(4)
     latent = torch.randn(1, 4, 8, 8)
@@ -75,17 +73,16 @@ def decoded(model: PixelCodecAvatar) -> tuple[torch.Tensor, ...]:
 
 
 @pytest.mark.parametrize("block", BLOCKS)
-def test_torch_and_onnx_decode_the_same_maps(block: str) -> None:
+def test_torch_numpy_and_onnx_decode_the_same_maps(block: str) -> None:
     model = trained_looking_model(block)
     latent, view, position, expression = decoded(model)
 
-    inputs = {
-        "latent": latent.permute(0, 2, 3, 1).numpy(),
-        "view_direction": view.numpy(),
-    }
-    names = ["position_map", "expression_map"]
-    onnx_position, onnx_expression = session(decoder_graph(exported(model))).run(names, inputs)
+    avatar, z, direction = exported(model), latent.permute(0, 2, 3, 1).numpy(), view.numpy()
+    onnx_position, onnx_expression = run(decoder_graph(avatar), latent=z, view_direction=direction)
+    by_layers = decode_position_map(avatar, z[0]), decode_expression_map(avatar, z[0], direction[0])
 
+    assert np.abs(onnx_position - by_layers[0]).max() <= MAP_ONNX_M
+    assert np.abs(onnx_expression - by_layers[1]).max() <= EXPRESSION_ONNX
     offset = position[0].permute(1, 2, 0).numpy() - model.position_mean.permute(1, 2, 0).numpy()
     assert np.abs(offset).max() > 100 * MAP_TORCH_M, "the test would not notice a dead decoder"
     assert np.abs(onnx_position - position[0].permute(1, 2, 0).numpy()).max() <= MAP_TORCH_M
@@ -94,7 +91,7 @@ def test_torch_and_onnx_decode_the_same_maps(block: str) -> None:
 
 @pytest.mark.parametrize("level", [64, 128])
 @pytest.mark.parametrize("block", BLOCKS)
-def test_torch_and_onnx_leave_by_the_same_exit(block: str, level: int) -> None:
+def test_torch_numpy_and_onnx_leave_by_the_same_exit(block: str, level: int) -> None:
     avatar = with_toy_levels(exported(trained_looking_model(block)))
     torch.manual_seed(4)
     faces = FaceSet(torch.randn(1, 4, 8, 8), torch.nn.functional.normalize(torch.randn(1, 3)))
@@ -109,7 +106,56 @@ def test_torch_and_onnx_leave_by_the_same_exit(block: str, level: int) -> None:
     latent, view = faces.latents.permute(0, 2, 3, 1).numpy(), faces.views.numpy()
     told = decode_expression_map(avatar, latent[0], view[0], level)
     inputs = {"latent": latent, "view_direction": view}
-    (expression,) = session(decoder_graph(avatar, level=level)).run(["expression_map"], inputs)
+    position, expression = run(decoder_graph(avatar, level=level), **inputs)
+    (alone,) = run(decoder_graph(avatar, level=level, positions=False), **inputs)
     assert np.ptp(expression) > 100 * EXPRESSION_ONNX
     assert np.abs(expression - codes).max() <= EXPRESSION_ONNX
     assert np.abs(expression - told).max() <= EXPRESSION_ONNX
+    assert np.abs(alone - expression).max() <= EXPRESSION_ONNX
+    by_layers = decode_position_map(avatar, latent[0], level)
+    assert np.abs(position - by_layers).max() <= MAP_ONNX_M
+
+
+@functools.cache
+def toy(block: str) -> Avatar:
+    spec = AvatarSpec(block=block, uv_encoding_size=16, axis_encoding_size=20)
+    return make_toy_avatar(spec=spec, grid=4)
+
+
+def run(model: bytes, **inputs: Array) -> list[Array]:
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    options.inter_op_num_threads = 1
+    session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+    feeds = {name: array.astype(np.float32) for name, array in inputs.items()}
+    outputs: list[Array] = session.run(None, feeds)
+    return outputs
+
+
+def some_inputs(seed: int = 1) -> dict[str, Array]:
+    rng = np.random.default_rng(seed)
+    view = rng.standard_normal((1, 3)) + np.array([0, 0, 3])
+    return {
+        "latent": rng.standard_normal((1, 8, 8, 4)),
+        "view_direction": view / np.linalg.norm(view),
+    }
+
+
+def test_a_level_that_the_avatar_lacks_has_no_graph() -> None:
+    with pytest.raises(ValueError, match="level is 64; this avatar has 256"):
+        decoder_graph(toy("G"), level=64)
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+def test_the_graph_is_valid_onnx_of_an_old_operator_set(block: str) -> None:
+    model = onnx.load_from_string(decoder_graph(toy(block)))
+    onnx.checker.check_model(model, full_check=True)
+    assert [(entry.domain, entry.version) for entry in model.opset_import] == [("", 17)]
+
+
+def test_the_view_direction_changes_the_expression_map_alone() -> None:
+    graph, inputs = decoder_graph(toy("G")), some_inputs()
+    before = run(graph, **inputs)
+    after = run(graph, latent=inputs["latent"], view_direction=np.array([[0.6, 0.0, 0.8]]))
+    np.testing.assert_array_equal(before[0], after[0])
+    assert np.abs(before[1] - after[1]).max() > 1e-3

@@ -11,9 +11,6 @@ from pica_core.avatar.spec import AvatarSpec
 from pica_core.model.avatar import make_model
 from pica_core.model.baseline import USUAL_INPUTS, Connected
 from pica_core.model.interface import ModelOptions
-from pica_core.reference import (
-    baseline_channels,
-)
 
 pytestmark = pytest.mark.train
 
@@ -33,11 +30,6 @@ def test_an_untrained_baseline_begins_as_the_mean_face_in_its_mean_colours() -> 
     mean = PRIOR.texture_mean.mean((0, 1))
     assert np.abs(texture.mean((0, 2, 3)) - mean).max() < 0.05
     assert np.abs(texture - mean[:, None, None]).mean() < 0.1
-
-
-def test_smaller_textures_leave_out_layers() -> None:
-    assert baseline_channels(1024) == (256, 64, 64, 32, 32, 16, 16, 3)
-    assert baseline_channels(512) == (256, 64, 64, 32, 32, 16, 3)
 
 
 def test_a_layer_of_many_inputs_moves_no_further_in_a_step_than_a_usual_one() -> None:

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from helpers.toy import make_toy_avatar
-from pica_core.errors import ShapeError
 from pica_core.reference import (
     count_parameters,
     decode_pixels,
     pixel_inputs,
 )
-from pica_core.sampling import sample_bilinear, sample_linear
+from pica_core.sampling import sample_bilinear
 
 pytestmark = pytest.mark.unit
 
@@ -49,30 +46,6 @@ def test_outside_the_centres_the_edge_continues(uv: tuple[float, float]) -> None
     assert sample_bilinear(texture, uv)[0] == 5.0
 
 
-@settings(max_examples=50, derandomize=True, deadline=None)
-@given(
-    u=st.floats(0, 1),
-    v=st.floats(0, 1),
-    height=st.integers(1, 5),
-    width=st.integers(1, 5),
-)
-def test_weights_of_a_sample_add_up_to_one(u: float, v: float, height: int, width: int) -> None:
-    texture = np.full((height, width, 1), 3.25)
-    assert sample_bilinear(texture, [u, v], np.float64)[0] == pytest.approx(3.25, rel=1e-12)
-
-
-def test_p_is_expression_then_position_then_surface() -> None:
-    expression, xyz_m, uv = some_pixels(5)
-    p = pixel_inputs(TOY.spec, TOY.tensors, expression, xyz_m, uv, np.float64)
-    assert p.shape == (5, 16)
-    np.testing.assert_array_equal(p[:, :4], expression)
-    assert np.abs(p[:, 4:8]).max() <= 1  # sines
-    m_uv = sample_bilinear(TOY.tensors["uv_encoding"], uv, np.float64)
-    np.testing.assert_array_equal(p[:, 8:12], m_uv)
-    m_v = sample_linear(TOY.tensors["v_encoding"], uv[:, 1], np.float64)
-    np.testing.assert_array_equal(p[:, 14:], m_v)
-
-
 def test_decoding_agrees_with_one_pixel_computed_by_hand() -> None:
     expression, xyz_m, uv = some_pixels(1)
     p = pixel_inputs(TOY.spec, TOY.tensors, expression, xyz_m, uv, np.float64)[0]
@@ -95,8 +68,3 @@ def test_float32_stays_within_rounding_of_float64() -> None:
     assert single.dtype == np.float32
     assert double.dtype == np.float64
     assert np.abs(single - double).max() < 2e-5
-
-
-def test_a_map_without_channels_is_refused() -> None:
-    with pytest.raises(ShapeError, match=r"\[H, W, C\]"):
-        sample_bilinear(np.zeros((3, 3)), [0.5, 0.5])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -16,9 +17,9 @@ from helpers.small_capture import NAME, render_capture
 from pica_core.avatar.spec import BLOCKS, VARIANTS
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.stage.synth import RenderOptions
-from pica_core.errors import CheckpointError, TrainingOptionError
+from pica_core.errors import CaptureError, CheckpointError, TrainingOptionError
 from pica_core.train.cli.eval import EvalOptions, error_table, eval_runs
-from pica_core.train.cli.train import TrainOptions, train
+from pica_core.train.cli.train import ClaimOptions, TrainOptions, bench_claim, views_below
 from pica_core.train.config import PRESETS
 from pica_core.train.data import TrainingData
 from pica_core.train.evaluate import (
@@ -184,20 +185,65 @@ def test_runs_that_a_table_would_show_as_one_are_refused(
         eval_runs(EvalOptions(runs=(runs["full"], other)))
 
 
-def test_a_checkpoint_of_another_variant_is_refused_by_name(
-    runs: dict[str, Path], capture: Path
-) -> None:
-    options = TrainOptions(
-        capture=capture, out=runs["full"], variant="pe_2d", preset="tiny", resume=True
-    )
-
-    with pytest.raises(CheckpointError, match="variant full"):
-        train(options)
-
-
 def test_the_command_knows_every_variant_and_preset() -> None:
     hints = get_type_hints(TrainOptions)
 
     (names, _) = get_args(hints["variant"])  # or none
     assert set(get_args(names)) == set(VARIANTS)
     assert set(get_args(hints["preset"])) == set(PRESETS)
+
+
+STEPS = dict.fromkeys(("geometry_steps", "joint_steps", "driver_steps"), 3)
+
+
+@pytest.fixture(scope="module")
+def someone(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("heads") / "someone"
+    render_capture(replace(STAGE, cameras=2, size="64x64"), folder)
+    return folder
+
+
+def test_rows_name_errors_of_each_model_and_view_and_finished_runs_stay(
+    someone: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(PRESETS, "tiny", replace(PRESETS["tiny"], **STEPS))
+
+    def options(**changes: Any) -> ClaimOptions:
+        given = {"variants": ("linear", "baseline"), "preset": "tiny", "seeds": 1, **changes}
+        return ClaimOptions(**{"captures": (someone,), "out": tmp_path, "eval_frames": 2, **given})
+
+    result = bench_claim(options())
+
+    rows = result["rows"]
+    assert [row["variant"] for row in rows] == ["linear"] * 2 + ["baseline"] * 2
+    assert {row["view"] for row in rows} == {"front", "left"}
+    for row in rows:
+        assert row["identity"] == "someone"
+        numbers = [row[name] for name in ("mse", "live_mse", "vertex_mm", "lid_mm", "seconds")]
+        assert all(math.isfinite(value) and value > 0 for value in numbers)
+    by_variant = {row["variant"]: row for row in rows}
+    assert by_variant["linear"]["vertex_mm"] < by_variant["baseline"]["vertex_mm"]
+    assert result["summary"] == {"views_below": sum(views_below(rows)), "views": 2}
+
+    assert bench_claim(options()) == result
+    with pytest.raises(CheckpointError, match="made with other options"):
+        bench_claim(options(preset="small"))
+
+
+def test_a_view_counts_where_the_default_lies_below() -> None:
+    def row(variant: str, view: str, mse: float) -> dict[str, Any]:
+        return {"variant": variant, "identity": "x", "seed": 0, "view": view, "mse": mse}
+
+    rows = [row("linear", "front", 2.0), row("baseline", "front", 3.0)]
+    rows += [row("linear", "left", 3.0), row("baseline", "left", 3.0), row("linear", "up", 1.0)]
+    assert views_below(rows) == [True, False]
+
+
+def test_bad_input_is_one_clear_line(tmp_path: Path) -> None:
+    with pytest.raises(TrainingOptionError, match="two are called 'x'"):
+        ClaimOptions(captures=(tmp_path / "x", tmp_path / "y" / "x"))
+    with pytest.raises(TrainingOptionError, match="variants is empty"):
+        ClaimOptions(captures=(tmp_path,), variants=())
+    with pytest.raises(CaptureError):
+        bench_claim(ClaimOptions(captures=(tmp_path / "nobody",), out=tmp_path / "out"))
+    assert not (tmp_path / "out").exists()

@@ -229,13 +229,3 @@ def test_learning_rates_rise_then_fall() -> None:
     assert max(ratios) == pytest.approx(1, abs=0.01)
     assert ratios.index(max(ratios)) == pytest.approx(20, abs=1)
     assert ratios[-1] < 0.03
-
-
-def test_metrics_are_written_as_json_lines(data: TrainingData, tmp_path: Path) -> None:
-    with open_trainer(data, short(50, 0, 0), tmp_path) as trainer:
-        trainer.run()
-
-    (row,) = [json.loads(line) for line in (tmp_path / "metrics.jsonl").read_text().splitlines()]
-
-    assert row["step"] == 50
-    assert row["phase"] == "geometry"

@@ -122,16 +122,6 @@ def test_hair_lies_outside_of_head_and_clothes(name: str) -> None:
         assert np.linalg.norm(head, axis=1).min() > 0.97
 
 
-def test_hair_and_clothes_hide_no_face() -> None:
-    person = draw_person(3, hair="long", clothes="shirt")
-    bare = read_model().mesh(person.coefficients)
-    added = dress(bare, person)[0].rest_m[len(bare.rest_m) :]
-    eyes = bare.eyes[0].centre_m
-    x, y, z = added.T  # hair that is parted frames forehead and temples
-    before = (z > eyes[2]) & (y > -0.09) & (y < eyes[1] + 0.045) & (np.abs(x) < 0.055)
-    assert not before.any()
-
-
 @pytest.mark.parametrize("seed", [3, 7])
 def test_lids_meet_in_a_blink_whatever_else_they_do(seed: int) -> None:
     person = draw_person(seed)
