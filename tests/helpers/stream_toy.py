@@ -66,7 +66,8 @@ def toy_pose(seed: int, num_frames: int) -> Float64Array:
 def toy_profile() -> StreamProfile:
     """Eight components, learned in a fraction of a second."""
     faces = [toy_faces(seed, 150, live) for seed, live in ((1, 1.0), (2, 0.5), (3, 0.2))]
-    return learn_profile(faces, toy_metric(), num_components=NUM_COMPONENTS, turn_sweeps=2)
+    codes = np.concatenate(faces).reshape(-1, 256)
+    return learn_profile(codes, toy_metric(), num_components=NUM_COMPONENTS, turn_sweeps=2)
 
 
 @functools.cache

@@ -116,7 +116,7 @@ def _stream(encoder_weight: FloatArray) -> dict[str, npt.NDArray[np.generic]]:
     directions = np.linalg.qr(spanned)[0].T
     faces = np.random.default_rng(3).standard_normal((120, len(directions))) @ directions
     metric = RenderMetric(directions, 64.0 * np.eye(len(directions)))
-    return learn_profile([faces], metric, turn_sweeps=0).to_tensors()
+    return learn_profile(faces, metric, turn_sweeps=0).to_tensors()
 
 
 def toy_payload(avatar: Avatar, value: float = 0.0) -> bytes:

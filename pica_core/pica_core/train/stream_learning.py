@@ -13,12 +13,9 @@ Nothing here needs torch or GL; the metric comes from outside (`pica_core.train.
 """
 
 import itertools
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from pica_core.codec.latent_stream import STEPS, quantise, steps_of
 from pica_core.codec.profile import (
@@ -36,7 +33,7 @@ from pica_core.codec.profile import (
     coefficient_frequencies,
 )
 from pica_core.errors import ProfileError
-from pica_core.types import NUM_LATENT, Float64Array, Int64Array
+from pica_core.types import Float64Array, Int64Array
 
 TRAINING_QUALITIES = (1, 3, 4, 6)
 TURN_FRAMES = 8000
@@ -59,7 +56,7 @@ class RenderMetric:
 
 
 def learn_profile(
-    sequences: Sequence[npt.NDArray[np.floating[Any]]],
+    codes: Float64Array,
     metric: RenderMetric,
     *,
     num_components: int = 60,
@@ -68,8 +65,7 @@ def learn_profile(
     """Learn a profile.
 
     Args:
-        sequences: Latents of performances at about 30 frames a second, each ``[T, 8, 8, 4]`` or
-            ``[T, 256]``, of several kinds and speeds: what they hold decides the tables.
+        codes: Latents of faces of several kinds, which decide the tables. ``[N, 256]``.
         num_components: Coefficients kept of the latent: those beyond 60 change the image by an MSE
             below 0.1.
         turn_sweeps: Passes over all pairs of components when turning for sparseness.
@@ -81,18 +77,16 @@ def learn_profile(
         raise ProfileError("the metric is not finite")
     if not metric.gram.any():
         raise ProfileError("the metric is 0: the image does not change with the latent")
-    codes = [np.asarray(each, np.float64).reshape(-1, NUM_LATENT) for each in sequences]
-    mean = np.concatenate(codes).mean(axis=0)
+    mean = codes.mean(axis=0)
     forward, backward = _transform(codes, mean, metric, num_components, turn_sweeps)
     profile = _without_tables(mean, forward, backward)
     counts = np.zeros((profile.num_components, NUM_CONTEXTS, NUM_SYMBOLS))
     places = np.arange(profile.num_components)
-    for code in codes:
-        face = np.stack([profile.analyse(latent) for latent in code])
-        for quality in TRAINING_QUALITIES:
-            values = quantise(face, steps_of(quality, len(places))[: len(places)])
-            symbols = 2 * np.minimum(np.abs(values), ESCAPE) - (values > 0)
-            np.add.at(counts, (places, _contexts(values), symbols), 1)
+    faces = np.stack([profile.analyse(code) for code in codes])
+    for quality in TRAINING_QUALITIES:
+        values = quantise(faces, steps_of(quality, len(places))[: len(places)])
+        symbols = 2 * np.minimum(np.abs(values), ESCAPE) - (values > 0)
+        np.add.at(counts, (places, _contexts(values), symbols), 1)
     pooled = counts.sum(axis=0)
     counts += POOLED * pooled / np.maximum(pooled.sum(axis=1, keepdims=True), 1)
     bits = -np.log2(coefficient_frequencies() / TOTAL)
@@ -101,7 +95,7 @@ def learn_profile(
 
 
 def _transform(
-    codes: list[Float64Array],
+    codes: Float64Array,
     mean: Float64Array,
     metric: RenderMetric,
     num_components: int,
@@ -112,10 +106,10 @@ def _transform(
     values = np.maximum(values, LEAST_GAIN * values.max())
     root = (vectors * np.sqrt(values)) @ vectors.T
     inverse = (vectors / np.sqrt(values)) @ vectors.T
-    seen = [(c - mean) @ metric.directions.T @ root for c in codes]
-    spread, axes = np.linalg.eigh(np.cov(np.concatenate(seen).T))
+    seen = (codes - mean) @ metric.directions.T @ root
+    spread, axes = np.linalg.eigh(np.cov(seen.T))
     axes = axes[:, np.argsort(spread)[::-1][:num_components]]
-    values = np.concatenate(seen) @ axes
+    values = seen @ axes
     if len(values) > TURN_FRAMES:
         rng = np.random.default_rng(0)
         values = values[rng.choice(len(values), TURN_FRAMES, replace=False)]

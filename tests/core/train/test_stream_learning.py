@@ -23,18 +23,11 @@ from pica_core.train.stream_learning import RenderMetric, learn_profile
 
 pytestmark = pytest.mark.unit
 
-FACES = toy_faces(1, 150)
+FACES = toy_faces(1, 150).reshape(-1, 256)
 
 
-def learn(
-    sequences: list[np.ndarray], metric: RenderMetric | None = None, num_components: int = 4
-) -> StreamProfile:
-    return learn_profile(
-        sequences,
-        metric or toy_metric(),
-        num_components=num_components,
-        turn_sweeps=1,
-    )
+def learn(codes: np.ndarray, metric: RenderMetric | None = None) -> StreamProfile:
+    return learn_profile(codes, metric or toy_metric(), num_components=4, turn_sweeps=1)
 
 
 def num_bytes(profile: StreamProfile, **options: int) -> int:
@@ -44,7 +37,7 @@ def num_bytes(profile: StreamProfile, **options: int) -> int:
 
 
 def test_learning_again_gives_the_same_profile() -> None:
-    first, second = (learn([FACES]).to_tensors() for _ in range(2))
+    first, second = (learn(FACES).to_tensors() for _ in range(2))
     for name, array in first.items():
         np.testing.assert_array_equal(second[name], array)
 
@@ -67,7 +60,7 @@ def test_the_choice_of_tables_is_worth_having() -> None:
 
 
 def test_faces_that_never_change_give_a_profile_all_the_same() -> None:
-    profile = learn([np.ones((120, 256))])
+    profile = learn(np.ones((120, 256)))
     np.testing.assert_array_equal(
         profile.synthesise(np.zeros(profile.num_components, np.int64)), np.ones(256)
     )
@@ -85,4 +78,4 @@ def test_faces_that_never_change_give_a_profile_all_the_same() -> None:
 def test_a_metric_that_no_profile_can_hold_is_refused(scale: float, message: str) -> None:
     metric = RenderMetric(toy_metric().directions, toy_metric().gram * scale)
     with pytest.raises(ProfileError, match=message):
-        learn([FACES], metric)
+        learn(FACES, metric)

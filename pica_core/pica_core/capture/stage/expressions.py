@@ -291,10 +291,8 @@ def _takes(
     return takes
 
 
-TEMPOS = (1, 2, 4)
-"""Times as slow. The generators are livelier than seven real takes were."""
 STREAM_FRAMES = 120
-"""Length of each before its tempo, at 30 frames a second."""
+"""Length of each, at 30 frames a second."""
 STRENGTHS = (1.0, 0.7)
 STREAM_KINDS: tuple[tuple[Callable[[np.random.Generator, int], FloatArray], int], ...] = (
     (sentence, 1),
@@ -305,24 +303,14 @@ STREAM_KINDS: tuple[tuple[Callable[[np.random.Generator, int], FloatArray], int]
 """Each with how rarely it comes: eyes alone every third round."""
 
 
-def stream_training_performances(rounds: int = 36, seed: int = 0) -> list[FloatArray]:
-    """Generate `rounds` performances of each kind to learn a latent stream's tables from: ARKit
-    values, float32 ``[T, 52]`` each, in several tempos and strengths. Recordings and the client's
-    performances are for testing."""
+def stream_training_expressions(rounds: int = 36, seed: int = 0) -> FloatArray:
+    """Draw `rounds` performances of each kind to learn a latent stream's tables from, in several
+    strengths: ARKit values, float32 ``[N, 52]``. Recordings and the client's performances are for
+    testing."""
     performances = []
     for number in range(rounds):
         for kind, (make, rarity) in enumerate(STREAM_KINDS):
-            if number % rarity:
-                continue
-            values = make(np.random.default_rng([seed, number, kind]), STREAM_FRAMES)
-            slowed = _slow_down(values, TEMPOS[number % len(TEMPOS)])
-            performances.append(slowed * np.float32(STRENGTHS[number % len(STRENGTHS)]))
-    return performances
-
-
-def _slow_down(values: FloatArray, times: int) -> FloatArray:
-    """The same performance, so many times as slow."""
-    moments = np.linspace(0, len(values) - 1, len(values) * times)
-    before = np.minimum(moments.astype(np.int64), len(values) - 2)
-    share = (moments - before)[:, None]
-    return (values[before] * (1 - share) + values[before + 1] * share).astype(np.float32)
+            if number % rarity == 0:
+                values = make(np.random.default_rng([seed, number, kind]), STREAM_FRAMES)
+                performances.append(values * np.float32(STRENGTHS[number % len(STRENGTHS)]))
+    return np.concatenate(performances)

@@ -37,7 +37,7 @@ from pica_core.avatar.levels import (
 )
 from pica_core.avatar.linear import components_of, weights_of_latent
 from pica_core.camera import NAMED_VIEWS, dome_cameras
-from pica_core.capture.stage.expressions import combinations, sentence, stream_training_performances
+from pica_core.capture.stage.expressions import combinations, sentence, stream_training_expressions
 from pica_core.capture.triangles import areas, components, signed_areas
 from pica_core.model.networks import sample_map
 from pica_core.reference import (
@@ -262,7 +262,7 @@ def _draw_faces(avatar: Avatar) -> FaceSet:
     """Draw faces to fit on."""
     rng = np.random.default_rng([0, 0])
     seed = int(rng.integers(2**31))
-    arkit = np.concatenate(stream_training_performances(ROUNDS, seed=seed))
+    arkit = stream_training_expressions(ROUNDS, seed=seed)
     shown = arkit[:, [ARKIT_NAMES.index(name) for name in MORE_OF]].max(axis=1)
     chance = LEAST_CHANCE + np.clip(shown, 0, 1)
     chance /= chance.sum()
