@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from pica_client.endpoint.endpoint import Sender
+from pica_client.endpoint import Sender
 from pica_client.publish import Outgoing, Publisher, SenderConfig
 from pica_client.transport.config import LinkConfig
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT, ExpressionFrame

@@ -11,7 +11,7 @@ import socket
 import struct
 import time
 
-from pica_client.endpoint.endpoint import Sender
+from pica_client.endpoint import Sender
 from pica_client.publish import Outgoing, Publisher, SenderConfig
 from pica_client.sources.registry import open_live
 from pica_client.sources.tracker import UdpTracker

@@ -18,7 +18,7 @@ from pica_client.avatars.library import AvatarLibrary
 from pica_client.call.call import Call
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.pool import DecodePool
-from pica_client.endpoint.endpoint import Receiver
+from pica_client.endpoint import Receiver
 from pica_client.local_call.processes import Children
 from pica_client.render.gpu_decoder import choose_decoder
 from pica_client.render.renderer import Renderer, RenderOptions

@@ -60,7 +60,7 @@ ROOMS: dict[str, tuple[int, tuple[str, ...]]] = {
     "client/e2ee": (900, (CLIENT + "e2ee/",)),
     "client/playout": (800, (CLIENT + "playout/",)),
     "client/sources": (2300, (CLIENT + "sources/",)),
-    "client/transport, endpoint": (600, (CLIENT + "transport/", CLIENT + "endpoint/")),
+    "client/transport, endpoint": (600, (CLIENT + "transport/", CLIENT + "endpoint.py")),
     "client/ui": (3800, (CLIENT + "ui/",)),
     "client/voice": (1900, (CLIENT + "voice/",)),
     "client, rest": (600, (CLIENT,)),

@@ -19,7 +19,7 @@ from pica_client.avatars.library import AvatarLibrary
 from pica_client.call.call import Call
 from pica_client.call.status import FaceState
 from pica_client.decode.decoder import OnnxDecoder
-from pica_client.endpoint.endpoint import Receiver, Sender
+from pica_client.endpoint import Receiver, Sender
 from pica_client.publish import open_face
 from pica_client.transport.config import LinkConfig
 from pica_core.avatar.file import avatar_id, save_avatar

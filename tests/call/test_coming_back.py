@@ -15,7 +15,7 @@ import pytest
 from helpers.senders import LoadedAvatars, make_senders, run_senders
 from helpers.toy import make_toy_avatar
 from pica_client.call.call import Call
-from pica_client.endpoint.endpoint import LinkNews, Receiver, Sender
+from pica_client.endpoint import LinkNews, Receiver, Sender
 from pica_client.publish import Outgoing, Publisher, SenderConfig
 from pica_client.sources import open_source
 from pica_client.transport.config import LinkConfig

@@ -18,7 +18,7 @@ from helpers.senders import LoadedAvatars, make_senders, run_senders
 from helpers.toy import make_toy_avatar
 from pica_client.bench.impairment import Impairment
 from pica_client.call.call import ArrivedFace, Call
-from pica_client.endpoint.endpoint import Receiver
+from pica_client.endpoint import Receiver
 from pica_client.publish import SenderConfig
 from pica_client.stats import percentile
 from pica_client.transport.config import LinkConfig

@@ -20,7 +20,7 @@ from helpers.senders import LoadedAvatars
 from helpers.toy import make_toy_avatar
 from pica_client.call.call import Call
 from pica_client.cli.track import CalibrateOptions, TrackOptions, calibrate, track
-from pica_client.endpoint.endpoint import Receiver, Sender
+from pica_client.endpoint import Receiver, Sender
 from pica_client.publish import Outgoing, Publisher, SenderConfig
 from pica_client.sources.registry import decoder_of, open_live
 from pica_client.sources.tracker import UdpOptions, UdpTracker

@@ -15,8 +15,7 @@ from helpers.senders import LoadedAvatars
 from helpers.toy import make_toy_avatar
 from pica_client.call.call import Call
 from pica_client.call.status import CallStatus, FaceState
-from pica_client.endpoint.endpoint import Receiver
-from pica_client.endpoint.monitor import CallMonitor
+from pica_client.endpoint import CallMonitor, Receiver
 from pica_client.publish import Outgoing, Publisher, SenderConfig
 from pica_client.sources import open_source
 from pica_client.tracks import FaceMode

@@ -19,7 +19,7 @@ from helpers.toy import make_toy_avatar
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.bench.call import BenchConfig, run_bench
 from pica_client.call.call import Call
-from pica_client.endpoint.endpoint import Receiver
+from pica_client.endpoint import Receiver
 from pica_client.errors import CallProcessError, RelayUnreachableError
 from pica_client.local_call.local_call import LocalCall, LocalCallConfig
 from pica_client.local_call.processes import Child, Children

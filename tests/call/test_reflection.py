@@ -11,7 +11,7 @@ import pytest
 from helpers.senders import LoadedAvatars
 from helpers.stream_toy import stream_avatar
 from pica_client.call.call import Call, Reflection
-from pica_client.endpoint.endpoint import Receiver
+from pica_client.endpoint import Receiver
 from pica_client.publish import Outgoing, Publisher, SenderConfig
 from pica_client.sources import open_source
 from pica_client.transport.config import LinkConfig

@@ -18,7 +18,7 @@ import pytest
 from helpers.senders import LoadedAvatars, make_senders
 from pica_client.call.call import Call
 from pica_client.call.status import FaceState
-from pica_client.endpoint.endpoint import Receiver, Sender
+from pica_client.endpoint import Receiver, Sender
 from pica_client.publish import SenderConfig
 from pica_client.sources import open_source
 from pica_client.transport.config import LinkConfig

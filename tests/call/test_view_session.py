@@ -17,7 +17,7 @@ from imgui_bundle import imgui
 from helpers.hand import Event, press
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.call.call import Call
-from pica_client.endpoint.endpoint import Receiver
+from pica_client.endpoint import Receiver
 from pica_client.errors import OptionError
 from pica_client.local_call.processes import Children
 from pica_client.transport.config import LinkConfig

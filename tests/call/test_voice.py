@@ -14,7 +14,7 @@ import pytest
 from helpers.senders import LoadedAvatars
 from pica_client.call.call import Call, Ears
 from pica_client.e2ee.secret import RoomSecret, save_secret
-from pica_client.endpoint.endpoint import Receiver
+from pica_client.endpoint import Receiver
 from pica_client.publish import Outgoing, Publisher, SenderConfig
 from pica_client.sources import open_source
 from pica_client.tracks import VOICE_KEY

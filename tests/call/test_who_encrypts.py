@@ -14,8 +14,7 @@ from helpers.stream_toy import stream_avatar
 from pica_client.call.call import Call
 from pica_client.call.roster import Member
 from pica_client.e2ee.secret import RoomSecret, save_secret
-from pica_client.endpoint.endpoint import Receiver
-from pica_client.endpoint.monitor import CallMonitor
+from pica_client.endpoint import CallMonitor, Receiver
 from pica_client.publish import SenderConfig
 from pica_client.transport.config import LinkConfig
 from pica_server.config import RelayConfig

@@ -41,7 +41,7 @@ def test_a_sender_imports_without_graphics_and_inference() -> None:
     wanted = [
         "pica_client.cli.send",
         "pica_client.cli.view",
-        "pica_client.endpoint.endpoint",
+        "pica_client.endpoint",
         "pica_client.call.call",
         "pica_client.cli.demo",
     ]

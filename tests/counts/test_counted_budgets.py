@@ -29,7 +29,7 @@ from pica_client.bench.scene import FPS, SPACING_M
 from pica_client.call.call import Call
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.request import DecodeRequest, DecodeResult
-from pica_client.endpoint.endpoint import Receiver
+from pica_client.endpoint import Receiver
 from pica_client.publish import SenderConfig
 from pica_client.render.renderer import Renderer
 from pica_client.render.room import EMPTY_ROOM, Room

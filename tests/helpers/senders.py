@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from pica_client.endpoint.endpoint import Sender
+from pica_client.endpoint import Sender
 from pica_client.local_call.local_call import peer_sources
 from pica_client.publish import Outgoing, Publisher, SenderConfig
 from pica_client.sources import Source, open_source

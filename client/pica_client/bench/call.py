@@ -23,7 +23,7 @@ from pica_client.call.call import ArrivedFace, Call
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.pool import DecodePool
 from pica_client.decode.request import DecodeRequest
-from pica_client.endpoint.endpoint import Receiver
+from pica_client.endpoint import Receiver
 from pica_client.errors import CallProcessError, OptionError
 from pica_client.local_call import local_call
 from pica_client.local_call.processes import Children

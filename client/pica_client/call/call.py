@@ -1,7 +1,7 @@
 """The receiving half of a call: its members, their streams, and their faces at display time.
 
 Events of the link go in on the network thread, faces come out on the drawing thread, one lock
-between them. No socket and no clock: `endpoint.endpoint.Receiver` is the shell around it.
+between them. No socket and no clock: `endpoint.Receiver` is the shell around it.
 
 What is wrong with one stream stays with that stream: a payload that cannot be read is counted and
 the face is held; a peer whose avatar is missing gets a seat without a face.

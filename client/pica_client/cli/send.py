@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.endpoint.endpoint import LinkNews, Sender
+from pica_client.endpoint import LinkNews, Sender
 from pica_client.publish import DEFAULT_SOURCE, SenderConfig, open_face
 from pica_client.system import on_stop_signal, say
 from pica_client.transport.config import LinkConfig

@@ -18,7 +18,7 @@ from typing import Any
 from pica_client.avatars.fetch import AvatarFetcher
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.call.call import Call
-from pica_client.endpoint.endpoint import Hearing, LinkNews, Receiver
+from pica_client.endpoint import Hearing, LinkNews, Receiver
 from pica_client.errors import ClientError, OptionError, RelayUnreachableError
 from pica_client.publish import DEFAULT_SOURCE, FaceControls, Outgoing, open_face
 from pica_client.system import check_writable, on_stop_signal, say

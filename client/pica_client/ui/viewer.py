@@ -22,8 +22,7 @@ from pica_client.call.call import Call, Reflection
 from pica_client.call.roster import SELF_ID
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.pool import DecodePool, num_workers
-from pica_client.endpoint.endpoint import Receiver
-from pica_client.endpoint.monitor import CallMonitor
+from pica_client.endpoint import CallMonitor, Receiver
 from pica_client.errors import ClientError, OptionError
 from pica_client.publish import FaceControls
 from pica_client.render.draw_clock import DrawClock

@@ -6,7 +6,7 @@ import pytest
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.call.call import Call
-from pica_client.endpoint.endpoint import WIDTH_RAD, Hearing
+from pica_client.endpoint import WIDTH_RAD, Hearing
 from pica_client.tracks import FACE_TRACK, VOICE_TRACK
 from pica_client.voice.sound.process import SoundProcess
 from pica_protocol.frames import Frame
