@@ -164,9 +164,8 @@ def test_a_short_bench_decodes_every_peer_without_errors(avatar_file: Path) -> N
     result = run_bench(BenchConfig(call=stage, seconds=1.5))
     json.dumps(result)
     assert (result["peers"], result["decoded_peers"], result["errors"]) == (2, 2, 0)
-    assert set(result["latency_ms"]["parts"]) == {"relay", "decode"}
     assert set(result["bitrate_bps"]["Ada"]) == {"payload", "wire"}
-    assert all(rate > 0 for rate in result["latents_per_s"].values())
+    assert result["latency_ms"]["p50"] > 0
 
 
 def test_a_receiver_in_a_thread_hands_its_error_to_whoever_draws() -> None:

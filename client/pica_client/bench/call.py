@@ -1,6 +1,5 @@
 """The same call as the demo's without drawing: every latent is decoded to its maps when it comes,
-and the time from the tracker's sample to the decoded maps is what counts. What the playout buffer
-of a display would wait is reported beside it.
+and the time from the tracker's sample to the decoded maps is what counts.
 
 What it does not show: real networks (all is loopback; `voice` imposes bad ones on a virtual clock),
 displays, and more machines than one.
@@ -9,8 +8,7 @@ Wall-clock numbers hold for this machine under its present load.
 
 import asyncio
 import contextlib
-from collections import Counter, deque
-from collections.abc import Sequence
+from collections import deque
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -58,24 +56,21 @@ class BenchConfig:
 
 
 class _Frame(NamedTuple):
-    """One frame's way, seconds on the clock that all processes of the call share. Encoding counts
-    as the relay's part, waiting for a decoder as decoding."""
+    """One decoded frame, seconds on the clock that all processes of the call share."""
 
     name: str
     captured_s: float
-    arrived_s: float
     decoded_s: float
 
 
 class _Decoding:
-    """Decodes every frame that arrives, and remembers its way."""
+    """Decodes every frame that arrives, and remembers when."""
 
     def __init__(self, library: AvatarLibrary) -> None:
         self.pool = DecodePool(OnnxDecoder, workers=DECODE_THREADS)
         self.frames: deque[_Frame] = deque(maxlen=MAX_FRAMES)
         self.errors = 0
         self._library, self._slots = library, set[str]()
-        self._arrived_s: dict[tuple[str, int], float] = {}
 
     def submit(self, face: ArrivedFace) -> None:
         """Decode a face that came just now."""
@@ -83,30 +78,13 @@ class _Decoding:
         if face.name not in self._slots:
             self._slots.add(face.name)
             self.pool.add(face.name, self._library.load(face.avatar_id))
-        self._arrived_s[face.name, face.captured_us] = face.arrived_s
         self.pool.submit(face.name, DecodeRequest(face.sample.latent, FRONT, face.captured_us))
 
     def collect(self) -> None:
         """Take what has been decoded."""
         for result in self.pool.take_results():
             self.errors += result.maps is None
-            arrived_s = self._arrived_s.pop((result.slot, result.captured_us), None)
-            if arrived_s is not None:
-                captured_s = result.captured_us / 1e6
-                self.frames.append(_Frame(result.slot, captured_s, arrived_s, result.finished_s))
-
-
-def _latency_summary(frames: Sequence[_Frame]) -> dict[str, Any]:
-    """Percentiles of the whole way and of its parts, in milliseconds. The parts of one frame add up
-    to its whole; percentiles of parts do not add up to that of the whole."""
-    parts = {
-        "relay": [frame.arrived_s - frame.captured_s for frame in frames],
-        "decode": [frame.decoded_s - frame.arrived_s for frame in frames],
-    }
-    return {
-        **summarise_ms(frame.decoded_s - frame.captured_s for frame in frames),
-        "parts": {name: summarise_ms(samples) for name, samples in parts.items()},
-    }
+            self.frames.append(_Frame(result.slot, result.captured_us / 1e6, result.finished_s))
 
 
 def run_bench(config: BenchConfig, *, avatar_files: list[Path] | None = None) -> dict[str, Any]:
@@ -151,7 +129,6 @@ async def _measure(
         begin_s = loop.time()
         call.begin_window(begin_s)
         decoding.frames.clear()
-        num_replaced = decoding.pool.num_replaced
         say(f"measuring {config.seconds:g} s of {len(local.names)} peers")
         while (left_s := begin_s + config.seconds - loop.time()) > 0:
             await _pause(receiving, min(left_s, local_call.CHECK_INTERVAL_S))
@@ -167,20 +144,16 @@ async def _measure(
         await asyncio.gather(receiving, return_exceptions=True)
         decoding.pool.close()
     sent = await asyncio.to_thread(local.finish)
-    decoded = Counter(frame.name for frame in frames)
     return {
         "peers": len(local.names),
-        "decoded_peers": len(decoded),
+        "decoded_peers": len({frame.name for frame in frames}),
         "seconds": round(seconds, 2),
-        "latency_ms": _latency_summary(frames),
-        "latents_per_s": {name: round(decoded[name] / seconds, 2) for name in local.names},
+        "latency_ms": summarise_ms(frame.decoded_s - frame.captured_s for frame in frames),
         "bitrate_bps": local_call.bitrates(sent),
-        "dropped": received["dropped"] + decoding.pool.num_replaced - num_replaced,
         "concealed": received["concealed"],
         "errors": received["errors"]
         + decoding.errors
         + sum(result["errors"] for result in sent.values()),
-        "playout_delay_ms": {peer["name"]: peer["playout_delay_ms"] for peer in received["peers"]},
         "machine": describe_machine(),
     }
 

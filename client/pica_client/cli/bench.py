@@ -37,7 +37,7 @@ class AvatarChoice:
 def bench_call(options: BenchConfig) -> Result:
     """Measure a call on this machine without drawing it: relay, senders and a decoding receiver.
 
-    Reports the latency from source sample to decoded avatar, with its parts, rates and bitrates.
+    Reports the latency from source sample to decoded avatar, and bitrates.
     """
     with terminate_as_interrupt():
         result = run_bench(options)
