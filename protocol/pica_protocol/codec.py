@@ -1,4 +1,4 @@
-"""Control messages <-> bytes: the kind byte 1, then one msgpack map.
+"""Control messages <-> bytes: the kind byte 1, then one msgpack map; and the chunks of a file.
 
 The map's ``type`` names the message, the other keys are its fields. Reading is strict where it
 protects us (sizes, types, ranges) and lax where it lets the protocol grow (unknown keys are
@@ -15,13 +15,23 @@ import msgpack
 
 from pica_protocol import limits
 from pica_protocol.errors import LocalProtocolError, RemoteProtocolError
-from pica_protocol.messages import MESSAGE_TYPES, Message, Metadata
-from pica_protocol.store import STORE_MESSAGE_TYPES, StoreMessage
+from pica_protocol.messages import (
+    MESSAGE_TYPES,
+    STORE_MESSAGE_TYPES,
+    Message,
+    Metadata,
+    StoreMessage,
+)
 
 CONTROL_KIND: Final = 1
 """First byte of a websocket message that carries one control message."""
+CHUNK_KIND: Final = 3
+"""First byte of a websocket message that carries a piece of a file."""
+MAX_CHUNK_BYTES: Final = limits.MAX_CLIENT_MESSAGE_BYTES - 1
+"""Bytes of file in one message."""
 
 _PREFIX = bytes([CONTROL_KIND])
+_CHUNK_PREFIX: Final = bytes([CHUNK_KIND])
 _TYPE_NAMES: Final = {
     cls: name
     for table in (MESSAGE_TYPES, STORE_MESSAGE_TYPES)
@@ -57,6 +67,28 @@ def decode_message(data: bytes, max_bytes: int = limits.MAX_CONTROL_BYTES) -> Me
 def decode_store_message(data: bytes, max_bytes: int = limits.MAX_CONTROL_BYTES) -> StoreMessage:
     """Return the one of ``pica.store.1`` that ``data`` carries; raises as ``decode_message``."""
     return cast(StoreMessage, _decode(data, max_bytes, STORE_MESSAGE_TYPES))
+
+
+def encode_chunk(data: bytes | memoryview) -> bytes:
+    """Return the websocket message that carries a piece of a file."""
+    if not 0 < len(data) <= MAX_CHUNK_BYTES:
+        raise ValueError(f"a chunk has 1..{MAX_CHUNK_BYTES} bytes, got {len(data)}")
+    return _CHUNK_PREFIX + data
+
+
+def decode_chunk(message: bytes) -> memoryview:
+    """Return the piece of a file in a websocket message.
+
+    Raises:
+        RemoteProtocolError: It is no chunk, empty or too long.
+    """
+    if not message.startswith(_CHUNK_PREFIX):
+        raise RemoteProtocolError(f"not a chunk of a file: first byte {limits.quoted(message[:1])}")
+    if not 1 < len(message) <= MAX_CHUNK_BYTES + 1:
+        raise RemoteProtocolError(
+            f"a chunk of {len(message) - 1} bytes, allowed are 1..{MAX_CHUNK_BYTES}"
+        )
+    return memoryview(message)[1:]
 
 
 def _decode(data: bytes, max_bytes: int, message_types: Mapping[str, type]) -> object:

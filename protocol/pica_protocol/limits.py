@@ -141,6 +141,11 @@ def check_sha256(field: str, value: str) -> None:
         raise ValueError(f"{field} must be empty or 64 hexadecimal digits, got {quoted(value)}")
 
 
+def is_avatar_id(text: str) -> bool:
+    """Return True if this names a file of a store: 64 lower-case hexadecimal digits."""
+    return _SHA256_HEX.fullmatch(text) is not None
+
+
 def check_url(field: str, value: str) -> None:
     """Refuse anything but "" or a ``ws://`` or ``wss://`` address without a user in it."""
     if not value:

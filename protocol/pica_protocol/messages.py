@@ -1,5 +1,12 @@
 """The control messages: frozen records that check their own limits.
 
+Those of a room are of the sub-protocol ``pica.1``. ``Offer``, ``Ready`` and ``Stored`` are of
+``pica.store.1``, which gives a relay a file for its avatar store: a websocket of its own on the
+relay's port, one file each. The client sends ``Offer``; the relay answers ``Stored`` when it has
+the file, else ``Ready``, and then takes chunks, in order, until it has as many bytes as were
+offered. It checks them and answers ``Stored``. Whatever goes wrong on either side ends with ``Bye``
+and a close frame. Getting a file back is plain HTTP: ``GET /avatars/ID``.
+
 Direction and bytes of each are shown in ``docs/wire.md``. The annotations are the schema that
 ``codec.py`` reads: ``int``, ``bool``, ``str``, ``bytes``, another record, a tuple
 of one of these, or ``Metadata``; what an annotation adds to a type is the field's limit.
@@ -23,11 +30,17 @@ Metadata = tuple[tuple[str, str], ...]
 """What a peer says of itself, a few short texts by key; a map on the wire."""
 BYE_CODES: Final = (1000, 1001, 1009, 1011)
 """Codes below 3000 that a ``Bye`` may carry (RFC 6455 7.4)."""
+STORE_SUBPROTOCOL: Final = "pica.store.1"
+"""The websocket sub-protocol of uploads; the digit changes when old peers could not follow."""
+AVATARS_PATH: Final = "/avatars/"
+"""Where files are got by HTTP; an id follows."""
+MAX_OFFER_BYTES: Final = 2**40
+"""What an offer can say; the relay's own limit is far below."""
 Check = Callable[[str, Any], None]
 """Takes the name of a field and its value; raises ``ValueError``."""
 
 
-def within(low: int, high: int) -> Check:
+def _within(low: int, high: int) -> Check:
     """Limit an integer."""
     return lambda name, value: limits.check_range(name, value, low, high)
 
@@ -62,7 +75,7 @@ Pass = Annotated[str, limits.check_pass]
 Name = Annotated[str, _text(limits.MAX_NAME_BYTES)]
 Reason = Annotated[str, _text(limits.MAX_REASON_BYTES)]
 Said = Annotated[Metadata, limits.check_metadata]
-Stream = Annotated[int, within(1, limits.MAX_STREAM)]
+Stream = Annotated[int, _within(1, limits.MAX_STREAM)]
 
 
 def wire_name(cls: type) -> str:
@@ -105,7 +118,7 @@ class Track(Checked):
     """Drop policy, one of ``DROP_POLICIES``."""
     avatar: Sha256 = ""
     """SHA-256 of the avatar file a receiver needs to draw this track, in hexadecimal, or empty."""
-    stream: Annotated[int, within(0, limits.MAX_STREAM)] = 0
+    stream: Annotated[int, _within(0, limits.MAX_STREAM)] = 0
     """The stream its frames travel on; 0 in ``Join``, allotted by the relay in ``Joined``."""
     deadline_ms: int = 0
     """Says, with ``ordered``, how long a frame may wait for a receiver, milliseconds; else 0."""
@@ -305,15 +318,50 @@ class Bye(Checked):
             raise ValueError(f"bye.code must be one a close frame may carry, got {self.code}")
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Offer(Checked):
+    """First message of an upload: which file comes."""
+
+    sha256: Sha256
+    """SHA-256 of the file's bytes, in hexadecimal: its id."""
+    size: Annotated[int, _within(1, MAX_OFFER_BYTES)]
+    """Its length in bytes."""
+    token: Pass = field(default="", repr=False)
+    """A join token that allows to publish with this avatar; a relay with keys wants one."""
+
+    def __post_init__(self) -> None:
+        Checked.__post_init__(self)
+        if not self.sha256:
+            raise ValueError("offer.sha256 must not be empty")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Ready(Checked):
+    """The relay does not have it: send it."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Stored(Checked):
+    """The relay has it, and anyone who knows its id can get it."""
+
+    is_new: bool = False
+    """Whether it has come with this upload; false: it was there already."""
+
+
 RoomNews = PeerJoined | PeerLeft | PeerAway | PeerBack | PeerUpdated | StreamMuted | Whisper
 """What a relay says to who is in a room."""
 Moderation = RemovePeer | MutePeer | BarIdentity
 """What only an admin says to the relay."""
 FromMember = Subscribe | Whisper | UpdateMetadata | Moderation
 """What who is in a room says to the relay, but for ``Leave``."""
+StoreMessage = Offer | Ready | Stored | Bye
 Message = Join | Joined | Leave | Bye | RoomNews | FromMember
 
 MESSAGE_TYPES: Final = cast(
     "dict[str, type[Message]]", {wire_name(cls): cls for cls in get_args(Message)}
 )
 """The name each message has on the wire, in its ``type`` field."""
+STORE_MESSAGE_TYPES: Final = cast(
+    "dict[str, type[StoreMessage]]", {wire_name(cls): cls for cls in get_args(StoreMessage)}
+)
+"""The same for the avatar store."""

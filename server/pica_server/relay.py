@@ -21,7 +21,7 @@ from websockets.typing import Origin, Subprotocol
 from pica_protocol import SUBPROTOCOL
 from pica_protocol.errors import CloseCode
 from pica_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
-from pica_protocol.store import AVATARS_PATH, STORE_SUBPROTOCOL
+from pica_protocol.messages import AVATARS_PATH, STORE_SUBPROTOCOL
 from pica_server.config import ConfigurationError, RelayConfig
 from pica_server.limits import RefusalError, SocketGuard, is_in, is_loopback, most_sockets, networks
 from pica_server.net.pump import Pump

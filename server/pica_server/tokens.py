@@ -20,9 +20,15 @@ from typing import Any, Final
 import jwt
 
 from pica_protocol.errors import CloseCode
-from pica_protocol.limits import MAX_PASS_BYTES, check_name, check_token, quoted, text_of_file
+from pica_protocol.limits import (
+    MAX_PASS_BYTES,
+    check_name,
+    check_token,
+    is_avatar_id,
+    quoted,
+    text_of_file,
+)
 from pica_protocol.messages import Join
-from pica_protocol.store import is_avatar_id
 from pica_server.config import ConfigurationError
 from pica_server.limits import RefusalError
 

@@ -7,7 +7,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-from pica_protocol.codec import encode_message
+from pica_protocol.codec import encode_chunk, encode_message
 from pica_protocol.frames import Frame, encode_frame, media_message
 from pica_protocol.messages import (
     BarIdentity,
@@ -17,20 +17,23 @@ from pica_protocol.messages import (
     Leave,
     Message,
     MutePeer,
+    Offer,
     Peer,
     PeerAway,
     PeerBack,
     PeerJoined,
     PeerLeft,
     PeerUpdated,
+    Ready,
     RemovePeer,
+    Stored,
+    StoreMessage,
     StreamMuted,
     Subscribe,
     Track,
     UpdateMetadata,
     Whisper,
 )
-from pica_protocol.store import Offer, Ready, Stored, StoreMessage, encode_chunk
 
 GOLDEN = Path(__file__).with_name("wire.json")
 

@@ -18,9 +18,8 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 from websockets.typing import Subprotocol
 
-from pica_protocol.codec import decode_store_message, encode_message
-from pica_protocol.messages import Bye
-from pica_protocol.store import MAX_CHUNK_BYTES, STORE_SUBPROTOCOL, Offer, Stored, encode_chunk
+from pica_protocol.codec import MAX_CHUNK_BYTES, decode_store_message, encode_chunk, encode_message
+from pica_protocol.messages import STORE_SUBPROTOCOL, Bye, Offer, Stored
 from pica_server.config import RelayConfig, StoreConfig
 from pica_server.relay import Relay
 

@@ -8,9 +8,8 @@ from helpers.paths import ROOT
 from pica_protocol.codec import decode_message
 from pica_protocol.errors import CloseCode, RemoteProtocolError
 from pica_protocol.frames import decode_media
-from pica_protocol.messages import MESSAGE_TYPES, wire_name
+from pica_protocol.messages import MESSAGE_TYPES, STORE_MESSAGE_TYPES, wire_name
 from pica_protocol.session import CLIENT_TABLE, SERVER_TABLE, Media, State
-from pica_protocol.store import STORE_MESSAGE_TYPES
 
 pytestmark = pytest.mark.unit
 

@@ -7,16 +7,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from golden.wire_samples import CHUNK, GOLDEN, STORE_MESSAGES, store_bytes
-from pica_protocol.codec import decode_message, decode_store_message, encode_message
-from pica_protocol.errors import RemoteProtocolError
-from pica_protocol.messages import Leave
-from pica_protocol.store import (
+from pica_protocol.codec import (
     MAX_CHUNK_BYTES,
-    Offer,
     decode_chunk,
+    decode_message,
+    decode_store_message,
     encode_chunk,
-    is_avatar_id,
+    encode_message,
 )
+from pica_protocol.errors import RemoteProtocolError
+from pica_protocol.limits import is_avatar_id
+from pica_protocol.messages import Leave, Offer
 
 pytestmark = pytest.mark.unit
 

@@ -30,7 +30,8 @@ from pica_client.transport.connect import SOFTWARE, proxy_of
 from pica_core.avatar.file import MAX_FILE_BYTES, SUFFIX, Avatar, avatar_id, load_avatar
 from pica_core.errors import AvatarFileError
 from pica_core.files import replacing
-from pica_protocol.store import AVATARS_PATH, is_avatar_id
+from pica_protocol.limits import is_avatar_id
+from pica_protocol.messages import AVATARS_PATH
 
 MAX_BYTES = 2**30
 """Bytes that all files together may take (chosen: two hundred avatars of the size that ships)."""

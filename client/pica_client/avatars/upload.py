@@ -28,10 +28,14 @@ from pica_client.transport.config import LinkConfig, read_token
 from pica_client.transport.connect import CONNECT_ERRORS, RelayConnect, refusal
 from pica_core.avatar.file import MAX_FILE_BYTES, read_bytes, shipped_avatar_files
 from pica_core.errors import AvatarFileError
-from pica_protocol import store
-from pica_protocol.codec import decode_store_message, encode_message
+from pica_protocol.codec import (
+    MAX_CHUNK_BYTES,
+    decode_store_message,
+    encode_chunk,
+    encode_message,
+)
 from pica_protocol.errors import CloseCode, RemoteProtocolError, is_worth_retrying
-from pica_protocol.messages import Bye
+from pica_protocol.messages import STORE_SUBPROTOCOL, Bye, Offer, Ready, Stored, StoreMessage
 
 SEND_BUFFER_BYTES = 16 * 2**10
 """What the kernel may hold of a file, which it may double (chosen: 130 ms of a link with 1 Mbit/s
@@ -59,27 +63,27 @@ async def push_avatar(url: str, link: LinkConfig, path: Path, identity: str) -> 
     data = await asyncio.to_thread(read_bytes, path, MAX_FILE_BYTES)
     token = link.token or read_token(link.token_file)
     try:
-        websocket = await RelayConnect(url, subprotocol=store.STORE_SUBPROTOCOL)
+        websocket = await RelayConnect(url, subprotocol=STORE_SUBPROTOCOL)
     except CONNECT_ERRORS as error:
         if why := refusal(error):
             raise RelayRefusedError(f"{url}: {why}") from error
         raise RelayUnreachableError(f"{url}: no answer") from error
     try:
-        if websocket.subprotocol != store.STORE_SUBPROTOCOL:
+        if websocket.subprotocol != STORE_SUBPROTOCOL:
             raise RelayRefusedError("the relay keeps no avatars")
         raw = websocket.transport.get_extra_info("socket")
         if raw is not None and raw.family in (socket.AF_INET, socket.AF_INET6):
             with suppress(OSError):
                 raw.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
-        offer = store.Offer(sha256=identity, size=len(data), token=token)
+        offer = Offer(sha256=identity, size=len(data), token=token)
         await websocket.send(encode_message(offer))
         answer = await _answer(websocket)
-        if isinstance(answer, store.Ready):
-            for begin in range(0, len(data), store.MAX_CHUNK_BYTES):
-                piece = data[begin : begin + store.MAX_CHUNK_BYTES]
-                await websocket.send(store.encode_chunk(piece))
+        if isinstance(answer, Ready):
+            for begin in range(0, len(data), MAX_CHUNK_BYTES):
+                piece = data[begin : begin + MAX_CHUNK_BYTES]
+                await websocket.send(encode_chunk(piece))
             answer = await _answer(websocket)
-        if not isinstance(answer, store.Stored):
+        if not isinstance(answer, Stored):
             raise RelayRefusedError(NO_STORE)
         await websocket.close()
         return answer.is_new
@@ -93,7 +97,7 @@ async def push_avatar(url: str, link: LinkConfig, path: Path, identity: str) -> 
         websocket.transport.abort()  # in case we are cancelled
 
 
-async def _answer(websocket: ClientConnection) -> store.StoreMessage:
+async def _answer(websocket: ClientConnection) -> StoreMessage:
     try:
         async with asyncio.timeout(ANSWER_TIMEOUT_S):
             data = await websocket.recv()

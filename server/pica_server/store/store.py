@@ -24,7 +24,7 @@ from tempfile import TemporaryDirectory
 from typing import Final, TypeVar
 
 from pica_protocol.errors import CloseCode
-from pica_protocol.store import is_avatar_id
+from pica_protocol.limits import is_avatar_id
 from pica_server.config import ConfigurationError, StoreConfig
 from pica_server.limits import RefusalError
 

@@ -26,11 +26,10 @@ from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
-from pica_protocol.codec import decode_store_message, encode_message
+from pica_protocol.codec import decode_chunk, decode_store_message, encode_message
 from pica_protocol.errors import CloseCode, RemoteProtocolError
-from pica_protocol.limits import clipped_reason
-from pica_protocol.messages import Bye
-from pica_protocol.store import AVATARS_PATH, Offer, Ready, Stored, decode_chunk, is_avatar_id
+from pica_protocol.limits import clipped_reason, is_avatar_id
+from pica_protocol.messages import AVATARS_PATH, Bye, Offer, Ready, Stored
 from pica_server.limits import RefusalError
 from pica_server.net.socket import RelaySocket, bound_receive_buffer, set_tcp_option
 from pica_server.store.store import AvatarStore, Slots

@@ -18,7 +18,7 @@ from helpers.store_peers import (
 from pica_core.avatar import file as avatar_file
 from pica_protocol.codec import encode_message
 from pica_protocol.errors import CloseCode
-from pica_protocol.store import Offer
+from pica_protocol.messages import Offer
 from pica_server.config import ConfigurationError, RelayConfig, StoreConfig
 from pica_server.limits import RefusalError
 from pica_server.relay import Relay

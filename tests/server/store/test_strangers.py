@@ -20,10 +20,9 @@ from helpers.store_peers import (
     until_counted,
     upload,
 )
-from pica_protocol.codec import encode_message
+from pica_protocol.codec import encode_chunk, encode_message
 from pica_protocol.errors import CloseCode
-from pica_protocol.messages import Bye, Leave
-from pica_protocol.store import Offer, encode_chunk
+from pica_protocol.messages import Bye, Leave, Offer
 from pica_server.config import StoreConfig
 from pica_server.store.store import AvatarStore
 from simnet.peers import peer_in_room
