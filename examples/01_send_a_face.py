@@ -10,7 +10,7 @@ from contextlib import closing
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.endpoint import Sender
 from pica_client.publish import SenderConfig, open_face
-from pica_client.transport.config import LinkConfig
+from pica_client.transport.connect import LinkConfig
 from pica_server.config import RelayConfig
 from pica_server.relay import Relay
 

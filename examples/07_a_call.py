@@ -11,7 +11,7 @@ from pica_client.call.call import ArrivedFace, Call
 from pica_client.endpoint import Receiver, Sender
 from pica_client.publish import SenderConfig, open_face
 from pica_client.stats import percentile
-from pica_client.transport.config import LinkConfig
+from pica_client.transport.connect import LinkConfig
 from pica_server.config import RelayConfig
 from pica_server.relay import Relay
 

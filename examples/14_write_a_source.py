@@ -12,7 +12,7 @@ import numpy as np
 
 from pica_client.endpoint import Sender
 from pica_client.publish import Outgoing, Publisher, SenderConfig
-from pica_client.transport.config import LinkConfig
+from pica_client.transport.connect import LinkConfig
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT, ExpressionFrame
 from pica_core.avatar.file import avatar_id, load_avatar, shipped_avatar_files
 from pica_server.config import RelayConfig

@@ -15,7 +15,7 @@ from pica_client.endpoint import Sender
 from pica_client.publish import Outgoing, Publisher, SenderConfig
 from pica_client.sources.registry import open_live
 from pica_client.sources.tracker import UdpTracker
-from pica_client.transport.config import LinkConfig
+from pica_client.transport.connect import LinkConfig
 from pica_core.avatar.arkit import ARKIT_INDEX
 from pica_core.avatar.file import avatar_id, load_avatar, shipped_avatar_files
 from pica_server.config import RelayConfig

@@ -13,7 +13,7 @@ from pica_client.avatars.library import AvatarLibrary
 from pica_client.call.call import Call, Ears
 from pica_client.endpoint import Receiver, Sender
 from pica_client.publish import SenderConfig, open_face
-from pica_client.transport.config import LinkConfig
+from pica_client.transport.connect import LinkConfig
 from pica_client.voice.opus import OpusDecoder, level_of
 from pica_client.voice.publisher import VoicePublisher
 from pica_client.voice.source import SoundSource, shipped_speech

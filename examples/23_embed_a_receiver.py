@@ -24,7 +24,7 @@ from pica_client.render.gpu_decoder import choose_decoder
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.views import stereo_cameras
 from pica_client.schedule.scheduler import Scheduler
-from pica_client.transport.config import LinkConfig
+from pica_client.transport.connect import LinkConfig
 from pica_client.ui.avatar_presenter import AvatarPresenter
 
 NAMES = {"Ada": "amara", "Ben": "elias"}

@@ -32,7 +32,7 @@ from pathlib import Path
 from typing import Any
 
 from pica_client.system import say
-from pica_client.transport.config import LinkConfig
+from pica_client.transport.connect import LinkConfig
 from pica_client.transport.link import Link
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Joined, Peer, PeerJoined

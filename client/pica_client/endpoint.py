@@ -20,7 +20,7 @@ from pica_client.call.status import CallStatus
 from pica_client.playout.buffer import PlayoutReport
 from pica_client.publish import Outgoing, Publisher
 from pica_client.tracks import FACE_TRACK, RECORDS_KEY, RECORDS_YES, voice_of
-from pica_client.transport.config import LinkConfig
+from pica_client.transport.connect import LinkConfig
 from pica_client.transport.link import Link
 from pica_client.voice.opus import available
 from pica_client.voice.sound.process import SoundProcess

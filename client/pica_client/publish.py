@@ -22,7 +22,7 @@ from pica_client.sources.calibration import Calibration, CalibrationStore, calib
 from pica_client.sources.registry import calibrations, split_source
 from pica_client.sources.source import Unseen
 from pica_client.tracks import FACE_KEY, FACE_LOST, FACE_TRACK, FaceMode
-from pica_client.transport.config import LinkConfig
+from pica_client.transport.connect import LinkConfig
 from pica_client.transport.link import Link, sleep_until
 from pica_client.voice.mouth import SpokenFace
 from pica_client.voice.publisher import VoicePublisher

@@ -21,7 +21,7 @@ from pica_client.call.status import FaceState
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.endpoint import Receiver, Sender
 from pica_client.publish import open_face
-from pica_client.transport.config import LinkConfig
+from pica_client.transport.connect import LinkConfig
 from pica_core.avatar.file import avatar_id, save_avatar
 from pica_server.relay import Relay
 

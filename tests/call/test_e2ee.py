@@ -16,7 +16,7 @@ pytest.importorskip("cryptography", reason="needs the extra seal")
 from pica_client.e2ee.frames import FACE_BYTES
 from pica_client.e2ee.guard import Guard
 from pica_client.e2ee.secret import RoomSecret
-from pica_client.transport.config import LinkConfig
+from pica_client.transport.connect import LinkConfig
 from pica_client.transport.link import Link
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Joined, PeerLeft, Track, Whisper

@@ -21,7 +21,7 @@ from pica_client.call.call import ArrivedFace, Call
 from pica_client.endpoint import Receiver
 from pica_client.publish import SenderConfig
 from pica_client.stats import percentile
-from pica_client.transport.config import LinkConfig
+from pica_client.transport.connect import LinkConfig
 from pica_core.avatar.file import Avatar
 from pica_server.config import RelayConfig
 from pica_server.relay import Relay

@@ -24,7 +24,7 @@ from pica_client.endpoint import Receiver, Sender
 from pica_client.publish import Outgoing, Publisher, SenderConfig
 from pica_client.sources.registry import decoder_of, open_live
 from pica_client.sources.tracker import UdpOptions, UdpTracker
-from pica_client.transport.config import LinkConfig
+from pica_client.transport.connect import LinkConfig
 from pica_server.config import RelayConfig
 from pica_server.relay import Relay
 

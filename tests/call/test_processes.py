@@ -23,7 +23,7 @@ from pica_client.endpoint import Receiver
 from pica_client.errors import CallProcessError, RelayUnreachableError
 from pica_client.local_call.local_call import LocalCall, LocalCallConfig
 from pica_client.local_call.processes import Child, Children
-from pica_client.transport.config import LinkConfig
+from pica_client.transport.connect import LinkConfig
 from pica_client.voice.sound.process import SoundProcess
 from pica_core.avatar.file import avatar_id, save_avatar
 

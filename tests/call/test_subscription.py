@@ -21,7 +21,7 @@ from pica_client.call.status import FaceState
 from pica_client.endpoint import Receiver, Sender
 from pica_client.publish import SenderConfig
 from pica_client.sources import open_source
-from pica_client.transport.config import LinkConfig
+from pica_client.transport.connect import LinkConfig
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar, load_avatar
 from pica_server.config import RelayConfig

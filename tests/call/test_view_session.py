@@ -20,7 +20,7 @@ from pica_client.call.call import Call
 from pica_client.endpoint import Receiver
 from pica_client.errors import OptionError
 from pica_client.local_call.processes import Children
-from pica_client.transport.config import LinkConfig
+from pica_client.transport.connect import LinkConfig
 from pica_client.ui.lobby import JoinForm
 from pica_client.ui.options import JoinOptions, ViewOptions
 from pica_client.ui.session import first_state, view_calls

@@ -18,7 +18,7 @@ from pica_client.endpoint import Receiver
 from pica_client.publish import Outgoing, Publisher, SenderConfig
 from pica_client.sources import open_source
 from pica_client.tracks import VOICE_KEY
-from pica_client.transport.config import LinkConfig
+from pica_client.transport.connect import LinkConfig
 from pica_client.voice import opus
 from pica_client.voice.opus import FRAME_US
 from pica_client.voice.publisher import VoicePublisher

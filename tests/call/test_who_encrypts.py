@@ -16,7 +16,7 @@ from pica_client.call.roster import Member
 from pica_client.e2ee.secret import RoomSecret, save_secret
 from pica_client.endpoint import CallMonitor, Receiver
 from pica_client.publish import SenderConfig
-from pica_client.transport.config import LinkConfig
+from pica_client.transport.connect import LinkConfig
 from pica_server.config import RelayConfig
 from pica_server.relay import Relay
 from simnet.clock import in_virtual_time

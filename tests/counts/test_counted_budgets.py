@@ -37,7 +37,7 @@ from pica_client.render.scene import Placement, head_matrix
 from pica_client.schedule.head import Head
 from pica_client.schedule.scheduler import Scheduler, requests_of
 from pica_client.sources.source import make_performance
-from pica_client.transport.config import LinkConfig
+from pica_client.transport.connect import LinkConfig
 from pica_client.ui.avatar_presenter import AvatarPresenter
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar

@@ -10,7 +10,7 @@ from pica_client.endpoint import Sender
 from pica_client.local_call.local_call import peer_sources
 from pica_client.publish import Outgoing, Publisher, SenderConfig
 from pica_client.sources import Source, open_source
-from pica_client.transport.config import LinkConfig
+from pica_client.transport.connect import LinkConfig
 from pica_core.avatar.file import Avatar
 
 

@@ -14,8 +14,7 @@ import pytest
 
 from helpers.certificates import write_certificate
 from pica_client.errors import RelayRefusedError
-from pica_client.transport.config import LinkConfig
-from pica_client.transport.connect import RelayConnect
+from pica_client.transport.connect import LinkConfig, RelayConnect
 from pica_client.transport.link import Link
 from pica_protocol.limits import bound_tls_buffer
 from pica_protocol.messages import Joined

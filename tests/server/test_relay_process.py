@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from helpers.certificates import write_certificate
-from pica_client.transport.config import LinkConfig
+from pica_client.transport.connect import LinkConfig
 from pica_client.transport.link import Link
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Joined

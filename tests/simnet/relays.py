@@ -12,7 +12,7 @@ import urllib.request
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager
 
-from pica_client.transport.config import LinkConfig
+from pica_client.transport.connect import LinkConfig
 from pica_client.transport.link import Link
 from pica_protocol.messages import Joined, PeerJoined, PeerLeft, Track
 from pica_protocol.session import ClientEvent

@@ -24,8 +24,13 @@ from pica_client.errors import (
     RelayRefusedError,
     RelayUnreachableError,
 )
-from pica_client.transport.config import LinkConfig, read_token
-from pica_client.transport.connect import CONNECT_ERRORS, RelayConnect, refusal
+from pica_client.transport.connect import (
+    CONNECT_ERRORS,
+    LinkConfig,
+    RelayConnect,
+    read_token,
+    refusal,
+)
 from pica_core.avatar.file import MAX_FILE_BYTES, read_bytes, shipped_avatar_files
 from pica_core.errors import AvatarFileError
 from pica_protocol.codec import (

@@ -27,7 +27,7 @@ from pica_client.local_call import local_call
 from pica_client.local_call.processes import Children
 from pica_client.stats import describe_machine, summarise_ms
 from pica_client.system import say
-from pica_client.transport.config import LinkConfig
+from pica_client.transport.connect import LinkConfig
 
 WARM_UP_S = 2.0
 """Between the last peer's first frame and the first that counts."""

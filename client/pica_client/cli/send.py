@@ -11,7 +11,7 @@ from pica_client.avatars.library import AvatarLibrary
 from pica_client.endpoint import LinkNews, Sender
 from pica_client.publish import DEFAULT_SOURCE, SenderConfig, open_face
 from pica_client.system import on_stop_signal, say
-from pica_client.transport.config import LinkConfig
+from pica_client.transport.connect import LinkConfig
 from pica_client.ui.options import (
     DEFAULT_ROOM,
     DEFAULT_URL,

@@ -30,15 +30,17 @@ from websockets.exceptions import ConnectionClosed
 
 from pica_client.errors import OptionError, RelayRefusedError, RelayUnreachableError
 from pica_client.stats import wire_bytes
-from pica_client.transport.config import LinkConfig, read_token, shown_name
 from pica_client.transport.connect import (
     CONNECT_ERRORS,
+    LinkConfig,
     RelayConnect,
     RelayWebsocket,
     breaks_protocol,
+    read_token,
     redirect_of,
     refusal,
     refusal_of,
+    shown_name,
     trouble,
     watch,
 )

@@ -21,7 +21,7 @@ from pica_client.errors import OptionError, RelayRefusedError, RelayUnreachableE
 from pica_client.render.renderer import Renderer, RenderOptions
 from pica_client.render.room import STILL
 from pica_client.system import Closing
-from pica_client.transport.config import LinkConfig
+from pica_client.transport.connect import LinkConfig
 from pica_client.ui import widgets
 from pica_client.ui.settings import SOURCES, microphone_picker
 from pica_client.ui.state import ViewState

@@ -22,7 +22,7 @@ from pica_client.endpoint import Hearing, LinkNews, Receiver
 from pica_client.errors import ClientError, OptionError, RelayUnreachableError
 from pica_client.publish import DEFAULT_SOURCE, FaceControls, Outgoing, open_face
 from pica_client.system import check_writable, on_stop_signal, say
-from pica_client.transport.config import LinkConfig
+from pica_client.transport.connect import LinkConfig
 from pica_client.ui.call_sound import CallSound
 from pica_client.ui.lobby import JoinForm, Lobby, follow_invite
 from pica_client.ui.options import (

@@ -23,7 +23,7 @@ from pica_client.avatars.fetch import AvatarCache, AvatarFetcher, download, stor
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.avatars.upload import AvatarGiver, push_avatar
 from pica_client.errors import RelayRefusedError, RelayUnreachableError
-from pica_client.transport.config import LinkConfig
+from pica_client.transport.connect import LinkConfig
 from pica_core.avatar.file import Avatar, load_avatar, save_avatar
 from pica_core.errors import AvatarFileError
 

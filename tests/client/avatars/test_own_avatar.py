@@ -9,7 +9,7 @@ import pytest
 from pica_client.avatars.upload import GiveAvatar, avatar_by_name, giver_of
 from pica_client.errors import AvatarLookupError
 from pica_client.local_call.local_call import NAMES
-from pica_client.transport.config import LinkConfig
+from pica_client.transport.connect import LinkConfig
 from pica_core.avatar.file import shipped_avatar_files
 
 pytestmark = pytest.mark.unit

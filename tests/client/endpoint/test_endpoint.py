@@ -16,7 +16,7 @@ from pica_client.call.roster import RoomState
 from pica_client.endpoint import CallMonitor, Receiver
 from pica_client.publish import Outgoing, Publisher, SenderConfig
 from pica_client.sources.source import Unseen
-from pica_client.transport.config import LinkConfig
+from pica_client.transport.connect import LinkConfig
 from pica_client.transport.link import Link
 from pica_core.avatar.arkit import ExpressionFrame
 from pica_protocol.messages import FromMember, Subscribe, Track

@@ -9,7 +9,7 @@ import pytest
 from pica_client.errors import OptionError
 from pica_client.publish import SenderConfig
 from pica_client.stats import summarise_ms, wire_bytes
-from pica_client.transport.config import LinkConfig, shown_name
+from pica_client.transport.connect import LinkConfig, shown_name
 
 pytestmark = pytest.mark.unit
 

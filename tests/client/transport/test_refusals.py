@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pica_client.transport.config import LinkConfig
-from pica_client.transport.connect import refusal_of, refused_redirect
+from pica_client.transport.connect import LinkConfig, refusal_of, refused_redirect
 from pica_protocol.errors import CloseCode
 from pica_protocol.session import Closed
 

@@ -9,8 +9,7 @@ import pytest
 
 from helpers.certificates import write_certificate
 from pica_client.errors import RelayRefusedError
-from pica_client.transport.config import LinkConfig
-from pica_client.transport.connect import RelayConnect, proxy_of, trouble
+from pica_client.transport.connect import LinkConfig, RelayConnect, proxy_of, trouble
 from pica_client.transport.link import Link
 from pica_server.config import RelayConfig
 from pica_server.relay import Relay
