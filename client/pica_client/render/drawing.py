@@ -40,33 +40,11 @@ class HeadRenderer:
     def __init__(self, context: moderngl.Context, avatar: Avatar, size_px: int) -> None:
         self._renderer = Renderer(context, (size_px, size_px), RenderOptions(smooth_edges=False))
         self._renderer.add_avatar(SLOT, avatar)
-        self.gl_renderer = self._renderer.gl_renderer
 
-    def upload(self, maps: DecodedMaps) -> None:
-        """Hand the GPU the maps that the next drawings show."""
+    def draw(self, maps: DecodedMaps, camera: Camera, matrix: FloatArray = HEAD) -> Drawing:
+        """Upload maps, draw the head at a pose and read the drawing back."""
         self._renderer.update_maps(SLOT, maps.position_map, maps.expression_map)
-
-    def submit(
-        self, camera: Camera, matrix: FloatArray = HEAD, mesh_level: int | None = None
-    ) -> None:
-        """Have the head drawn at a pose, by default on the mesh of its maps; does not wait."""
-        placement = Placement(slot=SLOT, world_from_head=matrix, mesh_level=mesh_level)
-        self._renderer.draw([placement], camera)
-
-    def draw(
-        self,
-        maps: DecodedMaps,
-        camera: Camera,
-        matrix: FloatArray = HEAD,
-        mesh_level: int | None = None,
-    ) -> Drawing:
-        """Upload maps, draw them and read the drawing back."""
-        self.upload(maps)
-        self.submit(camera, matrix, mesh_level)
-        return self.read()
-
-    def read(self) -> Drawing:
-        """What was drawn last."""
+        self._renderer.draw([Placement(slot=SLOT, world_from_head=matrix)], camera)
         return read_drawing(self._renderer)
 
 

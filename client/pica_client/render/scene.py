@@ -78,12 +78,6 @@ def view_direction(world_from_head: FloatArray, camera_centre_m: npt.ArrayLike) 
     return direction
 
 
-def clip_from_head(camera: Camera, world_from_head: FloatArray) -> FloatArray:
-    """The matrix for one head and one camera, float32 ``[4, 4]`` for column vectors."""
-    matrix: FloatArray = np.matmul(camera.clip_from_world(NEAR_M, FAR_M), world_from_head)
-    return matrix
-
-
 def screen_rects(matrices: FloatArray, outlines_m: FloatArray) -> list[Rect | None]:
     """Left, bottom, right, top of what convex bodies cover in clip space, within [-1, 1]; None of
     one of which nothing is on the screen. One that reaches behind the near plane may cover

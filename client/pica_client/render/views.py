@@ -35,8 +35,6 @@ ORBIT_PER_PIXEL = 0.005
 """Radians (chosen: half a turn is a drag over 630 pixels)."""
 ZOOM_PER_STEP = 1.1
 """Distance ratio of one notch of the wheel."""
-EYE_DISTANCE_M = 0.063
-"""Between the pupils of an adult, on average."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

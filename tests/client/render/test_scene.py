@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pica_client.render.scene import (
+    FAR_M,
     NEAR_M,
     Placement,
-    clip_from_head,
     head_matrix,
     head_rect_px,
     pick_head,
@@ -137,7 +137,7 @@ def box_rect(matrix: np.ndarray) -> tuple[float, ...] | None:
 
 def test_a_box_in_view_covers_the_rectangle_of_its_corners() -> None:
     camera = view_camera(ViewState(), 1, 960, 540)
-    rect = box_rect(clip_from_head(camera, np.eye(4, dtype=np.float32)))
+    rect = box_rect(camera.clip_from_world(NEAR_M, FAR_M))
     assert rect is not None
     left, bottom, right, top = rect
     pixels, _ = camera.project([[-0.1, 0.15, 0.1], [0.1, -0.15, 0.1]])
@@ -157,13 +157,13 @@ def test_a_box_in_view_covers_the_rectangle_of_its_corners() -> None:
 def test_a_box_out_of_view_covers_nothing(offset: tuple[float, float, float]) -> None:
     camera = view_camera(ViewState(), 1, 960, 540)
     world_from_head = head_matrix(np.eye(4), [0, 0, 0], offset)
-    assert box_rect(clip_from_head(camera, world_from_head)) is None
+    assert box_rect(np.matmul(camera.clip_from_world(NEAR_M, FAR_M), world_from_head)) is None
 
 
 def test_a_box_around_the_camera_may_cover_everything() -> None:
     camera = view_camera(ViewState(), 1, 960, 540)
     world_from_head = head_matrix(np.eye(4), [0, 0, 0], camera.centre_m)
-    rect = box_rect(clip_from_head(camera, world_from_head))
+    rect = box_rect(np.matmul(camera.clip_from_world(NEAR_M, FAR_M), world_from_head))
     assert rect == (-1, -1, 1, 1)
 
 
