@@ -170,21 +170,6 @@ def test_capture_times_are_whole_again_however_long_nothing_came(elapsed_s: floa
     assert times[1] - times[0] == captured_us[1] - captured_us[0]
 
 
-def test_wishes_and_whispers_reach_the_server_as_events() -> None:
-    client, server = joined_client(), joined_server()
-    client.tell(Subscribe(stream=8, every=0))
-    client.tell(Whisper(peer_id="p2", data=b"key"))
-    events = [
-        event
-        for data in client.messages_to_send(now=1.0)
-        for event in server.receive_data(data, now=1.1)
-    ]
-    assert events == [
-        Subscribe(stream=8, every=0),
-        Whisper(peer_id="p2", data=b"key"),
-    ]
-
-
 def test_leaving_is_answered_and_ends_both_sides() -> None:
     client, server = joined_client(), joined_server()
     client.leave(now=5.0)
@@ -211,14 +196,6 @@ def test_a_client_gives_up_on_a_silent_relay_at_the_deadline() -> None:
     assert closed == client.closed
     assert closed.code == CloseCode.HANDSHAKE_TIMEOUT  # type: ignore[union-attr]
     assert client.next_timer() is None
-
-
-def test_a_server_closes_a_client_that_does_not_join_in_time() -> None:
-    server = ServerSession(now=0.0, timeout_s=5.0)
-    assert server.handle_timer(now=4.9) == []
-    (closed,) = server.handle_timer(now=5.0)
-    assert closed == Closed(code=4003, reason="no join in time", is_remote=False)
-    assert sent(server)[-1] == Bye(code=4003, reason="no join in time")
 
 
 def test_a_relay_that_answers_for_other_tracks_is_refused() -> None:

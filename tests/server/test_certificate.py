@@ -80,12 +80,16 @@ def test_files_that_are_gone_for_a_moment_are_a_change_and_no_error(cert: Path) 
     assert certificate.has_changed()
 
 
-def served_certificate(host: str, port: int) -> bytes:
+def client_context() -> ssl.SSLContext:
     context = ssl.create_default_context()
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    return context
+
+
+def served_certificate(host: str, port: int) -> bytes:
     with (
         socket.create_connection((host, port)) as plain,
-        context.wrap_socket(plain, server_hostname=host) as tls,
+        client_context().wrap_socket(plain, server_hostname=host) as tls,
     ):
         return tls.getpeercert(binary_form=True) or b""
 
@@ -182,24 +186,6 @@ def test_a_running_relay_reads_its_certificate_again_when_it_changes(
         cert.write_text("oh")
         assert "it is no PEM file" in wait_for(process, "the old certificate stays: ")
         assert served_certificate("127.0.0.1", port) == served
-
-
-def test_an_unreadable_certificate_ends_in_one_line_and_exit_code_two(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "pica_command", "relay", "--tls-cert", "no.pem", "--tls-key", "no"],
-        capture_output=True,
-        text=True,
-        cwd=tmp_path,
-        check=False,
-    )
-    assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr == "pica relay: --tls-cert no.pem: No such file or directory\n"
-
-
-def client_context() -> ssl.SSLContext:
-    context = ssl.create_default_context()
-    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
-    return context
 
 
 def page_asked_for_with_the_last_of_the_handshake(port: int) -> bytes:
