@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pica_client.render.scene import clip_from_head
+from pica_client.render.scene import FAR_M, NEAR_M
 from pica_client.schedule.visibility import NOTHING, Sight, look
 from pica_core.camera import Camera, look_at
 from pica_core.types import FloatArray
@@ -37,7 +37,7 @@ def head(
 ) -> Named:
     world_from_head = np.eye(4, dtype=np.float32)
     world_from_head[:3, 3] = x, y, z
-    return slot, clip_from_head(eye or camera(), world_from_head)
+    return slot, np.matmul((eye or camera()).clip_from_world(NEAR_M, FAR_M), world_from_head)
 
 
 def see(*heads: Named) -> dict[str, Sight]:
