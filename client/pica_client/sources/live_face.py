@@ -260,8 +260,7 @@ class LiveFace:
     """One person's face, fed by a tracker.
 
     Attributes:
-        counters: Of the samples "taken", of these "faceless" ones; of samples "out of order", and
-            "clock jumps".
+        counters: Of samples "taken" and "out of order", and of "clock jumps".
         calibration: What is done to each sample; may be replaced at any time.
         recent: The latest samples with a face as the tracker sent them, to calibrate by.
     """
@@ -293,7 +292,6 @@ class LiveFace:
             return
         self.counters["taken"] += 1
         if not sample.has_face:
-            self.counters["faceless"] += 1
             self._lost_s = seen_s if self._lost_s is None else self._lost_s
             return
         gap_s = seen_s - self._times_s[-1] if self._times_s else np.inf

@@ -13,7 +13,6 @@ import pytest
 from helpers.toy import make_toy_avatar
 from pica_client.e2ee.secret import RoomSecret, load_secret, save_secret
 from pica_client.errors import OptionError, SecretFileError
-from pica_client.system import writing_whole
 from pica_client.ui.recorder import save_png
 from pica_core.avatar.file import save_avatar
 from pica_core.errors import AvatarFileError
@@ -39,16 +38,10 @@ def write_picture(path: Path) -> None:
     save_png(path, np.random.default_rng(1).integers(0, 255, (64, 64, 3), np.uint8))
 
 
-def write_log(path: Path) -> None:
-    with writing_whole(path) as unfinished:
-        unfinished.write_text("x" * 5000)
-
-
 @pytest.mark.parametrize(
     ("write", "refusal"),
     [
         (write_picture, OptionError),
-        (write_log, OptionError),
         (lambda path: save_avatar(path, make_toy_avatar()), AvatarFileError),
     ],
 )

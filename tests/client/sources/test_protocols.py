@@ -58,23 +58,15 @@ def test_vmc_takes_perfect_sync_in_any_case_and_holds_it_until_it_is_applied() -
     assert again.arkit[ARKIT_INDEX["eyeBlinkLeft"]] == pytest.approx(0.9)
 
 
-def test_a_plain_vrm_model_moves_mouth_and_lids() -> None:
-    (sample,) = VmcDecoder().decode(
-        tracker_packets.vmc({"A": 1.0, "Blink_L": 1.0, "Joy": 0.5, "Extra": 1.0})
-    )
-    seen = {name: float(sample.arkit[ARKIT_INDEX[name]]) for name in ARKIT_NAMES}
-    assert seen["jawOpen"] == pytest.approx(0.7)
-    assert seen["eyeBlinkLeft"] == 1.0
-    assert math.isnan(seen["eyeBlinkRight"])
-    assert seen["mouthSmileLeft"] == pytest.approx(0.4)
-
-
-def test_names_of_arkit_beside_expressions_replace_their_own_shapes_alone() -> None:
-    values = {"A": 1.0, "Blink": 1.0, "TongueOut": 0.0, "EyeBlinkLeft": 0.25}
+def test_expressions_of_a_plain_vrm_model_move_the_face_beside_shapes_by_their_own_names() -> None:
+    values = {"A": 1.0, "Blink": 1.0, "Joy": 0.5, "Extra": 1.0}
+    values |= {"TongueOut": 0.0, "EyeBlinkLeft": 0.25}
     (sample,) = VmcDecoder().decode(tracker_packets.vmc(values))
     seen = {name: float(sample.arkit[ARKIT_INDEX[name]]) for name in ARKIT_NAMES}
     assert seen["jawOpen"] == pytest.approx(0.7)
+    assert seen["mouthSmileLeft"] == pytest.approx(0.4)
     assert (seen["eyeBlinkLeft"], seen["eyeBlinkRight"], seen["tongueOut"]) == (0.25, 1.0, 0.0)
+    assert math.isnan(seen["browInnerUp"])
 
 
 def test_vmc_takes_whole_numbers() -> None:

@@ -132,14 +132,6 @@ def test_a_tracker_in_the_wrong_mode_is_told_so(
         assert "switch it to Live Link (ARKit)" in tracker.trouble
 
 
-@pytest.mark.parametrize(
-    "text", ["livelink:x", "livelink:70000", "vmc:nohost:1", "ifacialmocap", "facemotion3d:phone"]
-)
-def test_a_tracker_that_cannot_be_is_one_line(text: str) -> None:
-    with pytest.raises(SourceError, match=text.partition(":")[0]):
-        open_source(text)
-
-
 def samples() -> list[tuple[float, TrackerSample]]:
     made = []
     for index in range(90):

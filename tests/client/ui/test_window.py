@@ -1,4 +1,4 @@
-"""A real window on an X server of its own."""
+"""A real window on an X server of its own, and the surface without one: input, drawing, sizes."""
 
 from __future__ import annotations
 
@@ -7,10 +7,17 @@ import shutil
 import subprocess
 import sys
 
+import numpy as np
 import pytest
+from imgui_bundle import imgui
 
-from pica_client.ui.window import Window
+from helpers.hand import frame, press
+from pica_client.ui.actions import keyboard
+from pica_client.ui.state import ViewState
+from pica_client.ui.widgets import scale_for
+from pica_client.ui.window import ON_PICTURE, Surface, Window
 from pica_core.errors import GraphicsError
+from pica_core.gl import create_context
 
 pytestmark = pytest.mark.render
 
@@ -50,3 +57,59 @@ def test_a_window_is_never_too_small_for_its_bar() -> None:
         server.terminate()
         server.wait(10)
     assert done.stdout.split() == ["480", "360"], done.stderr
+
+
+def test_keys_are_a_fields_own_while_a_text_is_typed() -> None:
+    with Surface() as surface:
+        found = []
+        for step, key in enumerate((None, None, None, imgui.Key.l, imgui.Key.escape)):
+            if key is not None:
+                press(key)(surface.io)
+            with frame(surface, 0.1 * step, (640, 360)):
+                imgui.begin("form")
+                imgui.set_keyboard_focus_here()
+                imgui.input_text("##field", "")
+                imgui.end()
+                found += [each.name for each in keyboard(ViewState())]
+    assert found == ["CLOSE"]
+
+
+def test_signs_and_panels_are_painted_where_they_are_wanted() -> None:
+    context = create_context()
+    target = context.framebuffer([context.texture((200, 50), 4)])
+    with Surface(context) as surface:
+        red = surface.show("red", np.full((4, 4, 3), (255, 0, 0), np.uint8))
+        green = surface.show("green", np.full((4, 4, 3), (0, 255, 0), np.uint8))
+        for step in range(2):  # a window is shown from its second frame on
+            with frame(surface, 0.1 * step, (100, 50)):
+                for name, texture, left in ((f"{ON_PICTURE}a", green, 0), ("b", red, 50)):
+                    imgui.set_next_window_pos((left, 0))
+                    imgui.begin(name, None, imgui.WindowFlags_.no_decoration)
+                    imgui.image(imgui.ImTextureRef(texture), (40, 40))
+                    imgui.end()
+        seen = []
+        for paints in ({}, {"panels": False}, {"signs": False}):
+            target.clear()
+            surface.paint(target, **paints)
+            pixels = np.frombuffer(target.read(components=3), np.uint8).reshape(50, 200, 3)[25]
+            seen.append([tuple(pixels[x].tolist()) for x in (25, 80)])
+        assert context.error == "GL_NO_ERROR"
+    context.release()
+    black, left, right = (0, 0, 0), (0, 255, 0), (255, 0, 0)
+    assert seen == [[left, right], [left, black], [black, right]]
+
+
+@pytest.mark.parametrize(
+    ("size", "content_scale", "low", "high"),
+    [
+        ((480, 360), 1, 0.8, 0.8),
+        ((320, 240), 1, 0.5, 0.6),
+        ((1280, 720), 1, 1, 1),
+        ((3840, 2160), 1, 1.7, 1.75),
+        ((2560, 1440), 2, 2, 2),
+    ],
+)
+def test_larger_pictures_have_larger_type_within_limits(
+    size: tuple[int, int], content_scale: float, low: float, high: float
+) -> None:
+    assert low <= scale_for(size, content_scale) <= high
