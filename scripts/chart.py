@@ -35,7 +35,7 @@ ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "docs" / "results"
 PAGE = ROOT / "docs" / "results.md"
 PAGE_COLUMNS = 118
-BLUE, ORANGE, YELLOW = "#0072B2", "#D55E00", "#E69F00"
+BLUE, ORANGE, YELLOW, GREY = "#0072B2", "#D55E00", "#E69F00", "#777777"
 COLOURS = (BLUE, ORANGE, "#009E73", "#CC79A7", YELLOW)
 """Distinct for colour-blind readers, too."""
 
@@ -211,12 +211,25 @@ def chart_relay() -> None:
 
 
 def chart_scene() -> None:
-    """Draw what one to five heads cost over one that fills the screen, and what error is left."""
-    line = read_lines("scene")[-1]
+    """Draw what one to five heads cost over one that fills the screen, what error is left, and what
+    budgets leave of it, the measurement before in grey."""
+    lines = read_lines("scene")
+    line = lines[-1]
     rows = line["result"]["rows"]
     full_ms = rows[0]["cpu_ms"]  # one head that fills the screen, decoded whole
-    rows = rows[2:]
-    figure, (cost, error) = plt.subplots(1, 2, figsize=(6.8, 3.4))
+    rows = [row for row in rows[2:] if row["budget_ms"] is None]
+    figure, (cost, error, budget) = plt.subplots(1, 3, figsize=(10.2, 3.4))
+    for drawn in lines[-2:]:
+        most = [row for row in drawn["result"]["rows"] if row["avatars"] == rows[-1]["avatars"]]
+        distances = sorted({row["distance_cm"] for row in most})
+        for distance, colour in zip(distances, COLOURS, strict=False):
+            chosen = [row for row in most if row["distance_cm"] == distance and row["scheduler"]]
+            chosen.sort(key=lambda row: row["cpu_ms"])
+            costs, errors = [row["cpu_ms"] for row in chosen], [row["error"] for row in chosen]
+            budget.plot(costs, errors, "-o", color=colour if drawn is line else GREY)
+    budget.set_xlabel(
+        "processor time a frame of the most heads, ms\n(grey: the measurement before)"
+    )
     for distance, colour in zip(sorted({r["distance_cm"] for r in rows}), COLOURS, strict=False):
         for is_scheduled, style in ((True, "-o"), (False, "--x")):
             chosen = [
@@ -234,8 +247,8 @@ def chart_scene() -> None:
     cost.set_xlabel("talking heads, 25 cm apart\n(dashed: without the scheduler)")
     cost.legend(fontsize=8)
     error.set_ylabel("MSE against full levels, 0–255")
-    error.set_xlabel("talking heads")
-    for axis in (cost, error):
+    error.set_xlabel("talking heads, no budget")
+    for axis in (cost, error, budget):
         axis.set_ylim(bottom=0)
     save(figure, "scene", line)
 

@@ -44,6 +44,9 @@ TURN_FRAMES = 5
 the first are still those of the case before."""
 DISTANCES_CM = (65.0, 90.0, 120.0)
 """Of the camera from the front of the middle head."""
+BUDGETS_MS = (60.0, 40.0, 25.0)
+"""Of a frame, with which the scheduler has the most heads, besides none: what error is left at what
+cost."""
 FULL_SCREEN_CM = 18.0
 """Where one head fills the screen; the paper's nearest distance."""
 TIMES = ("plan", "decode", "upload", "draw", "total", "cpu")
@@ -80,6 +83,7 @@ class _Case:
     num_avatars: int
     distance_cm: float
     is_scheduled: bool
+    budget_ms: float = math.inf
     heads: list[Head] = field(default_factory=list)
     scheduler: Scheduler = field(default_factory=Scheduler)
     frame: int = 0
@@ -131,10 +135,13 @@ class _Bench:
         self.gl_renderer = self._renderer.gl_renderer
 
     def cases(self) -> list[_Case]:
-        """Every scene and one head that fills the screen, without and with the scheduler."""
+        """Every scene and one head that fills the screen, without and with the scheduler; the most
+        heads with each budget."""
         scenes = [(1, FULL_SCREEN_CM)]
         scenes += [(n, cm) for cm in DISTANCES_CM for n in range(1, self._config.heads + 1)]
-        return [_Case(n, cm, scheduled) for n, cm in scenes for scheduled in (False, True)]
+        cases = [_Case(n, cm, scheduled) for n, cm in scenes for scheduled in (False, True)]
+        limited = [(cm, budget) for cm in DISTANCES_CM for budget in BUDGETS_MS]
+        return cases + [_Case(self._config.heads, cm, True, budget) for cm, budget in limited]
 
     def turn(self, case: _Case, number: int) -> Turn:
         """Draw some frames of a case; those of a negative number warm up."""
@@ -156,6 +163,7 @@ class _Bench:
             "avatars": case.num_avatars,
             "distance_cm": case.distance_cm,
             "scheduler": case.is_scheduled,
+            "budget_ms": None if math.isinf(case.budget_ms) else case.budget_ms,
             **{f"{name}_ms": round(float(means[name].mean()), 3) for name in TIMES},
             "spread": round(float((high - low) / middle), 3),
             "error": round(float(found["error"].mean()), 3),
@@ -215,7 +223,8 @@ class _Bench:
         requests = [(head, _whole(head, camera)) for head in case.heads]
         if case.is_scheduled:
             begin_s = time.perf_counter()
-            plan = case.scheduler.plan_view(case.heads, [camera], self._config.size, math.inf, now)
+            budget_s = case.budget_ms * 1e-3
+            plan = case.scheduler.plan_view(case.heads, [camera], self._config.size, budget_s, now)
             case.shaded_px = plan.shaded_px
             requests = requests_of(case.heads, now)
             took["plan"] = (time.perf_counter() - begin_s) * 1e3
@@ -258,7 +267,9 @@ def summarise(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     scenes = []
     for distance in sorted({row["distance_cm"] for row in rows} - {FULL_SCREEN_CM}):
         plain, free = (
-            row for row in rows if (row["avatars"], row["distance_cm"]) == (most, distance)
+            row
+            for row in rows
+            if (row["avatars"], row["distance_cm"], row["budget_ms"]) == (most, distance, None)
         )
         scenes.append(
             {
