@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from pica_core.capture.dataset.dataset import read_obj
-from pica_core.capture.person.model import (
+from pica_core.capture.person.choices import (
     COARSE,
     EYES,
     MODE_M,

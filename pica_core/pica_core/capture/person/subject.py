@@ -16,8 +16,10 @@ from pica_core.capture.person.choices import (
     CLOTH_COLOURS,
     EYE_COLOURS,
     HAIR_COLOURS,
+    RIGHTS,
     SKIN_TONES,
     Person,
+    read_model,
 )
 from pica_core.capture.person.hair import (
     STYLES,
@@ -30,7 +32,6 @@ from pica_core.capture.person.hair import (
     raise_cap,
     smooth,
 )
-from pica_core.capture.person.model import RIGHTS, read_model
 from pica_core.capture.rig.features import LID_M, Features, find_features
 from pica_core.capture.rig.head import EyeSurface, PoseGuard, RigHead, outwards
 from pica_core.capture.rig.mesh import RigMesh

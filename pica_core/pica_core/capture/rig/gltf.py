@@ -20,11 +20,15 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from pica_core.capture.rig.gltf_file import MAX_ELEMENTS, WIDTH, GltfFile, count_of, extension
 from pica_core.capture.rig.source import (
+    MAX_ELEMENTS,
+    WIDTH,
+    GltfFile,
     RigSource,
     check_counts,
     check_source,
+    count_of,
+    extension,
     opacity_at,
     open_image,
 )

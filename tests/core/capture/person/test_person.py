@@ -10,9 +10,15 @@ from pica_command.main import main
 from pica_core.avatar.arkit import ARKIT_INDEX
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.dataset.multiface import MATERIALS
-from pica_core.capture.person.choices import CLIP, Person, draw_person, read_person
+from pica_core.capture.person.choices import (
+    CLIP,
+    NUM_MODES,
+    Person,
+    draw_person,
+    read_model,
+    read_person,
+)
 from pica_core.capture.person.hair import STYLES, cover, grow, raise_cap
-from pica_core.capture.person.model import NUM_MODES, read_model
 from pica_core.capture.person.subject import CUTS, close_lips, dress, dress_surface
 from pica_core.capture.rig.features import LID_M, Limits, find_features
 from pica_core.capture.rig.head import PoseGuard

@@ -7,7 +7,7 @@ import pytest
 
 from helpers.rig_toy import glb_bytes, glb_parts, toy_rig, write_glb
 from pica_core.avatar.arkit import ARKIT_NAMES, EYE_YAW, NUM_ARKIT
-from pica_core.capture.person.model import NUM_MODES, read_model
+from pica_core.capture.person.choices import NUM_MODES, read_model
 from pica_core.capture.rig.chart import add_gutters
 from pica_core.capture.rig.gltf import read_rig
 from pica_core.capture.rig.head import RigHead, make_rig
