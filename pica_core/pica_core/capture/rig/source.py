@@ -1,5 +1,6 @@
-"""A rig as its file has it: one mesh, its UVs and materials, and what each shape adds; and a glTF 2.0
-file (.glb, .vrm, or .gltf with files beside it) as bytes and numbers.
+"""A rig as its file has it: one mesh, its UVs and materials, and what each shape adds.
+
+A glTF 2.0 file (.glb, .vrm, or .gltf with files beside it) is read as bytes and numbers here.
 
 Checks of what the numbers say stand here: every problem is a `CaptureError` that names the file.
 
