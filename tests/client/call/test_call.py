@@ -207,7 +207,7 @@ def coded_peer(name: str, stream: int) -> Peer:
 def coded(sent: Sent, stream: int = 1) -> Frame:
     return Frame(
         stream=stream,
-        sequence=sent.sequence,
+        sequence=sent.number,
         captured_us=sent.captured_us,
         payload=sent.payload,
     )
