@@ -1,5 +1,5 @@
-// Second pass: colour the pixels that this avatar won. Ma et al., "Pixel Codec Avatars" (CVPR 2021),
-// section 3 "Pixel Decoder"; the numpy twin is pica_core/reference/pixel.py.
+// Second pass: colour the pixels that the surface pass found. Ma et al., "Pixel Codec Avatars" (CVPR 2021),
+// section 3 "Pixel Decoder"; the numpy twin is pica_core/reference.py.
 
 uniform sampler2D visible_xyz; // what surface.frag wrote
 uniform sampler2D visible_uv;
