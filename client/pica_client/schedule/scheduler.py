@@ -16,7 +16,8 @@ Those who have the coarsest level by then, and are still too much, are drawn in 
 half of the resolution. What the tests hold it to:
 
 - The budget is kept whenever the least of everybody fits, but for the one oldest head that is
-  decoded in any case, so that no maps grow older than `MAX_AGE_S`.
+  decoded in any case, so that no maps grow older than `MAX_AGE_S`, and for speakers while
+  most listen.
 - A nearer head never gets less than a farther one with the same past.
 - The order of heads does not matter.
 - Who cannot be seen costs nothing: no decode, no pixel, and after a while no stream.
@@ -127,15 +128,19 @@ class Scheduler:
         shrinks = self._fit(seen, budget_s)
         spent_s = self._draw_s(seen, shrinks)
         has_decoded, shaded_px = False, 0.0
+        num_speaking = sum(not head.is_listening for head in seen)
+        are_few = 2 * num_speaking <= len(seen)
         for head, shrink in sorted(zip(seen, shrinks, strict=True), key=_oldest_first):
             head.seen_s = now
             levels, scale = head.avatar.levels, self._scale(head, shrink)
             level, mesh = self._places(head, shrink)
             decode = _wanted(head, levels[level], now)
             if decode != "none":
-                # One is decoded in any case, so that not everybody is overdue at once.
+                # One is decoded in any case, so that not everybody is overdue at once, and the
+                # few who speak, whom all look at.
                 asked_s = head.latent_asked_s if decode == "both" else head.asked_s
                 is_needed = now - asked_s >= MAX_AGE_S or not has_decoded
+                is_needed |= are_few and not head.is_listening
                 held = level if head.held_level is None else levels.index(head.held_level)
                 held_mesh = mesh if held == len(levels) - 1 else held
                 decode_s = self.costs.decode_s(head.model, levels[level], decode)

@@ -15,8 +15,10 @@ from pica_client.errors import OptionError, check_ranges
 from pica_client.render.seats import Layout
 from pica_protocol.limits import MAX_PEERS
 
-BUDGET_SHARE = 0.8
-"""Part of the time between two frames: the rest is for texts, the window system and recording."""
+BUDGET_SHARE = 0.6
+"""Part of the time between two frames: the rest is for texts, the window system and recording
+(measured with five people at 1280x720 on two cores: 26 images a second, 23 at 0.8, and faces are as
+young)."""
 DEFAULT_URL = "ws://127.0.0.1:8765"
 DEFAULT_ROOM = "lobby"
 CONNECT_TIMEOUT_S = 3.0
