@@ -243,7 +243,7 @@ def chart_scene() -> None:
             cost.plot(counts, ratios, style, color=colour, label=label)
             if is_scheduled:
                 error.plot(counts, [row["error"] for row in chosen], style, color=colour)
-    cost.set_ylabel("processor time over one head that fills the screen")
+    cost.set_ylabel("processor time over one\nhead that fills the screen")
     cost.set_xlabel("talking heads, 25 cm apart\n(dashed: without the scheduler)")
     cost.legend(fontsize=8)
     error.set_ylabel("MSE against full levels, 0–255")
