@@ -123,7 +123,7 @@ def test_an_admin_sees_the_rooms_of_the_token_and_who_is_in_them() -> None:
     answers, hub = pages()
     ada = Member(hub, "Ada", tracks=(FACE, VOICE))
     Member(hub, "Bob", room="attic", tracks=())
-    lobby = hub.room("lobby")
+    lobby = hub.membership.rooms.get("lobby")
     assert lobby is not None
     stream = lobby.streams.get(ada.stream)
     assert stream is not None

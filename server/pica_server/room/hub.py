@@ -37,7 +37,6 @@ from pica_server.room.connections import (
 )
 from pica_server.room.membership import Membership
 from pica_server.room.outbox import OutboundMessage
-from pica_server.room.room import Room
 from pica_server.stats import RelayStats
 from pica_server.tokens import Admission
 
@@ -88,10 +87,6 @@ class Hub:
         """Whether there is a place for rooms that are placed on this relay."""
         is_full = self.num_connections >= self._config.max_connections
         return not (is_full or self.connections.is_draining or self.overload.refuses(now))
-
-    def room(self, name: str) -> Room | None:
-        """Return a room, or None if no peer is in it here."""
-        return self.membership.rooms.get(name)
 
     def connect(self, now: float, address: str = "") -> Connection:
         """Take a new websocket, see `Connections.connect`."""

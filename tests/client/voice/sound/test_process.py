@@ -92,7 +92,7 @@ def until(holds: Callable[[], object], seconds: float = 8.0) -> bool:
 
 
 def say(sound: SoundProcess, seconds: float, peer_id: str = "ann") -> tuple[int, int]:
-    """Let somebody say the sentences that ship, in real time; the loudest levels of loudspeaker
+    """Play the sentences that ship, in real time; the loudest levels of loudspeaker
     and microphone meanwhile."""
     speech, speaker, microphone = shipped_speech(), MAX_LEVEL, MAX_LEVEL
     encoder, begin_s = OpusEncoder(24_000), time.monotonic()
