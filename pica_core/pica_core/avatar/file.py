@@ -399,8 +399,9 @@ def _check_cover(avatar: Avatar) -> None:
     """Refuse triangles that lie over one another without end."""
     sides = np.subtract(avatar.manifest.bounds_max_m, avatar.manifest.bounds_min_m)
     box_m2 = 2 * float((sides * np.roll(sides, 1)).sum())
+    rest_m = avatar.mean_vertices_m
     for level in avatar.levels:
-        a, b, c = avatar.mean_vertices_m[avatar.level_faces(level)].transpose(1, 0, 2)
+        a, b, c = rest_m[avatar.level_faces(level)].transpose(1, 0, 2)
         cover = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2 / box_m2
         if not cover <= MAX_COVER:
             raise ValueError(
