@@ -9,7 +9,7 @@ the face is held; a peer whose avatar is missing gets a seat without a face.
 
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -163,14 +163,16 @@ class Call:
             if seat is not None:
                 seat.subscribe(every, now)
 
-    def faces(self, now: float, ahead_s: float = 0.0) -> list[FaceState]:
+    def faces(
+        self, now: float, ahead_s: float = 0.0, resting: Container[str] = ()
+    ) -> list[FaceState]:
         """Return everybody who should have a seat at local time `now`, seconds, by rising place.
 
         ``ahead_s`` is in how many seconds these faces will be seen: lips go with the sound that is
-        heard then.
+        heard then. Peers whose ids are in `resting` keep the face that they show.
         """
         with self._lock:
-            faces = [self._face(seat, now, ahead_s) for seat in self._seats.values()]
+            faces = [self._face(seat, now, ahead_s, resting) for seat in self._seats.values()]
             return sorted(faces, key=lambda face: face.place)
 
     def avatar(self, avatar_id: str) -> Avatar | None:
@@ -323,11 +325,14 @@ class Call:
             return self._avatars.note(seat.track.avatar) or "no face yet"
         return "no signal" if seat.is_stale(now) else ""
 
-    def _face(self, seat: Participant, now: float, ahead_s: float) -> FaceState:
+    def _face(
+        self, seat: Participant, now: float, ahead_s: float, resting: Container[str]
+    ) -> FaceState:
         member, peer = seat.member, seat.member.peer
+        is_resting = seat.played is not None and peer.peer_id in resting
         voice_us = None if self.ears is None else self.ears.heard_us(peer.peer_id, now)
         heard_us = None if voice_us is None else voice_us + round(ahead_s * 1e6)
-        played, is_held = seat.play(now, heard_us)
+        played, is_held = (seat.played, False) if is_resting else seat.play(now, heard_us)
         face = FaceState(
             peer_id=peer.peer_id,
             name=member.name,
@@ -344,7 +349,7 @@ class Call:
             status = "away"
         elif seat.is_stale(now):
             status = "stale"
-        if not is_held and heard_us is not None:
+        if heard_us is not None and not (is_held or is_resting):
             self.skews_s.add(abs(played.captured_us - heard_us) / 1e6)
             self.delays_s.add(now + ahead_s - heard_us / 1e6)
         return replace(

@@ -155,7 +155,7 @@ class Scheduler:
                 decode=decode,
                 mesh_level=levels[mesh],
                 scale=scale,
-                every=_every(head),
+                every=self._every(head),
             )
         for head in heads:
             if not head.sight.is_visible:
@@ -198,6 +198,12 @@ class Scheduler:
         """The share of images in which a head is drawn: the others keep what was drawn."""
         is_resting = self._is_short and head.is_listening
         return min(self._since_s / (LISTENER_S if is_resting else FACE_S), 1.0)
+
+    def _every(self, head: Head) -> int:
+        """Which frames of its stream are wanted: of a listener who is not drawn at every face half
+        are more than are drawn."""
+        every = (4, 2, 1)[bisect_right(SHARE_PX, head.sight.head_px)]
+        return max(every, 2) if self._is_short and head.is_listening else every
 
     def _places(self, head: Head, shrink: float) -> tuple[int, int]:
         """Places, among the avatar's levels, of the maps and of the mesh in this frame."""
@@ -264,10 +270,6 @@ def _unseen(head: Head, now: float) -> Choice:
     is_wanted = now - head.seen_s < STREAM_HOLD_S
     level = head.held_level or head.avatar.levels[0]
     return Choice(level, "none", level, 1.0, int(is_wanted))
-
-
-def _every(head: Head) -> int:
-    return (4, 2, 1)[bisect_right(SHARE_PX, head.sight.head_px)]
 
 
 def _shrinks(num_heads: int, turns: int) -> list[float]:

@@ -122,10 +122,8 @@ class _Peer:
     captured_us: int = 0
     """Sender's clock at the newest sample that was decoded."""
     num_decoded: int = 0
-    held: FaceState | None = None
-    """The face that it shows until its turn comes, while it listens."""
     turn: int = 0
-    """In which of its turns that was taken."""
+    """In which of its turns its face was taken: a listener keeps it until the next comes."""
     is_awaited: bool = False
     """Whether a decode has been asked for and is not there."""
     drawn: Placement | None = None
@@ -212,7 +210,17 @@ class AvatarPresenter:
         wanted = wanted or ViewState()
         since_s = math.inf if self._arranged_s is None else max(now - self._arranged_s, 0.0)
         self._image_s = min(since_s, MAX_IMAGE_S)
-        faces = self._source.faces(now, self._ahead_s)
+        # Listeners take turns, so that images cost alike.
+        turns = {
+            peer_id: math.floor(now / LISTENER_S + number / len(self._peers))
+            for number, peer_id in enumerate(self._peers)
+        }
+        resting = {
+            peer_id
+            for peer_id, entry in self._peers.items()
+            if turns[peer_id] == entry.turn and self._is_waiting(entry, now)
+        }
+        faces = self._source.faces(now, self._ahead_s, resting)
         width, height = size
         places = [face.place for face in faces]
         for absent in self._peers.keys() - {face.peer_id for face in faces}:
@@ -231,18 +239,15 @@ class AvatarPresenter:
         limits = views.orbit_limits(plan, tuple(entry.span for entry in entries))
         self._arranged_s, step = now, since_s / FADE_S
         plan = self._settled(plan, [face.peer_id for face in faces], size, since_s)
-        shown, placements, levels = [], [], self._levels()
-        for number, (face, entry, seat) in enumerate(zip(faces, entries, plan.seats, strict=True)):
+        placements, levels = [], self._levels()
+        for face, entry, seat in zip(faces, entries, plan.seats, strict=True):
+            entry.turn = turns.get(face.peer_id, 0)
             entry.fade = _towards(FADE_OF_STATUS.get(face.status, 0.0), entry.fade, step)
             if face.latent is not None and entry.jaw is not None and face.status == "live":
                 entry.speaking.receive(entry.jaw.jaw_open(face.latent), now)
             if face.peer_id in levels:
                 is_loud = levels[face.peer_id] < AUDIBLE_LEVEL
                 entry.heard_s = now if is_loud else entry.heard_s or -math.inf
-            # Listeners take turns, so that images cost alike.
-            turn = math.floor(now / LISTENER_S + number / len(faces))
-            face = self._taken(entry, face, turn, now)
-            shown.append(face)
             placements.append(
                 Placement(
                     slot=face.peer_id,
@@ -257,7 +262,7 @@ class AvatarPresenter:
         )
         return CallScene(
             now=now,
-            faces=shown,
+            faces=faces,
             placements=placements,
             camera=camera,
             plan=plan,
@@ -371,22 +376,6 @@ class AvatarPresenter:
     def num_decoded(self) -> dict[str, int]:
         """Decodes so far, by peer id."""
         return {peer_id: entry.num_decoded for peer_id, entry in self._peers.items()}
-
-    def _taken(self, entry: _Peer, face: FaceState, turn: int, now: float) -> FaceState:
-        """The face to show of a peer: a listener keeps the one of its turn where drawing is
-        short."""
-        held = entry.held
-        is_waiting = turn == entry.turn and face.status == "live" and self._is_waiting(entry, now)
-        if held is not None and held.latent is not None and is_waiting:
-            return replace(
-                face,
-                latent=held.latent,
-                captured_us=held.captured_us,
-                rotation=held.rotation,
-                translation_m=held.translation_m,
-            )
-        entry.held, entry.turn = face, turn
-        return face
 
     def _is_waiting(self, entry: _Peer, now: float) -> bool:
         """Whether a peer gives way to who speaks."""

@@ -71,6 +71,16 @@ def test_a_peer_waits_until_its_first_frame_is_due(call: Call) -> None:
     assert face.latent == pytest.approx(np.ones((8, 8, 4)), abs=0.04)
 
 
+def test_who_rests_keeps_the_face_that_is_shown(call: Call) -> None:
+    call.receive_event(joined(peer("p1", "Ada", 7)), now=0.0)
+    assert call.faces(0.1, resting={"p1"})[0].latent is None
+    for number in range(3):
+        call.receive_event(frame(7, number, 100_000 * number), now=0.1 * number)
+    before = call.faces(0.21)[0].captured_us
+    assert call.faces(0.3, resting={"p1"})[0].captured_us == before
+    assert call.faces(0.3, resting={"p2"})[0].captured_us > before
+
+
 def test_a_silent_peer_becomes_stale_and_lives_again(call: Call) -> None:
     call.receive_event(joined(peer("p1", "Ada", 7)), now=0.0)
     call.receive_event(frame(7, 0, 0), now=0.0)

@@ -112,6 +112,8 @@ def test_where_time_is_short_listeners_are_drawn_less_often_before_anybody_is_co
     assert (free.is_short, short.is_short) == (False, True)
     assert [detail(choice) for choice in short.choices.values()] == [(1, 256, 128)] * 5
     assert short.cost_s < 0.7 * free.cost_s
+    assert [choice.every for choice in free.choices.values()] == [1] * 5
+    assert [choice.every for choice in short.choices.values()] == [1, 2, 2, 2, 2]
 
 
 # Time

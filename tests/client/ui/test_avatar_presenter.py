@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
+from collections.abc import Container
 from dataclasses import replace
 
 import numpy as np
@@ -33,7 +34,9 @@ class OneFace:
     def __init__(self, count: int = 1) -> None:
         self.peer_ids = [f"p{number}" for number in range(1, count + 1)]
 
-    def faces(self, now: float, ahead_s: float = 0.0) -> list[FaceState]:
+    def faces(
+        self, now: float, ahead_s: float = 0.0, resting: Container[str] = ()
+    ) -> list[FaceState]:
         latent = np.zeros((8, 8, 4), np.float32)
         return [
             FaceState(peer_id=peer_id, name="Ada", avatar_id="5" * 64, latent=latent)
@@ -77,14 +80,24 @@ def test_a_scene_says_which_layouts_there_is_room_for(
 
 
 class MovingFaces(OneFace):
-    """Several people whose faces and heads are never still."""
+    """Several people whose faces and heads are never still, but for those who rest."""
 
-    def faces(self, now: float, ahead_s: float = 0.0) -> list[FaceState]:
-        moved = {
-            "latent": np.full((8, 8, 4), now, np.float32),
-            "rotation": np.array([0, 0.1 * now, 0], np.float32),
-        }
-        return [replace(face, **moved) for face in super().faces(now)]
+    def __init__(self, count: int) -> None:
+        super().__init__(count)
+        self.taken_s = dict.fromkeys(self.peer_ids, 0.0)
+
+    def faces(
+        self, now: float, ahead_s: float = 0.0, resting: Container[str] = ()
+    ) -> list[FaceState]:
+        self.taken_s |= {peer_id: now for peer_id in self.peer_ids if peer_id not in resting}
+        return [
+            replace(
+                face,
+                latent=np.full((8, 8, 4), self.taken_s[face.peer_id], np.float32),
+                rotation=np.array([0, 0.1 * self.taken_s[face.peer_id], 0], np.float32),
+            )
+            for face in super().faces(now)
+        ]
 
 
 @pytest.mark.parametrize(("budget_s", "num_faces"), [(math.inf, 30), (0.0, 8)])
