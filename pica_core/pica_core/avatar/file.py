@@ -54,7 +54,7 @@ from pica_core.avatar.levels import (
     static_shape,
     textured_faces,
 )
-from pica_core.avatar.linear import check_linear, linear_shapes
+from pica_core.avatar.linear import check_linear, latent_movements, linear_shapes, stretches
 from pica_core.avatar.manifest import Manifest
 from pica_core.avatar.spec import MAP_SIZE, AvatarSpec, spec_tensor_shapes
 from pica_core.avatar.storage import MAX_MAGNITUDE, to_memory, to_storage
@@ -72,6 +72,10 @@ MAX_FACES = 400_000
 MAX_COVER = 4.0
 """A level's triangles together, at rest, over the surface of the box around the head (measured: 0.4
 to 0.8 for the six that ship): hundreds of thousands across a face would stop every viewer."""
+MAX_MOVED_COVER = 32.0
+"""The same of bases' triangles at most, over all latents up to `REACH` (measured: 4 to 7)."""
+REACH = 32.0
+"""Length of those latents (measured: faces take 10, crowds of random shapes 25)."""
 
 _INDEX_TYPES = {"I32", "U16"}
 _WEIGHT_TYPES = {"F32", "F16", "U8", "U16"}
@@ -395,19 +399,29 @@ def _check_tensors(spec: AvatarSpec, tensors: Mapping[str, Array]) -> None:
         check_linear(tensors)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # what is no number is beyond the limit
 def _check_cover(avatar: Avatar) -> None:
-    """Refuse triangles that lie over one another without end."""
+    """Refuse triangles that lie over one another without end, at rest or when they move."""
     sides = np.subtract(avatar.manifest.bounds_max_m, avatar.manifest.bounds_min_m)
     box_m2 = 2 * float((sides * np.roll(sides, 1)).sum())
-    rest_m = avatar.mean_vertices_m
+    rest_m, moved = avatar.mean_vertices_m, None
+    if avatar.spec.geometry == "bases":
+        moved = latent_movements(avatar.tensors, avatar.manifest.position_scale_m)
     for level in avatar.levels:
-        a, b, c = rest_m[avatar.level_faces(level)].transpose(1, 0, 2)
-        cover = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2 / box_m2
-        if not cover <= MAX_COVER:
-            raise ValueError(
-                f"triangles of level {level} cover {cover:.1f} times the box around the head; the "
-                f"limit is {MAX_COVER:g}"
-            )
+        faces = avatar.level_faces(level)
+        a, b, c = rest_m[faces].transpose(1, 0, 2)
+        area_m2 = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        checks = [("", area_m2, MAX_COVER)]
+        if moved is not None:
+            lengths_m = np.linalg.norm([b - a, c - a], axis=2) + REACH * stretches(moved, faces)
+            checks.append((" may, moved by linear.*,", lengths_m.prod(0), MAX_MOVED_COVER))
+        for how, twice_m2, limit in checks:
+            cover = float(twice_m2.sum(dtype=np.float64)) / 2 / box_m2
+            if not cover <= limit:
+                raise ValueError(
+                    f"triangles of level {level}{how} cover {cover:.1f} times the box around the "
+                    f"head; the limit is {limit:g}"
+                )
 
 
 def _with_ordered_metadata(data: bytes) -> bytes:

@@ -99,15 +99,38 @@ def components_of(
 ) -> FloatArray:
     """What a unit of each weight moves, regions put together again, metres: float32 ``[K, V, 3]``
     of the vertices with these numbers, or of all places of the sheet."""
-    mix, basis = tensors[f"{PREFIX}mix"], tensors[f"{PREFIX}basis"]
-    ends = np.cumsum(tensors[RANK])
-    starts = ends - tensors[RANK]
-    whole = np.zeros((len(starts), REGION, POSITION_CHANNELS, mix.shape[1]), np.float32)
-    for row, (start, end) in enumerate(zip(starts, ends, strict=True)):
-        whole[row] = np.tensordot(basis[start:end], scale_m * mix[start:end], axes=(0, 0))
-    flat = whole.reshape(-1, POSITION_CHANNELS, mix.shape[1])
+    flat = _movements(tensors, scale_m * tensors[f"{PREFIX}mix"])
     chosen = flat if vertices is None else flat[vertices]
     return np.ascontiguousarray(chosen.transpose(2, 0, 1), np.float32)
+
+
+def _movements(tensors: Mapping[str, Array], mix_m: Array) -> FloatArray:
+    """What a unit of each column of a mix ``[L, C]`` moves each place: ``[R * REGION, 3, C]``."""
+    ends = np.cumsum(tensors[RANK])
+    starts, basis = ends - tensors[RANK], tensors[f"{PREFIX}basis"]
+    whole = np.zeros((len(starts), REGION, POSITION_CHANNELS, mix_m.shape[1]), np.float32)
+    for row, (start, end) in enumerate(zip(starts, ends, strict=True)):
+        whole[row] = np.tensordot(basis[start:end], mix_m[start:end], axes=(0, 0))
+    return whole.reshape(-1, POSITION_CHANNELS, mix_m.shape[1])
+
+
+def latent_movements(tensors: Mapping[str, Array], scale_m: float) -> FloatArray:
+    """Rows of places, metres, float32 ``[R * REGION, C]``: no latent of length 1 moves two places
+    apart by more than their rows are apart."""
+    parts = tensors[f"{PREFIX}weight"], tensors[f"{PREFIX}bias"][:, None]
+    root = np.linalg.qr(np.concatenate(parts, axis=1).T, mode="r")  # has the lengths of weights
+    moved = _movements(tensors, scale_m * tensors[f"{PREFIX}mix"] @ root.T)
+    return moved.reshape(len(moved), -1)
+
+
+def stretches(moved: FloatArray, faces: IntArray) -> FloatArray:
+    """How far the ends of two sides of each triangle ``[F, 3]`` are apart in such rows ``[2, F]``:
+    no latent of length 1 makes a side longer by more."""
+    apart = []
+    for some in np.array_split(faces, -(-len(faces) // 8192)):  # a few megabytes at a time
+        a, b, c = moved[some].transpose(1, 0, 2)
+        apart.append([np.linalg.norm(end - a, axis=1) for end in (b, c)])
+    return np.concatenate(apart, axis=1)
 
 
 TOLERANCE_M = 1e-5

@@ -108,6 +108,9 @@ STILL_AFTER_US = 250_000
 """A face that has not changed for so long falls silent."""
 HEARTBEAT_US = 250_000
 """Time between two frames of a silent face."""
+MAX_LENGTH = 128.0
+"""Longer latents are shortened to this (measured: faces take 35, crowds of random shapes 60): what
+an avatar's file may do to the face of an extreme latent is bounded (`pica_core.avatar.file`)."""
 MAX_POSE = np.repeat((np.pi, 1.0), 3)
 """Rotation vectors (radians) and offsets (metres) are clamped to this: half a turn, an arm's length
 about the chair."""
@@ -336,8 +339,11 @@ class LatentDecoder:
         coefficients, is_still = decode_frame(self.profile, payload)
         count = self.profile.num_components
         pose = (coefficients[count:] * POSE_UNIT).astype(np.float32)
+        latent = self.profile.synthesise(coefficients[:count])
+        if (length := np.linalg.norm(latent)) > MAX_LENGTH:
+            latent *= np.float32(MAX_LENGTH / length)
         return LatentSample(
-            latent=self.profile.synthesise(coefficients[:count]).reshape(LATENT_SHAPE),
+            latent=latent.reshape(LATENT_SHAPE),
             rotation=pose[:3],
             translation_m=pose[3:],
             is_still=is_still,
