@@ -19,15 +19,8 @@ on average over faces and views. Pose units are 2⁻¹⁴ radians and 2⁻¹⁴ 
 The tables are the same for all avatars: a coefficient is 0 with one chance, and each magnitude is
 so much rarer than the one before. Tables learned for each avatar save 1.6 % of a payload.
 
-Symbols are coded by an integer range coder, bit-exact everywhere. A payload is a binary fraction in
-[0, 1), its bytes without trailing zeros. Each symbol narrows the interval [low, low + range) to the
-part that its frequency has of ``TOTAL``:
-
-    r = range >> 14;  low += start * r;  range = r * frequency
-
-and whenever range falls below 2⁴⁰ both are scaled by 2⁸. At the end the shortest fraction inside
-the interval is the payload: half a byte more than the information on average. Libraries write whole
-words of 32 bits, a fifth of a frame too many.
+Symbols are coded by an integer range coder, bit-exact everywhere (`docs/wire.md`). Libraries write
+whole words of 32 bits, a fifth of a frame too many.
 
 Source: Martin, "Range encoding" (1979), in integers of 48 bits; the carry runs through ``low``.
 """
@@ -90,17 +83,10 @@ def write_symbols(ranges: Iterable[Range]) -> bytes:
             width <<= 8
             low <<= 8
             num_bits += 8
-    # As many bytes as certainly reach into the interval, then fewer while fewer do.
-    num_bytes = (num_bits - width.bit_length() + 1 + 7) // 8
-    while num_bytes > 0 and _is_inside(low, width, num_bits - 8 * (num_bytes - 1)):
-        num_bytes -= 1
-    shift = num_bits - 8 * num_bytes
-    return ((low + (1 << shift) - 1) >> shift).to_bytes(num_bytes, "big")
-
-
-def _is_inside(low: int, width: int, shift: int) -> bool:
-    """Whether a multiple of ``1 << shift`` lies in the interval."""
-    return ((low + (1 << shift) - 1) >> shift) << shift < low + width
+    shift = num_bits  # as few bytes as reach into the interval
+    while (code := -(-low >> shift)) << shift >= low + width:
+        shift -= 8
+    return code.to_bytes((num_bits - shift) // 8, "big")
 
 
 class SymbolReader:
@@ -174,14 +160,14 @@ UNITS_PER_RMSE = 64
 MAX_COMPONENTS = 128
 MAX_SYNTHESIS_SHIFT = 24
 
-_ARRAYS: Mapping[str, tuple[type[np.integer[Any]], int, int]] = {
-    "mean": (np.int32, -MAX_LATENT, MAX_LATENT),
-    "analysis": (np.int16, -(1 << 15), (1 << 15) - 1),
-    "synthesis": (np.int16, -(1 << 15), (1 << 15) - 1),
-    "synthesis_shift": (np.int32, 0, MAX_SYNTHESIS_SHIFT),
-    "table_index": (np.uint8, 0, NUM_TABLES - 1),
+_ARRAYS: Mapping[str, tuple[type[np.integer[Any]], int, int, tuple[int, ...]]] = {
+    "mean": (np.int32, -MAX_LATENT, MAX_LATENT, (NUM_LATENT,)),
+    "analysis": (np.int16, -(1 << 15), (1 << 15) - 1, (NUM_LATENT, -1)),
+    "synthesis": (np.int16, -(1 << 15), (1 << 15) - 1, (-1, NUM_LATENT)),
+    "synthesis_shift": (np.int32, 0, MAX_SYNTHESIS_SHIFT, (1,)),
+    "table_index": (np.uint8, 0, NUM_TABLES - 1, (-1, NUM_CONTEXTS)),
 }
-"""Type of each array, and the smallest and the largest number that it may hold."""
+"""Type of each array, the smallest and the largest number that it may hold, and shape; -1 is K."""
 
 
 @cache
@@ -227,15 +213,8 @@ class StreamProfile:
             raise ProfileError(
                 f"{PREFIX}table_index has {count} rows; 1 to {MAX_COMPONENTS} are allowed"
             )
-        shapes = {
-            "mean": (NUM_LATENT,),
-            "analysis": (NUM_LATENT, count),
-            "synthesis": (count, NUM_LATENT),
-            "synthesis_shift": (1,),
-            "table_index": (count, NUM_CONTEXTS),
-        }
-        for name, (kind, low, high) in _ARRAYS.items():
-            array, shape = getattr(self, name), shapes[name]
+        for name, (kind, low, high, sides) in _ARRAYS.items():
+            array, shape = getattr(self, name), tuple(count if n < 0 else n for n in sides)
             if array.dtype != kind or array.shape != shape:
                 raise ProfileError(
                     f"{PREFIX}{name} is {array.dtype} {list(array.shape)}; "
