@@ -118,7 +118,8 @@ def latent_movements(tensors: Mapping[str, Array], scale_m: float) -> FloatArray
     """Rows of places, metres, float32 ``[R * REGION, C]``: no latent of length 1 moves two places
     apart by more than their rows are apart."""
     parts = tensors[f"{PREFIX}weight"], tensors[f"{PREFIX}bias"][:, None]
-    root = np.linalg.qr(np.concatenate(parts, axis=1).T, mode="r")  # has the lengths of weights
+    # As large as weights for the same latent, and no larger than it is wide.
+    root = np.asarray(np.linalg.qr(np.concatenate(parts, axis=1).T, mode="r"))
     moved = _movements(tensors, scale_m * tensors[f"{PREFIX}mix"] @ root.T)
     return moved.reshape(len(moved), -1)
 
