@@ -7,166 +7,97 @@ sin(W x + b) and nothing else, in torch, in the avatar file and in GLSL.
 """
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import final
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
 from pica_core.avatar.spec import (
-    AXIS_ENCODING_CHANNELS,
     EXPRESSION_CHANNELS,
     NUM_FREQUENCIES,
     PIXEL_CHANNELS,
-    UV_ENCODING_CHANNELS,
     XYZ_CHANNELS,
     AvatarSpec,
 )
 from pica_core.model.networks import sample_map
 
 
-class SurfaceEncoding(nn.Module, ABC):
-    """Surface points to codes."""
+class SurfaceEncoding(nn.Module):
+    """Surface points to codes: the parts that a spec names, one after another; none at all makes
+    codes of width 0.
 
-    channels: int
-    """Width of the codes."""
+    Maps and tables are read linearly, and their entries uniform in [-amplitude, amplitude] at
+    first.
 
-    @abstractmethod
-    def forward(self, uv: Tensor) -> Tensor:
-        """Encode points ``[P, 2]`` to ``[P, channels]``."""
+    Args:
+        amplitude: 1 in the paper.
+    """
 
+    def __init__(self, spec: AvatarSpec, amplitude: float) -> None:
+        super().__init__()
+        self._parts = [_PARTS[part] for part in spec.encoding_channels]
+        self._shapes = spec.encoding_shapes
+        for name, (*size, channels) in self._shapes.items():
+            values = torch.empty(1, channels, *[1, *size][-2:])
+            self.register_parameter(name, nn.Parameter(values.uniform_(-amplitude, amplitude)))
+
+    @torch.no_grad()
     def start_from(self, texture: Tensor, contrast: float) -> None:
-        """Begin with a person's mean texture, in parts that can hold one.
+        """Begin with a person's mean texture in the first three channels of m_uv, if there is one.
 
         Args:
             texture: 0 to 1, row 0 is v = 0, ``[3, T, T]``.
             contrast: What black and white become: minus and plus this.
         """
+        if (joint := self.tables.get("uv_encoding")) is not None:
+            size = joint.shape[2:]
+            resized = functional.interpolate(texture[None], size, mode="bilinear", antialias=True)
+            joint[:, :3] = contrast * (2 * resized - 1)
+
+    def forward(self, uv: Tensor) -> Tensor:
+        """Encode points ``[P, 2]`` to ``[P, C]``."""
+        return torch.cat([uv[:, :0], *(part(self.tables, uv) for part in self._parts)], 1)
+
+    @property
+    def tables(self) -> dict[str, Tensor]:
+        """Maps and tables under their names in the avatar file, ``[1, C, H, W]``; H is 1 in
+        tables."""
+        return dict(self.named_parameters())
 
     def named_tensors(self) -> dict[str, Tensor]:
-        """The weights under their names, and in the shapes, of the avatar file."""
-        return {}
+        """The same in the shapes of the avatar file, channel-last."""
+        return {
+            name: values[0].permute(1, 2, 0).reshape(self._shapes[name])
+            for name, values in self.tables.items()
+        }
 
 
-@final
-class JointMap(SurfaceEncoding):
-    """m_uv, piecewise bilinear, its entries uniform in [-amplitude, amplitude] at first."""
-
-    channels = UV_ENCODING_CHANNELS
-
-    def __init__(self, spec: AvatarSpec, amplitude: float) -> None:
-        super().__init__()
-        size = spec.uv_encoding_size
-        values = torch.empty(1, self.channels, size, size).uniform_(-amplitude, amplitude)
-        self.values = nn.Parameter(values)
-
-    @torch.no_grad()
-    def start_from(self, texture: Tensor, contrast: float) -> None:
-        """Colours in the first three channels; the others stay as they are."""
-        size = self.values.shape[2:]
-        resized = functional.interpolate(texture[None], size, mode="bilinear", antialias=True)
-        self.values[:, :3] = contrast * (2 * resized - 1)
-
-    def forward(self, uv: Tensor) -> Tensor:
-        """Look the map up between its four nearest texels."""
-        return sample_map(self.values, uv)[0]
-
-    def named_tensors(self) -> dict[str, Tensor]:
-        """The map as ``uv_encoding``, channel-last."""
-        return {"uv_encoding": self.values[0].permute(1, 2, 0)}
+def _axes(tables: dict[str, Tensor], uv: Tensor) -> Tensor:
+    middle = torch.full_like(uv[:, :1], 0.5)
+    along_u = sample_map(tables["u_encoding"], torch.cat([uv[:, :1], middle], 1))
+    along_v = sample_map(tables["v_encoding"], torch.cat([uv[:, 1:], middle], 1))
+    return torch.cat([along_u, along_v], 2)[0]
 
 
-@final
-class AxisTables(SurfaceEncoding):
-    """m_u and m_v, piecewise linear, started as `JointMap` is."""
-
-    channels = 2 * AXIS_ENCODING_CHANNELS
-
-    def __init__(self, spec: AvatarSpec, amplitude: float) -> None:
-        super().__init__()
-        shape = 1, AXIS_ENCODING_CHANNELS, 1, spec.axis_encoding_size
-        self.along_u, self.along_v = (
-            nn.Parameter(torch.empty(shape).uniform_(-amplitude, amplitude)) for _ in range(2)
-        )
-
-    def forward(self, uv: Tensor) -> Tensor:
-        """Look each table up between its two nearest entries."""
-        middle = torch.full_like(uv[:, :1], 0.5)
-        along_u = sample_map(self.along_u, torch.cat([uv[:, :1], middle], 1))
-        along_v = sample_map(self.along_v, torch.cat([uv[:, 1:], middle], 1))
-        return torch.cat([along_u, along_v], 2)[0]
-
-    def named_tensors(self) -> dict[str, Tensor]:
-        """The tables as ``u_encoding`` and ``v_encoding``, channel-last."""
-        return {"u_encoding": self.along_u[0, :, 0].T, "v_encoding": self.along_v[0, :, 0].T}
+def _sinusoids(_: dict[str, Tensor], uv: Tensor) -> Tensor:
+    octaves: list[Tensor] = []
+    for octave in range(NUM_FREQUENCIES):
+        turns = uv * float(1 << octave)
+        # Whole turns are taken off first, which is exact in any precision.
+        angle = (turns - turns.detach().floor()) * (2 * math.pi)
+        octaves += [angle.sin(), angle.cos()]
+    return torch.cat(octaves, 1)
 
 
-@final
-class RawUv(SurfaceEncoding):
-    """The coordinates in [-1, 1]; no weights."""
-
-    channels = 2
-
-    def forward(self, uv: Tensor) -> Tensor:
-        """2 uv - 1."""
-        return 2 * uv - 1
-
-
-@final
-class Sinusoids(SurfaceEncoding):
-    """Ten octaves of sines and cosines; no weights."""
-
-    channels = 4 * NUM_FREQUENCIES
-
-    def forward(self, uv: Tensor) -> Tensor:
-        """Whole turns are taken off first, which is exact in any precision."""
-        octaves: list[Tensor] = []
-        for octave in range(NUM_FREQUENCIES):
-            turns = uv * float(1 << octave)
-            angle = (turns - turns.detach().floor()) * (2 * math.pi)
-            octaves += [angle.sin(), angle.cos()]
-        return torch.cat(octaves, 1)
-
-
-PARTS: dict[str, Callable[[AvatarSpec, float], SurfaceEncoding]] = {
-    "joint": JointMap,
-    "axes": AxisTables,
-    "uv": lambda spec, amplitude: RawUv(),
-    "sinusoids": lambda spec, amplitude: Sinusoids(),
+_PARTS: dict[str, Callable[[dict[str, Tensor], Tensor], Tensor]] = {
+    "joint": lambda tables, uv: sample_map(tables["uv_encoding"], uv)[0],
+    "axes": _axes,
+    "uv": lambda tables, uv: 2 * uv - 1,
+    "sinusoids": _sinusoids,
 }
-
-
-@final
-class SideBySide(SurfaceEncoding):
-    """The parts that a spec names, one after another; none at all makes codes of width 0.
-
-    Args:
-        amplitude: Half-width of the tables' uniform start, 1 in the paper.
-    """
-
-    def __init__(self, spec: AvatarSpec, amplitude: float) -> None:
-        super().__init__()
-        self._encodings = [PARTS[part](spec, amplitude) for part in spec.encoding_channels]
-        self.parts = nn.ModuleList(self._encodings)
-        self.channels = sum(part.channels for part in self._encodings)
-
-    def start_from(self, texture: Tensor, contrast: float) -> None:
-        """Let each part begin with the texture."""
-        for part in self._encodings:
-            part.start_from(texture, contrast)
-
-    def forward(self, uv: Tensor) -> Tensor:
-        """All parts' codes."""
-        return torch.cat([uv[:, :0], *(part(uv) for part in self.parts)], 1)
-
-    def named_tensors(self) -> dict[str, Tensor]:
-        """All parts' weights."""
-        return {name: t for part in self._encodings for name, t in part.named_tensors().items()}
-
-
+"""Codes of points ``[P, 2]`` by each part of `spec.ENCODINGS`."""
 XYZ_UNIT_M = 0.1
 """Head-frame coordinates enter the network in this unit, which brings a face to about [-1, 1]."""
 STARTS = 64
@@ -249,7 +180,7 @@ class PixelDecoder(nn.Module):
         encoding_amplitude: float = 1.0,
     ) -> None:
         super().__init__()
-        self.encoding = SideBySide(spec, encoding_amplitude)
+        self.encoding = SurfaceEncoding(spec, encoding_amplitude)
         self.xyz = Siren(3, XYZ_CHANNELS, linear_output=False)
         self.colour = Siren(spec.pixel_input_channels, PIXEL_CHANNELS, linear_output=True)
 

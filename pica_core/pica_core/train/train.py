@@ -52,7 +52,7 @@ FINAL_RATE_RATIO = 0.02
 """Learning rate at the end of a phase, against its peak; between them half a cosine."""
 METRICS, METRICS_EVERY = "metrics.jsonl", 50
 """File of metrics in a run's folder, and the steps between its lines."""
-CHECKPOINT, CHECKPOINT_VERSION = "checkpoint.pt", 4
+CHECKPOINT, CHECKPOINT_VERSION = "checkpoint.pt", 5
 SCALE_TOLERANCE = 1e-5
 """Relative difference of position scales that two machines' sums may show for one capture."""
 
