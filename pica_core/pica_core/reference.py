@@ -122,7 +122,7 @@ def _connect(tensors: Tensors, layer: str, values: Array, dtype: Dtype) -> Array
     return found
 
 
-def pixel_inputs(
+def decode_pixels(
     spec: AvatarSpec,
     tensors: Mapping[str, Array],
     expression: npt.ArrayLike,
@@ -130,7 +130,7 @@ def pixel_inputs(
     uv: npt.ArrayLike,
     dtype: Dtype = np.float32,
 ) -> Array:
-    """The vector p of every pixel: ``[..., 16]`` in the paper's sizes.
+    """Colour pixels: RGB ``[..., 3]``, 0..1 but *not* clamped.
 
     Args:
         expression: Expression code z at the pixel. ``[..., 4]``.
@@ -141,19 +141,7 @@ def pixel_inputs(
     for index in range(len(XYZ_CHANNELS)):
         x = np.sin(_connect(tensors, f"xyz.{index}", x, dtype))
     surface = encode_surface(spec, tensors, uv, dtype)
-    return np.concatenate([np.asarray(expression, dtype), x, surface], axis=-1)
-
-
-def decode_pixels(
-    spec: AvatarSpec,
-    tensors: Mapping[str, Array],
-    expression: npt.ArrayLike,
-    xyz_m: npt.ArrayLike,
-    uv: npt.ArrayLike,
-    dtype: Dtype = np.float32,
-) -> Array:
-    """Colour pixels: RGB ``[..., 3]``, 0..1 but *not* clamped. Arguments as for `pixel_inputs`."""
-    p = pixel_inputs(spec, tensors, expression, xyz_m, uv, dtype)
+    p = np.concatenate([np.asarray(expression, dtype), x, surface], axis=-1)
     for index in range(len(PIXEL_CHANNELS) - 1):
         p = np.sin(_connect(tensors, f"pixel.{index}", p, dtype))
     return _connect(tensors, f"pixel.{len(PIXEL_CHANNELS) - 1}", p, dtype)

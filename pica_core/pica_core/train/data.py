@@ -6,6 +6,8 @@ the dense one's vertices, or all. The best meshes there are: exact ones; without
 ones.
 """
 
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache, lru_cache
 
@@ -20,14 +22,14 @@ from pica_core.avatar.linear import fit_bases, split_bases
 from pica_core.avatar.spec import MAP_SIZE, VARIANTS, TopologyName
 from pica_core.camera import Camera
 from pica_core.capture.dataset import multiface
-from pica_core.capture.dataset.dataset import Capture, CaptureReader, Request, Topology
+from pica_core.capture.dataset.dataset import Capture, Topology
 from pica_core.errors import CaptureError
 from pica_core.model.interface import FacePrior, LinearPrior
 from pica_core.model.linear import CODE_SIZE
 from pica_core.model.networks import resize_texture, sample_map
 from pica_core.train.config import MeshSource
 from pica_core.train.raster import Rasteriser
-from pica_core.types import BoolArray, Float64Array, FloatArray, Image, Int64Array, IntArray
+from pica_core.types import Array, BoolArray, Float64Array, FloatArray, Image, Int64Array, IntArray
 
 TEXEL_TOLERANCE = 1e-2
 """How far from a texel centre a vertex may lie to own the texel, texels."""
@@ -259,6 +261,8 @@ def rarity(offsets_m: FloatArray, regions: dict[str, BoolArray]) -> Float64Array
 
 IMAGE_CACHE_BYTES = 4 << 30
 """Decoded images, depth and textures kept in memory; the least recently used go first."""
+DECODERS = 2
+"""Threads that decode them, also before they are needed."""
 MAX_TEXTURES = 2048
 """The same of textures as tensors: 0.8 MB each at 256 x 256."""
 
@@ -266,13 +270,18 @@ MAX_TEXTURES = 2048
 class ImageCache:
     """The images of a capture behind a cache of bounded size, and the cameras that took them.
 
+    What it returns is shared: do not write into it. An image that cannot be read is a CaptureError.
+
     Attributes:
         evaluation_views: Cameras that errors are measured from; all where the capture names none.
     """
 
     def __init__(self, capture: Capture) -> None:
         self._capture = capture
-        self.reader = CaptureReader(capture, IMAGE_CACHE_BYTES)
+        pixels = max(camera.width * camera.height for camera in capture.cameras)
+        count = IMAGE_CACHE_BYTES // (4 * max(pixels, capture.texture_size**2))
+        pool = ThreadPoolExecutor(DECODERS, thread_name_prefix="decode")
+        self._read: Callable[..., Future[Array]] = lru_cache(max(count, 1))(pool.submit)
         self.camera_names = [camera.name for camera in capture.cameras]
         named = capture.info.get("evaluation_views", [])
         views = [name for name in self.camera_names if name in named]
@@ -282,20 +291,15 @@ class ImageCache:
         self._head_pose = cache(lambda frame: capture.head_to_world(capture.frames[frame]))
 
     def image(self, frame: int, camera: str) -> Image:
-        """An image; uint8 ``[H, W, 3]``.
-
-        Raises:
-            CaptureError: It cannot be read.
-        """
-        return self.reader.read(Request("image", frame, camera))
+        """An image; uint8 ``[H, W, 3]``."""
+        return self._image(frame, camera).result()
 
     def depth_m(self, frame: int, camera: str) -> FloatArray:
         """Measured depth, 0 where unknown, float32 ``[H, W]``."""
         if not self._has_depth(frame, camera):
             unknown = self._capture.camera(camera)
             return np.zeros((unknown.height, unknown.width), np.float32)
-        depth_m: FloatArray = self.reader.read(Request("depth", frame, camera))
-        return depth_m
+        return self._depth(frame, camera).result()
 
     def textures(self, frames: list[int], size: int) -> Tensor:
         """Average textures of frames, about [-1, 1], ``[N, 3, size, size]``."""
@@ -311,9 +315,17 @@ class ImageCache:
 
     def expect(self, images: list[tuple[int, str]], *, depth: bool) -> None:
         """Have images decoded while something else goes on."""
-        self.reader.ask(Request("image", *image) for image in images)
-        if depth:
-            self.reader.ask(Request("depth", *image) for image in images if self._has_depth(*image))
+        for image in images:
+            self._image(*image)
+        for image in images:
+            if depth and self._has_depth(*image):
+                self._depth(*image)
+
+    def _image(self, frame: int, camera: str) -> Future[Image]:
+        return self._read(self._capture.image, self._capture.frames[frame], camera)
+
+    def _depth(self, frame: int, camera: str) -> Future[FloatArray]:
+        return self._read(self._capture.depth_m, self._capture.frames[frame], camera)
 
     def camera(self, frame: int, name: str) -> Camera:
         """The camera of an image in the frame's head axes: head to camera."""
@@ -325,7 +337,8 @@ class ImageCache:
         return self._capture.has_depth and (self._capture.path / path).is_file()
 
     def _texture_of(self, frame: int, size: int) -> Tensor:
-        stored = torch.from_numpy(self.reader.read(Request("texture", frame)).copy())
+        where = self._capture.frames[frame]
+        stored = torch.from_numpy(self._read(self._capture.average_texture, where).result())
         texture = stored.permute(2, 0, 1)[None].to(torch.float32) / 127.5 - 1
         return resize_texture(texture, size)[0]
 

@@ -9,7 +9,7 @@ from helpers.toy import make_toy_avatar
 from pica_core.reference import (
     count_parameters,
     decode_pixels,
-    pixel_inputs,
+    encode_surface,
 )
 from pica_core.sampling import sample_bilinear
 
@@ -48,15 +48,22 @@ def test_outside_the_centres_the_edge_continues(uv: tuple[float, float]) -> None
 
 def test_decoding_agrees_with_one_pixel_computed_by_hand() -> None:
     expression, xyz_m, uv = some_pixels(1)
-    p = pixel_inputs(TOY.spec, TOY.tensors, expression, xyz_m, uv, np.float64)[0]
-    values = list(p)
-    for layer in range(4):
-        weight, bias = (TOY.tensors[f"pixel.{layer}.{part}"] for part in ("weight", "bias"))
-        sums = [
+
+    def layer(name: str, values: list[float]) -> list[float]:
+        weight, bias = (TOY.tensors[f"{name}.{part}"] for part in ("weight", "bias"))
+        return [
             float(bias[row]) + sum(float(weight[row, k]) * values[k] for k in range(len(values)))
             for row in range(len(weight))
         ]
-        values = sums if layer == 3 else [float(np.sin(value)) for value in sums]
+
+    values = list(xyz_m[0])
+    for index in range(2):
+        values = [float(np.sin(value)) for value in layer(f"xyz.{index}", values)]
+    surface = encode_surface(TOY.spec, TOY.tensors, uv, np.float64)[0]
+    values = [*expression[0], *values, *surface]
+    for index in range(4):
+        values = layer(f"pixel.{index}", values)
+        values = values if index == 3 else [float(np.sin(value)) for value in values]
     decoded = decode_pixels(TOY.spec, TOY.tensors, expression, xyz_m, uv, np.float64)[0]
     np.testing.assert_allclose(decoded, values, rtol=1e-12)
 

@@ -1,6 +1,6 @@
 """Find what is wrong with a capture, by reading all of it as training does."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -33,9 +33,19 @@ def check_capture(directory: Path) -> dict[str, Any]:
         f"{directory}: no frame is for {name}ing" for name, count in split.items() if not count
     ]
     for frame in capture.frames:
-        for work in _works(capture, frame):
+        reads: list[Callable[[], object]] = [partial(capture.average_texture, frame)]
+        if capture.has_truth:
+            reads.append(partial(capture.true_vertices_m, frame))
+        reads.append(partial(_see, capture, frame))
+        for camera in capture.cameras:
+            if capture.is_published and camera.name not in capture.cameras_of(frame):
+                continue  # published captures miss frames of single cameras
+            reads.append(partial(capture.image, frame, camera.name))
+            if capture.has_depth:
+                reads.append(partial(capture.depth_m, frame, camera.name))
+        for read in reads:
             try:
-                work()
+                read()
             except CaptureError as error:
                 problems.append(str(error))
     images = sum(len(capture.cameras_of(frame)) for frame in capture.frames)
@@ -43,28 +53,16 @@ def check_capture(directory: Path) -> dict[str, Any]:
     return {"ok": not problems, "problems": problems, **counts, "split": split}
 
 
-def _works(capture: Capture, frame: CaptureFrame) -> Iterator[Callable[[], object]]:
-    """Whatever is read of a frame."""
-    yield partial(capture.average_texture, frame)
-    if capture.has_truth:
-        yield partial(capture.true_vertices_m, frame)
-    for camera in capture.cameras:
-        if capture.is_published and camera.name not in capture.cameras_of(frame):
-            continue  # published captures miss frames of single cameras
-        yield partial(capture.image, frame, camera.name)
-        if capture.has_depth:
-            yield partial(capture.depth_m, frame, camera.name)
-        yield partial(_see, capture, frame, camera.name)
-
-
-def _see(capture: Capture, frame: CaptureFrame, name: str) -> None:
+def _see(capture: Capture, frame: CaptureFrame) -> None:
     """Raise CaptureError for a camera that looks elsewhere."""
-    camera = capture.head_camera(frame, name)
-    pixels, distance = camera.project(capture.vertices_m(frame))
-    inside = (distance > 0) & (pixels >= 0).all(axis=1)
-    seen = np.mean(inside & (pixels < [camera.width, camera.height]).all(axis=1))
-    if seen < LEAST_SEEN:
-        raise CaptureError(
-            f"{capture.path / multiface.KRT}: camera {name} sees {seen:.1%} of the mesh of "
-            f"{frame.segment} {frame.name}"
-        )
+    vertices_m = capture.vertices_m(frame)
+    for name in capture.cameras_of(frame):
+        camera = capture.head_camera(frame, name)
+        pixels, distance = camera.project(vertices_m)
+        inside = (distance > 0) & (pixels >= 0).all(axis=1)
+        seen = np.mean(inside & (pixels < [camera.width, camera.height]).all(axis=1))
+        if seen < LEAST_SEEN:
+            raise CaptureError(
+                f"{capture.path / multiface.KRT}: camera {name} sees {seen:.1%} of the mesh of "
+                f"{frame.segment} {frame.name}"
+            )

@@ -4,9 +4,8 @@
     for frame in capture.frames_of("train"):
         capture.vertices_m(frame), capture.image(frame, "front")
 
-`CaptureReader` keeps what fits into memory and decodes ahead. Every problem is a
-`CaptureError` that names the file and what is wrong with it; frames whose files are missing or cut
-short are left out when the capture is opened, counted and told of once.
+Every problem is a `CaptureError` that names the file and what is wrong with it; frames whose files
+are missing or cut short are left out when the capture is opened, counted and told of once.
 
 A Multiface directory as it was published (Wuu et al. 2022, arXiv 2207.11243) has no `capture.json`,
 no topology and no expressions: topology is found from the first tracked OBJ, image size from the
@@ -18,11 +17,7 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Iterable
-from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import AbstractContextManager
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -42,6 +37,8 @@ from pica_core.capture.dataset.files import (
 )
 from pica_core.errors import CaptureError
 from pica_core.types import Array, ByteArray, Float64Array, FloatArray, Int64Array
+
+log = logging.getLogger(__name__)
 
 HELD_OUT_EVERY = 10
 """Segments, in the order of their names, of which the fifth is for testing."""
@@ -349,68 +346,3 @@ class Capture:
         path = multiface.texture_path(self.texture_size, frame.segment, frame.name)
         size = (self.texture_size, self.texture_size)
         return np.ascontiguousarray(load_image(self.path / path, "RGB", size)[::-1])
-
-
-log = logging.getLogger(__name__)
-
-MAX_BYTES = 2 << 30
-"""Decoded arrays in memory by default (chosen)."""
-THREADS = 2
-
-
-@dataclass(frozen=True, slots=True)
-class Request:
-    """One array of a capture."""
-
-    kind: str
-    """``image``, ``depth`` or ``texture``."""
-    frame: int
-    """Place in `Capture.frames`."""
-    camera: str = ""
-    """Camera name, for images and depth."""
-
-
-class CaptureReader(AbstractContextManager["CaptureReader"]):
-    """A capture behind a cache of about `max_bytes`, which threads fill. Use it from one thread.
-
-    The least recently used arrays go first, so memory does not depend on the size of the capture.
-
-    Attributes:
-        max_arrays: How many are kept, or being decoded, at most.
-    """
-
-    def __init__(self, capture: Capture, max_bytes: int = MAX_BYTES) -> None:
-        self.capture = capture
-        pixels = max(camera.width * camera.height for camera in capture.cameras)
-        self.max_arrays = max(max_bytes // (4 * max(pixels, capture.texture_size**2)), 1)
-        self._pool = ThreadPoolExecutor(THREADS, thread_name_prefix="decode")
-        self._begin = lru_cache(self.max_arrays)(self._submit)
-
-    def __exit__(self, *error: object) -> None:
-        self._pool.shutdown(wait=True, cancel_futures=True)
-
-    def ask(self, requests: Iterable[Request]) -> None:
-        """Have arrays decoded that will be read soon, in this order."""
-        for request in requests:
-            self._begin(request)
-
-    def read(self, request: Request) -> Array:
-        """An array; do not write into it.
-
-        Raises:
-            CaptureError: It cannot be read.
-        """
-        return self._begin(request).result()
-
-    def _submit(self, request: Request) -> Future[Array]:
-        return self._pool.submit(self._decode, request)
-
-    def _decode(self, request: Request) -> Array:
-        capture, frame = self.capture, self.capture.frames[request.frame]
-        if request.kind == "texture":
-            array: Array = capture.average_texture(frame)
-        else:
-            read = capture.image if request.kind == "image" else capture.depth_m
-            array = read(frame, request.camera)
-        array.flags.writeable = False
-        return array

@@ -1,4 +1,4 @@
-"""Captures of others, captures with holes, and captures larger than memory."""
+"""Captures of others, and captures with holes."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
-from helpers.published_capture import HEIGHT, PLACES_MM, SEGMENTS, TEXTURE, WIDTH, write_published
-from pica_core.capture.dataset.dataset import Capture, CaptureReader, Request
+from helpers.published_capture import HEIGHT, PLACES_MM, SEGMENTS, WIDTH, write_published
+from pica_core.capture.dataset.dataset import Capture
 from pica_core.errors import CaptureError
 
 pytestmark = pytest.mark.unit
@@ -117,40 +116,3 @@ def test_an_obj_that_points_nowhere_is_named(original: Path) -> None:
     path.write_text("v 0 0 0\nvt 0 0\nf 1/1 2/1 1/1\n")
     with pytest.raises(CaptureError, match=r"000000\.obj: triangles of 1 vertices"):
         Capture.open(original)
-
-
-def requests_of(capture: Capture) -> list[Request]:
-    return [
-        Request("image", frame.index, camera)
-        for frame in capture.frames
-        for camera in capture.cameras_of(frame)
-    ]
-
-
-@pytest.mark.parametrize("max_arrays", [3, 1000])
-def test_an_array_is_decoded_again_only_if_it_had_to_go(
-    original: Path, max_arrays: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    capture, decoded = Capture.open(original), []
-    requests = requests_of(capture)
-    read = capture.image
-    monkeypatch.setattr(capture, "image", lambda *what: decoded.append(what) or read(*what))
-    with CaptureReader(capture, max_bytes=max_arrays * 4 * WIDTH * HEIGHT) as reader:
-        assert reader.max_arrays == max_arrays
-        reader.ask(requests[:3])
-        for request in [*requests, *requests]:
-            expected = read(capture.frames[request.frame], request.camera)
-            np.testing.assert_array_equal(reader.read(request), expected)
-        texture = reader.read(Request("texture", 3))
-    assert len(decoded) == len(requests) * (2 if max_arrays < len(requests) else 1)
-    assert texture.shape == (TEXTURE, TEXTURE, 3)
-
-
-def test_a_bad_image_is_named(original: Path) -> None:
-    folder = original / "images" / SEGMENTS[0] / "front"
-    Image.new("RGB", (WIDTH, WIDTH)).save(folder / "000002.png")
-    with (
-        CaptureReader(Capture.open(original)) as reader,
-        pytest.raises(CaptureError, match="24x24, 24x36 is needed"),
-    ):
-        reader.read(Request("image", 2, "front"))
