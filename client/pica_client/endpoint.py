@@ -416,8 +416,9 @@ class CallMonitor:
             return self._uplink.pause()
         if is_busy:
             return self._uplink.skip()
-        num_sent = max(publisher.num_sent - num_replaced, 0)
-        return self._uplink.receive(PlayoutReport(received=num_sent, lost=num_replaced), now)
+        missed_s = num_replaced / publisher.config.fps
+        report = PlayoutReport(received=publisher.num_sent, missed_s=missed_s)
+        return self._uplink.receive(report, now)
 
     def _summary(self, now: float, bps: float) -> tuple[tuple[str, str], ...]:
         stats = self._receiver.stats(now)

@@ -105,18 +105,24 @@ async def test_a_face_is_sent_muted_and_let_go_on_over_the_link_of_the_call() ->
 
 
 @in_virtual_time
-async def test_who_cannot_send_in_time_is_told_during_the_call_that_the_connection_is_poor() -> (
-    None
-):
+async def test_a_poor_connection_is_told_to_its_owner_and_where_the_face_stands_still() -> None:
     current_network().route("ada", up=Wire(delay_s=0.02, rate_bps=8_000, queue_bytes=300))
+    current_network().route("cho", up=Wire(delay_s=0.02, rate_bps=8_000, queue_bytes=8_000))
     async with Relay(RelayConfig(port=0)) as relay:
-        ada = Person(relay.url, "ada", sends=True)
+        # Ada leaves frames out, and her others come in time; those of Cho wait in a long queue.
+        ada, cho = (Person(relay.url, name, sends=True) for name in ("ada", "cho"))
+        ben = Person(relay.url, "ben")
+        people = (ada, ben, cho)
         async with asyncio.TaskGroup() as tasks:
-            tasks.create_task(ada.receiver.run())
-            await ada.look(12)
+            for person in people:
+                tasks.create_task(person.receiver.run())
+            await asyncio.gather(*(person.look(20) for person in people))
             assert ada.receiver.link.num_replaced > 20
             assert ada.status.own_quality == "poor"
-            ada.receiver.stop()
+            quality = {member.name: member.quality for member in ben.status.participants}
+            assert (quality["ada"], quality["cho"]) == ("good", "poor")
+            for person in people:
+                person.receiver.stop()
 
 
 @in_virtual_time
