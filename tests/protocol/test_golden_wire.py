@@ -1,5 +1,6 @@
 import json
 import re
+from dataclasses import fields
 
 import pytest
 
@@ -62,8 +63,8 @@ def test_the_bytes_in_the_document_are_golden() -> None:
 
 @pytest.mark.parametrize("message", [*MESSAGE_TYPES.values(), *STORE_MESSAGE_TYPES.values()])
 def test_the_document_names_every_field_of_every_message(message: type) -> None:
-    line = next(line for line in DOCUMENT.splitlines() if f"`{wire_name(message)}`" in line)
-    assert [name for name in message.__match_args__ if f"`{name}`" not in line] == []
+    lines = [line for line in DOCUMENT.splitlines() if f"`{wire_name(message)}`" in line]
+    assert any(all(f"`{each.name}`" in line for each in fields(message)) for line in lines)
 
 
 @pytest.mark.parametrize("code", list(CloseCode))
