@@ -1,6 +1,7 @@
 """Hypothesis strategies for messages and frames within their limits."""
 
 import string
+from dataclasses import fields
 
 from hypothesis import strategies as st
 
@@ -11,28 +12,7 @@ from pica_protocol.limits import (
     MAX_WHISPER_BYTES,
     draws_nothing,
 )
-from pica_protocol.messages import (
-    BYE_CODES,
-    BarIdentity,
-    Bye,
-    Join,
-    Joined,
-    Leave,
-    Message,
-    MutePeer,
-    Peer,
-    PeerAway,
-    PeerBack,
-    PeerJoined,
-    PeerLeft,
-    PeerUpdated,
-    RemovePeer,
-    StreamMuted,
-    Subscribe,
-    Track,
-    UpdateMetadata,
-    Whisper,
-)
+from pica_protocol.messages import BYE_CODES, MESSAGE_TYPES, Message, Peer, Track
 
 _TOKEN_CHARS = string.ascii_letters + string.digits + "_.-"
 
@@ -67,54 +47,43 @@ peers = st.builds(
     identity=secrets,
     is_name_assured=st.booleans(),
 )
+_FIELDS: dict[str, st.SearchStrategy[object]] = {
+    **dict.fromkeys(("room", "peer_id", "identity"), tokens),
+    **dict.fromkeys(("resumable", "resumed", "is_admin"), st.booleans()),
+    **dict.fromkeys(("is_muted", "is_barred"), st.booleans()),
+    "name": names,
+    "joined.name": texts,
+    "reason": texts,
+    "resume": secrets,
+    "token": secrets | st.just("x" * MAX_PASS_BYTES),
+    "metadata": metadata,
+    "tracks": tracks(streams),
+    "join.tracks": tracks(st.just(0)),
+    "peer": peers,
+    "peers": st.lists(peers, max_size=3).map(tuple),
+    "stream": streams,
+    "every": st.sampled_from((0, 1, 2, 4)),
+    "data": st.binary(max_size=20) | st.just(bytes(MAX_WHISPER_BYTES)),
+    "kind": st.sampled_from(("face", "voice")),
+    "code": st.sampled_from(BYE_CODES) | st.integers(3000, 4999),
+    "url": st.sampled_from(("", "ws://a", "wss://[::1]:8765/pica", "wss://b.example.org:443")),
+}
+"""What a field of a message may hold: by its name, or by that of the message before it."""
+
+
+def _message(wire: str, cls: type[Message]) -> st.SearchStrategy[Message]:
+    return st.builds(
+        cls,
+        **{
+            field.name: _FIELDS.get(f"{wire}.{field.name}", _FIELDS.get(field.name))
+            for field in fields(cls)
+        },
+    )
+
 
 messages: st.SearchStrategy[Message] = st.one_of(
-    st.builds(
-        Join,
-        room=tokens,
-        name=names,
-        tracks=tracks(st.just(0)),
-        token=st.just("") | tokens | st.just("x" * MAX_PASS_BYTES),
-        metadata=metadata,
-        resumable=st.booleans(),
-        resume=secrets,
-    ),
-    st.builds(
-        Joined,
-        room=tokens,
-        peer_id=tokens,
-        tracks=tracks(streams),
-        peers=st.lists(peers, max_size=3).map(tuple),
-        resumed=st.booleans(),
-        resume=secrets,
-        name=texts,
-        is_admin=st.booleans(),
-    ),
-    st.builds(PeerJoined, peer=peers),
-    st.builds(PeerLeft, peer_id=tokens, reason=texts),
-    st.builds(PeerAway, peer_id=tokens),
-    st.builds(PeerBack, peer_id=tokens),
-    st.builds(PeerUpdated, peer_id=tokens, metadata=metadata),
-    st.builds(StreamMuted, stream=streams, is_muted=st.booleans()),
-    st.builds(UpdateMetadata, metadata=metadata),
-    st.builds(Leave),
-    st.builds(Subscribe, stream=streams, every=st.sampled_from((0, 1, 2, 4))),
-    st.builds(
-        Whisper, peer_id=tokens, data=st.binary(max_size=20) | st.just(bytes(MAX_WHISPER_BYTES))
-    ),
-    st.builds(RemovePeer, peer_id=tokens),
-    st.builds(
-        MutePeer, peer_id=tokens, kind=st.sampled_from(("face", "voice")), is_muted=st.booleans()
-    ),
-    st.builds(BarIdentity, identity=tokens, is_barred=st.booleans()),
-    st.builds(
-        Bye,
-        code=st.sampled_from(BYE_CODES) | st.integers(3000, 4999),
-        reason=texts,
-        url=st.sampled_from(("", "ws://a", "wss://[::1]:8765/pica", "wss://b.example.org:443")),
-    ),
+    *(_message(wire, cls) for wire, cls in MESSAGE_TYPES.items())
 )
-
 frames = st.builds(
     Frame,
     stream=streams,
