@@ -14,21 +14,21 @@ from __future__ import annotations
 
 import random
 from collections import Counter, defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from fuzzing.damage import BOMBS
 from golden.wire_samples import invalid_bytes, wire_bytes
-from helpers.members import FACE, VOICE
+from helpers.members import FACE, VOICE, Member
 from malice.people import BrokenPromiseError
-from pica_protocol.client_session import ClientSession, Ticket
+from pica_protocol.client_session import Ticket
 from pica_protocol.codec import encode_message
 from pica_protocol.errors import CloseCode
 from pica_protocol.frames import SEQUENCE_MODULUS, Frame, encode_frame, media_message
 from pica_protocol.messages import (
     BarIdentity,
     Join,
+    Message,
     MutePeer,
-    PeerLeft,
     RemovePeer,
     Subscribe,
     UpdateMetadata,
@@ -37,7 +37,6 @@ from pica_protocol.messages import (
 from pica_protocol.session import Closed, State
 from pica_server.config import RelayConfig
 from pica_server.limits import RefusalError
-from pica_server.room.connections import Connection
 from pica_server.room.hub import Hub
 from pica_server.room.outbox import OutboundMessage
 from pica_server.tokens import Admission
@@ -63,21 +62,16 @@ def admitted(join: Join) -> Admission:
     raise RefusalError("no token", CloseCode.UNAUTHORIZED)
 
 
-class Friend:
+class Friend(Member):
     """A member who behaves, and who notes what comes."""
 
     def __init__(self, hub: Hub, name: str, now: float) -> None:
-        self.hub, self.name = hub, name
-        self.line_bytes_per_s = LINES_BYTES_PER_S[name]
-        self.connection = hub.connect(now, name)
-        tracks = (FACE, VOICE)
-        self.session = ClientSession(room="lobby", name=name, tracks=tracks, now=now, token=name)
+        super().__init__(hub, name, tracks=(FACE, VOICE), now=now, address=name, token=name)
+        self.name, self.line_bytes_per_s = name, LINES_BYTES_PER_S[name]
         self.sent: Counter[str] = Counter()
         self.came: Counter[tuple[str, str]] = Counter()
-        self.left: dict[str, float] = {}
         self._line_bytes = 0.0
         self._under_way: OutboundMessage | None = None
-        self._speak(now)
 
     def publish(self, step: int, now: float) -> None:
         """Send a face at 25 frames a second, and as many packets of voice."""
@@ -85,7 +79,7 @@ class Friend:
         self.sent[kind] += 1
         payload = f"{self.name} {kind} {step}".encode().ljust((24, 90)[step % 2])
         self.session.send_frame(payload, round(now * 1e6), track=step % 2)
-        self._speak(now)
+        self.speak(now)
 
     def read(self, now: float) -> None:
         """Read what the line has carried."""
@@ -101,12 +95,10 @@ class Friend:
             self._under_way = None
             self.hub.sent(self.connection, message, now)
             for event in self.session.receive_data(message.data, now):
-                self._note(event, now)
+                self._note(event)
         self._line_bytes = min(self._line_bytes, self.line_bytes_per_s * STEP_S)
 
-    def _note(self, event: object, now: float) -> None:
-        if isinstance(event, PeerLeft):
-            self.left[event.peer_id] = now
+    def _note(self, event: object) -> None:
         if isinstance(event, Closed):
             raise BrokenPromiseError(f"{self.name} had to go: {event.reason}")
         if isinstance(event, Frame):
@@ -126,114 +118,103 @@ class Friend:
             raise BrokenPromiseError(f"{who}, called {owners[0].name}, sent {frame.payload!r}")
         self.came[who, words[1].decode() if is_friend else ""] += 1
 
-    def _speak(self, now: float) -> None:
-        for data in self.session.messages_to_send(now):
-            self.hub.receive(self.connection, [data], now)
-
 
 class Foe:
-    """A member who has a token and tries what others do not."""
+    """Somebody who has a token and tries what others do not, on one connection after another."""
 
     def __init__(self, hub: Hub, name: str, rng: random.Random) -> None:
         self.hub, self.name, self.rng = hub, name, rng
         self.tricks = rng.sample(TRICKS, rng.randint(1, 3))
-        self.connections: list[Connection] = []
-        self.session: ClientSession | None = None
+        self.members: list[Member] = []
+        self.is_away = True
         self.ticket: Ticket | None = None
         self.heard: list[Frame] = []
         self.reads = rng.random() < 0.7
 
+    @property
+    def newest(self) -> Member:
+        """The newest connection."""
+        return self.members[-1]
+
     def act(self, now: float) -> None:
         """Come in, read perhaps, and try something."""
-        if self.session is None or self.session.closed is not None:
+        if self.is_away or self.newest.session.closed is not None:
             if self.rng.random() < 0.06:
-                join(self, now)
+                self.join(now)
             return
         if self.reads:
-            self.read(now)
-        if self.session.state is State.JOINED:
+            heard = self.newest.listen(now)
+            self.heard += [each for each in heard if isinstance(each, Frame)]
+            del self.heard[:-20]
+        if self.newest.session.state is State.JOINED:
             self.rng.choice(self.tricks)(self, now)
 
-    def read(self, now: float) -> None:
-        """Take what waits for the newest connection."""
-        assert self.session is not None
-        connection = self.connections[-1]
-        while message := self.hub.take(connection, now):
-            self.hub.sent(connection, message, now)
-            events = self.session.receive_data(message.data, now)
-            self.heard += [event for event in events if isinstance(event, Frame)]
-        del self.heard[:-20]
+    def join(self, now: float, token: str | None = None, ticket: Ticket | None = None) -> None:
+        """Come in, perhaps under the name of another member."""
+        member = Member(
+            self.hub,
+            self.rng.choice(("Ada", "Ben", "Eve")),
+            room=self.rng.choice(("lobby",) * 5 + ("attic",)),
+            tracks=self.rng.choice(((FACE, VOICE), (FACE,) * 4, (VOICE,) * 4, ())),
+            now=now,
+            address=self.name,
+            token=self.name if token is None else token,
+            resumable=self.rng.random() < 0.8,
+            ticket=ticket,
+        )
+        self.members.append(member)
+        self.is_away = False
+        self.ticket = member.session.ticket or self.ticket
 
     def say(self, data: bytes, now: float) -> None:
         """Send a message on the newest connection, as it is."""
-        self.hub.receive(self.connections[-1], [data], now)
+        self.hub.receive(self.newest.connection, [data], now)
 
-    def tell(self, message: object, now: float) -> None:
+    def tell(self, message: Message, now: float) -> None:
         """Send a control message."""
-        self.say(encode_message(message), now)  # type: ignore[arg-type]
+        self.say(encode_message(message), now)
 
     def victim(self) -> str:
         """The peer id of a member, or one that is often dealt."""
-        assert self.session is not None
-        return self.rng.choice([*self.session.peers, "p1", "p2", "p3"])
+        return self.rng.choice([*self.newest.session.peers, "p1", "p2", "p3"])
 
-    def flush(self, now: float) -> None:
-        """Send what the session has to say."""
-        assert self.session is not None
-        for data in self.session.messages_to_send(now):
-            self.say(data, now)
-
-    def frame(self, stream: int, payload: bytes, now: float) -> bytes:
-        """A frame of any stream."""
-        sequence = self.rng.randrange(SEQUENCE_MODULUS)
-        captured_us = round(now * 1e6) if self.rng.random() < 0.5 else self.rng.randrange(2**40)
-        frame = Frame(stream=stream, sequence=sequence, captured_us=captured_us, payload=payload)
-        return encode_frame(frame)
-
-
-def join(foe: Foe, now: float, *, token: str | None = None, ticket: Ticket | None = None) -> None:
-    """Come in, perhaps under the name of another member."""
-    tracks = foe.rng.choice(((FACE, VOICE), (FACE,) * 4, (VOICE,) * 4, ()))
-    foe.connections.append(foe.hub.connect(now, foe.name))
-    foe.session = ClientSession(
-        room=foe.rng.choice(("lobby",) * 5 + ("attic",)),
-        name=foe.rng.choice(("Ada", "Ben", "Eve")),
-        tracks=tracks,
-        now=now,
-        token=foe.name if token is None else token,
-        resumable=foe.rng.random() < 0.8,
-        ticket=ticket,
-    )
-    foe.flush(now)
-    foe.read(now)
-    foe.ticket = foe.session.ticket or foe.ticket
+    def show(self, streams: Sequence[int], payload: bytes, now: float) -> None:
+        """Send a frame on each of some streams, whoever they belong to, in one message."""
+        frames = []
+        for stream in streams:
+            is_now = self.rng.random() < 0.5
+            frame = Frame(
+                stream=stream,
+                sequence=self.rng.randrange(SEQUENCE_MODULUS),
+                captured_us=round(now * 1e6) if is_now else self.rng.randrange(2**40),
+                payload=payload,
+            )
+            frames.append(encode_frame(frame))
+        self.say(media_message(frames), now)
 
 
 def flood(foe: Foe, now: float) -> None:
     """Send as much as the relay lets through, on every track."""
-    assert foe.session is not None
     size = foe.rng.choice((1, 24, 90, 300, 1180))
-    for track in foe.session.tracks:
+    for track in foe.newest.session.tracks:
         for _ in range(foe.rng.choice((1, 2, 8, 40))):
-            foe.say(media_message([foe.frame(track.stream, b"eve" + bytes(size), now)]), now)
+            foe.show([track.stream], b"eve" + bytes(size), now)
 
 
 def send_on_other_streams(foe: Foe, now: float) -> None:
     """Send on a stream of another member, or of none; alone or behind an own frame."""
-    assert foe.session is not None
-    own = [track.stream for track in foe.session.tracks]
-    streams = foe.rng.sample([*own, 1, 2, 3, 4, foe.rng.randrange(1, 65_536)], 2)
-    foe.say(media_message([foe.frame(stream, b"eve", now) for stream in streams]), now)
+    own = [track.stream for track in foe.newest.session.tracks]
+    streams = [*own, 1, 2, 3, 4, foe.rng.randrange(1, 65_536)]
+    foe.show(foe.rng.sample(streams, 2), b"eve", now)
 
 
 def replay(foe: Foe, now: float) -> None:
     """Send a frame of another member once more."""
-    assert foe.session is not None
-    if foe.heard and foe.session.tracks:
+    if foe.heard and (tracks := foe.newest.session.tracks):
         frame = foe.rng.choice(foe.heard)
-        stream = foe.rng.choice((frame.stream, foe.session.tracks[0].stream))
+        stream = foe.rng.choice((frame.stream, tracks[0].stream))
         payload = b"eve" + frame.payload[:1000] if stream != frame.stream else frame.payload
-        foe.say(media_message([foe.frame(stream, payload, now)]), now)
+        foe.show([stream], payload, now)
 
 
 def whisper(foe: Foe, now: float) -> None:
@@ -267,16 +248,15 @@ def moderate(foe: Foe, now: float) -> None:
 
 def lose_connection(foe: Foe, now: float) -> None:
     """Lose the connection and come back, with one's ticket, an old one or none."""
-    foe.hub.disconnect(foe.connections[-1], 1006, "", now)
+    foe.newest.lose_connection(now)
+    foe.is_away = True
     if foe.rng.random() < 0.7:
-        join(foe, now, ticket=foe.ticket)
-    else:
-        foe.session = None
+        foe.join(now, ticket=foe.ticket)
 
 
 def join_beside(foe: Foe, now: float) -> None:
     """Join once more beside oneself, now and then without a token."""
-    join(foe, now, token=foe.rng.choice((foe.name, foe.name, "", "mallory")), ticket=foe.ticket)
+    foe.join(now, foe.rng.choice((foe.name, foe.name, "", "mallory")), foe.ticket)
 
 
 def send_damaged(foe: Foe, now: float) -> None:
@@ -295,7 +275,7 @@ def join_again(foe: Foe, now: float) -> None:
 def stop_reading(foe: Foe, now: float) -> None:
     """Read nothing from now on, while asking for everything."""
     foe.reads = False
-    foe.hub.is_sending(foe.connections[-1], now)
+    foe.hub.is_sending(foe.newest.connection, now)
 
 
 def do_nothing(foe: Foe, now: float) -> None:
@@ -341,7 +321,7 @@ def run(seed: int) -> Counter[str]:
             for foe in foes if step * STEP_S < SECONDS else ():
                 foe.act(now)
             if step == round(SECONDS / STEP_S):
-                counts += _leave(hub, foes, now)
+                counts += _leave(foes, now)
             for friend in friends:
                 if step >= 10:
                     friend.publish(step, now)
@@ -356,12 +336,11 @@ def run(seed: int) -> Counter[str]:
     return counts
 
 
-def _leave(hub: Hub, foes: list[Foe], now: float) -> Counter[str]:
+def _leave(foes: list[Foe], now: float) -> Counter[str]:
     codes: Counter[str] = Counter()
-    for connection in [connection for foe in foes for connection in foe.connections]:
-        hub.disconnect(connection, 1006, "", now)
-        assert connection.closed is not None
-        codes[f"closed {connection.closed.code}"] += 1
+    for member in [member for foe in foes for member in foe.members]:
+        member.lose_connection(now)
+        codes[f"closed {member.closed_code}"] += 1
     return codes
 
 
