@@ -14,16 +14,20 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
+import numpy as np
 from hypothesis import strategies as st
 
 from fuzzing.damage import MEDIA, damaged_bytes, damaged_control
 from golden.wire_samples import GOLDEN
+from helpers import tracker_packets
 from helpers.stream_toy import perform, toy_profile
 from helpers.toy import make_toy_avatar, with_bases
 from pica_client.e2ee.frames import decode_header, derive_key, metadata_of, open_, seal
 from pica_client.e2ee.peer_keys import KeyMessage, decode, encode, room_key
 from pica_client.e2ee.secret import RoomSecret
 from pica_client.errors import OpenError
+from pica_client.sources.live_face import PacketError
+from pica_client.sources.registry import LIVE_KINDS, decoder_of
 from pica_core.avatar.file import load_avatar, save_avatar
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.codec.latent_stream import LatentDecoder
@@ -101,8 +105,18 @@ def bitstream(data: bytes) -> None:
         expect(abs(latent).max() <= 256, "a face beyond the limit")
 
 
+def datagram(data: bytes) -> None:
+    """Read a datagram as one of each tracker; what a face has is finite."""
+    for kind in LIVE_KINDS:
+        with suppress(PacketError):
+            for sample in decoder_of(kind)()(data):
+                known = sample.arkit[~np.isnan(sample.arkit)]
+                expect(bool(np.isfinite([*known, *sample.rotation]).all()), "an endless face")
+
+
 TARGETS: Final[Mapping[str, Callable[[bytes], None]]] = {
-    each.__name__: each for each in (message, media, sealed, key_message, avatar_file, bitstream)
+    each.__name__: each
+    for each in (message, media, sealed, key_message, avatar_file, bitstream, datagram)
 }
 
 
@@ -119,8 +133,10 @@ def damaged(name: str, good: list[bytes]) -> st.SearchStrategy[bytes]:
 def seeds() -> dict[str, list[bytes]]:
     """Return good inputs of each target, made by the code as it is now.
 
-    They are the golden bytes of the wire, a sealed frame, a key message, a stream, an avatar.
+    They are the golden bytes of the wire, a sealed frame, a key message, a stream, an avatar,
+    datagrams of trackers.
     """
+    values = dict.fromkeys(tracker_packets.LIVE_LINK_ORDER[:52], 0.5)
     told = KeyMessage(False, bytes(32), bytes(8), bytes(8), 0, 1, 0, bytes(32))
     spec = AvatarSpec(uv_encoding_size=4, axis_encoding_size=4)
     with tempfile.TemporaryDirectory() as folder:
@@ -135,4 +151,10 @@ def seeds() -> dict[str, list[bytes]]:
         "key_message": [encode(told, CODE_KEY, WAY, bytes(32), bytes(16))],
         "avatar_file": [avatar_bytes],
         "bitstream": [sent.payload for sent in perform(num_frames=40)],
+        "datagram": [
+            tracker_packets.live_link(values, frame=5),
+            tracker_packets.live_link(None),
+            tracker_packets.vmc(values, seconds=1.0, bones={"Head": (0.0, 0.0, 0.0, 1.0)}),
+            tracker_packets.ifacialmocap({"jawOpen": 3}),
+        ],
     }
