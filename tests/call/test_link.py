@@ -1,23 +1,24 @@
-"""The way to the relay on the virtual clock: not there, not willing, not sane, gone without a
-word."""
+"""The way to the relay on the virtual clock: not there, not willing, not sane, gone without a word,
+elsewhere: redirected by a drain, or as the answer to a join."""
 
 from __future__ import annotations
 
 import asyncio
 import random
 from pathlib import Path
+from typing import Any
 
 import pytest
 from websockets.asyncio.server import ServerConnection, serve
+from websockets.typing import Subprotocol
 
 from pica_client.errors import OptionError, RelayRefusedError, RelayUnreachableError
 from pica_client.transport.connect import LinkConfig
 from pica_client.transport.link import Link
 from pica_protocol import SUBPROTOCOL
-from pica_protocol.messages import (
-    Joined,
-)
-from pica_protocol.session import ClientEvent
+from pica_protocol.errors import CloseCode
+from pica_protocol.messages import Joined
+from pica_protocol.session import ClientEvent, ServerSession, State
 from pica_server.config import RelayConfig
 from pica_server.relay import Relay
 from pica_server.tokens import Admission, KeyRing, load_keys, mint
@@ -27,23 +28,19 @@ from simnet.peers import peer_in_room
 pytestmark = pytest.mark.call
 
 URL = "ws://relay:8765"
+PICA = [Subprotocol(SUBPROTOCOL)]
 
 
-class Seen:
-    """What a link told its owner."""
+def make_link(connect_timeout_s: float | None = 3.0, **options: Any) -> tuple[Link, asyncio.Event]:
+    """A link, and what is set when it has joined."""
+    joined = asyncio.Event()
 
-    def __init__(self) -> None:
-        self.joined = asyncio.Event()
-
-    def take(self, event: ClientEvent, now: float) -> None:
+    def take(event: ClientEvent, _now: float) -> None:
         if isinstance(event, Joined):
-            self.joined.set()
+            joined.set()
 
-
-def make_link(connect_timeout_s: float | None = 3.0) -> tuple[Link, Seen]:
-    seen = Seen()
-    config = LinkConfig(url=URL, room="r", connect_timeout_s=connect_timeout_s)
-    return Link(config, on_event=seen.take), seen
+    config = LinkConfig(url=URL, room="r", connect_timeout_s=connect_timeout_s, **options)
+    return Link(config, on_event=take), joined
 
 
 @in_virtual_time
@@ -58,11 +55,11 @@ async def test_a_relay_that_is_not_there_is_given_up_after_the_connect_timeout()
 @in_virtual_time
 async def test_a_relay_that_comes_late_is_found_within_a_second_of_its_coming() -> None:
     loop = asyncio.get_running_loop()
-    link, seen = make_link(connect_timeout_s=None)
+    link, joined = make_link(connect_timeout_s=None)
     running = asyncio.create_task(link.run())
     await asyncio.sleep(60)
     async with Relay(RelayConfig()):
-        await seen.joined.wait()
+        await joined.wait()
         assert loop.time() <= 61.1
         assert link.is_joined
         link.leave()
@@ -85,16 +82,16 @@ async def test_leaving_ends_a_connection_attempt_that_nobody_answers() -> None:
 async def test_who_was_in_a_room_that_is_full_now_waits_a_minute_for_a_place() -> None:
     loop = asyncio.get_running_loop()
     async with Relay(RelayConfig(room_capacity=1)):
-        link, seen = make_link()
+        link, joined = make_link()
         running = asyncio.create_task(link.run())
-        await seen.joined.wait()
+        await joined.wait()
         current_network().reset("relay", down_s=11)  # its place is kept for 10 s
         await asyncio.sleep(10.5)
-        seen.joined.clear()
+        joined.clear()
         async with peer_in_room("ws://other:8765", "Bob", room="r"):
             await asyncio.sleep(40)
         left_s = loop.time()
-        await seen.joined.wait()
+        await joined.wait()
         assert loop.time() - left_s <= 8
         current_network().reset("relay", down_s=11)
         await asyncio.sleep(10.5)
@@ -114,9 +111,7 @@ def test_two_seconds_of_wrong_keys_end_no_call(tmp_path: Path) -> None:
     @in_virtual_time
     async def scenario() -> None:
         loop = asyncio.get_running_loop()
-        seen = Seen()
-        config = LinkConfig(url=URL, room="r", token_file=token_file)
-        link = Link(config, on_event=seen.take)
+        link, _ = make_link(token_file=token_file)
         running = asyncio.create_task(link.run())
         for keys, seconds in ((right, 10.0), (wrong, 2.0), (right, 10.0)):
             async with Relay(RelayConfig(keys=keys), unix_time=lambda: 1e9 + loop.time()):
@@ -137,9 +132,9 @@ def test_two_seconds_of_wrong_keys_end_no_call(tmp_path: Path) -> None:
 @in_virtual_time
 async def test_a_relay_that_is_busy_for_a_second_and_a_half_loses_nobody() -> None:
     async with Relay(RelayConfig()) as relay:
-        link, seen = make_link()
+        link, joined = make_link()
         running = asyncio.create_task(link.run())
-        await seen.joined.wait()
+        await joined.wait()
         for _ in range(3):
             current_network().stall("relay", 1.5)
             await asyncio.sleep(10)
@@ -159,15 +154,15 @@ async def test_garbage_from_the_other_end_is_counted_and_tried_again_with_patien
         await websocket.send(rng.randbytes(200))
         await websocket.wait_closed()
 
-    async with serve(babble, "relay", 8765, subprotocols=[SUBPROTOCOL], compression=None):  # type: ignore[list-item]
-        link, seen = make_link(connect_timeout_s=None)
+    async with serve(babble, "relay", 8765, subprotocols=PICA, compression=None):
+        link, joined = make_link(connect_timeout_s=None)
         running = asyncio.create_task(link.run())
         await asyncio.sleep(60)
         link.leave()
         await running
     assert link.errors >= 8
     assert connections <= 20  # one every 4 to 8 seconds once the waits have grown
-    assert not seen.joined.is_set()
+    assert not joined.is_set()
 
 
 @in_virtual_time
@@ -194,15 +189,13 @@ def test_a_link_shows_its_token_and_reads_a_fresh_one_when_it_comes_back(tmp_pat
     @in_virtual_time
     async def scenario() -> None:
         loop = asyncio.get_running_loop()
-        config = LinkConfig(url=URL, room="r", token_file=token_file)
-        seen = Seen()
-        link = Link(config, on_event=seen.take)
+        link, joined = make_link(token_file=token_file)
         running = asyncio.create_task(link.run())
         for minted_s in (0, 100):
             write_token(1e9 + minted_s)
-            seen.joined.clear()
+            joined.clear()
             async with Relay(RelayConfig(keys=keys), unix_time=lambda: 1e9 + loop.time()):
-                await seen.joined.wait()
+                await joined.wait()
                 await asyncio.sleep(100)  # it outlives its token, and the relay goes away then
         async with Relay(RelayConfig(keys=keys), unix_time=lambda: 1e9 + loop.time()):
             with pytest.raises(RelayRefusedError, match=r"has expired \(code 4011\)"):
@@ -223,3 +216,95 @@ def test_a_token_file_without_a_token_is_named(content: bytes | None, tmp_path: 
             await Link(LinkConfig(url=URL, token_file=path)).run()
 
     scenario()
+
+
+@in_virtual_time
+async def test_a_link_goes_where_a_relay_sends_it_without_waiting() -> None:
+    loop = asyncio.get_running_loop()
+    config = RelayConfig(drain_to="ws://relay:8766")
+    async with Relay(RelayConfig(port=8766)) as other, Relay(config) as relay:
+        link, joined = make_link()
+        running = asyncio.create_task(link.run())
+        await joined.wait()
+        await asyncio.sleep(10)
+        joined.clear()
+        start = loop.time()
+        await relay.drain()
+        await joined.wait()
+        assert loop.time() - start < 0.1
+        assert link.url == "ws://relay:8766"
+        assert other.hub.num_rooms == 1
+        link.leave()
+        await running
+
+
+@pytest.mark.parametrize("target", ["ws://other:8766", "ws://relay:9999"])
+@in_virtual_time
+async def test_a_link_that_is_sent_to_a_strange_host_or_to_no_relay_comes_back(target: str) -> None:
+    link, joined = make_link()
+    async with Relay(RelayConfig(port=8766)) as other:
+        async with Relay(RelayConfig(drain_to=target)) as relay:
+            running = asyncio.create_task(link.run())
+            await joined.wait()
+            await asyncio.sleep(10)
+            await relay.drain()
+        joined.clear()
+        async with Relay(RelayConfig()):
+            await joined.wait()
+            assert link.url == URL
+            assert other.hub.stats.connections == 0
+            link.leave()
+            await running
+
+
+async def send_away(websocket: ServerConnection, url: str, *, joins: bool) -> None:
+    """Be a relay that has not the room, or lets in and sends away at once."""
+    loop = asyncio.get_running_loop()
+    session = ServerSession(now=loop.time())
+    while session.state is not State.DECIDING:
+        session.receive_data(await websocket.recv(), loop.time())
+    if joins:
+        session.accept(Joined(room="r", peer_id="p1"))
+    session.close(CloseCode.GOING_AWAY, "not here", url)
+    for data in session.messages_to_send(loop.time()):
+        await websocket.send(data)
+    await websocket.close(CloseCode.GOING_AWAY)
+
+
+@in_virtual_time
+async def test_a_link_that_joins_goes_at_once_to_the_relay_that_has_its_room() -> None:
+    async def answer(websocket: ServerConnection) -> None:
+        await send_away(websocket, "ws://other:8766", joins=False)
+
+    loop = asyncio.get_running_loop()
+    async with (
+        Relay(RelayConfig(port=8766)),
+        serve(answer, "relay", 8765, subprotocols=PICA, compression=None),
+    ):
+        link, joined = make_link(redirect_hosts=("other",))
+        start = loop.time()
+        running = asyncio.create_task(link.run())
+        await joined.wait()
+        assert loop.time() - start < 0.1
+        assert link.url == "ws://other:8766"
+        assert link.reconnects == 0
+        link.leave()
+        await running
+
+
+@pytest.mark.parametrize("joins", [False, True])
+@in_virtual_time
+async def test_relays_that_send_a_link_to_and_fro_make_it_slower(joins: bool) -> None:
+    welcomes: list[float] = []
+
+    async def answer(websocket: ServerConnection) -> None:
+        welcomes.append(asyncio.get_running_loop().time())
+        await send_away(websocket, "ws://relay:8765", joins=joins)
+
+    async with serve(answer, "relay", 8765, subprotocols=PICA, compression=None):
+        link, _ = make_link(connect_timeout_s=None)
+        running = asyncio.create_task(link.run())
+        await asyncio.sleep(120)
+        link.leave()
+        await running
+    assert 10 < len(welcomes) < 40
