@@ -17,7 +17,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
 
 from fuzzing.damage import BOMBS
-from golden.wire_samples import invalid_bytes, wire_bytes
+from fuzzing.targets import GOLDEN_BYTES
 from helpers.members import FACE, VOICE, Member
 from malice.people import BrokenPromiseError
 from pica_protocol.client_session import Ticket
@@ -50,7 +50,7 @@ LINES_BYTES_PER_S = {"ada": 1e9, "ben": 1e9, "cho": 20_000}
 LEAST = {1e9: (0.99, 0.99), 20_000: (0.85, 0.3)}
 """Voices and faces that come through a line, of all that were sent. Cho's line has room for the
 voices of all and for a part of the faces."""
-MESSAGES = [each for each in (*wire_bytes().values(), *invalid_bytes().values(), *BOMBS) if each]
+MESSAGES = [each for each in (*GOLDEN_BYTES.values(), *BOMBS) if each]
 """What damaged messages are made of."""
 CONFIG = RelayConfig(resume_grace_s=GRACE_S, room_capacity=8)
 
