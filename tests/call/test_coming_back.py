@@ -7,7 +7,6 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,8 +29,8 @@ AVATARS = {"1" * 64: make_toy_avatar(seed=1)}
 RELAY = RelayConfig(port=8765, ping_interval_s=2, close_timeout_s=1)
 
 
-def config(host: str, name: str, secret_file: Path | None = None) -> LinkConfig:
-    return LinkConfig(url=f"ws://{host}:8765", room="kitchen", name=name, secret_file=secret_file)
+def config(name: str) -> LinkConfig:
+    return LinkConfig(url=f"ws://{name}:8765", room="kitchen", name=name)
 
 
 class Display:
@@ -68,20 +67,15 @@ async def break_calls(
     broken: str,
     *,
     how: Callable[[Network, str], None] = Network.reset,
-    secret_file: Path | None = None,
-    seconds: float = 20.0,
 ) -> tuple[Display, dict[str, object], dict[str, object], dict[str, object]]:
     """A sender and a receiver; the connection of one of them breaks at 8 s."""
     network = current_network()
     async with Relay(RELAY) as relay:
         senders = make_senders(
-            [config("ada", "ada", secret_file)],
-            list(AVATARS.items()),
-            config=SenderConfig(seconds=seconds),
+            [config("ada")], list(AVATARS.items()), config=SenderConfig(seconds=20.0)
         )
         call = Call(LoadedAvatars(AVATARS))
-        viewer = config("viewer", "viewer", secret_file)
-        receiver = Receiver(viewer, call)
+        receiver = Receiver(config("viewer"), call)
         display = Display(call)
         sending = asyncio.create_task(run_senders(senders))
         receiving = asyncio.create_task(receiver.run())
@@ -107,7 +101,7 @@ async def test_a_sender_without_a_window_says_that_it_is_in_that_the_relay_went_
     said: list[str] = []
     news = LinkNews("sending", said.append)
     avatar_id, avatar = next(iter(AVATARS.items()))
-    link = replace(config("ada", "ada"), connect_timeout_s=None)
+    link = replace(config("ada"), connect_timeout_s=None)
     source = open_source("performance:talk")
     sender = Sender(
         link, Outgoing(face=Publisher(SenderConfig(), source, avatar, avatar_id)), news=news

@@ -22,7 +22,6 @@ from pica_client.endpoint import Receiver
 from pica_client.publish import SenderConfig
 from pica_client.stats import percentile
 from pica_client.transport.connect import LinkConfig
-from pica_core.avatar.file import Avatar
 from pica_server.config import RelayConfig
 from pica_server.relay import Relay
 from simnet.clock import current_network, in_virtual_time
@@ -32,6 +31,7 @@ pytestmark = pytest.mark.call
 
 PEERS = ("ada", "ben", "cho", "dee", "eve")
 ROOM = "kitchen"
+SECONDS = 15.0
 AVATARS = {seed * 64: make_toy_avatar(seed=int(seed)) for seed in "12"}
 FRAME_BYTES = 28 + 8
 """A frame of a toy avatar that talks, about, with its header."""
@@ -82,16 +82,12 @@ async def hold_call(
     networks: dict[str, Impairment],
     *,
     down: Impairment | None = None,
-    seconds: float = 30.0,
-    avatars: dict[str, Avatar] = AVATARS,
 ) -> tuple[Watched, list[dict[str, Any]], dict[str, Any]]:
-    """Five senders, a relay and a receiver.
+    """Five senders, a relay and a receiver, measured for `SECONDS` after four of warming up.
 
     Args:
         networks: What each sender's way to the relay is like.
         down: What the receiver's way from the relay is like.
-        seconds: Measured time, after four seconds of warming up.
-        avatars: What the receiver has.
 
     Returns:
         What the receiver saw, what the senders say, what the relay says.
@@ -105,13 +101,13 @@ async def hold_call(
         senders = make_senders(
             [link(relay, name, name) for name in PEERS],
             list(AVATARS.items()),
-            config=SenderConfig(seconds=seconds + 6),
+            config=SenderConfig(seconds=SECONDS + 6),
         )
-        call = Call(LoadedAvatars(avatars), on_face=watched.take)
+        call = Call(LoadedAvatars(AVATARS), on_face=watched.take)
         receiver = Receiver(link(relay, "viewer", "viewer"), call)
         async with asyncio.TaskGroup() as tasks:
             sending = tasks.create_task(run_senders(senders))
-            tasks.create_task(watch(receiver, watched, warm_up_s=4, seconds=seconds))
+            tasks.create_task(watch(receiver, watched, warm_up_s=4, seconds=SECONDS))
         relay_stats = relay.stats()
     return watched, sending.result(), relay_stats
 
@@ -146,7 +142,7 @@ async def test_a_thin_uplink_carries_the_newest_faces_and_delays_nobody_else() -
     thin = Wire(rate_bps=0.5 * 30 * (FRAME_BYTES + 9) * 8, queue_bytes=600)
     watched, sent, _ = await hold_call({"cho": thin})
     slow = sent[PEERS.index("cho")]
-    assert slow["replaced"] > 300
+    assert slow["replaced"] > 200
     assert 12 <= watched.peer("cho")["latents_per_s"] <= 18
     # The newest that fits: the write buffer holds fourteen frames at fifteen a second.
     assert watched.delay_percentile("cho", 99) <= 1.3

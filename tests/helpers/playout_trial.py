@@ -76,11 +76,10 @@ def arrivals(
     seconds: float = 22.0,
     fps: float = 30.0,
     drift_ppm: float = 0.0,
-    seed: int = 1,
 ) -> list[Arrival]:
     """What arrives, in the order of arrival."""
     trouble = trouble or Trouble()
-    rng = random.Random(seed)
+    rng = random.Random(1)
     result: list[Arrival] = []
     last_s = 0.0
     for number in range(int(seconds * fps)):
@@ -167,9 +166,9 @@ def shown(playout: Playout, now: float) -> PlayedFace:
     return played
 
 
-def steady(playout: Playout, count: int, *, transit_s: float = 0.01) -> None:
+def steady(playout: Playout, count: int) -> None:
     """`count` frames on a perfect network, on a display at 90 Hz."""
     for index in range(count):
-        receive(playout, index, index * FRAME_S + transit_s)
+        receive(playout, index, index * FRAME_S + 0.01)
         for third in range(3):
-            playout.sample_at((index + third / 3) * FRAME_S + transit_s + TICK_S)
+            playout.sample_at((index + third / 3) * FRAME_S + 0.01 + TICK_S)

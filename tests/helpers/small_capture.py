@@ -21,9 +21,9 @@ def small_head(*, coarse: bool = True) -> RigHead:
     return make_head(PERSON, coarse=coarse)[0]
 
 
-def small_subject(*, bake_size: int = 256, self_shadow: bool = False) -> PersonSubject:
+def small_subject(*, bake_size: int = 256) -> PersonSubject:
     """The person on the stage, without shadows that take seconds to measure."""
-    return PersonSubject(PERSON, bake_size=bake_size, self_shadow=self_shadow, coarse=True)
+    return PersonSubject(PERSON, bake_size=bake_size, self_shadow=False, coarse=True)
 
 
 def render_capture(
@@ -31,10 +31,3 @@ def render_capture(
 ) -> dict[str, Any]:
     """Render the person; arguments, result and errors as `render_subject`."""
     return render_subject(small_subject, options, out, progress)
-
-
-def render_small(folder: Path, *, frames: int = 6, cameras: int = 2, size: int = 64) -> Path:
-    """Render square images of `size` pixels."""
-    options = RenderOptions(frames=frames, cameras=cameras, size=f"{size}x{size}", texture_size=64)
-    render_capture(options, folder)
-    return folder

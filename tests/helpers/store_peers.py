@@ -68,8 +68,9 @@ class Outcome:
     stored: Stored | None = None
 
 
-def chunks_of(data: bytes, size: int = MAX_CHUNK_BYTES) -> list[bytes]:
-    return [encode_chunk(data[at : at + size]) for at in range(0, len(data), size)]
+def chunks_of(data: bytes) -> list[bytes]:
+    starts = range(0, len(data), MAX_CHUNK_BYTES)
+    return [encode_chunk(data[at : at + MAX_CHUNK_BYTES]) for at in starts]
 
 
 async def upload(relay: Relay, data: bytes, *, token: str = "", **offer: Any) -> Outcome:

@@ -71,9 +71,9 @@ def toy_profile() -> StreamProfile:
 
 
 @functools.cache
-def stream_avatar(seed: int = 7) -> Avatar:
+def stream_avatar() -> Avatar:
     """The toy avatar with the toy stream."""
-    avatar = make_toy_avatar(seed=seed)
+    avatar = make_toy_avatar()
     return Avatar(avatar.manifest, {**avatar.tensors, **toy_profile().to_tensors()})
 
 
@@ -113,12 +113,12 @@ class Publisher:
         )
         return self.sent[-1]
 
-    def show_all(self, faces: Float64Array, poses: Float64Array, *, fps: float = 30) -> list[Sent]:
+    def show_all(self, faces: Float64Array, poses: Float64Array) -> list[Sent]:
         """Encode a performance, going on in time after what was sent before."""
-        begin_us = self.sent[-1].captured_us + round(1e6 / fps) if self.sent else 0
+        begin_us = self.sent[-1].captured_us + 33_333 if self.sent else 0
         before = len(self.sent)
         for index, (face, pose) in enumerate(zip(faces, poses, strict=True)):
-            self.show(face, pose, begin_us + round(index * 1e6 / fps))
+            self.show(face, pose, begin_us + round(index * 1e6 / 30))
         return self.sent[before:]
 
 

@@ -60,9 +60,7 @@ def grid_faces(rows: int, columns: int) -> npt.NDArray[np.int32]:
     return np.ascontiguousarray(triangles.reshape(-1, 3))
 
 
-def make_toy_avatar(
-    *, seed: int = 7, spec: AvatarSpec = TOY_SPEC, grid: int = 48, name: str = "Toy"
-) -> Avatar:
+def make_toy_avatar(*, seed: int = 7, spec: AvatarSpec = TOY_SPEC, grid: int = 48) -> Avatar:
     """A valid avatar: plausible mesh, skin-like colours with features, random decoders."""
     rng = np.random.default_rng(seed)
     tensors: dict[str, npt.NDArray[np.generic]] = {}
@@ -82,7 +80,7 @@ def make_toy_avatar(
     tensors |= _encoder(rng)
     tensors |= _stream(tensors["encoder.2.weight"])
     manifest = Manifest(
-        name=name,
+        name="Toy",
         identity=f"toy-{seed}",
         licence="Apache-2.0",
         spec=spec,
@@ -133,9 +131,9 @@ def without_stream(avatar: Avatar) -> Avatar:
     return Avatar(avatar.manifest, tensors)
 
 
-def with_bases(avatar: Avatar, *, seed: int = 4) -> Avatar:
+def with_bases(avatar: Avatar) -> Avatar:
     """The same mesh at rest, whose vertices bases move: in regions of falling rank."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(4)
     vertices_m = avatar.mean_vertices_m
     rows = -(-len(vertices_m) // REGION)
     moving = max(rows - NUM_STILL, 1)
@@ -155,9 +153,9 @@ def with_bases(avatar: Avatar, *, seed: int = 4) -> Avatar:
     return Avatar(replace(avatar.manifest, spec=spec), tensors)
 
 
-def with_toy_levels(avatar: Avatar, *, seed: int = 8) -> Avatar:
+def with_toy_levels(avatar: Avatar) -> Avatar:
     """A toy avatar with bases, and exits of random weights, coarser grids as their meshes."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(8)
     avatar = avatar if avatar.spec.geometry == "bases" else with_bases(avatar)
     tensors = dict(avatar.tensors)
     grid = round(len(tensors["mesh.vertex_uv"]) ** 0.5)

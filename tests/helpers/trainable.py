@@ -35,13 +35,13 @@ def toy_prior(*, dense: int = 16, tracked: int = 9, scale_m: float = 0.005) -> F
     )
 
 
-def toy_linear_prior(*, dense: int = 24, tracked: int = 9, frames: int = 30) -> FacePrior:
+def toy_linear_prior(*, dense: int = 24) -> FacePrior:
     """`toy_prior` with bases of meshes that move in five ways."""
-    prior = toy_prior(dense=dense, tracked=tracked)
+    prior = toy_prior(dense=dense)
     uv = np.concatenate([prior.dense_uv, prior.tracked_uv])
     rng = np.random.default_rng(5)
     ways = [np.sin((1 + k) * np.pi * uv[:, :1]) * rng.standard_normal(3) for k in range(5)]
-    weights = rng.standard_normal((frames, len(ways)))
+    weights = rng.standard_normal((30, len(ways)))
     moved_m = 4e-3 * np.tensordot(weights, np.stack(ways), axes=1)
     meshes_m = (head_surface(uv[:, 0], uv[:, 1]) + moved_m).astype(np.float32)
     count = dense * dense

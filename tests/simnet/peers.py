@@ -12,7 +12,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 
 from pica_protocol import SUBPROTOCOL
-from pica_protocol.client_session import ClientSession, Ticket
+from pica_protocol.client_session import ClientSession
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Track
 from pica_protocol.session import ClientEvent, Closed, State
@@ -112,20 +112,10 @@ async def peer_in_room(
     room: str = "lobby",
     tracks: tuple[Track, ...] = (FACE,),
     token: str = "",
-    resumable: bool = False,
-    ticket: Ticket | None = None,
 ) -> AsyncIterator[WirePeer]:
     """Join a room, read whatever comes, and leave in good order unless it is over before."""
     async with open_websocket(url) as websocket:
-        session = ClientSession(
-            room=room,
-            name=name,
-            tracks=tracks,
-            token=token,
-            now=now(),
-            resumable=resumable,
-            ticket=ticket,
-        )
+        session = ClientSession(room=room, name=name, tracks=tracks, token=token, now=now())
         peer = WirePeer(websocket, session)
         await peer.flush()
         reader = asyncio.create_task(peer.read())

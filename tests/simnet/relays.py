@@ -17,6 +17,8 @@ from pica_client.transport.link import Link
 from pica_protocol.messages import Joined, PeerJoined, PeerLeft, Track
 from pica_protocol.session import ClientEvent
 
+PATIENCE_S = 15.0
+
 
 class RelayProcess:
     """One relay process.
@@ -121,7 +123,7 @@ async def person(name: str, relay: RelayProcess, room: str = "lobby") -> AsyncIt
         await running
 
 
-async def until(is_so: Callable[[], bool], timeout_s: float = 15.0) -> float:
+async def until(is_so: Callable[[], bool]) -> float:
     """Wait until something is so; return how long that took.
 
     Raises:
@@ -129,6 +131,6 @@ async def until(is_so: Callable[[], bool], timeout_s: float = 15.0) -> float:
     """
     start = time.monotonic()
     while not is_so():
-        assert time.monotonic() - start < timeout_s, "it does not come to that"
+        assert time.monotonic() - start < PATIENCE_S, "it does not come to that"
         await asyncio.sleep(0.005)
     return time.monotonic() - start

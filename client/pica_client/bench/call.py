@@ -10,7 +10,6 @@ import asyncio
 import contextlib
 from collections import deque
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -87,14 +86,14 @@ class _Decoding:
             self.frames.append(_Frame(result.slot, result.captured_us / 1e6, result.finished_s))
 
 
-def run_bench(config: BenchConfig, *, avatar_files: list[Path] | None = None) -> dict[str, Any]:
+def run_bench(config: BenchConfig) -> dict[str, Any]:
     """Hold the call and measure it.
 
     Raises:
         ClientError: A source, an avatar or a process is not as it must be; a call in which a
             sender crashed is no measurement.
     """
-    library = AvatarLibrary(avatar_files or ())
+    library = AvatarLibrary()
     with contextlib.closing(library), Children() as children:
         local = local_call.LocalCall(config.call, library, children)
         return asyncio.run(_measure(config, local, library))

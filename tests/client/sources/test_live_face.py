@@ -23,14 +23,11 @@ def values(**shapes: float) -> FloatArray:
     return arkit
 
 
-def feed(face: LiveFace, begin: int, end: int, jitter_s: float = 0.0, **shapes: float) -> None:
-    rng = np.random.default_rng(0)
+def feed(face: LiveFace, begin: int, end: int, **shapes: float) -> None:
     for index in range(begin, end):
         tracker_s = index * STEP_S
-        way_s = 0.01 + jitter_s * rng.random()
-        face.push(
-            TrackerSample(tracker_s=1000 + tracker_s, arkit=values(**shapes)), tracker_s + way_s
-        )
+        sample = TrackerSample(tracker_s=1000 + tracker_s, arkit=values(**shapes))
+        face.push(sample, tracker_s + 0.01)
 
 
 def test_a_steady_movement_stays_steady_however_its_samples_arrive() -> None:
@@ -80,11 +77,7 @@ def test_a_face_that_comes_back_does_not_snap() -> None:
     face = LiveFace()
     feed(face, 0, 60, jawOpen=0.0)
     face.face_at(1.0)
-    for index in range(180, 240):
-        tracker_s = index * STEP_S
-        face.push(
-            TrackerSample(tracker_s=1000 + tracker_s, arkit=values(jawOpen=1.0)), tracker_s + 0.01
-        )
+    feed(face, 180, 240, jawOpen=1.0)
     jaw = [float(face.face_at(3.0 + tick / 60).arkit[JAW]) for tick in range(60)]
     assert max(np.diff(jaw)) < 0.1
     assert jaw[-1] == pytest.approx(1.0, abs=0.02)

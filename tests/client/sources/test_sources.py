@@ -35,12 +35,12 @@ EYES = [f"{side}Eye{angle}" for side in ("Left", "Right") for angle in ("Yaw", "
 HEADER = ["Timecode", "BlendShapeCount", *APP_ORDER, "HeadYaw", "HeadPitch", "HeadRoll", *EYES]
 
 
-def take_row(timecode: str, count: str = "61", **values: float) -> list[str]:
-    return [timecode, count, *(f"{values.get(name, 0.0):.10f}" for name in HEADER[2:])]
+def take_row(timecode: str, **values: float) -> list[str]:
+    return [timecode, "61", *(f"{values.get(name, 0.0):.10f}" for name in HEADER[2:])]
 
 
-def write_take(path: Path, rows: list[list[str]], header: list[str] = HEADER) -> Path:
-    path.write_text("".join(",".join(row) + "\n" for row in [header, *rows]))
+def write_take(path: Path, rows: list[list[str]]) -> Path:
+    path.write_text("".join(",".join(row) + "\n" for row in [HEADER, *rows]))
     return path
 
 

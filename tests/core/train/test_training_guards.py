@@ -14,9 +14,10 @@ import pytest
 import torch
 
 from helpers.published_capture import SEGMENTS, write_published
-from helpers.small_capture import render_small
+from helpers.small_capture import render_capture
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.dataset.multiface import mesh_path
+from pica_core.capture.stage.synth import RenderOptions
 from pica_core.errors import CaptureError, CheckpointError, TrainingDivergedError
 from pica_core.train.cli.train import ExportOptions, export
 from pica_core.train.config import PAPER, PRESETS, TrainConfig
@@ -30,7 +31,9 @@ pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return render_small(tmp_path_factory.mktemp("capture"))
+    folder = tmp_path_factory.mktemp("capture")
+    render_capture(RenderOptions(frames=6, cameras=2, size="64x64", texture_size=64), folder)
+    return folder
 
 
 @pytest.fixture(scope="module")
