@@ -18,8 +18,13 @@ from pica_client.avatars.library import AvatarLibrary
 from pica_client.avatars.upload import AvatarGiver, GiveAvatar, avatar_by_name, giver_of
 from pica_client.errors import OptionError, SourceError, check_ranges
 from pica_client.sources import Source, Tracker, open_source
-from pica_client.sources.calibration import Calibration, CalibrationStore, calibrate
-from pica_client.sources.registry import calibrations, split_source
+from pica_client.sources.calibration import (
+    Calibration,
+    calibrate,
+    load_calibration,
+    save_calibration,
+)
+from pica_client.sources.registry import split_source
 from pica_client.sources.source import Unseen
 from pica_client.tracks import FACE_KEY, FACE_LOST, FACE_TRACK, FaceMode
 from pica_client.transport.connect import LinkConfig
@@ -310,20 +315,12 @@ class FaceControls:
     Args:
         person: Whose calibrations are meant.
         source: What plays the face, as `sources.open_source` took it.
-        store: Where calibrations are kept; by default this user's place for them.
     """
 
-    def __init__(
-        self,
-        publisher: Publisher,
-        person: str,
-        source: str,
-        store: CalibrationStore | None = None,
-    ) -> None:
+    def __init__(self, publisher: Publisher, person: str, source: str) -> None:
         self.publisher = publisher
         self.source = source
         self._person = person
-        self._store = store or calibrations()
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="own-face")
         self._opening: tuple[str, Future[None]] | None = None
         self._rested_s: float | None = None
@@ -377,11 +374,11 @@ class FaceControls:
         if not isinstance(source, Tracker):
             return ""
         kind, _ = split_source(self.source)
-        before = self._store.load(self._person, kind) or Calibration()
+        before = load_calibration(self._person, kind) or Calibration()
         try:
             found = calibrate(list(source.face.recent), ())
             found = replace(before, neutral=found.neutral, lid_open=found.lid_open)
-            self._store.save(self._person, kind, found)
+            save_calibration(self._person, kind, found)
         except SourceError as error:
             return f"Not calibrated: {error}"
         source.face.calibration = found

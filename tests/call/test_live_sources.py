@@ -22,6 +22,7 @@ from pica_client.call.call import Call
 from pica_client.cli.track import CalibrateOptions, TrackOptions, calibrate, track
 from pica_client.endpoint import Receiver, Sender
 from pica_client.publish import Outgoing, Publisher, SenderConfig
+from pica_client.sources.calibration import load_calibration
 from pica_client.sources.registry import decoder_of, open_live
 from pica_client.sources.tracker import UdpOptions, UdpTracker
 from pica_client.transport.connect import LinkConfig
@@ -132,7 +133,7 @@ def test_track_reports_and_records_what_comes(tmp_path: Path) -> None:
 def test_calibrate_keeps_a_person_and_joining_under_that_name_uses_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pica_client.sources.registry.preferences_folder", lambda: tmp_path)
+    monkeypatch.setattr("pica_client.sources.calibration.preferences_folder", lambda: tmp_path)
     port, begin_s = free_port(), time.monotonic()
 
     def packet(frame: int, _: float) -> bytes:
@@ -147,9 +148,7 @@ def test_calibrate_keeps_a_person_and_joining_under_that_name_uses_it(
         result = calibrate(options)
     assert result["neutral"] == {"mouthSmileLeft": 0.25}
     assert result["lid_closed"] == pytest.approx([0.8, 0.8], abs=0.01)
-    from pica_client.sources.registry import calibration_of
-
-    stored = calibration_of("Ada", "livelink")
+    stored = load_calibration("Ada", "livelink")
     assert stored is not None
     assert stored.lid_open == pytest.approx((0.05, 0.05), abs=0.01)
     assert stored.gain == 1.5

@@ -17,13 +17,12 @@ from rich.live import Live
 from rich.table import Table
 
 from pica_client.errors import OptionError, SourceError, check_ranges
-from pica_client.sources.calibration import MAX_GAIN, MAX_SOUND_OFFSET_S
+from pica_client.sources.calibration import MAX_GAIN, MAX_SOUND_OFFSET_S, save_calibration
 from pica_client.sources.calibration import calibrate as calibration_of_samples
 from pica_client.sources.live_face import TrackerSample, yaw_pitch_roll_from_rotation_vector
 from pica_client.sources.registry import (
     LIVE_HELP,
     TRACKER_KINDS,
-    calibrations,
     open_live,
     split_source,
 )
@@ -265,7 +264,7 @@ def calibrate(options: CalibrateOptions) -> dict[str, Any]:
         gain=options.gain,
         sound_offset_s=options.sound_offset,
     )
-    path = calibrations().save(options.name, kind, calibration)
+    path = save_calibration(options.name, kind, calibration)
     taken = {
         name: round(value, 3)
         for name, value in zip(ARKIT_NAMES, calibration.neutral, strict=True)

@@ -8,14 +8,14 @@ is.
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from pica_client.errors import SourceError
-from pica_client.system import make_private
+from pica_client.system import make_private, preferences_folder
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES, NUM_ARKIT
 from pica_core.files import replacing
 from pica_core.types import BoolArray, FloatArray
@@ -109,51 +109,43 @@ def calibrate(at_rest: Sequence[FloatArray], eyes_closed: Sequence[FloatArray]) 
     )
 
 
-@dataclass(frozen=True, slots=True)
-class CalibrationStore:
-    """The calibrations of this machine's people, one file for a person and a kind of source.
+def load_calibration(person: str, kind: str) -> Calibration | None:
+    """What was stored on this machine for a person and a kind of source, or None.
 
-    Attributes:
-        folder: Where they are; it need not be there yet.
+    Raises:
+        SourceError: The file is no calibration; says how to make another.
     """
+    path = _path(person, kind)
+    try:
+        values: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        for name in values.keys() - {"gain", "sound_offset_s"}:
+            values[name] = tuple(values[name])
+        return Calibration(**values)
+    except FileNotFoundError:
+        return None
+    except (OSError, LookupError, ValueError, TypeError, AttributeError, SourceError) as error:
+        raise SourceError(
+            f"{path}: is no calibration ({error}); `pica calibrate {kind}` makes another"
+        ) from error
 
-    folder: Path = field()
 
-    def load(self, person: str, kind: str) -> Calibration | None:
-        """What was stored, or None.
+def save_calibration(person: str, kind: str, calibration: Calibration) -> Path:
+    """Store it, readable for its owner alone, and return where.
 
-        Raises:
-            SourceError: The file is no calibration; says how to make another.
-        """
-        path = self._path(person, kind)
-        try:
-            values: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-            for name in values.keys() - {"gain", "sound_offset_s"}:
-                values[name] = tuple(values[name])
-            return Calibration(**values)
-        except FileNotFoundError:
-            return None
-        except (OSError, LookupError, ValueError, TypeError, AttributeError, SourceError) as error:
-            raise SourceError(
-                f"{path}: is no calibration ({error}); `pica calibrate {kind}` makes another"
-            ) from error
+    Raises:
+        SourceError: The system says no.
+    """
+    path = _path(person, kind)
+    try:
+        make_private(path.parent)
+        with replacing(path) as unfinished:
+            unfinished.touch(mode=0o600)
+            unfinished.write_text(json.dumps(asdict(calibration)), encoding="utf-8")
+    except OSError as error:
+        raise SourceError(f"{path}: cannot be written: {error.strerror}") from error
+    return path
 
-    def save(self, person: str, kind: str, calibration: Calibration) -> Path:
-        """Store it, readable for its owner alone, and return where.
 
-        Raises:
-            SourceError: The system says no.
-        """
-        path = self._path(person, kind)
-        try:
-            make_private(path.parent)
-            with replacing(path) as unfinished:
-                unfinished.touch(mode=0o600)
-                unfinished.write_text(json.dumps(asdict(calibration)), encoding="utf-8")
-        except OSError as error:
-            raise SourceError(f"{path}: cannot be written: {error.strerror}") from error
-        return path
-
-    def _path(self, person: str, kind: str) -> Path:
-        name = "".join(each if each.isalnum() else "_" for each in person) or "_"
-        return self.folder / f"{name}.{kind}.json"
+def _path(person: str, kind: str) -> Path:
+    name = "".join(each if each.isalnum() else "_" for each in person) or "_"
+    return preferences_folder() / "calibrations" / f"{name}.{kind}.json"

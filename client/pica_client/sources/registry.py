@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from pica_client.errors import SourceError
-from pica_client.sources.calibration import Calibration, CalibrationStore
+from pica_client.sources.calibration import Calibration, load_calibration
 from pica_client.sources.datagrams import (
     LIVELINK_PORT,
     REQUESTS,
@@ -35,7 +35,7 @@ from pica_client.sources.tracker import (
     UdpOptions,
     UdpTracker,
 )
-from pica_client.system import preferences_folder, say
+from pica_client.system import say
 from pica_core.errors import CaptureError
 from pica_core.livelink import DAY_S, TIMECODE_FPS, read_livelink_csv
 
@@ -133,7 +133,7 @@ def open_source(text: str, person: str = "") -> Source:
         return Unseen()
     kind, rest = split_source(text)
     if kind in TRACKER_KINDS:
-        return open_live(kind, rest, calibration_of(person, kind))
+        return open_live(kind, rest, load_calibration(person, kind) if person else None)
     name, start_s = _split_start(rest, text)
     if not rest or kind not in ("csv", "performance"):
         raise SourceError(f"source {text!r} is unknown; write {SOURCE_HELP}")
@@ -150,16 +150,6 @@ def split_source(text: str) -> tuple[str, str]:
     kind, _, rest = text.partition(":")
     first, slash, subject = kind.partition("/")
     return (first, slash + subject) if first in LIVE_KINDS and slash else (kind, rest)
-
-
-def calibrations() -> CalibrationStore:
-    """The calibrations of this machine's people."""
-    return CalibrationStore(preferences_folder() / "calibrations")
-
-
-def calibration_of(person: str, kind: str) -> Calibration | None:
-    """What was stored for a person and a kind of tracker, or None."""
-    return calibrations().load(person, kind) if person else None
 
 
 def start_later(text: str, seconds: float) -> str:

@@ -13,7 +13,7 @@ import pytest
 from helpers.toy import make_toy_avatar
 from pica_client.publish import REST_S, FaceControls, Publisher, SenderConfig
 from pica_client.sources import Tracker, open_source
-from pica_client.sources.calibration import Calibration, CalibrationStore
+from pica_client.sources.calibration import Calibration, load_calibration, save_calibration
 from pica_client.sources.live_face import TrackerSample
 from pica_client.sources.tracker import UdpTracker
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
@@ -26,17 +26,13 @@ MakeControls = Callable[[str], FaceControls]
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> CalibrationStore:
-    return CalibrationStore(tmp_path / "calibrations")
-
-
-@pytest.fixture
-def make_controls(store: CalibrationStore) -> Iterator[MakeControls]:
+def make_controls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[MakeControls]:
+    monkeypatch.setattr("pica_client.sources.calibration.preferences_folder", lambda: tmp_path)
     opened: list[FaceControls] = []
 
     def make(source: str) -> FaceControls:
         publisher = Publisher(SenderConfig(), open_source(source), make_toy_avatar(), "5" * 64)
-        opened.append(FaceControls(publisher, "Ada", source, store))
+        opened.append(FaceControls(publisher, "Ada", source))
         return opened[-1]
 
     yield make
@@ -97,9 +93,9 @@ def test_the_source_before_goes_on_when_another_cannot_be_opened(
 
 
 def test_calibrating_takes_the_resting_face_away_and_keeps_it_for_the_next_call(
-    make_controls: MakeControls, store: CalibrationStore, livelink: str
+    make_controls: MakeControls, livelink: str
 ) -> None:
-    store.save("Ada", "livelink", Calibration(gain=1.5, lid_closed=(0.8, 0.9)))
+    save_calibration("Ada", "livelink", Calibration(gain=1.5, lid_closed=(0.8, 0.9)))
     controls = make_controls(livelink)
     feed(controls, {JAW: 0.9})  # before it was asked for
     controls.calibrate(200.0)
@@ -113,7 +109,7 @@ def test_calibrating_takes_the_resting_face_away_and_keeps_it_for_the_next_call(
         source.face.push(TrackerSample(arkit=squint), 200.0 + number / 60)
     assert controls.take_notices(200.0 + 0.9 * REST_S) == []
     assert controls.take_notices(200.0 + REST_S) == ["Calibrated for Ada and livelink"]
-    kept = store.load("Ada", "livelink")
+    kept = load_calibration("Ada", "livelink")
     assert kept == source.face.calibration
     assert kept.neutral[SQUINT] == pytest.approx(0.2)
     assert (kept.neutral[JAW], kept.gain, kept.lid_closed) == (0.0, 1.5, (0.8, 0.9))

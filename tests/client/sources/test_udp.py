@@ -17,7 +17,12 @@ from helpers import tracker_packets
 from pica_client.cli.track import Recorder
 from pica_client.errors import SourceError
 from pica_client.sources import Tracker, open_source
-from pica_client.sources.calibration import Calibration, CalibrationStore, calibrate
+from pica_client.sources.calibration import (
+    Calibration,
+    calibrate,
+    load_calibration,
+    save_calibration,
+)
 from pica_client.sources.live_face import TrackerSample
 from pica_client.sources.registry import decoder_of, open_live, parse_live
 from pica_client.sources.tracker import UdpOptions, UdpTracker
@@ -179,21 +184,23 @@ def test_a_report_counts_what_came_and_says_what_would_mend_it() -> None:
     assert "Stream Head Rotation" in hints
 
 
-def test_a_calibration_is_made_kept_and_found_again(tmp_path: Path) -> None:
+def test_a_calibration_is_made_kept_and_found_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pica_client.sources.calibration.preferences_folder", lambda: tmp_path)
     rest = np.zeros(NUM_ARKIT, np.float32)
     rest[ARKIT_INDEX["mouthSmileLeft"]] = 0.2
     closed = rest.copy()
     closed[[ARKIT_INDEX["eyeBlinkLeft"], ARKIT_INDEX["eyeBlinkRight"]]] = 0.7
     made = calibrate([rest] * 5, [closed] * 5)
-    store = CalibrationStore(tmp_path / "calibrations")
-    path = store.save("Ada B.", "livelink", made)
-    assert store.load("Ada B.", "livelink") == made
-    assert store.load("Ada B.", "vmc") is None
+    path = save_calibration("Ada B.", "livelink", made)
+    assert load_calibration("Ada B.", "livelink") == made
+    assert load_calibration("Ada B.", "vmc") is None
     assert path.stat().st_mode & 0o077 == 0
     assert made.lid_closed == pytest.approx((0.7, 0.7))
     path.write_text('{"gain": 1.0, "neutral": [0.5]}')
     with pytest.raises(SourceError, match="pica calibrate livelink"):
-        store.load("Ada B.", "livelink")
+        load_calibration("Ada B.", "livelink")
 
 
 def test_shapes_that_a_tracker_does_not_send_have_no_neutral() -> None:
