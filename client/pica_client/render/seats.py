@@ -107,8 +107,6 @@ class SeatPlan:
     """Where the camera is as long as the user has not moved it. float64 ``[3]``."""
     target_m: Float64Array
     """What it looks at, and turns around. float64 ``[3]``."""
-    layout: Layout
-    """How they sit: the grid, where there was no room for what was asked for."""
 
     def nearing(self, goal: SeatPlan, share: float) -> SeatPlan:
         """This plan, moved by a share of the way to another one for the same people; that one,
@@ -127,7 +125,6 @@ class SeatPlan:
             ),
             camera_m=camera_m,
             target_m=target_m,
-            layout=goal.layout,
         )
 
     @property
@@ -176,7 +173,6 @@ def plan_seats(
         return _plan_pinned(layout, count, pinned, aspect, frame, shoulders_m)
     spacing_m = shoulders_m + SHOULDER_GAP_M
     places, pitch, faced = _grid(max(count, 1), frame, spacing_m)
-    taken: Layout = "grid"
     camera_m, target_m = _framing(places, pitch, frame, half_width=HALF_WIDTH_M)
     if layout != "grid":
         # Busts in a row need no room below for their names.
@@ -189,10 +185,10 @@ def plan_seats(
         framed = _framing(*row[:2], inner, half_width=HALF_WIDTH_M, below_m=BUST_M, eyes=eyes)
         has_rows = bool(np.ptp(places[:, 1]) > 0)
         if not has_rows or _distance(*framed) <= GRID_INSTEAD * _distance(camera_m, target_m):
-            (places, pitch, faced), (camera_m, target_m), taken = row, framed, layout
+            (places, pitch, faced), (camera_m, target_m) = row, framed
     towards = [camera_m] * len(places) if faced is None else faced
     seats = [_seat(place, at) for place, at in zip(places, towards, strict=True)]
-    return SeatPlan(seats=tuple(seats[:count]), camera_m=camera_m, target_m=target_m, layout=taken)
+    return SeatPlan(seats=tuple(seats[:count]), camera_m=camera_m, target_m=target_m)
 
 
 Arrangement = tuple[Float64Array, float, Float64Array | None]
@@ -298,7 +294,7 @@ def _plan_pinned(
         y = top - (row + 0.5) * height + head * (bust_per_head - 1) / 2
         at = np.array([left + (column + 0.5) * width, y, -1.0]) * 2 * HEAD_HALF_HEIGHT_M / head
         seats[index] = _seat(camera_m + at, camera_m)
-    return SeatPlan(seats=tuple(seats), camera_m=camera_m, target_m=target_m, layout=layout)
+    return SeatPlan(seats=tuple(seats), camera_m=camera_m, target_m=target_m)
 
 
 def _frame(aspect: float, free: FreeShares) -> _Frame:

@@ -26,8 +26,6 @@ KEPT_DEGREES = 4.0
 the far side tears 10 degrees beyond)."""
 MAX_YAW, MAX_PITCH = 70, 50
 """Degrees that a view turns at most, whatever avatars can show (chosen: the room has no back)."""
-SOFT_SHARE = 0.4
-"""The last part of the way to a limit, over which a drag moves the view less and less."""
 NEAREST_M = 0.3
 """The camera stays so far from the middle of any head: hair, nose, movements lie within 0.2."""
 MIN_ZOOM, MAX_ZOOM = 0.4, 12.0
@@ -46,6 +44,14 @@ class OrbitLimits:
     min_pitch: float = -math.radians(26)
     max_pitch: float = math.radians(26)
 
+    def clamped(self, view: ViewState) -> ViewState:
+        """Return the view, turned no further than it may."""
+        return replace(
+            view,
+            yaw=min(max(view.yaw, self.min_yaw), self.max_yaw),
+            pitch=min(max(view.pitch, self.min_pitch), self.max_pitch),
+        )
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ViewState:
@@ -59,14 +65,10 @@ class ViewState:
     """The camera's way to the nearest place before the heads is divided by this; below 1 its
     distance."""
 
-    def orbited(self, right_px: float, down_px: float, limits: OrbitLimits) -> ViewState:
-        """The view after dragging the scene by so many pixels; limits are met softly."""
+    def orbited(self, right_px: float, down_px: float) -> ViewState:
+        """The view after dragging the scene by so many pixels."""
         yaw, pitch = -right_px * ORBIT_PER_PIXEL, down_px * ORBIT_PER_PIXEL
-        return replace(
-            self,
-            yaw=_towards_limit(self.yaw, yaw, limits.min_yaw, limits.max_yaw),
-            pitch=_towards_limit(self.pitch, pitch, limits.min_pitch, limits.max_pitch),
-        )
+        return replace(self, yaw=self.yaw + yaw, pitch=self.pitch + pitch)
 
     def zoomed(self, steps: float) -> ViewState:
         """The view after turning the wheel; positive comes closer."""
@@ -94,13 +96,11 @@ def plan_camera(
     plan: SeatPlan, view: ViewState, width: int, height: int, limits: OrbitLimits | None = None
 ) -> Camera:
     """The viewer's camera: that of the plan, turned and moved closer as the user wants."""
-    limits = limits or OrbitLimits()
-    yaw = min(max(view.yaw, limits.min_yaw), limits.max_yaw)
-    pitch = min(max(view.pitch, limits.min_pitch), limits.max_pitch)
+    view = (limits or OrbitLimits()).clamped(view)
     offset = plan.camera_m - plan.target_m
     distance = float(np.linalg.norm(offset))
-    around = math.atan2(offset[0], offset[2]) + yaw
-    up = math.asin(offset[1] / distance) + pitch
+    around = math.atan2(offset[0], offset[2]) + view.yaw
+    up = math.asin(offset[1] / distance) + view.pitch
     level = math.cos(up)
     direction = np.array([math.sin(around) * level, math.sin(up), math.cos(around) * level])
     # The nearer the camera comes to a head, the less a notch of the wheel moves it.
@@ -129,14 +129,6 @@ def stereo_cameras(
     """
     left, right = (_moved(camera, side * eye_distance_m / 2, screen_distance_m) for side in (-1, 1))
     return left, right
-
-
-def _towards_limit(value: float, step: float, low: float, high: float) -> float:
-    """A value after a step that shrinks on the last part of the way to a limit."""
-    way = high - value if step > 0 else value - low
-    soft = SOFT_SHARE * (high if step > 0 else -low)
-    moved = value + step * min(max(way / max(soft, 1e-9), 0.0), 1.0)
-    return min(max(moved, low), high)
 
 
 def _nearest_m(plan: SeatPlan, direction: Float64Array) -> float:

@@ -226,6 +226,6 @@ def mouse(state: ViewState, pick: Callable[[float, float], int | None]) -> None:
     if imgui.is_mouse_dragging(0, CLICK_PX):
         right, down = imgui.get_mouse_drag_delta(0, CLICK_PX)
         imgui.reset_mouse_drag_delta(0)
-        state.orbit = state.orbit.orbited(right, down, state.limits)
+        state.orbit = state.orbit.orbited(right, down)
     if imgui.is_mouse_released(0) and io.mouse_drag_max_distance_sqr[0] < CLICK_PX**2:
         state.pin(pick(*io.mouse_pos))

@@ -18,7 +18,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 from pica_client.call.call import Call
 from pica_client.call.speaking import JawReader, SpeakingMeter
@@ -30,7 +29,7 @@ from pica_client.render.gpu_decoder import GpuDecoder
 from pica_client.render.renderer import Renderer
 from pica_client.render.room import Room
 from pica_client.render.scene import Placement, head_matrix
-from pica_client.render.seats import LAYOUTS, SHOULDERS_M, FreeShares, Layout, SeatPlan, plan_seats
+from pica_client.render.seats import SHOULDERS_M, FreeShares, SeatPlan, plan_seats
 from pica_client.schedule.head import Head
 from pica_client.schedule.scheduler import LISTENER_S, Plan, Scheduler, requests_of
 from pica_client.stats import Samples, Summary
@@ -99,8 +98,6 @@ class CallScene:
     plan: SeatPlan
     limits: views.OrbitLimits
     """How far the view may turn."""
-    layouts: tuple[Layout, ...]
-    """Those that there is room for."""
     room: Room
     """What is behind them."""
 
@@ -226,16 +223,14 @@ class AvatarPresenter:
         for absent in self._peers.keys() - {face.peer_id for face in faces}:
             self._peers.pop(absent).on_leave.close()
         entries = [self._make_ready(face) for face in faces]
-        seated = partial(
-            plan_seats,
-            count=len(faces),
-            aspect=width / height,
+        plan = plan_seats(
+            wanted.layout,
+            len(faces),
+            width / height,
+            pinned=places.index(wanted.pinned) if wanted.pinned in places else None,
             free=free,
             shoulders_m=max((entry.shoulders_m for entry in entries), default=SHOULDERS_M),
         )
-        pinned = places.index(wanted.pinned) if wanted.pinned in places else None
-        plan = seated(wanted.layout, pinned=pinned)
-        layouts = tuple(each for each in LAYOUTS if seated(each, pinned=None).layout == each)
         limits = views.orbit_limits(plan, tuple(entry.span for entry in entries))
         self._arranged_s, step = now, since_s / FADE_S
         plan = self._settled(plan, [face.peer_id for face in faces], size, since_s)
@@ -267,7 +262,6 @@ class AvatarPresenter:
             camera=camera,
             plan=plan,
             limits=limits,
-            layouts=layouts,
             room=room,
         )
 

@@ -14,7 +14,6 @@ from urllib.parse import urlsplit, urlunsplit
 from pica_client.errors import OptionError
 from pica_client.publish import DEFAULT_SOURCE
 from pica_client.render.seats import LAYOUTS, Layout
-from pica_client.render.views import OrbitLimits
 from pica_client.render.views import ViewState as Orbit
 from pica_client.system import make_private, preferences_folder, say
 from pica_client.ui.options import DEFAULT_ROOM, DEFAULT_URL
@@ -77,10 +76,6 @@ class ViewState(Preferences):
     wants_close: bool = False
     orbit: Orbit = field(default_factory=Orbit)
     """From where the people are seen."""
-    limits: OrbitLimits = field(default_factory=OrbitLimits)
-    """How far the view may turn: where people sit, and from where their avatars may be seen."""
-    layouts: tuple[Layout, ...] = LAYOUTS
-    """Those that there is room for; instead of another one the grid is shown."""
     pinned: int | None = None
     """The place of the person who fills the picture, also while that one is away."""
     volumes: dict[int, float] = field(default_factory=dict)
@@ -114,12 +109,9 @@ class ViewState(Preferences):
             self.orbit = Orbit()
 
     def seat(self, layout: Layout) -> str:
-        """Choose a layout; return how people sit now, for the user."""
+        """Choose a layout; return a notice for the user."""
         self.layout, self.pinned, self.orbit = layout, None, Orbit()
-        title = LAYOUT_TITLES[layout]
-        if layout not in self.layouts:
-            title = f"{LAYOUT_TITLES['grid']} – no room here for: {title}"
-        return f"People sit: {title}"
+        return f"Layout: {LAYOUT_TITLES[layout]}"
 
 
 class PreferencesFile:

@@ -331,7 +331,7 @@ class Viewer(Closing):
 
     def _plan(self, now: float) -> tuple[CallScene, Plan]:
         scene = self._presenter.arrange(now, self._renderer.size, self.state, self._panels.free)
-        self.state.limits, self.state.layouts = scene.limits, scene.layouts
+        self.state.orbit = scene.limits.clamped(self.state.orbit)
         return scene, self._presenter.decide(scene, (scene.camera,), self.options.budget_s)
 
     def _show(self, screen: moderngl.Framebuffer) -> None:

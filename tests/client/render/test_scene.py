@@ -95,26 +95,11 @@ def test_from_inside_the_head_the_view_is_straight_ahead() -> None:
     np.testing.assert_array_equal(direction, [0, 0, 1])
 
 
-@given(drags=st.lists(st.tuples(st.floats(-1e4, 1e4), st.floats(-1e4, 1e4)), max_size=5))
-def test_no_drag_turns_the_view_over(drags: list[tuple[float, float]]) -> None:
-    view = ViewState()
-    for right, down in drags:
-        view = view.orbited(right, down, LIMITS)
+@given(yaw=st.floats(-1e4, 1e4), pitch=st.floats(-1e4, 1e4))
+def test_no_drag_turns_the_view_over(yaw: float, pitch: float) -> None:
+    view = LIMITS.clamped(ViewState().orbited(yaw, pitch))
     assert LIMITS.min_pitch <= view.pitch <= LIMITS.max_pitch
     assert LIMITS.min_yaw <= view.yaw <= LIMITS.max_yaw
-    view_camera(view, 5, 960, 540)
-
-
-def test_a_drag_moves_the_view_less_and_less_towards_its_limit() -> None:
-    view, moved = ViewState(), []
-    for _ in range(60):
-        before, view = view, view.orbited(-10, 0, LIMITS)
-        moved.append(view.yaw - before.yaw)
-    assert moved[0] == pytest.approx(0.05)
-    assert (np.diff(moved) <= 1e-12).all()
-    assert max(-np.diff(moved)) < 0.01  # no jolt
-    assert 0.95 * LIMITS.max_yaw < view.yaw < LIMITS.max_yaw
-    assert view.orbited(10, 0, LIMITS).yaw == pytest.approx(view.yaw - 0.05)  # back at once
 
 
 @given(steps=st.floats(allow_nan=False))
@@ -123,7 +108,7 @@ def test_zoom_keeps_its_limits(steps: float) -> None:
 
 
 def test_dragging_to_the_right_turns_the_scene_with_the_hand() -> None:
-    view = ViewState().orbited(100, 0, LIMITS)
+    view = ViewState().orbited(100, 0)
     camera = view_camera(view, 1, 960, 540)
     nose, _ = camera.project([0, 0, 0.1])
     middle, _ = camera.project([0, 0, 0])

@@ -347,17 +347,6 @@ def test_a_view_turns_as_far_as_all_avatars_allow() -> None:
     assert narrow.max_pitch == usual.max_pitch
 
 
-@pytest.mark.parametrize("count", range(1, 8))
-@pytest.mark.parametrize("aspect", [16 / 9, 4 / 3, 3 / 4])
-def test_a_plan_says_that_the_grid_was_taken_instead(count: int, aspect: float) -> None:
-    grid = plan_seats("grid", count, aspect)
-    assert grid.layout == "grid"
-    for layout in LAYOUTS[:-1]:
-        plan = plan_seats(layout, count, aspect)
-        is_grid = plan.places_m == grid.places_m and (plan.camera_m == grid.camera_m).all()
-        assert plan.layout == ("grid" if is_grid else layout)
-
-
 @pytest.mark.parametrize("count", [2, 4, 5, 7])
 @pytest.mark.parametrize("right", [0.0, 0.3, 0.42])
 @pytest.mark.parametrize("aspect", [16 / 9, 4 / 3])

@@ -15,7 +15,6 @@ from pica_client.call.status import FaceState
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.pool import DecodePool
 from pica_client.render.renderer import Renderer
-from pica_client.render.seats import LAYOUTS, Layout
 from pica_client.schedule.scheduler import Scheduler
 from pica_client.ui import avatar_presenter
 from pica_client.ui.avatar_presenter import AvatarPresenter
@@ -65,17 +64,6 @@ def test_the_usage_that_the_module_shows_draws_whoever_is_there() -> None:
         _, _, heads = renderer.read_surface()
         assert [placement.slot for placement in names["scene"].placements] == ["p1"]
         assert (heads == 0).any()  # until it is decoded, the head that stands in for it
-    context.release()
-
-
-@pytest.mark.parametrize(("count", "layouts"), [(1, LAYOUTS), (7, ("grid",))])
-def test_a_scene_says_which_layouts_there_is_room_for(
-    count: int, layouts: tuple[Layout, ...]
-) -> None:
-    context = create_context()
-    with Renderer(context, (160, 90)) as renderer, DecodePool(OnnxDecoder) as pool:
-        presenter = AvatarPresenter(OneFace(count), renderer, pool, Scheduler())
-        assert presenter.arrange(1.0, (90, 160)).layouts == layouts
     context.release()
 
 

@@ -46,7 +46,7 @@ class Faces:
         self.status: FaceStatus = "live"
         self.subscribed: set[tuple[str, int | None]] = set()
 
-    def faces(self, now: float, ahead_s: float = 0.0) -> list[FaceState]:
+    def faces(self, now: float, *_: object) -> list[FaceState]:
         return [
             FaceState(
                 peer_id=peer,
