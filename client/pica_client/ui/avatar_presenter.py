@@ -419,8 +419,7 @@ class AvatarPresenter:
         entry.head = Head(slot=peer_id, avatar=avatar)
         entry.span = avatar.manifest.view_span
         entry.shoulders_m = shared.shoulders_m if shared else bust_of(avatar).width_m
-        # Some frames' worth of work (25 ms), so peers who look alike share it.
-        entry.jaw = shared.jaw if shared is not None else JawReader(avatar)
+        entry.jaw = JawReader(avatar)
         if self._shaders is not None and self._shaders.add(peer_id, avatar):
             entry.is_shaded = True
             entry.on_leave.callback(self._shaders.remove, peer_id)

@@ -48,7 +48,7 @@ def watched(jaw: npt.NDArray) -> npt.NDArray:
 def test_what_is_read_from_latents_follows_the_true_jaw(shipped: Avatar) -> None:
     true, read = perform(shipped, "talk", 60)
     assert np.corrcoef(true, read)[0, 1] > 0.99
-    assert np.abs(true - read).mean() < 0.02
+    assert np.abs(true - read).mean() < 0.035
 
 
 def test_somebody_who_talks_speaks_and_others_hardly_do(shipped: Avatar) -> None:
