@@ -15,17 +15,16 @@ pause, and up again with the next late packet, tears more words than it saves ti
 
     what is there                            what is played                        its time
     ---------------------------------------  ------------------------------------  ----------------
-    the next packet                          it, shorter or longer where the       goes on
-                                             delay is not what it should be
+    the next packet                          it                                    goes on
     a later one, the next is lost            concealment by the codec, 100 ms      goes on
     the next, captured after a silence       silence until it is due               free
     nothing, and it was quiet                silence                               free
     nothing, in the middle of speech         concealment, 100 ms; then silence     stands still
     much, and it is far too old              the newest: a leap
 
-In silence time is free: there the delay changes at once and by any amount. In speech it changes by
-periods of the pitch (`stretch`), and only once it is clearly wrong. After a stall speech goes on
-where it stopped and is then spoken faster, as long as it is not `LEAP_S` behind.
+In silence time is free: there the delay changes, in what is not sent at once, in what is quiet by
+what is there. After a stall speech goes on where it stopped, as long as it is not `LEAP_S`
+behind, and catches up in its pauses.
 """
 
 import math
@@ -38,7 +37,6 @@ import numpy as np
 
 from pica_client.errors import VoiceError
 from pica_client.playout.sender_clock import RESTART_FRAMES, ReceivedFrame, SenderClock, Transit
-from pica_client.voice import stretch
 from pica_client.voice.opus import FRAME_S, OpusDecoder
 from pica_client.voice.opus import FRAME_SAMPLES as FRAME
 from pica_client.voice.opus import SAMPLE_RATE_HZ as RATE_HZ
@@ -71,10 +69,11 @@ JITTER_QUANTILE = 0.97
 RELEASE_S = 5.0
 """Time in which two thirds of a delay that is no longer needed are given up."""
 LEAP_S = 0.35
-"""Speech this far behind is left out (chosen: 0.3 s are caught up in about a second)."""
-QUIET_ERROR_S, VOICED_ERROR_S = 0.003, 0.012
-"""Wrong delay that is changed in silence, and in the middle of speech (chosen: a frame of 20 ms is
-less often missed, and lips do not show it)."""
+"""Speech this far behind is left out (chosen: 0.3 s are caught up in a pause)."""
+LEAST_ERROR_S = 0.003
+"""Wrong delay that is changed."""
+FADE = 240
+"""Samples of a cross-fade: 5 ms."""
 
 NUM_MOMENTS = 64
 """Moments of a voice that are known: 1.3 s, more than a loudspeaker's latency."""
@@ -150,7 +149,6 @@ class JitterBuffer:
         self._is_quiet, self._floor_rms = True, FIRST_FLOOR_RMS
         self._num_concealed = 0  # in a row
         self._is_starved = False  # silence stands where speech should be
-        self._behind_s, self._rest_ticks = 0.0, 0
         self._offset_us = 0.0
         self._last_arrival_s = self._aimed_s = -math.inf
 
@@ -222,13 +220,8 @@ class JitterBuffer:
         while len(self.waiting) > 1 and self.waiting[0].media_s + self._packet_s <= should_s:
             self.report.lost += 1
             del self.waiting[0]
-        if self.waiting[0].media_s + self._packet_s <= should_s:
-            return  # the newest is old as well, and better than nothing
-        left, self._fifo = self._fifo[0, : stretch.FADE], self._fifo[:, :0]
-        self._last_number, self._behind_s = self.waiting[0].number - 1, 0.0
-        self._end_s = self.waiting[0].media_s
-        self._decode_next()
-        self._fifo[0, : len(left)] = stretch.crossfade(left, self._fifo[0, : len(left)])
+        self._fifo = self._fifo[:, :0]
+        self._last_number, self._end_s = self.waiting[0].number - 1, self.waiting[0].media_s
 
     def _behind(self, should_s: float) -> float:
         """How much later than it should be the next sound is played."""
@@ -312,32 +305,28 @@ class JitterBuffer:
         return rms <= min(max(QUIET_RATIO * self._floor_rms, QUIET_RMS), LOUDEST)
 
     def _stretch(self, should_s: float) -> None:
-        """Go a step towards the delay that should be."""
-        self._behind_s += 0.3 * (self._behind(should_s) - self._behind_s)
-        behind_s = self._behind_s
+        """Go a step towards the delay that should be, where nothing is said."""
+        behind_s = self._behind(should_s)
+        if abs(behind_s) < LEAST_ERROR_S:
+            return
         if behind_s > 0:  # what is left out must be there
-            while self._fifo.shape[1] < FRAME + stretch.NEEDED and self.waiting:
-                if self._is_gap:
-                    break
+            while self._fifo.shape[1] < 2 * FRAME and self.waiting and not self._is_gap:
                 self._decode_next()
-        sound = self._fifo[0, : stretch.NEEDED]
-        is_quiet = self._sounds_quiet(_rms(sound))
-        self._rest_ticks -= 1
-        least_s = QUIET_ERROR_S if is_quiet else VOICED_ERROR_S
-        if abs(behind_s) < least_s or (self._rest_ticks > 0 and not is_quiet):
+        fifo = self._fifo
+        size = min(round(abs(behind_s) * RATE_HZ), fifo.shape[1] - FADE)
+        if size <= 0 or not self._sounds_quiet(_rms(fifo[0, : size + FADE])):
             return
-        if behind_s > 0 and self._fifo.shape[1] < FRAME + stretch.MIN_LAG:
-            return
-        if is_quiet:
-            sound = sound[: round(abs(behind_s) * RATE_HZ) + stretch.FADE]
-        lag = stretch.find_lag(sound, is_quiet=is_quiet)
-        if lag == 0 or lag > 2 * abs(behind_s) * RATE_HZ:
-            return
-        change = stretch.shorten if behind_s > 0 else stretch.lengthen
-        self._fifo = change(self._fifo, lag)
+        end, begin = (0, size) if behind_s > 0 else (size, 0)
+        faded = crossfade(fifo[:, end : end + FADE], fifo[:, begin : begin + FADE])
+        self._fifo = np.concatenate([fifo[:, :end], faded, fifo[:, begin + FADE :]], axis=1)
         self.report.stretched += 1
-        self._behind_s -= lag / RATE_HZ * np.sign(behind_s)
-        self._rest_ticks = 1 if abs(behind_s) > 0.1 else 2 if abs(behind_s) > 0.04 else 4
+
+
+def crossfade(before: Array, after: Array) -> Array:
+    """Go over from one sound to another of the same length; the last axis is time."""
+    share = np.linspace(0, 1, before.shape[-1], endpoint=False, dtype=before.dtype)
+    faded: Array = before + share * (after - before)
+    return faded
 
 
 def _rms(sound: Array) -> float:

@@ -11,10 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from pica_client.voice.jitter_buffer import JitterBuffer
+from pica_client.voice.jitter_buffer import JitterBuffer, crossfade
 from pica_client.voice.opus import FRAME_SAMPLES, MAX_LEVEL, OpusDecoder, level_of
 from pica_client.voice.sound.settings import MixedVoice
-from pica_client.voice.stretch import crossfade
 from pica_core.types import Array, FloatArray
 from pica_protocol.frames import Frame
 
