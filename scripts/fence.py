@@ -68,7 +68,10 @@ def _latency(result: dict[str, Any]) -> Figures:
 def _call(result: dict[str, Any]) -> Figures:
     wire = [each["wire"] for each in result["bitrate_bps"].values()]
     kept = 1.0 - result["concealed"] / max(result["seconds"] * 30.0 * result["peers"], 1.0)
-    return _latency(result) | {"wire_bps": statistics.mean(wire), "kept_ratio": kept}
+    alone = {
+        f"without playout {key}_ms": result["without_playout_ms"][key] for key in ("p50", "p99")
+    }
+    return _latency(result) | alone | {"wire_bps": statistics.mean(wire), "kept_ratio": kept}
 
 
 def _demo(result: dict[str, Any]) -> Figures:
