@@ -133,8 +133,7 @@ async def test_a_sender_that_comes_back_has_its_old_seat_and_goes_on_within_a_se
     assert "connection lost" in display.notes(8.0, 9.0)
     assert display.statuses(9.0, 19.0) == {"live"}
     assert display.notes(9.0, 19.0) == {""}
-    (peer,) = received["peers"]  # type: ignore[misc, attr-defined]
-    assert peer["restarts"] == 0
+    assert len(received["peers"]) == 1  # type: ignore[arg-type]
 
 
 @in_virtual_time

@@ -8,7 +8,6 @@ the face is held; a peer whose avatar is missing gets a seat without a face.
 """
 
 import threading
-from collections import deque
 from collections.abc import Callable, Container, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -31,9 +30,6 @@ from pica_protocol.session import ClientEvent
 
 if TYPE_CHECKING:  # a call without a secret needs no cryptography
     from pica_client.e2ee.guard import Guard
-
-MAX_DEPARTED = 64
-"""Peers remembered for the statistics after they left; drops the oldest."""
 
 
 class ArrivedFace(NamedTuple):
@@ -96,7 +92,6 @@ class Call:
         self._roster = Roster()
         self._seats: dict[str, Participant] = {}  # bounded by the protocol's limit on peers
         self._by_stream: dict[int, Participant] = {}
-        self._departed: deque[Participant] = deque(maxlen=MAX_DEPARTED)
         self._window_begin_s: float | None = None
         self.ears = ears
         self._voices: dict[int, str] = {}  # peer ids by stream
@@ -241,22 +236,17 @@ class Call:
         """Let the statistics begin here: what came before was warming up."""
         with self._lock:
             self._window_begin_s = now
-            self._departed.clear()
             self.skews_s.clear()
             self.delays_s.clear()
             for seat in self._seats.values():
                 seat.begin_window()
 
     def stats(self, now: float) -> dict[str, Any]:
-        """How the stream of each person came in since `begin_window`, or since the call began.
-
-        A person who left and came back is counted once.
-        """
+        """How the stream of each peer came in since `begin_window`, or since it came."""
         with self._lock:
             begin_s = self._window_begin_s
             seconds = None if begin_s is None else now - begin_s
-            peers = [seat.stats(seconds) for seat in self._departed]
-            peers += [seat.stats(seconds) for seat in self._seats.values()]
+            peers = [seat.stats(seconds) for seat in self._seats.values()]
             return {
                 "seconds": None if seconds is None else round(seconds, 3),
                 "peers": peers,
@@ -277,16 +267,12 @@ class Call:
                 member = self._roster.member(peer.peer_id)
                 seat = Participant(member, track)
                 self._seats[peer.peer_id] = self._by_stream[track.stream] = seat
-                for former in [each for each in self._departed if each.is_same_person(peer)][-1:]:
-                    self._departed.remove(former)
-                    seat.succeed(former)
                 return  # one face a person
 
     def _remove(self, peer_id: str) -> None:
         seat = self._seats.pop(peer_id, None)
         if seat is not None:
             self._by_stream.pop(seat.track.stream, None)
-            self._departed.append(seat)
 
     def _receive_frame(self, frame: Frame, now: float) -> ArrivedFace | None:
         seat = self._by_stream.get(frame.stream)

@@ -89,15 +89,6 @@ class Participant:
             self.member.peer, metadata=()
         )
 
-    def is_same_person(self, peer: Peer) -> bool:
-        """Return True if a newcomer is this person: by identity, or else by name."""
-        mine = self.member.peer
-        return (mine.identity or mine.name) == (peer.identity or peer.name)
-
-    def succeed(self, former: "Participant") -> None:
-        """Go on counting where the last seat of the same person stopped."""
-        self._before = PlayoutReport().since(former.playout.report().since(former._before))
-
     @property
     def note(self) -> str:
         """What is wrong with the stream, for people."""
@@ -227,23 +218,22 @@ class Participant:
         return replace(self.member, quality=quality, payload_bps=bps, stream=report)
 
     def stats(self, seconds: float | None) -> dict[str, Any]:
-        """How the person's stream came in, over all their seats.
+        """How the stream came in.
 
         Args:
-            seconds: So long ago was `begin_window`; None: there was none, so since the call began.
+            seconds: So long ago was `begin_window`; None: there was none, so since the peer came.
         """
-        report = self.playout.report().since(self._before)
-        counted = ("lost", "late", "concealed", "duplicates", "refused", "restarts")
+        report, before = self.playout.report(), self._before
+        received, shown = report.received - before.received, report.shown - before.shown
+        concealed = report.concealed - before.concealed
         return {
             "name": self.member.peer.name,
-            "received": report.received,
-            "latents_per_s": round(report.received / seconds, 2) if seconds else None,
-            "payload_bps": round(report.payload_bytes * 8 / seconds) if seconds else None,
-            **{name: getattr(report, name) for name in counted},
-            "concealed_ratio": round(report.concealed_ratio, 4),
+            "received": received,
+            "latents_per_s": round(received / seconds, 2) if seconds else None,
+            "lost": report.lost - before.lost,
+            "concealed": concealed,
+            "concealed_ratio": round(concealed / shown, 4) if shown else 0.0,
             "playout_delay_ms": round(report.delay_s * 1e3, 2),
-            "jitter_ms": round(report.jitter_s * 1e3, 2),
-            "age_ms": round(report.age_s * 1e3, 2),
         }
 
     @property

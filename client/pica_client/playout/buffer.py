@@ -29,7 +29,7 @@ over to the new path within `BLEND_S`.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 
 from pica_client.playout.motion import COAST_S, Correction, Playhead, Timeline
 from pica_client.playout.sender_clock import DecodedFrame, FrameInterval, SenderClock
@@ -79,11 +79,6 @@ class PlayoutReport:
     known eight frames later."""
     late: int = 0
     """Frames that came after a newer one was shown."""
-    duplicates: int = 0
-    refused: int = 0
-    """Frames that fit nowhere on the time line."""
-    restarts: int = 0
-    """How often the sender or its clock began again."""
     shown: int = 0
     """Display times with a face."""
     missed_s: float = 0.0
@@ -106,21 +101,12 @@ class PlayoutReport:
         """Share of display times without a fresh face."""
         return self.concealed / self.shown if self.shown else 0.0
 
-    def since(self, before: PlayoutReport) -> PlayoutReport:
-        """This report with all counters counted from an earlier one."""
-        counted = {
-            each.name: getattr(self, each.name) - getattr(before, each.name)
-            for each in fields(self)
-            if isinstance(getattr(self, each.name), int)
-        }
-        return replace(self, **counted)
-
 
 class Playout:
     """The playout buffer of one stream; see the module for how it works."""
 
     def __init__(self) -> None:
-        self._received = self._payload_bytes = self._late = self._duplicates = self._misplaced = 0
+        self._received = self._payload_bytes = self._late = 0
         self._num_shown = self._concealed = 0
         self._missed_s = self._last_transit_s = 0.0
         self._sender, self._num_jumps = SenderClock(), 0
@@ -148,11 +134,7 @@ class Playout:
                 self._is_path_new = True
             case "late":
                 self._late += 1
-            case "duplicate":
-                self._duplicates += 1
-                return
-            case "misplaced":
-                self._misplaced += 1
+            case "refused":
                 return
         transit = self._sender.transit
         assert transit is not None
@@ -222,9 +204,6 @@ class Playout:
             payload_bytes=self._payload_bytes,
             lost=self._interval.num_lost,
             late=self._late,
-            duplicates=self._duplicates,
-            refused=self._misplaced,
-            restarts=self._sender.num_jumps,
             shown=self._num_shown,
             missed_s=self._missed_s,
             concealed=self._concealed,

@@ -59,8 +59,9 @@ SMOOTHING = 0.1
 MAX_STEP_S = 0.25
 """A longer step is a pause of the display."""
 
-Insertion = Literal["new", "late", "duplicate", "misplaced"]
-"""misplaced: captured before a frame of a lower number, or after one of a higher."""
+Insertion = Literal["new", "late", "refused"]
+"""refused: it came before, or was captured before a frame of a lower number or after one of a
+higher."""
 
 _number = attrgetter("number")
 _media_s = attrgetter("media_s")
@@ -161,13 +162,13 @@ class Timeline:
         frames = self._frames
         place = bisect_left(frames, frame.number, key=_number)
         if place < len(frames) and frames[place].number == frame.number:
-            return "duplicate"
+            return "refused"
         if place < self._num_shown:
             return "late"
         if place and frames[place - 1].media_s > frame.media_s:
-            return "misplaced"
+            return "refused"
         if place < len(frames) and frames[place].media_s < frame.media_s:
-            return "misplaced"
+            return "refused"
         frames.insert(place, frame)
         if self.num_waiting > MAX_FRAMES:
             del frames[self._num_shown]

@@ -36,7 +36,7 @@ def test_a_sender_whose_clock_jumps_plays_on_with_the_usual_delay(jump_s: float,
     ticks = play(playout, frames, seconds=18)
     assert max(steps(ticks)) <= 0.12
     report = playout.report()
-    assert (report.lost, report.refused) == (0, 0)
+    assert report.lost == 0
     assert report.concealed <= 30
     delay_s = min(1 / fps, 0.2)
     assert report.delay_s == pytest.approx(delay_s, abs=0.002)
@@ -68,7 +68,7 @@ def test_a_stream_that_begins_again_plays_on(name: str, first_s: float) -> None:
             frames.append(frame._replace(number=number, captured_us=frame.captured_us + clock_us))
     ticks = play(playout, frames, seconds=20)
     report = playout.report()
-    assert (report.restarts, report.lost, report.refused) == (1, 0, 0)
+    assert report.lost == 0
     assert report.delay_s == pytest.approx(FRAME_S, abs=0.001)
     assert max(steps(ticks)) <= 0.07
     for tick in between(ticks, first_s + 3.5, 20):
@@ -129,18 +129,17 @@ def test_a_stream_that_begins_in_a_stall_is_no_later_than_any_other_after_it() -
     playout = Playout()
     frames = [frame._replace(arrived_s=max(frame.arrived_s, 1.5)) for frame in arrivals(seconds=12)]
     ticks = play(playout, frames, seconds=12)
-    assert playout.report().restarts == 0
     ages_s = [tick.report.age_s for tick in between(ticks, 2.5, 12)]
     assert max(ages_s) <= CEILING_S + 0.001
     assert ages_s[-1] == pytest.approx(FRAME_S, abs=0.001)
 
 
-def test_duplicates_are_counted_and_change_nothing() -> None:
+def test_duplicates_change_nothing() -> None:
     once, thrice = Playout(), Playout()
     frames = arrivals(seconds=5)
     repeated = [frame for frame in frames for _ in range(3)]
     ticks = [play(once, frames, seconds=5.1), play(thrice, repeated, seconds=5.1)]
-    assert thrice.report() == replace(once.report(), received=450, duplicates=300)
+    assert thrice.report() == replace(once.report(), received=450)
     for one, other in zip(*ticks, strict=True):
         assert (one.played is None) == (other.played is None)
         if one.played is not None and other.played is not None:
