@@ -9,7 +9,7 @@ import os
 from dataclasses import replace
 
 from pica_client.e2ee.frames import derive_key, metadata_of, open_, seal
-from pica_client.errors import OpenError
+from pica_client.errors import SealError
 from pica_protocol.frames import Frame
 
 key = derive_key(os.urandom(16), key_id=0)
@@ -28,7 +28,7 @@ attempts = {
 for what, arguments in attempts.items():
     try:
         open_(*arguments)
-    except OpenError as error:
+    except SealError as error:
         print(f"{what}: {type(error).__name__}")
     else:
         raise AssertionError(what)

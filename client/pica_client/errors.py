@@ -1,15 +1,12 @@
 """What can go wrong in a sender or a receiver that its user can mend.
 
     ClientError
-    ├── OptionError         an option, or a combination of them, that makes no sense
+    ├── OptionError         an option, or a combination of them, that makes no sense; a name of an
+    │                       avatar that is neither shipped nor in the given files
     ├── SourceError         a tracker, recording or performance that cannot be read
     ├── ShaderError         shader text that is wrong, or that a driver does not take
     ├── VoiceError          sound that cannot be opened, encoded, decoded or played
-    ├── AvatarLookupError   an avatar that is neither shipped nor in the given files
-    ├── SealError           end-to-end encryption
-    │   ├── SecretFileError     the file with the room secret cannot be read or written
-    │   ├── KeyMessageError     a message about keys that is not from a member, or not for us
-    │   └── OpenError           a payload that is not what its sender sealed
+    ├── SealError           end-to-end encryption: a secret, a message about keys, a sealed payload
     ├── RelayError          the way to the relay
     │   ├── RelayUnreachableError   no answer at that address
     │   └── RelayRefusedError       the relay refuses us
@@ -49,24 +46,9 @@ class VoiceError(ClientError):
     """Sound cannot be used: names the file, device or packet, and the limit or the fix."""
 
 
-class AvatarLookupError(ClientError):
-    """No avatar of that name or hash: names those that are there."""
-
-
 class SealError(ClientError):
-    """Sealed payloads or keys cannot be used."""
-
-
-class SecretFileError(SealError):
-    """The secret cannot be used: names the file and the fix."""
-
-
-class KeyMessageError(SealError):
-    """A message about keys cannot be trusted."""
-
-
-class OpenError(SealError):
-    """A sealed payload does not open; it is dropped and counted, and not reported further."""
+    """A secret cannot be used, names the file and the fix; or a message about keys cannot be
+    trusted, or a sealed payload does not open: those are dropped and counted."""
 
 
 class RelayError(ClientError):

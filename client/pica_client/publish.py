@@ -281,7 +281,7 @@ def open_face(
 
     Raises:
         SourceError: The source cannot be opened.
-        AvatarLookupError: The avatar is not there.
+        OptionError: The avatar is not there.
         AvatarFileError: It must not be used.
     """
     identity = library.find(avatar or avatar_by_name(link.name, library.names))

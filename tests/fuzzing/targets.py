@@ -25,7 +25,7 @@ from helpers.toy import make_toy_avatar, with_bases
 from pica_client.e2ee.frames import decode_header, derive_key, metadata_of, open_, seal
 from pica_client.e2ee.peer_keys import KeyMessage, decode, encode, room_key
 from pica_client.e2ee.secret import RoomSecret
-from pica_client.errors import OpenError
+from pica_client.errors import SealError
 from pica_client.sources.live_face import PacketError
 from pica_client.sources.registry import LIVE_KINDS, decoder_of
 from pica_core.avatar.file import load_avatar, save_avatar
@@ -82,7 +82,7 @@ def media(data: bytes) -> None:
 
 def sealed(data: bytes) -> None:
     """Read a sealed payload."""
-    with suppress(OpenError):
+    with suppress(SealError):
         decode_header(data)
         open_(data, METADATA, derive_key(bytes(16), 7))
 

@@ -12,7 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final, Protocol
 
-from pica_client.errors import AvatarLookupError
+from pica_client.errors import OptionError
 from pica_core.avatar.file import SUFFIX, Avatar, avatar_id, load_avatar, shipped_avatar_files
 from pica_core.errors import AvatarFileError
 from pica_core.reference import still_map
@@ -73,7 +73,7 @@ class AvatarLibrary:
         """The hash of an avatar by its name or its file.
 
         Raises:
-            AvatarLookupError: Neither; names the known ones.
+            OptionError: Neither; names the known ones.
             AvatarFileError: The file cannot be read.
         """
         for identity, path in self._paths.items():
@@ -82,7 +82,7 @@ class AvatarLibrary:
         path = Path(name).expanduser()
         if path.suffix != SUFFIX:
             known = ", ".join(self.names) or "none"
-            raise AvatarLookupError(
+            raise OptionError(
                 f"avatar {name!r} is unknown; shipped are: {known}; or give a {SUFFIX} file"
             )
         identity = avatar_id(path)
@@ -124,10 +124,10 @@ class AvatarLibrary:
 
         Raises:
             AvatarFileError: It must not be used.
-            AvatarLookupError: No file has this hash.
+            OptionError: No file has this hash.
         """
         if not self.has(identity):
-            raise AvatarLookupError(f"no avatar file with the hash {identity[:12]}…")
+            raise OptionError(f"no avatar file with the hash {identity[:12]}…")
         return self._begin_loading(identity).result()
 
     def close(self) -> None:

@@ -18,8 +18,8 @@ from websockets.asyncio.client import ClientConnection
 from websockets.exceptions import ConnectionClosed
 
 from pica_client.errors import (
-    AvatarLookupError,
     ClientError,
+    OptionError,
     RelayError,
     RelayRefusedError,
     RelayUnreachableError,
@@ -197,10 +197,10 @@ def avatar_by_name(name: str, avatars: Sequence[str]) -> str:
     the same.
 
     Raises:
-        AvatarLookupError: There are none.
+        OptionError: There are none.
     """
     if not avatars:
-        raise AvatarLookupError("no avatar ships with this package; name one with --avatar FILE")
+        raise OptionError("no avatar ships with this package; name one with --avatar FILE")
     text = SALT + unicodedata.normalize("NFC", name).casefold().strip()
     number = int.from_bytes(hashlib.sha256(text.encode()).digest()[:8])
     return avatars[number % len(avatars)]

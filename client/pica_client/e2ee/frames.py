@@ -16,7 +16,7 @@ from cryptography.hazmat.primitives.ciphers.aead import AESGCM
 from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 
-from pica_client.errors import OpenError
+from pica_client.errors import SealError
 from pica_protocol.frames import Frame, clear_header
 
 BASE_KEY_BYTES: Final = 16
@@ -71,14 +71,14 @@ def decode_header(sealed: bytes) -> tuple[int, int, int]:
     """Return key id and counter of a sealed payload, and how many bytes its header takes.
 
     Raises:
-        OpenError: It is cut off, or a number takes more bytes than it needs.
+        SealError: It is cut off, or a number takes more bytes than it needs.
     """
     numbers, end = list[int](), 1
     for bits in (sealed[0] >> 4, sealed[0] & 15) if sealed else ():
         begin, end = end, end + max(bits - 7, 0)
         numbers.append(bits if bits < 8 else int.from_bytes(sealed[begin:end]))
     if not numbers or encode_header(*numbers) != sealed[:end]:
-        raise OpenError(f"no header in a payload of {len(sealed)} bytes")
+        raise SealError(f"no header in a payload of {len(sealed)} bytes")
     return numbers[0], numbers[1], end
 
 
@@ -101,16 +101,16 @@ def open_(sealed: bytes, metadata: bytes, key: FrameKey) -> bytes:
     """Return the payload that a sender with the same key sealed with the same metadata.
 
     Raises:
-        OpenError: Another key, other metadata, or a bit that is not as it was.
+        SealError: Another key, other metadata, or a bit that is not as it was.
     """
     key_id, counter, start = decode_header(sealed)
     if key_id != key.key_id:
-        raise OpenError(f"sealed with key {key_id}, not {key.key_id}")
+        raise SealError(f"sealed with key {key_id}, not {key.key_id}")
     associated = sealed[:start] + metadata
     try:
         return key.cipher.decrypt(key.nonce(counter), sealed[start:], associated)
     except InvalidTag:
-        raise OpenError("the tag does not fit") from None
+        raise SealError("the tag does not fit") from None
 
 
 def pad(face: bytes) -> bytes:
@@ -123,11 +123,11 @@ def unpad(padded: bytes) -> bytes:
     """Return the face that was padded.
 
     Raises:
-        OpenError: It is not padded.
+        SealError: It is not padded.
     """
     face = padded.rstrip(b"\0")
     if not face.endswith(_PADDING_MARK):
-        raise OpenError("a face without the mark of its padding")
+        raise SealError("a face without the mark of its padding")
     return face[:-1]
 
 

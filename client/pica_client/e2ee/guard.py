@@ -139,7 +139,7 @@ class Guard:
             case messages.Whisper(peer_id=peer_id, data=data):
                 try:
                     self._receive_key_message(peer_id, data)
-                except errors.KeyMessageError:
+                except errors.SealError:
                     self.counters.messages_refused += 1
                 passed = []
             case messages.Joined():
@@ -257,7 +257,7 @@ class Guard:
         """Take what a peer whispers."""
         peer, way = self._peers.get(peer_id), (peer_id, self._own_id)
         if peer is None:
-            raise errors.KeyMessageError("not from anybody in the room")
+            raise errors.SealError("not from anybody in the room")
         message = peer_keys.decode(data, self._code_key, way)
         is_relabelled = message is not None and message.description != peer.description
         if not peer.is_verified:
@@ -265,7 +265,7 @@ class Guard:
         if message is None and not peer.is_verified:
             peer.state = SealState.SECRET_DIFFERS
         if message is None or is_relabelled:
-            raise errors.KeyMessageError("not by this peer with the secret of this room")
+            raise errors.SealError("not by this peer with the secret of this room")
         is_live = message.echo == peer.challenge
         if message.public_key != peer.public_key and (is_live or not peer.public_key):
             if peer.public_key:  # it began again, and the relay did not say so
@@ -290,7 +290,7 @@ class Guard:
     def _meet(self, peer: PeerKeys, public_key: bytes) -> None:
         """Learn a public key: from now on the peer can be given ours."""
         if public_key in {self._public_key, *(each.public_key for each in self._peers.values())}:
-            raise errors.KeyMessageError("a public key of another member of the room")
+            raise errors.SealError("a public key of another member of the room")
         peer.pair_key = peer_keys.agree(self._private, public_key, self._pair_salt)
         peer.public_key = public_key
         assert self._own is not None  # there are peers in a room only
@@ -315,7 +315,7 @@ class Guard:
             payload = frames.open_(frame.payload, frames.metadata_of(frame), opening.key)
             if kind == FACE_TRACK:
                 payload = frames.unpad(payload)
-        except errors.OpenError:
+        except errors.SealError:
             counters.forged += 1
             return []
         opening.window.mark(counter)

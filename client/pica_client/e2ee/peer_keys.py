@@ -34,7 +34,7 @@ from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 
 from pica_client.e2ee.frames import FrameKey, ReplayWindow, derive_key
 from pica_client.e2ee.secret import RoomSecret, SealState
-from pica_client.errors import KeyMessageError
+from pica_client.errors import SealError
 from pica_protocol.messages import Peer, Track
 
 PUBLIC_KEY_BYTES: Final = 32
@@ -86,12 +86,12 @@ def agree(private: X25519PrivateKey, theirs: bytes, salt: bytes) -> bytes:
     """Return the key that two peers, and no others, share.
 
     Raises:
-        KeyMessageError: The other public key is of small order: anybody would know the key.
+        SealError: The other public key is of small order: anybody would know the key.
     """
     try:
         shared = private.exchange(X25519PublicKey.from_public_bytes(theirs))
     except ValueError as error:
-        raise KeyMessageError("a public key that agrees on nothing") from error
+        raise SealError("a public key that agrees on nothing") from error
     keys = sorted((private.public_key().public_bytes_raw(), theirs))
     return HKDF(SHA256(), 32, salt=salt, info=b"pica seal wrap " + b"".join(keys)).derive(shared)
 
@@ -118,13 +118,13 @@ def unwrap(data: bytes, way: tuple[str, str], pair_key: bytes) -> bytes:
     """Return the base key in a message that `decode` has taken.
 
     Raises:
-        KeyMessageError: It was wrapped for another peer, or in another message.
+        SealError: It was wrapped for another peer, or in another message.
     """
     body, wrapped = data[: _BODY.size], data[_BODY.size : -_CODE_BYTES]
     try:
         return _wrapping(body, way, pair_key).decrypt(bytes(12), wrapped, b"")
     except InvalidTag:
-        raise KeyMessageError("a key that is wrapped for another peer") from None
+        raise SealError("a key that is wrapped for another peer") from None
 
 
 def _wrapping(body: bytes, way: tuple[str, str], pair_key: bytes) -> AESGCM:

@@ -20,7 +20,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Final
 
-from pica_client.errors import SecretFileError
+from pica_client.errors import SealError
 from pica_protocol.limits import text_of_file
 
 SECRET_BYTES: Final = 32
@@ -46,7 +46,7 @@ def save_secret(path: Path, secret: RoomSecret) -> None:
     """Write a secret into a new file that its owner alone can read.
 
     Raises:
-        SecretFileError: There is a file already (a call may depend on it), or none can be made.
+        SealError: There is a file already (a call may depend on it), or none can be made.
     """
     try:
         handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
@@ -57,16 +57,16 @@ def save_secret(path: Path, secret: RoomSecret) -> None:
             path.unlink()
             raise
     except FileExistsError as error:
-        raise SecretFileError(f"{path}: is there already; name a new file") from error
+        raise SealError(f"{path}: is there already; name a new file") from error
     except OSError as error:
-        raise SecretFileError(f"{path}: cannot be written: {error.strerror or error}") from error
+        raise SealError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
 def load_secret(path: Path) -> RoomSecret:
     """Read a secret.
 
     Raises:
-        SecretFileError: No such file, or one that `save_secret` did not write.
+        SealError: No such file, or one that `save_secret` did not write.
     """
     try:
         with path.open("rb") as file:
@@ -74,9 +74,9 @@ def load_secret(path: Path) -> RoomSecret:
     except UnicodeDecodeError:
         found = None
     except OSError as error:
-        raise SecretFileError(f"{path}: cannot be read: {error.strerror or error}") from error
+        raise SealError(f"{path}: cannot be read: {error.strerror or error}") from error
     if found is None:
-        raise SecretFileError(f"{path}: is no room secret; make one with `pica secret FILE`")
+        raise SealError(f"{path}: is no room secret; make one with `pica secret FILE`")
     return RoomSecret(urlsafe_b64decode(found[1]))
 
 

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from pica_client.avatars.library import AvatarLibrary
-from pica_client.errors import AvatarLookupError, OptionError
+from pica_client.errors import OptionError
 from pica_client.local_call.processes import Child, Children, end_all
 from pica_client.publish import SenderConfig
 from pica_client.sources import open_source, start_later
@@ -73,7 +73,7 @@ class LocalCall:
 
     Raises:
         SourceError: A source that cannot be opened.
-        AvatarLookupError: An avatar that is not there.
+        OptionError: An avatar that is not there.
         CallProcessError: The relay did not start.
     """
 
@@ -147,11 +147,11 @@ def choose_avatars(names: str | None, library: AvatarLibrary) -> list[str]:
     """Names or files of the avatars to deal, each known to the library afterwards.
 
     Raises:
-        AvatarLookupError: None shipped and none given, or one that is not there.
+        OptionError: None shipped and none given, or one that is not there.
     """
     chosen = library.names if names is None else [name for name in names.split(",") if name]
     if not chosen:
-        raise AvatarLookupError("no avatar ships with this package; name one with --avatar FILE")
+        raise OptionError("no avatar ships with this package; name one with --avatar FILE")
     for name in chosen:
         library.load(library.find(name))
     return chosen

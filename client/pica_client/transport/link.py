@@ -138,7 +138,7 @@ class Link:
                 configuration, and without a secret everything is plain.
 
         Raises:
-            SecretFileError: There is no secret in the file.
+            SealError: There is no secret in the file.
         """
         if guard is None and config.secret_file is not None:
             # Only here: a link without a secret needs no cryptography.

@@ -10,7 +10,7 @@ from helpers.toy import make_toy_avatar
 from pica_client.avatars import library as module
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.avatars.upload import GiveAvatar, avatar_by_name, giver_of
-from pica_client.errors import AvatarLookupError
+from pica_client.errors import OptionError
 from pica_client.local_call.local_call import NAMES
 from pica_client.transport.connect import LinkConfig
 from pica_core.avatar.file import save_avatar, shipped_avatar_files
@@ -50,7 +50,7 @@ def test_everybody_looks_the_same_in_each_call_however_the_name_is_typed() -> No
 
 
 def test_without_any_avatar_the_remedy_is_named() -> None:
-    with pytest.raises(AvatarLookupError, match="--avatar FILE"):
+    with pytest.raises(OptionError, match="--avatar FILE"):
         avatar_by_name("Ada", [])
 
 

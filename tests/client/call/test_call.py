@@ -17,7 +17,7 @@ from helpers.stream_toy import (
 from helpers.toy import make_toy_avatar, toy_payload, without_stream
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.call.call import Call
-from pica_client.errors import AvatarLookupError
+from pica_client.errors import OptionError
 from pica_client.tracks import FACE_KEY, FACE_LOST
 from pica_core.avatar.file import Avatar, save_avatar
 from pica_core.errors import AvatarFileError
@@ -163,7 +163,7 @@ def test_a_library_finds_avatars_by_name_file_and_hash(tmp_path: Path) -> None:
     assert library.load(identity).manifest.identity == "toy-1"
     assert library.get(identity) is not None
     assert library.load(library.find(str(other))).manifest.identity == "toy-2"
-    with pytest.raises(AvatarLookupError, match="'bob' is unknown; shipped are: ada, other"):
+    with pytest.raises(OptionError, match="'bob' is unknown; shipped are: ada, other"):
         library.find("bob")
     with pytest.raises(AvatarFileError, match=r"none\.pica"):
         library.find(str(tmp_path / "none.pica"))

@@ -12,7 +12,7 @@ import pytest
 
 from helpers.toy import make_toy_avatar
 from pica_client.e2ee.secret import RoomSecret, load_secret, save_secret
-from pica_client.errors import OptionError, SecretFileError
+from pica_client.errors import OptionError, SealError
 from pica_client.ui.recorder import save_png
 from pica_core.avatar.file import save_avatar
 from pica_core.errors import AvatarFileError
@@ -63,7 +63,7 @@ def test_what_was_there_stays_whole(
 
 def test_half_a_secret_does_not_stand_in_the_way_of_the_next_try(tmp_path: Path) -> None:
     path = tmp_path / "room.secret"
-    with room_for(20), pytest.raises(SecretFileError, match="cannot be written: File too large"):
+    with room_for(20), pytest.raises(SealError, match="cannot be written: File too large"):
         save_secret(path, RoomSecret.new())
     save_secret(path, RoomSecret.new())
     load_secret(path)

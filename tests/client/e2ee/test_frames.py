@@ -28,7 +28,7 @@ from pica_client.e2ee.frames import (
     seal,
     unpad,
 )
-from pica_client.errors import OpenError
+from pica_client.errors import SealError
 from pica_protocol.frames import Frame
 
 pytestmark = pytest.mark.unit
@@ -74,13 +74,13 @@ def test_every_header_comes_back_and_none_that_was_cut(key_id: int, counter: int
     encoded = encode_header(key_id, counter)
     assert decode_header(encoded) == (key_id, counter, len(encoded))
     for end in range(len(encoded)):
-        with pytest.raises(OpenError):
+        with pytest.raises(SealError):
             decode_header(encoded[:end])
 
 
 @pytest.mark.parametrize("encoded", ["0807", "090007", "0900ff", "8007", "900007"])
 def test_a_number_in_more_bytes_than_it_needs_is_refused(encoded: str) -> None:
-    with pytest.raises(OpenError, match="no header"):
+    with pytest.raises(SealError, match="no header"):
         decode_header(bytes.fromhex(encoded))
 
 
@@ -100,7 +100,7 @@ def test_no_flipped_bit_opens() -> None:
     for place in range((len(sealed) + len(metadata)) * 8):
         flipped = bytearray(sealed + metadata)
         flipped[place // 8] ^= 1 << place % 8
-        with pytest.raises(OpenError):
+        with pytest.raises(SealError):
             open_(bytes(flipped[: len(sealed)]), bytes(flipped[len(sealed) :]), key)
 
 
@@ -108,14 +108,14 @@ def test_nothing_opens_that_was_cut_or_lengthened() -> None:
     key = derive_key(BASE_KEY, 5)
     sealed = seal(b"a face", METADATA, key, 300)
     for other in [sealed[:end] for end in range(len(sealed))] + [sealed + b"\0"]:
-        with pytest.raises(OpenError):
+        with pytest.raises(SealError):
             open_(other, METADATA, key)
 
 
 def test_another_key_or_key_id_does_not_open() -> None:
     sealed = seal(PLAIN, METADATA, derive_key(BASE_KEY, 1), 9)
     for other in (derive_key(BASE_KEY, 2), derive_key(bytes(16), 1)):
-        with pytest.raises(OpenError):
+        with pytest.raises(SealError):
             open_(sealed, METADATA, other)
 
 
@@ -141,7 +141,7 @@ def test_a_padded_face_comes_back_from_one_size_or_its_multiple(face: bytes) -> 
 
 @pytest.mark.parametrize("padded", [b"", b"\0\0", b"a face", b"a face\0"])
 def test_what_has_no_mark_was_not_padded(padded: bytes) -> None:
-    with pytest.raises(OpenError, match="without the mark"):
+    with pytest.raises(SealError, match="without the mark"):
         unpad(padded)
 
 

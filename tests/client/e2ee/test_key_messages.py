@@ -20,7 +20,7 @@ from pica_client.e2ee.peer_keys import (
     room_key,
     unwrap,
 )
-from pica_client.errors import KeyMessageError
+from pica_client.errors import SealError
 
 pytestmark = pytest.mark.unit
 
@@ -65,10 +65,10 @@ def test_a_wrapped_key_does_not_unwrap_in_another_message_even_of_a_member() -> 
         forged = encode(MESSAGE._replace(**changed), CODE_KEY, WAY, bytes(31) + b"x", BASE_KEY)
         wrapped = slice(93, 125)
         moved = forged[: wrapped.start] + DATA[wrapped] + forged[wrapped.stop :]
-        with pytest.raises(KeyMessageError, match="wrapped for another peer"):
+        with pytest.raises(SealError, match="wrapped for another peer"):
             unwrap(moved, WAY, PAIR_KEY)
 
 
 def test_a_public_key_of_small_order_is_refused() -> None:
-    with pytest.raises(KeyMessageError, match="agrees on nothing"):
+    with pytest.raises(SealError, match="agrees on nothing"):
         agree(X25519PrivateKey.from_private_bytes(bytes(32)), bytes(32), b"salt")

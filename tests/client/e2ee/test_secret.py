@@ -9,7 +9,7 @@ import pytest
 
 from pica_client.cli.machine import SecretOptions, secret
 from pica_client.e2ee.secret import RoomSecret, load_secret, save_secret
-from pica_client.errors import SecretFileError
+from pica_client.errors import SealError
 
 pytestmark = pytest.mark.unit
 
@@ -43,16 +43,16 @@ def test_every_secret_is_another_and_is_not_shown(
 
 def test_a_file_that_is_there_is_not_overwritten(tmp_path: Path) -> None:
     (tmp_path / "secret").write_text("mine")
-    with pytest.raises(SecretFileError, match="is there already") as raised:
+    with pytest.raises(SealError, match="is there already") as raised:
         secret(SecretOptions(file=tmp_path / "secret"))
     assert raised.value.exit_code == 2
     assert (tmp_path / "secret").read_text() == "mine"
 
 
 def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
-    with pytest.raises(SecretFileError, match="no/secret: cannot be written: No such file"):
+    with pytest.raises(SealError, match="no/secret: cannot be written: No such file"):
         secret(SecretOptions(file=tmp_path / "no" / "secret"))
-    with pytest.raises(SecretFileError, match="no/secret: cannot be read: No such file"):
+    with pytest.raises(SealError, match="no/secret: cannot be read: No such file"):
         load_secret(tmp_path / "no" / "secret")
 
 
@@ -71,5 +71,5 @@ def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
 )
 def test_anything_else_is_refused_with_the_fix(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "secret").write_bytes(content)
-    with pytest.raises(SecretFileError, match="no room secret; make one with `pica secret FILE`"):
+    with pytest.raises(SealError, match="no room secret; make one with `pica secret FILE`"):
         load_secret(tmp_path / "secret")
