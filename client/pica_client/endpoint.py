@@ -19,6 +19,7 @@ from pica_client.call.roster import SELF_ID, Member
 from pica_client.call.status import CallStatus
 from pica_client.playout.buffer import PlayoutReport
 from pica_client.publish import Outgoing, Publisher
+from pica_client.stats import summarise_ms
 from pica_client.tracks import FACE_TRACK, RECORDS_KEY, RECORDS_YES, voice_of
 from pica_client.transport.connect import LinkConfig
 from pica_client.transport.link import Link
@@ -336,8 +337,8 @@ class Hearing(Ears):
         voices = {peer_id: voice.report for peer_id, voice in state.voices.items()}
         ratios = [voice.concealed_ratio for voice in voices.values()]
         return {
-            "skew_ms": call.skews_s.summary_ms(),
-            "mouth_to_ear_ms": call.delays_s.summary_ms(),
+            "skew_ms": summarise_ms(call.skews_s),
+            "mouth_to_ear_ms": summarise_ms(call.delays_s),
             "concealed_ratio": round(sum(ratios) / len(ratios), 4) if ratios else None,
             "loudspeaker": state.speaker.name,
             "trouble": state.speaker.note or available() or "",

@@ -3,14 +3,13 @@
 import math
 import os
 import platform
-from collections import deque
 from collections.abc import Iterable
 
 Summary = dict[str, float | None]
 
 PERCENTILES = (50, 95, 99)
 MAX_SAMPLES = 100_000
-"""Samples kept by default: eleven minutes of five peers at 30 frames a second."""
+"""The latest samples of a call are kept: eleven minutes of five peers at 30 frames a second."""
 TCP_IP_HEADER_BYTES = 40
 """IPv4 and TCP without options, once a message."""
 
@@ -35,25 +34,6 @@ def summarise_ms(samples_s: Iterable[float]) -> Summary:
         f"p{percent}": round(percentile(ordered, percent) * 1e3, 3) if ordered else None
         for percent in PERCENTILES
     }
-
-
-class Samples:
-    """The latest durations of something, in seconds; drops its oldest when full."""
-
-    def __init__(self, max_samples: int = MAX_SAMPLES) -> None:
-        self._samples: deque[float] = deque(maxlen=max_samples)
-
-    def add(self, duration_s: float) -> None:
-        """Take one more."""
-        self._samples.append(duration_s)
-
-    def clear(self) -> None:
-        """Forget all samples so far."""
-        self._samples.clear()
-
-    def summary_ms(self) -> Summary:
-        """p50, p95 and p99 in milliseconds."""
-        return summarise_ms(self._samples)
 
 
 def describe_machine() -> dict[str, object]:

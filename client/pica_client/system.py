@@ -16,11 +16,10 @@ from typing import Final, Self
 from platformdirs import PlatformDirs
 
 from pica_client.errors import OptionError
-from pica_core.files import replacing
 from pica_protocol.limits import printable
 
-_NAME: Final = "pica-telepresence"
-_TITLE: Final = "PiCA Telepresence"
+FOLDERS: Final = PlatformDirs("pica-telepresence", appauthor=False, roaming=True)
+"""This user's folders for what is fetched, set and recorded."""
 
 
 class Closing(ABC):
@@ -35,26 +34,6 @@ class Closing(ABC):
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-def cache_folder() -> Path:
-    """Return the folder for avatars that can be fetched again."""
-    return PlatformDirs(_NAME, appauthor=False).user_cache_path / "avatars"
-
-
-def models_folder() -> Path:
-    """Return the folder for networks that this user has fetched."""
-    return PlatformDirs(_NAME, appauthor=False).user_data_path / "models"
-
-
-def videos_folder() -> Path:
-    """Return the folder for recordings that this user makes of a call."""
-    return PlatformDirs(_NAME, appauthor=False).user_videos_path / _TITLE
-
-
-def preferences_folder() -> Path:
-    """Return the folder for this user's preferences."""
-    return PlatformDirs(_NAME, appauthor=False, roaming=True).user_config_path
 
 
 def make_private(folder: Path) -> None:
@@ -113,17 +92,6 @@ def terminate_as_interrupt() -> Iterator[None]:
 
 
 @contextmanager
-def writing_whole(path: Path) -> Iterator[Path]:
-    """Give a new file to write to, which becomes `path` at the end of the block, or nothing does.
-
-    Raises:
-        OptionError: The block met an `OSError`.
-    """
-    with writing(path), replacing(path) as unfinished:
-        yield unfinished
-
-
-@contextmanager
 def writing(path: Path) -> Iterator[None]:
     """Let what the system says against writing `path` name it.
 
@@ -134,31 +102,6 @@ def writing(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise OptionError(f"{path}: cannot be written: {error.strerror or error}") from error
-
-
-class Outputs:
-    """What a command was asked to write; what cannot be costs neither its work nor its report.
-
-    Attributes:
-        failures: A line for each file that could not be written.
-    """
-
-    def __init__(self) -> None:
-        self.failures: list[str] = []
-
-    def attempt(self, write: Callable[[], object]) -> bool:
-        """Write something; return whether that was possible."""
-        try:
-            write()
-        except OptionError as error:
-            self.fail(str(error))
-            return False
-        return True
-
-    def fail(self, failure: str) -> None:
-        """Tell and note why something could not be written."""
-        self.failures.append(failure)
-        say(failure)
 
 
 def check_writable(path: Path | None, suffix: str = "") -> None:
@@ -187,20 +130,6 @@ def check_writable(path: Path | None, suffix: str = "") -> None:
     else:
         return
     raise OptionError(f"{path}: cannot be written: {reason}")
-
-
-def make_folder(path: Path) -> None:
-    """Make a folder for output, with those above it.
-
-    Raises:
-        OptionError: It cannot be made or written.
-    """
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OptionError(f"{path}: cannot be made: {error.strerror or error}") from error
-    if not os.access(path, os.W_OK):
-        raise OptionError(f"{path}: cannot be written: Permission denied")
 
 
 def say(text: str) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from pica_client.avatars.fetch import AvatarCache
-from pica_client.system import cache_folder, preferences_folder, say
+from pica_client.system import FOLDERS, say
 from pica_client.ui.state import PreferencesFile, ViewState
 
 pytestmark = pytest.mark.unit
@@ -19,15 +19,16 @@ def test_what_is_kept_of_a_user_is_for_their_eyes_alone(
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
-    for folder in (cache_folder(), preferences_folder()):
+    cache, preferences = FOLDERS.user_cache_path / "avatars", FOLDERS.user_config_path
+    for folder in (cache, preferences):
         folder.mkdir(parents=True)
         folder.chmod(0o755)
     AvatarCache().keep("5" * 64, b"an avatar")
     PreferencesFile().save(ViewState(name="Ada"))
     for path, mode in (
-        (cache_folder(), 0o700),
-        (preferences_folder(), 0o700),
-        (preferences_folder() / "preferences.json", 0o600),
+        (cache, 0o700),
+        (preferences, 0o700),
+        (preferences / "preferences.json", 0o600),
     ):
         assert stat.S_IMODE(path.stat().st_mode) == mode
 

@@ -25,7 +25,7 @@ import httpx
 
 from pica_client.avatars.library import AvatarLibrary
 from pica_client.errors import RelayRefusedError, RelayUnreachableError
-from pica_client.system import cache_folder, make_private
+from pica_client.system import FOLDERS, make_private
 from pica_client.transport.connect import SOFTWARE, proxy_of
 from pica_core.avatar.file import MAX_FILE_BYTES, SUFFIX, Avatar, avatar_id, load_avatar
 from pica_core.errors import AvatarFileError
@@ -38,12 +38,12 @@ MAX_BYTES = 2**30
 
 
 class AvatarCache:
-    """A bounded folder of avatar files by hash, by default `cache_folder`; the newest file is kept
+    """A bounded folder of avatar files by hash, by default this user's; the newest file is kept
     whatever its size. One thread uses it; processes may share it."""
 
     def __init__(self, folder: Path | None = None, max_bytes: int = MAX_BYTES) -> None:
         self._max_bytes = max_bytes
-        self.folder = folder or cache_folder()
+        self.folder = folder or FOLDERS.user_cache_path / "avatars"
 
     def find(self, identity: str) -> Path | None:
         """The file of an avatar, if it is there and still has its hash."""

@@ -8,6 +8,7 @@ the face is held; a peer whose avatar is missing gets a seat without a face.
 """
 
 import threading
+from collections import deque
 from collections.abc import Callable, Container, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -18,7 +19,7 @@ from pica_client.call.participant import Participant, Tell
 from pica_client.call.roster import SECRET_NEEDED, SELF_ID, Member, RoomState, Roster, name_warnings
 from pica_client.call.status import FaceState, FaceStatus
 from pica_client.e2ee.secret import SealState
-from pica_client.stats import Samples
+from pica_client.stats import MAX_SAMPLES
 from pica_client.tracks import FACE_TRACK, voice_of
 from pica_core.avatar.file import Avatar
 from pica_core.codec.latent_stream import EncodedFrame, LatentSample
@@ -96,7 +97,8 @@ class Call:
         self.ears = ears
         self._voices: dict[int, str] = {}  # peer ids by stream
         self.guard: Guard | None = None
-        self.skews_s, self.delays_s = Samples(), Samples()
+        self.skews_s: deque[float] = deque(maxlen=MAX_SAMPLES)
+        self.delays_s: deque[float] = deque(maxlen=MAX_SAMPLES)
 
     # The network's side
 
@@ -336,8 +338,8 @@ class Call:
         elif seat.is_stale(now):
             status = "stale"
         if heard_us is not None and not (is_held or is_resting):
-            self.skews_s.add(abs(played.captured_us - heard_us) / 1e6)
-            self.delays_s.add(now + ahead_s - heard_us / 1e6)
+            self.skews_s.append(abs(played.captured_us - heard_us) / 1e6)
+            self.delays_s.append(now + ahead_s - heard_us / 1e6)
         return replace(
             face,
             latent=played.sample.latent,

@@ -18,15 +18,9 @@ from pica_client.errors import CallProcessError, check_ranges
 from pica_client.local_call import local_call
 from pica_client.local_call.processes import Child, Children
 from pica_client.stats import describe_machine
-from pica_client.system import (
-    has_display,
-    make_folder,
-    say,
-    terminate_as_interrupt,
-    writing,
-    writing_whole,
-)
+from pica_client.system import has_display, say, terminate_as_interrupt, writing
 from pica_client.ui.options import parse_size
+from pica_core.files import replacing
 
 END_TIMEOUT_S = 90.0
 """Time that the viewer has to start, see everybody and write its files, besides the call."""
@@ -91,9 +85,9 @@ def run_demo(config: DemoConfig) -> dict[str, Any]:
     Raises:
         ClientError: A source, an avatar, the folder or a process is not as it must be.
     """
-    make_folder(config.out)
     film = config.out / "call.mp4"
     with writing(film):
+        config.out.mkdir(parents=True, exist_ok=True)
         film.unlink(missing_ok=True)
     with closing(AvatarLibrary()) as library, Children() as children:
         stage = local_call.LocalCall(config.call, library, children)
@@ -103,7 +97,7 @@ def run_demo(config: DemoConfig) -> dict[str, Any]:
         sent = stage.finish()
         stats = _stats(config, stage, shown, sent)
     stats_file = config.out / "stats.json"
-    with writing_whole(stats_file) as unfinished:
+    with writing(stats_file), replacing(stats_file) as unfinished:
         unfinished.write_text(json.dumps(stats, indent=2) + "\n")
     return stats
 

@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from pica_client.errors import SourceError
-from pica_client.system import make_private, preferences_folder
+from pica_client.system import FOLDERS, make_private
 from pica_core.avatar.arkit import ARKIT_INDEX, ARKIT_NAMES, NUM_ARKIT
 from pica_core.files import replacing
 from pica_core.types import BoolArray, FloatArray
@@ -148,4 +148,4 @@ def save_calibration(person: str, kind: str, calibration: Calibration) -> Path:
 
 def _path(person: str, kind: str) -> Path:
     name = "".join(each if each.isalnum() else "_" for each in person) or "_"
-    return preferences_folder() / "calibrations" / f"{name}.{kind}.json"
+    return FOLDERS.user_config_path / "calibrations" / f"{name}.{kind}.json"

@@ -18,7 +18,7 @@ import numpy as np
 from PIL import Image
 
 from pica_client.errors import SourceError
-from pica_client.system import models_folder
+from pica_client.system import FOLDERS
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.files import replacing
 from pica_core.types import Float64Array, FloatArray
@@ -229,7 +229,7 @@ _MEMBERS: Final = (
 
 def model_path() -> Path:
     """Where the file lies on this machine, or would."""
-    return models_folder() / "face_landmarker.task"
+    return FOLDERS.user_data_path / "models" / "face_landmarker.task"
 
 
 def install(source: str = URL) -> Path:

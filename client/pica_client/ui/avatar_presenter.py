@@ -15,6 +15,7 @@ avatar is missing or broken sits there as a placeholder with the reason; the oth
 
 import math
 import time
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
@@ -32,7 +33,7 @@ from pica_client.render.scene import Placement, head_matrix
 from pica_client.render.seats import SHOULDERS_M, FreeShares, SeatPlan, plan_seats
 from pica_client.schedule.head import Head
 from pica_client.schedule.scheduler import LISTENER_S, Plan, Scheduler, requests_of
-from pica_client.stats import Samples, Summary
+from pica_client.stats import MAX_SAMPLES, Summary, summarise_ms
 from pica_client.ui.state import ViewState
 from pica_core.avatar.bust import bust_of
 from pica_core.avatar.manifest import ViewSpan
@@ -64,13 +65,13 @@ class Meter:
     """Durations of a call, in seconds: all of them for the report, the latest for the panel."""
 
     def __init__(self) -> None:
-        self._samples = {name: Samples() for name in MEASURED}
-        self._recent = {name: Samples(RECENT_SAMPLES) for name in MEASURED}
+        self._samples = {name: deque[float](maxlen=MAX_SAMPLES) for name in MEASURED}
+        self._recent = {name: deque[float](maxlen=RECENT_SAMPLES) for name in MEASURED}
 
     def add(self, name: str, duration_s: float) -> None:
         """Take one more duration of one of `MEASURED`."""
-        self._samples[name].add(duration_s)
-        self._recent[name].add(duration_s)
+        self._samples[name].append(duration_s)
+        self._recent[name].append(duration_s)
 
     def clear(self) -> None:
         """Forget all: what came before was warming up."""
@@ -79,11 +80,11 @@ class Meter:
 
     def summaries(self) -> dict[str, Summary]:
         """Percentiles of all, milliseconds, as ``draw_ms`` and so on."""
-        return {f"{name}_ms": samples.summary_ms() for name, samples in self._samples.items()}
+        return {f"{name}_ms": summarise_ms(samples) for name, samples in self._samples.items()}
 
     def recent_ms(self, name: str) -> Summary:
         """Percentiles of the latest, milliseconds."""
-        return self._recent[name].summary_ms()
+        return summarise_ms(self._recent[name])
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -127,8 +128,8 @@ class _Peer:
     """As it was drawn last."""
     level: int | None = None
     fade: float = 0.0
-    decode: Samples = field(default_factory=lambda: Samples(RECENT_SAMPLES))
-    latency: Samples = field(default_factory=lambda: Samples(RECENT_SAMPLES))
+    decode: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT_SAMPLES))
+    latency: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT_SAMPLES))
     jaw: JawReader | None = None
     speaking: SpeakingMeter = field(default_factory=SpeakingMeter)
     heard_s: float | None = None
@@ -316,12 +317,12 @@ class AvatarPresenter:
             self._meter.add("upload", upload_s)
             self._meter.add("decode", result.decode_s)
             self._meter.add("decode_wait", result.waited_s)
-            entry.decode.add(result.decode_s)
+            entry.decode.append(result.decode_s)
             if result.captured_us > entry.captured_us:  # a newly shown sample, not a turned view
                 entry.captured_us = result.captured_us
                 latency_s = result.finished_s - result.captured_us * 1e-6
                 self._meter.add("latency", latency_s)
-                entry.latency.add(latency_s)
+                entry.latency.append(latency_s)
             entry.level = result.level
             entry.num_decoded += 1
             self.seen.add(result.slot)
@@ -359,8 +360,8 @@ class AvatarPresenter:
         return {
             peer_id: AvatarFigures(
                 level=entry.level,
-                decode_ms=entry.decode.summary_ms()["p50"],
-                latency_ms=entry.latency.summary_ms()["p50"],
+                decode_ms=summarise_ms(entry.decode)["p50"],
+                latency_ms=summarise_ms(entry.latency)["p50"],
                 num_decoded=entry.num_decoded,
                 is_speaking=entry.is_speaking(now),
             )

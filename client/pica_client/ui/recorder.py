@@ -17,9 +17,10 @@ from typing import Any
 import numpy as np
 
 from pica_client.errors import OptionError
-from pica_client.system import Closing, make_folder, writing, writing_whole
+from pica_client.system import Closing, writing
 from pica_client.voice.opus import SAMPLE_RATE_HZ
 from pica_client.voice.sound.soundtrack import LATE_S, Soundtrack
+from pica_core.files import replacing
 from pica_core.types import Image
 
 TICKS_PER_S = 60
@@ -200,7 +201,7 @@ def save_png(path: Path, image: Image) -> None:
     """Write one image, uint8 ``[H, W, 3]``; OptionError if the file cannot be written."""
     from PIL import Image as PillowImage
 
-    with writing_whole(path) as unfinished:
+    with writing(path), replacing(path) as unfinished:
         PillowImage.fromarray(image).save(unfinished, format="png")
 
 
@@ -210,6 +211,7 @@ def new_path(folder: Path, stem: str, suffix: str) -> Path:
     Raises:
         OptionError: The folder cannot be made.
     """
-    make_folder(folder)
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
     paths = (folder / f"{stem}-{number:04d}{suffix}" for number in count(1))
     return next(path for path in paths if not path.exists())

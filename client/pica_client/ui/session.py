@@ -288,7 +288,7 @@ def _show(
             viewer.run(options.seconds or None, is_stopped)
             end_s = time.monotonic()
             drawn, received = viewer.report(), receiver.stats(end_s)
-            problems, outputs = list(viewer.problems.values()), viewer.outputs
+            problems, failures = list(viewer.problems.values()), viewer.failures
             png = options.png if drawn["frames_rendered"] else None
             if png is not None and viewer.save_image(png):
                 say(f"wrote {png}")
@@ -300,10 +300,10 @@ def _show(
         say(problem)
     return {
         **drawn,
-        "ok": not outputs.failures,
+        "ok": not failures,
         "seconds": round(end_s - begin_s, 2),
         "errors": drawn["errors"] + received["errors"],
-        "problems": [*problems, *outputs.failures],
+        "problems": [*problems, *failures],
         "received": received,
     }
 

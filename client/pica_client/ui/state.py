@@ -15,7 +15,7 @@ from pica_client.errors import OptionError
 from pica_client.publish import DEFAULT_SOURCE
 from pica_client.render.seats import LAYOUTS, Layout
 from pica_client.render.views import ViewState as Orbit
-from pica_client.system import make_private, preferences_folder, say
+from pica_client.system import FOLDERS, make_private, say
 from pica_client.ui.options import DEFAULT_ROOM, DEFAULT_URL
 from pica_client.voice.sound.settings import SoundSettings
 from pica_core.files import replacing
@@ -118,11 +118,11 @@ class PreferencesFile:
     """The file of one user.
 
     Args:
-        folder: Where it is; by default `preferences_folder`.
+        folder: Where it is; by default this user's for settings.
     """
 
     def __init__(self, folder: Path | None = None) -> None:
-        self.path = (preferences_folder() if folder is None else folder) / "preferences.json"
+        self.path = (FOLDERS.user_config_path if folder is None else folder) / "preferences.json"
 
     def load(self) -> ViewState:
         """What is in the file; defaults if there is none, or none that can be used."""

@@ -30,7 +30,7 @@ from pica_client.render.gpu_decoder import choose_decoder
 from pica_client.render.renderer import DrawStats, Renderer, RenderOptions
 from pica_client.render.scene import pick_head
 from pica_client.schedule.scheduler import Plan, Scheduler
-from pica_client.system import Closing, Outputs, say, videos_folder
+from pica_client.system import FOLDERS, Closing, say
 from pica_client.ui.actions import Action, Request, apply, keyboard, mouse
 from pica_client.ui.avatar_presenter import AvatarPresenter, CallScene, Meter
 from pica_client.ui.call_sound import CallSound
@@ -103,7 +103,7 @@ class Viewer(Closing):
         self._source = state.source
         self._meter = Meter()
         self._num_frames = 0
-        self.outputs = Outputs()
+        self.failures: list[str] = []
         self._scene: CallScene | None = None
         self.last_draw: DrawStats | None = None
         with ExitStack() as stack:
@@ -252,7 +252,7 @@ class Viewer(Closing):
                 self._recorder.write(shown, now)
             except OptionError as error:
                 self._record(None)
-                self.outputs.fail(str(error))
+                self._fail(str(error))
                 self._panels.notice(str(error), now)
         if self._window is not None:
             self._window.show(self._show)
@@ -277,7 +277,7 @@ class Viewer(Closing):
         """Begin or end a recording by key; return what to tell the user."""
         if self._recorder is not None:
             return self._end_recording()
-        path = new_path(videos_folder(), "recording", ".mp4")
+        path = new_path(FOLDERS.user_videos_path / "PiCA Telepresence", "recording", ".mp4")
         self._record(Recorder(path, self._renderer.size, self._sound.begin_track))
         return f"Recording into {path.name}"
 
@@ -290,8 +290,21 @@ class Viewer(Closing):
 
     def _close_recording(self) -> None:
         path = None if self._recorder is None else self._recorder.path
-        if path is not None and self.outputs.attempt(self._end_recording):
+        if path is not None and self._attempt(self._end_recording):
             say(f"wrote {path}")
+
+    def _attempt(self, write: Callable[[], object]) -> bool:
+        """Write something; return whether that was possible."""
+        try:
+            write()
+        except OptionError as error:
+            self._fail(str(error))
+            return False
+        return True
+
+    def _fail(self, failure: str) -> None:
+        self.failures.append(failure)
+        say(failure)
 
     def pick(self, x: float, y: float) -> int | None:
         """Whose head is at a point of the surface, units, y down; see `FaceState.place`."""
@@ -307,7 +320,7 @@ class Viewer(Closing):
 
     def save_image(self, path: Path) -> bool:
         """Write the last frame as PNG; return whether that was possible."""
-        return self.outputs.attempt(lambda: save_png(path, self._renderer.read_image()))
+        return self._attempt(lambda: save_png(path, self._renderer.read_image()))
 
     @property
     def problems(self) -> dict[str, str]:

@@ -27,7 +27,7 @@ MakeControls = Callable[[str], FaceControls]
 
 @pytest.fixture
 def make_controls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[MakeControls]:
-    monkeypatch.setattr("pica_client.sources.calibration.preferences_folder", lambda: tmp_path)
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
     opened: list[FaceControls] = []
 
     def make(source: str) -> FaceControls:

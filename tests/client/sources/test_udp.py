@@ -187,7 +187,7 @@ def test_a_report_counts_what_came_and_says_what_would_mend_it() -> None:
 def test_a_calibration_is_made_kept_and_found_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pica_client.sources.calibration.preferences_folder", lambda: tmp_path)
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
     rest = np.zeros(NUM_ARKIT, np.float32)
     rest[ARKIT_INDEX["mouthSmileLeft"]] = 0.2
     closed = rest.copy()

@@ -228,8 +228,8 @@ def test_a_recording_begins_and_ends_by_the_same_key_also_one_that_has_a_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     av = pytest.importorskip("av")
-    kept = tmp_path / "calls" / "of today"
-    monkeypatch.setattr("pica_client.ui.viewer.videos_folder", lambda: kept)
+    kept = tmp_path / "PiCA Telepresence"
+    monkeypatch.setenv("XDG_VIDEOS_DIR", str(tmp_path))
     options = replace(SMALL, record=tmp_path / "call.mp4")
     with Viewer(Faces("ada"), options, clock=lambda: 5.0) as viewer:
         is_recording = []
