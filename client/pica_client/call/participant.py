@@ -169,8 +169,6 @@ class Participant:
         if self.state is not StreamState.PAUSED:  # else it was under way when it was unsubscribed
             self.playout.receive(frame, sample, now)
         if self.state is StreamState.JOINING:
-            if self.last_arrival_s is not None:
-                self.playout.pause()  # what the relay had kept: the hole behind it is no loss
             self.state = StreamState.LIVE
         self.last_arrival_s = now
         return sample

@@ -21,9 +21,9 @@ NAMES_IN_A_ROW: Final = 3
 FaceStatus = Literal["waiting", "live", "concealed", "stale", "away"]
 """How fresh a face is.
 
-waiting: nothing received yet; live: a received or interpolated sample; concealed: held or
-extrapolated over a hole;
-stale: nothing for so long that it should be shown as such; away: the sender's tracker sees no face.
+waiting: nothing received yet; live: a received or interpolated sample; concealed: held over a
+hole; stale: nothing for so long that it should be shown as such; away: the sender's tracker sees
+no face.
 """
 
 

@@ -22,7 +22,7 @@ one interval of the frames that arrive. A display that is slower than the stream
 buffer: a face that comes by as much later as its images lie farther apart than the frames is shown
 with the same image. So its delay is shorter by that much, and it shows the newest frame at most,
 never a guess. When the delay changes, the display's time runs a little faster or slower. When the
-path of the face changes (a frame comes after the face had to go on without it), what is shown goes
+path of the face changes (a frame comes after the face had to rest without it), what is shown goes
 over to the new path within `BLEND_S`.
 """
 
@@ -31,7 +31,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from pica_client.playout.motion import COAST_S, Correction, Playhead, Timeline
+from pica_client.playout.motion import Correction, Playhead, Timeline
 from pica_client.playout.sender_clock import DecodedFrame, FrameInterval, SenderClock
 from pica_core.codec.latent_stream import LatentSample
 from pica_protocol.frames import Frame
@@ -63,7 +63,7 @@ class PlayedFace:
     sample: LatentSample
     captured_us: int
     """The moment shown, sender's clock: that of the frame, or between two when interpolated. While
-    a face goes on without a frame it is the last frame's: nothing newer is known."""
+    a face rests for want of a frame it is the last frame's: nothing newer is known."""
     is_concealed: bool
     """Whether the frame that should be shown by now is not there."""
 
@@ -253,7 +253,7 @@ class Playout:
             known_s += min(max(past_s, 0.0), STILL_S)
             is_concealed = past_s > STILL_S
         else:
-            self._end_s = held.media_s + COAST_S
+            self._end_s = held.media_s
             # By now the next frame should have come, had it been as late as we wait for: half an
             # interval is granted for a tracker that is not so regular.
             granted_s = max(self._target_s - transit.jitter_s, 0.0)

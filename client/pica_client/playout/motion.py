@@ -6,9 +6,8 @@ seen: so the display's time runs a little faster or slower until it is there, an
 Only where that would take too long it leaps forwards.
 
 Between two frames the face moves evenly from one to the other. Where the next frame is too far
-away, or not there, it coasts: it goes on as it last moved, ever slower, and rests after a while. It
-leaves for the next frame, if that is there, just so early that it does not hurry. A still frame
-says that nothing moves until one interval before the next frame.
+away, or not there, it rests. It leaves for the next frame, if that is there, just so early that it
+does not hurry. A still frame says that nothing moves until one interval before the next frame.
 
 Latent, rotation vector and position each move on a straight line: two frames are so close together
 that the head's turn between them differs from the shortest arc by less than is seen.
@@ -26,26 +25,17 @@ from pica_core.codec.latent_stream import LatentSample
 from pica_core.types import LATENT_SHAPE, NUM_LATENT, FloatArray
 
 NUM_SHOWN = 9
-"""Frames kept after they were shown: 33 ms at 240 fps, for the speed of the face."""
+"""Frames kept after they were shown: 33 ms at 240 fps, for where the face was an image ago."""
 MAX_FRAMES = 64
 """Frames that wait; beyond it the oldest is dropped."""
 MAX_GAP_S = 0.25
 """Longest time on the way between two frames; a longer gap is waited out first (chosen: 4 fps are
 still moved evenly)."""
-MIN_BASE_S = 0.025
-"""Shortest time that a speed is measured over: two frames 4 ms apart mostly tell the noise of the
-tracker (chosen: one frame of the usual stream and less)."""
 UNSEEN = 1e-5
 """A difference below this, in any unit, is none."""
 
-COAST_S = 1 / 15
-"""Time after which a face without a next frame rests (measured on latents of the performances and
-of the range-of-motion recording: the error after gaps of 33 to 330 ms is least between 33 and
-130 ms)."""
 LEAP_S = 0.25
 """A display this far behind leaps, and the face goes over as after a gap."""
-UNSEEN_S = 0.001
-"""A display that is less far behind is not seen as such."""
 FASTER, SLOWER = 0.1, 0.25
 """Shares by which display time runs faster to catch up (chosen: speech 10 % faster looks natural)
 and slower to fall back: more, for frames are late meanwhile."""
@@ -88,13 +78,6 @@ def _face(flat: FloatArray, *, is_still: bool = False) -> LatentSample:
     return LatentSample(
         latent=latent, rotation=rotation, translation_m=translation_m, is_still=is_still
     )
-
-
-def coasted_s(past_s: float) -> float:
-    """How far a motion goes in some time that slows down evenly and rests after `COAST_S`: the time
-    in which it would have gone as far at full speed, at most half of `COAST_S`."""
-    past_s = min(past_s, COAST_S)
-    return past_s - past_s * past_s / (2 * COAST_S)
 
 
 class Correction:
@@ -181,7 +164,9 @@ class Timeline:
     def release(self, media_s: float) -> None:
         """Count all frames captured up to then as shown."""
         self._num_shown = max(bisect_right(self._frames, media_s, key=_media_s), self._num_shown)
-        self._forget()
+        num_old = max(self._num_shown - NUM_SHOWN, 0)
+        del self._frames[:num_old]
+        self._num_shown -= num_old
 
     def face_at(self, media_s: float, interval_s: float) -> LatentSample:
         """The face at a moment of the stream; a frame must have been shown."""
@@ -189,52 +174,23 @@ class Timeline:
         before = self._frames[place]
         departure_s = self._departure_s(place, interval_s)
         if media_s < departure_s:
-            return self._coasted(place, media_s - before.media_s, interval_s)
+            return before.sample
         after = self._frames[place + 1]
-        from_s = departure_s - before.media_s
-        return blend(
-            self._coasted(place, from_s, interval_s) if from_s > 0 else before.sample,
-            after.sample,
-            (media_s - departure_s) / (after.media_s - departure_s),
-        )
+        share = (media_s - departure_s) / (after.media_s - departure_s)
+        return blend(before.sample, after.sample, share)
 
     def is_under_way(self, media_s: float, interval_s: float) -> bool:
-        """Whether the face is on its way to a frame that is there, rather than coasting."""
+        """Whether the face is on its way to a frame that is there, rather than at rest."""
         place = max(bisect_right(self._frames, media_s, key=_media_s) - 1, 0)
         return self._departure_s(place, interval_s) <= media_s
-
-    def _forget(self) -> None:
-        num_old = max(self._num_shown - NUM_SHOWN, 0)
-        del self._frames[:num_old]
-        self._num_shown -= num_old
 
     def _departure_s(self, place: int, interval_s: float) -> float:
         """When the face leaves a frame for the next; infinite while there is none."""
         if place + 1 >= len(self._frames):
-            return float("inf")
-        return self._frames[place + 1].media_s - self._way_s(place, place + 1, interval_s)
-
-    def _way_s(self, one: int, other: int, interval_s: float) -> float:
-        """How long the face takes from one frame to a later one."""
-        before = self._frames[one]
+            return math.inf
+        before, after = self._frames[place : place + 2]
         longest_s = interval_s if before.sample.is_still and interval_s > 0 else MAX_GAP_S
-        return min(self._frames[other].media_s - before.media_s, longest_s)
-
-    def _coasted(self, place: int, past_s: float, interval_s: float) -> LatentSample:
-        """The face some time after a frame, as if there were no next one."""
-        frame = self._frames[place]
-        if frame.sample.is_still or past_s <= 0 or place == 0:
-            return frame.sample
-        base = place - 1
-        while base and frame.media_s - self._frames[base].media_s < MIN_BASE_S:
-            base -= 1
-        gap_s = frame.media_s - self._frames[base].media_s
-        way_s = self._way_s(base, place, interval_s)
-        is_known = 0 < gap_s <= MAX_GAP_S or self._frames[base].sample.is_still
-        if not is_known or way_s <= 0:
-            return frame.sample
-        weight = 1 + coasted_s(past_s) / max(way_s, MIN_BASE_S)
-        return blend(self._frames[base].sample, frame.sample, weight)
+        return max(before.media_s, after.media_s - longest_s)
 
 
 class Step(NamedTuple):
@@ -280,7 +236,7 @@ class Playhead:
         before_s = self.position_s
         behind_s = target_s - before_s - elapsed_s
         faster, slower = (LED_RATE, LED_RATE) if is_led else (FASTER, SLOWER)
-        if behind_s > max(LED_LEAP_S if is_led else LEAP_S, UNSEEN_S):
+        if behind_s > (LED_LEAP_S if is_led else LEAP_S):
             self.position_s = target_s
             return Step(elapsed_s, elapsed_s, is_leap=True)
         rate = min(max(behind_s, -slower * elapsed_s), faster * elapsed_s)

@@ -75,19 +75,6 @@ def test_thirty_frames_a_second_move_evenly_on_a_display_of_ninety() -> None:
     assert moved == pytest.approx([1 / 3] * len(moved), abs=1e-3)
 
 
-def test_a_face_without_a_next_frame_goes_on_ever_slower_and_rests() -> None:
-    playout = Playout()
-    steady(playout, 31)  # the last one is 30; the face moves by 30 a second
-    at_last_s = 30 * FRAME_S + 0.01 + FRAME_S
-    past = [value_of(shown(playout, at_last_s + step / 150)) for step in range(40)]
-    moved = [after - before for before, after in pairwise(past)]
-    assert past[0] == pytest.approx(30, abs=0.01)
-    assert all(before >= after >= -1e-5 for before, after in pairwise(moved))
-    # Half of a fifteenth of a second at full speed.
-    assert past[-1] == pytest.approx(31, abs=0.01)
-    assert moved[11:] == pytest.approx([0] * len(moved[11:]), abs=1e-5)
-
-
 def test_a_face_without_a_next_frame_is_concealed_once_that_is_overdue() -> None:
     playout = Playout()
     steady(playout, 31)

@@ -48,7 +48,7 @@ def stalls(length_s: float) -> tuple[tuple[float, float], ...]:
 TABLE = {
     # trouble: (what, most concealed, most delay in trouble, largest step at all)
     "calm": (Trouble(), 0.0, 0.034, 0.055),
-    "jitter 80 ms": (Trouble(jitter_s=0.08), 0.04, 0.12, 0.065),
+    "jitter 80 ms": (Trouble(jitter_s=0.08), 0.04, 0.12, 0.09),
     "jitter 200 ms": (Trouble(jitter_s=0.2), 0.07, 0.24, 0.085),
     "datagrams, jitter 200 ms": (Trouble(jitter_s=0.2, is_reordered=True), 0.045, 0.21, 0.08),
     "stalls of 300 ms": (Trouble(stalls=stalls(0.3)), 0.2, 0.034, 0.14),
