@@ -87,7 +87,7 @@ def test_what_was_recorded_before_the_process_was_killed_can_be_played(tmp_path:
 def test_names_count_up_and_a_folder_that_is_a_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "call-0001.mp4").write_text("mine")
     assert new_path(tmp_path, "call", ".mp4").name == "call-0002.mp4"
-    with pytest.raises(OptionError, match="cannot be made"):
+    with pytest.raises(OptionError, match="cannot be written"):
         new_path(tmp_path / "call-0001.mp4", "call", ".mp4")
 
 
