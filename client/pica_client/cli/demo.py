@@ -86,7 +86,7 @@ def run_demo(config: DemoConfig) -> dict[str, Any]:
         ClientError: A source, an avatar, the folder or a process is not as it must be.
     """
     film = config.out / "call.mp4"
-    with writing(film):
+    with writing(config.out):
         config.out.mkdir(parents=True, exist_ok=True)
         film.unlink(missing_ok=True)
     with closing(AvatarLibrary()) as library, Children() as children:
