@@ -133,11 +133,7 @@ def test_track_reports_and_records_what_comes(tmp_path: Path) -> None:
 def test_calibrate_keeps_a_person_and_joining_under_that_name_uses_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-<<<<<<< HEAD
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
-=======
-    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
->>>>>>> 19dfb5af (Keep durations, failures and folders in what the library has)
     port, begin_s = free_port(), time.monotonic()
 
     def packet(frame: int, _: float) -> bytes:
