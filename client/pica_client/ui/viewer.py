@@ -22,6 +22,7 @@ from pica_client.call.call import Call, Reflection
 from pica_client.call.roster import SELF_ID
 from pica_client.decode.decoder import OnnxDecoder
 from pica_client.decode.pool import DecodePool, num_workers
+from pica_client.decode.request import DecodeChoice
 from pica_client.endpoint import CallMonitor, Receiver
 from pica_client.errors import ClientError, OptionError
 from pica_client.publish import FaceControls
@@ -147,7 +148,7 @@ class Viewer(Closing):
                 publisher = controls.publisher
                 reflection = Reflection(publisher.avatar, publisher.track)
                 publisher.watch(reflection.receive)
-                self._self_view = SelfView(context, reflection, RENDER)
+                self._self_view = SelfView(context, reflection, RENDER, options.decode)
                 stack.callback(self._self_view.close)
             self._resources = stack.pop_all()
         self._started_s = self._clock()
@@ -398,20 +399,30 @@ class SelfView:
     Args:
         context: Where to draw; current on this thread.
         options: How avatars are drawn.
+        decode: Where it is decoded.
     """
 
     def __init__(
-        self, context: moderngl.Context, reflection: Reflection, options: RenderOptions
+        self,
+        context: moderngl.Context,
+        reflection: Reflection,
+        options: RenderOptions,
+        decode: DecodeChoice = "auto",
     ) -> None:
         self._renderer = Renderer(context, (16, 12), options)
         self._pool = DecodePool(OnnxDecoder)
-        self._presenter = AvatarPresenter(reflection.call, self._renderer, self._pool, Scheduler())
+        self._shaders = choose_decoder(decode, context, self._renderer)
+        self._presenter = AvatarPresenter(
+            reflection.call, self._renderer, self._pool, Scheduler(), shaders=self._shaders
+        )
         self._looked_s = -OWN_PERIOD_S
         self._shown = OwnFaceView()
 
     def close(self) -> None:
-        """End the decoding thread."""
+        """End the decoding thread, and free what decodes on the GPU."""
         self._pool.close()
+        if self._shaders is not None:
+            self._shaders.close()
 
     def draw(self, now: float, height_px: int) -> moderngl.Texture | None:
         """Draw the own face so many pixels high; None before there is one."""

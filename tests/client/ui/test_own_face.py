@@ -7,38 +7,44 @@ import time
 import numpy as np
 import pytest
 
-from helpers.toy import make_toy_avatar
 from pica_client.call.call import Reflection
+from pica_client.decode.pool import DecodePool
+from pica_client.decode.request import DecodeChoice
 from pica_client.publish import Publisher, SenderConfig
 from pica_client.render.renderer import RenderOptions
 from pica_client.sources import open_source
 from pica_client.ui.viewer import SelfView
 from pica_core.avatar.expression_encoder import ExpressionEncoder
-from pica_core.avatar.spec import AvatarSpec
+from pica_core.avatar.file import load_avatar, shipped_avatar_files
 from pica_core.codec.latent_stream import LatentEncoder
 from pica_core.gl import create_context
 
 pytestmark = pytest.mark.render
 
-TOY = make_toy_avatar(spec=AvatarSpec(uv_encoding_size=64, axis_encoding_size=64), grid=24)
+AVATAR = load_avatar(shipped_avatar_files()[0])
 
 
 def send(reflection: Reflection, number: int) -> None:
     """Send one frame of a face that talks."""
     frame = open_source("performance:talk").frame_at(number / 30)
-    stream = LatentEncoder(TOY.stream_profile())
-    latent = ExpressionEncoder(TOY).encode(frame.arkit)
+    stream = LatentEncoder(AVATAR.stream_profile())
+    latent = ExpressionEncoder(AVATAR).encode(frame.arkit)
     coded = stream.encode(latent, frame.rotation, frame.translation_m, number * 33_333)
     assert coded is not None
     reflection.receive(coded, number * 33_333, now=number / 30)
 
 
-def test_ones_own_face_appears_once_it_is_sent_in_the_size_that_is_asked_for() -> None:
+@pytest.mark.parametrize("decode", ["cpu", "gpu"])
+def test_ones_own_face_appears_once_it_is_sent_in_the_size_that_is_asked_for(
+    monkeypatch: pytest.MonkeyPatch, decode: DecodeChoice
+) -> None:
+    if decode == "gpu":
+        monkeypatch.delattr(DecodePool, "submit")
     source = open_source("performance:talk")
-    track = Publisher(SenderConfig(), source, TOY, "5" * 64).track
-    reflection = Reflection(TOY, track)
+    track = Publisher(SenderConfig(), source, AVATAR, "5" * 64).track
+    reflection = Reflection(AVATAR, track)
     context = create_context()
-    view = SelfView(context, reflection, RenderOptions())
+    view = SelfView(context, reflection, RenderOptions(), decode)
     try:
         assert view.draw(0.0, 60) is None
         for number in range(30):
