@@ -170,8 +170,8 @@ class Viewer(Closing):
             if now < next_s:
                 time.sleep(min(next_s - now, 0.05))
                 continue
-            # A frame that came late does not make the following ones hurry.
-            next_s = max(next_s + period_s, now)
+            # After an image that came late the next one is early, but no more than one.
+            next_s = max(next_s + period_s, now - period_s)
             if not self.step(now):
                 return
 
