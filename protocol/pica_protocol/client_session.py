@@ -2,16 +2,14 @@
 
 import math
 from collections import Counter
-from collections.abc import Callable, Collection
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Final
 
 from pica_protocol import messages, session
-from pica_protocol.codec import decode_message
-from pica_protocol.errors import CloseCode, LocalProtocolError, RemoteProtocolError
+from pica_protocol.errors import RemoteProtocolError
 from pica_protocol.frame_queue import FrameQueue, QueuedFrame
 from pica_protocol.frames import (
-    MEDIA_KIND,
     SEQUENCE_MODULUS,
     Frame,
     decode_media,
@@ -32,17 +30,7 @@ RIDE_S: Final = 0.045
 face."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Ticket:
-    """What a client comes back with after its connection broke, to the place that it had."""
-
-    secret: str = field(repr=False)
-    next_sequences: tuple[int, ...]
-    """Of each track: streams go on where they stopped, so the others see what was lost as a
-    hole."""
-
-
-class ClientSession(session.Session):
+class ClientSession(session.Session[messages.Joined | messages.RoomNews | Frame]):
     """The client's end: joins one room, publishes frames, and keeps the list of peers.
 
     Attributes:
@@ -52,7 +40,7 @@ class ClientSession(session.Session):
         peers: Everybody else in the room by id, kept up to date.
         is_admin: Whether we may moderate the room, once joined.
         muted: Streams that an admin has stopped, our own among them.
-        drops: Frames that did not go out because the network was too slow, by reason.
+        drops: Frames that did not go out, by reason.
     """
 
     def __init__(
@@ -67,7 +55,7 @@ class ClientSession(session.Session):
         token: str = "",
         metadata: messages.Metadata = (),
         resumable: bool = False,
-        ticket: Ticket | None = None,
+        former: "ClientSession | None" = None,
         drops: Counter[str] | None = None,
     ) -> None:
         """Start on a websocket that is open: ``Join`` waits in ``messages_to_send``.
@@ -75,8 +63,9 @@ class ClientSession(session.Session):
         Args:
             timeout_s: For the relay to let us in.
             seal: Makes the payload that travels out of a frame whose header is final.
-            resumable: Whether we may come back with the `ticket` of this session.
-            ticket: Of the last session, to come back to its place; if that is gone, we join again.
+            resumable: Whether another session may come back to the place of this one.
+            former: A session whose connection broke, to come back to its place and go on with its
+                sequence numbers; if the place is gone, we join again.
             drops: Of the sessions before, to be counted on.
 
         Raises:
@@ -89,7 +78,7 @@ class ClientSession(session.Session):
         self.peers: dict[str, messages.Peer] = {}
         self.is_admin = False
         self.muted: frozenset[int] = frozenset()
-        self.drops = Counter() if drops is None else drops
+        self.drops: Counter[str] = Counter() if drops is None else drops
         self._room = room
         self._seal = seal
         self._next_sequence = [0] * len(tracks)
@@ -99,7 +88,7 @@ class ClientSession(session.Session):
         # Of each peer the newest capture time, and when it came: times on the wire wrap.
         self._clocks: dict[str, tuple[int, float]] = {}
         self._publishers: dict[int, str] = {}
-        self._came_with = ticket
+        self._former_sequences = None if former is None else former._next_sequence
         self._resume = ""
         self._queue(
             messages.Join(
@@ -109,32 +98,13 @@ class ClientSession(session.Session):
                 token=token,
                 metadata=metadata,
                 resumable=resumable,
-                resume="" if ticket is None else ticket.secret,
+                resume="" if former is None else former._resume,
             )
         )
 
-    def receive_data(self, data: bytes | str, now: float) -> list[session.ClientEvent]:
-        """Take one websocket message; a text one is the other side's mistake."""
-        if self.state is session.State.CLOSED:
-            return []
-        try:
-            data = session.binary(data)
-            if data[0] == MEDIA_KIND:
-                frames = decode_media(data, lambda stream: self._expected_us(stream, now))
-                self._advance(session.Media)
-                if self.state is session.State.LEAVING:
-                    return []
-                for frame in frames:
-                    if peer_id := self._publishers.get(frame.stream):
-                        self._clocks[peer_id] = frame.captured_us, now
-                return list[session.ClientEvent](frames)
-            return self._receive_message(decode_message(data, self._max_bytes))
-        except RemoteProtocolError as error:
-            return [self._end(error.code, str(error), is_remote=False)]
-
     def messages_to_send(self, now: float) -> list[bytes]:
         """Take the websocket messages that must go out now, in order."""
-        data, self._outgoing = self._outgoing, []
+        data = super().messages_to_send(now)
         due_s = self.frames_due_s
         if due_s is None or due_s > now:
             return data
@@ -152,18 +122,9 @@ class ClientSession(session.Session):
             return -math.inf
         return self._riding_until_s if len(self._waiting) else None
 
-    def handle_timer(self, now: float) -> list[session.ClientEvent]:
-        """Give up if the relay has not let us in, or out, by now."""
-        if self._deadline is None or now < self._deadline:
-            return []
-        if self.state is session.State.LEAVING:
-            return [self._end(CloseCode.NORMAL, "left", is_remote=False)]
-        reason = f"the relay did not answer in time while {self.state.value}"
-        return [self._end(CloseCode.HANDSHAKE_TIMEOUT, reason, is_remote=False)]
-
     def send_frame(
         self, payload: bytes, captured_us: int, *, track: int = 0, multiple: int = 1
-    ) -> None:
+    ) -> bool:
         """Queue a frame of one of our tracks; of what waits too long less is sent, see
         `FrameQueue`.
 
@@ -171,12 +132,14 @@ class ClientSession(session.Session):
             multiple: The frame gets the next sequence number that is a multiple of this: of 4 when
                 all shall have it who want but a quarter of the stream.
 
+        Returns:
+            False while not joined; the frame is gone then.
+
         Raises:
-            LocalProtocolError: Not joined, or there is no such track.
             ValueError: The payload is too long, or another field out of its limits.
         """
-        if self.state is not session.State.JOINED or not 0 <= track < len(self.tracks):
-            raise LocalProtocolError(f"cannot send on track {track} while {self.state.value}")
+        if self.state is not session.State.JOINED:
+            return False
         stream, policy = self.tracks[track].stream, self.tracks[track].policy
         # One that replaces another takes its number: a hole would look like a loss on the way.
         next_sequence = self._next_sequence[track] - self._waiting.will_replace(stream)
@@ -185,7 +148,7 @@ class ClientSession(session.Session):
         self._next_sequence[track] = (sequence + 1) % SEQUENCE_MODULUS
         if stream in self.muted:
             self.drops["muted"] += 1
-            return
+            return True
         if self._seal is not None:
             frame = replace(frame, payload=self._seal(frame))
         deadline_s = self.tracks[track].deadline_ms / 1000 if policy == "ordered" else None
@@ -193,83 +156,60 @@ class ClientSession(session.Session):
         self._captured_s = captured_us / 1e6
         data = encode_frame(frame)
         self._waiting.put(QueuedFrame("", stream, data, self._captured_s, deadline_s))
+        return True
 
-    def tell(self, message: messages.FromMember) -> None:
+    def tell(self, message: messages.FromMember) -> bool:
         """Say something to the relay, or through it: a whisper may be dropped without notice.
 
-        Raises:
-            LocalProtocolError: Not joined, or too much waits.
+        Returns:
+            False if it could not be said: not joined, or too much waits to be sent.
         """
-        if self.state is not session.State.JOINED:
-            raise LocalProtocolError(
-                f"cannot send {type(message).__name__} while {self.state.value}"
-            )
-        if len(self._outgoing) >= MAX_QUEUED_MESSAGES:
-            raise LocalProtocolError(
-                f"{MAX_QUEUED_MESSAGES} messages wait to be sent: drain messages_to_send"
-            )
+        is_joined = self.state is session.State.JOINED
+        if not is_joined or len(self._outgoing) >= MAX_QUEUED_MESSAGES:
+            return False
         self._queue(message)
+        return True
 
     @property
-    def ticket(self) -> Ticket | None:
-        """What to come back with if this connection breaks, or None: it may be used once."""
-        if not self._resume:
-            return None
-        return Ticket(secret=self._resume, next_sequences=tuple(self._next_sequence))
+    def is_resumable(self) -> bool:
+        """Whether another session can come back to the place of this one, once."""
+        return bool(self._resume)
 
-    @property
-    def can_queue(self) -> bool:
-        """Whether a control message can be queued now: joined, and not too many of them wait."""
-        return self.state is session.State.JOINED and len(self._outgoing) < MAX_QUEUED_MESSAGES
-
-    def leave(self, now: float, timeout_s: float = 1.0) -> None:
-        """Go in good order: the relay answers with ``Bye``, or we stop waiting for it."""
-        if self.state in (session.State.CLOSED, session.State.LEAVING):
-            return
-        self.state = session.State.LEAVING
-        self._queue(messages.Leave())
-        self._deadline = now + timeout_s
+    def _receive_frames(self, data: bytes, now: float) -> list[session.ClientEvent]:
+        frames = decode_media(data, lambda stream: self._expected_us(stream, now))
+        self._advance(session.Media)
+        for frame in frames:
+            if peer_id := self._publishers.get(frame.stream):
+                self._clocks[peer_id] = frame.captured_us, now
+        return list[session.ClientEvent](frames)
 
     def _receive_message(self, message: messages.Message) -> list[session.ClientEvent]:
-        if isinstance(message, messages.Bye):
-            return [self._end(message.code, message.reason, is_remote=True, url=message.url)]
-        self._advance(type(message))
-        if self.state is session.State.LEAVING:
-            return []
         match message:
             case messages.Joined():
                 if [replace(track, stream=0) for track in message.tracks] != list(self.tracks):
                     raise RemoteProtocolError("joined with other tracks than ours")
                 if message.room != self._room:
                     raise RemoteProtocolError(f"joined room {message.room}, not the one asked for")
-                self._check_peers(message.peer_id, message.tracks, message.peers)
                 self.peer_id = message.peer_id
                 self.name = message.name or self.name
                 self.is_admin = message.is_admin
                 self.tracks = message.tracks
-                self.peers = {peer.peer_id: peer for peer in message.peers}
-                self._note_streams(*message.peers)
+                self._set_peers(message.peers)
                 self._deadline = None
                 self._resume = message.resume
                 if message.resumed:
-                    if self._came_with is None:
+                    if self._former_sequences is None:
                         raise RemoteProtocolError("resumed, and we did not ask to")
-                    self._next_sequence = list(self._came_with.next_sequences)
+                    self._next_sequence = list(self._former_sequences)
             case messages.PeerJoined(peer=peer):
-                # A relay that does not keep to it would fill our memory.
-                if len(self.peers) >= MAX_PEERS and peer.peer_id not in self.peers:
-                    raise RemoteProtocolError(f"more than {MAX_PEERS} peers in a room")
-                others = {**self.peers, peer.peer_id: peer}
-                self._check_peers(self.peer_id, self.tracks, others.values())
                 # One id is one peer: the one that had it has gone.
-                is_known, self.peers = peer.peer_id in self.peers, others
-                self._forget_streams(peer.peer_id)
-                self._note_streams(peer)
+                is_known = peer.peer_id in self.peers
+                self._clocks.pop(peer.peer_id, None)
+                self._set_peers(list({**self.peers, peer.peer_id: peer}.values()))
                 if is_known:
                     return [messages.PeerLeft(peer_id=peer.peer_id), message]
             case messages.PeerLeft(peer_id=peer_id):
-                self.peers.pop(peer_id, None)
-                self._forget_streams(peer_id)
+                self._set_peers([each for each in self.peers.values() if each.peer_id != peer_id])
             case messages.PeerUpdated(peer_id=peer_id, metadata=metadata):
                 if peer_id in self.peers:
                     self.peers[peer_id] = replace(self.peers[peer_id], metadata=metadata)
@@ -279,32 +219,29 @@ class ClientSession(session.Session):
         assert isinstance(message, messages.Joined | messages.RoomNews)  # so says the table
         return [message]
 
-    def _note_streams(self, *peers: messages.Peer) -> None:
-        for peer in peers:
-            self._publishers |= {track.stream: peer.peer_id for track in peer.tracks}
+    def _set_peers(self, peers: Sequence[messages.Peer]) -> None:
+        """Take everybody else in the room.
 
-    def _forget_streams(self, peer_id: str) -> None:
-        self._clocks.pop(peer_id, None)
-        self._publishers = {s: each for s, each in self._publishers.items() if each != peer_id}
+        A room is refused that has too many peers, which would fill our memory, or an id or a stream
+        twice, ours among them: faces are told apart by their streams.
+        """
+        if len(peers) > MAX_PEERS:
+            raise RemoteProtocolError(f"more than {MAX_PEERS} peers in a room")
+        found = {peer.peer_id: peer for peer in peers}
+        if len(found) < len(peers) or self.peer_id in found:
+            raise RemoteProtocolError("a room that has a peer twice")
+        owners = [(track.stream, peer.peer_id) for peer in peers for track in peer.tracks]
+        streams = {stream for stream, _ in owners} | {track.stream for track in self.tracks}
+        if len(streams) < len(owners) + len(self.tracks):
+            raise RemoteProtocolError("a room that has a stream twice")
+        self.peers, self._publishers = found, dict(owners)
+        self._clocks = {each: clock for each, clock in self._clocks.items() if each in found}
 
     def _expected_us(self, stream: int, now: float) -> int:
         """Return about what time a peer's clock shows: as long after its newest frame as ours. All
         tracks of a peer are on one clock; of who has sent nothing yet it is taken to be ours."""
         captured_us, received_s = self._clocks.get(self._publishers.get(stream, ""), (0, 0.0))
         return captured_us + round((now - received_s) * 1e6)
-
-    @staticmethod
-    def _check_peers(
-        own_id: str, own: tuple[messages.Track, ...], peers: Collection[messages.Peer]
-    ) -> None:
-        """Refuse a room in which we are our own peer, or an id or a stream is there twice: faces
-        are told apart by their streams."""
-        ids = [own_id, *(peer.peer_id for peer in peers)]
-        streams = [track.stream for peer in peers for track in peer.tracks]
-        streams += [track.stream for track in own]
-        for what, values in (("peer", ids), ("stream", streams)):
-            if len(set(values)) < len(values):
-                raise RemoteProtocolError(f"a room that has a {what} twice")
 
 
 def _media_messages(frames: list[bytes]) -> list[bytes]:

@@ -7,7 +7,6 @@ default settings turn 10 kB of hostile input into 68 MB of memory.
 """
 
 import functools
-from collections.abc import Mapping
 from dataclasses import MISSING, fields
 from typing import Any, Final, cast, get_args, get_origin, get_type_hints
 
@@ -15,13 +14,7 @@ import msgpack
 
 from pica_protocol import limits
 from pica_protocol.errors import LocalProtocolError, RemoteProtocolError
-from pica_protocol.messages import (
-    MESSAGE_TYPES,
-    STORE_MESSAGE_TYPES,
-    Message,
-    Metadata,
-    StoreMessage,
-)
+from pica_protocol.messages import MESSAGE_TYPES, Message, Metadata
 
 CONTROL_KIND: Final = 1
 """First byte of a websocket message that carries one control message."""
@@ -32,14 +25,10 @@ MAX_CHUNK_BYTES: Final = limits.MAX_CLIENT_MESSAGE_BYTES - 1
 
 _PREFIX = bytes([CONTROL_KIND])
 _CHUNK_PREFIX: Final = bytes([CHUNK_KIND])
-_TYPE_NAMES: Final = {
-    cls: name
-    for table in (MESSAGE_TYPES, STORE_MESSAGE_TYPES)
-    for name, cls in cast(Mapping[str, type], table).items()
-}
+_TYPE_NAMES: Final = {cls: name for name, cls in MESSAGE_TYPES.items()}
 
 
-def encode_message(message: Message | StoreMessage) -> bytes:
+def encode_message(message: Message) -> bytes:
     """Return the websocket message that carries ``message``.
 
     Raises:
@@ -61,12 +50,20 @@ def decode_message(data: bytes, max_bytes: int = limits.MAX_CONTROL_BYTES) -> Me
         RemoteProtocolError: Too long, not msgpack within the limits, of an unknown type, or with a
             field that is missing, of the wrong type or out of range; the text names it.
     """
-    return cast(Message, _decode(data, max_bytes, MESSAGE_TYPES))
-
-
-def decode_store_message(data: bytes, max_bytes: int = limits.MAX_CONTROL_BYTES) -> StoreMessage:
-    """Return the one of ``pica.store.1`` that ``data`` carries; raises as ``decode_message``."""
-    return cast(StoreMessage, _decode(data, max_bytes, STORE_MESSAGE_TYPES))
+    if len(data) > max_bytes:
+        raise RemoteProtocolError(f"control message of {len(data)} bytes, the limit is {max_bytes}")
+    if not data.startswith(_PREFIX):
+        raise RemoteProtocolError(f"not a control message: first byte {limits.quoted(data[:1])}")
+    record = _unpack(data)
+    if not isinstance(record, dict):
+        raise RemoteProtocolError(f"expected a map, got {type(record).__name__}")
+    name = record.get("type")
+    if not isinstance(name, str) or name not in MESSAGE_TYPES:
+        raise RemoteProtocolError(f"unknown message type {limits.quoted(name)}")
+    try:
+        return cast(Message, _read(MESSAGE_TYPES[name], record, name))
+    except ValueError as error:  # from the message's own check
+        raise RemoteProtocolError(str(error)) from error
 
 
 def encode_chunk(data: bytes | memoryview) -> bytes:
@@ -89,23 +86,6 @@ def decode_chunk(message: bytes) -> memoryview:
             f"a chunk of {len(message) - 1} bytes, allowed are 1..{MAX_CHUNK_BYTES}"
         )
     return memoryview(message)[1:]
-
-
-def _decode(data: bytes, max_bytes: int, message_types: Mapping[str, type]) -> object:
-    if len(data) > max_bytes:
-        raise RemoteProtocolError(f"control message of {len(data)} bytes, the limit is {max_bytes}")
-    if not data.startswith(_PREFIX):
-        raise RemoteProtocolError(f"not a control message: first byte {limits.quoted(data[:1])}")
-    record = _unpack(data)
-    if not isinstance(record, dict):
-        raise RemoteProtocolError(f"expected a map, got {type(record).__name__}")
-    name = record.get("type")
-    if not isinstance(name, str) or name not in message_types:
-        raise RemoteProtocolError(f"unknown message type {limits.quoted(name)}")
-    try:
-        return _read(message_types[name], record, name)
-    except ValueError as error:  # from the message's own check
-        raise RemoteProtocolError(str(error)) from error
 
 
 def _unpack(data: bytes) -> object:

@@ -1,6 +1,6 @@
 """The control messages: frozen records that check their own limits.
 
-Those of a room are of the sub-protocol ``pica.1``. ``Offer``, ``Ready`` and ``Stored`` are of
+Those of a room are of the sub-protocol ``pica.2``. ``Offer``, ``Ready`` and ``Stored`` are of
 ``pica.store.1``, which gives a relay a file for its avatar store: a websocket of its own on the
 relay's port, one file each. The client sends ``Offer``; the relay answers ``Stored`` when it has
 the file, else ``Ready``, and then takes chunks, in order, until it has as many bytes as were
@@ -246,11 +246,6 @@ class UpdateMetadata(Checked):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Leave(Checked):
-    """A client goes; the relay answers ``Bye`` with code 1000 and closes."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
 class Subscribe(Checked):
     """How much of one stream a receiver wants. Without one it gets everything."""
 
@@ -353,15 +348,11 @@ RoomNews = PeerJoined | PeerLeft | PeerAway | PeerBack | PeerUpdated | StreamMut
 Moderation = RemovePeer | MutePeer | BarIdentity
 """What only an admin says to the relay."""
 FromMember = Subscribe | Whisper | UpdateMetadata | Moderation
-"""What who is in a room says to the relay, but for ``Leave``."""
-StoreMessage = Offer | Ready | Stored | Bye
-Message = Join | Joined | Leave | Bye | RoomNews | FromMember
+"""What a member of a room says to the relay."""
+StoreMessage = Offer | Ready | Stored
+Message = Join | Joined | Bye | RoomNews | FromMember | StoreMessage
 
 MESSAGE_TYPES: Final = cast(
     "dict[str, type[Message]]", {wire_name(cls): cls for cls in get_args(Message)}
 )
 """The name each message has on the wire, in its ``type`` field."""
-STORE_MESSAGE_TYPES: Final = cast(
-    "dict[str, type[StoreMessage]]", {wire_name(cls): cls for cls in get_args(StoreMessage)}
-)
-"""The same for the avatar store."""

@@ -18,32 +18,25 @@ that a shell can forget.
     Client                                 Relay's side
     JOINING   Join is out                  JOINING   nothing received
     JOINED    Joined received              DECIDING  Join received; accept() or close() is due
-    LEAVING   Leave is out                 JOINED    Joined is out
-    CLOSED                                 CLOSED
+    CLOSED                                 JOINED    Joined is out
+                                           CLOSED
 
 Media flows while JOINED. The version is agreed upon as the sub-protocol of the websocket. What may
 be received in which state, and where it leads, stands in the two tables below; all else is
-``UNEXPECTED_MESSAGE``. ``Bye`` ends every state.
+``UNEXPECTED_MESSAGE``. ``Bye`` ends every state: who sends it reads nothing more.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
-from typing import Final, get_args
+from typing import Final, Generic, TypeVar, get_args
 
-from pica_protocol.codec import CONTROL_KIND, decode_message, encode_message
+from pica_protocol.codec import decode_message, encode_message
 from pica_protocol.errors import CloseCode, LocalProtocolError, RemoteProtocolError
-from pica_protocol.frames import MEDIA_KIND, Frame, FrameSpan, scan_frames
-from pica_protocol.limits import MAX_CLIENT_MESSAGE_BYTES, clipped_reason, quoted
-from pica_protocol.messages import (
-    Bye,
-    FromMember,
-    Join,
-    Joined,
-    Leave,
-    Message,
-    RoomNews,
-)
+from pica_protocol.frames import MEDIA_PREFIX, Frame, FrameSpan, scan_frames
+from pica_protocol.limits import MAX_CLIENT_MESSAGE_BYTES, clipped_reason
+from pica_protocol.messages import Bye, FromMember, Join, Joined, Message, RoomNews
 
 HANDSHAKE_TIMEOUT_S: Final = 5.0
 """Seconds from the open socket to the place in the room (chosen: ten slow round trips)."""
@@ -55,7 +48,6 @@ class State(Enum):
     JOINING = "joining"
     DECIDING = "deciding"
     JOINED = "joined"
-    LEAVING = "leaving"
     CLOSED = "closed"
 
 
@@ -81,28 +73,23 @@ ServerEvent = Join | FromMember | Closed
 
 _Table = Mapping[State, Mapping[type, State]]
 
-_OF_A_ROOM: Final[tuple[type, ...]] = (*get_args(RoomNews), Media)
-
 CLIENT_TABLE: Final[_Table] = {
     State.JOINING: {Joined: State.JOINED},
-    State.JOINED: dict.fromkeys(_OF_A_ROOM, State.JOINED),
-    # What was under way when Leave went out still arrives.
-    State.LEAVING: dict.fromkeys((Joined, *_OF_A_ROOM), State.LEAVING),
+    State.JOINED: dict.fromkeys((*get_args(RoomNews), Media), State.JOINED),
     State.CLOSED: {},
 }
 
 SERVER_TABLE: Final[_Table] = {
-    State.JOINING: {Join: State.DECIDING, Leave: State.CLOSED},
-    State.DECIDING: {Leave: State.CLOSED},
-    State.JOINED: {
-        **dict.fromkeys((*get_args(FromMember), Media), State.JOINED),
-        Leave: State.CLOSED,
-    },
+    State.JOINING: {Join: State.DECIDING},
+    State.DECIDING: {},
+    State.JOINED: dict.fromkeys((*get_args(FromMember), Media), State.JOINED),
     State.CLOSED: {},
 }
 
+E = TypeVar("E")
 
-class Session:
+
+class Session(ABC, Generic[E]):
     """What both ends share: the table, the outgoing control messages, the deadline and the end."""
 
     def __init__(self, table: _Table, max_bytes: int, deadline: float) -> None:
@@ -117,14 +104,44 @@ class Session:
         """Return when ``handle_timer`` is due, or None."""
         return self._deadline
 
+    def handle_timer(self, now: float) -> list[E | Closed]:
+        """Close a connection that has not led into the room by now."""
+        if self._deadline is None or now < self._deadline:
+            return []
+        reason = f"the handshake took too long: still {self.state.value}"
+        return [self._end(CloseCode.HANDSHAKE_TIMEOUT, reason, is_remote=False)]
+
+    def receive_data(self, data: bytes | str, now: float) -> list[E | Closed]:
+        """Take one websocket message; a text one is the other side's mistake."""
+        if self.state is State.CLOSED:
+            return []
+        try:
+            if isinstance(data, str):
+                raise RemoteProtocolError("text message, all messages are binary")
+            if data.startswith(MEDIA_PREFIX):
+                return self._receive_frames(data, now)
+            message = decode_message(data, self._max_bytes)
+            if isinstance(message, Bye):
+                return [self._end(message.code, message.reason, is_remote=True, url=message.url)]
+            self._advance(type(message))
+            return self._receive_message(message)
+        except RemoteProtocolError as error:
+            return [self._end(error.code, str(error), is_remote=False)]
+
+    def messages_to_send(self, now: float) -> list[bytes]:
+        """Take the websocket messages that must go out now, in order."""
+        data, self._outgoing = self._outgoing, []
+        return data
+
     def receive_close(self, code: int, reason: str, now: float) -> list[Closed]:
         """Take note that the websocket has ended; after a ``Bye`` this is no news."""
         if self.state is State.CLOSED:
             return []
         return [self._end(code, reason, is_remote=True)]
 
-    def close(self, code: int, reason: str, url: str = "") -> None:
-        """End the session from this side: ``Bye`` goes out, then the shell closes the websocket."""
+    def close(self, code: int = CloseCode.NORMAL, reason: str = "left", url: str = "") -> None:
+        """End the session from this side, by default to leave for good: ``Bye`` goes out, then the
+        shell closes the websocket."""
         if self.state is not State.CLOSED:
             self._end(code, reason, is_remote=False, url=url)
 
@@ -150,39 +167,27 @@ class Session:
         self._deadline = None
         return self.closed
 
+    @abstractmethod
+    def _receive_frames(self, data: bytes, now: float) -> list[E | Closed]:
+        """Take a media message."""
 
-def binary(data: bytes | str) -> bytes:
-    """Refuse a text message, and one of an unknown kind."""
-    if isinstance(data, str):
-        raise RemoteProtocolError("text message, all messages are binary")
-    if len(data) == 0 or data[0] not in (CONTROL_KIND, MEDIA_KIND):
-        raise RemoteProtocolError(f"unknown kind of message, first byte {quoted(data[:1])}")
-    return data
+    @abstractmethod
+    def _receive_message(self, message: Message) -> list[E | Closed]:
+        """Take a control message that the table allows."""
 
 
 _JOINED: Final = State.JOINED  # looked up once for every frame
 
 
-class ServerSession(Session):
-    """The relay's end: has the relay decide on the join, and passes on what follows."""
+class ServerSession(Session[Join | FromMember]):
+    """The relay's end: has the relay decide on the join, and passes on what follows.
+
+    After a ``Join`` event the relay owes the client ``accept`` or ``close``.
+    """
 
     def __init__(self, *, now: float, timeout_s: float = HANDSHAKE_TIMEOUT_S):
         """Start on a websocket that is open; the client speaks first."""
         super().__init__(SERVER_TABLE, MAX_CLIENT_MESSAGE_BYTES, now + timeout_s)
-
-    def receive_data(self, data: bytes | str, now: float) -> list[ServerEvent]:
-        """Take one websocket message, of which media goes to `receive_media`; after a ``Join``
-        event the relay owes the client ``accept`` or ``close``."""
-        if self.state is State.CLOSED:
-            return []
-        try:
-            data = binary(data)
-            if data[0] == MEDIA_KIND:
-                self.receive_media(data)
-                return [] if self.closed is None else [self.closed]
-            return self._receive_message(decode_message(data, self._max_bytes))
-        except RemoteProtocolError as error:
-            return [self._end(error.code, str(error), is_remote=False)]
 
     def receive_media(self, message: bytes) -> list[FrameSpan]:
         """Take one media message; return its frames, or none and be closed."""
@@ -196,17 +201,6 @@ class ServerSession(Session):
             self._end(error.code, str(error), is_remote=False)
             return []
 
-    def messages_to_send(self, now: float) -> list[bytes]:
-        """Take the control messages that must go out now, in order."""
-        data, self._outgoing = self._outgoing, []
-        return data
-
-    def handle_timer(self, now: float) -> list[ServerEvent]:
-        """Close a connection that has not asked to join by now."""
-        if self._deadline is None or now < self._deadline:
-            return []
-        return [self._end(CloseCode.HANDSHAKE_TIMEOUT, "no join in time", is_remote=False)]
-
     def accept(self, joined: Joined) -> None:
         """Let the client in; ``close`` is the other answer to a ``Join``."""
         if self.state is not State.DECIDING:
@@ -215,12 +209,10 @@ class ServerSession(Session):
         self._deadline = None
         self._queue(joined)
 
+    def _receive_frames(self, data: bytes, now: float) -> list[ServerEvent]:
+        self.receive_media(data)
+        return [] if self.closed is None else [self.closed]
+
     def _receive_message(self, message: Message) -> list[ServerEvent]:
-        if isinstance(message, Bye):
-            return [self._end(message.code, message.reason, is_remote=True)]
-        self._advance(type(message))
-        if isinstance(message, Leave):
-            self._queue(Bye(code=CloseCode.NORMAL, reason="left"))
-            return [self._end(CloseCode.NORMAL, "left", is_remote=True)]
         assert isinstance(message, Join | FromMember)  # so says the table
         return [message]

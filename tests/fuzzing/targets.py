@@ -32,7 +32,7 @@ from pica_core.avatar.file import load_avatar, save_avatar
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.codec.latent_stream import LatentDecoder
 from pica_core.errors import AvatarFileError, LatentError
-from pica_protocol.codec import decode_message, decode_store_message, encode_message
+from pica_protocol.codec import decode_message, encode_message
 from pica_protocol.errors import RemoteProtocolError
 from pica_protocol.frames import Frame, decode_media, encode_frame, media_message, scan_frames
 
@@ -60,8 +60,6 @@ def message(data: bytes) -> None:
     with suppress(RemoteProtocolError):
         found = decode_message(data)
         expect(decode_message(encode_message(found)) == found, "not what was read:", found)
-    with suppress(RemoteProtocolError):
-        decode_store_message(data)
 
 
 def media(data: bytes) -> None:

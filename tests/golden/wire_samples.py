@@ -15,7 +15,6 @@ from pica_protocol.messages import (
     Bye,
     Join,
     Joined,
-    Leave,
     Message,
     MutePeer,
     Offer,
@@ -28,7 +27,6 @@ from pica_protocol.messages import (
     Ready,
     RemovePeer,
     Stored,
-    StoreMessage,
     StreamMuted,
     Subscribe,
     Track,
@@ -79,7 +77,6 @@ MESSAGES: dict[str, Message] = {
     "peer_updated": PeerUpdated(peer_id="p1", metadata=(("role", "host"), ("hand", "up"))),
     "stream_muted": StreamMuted(stream=1, is_muted=True),
     "update_metadata": UpdateMetadata(metadata=(("role", "host"), ("hand", "up"))),
-    "leave": Leave(),
     "subscribe": Subscribe(stream=1, every=4),
     "subscribe to nothing": Subscribe(stream=1, every=0),
     "whisper": Whisper(peer_id="p1", data=b"for your eyes only"),
@@ -88,6 +85,9 @@ MESSAGES: dict[str, Message] = {
     "bar_identity": BarIdentity(identity="ada-1", is_barred=True),
     "bye": Bye(code=4004, reason="room lobby is full: 16 peers"),
     "bye elsewhere": Bye(code=1001, reason="the relay is stopping", url="wss://b.example.org"),
+    "offer": Offer(sha256=_AVATAR, size=4, token="h.c.s"),
+    "ready": Ready(),
+    "stored": Stored(is_new=True),
 }
 
 FRAMES: dict[str, list[Frame]] = {
@@ -105,21 +105,7 @@ FRAMES: dict[str, list[Frame]] = {
     ],
     "voice packet": [Frame(stream=3, sequence=7, captured_us=34_560_000, payload=b"opus packet")],
 }
-
-
-STORE_MESSAGES: dict[str, StoreMessage] = {
-    "offer": Offer(sha256=_AVATAR, size=4, token="h.c.s"),
-    "ready": Ready(),
-    "stored": Stored(is_new=True),
-}
-"""Samples of the sub-protocol ``pica.store.1``."""
 CHUNK = b"test"
-
-
-def store_bytes() -> dict[str, bytes]:
-    """Return the websocket message of every sample of ``pica.store.1``."""
-    messages = {name: encode_message(message) for name, message in STORE_MESSAGES.items()}
-    return messages | {"chunk": encode_chunk(CHUNK)}
 
 
 def wire_bytes() -> dict[str, bytes]:
@@ -133,7 +119,7 @@ def _write() -> None:
     golden = {
         "valid": {name: data.hex() for name, data in wire_bytes().items()},
         "invalid": json.loads(GOLDEN.read_text())["invalid"],
-        "store": {name: data.hex() for name, data in store_bytes().items()},
+        "store": {"chunk": encode_chunk(CHUNK).hex()},
     }
     GOLDEN.write_text(json.dumps(golden, indent=2) + "\n")
 

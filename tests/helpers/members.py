@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from pica_protocol.client_session import ClientSession, Ticket
+from pica_protocol.client_session import ClientSession
 from pica_protocol.codec import decode_message
 from pica_protocol.frames import Frame, decode_media
 from pica_protocol.messages import Message, Metadata, Track
@@ -29,7 +29,7 @@ class Member:
         token: str = "",
         metadata: Metadata = (),
         resumable: bool = False,
-        ticket: Ticket | None = None,
+        former: ClientSession | None = None,
     ) -> None:
         self.hub = hub
         self.connection: Connection = hub.connect(now, address)
@@ -41,7 +41,7 @@ class Member:
             token=token,
             metadata=metadata,
             resumable=resumable,
-            ticket=ticket,
+            former=former,
         )
         self.speak(now)
         self.heard = self.listen(now)
@@ -82,10 +82,10 @@ class Member:
                 heard.append(decode_message(message.data))
         return heard
 
-    def lose_connection(self, now: float) -> Ticket | None:
+    def lose_connection(self, now: float) -> ClientSession:
         """Die without a word; returns what there is to come back with."""
         self.hub.disconnect(self.connection, 1006, "", now)
-        return self.session.ticket
+        return self.session
 
 
 def hub_with(

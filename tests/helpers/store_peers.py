@@ -18,7 +18,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 from websockets.typing import Subprotocol
 
-from pica_protocol.codec import MAX_CHUNK_BYTES, decode_store_message, encode_chunk, encode_message
+from pica_protocol.codec import MAX_CHUNK_BYTES, decode_message, encode_chunk, encode_message
 from pica_protocol.messages import STORE_SUBPROTOCOL, Bye, Offer, Stored
 from pica_server.config import RelayConfig, StoreConfig
 from pica_server.relay import Relay
@@ -92,7 +92,7 @@ async def talk(relay: Relay, messages: Iterable[bytes | str]) -> Outcome:
             while True:
                 data = await websocket.recv()
                 assert isinstance(data, bytes)
-                match decode_store_message(data):
+                match decode_message(data):
                     case Stored() as stored:
                         pass
                     case Bye(code=code, reason=reason):

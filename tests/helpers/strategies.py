@@ -66,6 +66,9 @@ _FIELDS: dict[str, st.SearchStrategy[object]] = {
     "data": st.binary(max_size=20) | st.just(bytes(MAX_WHISPER_BYTES)),
     "kind": st.sampled_from(("face", "voice")),
     "code": st.sampled_from(BYE_CODES) | st.integers(3000, 4999),
+    "sha256": st.just("ab" * 32),
+    "size": st.integers(1, 2**40),
+    "is_new": st.booleans(),
     "url": st.sampled_from(("", "ws://a", "wss://[::1]:8765/pica", "wss://b.example.org:443")),
 }
 """What a field of a message may hold: by its name, or by that of the message before it."""

@@ -20,7 +20,7 @@ from fuzzing.damage import BOMBS
 from fuzzing.targets import GOLDEN_BYTES
 from helpers.members import FACE, VOICE, Member
 from malice.people import BrokenPromiseError
-from pica_protocol.client_session import Ticket
+from pica_protocol.client_session import ClientSession
 from pica_protocol.codec import encode_message
 from pica_protocol.errors import CloseCode
 from pica_protocol.frames import SEQUENCE_MODULUS, Frame, encode_frame, media_message
@@ -127,7 +127,7 @@ class Foe:
         self.tricks = rng.sample(TRICKS, rng.randint(1, 3))
         self.members: list[Member] = []
         self.is_away = True
-        self.ticket: Ticket | None = None
+        self.former: ClientSession | None = None
         self.heard: list[Frame] = []
         self.reads = rng.random() < 0.7
 
@@ -149,7 +149,9 @@ class Foe:
         if self.newest.session.state is State.JOINED:
             self.rng.choice(self.tricks)(self, now)
 
-    def join(self, now: float, token: str | None = None, ticket: Ticket | None = None) -> None:
+    def join(
+        self, now: float, token: str | None = None, former: ClientSession | None = None
+    ) -> None:
         """Come in, perhaps under the name of another member."""
         member = Member(
             self.hub,
@@ -160,11 +162,12 @@ class Foe:
             address=self.name,
             token=self.name if token is None else token,
             resumable=self.rng.random() < 0.8,
-            ticket=ticket,
+            former=former,
         )
         self.members.append(member)
         self.is_away = False
-        self.ticket = member.session.ticket or self.ticket
+        if member.session.is_resumable:
+            self.former = member.session
 
     def say(self, data: bytes, now: float) -> None:
         """Send a message on the newest connection, as it is."""
@@ -247,16 +250,16 @@ def moderate(foe: Foe, now: float) -> None:
 
 
 def lose_connection(foe: Foe, now: float) -> None:
-    """Lose the connection and come back, with one's ticket, an old one or none."""
+    """Lose the connection and come back, to one's place, an old one or none."""
     foe.newest.lose_connection(now)
     foe.is_away = True
     if foe.rng.random() < 0.7:
-        foe.join(now, ticket=foe.ticket)
+        foe.join(now, former=foe.former)
 
 
 def join_beside(foe: Foe, now: float) -> None:
     """Join once more beside oneself, now and then without a token."""
-    foe.join(now, foe.rng.choice((foe.name, foe.name, "", "mallory")), foe.ticket)
+    foe.join(now, foe.rng.choice((foe.name, foe.name, "", "mallory")), foe.former)
 
 
 def send_damaged(foe: Foe, now: float) -> None:

@@ -35,13 +35,10 @@ from malice.people import (
 from pica_client.e2ee.guard import Guard
 from pica_protocol.client_session import ClientSession
 from pica_protocol.codec import decode_message, encode_message
-from pica_protocol.errors import CloseCode
 from pica_protocol.frames import MEDIA_KIND, Frame, decode_media, encode_frame, media_message
 from pica_protocol.messages import (
-    Bye,
     Join,
     Joined,
-    Leave,
     Message,
     Peer,
     PeerAway,
@@ -122,7 +119,7 @@ class World:
             key = status.members[0][0]
             self.leavers.append(Leaver(line.peer.peer_id, person.guard, key))
         person.guard = Guard(SECRET, random_bytes=person.randomness.randbytes)
-        person.session.leave(self.now)
+        person.session.close()
         self.pump(person)
         self.hang_up(person)
 
@@ -235,8 +232,6 @@ class World:
                 for other in self.lines:
                     if other.peer is not None and other.peer.peer_id == peer_id:
                         other.waiting.append(told)
-            case Leave():
-                line.waiting.append(encode_message(Bye(code=CloseCode.NORMAL)))
 
     def admit(self, line: Line, join: Join) -> None:
         """Answer a join, and tell the others."""

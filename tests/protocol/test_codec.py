@@ -13,9 +13,9 @@ from pica_protocol.limits import MAX_CONTROL_BYTES, MAX_PEERS
 from pica_protocol.messages import (
     Join,
     Joined,
-    Leave,
     Message,
     Peer,
+    Ready,
     Track,
 )
 
@@ -86,11 +86,11 @@ def test_a_msgpack_bomb_is_refused_within_a_megabyte(bomb: bytes) -> None:
 
 def test_a_message_above_the_size_limit_is_refused_before_it_is_decoded() -> None:
     with pytest.raises(RemoteProtocolError, match="the limit is 100"):
-        decode_message(pack({"type": "leave"}).ljust(101, b"\0"), max_bytes=100)
+        decode_message(pack({"type": "ready"}).ljust(101, b"\0"), max_bytes=100)
 
 
 def test_unknown_fields_are_ignored_so_that_later_versions_may_add_some() -> None:
-    assert decode_message(pack({"type": "leave", "colour": [1, {}]})) == Leave()
+    assert decode_message(pack({"type": "ready", "colour": [1, {}]})) == Ready()
 
 
 @pytest.mark.parametrize(

@@ -4,12 +4,12 @@ from dataclasses import fields
 
 import pytest
 
-from golden.wire_samples import FRAMES, GOLDEN, MESSAGES, wire_bytes
+from golden.wire_samples import CHUNK, FRAMES, GOLDEN, MESSAGES, wire_bytes
 from helpers.paths import ROOT
-from pica_protocol.codec import decode_message
+from pica_protocol.codec import decode_chunk, decode_message, encode_chunk
 from pica_protocol.errors import CloseCode, RemoteProtocolError
 from pica_protocol.frames import decode_media
-from pica_protocol.messages import MESSAGE_TYPES, STORE_MESSAGE_TYPES, wire_name
+from pica_protocol.messages import MESSAGE_TYPES, wire_name
 from pica_protocol.session import CLIENT_TABLE, SERVER_TABLE, Media, State
 
 pytestmark = pytest.mark.unit
@@ -49,6 +49,11 @@ def test_golden_invalid_bytes_are_refused(name: str) -> None:
         decode_media(data) if data[:1] == b"\x02" else decode_message(data)
 
 
+def test_golden_bytes_of_a_chunk_go_both_ways() -> None:
+    data = bytes.fromhex(VECTORS["store"]["chunk"])
+    assert (decode_chunk(data), encode_chunk(CHUNK)) == (CHUNK, data)
+
+
 def test_the_golden_file_holds_every_sample() -> None:
     assert set(VECTORS["valid"]) == set(wire_bytes())
     assert {type(message) for message in MESSAGES.values()} == set(MESSAGE_TYPES.values())
@@ -60,7 +65,7 @@ def test_the_bytes_in_the_document_are_golden() -> None:
     assert {re.sub(r"\s", "", each) for each in shown} <= set(VECTORS["valid"].values())
 
 
-@pytest.mark.parametrize("message", [*MESSAGE_TYPES.values(), *STORE_MESSAGE_TYPES.values()])
+@pytest.mark.parametrize("message", MESSAGE_TYPES.values())
 def test_the_document_names_every_field_of_every_message(message: type) -> None:
     lines = [line for line in DOCUMENT.splitlines() if f"`{wire_name(message)}`" in line]
     assert any(all(f"`{each.name}`" in line for each in fields(message)) for line in lines)

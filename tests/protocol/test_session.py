@@ -5,16 +5,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from helpers.strategies import messages
-from pica_protocol.client_session import MAX_QUEUED_MESSAGES, RIDE_S, ClientSession, Ticket
+from pica_protocol.client_session import MAX_QUEUED_MESSAGES, RIDE_S, ClientSession
 from pica_protocol.codec import decode_message, encode_message
-from pica_protocol.errors import CloseCode, LocalProtocolError, is_worth_retrying, may_pass
+from pica_protocol.errors import CloseCode, is_worth_retrying, may_pass
 from pica_protocol.frames import Frame, decode_media, encode_frame, media_message
 from pica_protocol.limits import MAX_PEERS
 from pica_protocol.messages import (
     Bye,
     Join,
     Joined,
-    Leave,
     Message,
     Peer,
     PeerAway,
@@ -170,22 +169,12 @@ def test_capture_times_are_whole_again_however_long_nothing_came(elapsed_s: floa
     assert times[1] - times[0] == captured_us[1] - captured_us[0]
 
 
-def test_leaving_is_answered_and_ends_both_sides() -> None:
+def test_a_goodbye_ends_both_sides() -> None:
     client, server = joined_client(), joined_server()
-    client.leave(now=5.0)
-    (leave,) = client.messages_to_send(now=5.0)
-    assert server.receive_data(leave, now=5.1) == [Closed(code=1000, reason="left", is_remote=True)]
-    (bye,) = server.messages_to_send(now=5.1)
-    assert client.receive_data(bye, now=5.2) == [Closed(code=1000, reason="left", is_remote=True)]
-
-
-def test_what_was_under_way_when_a_client_left_is_ignored() -> None:
-    client = joined_client()
-    client.leave(now=5.0)
-    frame = media_message([encode_frame(Frame(stream=8, sequence=0, captured_us=0, payload=b""))])
-    assert client.receive_data(frame, now=5.1) == []
-    assert client.receive_data(encode_message(PeerLeft(peer_id="p2")), now=5.1) == []
-    assert client.state is State.LEAVING
+    client.close()
+    (bye,) = client.messages_to_send(now=5.0)
+    assert server.receive_data(bye, now=5.1) == [Closed(code=1000, reason="left", is_remote=True)]
+    assert server.messages_to_send(now=5.1) == []
 
 
 def test_a_client_gives_up_on_a_silent_relay_at_the_deadline() -> None:
@@ -205,26 +194,13 @@ def test_a_relay_that_answers_for_other_tracks_is_refused() -> None:
     assert closed.reason == "joined with other tracks than ours"
 
 
-def test_what_a_client_must_not_do_is_its_own_error() -> None:
+def test_nothing_is_said_before_the_join_and_no_more_than_waits_to_be_sent() -> None:
     client = ClientSession(room="lobby", name="Ada", tracks=(FACE,), now=0.0)
-    with pytest.raises(LocalProtocolError, match="while joining"):
-        client.send_frame(b"", captured_us=0)
-    with pytest.raises(LocalProtocolError, match="Subscribe while joining"):
-        client.tell(Subscribe(stream=1))
-    with pytest.raises(LocalProtocolError, match="track 1"):
-        joined_client().send_frame(b"", captured_us=0, track=1)
-    with pytest.raises(LocalProtocolError, match="no join was asked for"):
-        ServerSession(now=0.0).accept(JOINED)
-
-
-def test_a_shell_that_never_drains_is_told() -> None:
+    assert not client.send_frame(b"", captured_us=0)
+    assert not client.tell(Subscribe(stream=8))
     client = joined_client()
-    assert client.can_queue
-    for _ in range(MAX_QUEUED_MESSAGES):
-        client.tell(Subscribe(stream=8))
-    assert not client.can_queue
-    with pytest.raises(LocalProtocolError, match="drain messages_to_send"):
-        client.tell(Subscribe(stream=8))
+    told = [client.tell(Subscribe(stream=8)) for _ in range(MAX_QUEUED_MESSAGES + 1)]
+    assert told == [True] * MAX_QUEUED_MESSAGES + [False]
 
 
 def test_a_long_reason_is_clipped_to_what_a_close_frame_holds() -> None:
@@ -240,7 +216,6 @@ SAMPLES: list[Message] = [
     JOINED,
     PeerJoined(peer=BOB),
     PeerLeft(peer_id="p2"),
-    Leave(),
     Subscribe(stream=8),
     Whisper(peer_id="p2", data=b"x"),
     PeerAway(peer_id="p2"),
@@ -268,8 +243,6 @@ def session_in(state: State, *, is_client: bool) -> ClientSession | ServerSessio
             assert session.state is reached
     if isinstance(session, ServerSession) and state is State.JOINED:
         session.accept(JOINED)
-    if isinstance(session, ClientSession) and state is State.LEAVING:
-        session.leave(now=0.0)
     if state is State.CLOSED:
         session.close(1000, "")
     assert session.state is state
@@ -394,32 +367,28 @@ def test_who_comes_under_the_id_of_somebody_who_is_here_takes_their_place() -> N
     assert client.peers == {BOB.peer_id: eve}
 
 
-def client_with(ticket: Ticket | None = None, *, resumed: bool = False) -> ClientSession:
-    client = ClientSession(room="r", name="Ada", tracks=(FACE,), now=0.0, ticket=ticket)
+def client_with(former: ClientSession | None = None, *, resumed: bool = False) -> ClientSession:
+    client = ClientSession(room="r", name="Ada", tracks=(FACE,), now=0.0, former=former)
     own = (replace(FACE, stream=1),)
     joined = Joined(room="r", peer_id="p1", tracks=own, resume="s3cret", resumed=resumed)
     client.receive_data(encode_message(joined), now=0.0)
     return client
 
 
-def test_a_client_that_comes_back_goes_on_counting_where_it_stopped() -> None:
+@pytest.mark.parametrize(("resumed", "sequence"), [(True, 3), (False, 0)])
+def test_a_client_that_comes_back_to_its_place_goes_on_counting_where_it_stopped(
+    resumed: bool, sequence: int
+) -> None:
     client = client_with()
     for _ in range(3):
         client.send_frame(b"x", captured_us=0)
         client.messages_to_send(now=0.0)
-    ticket = client.ticket
-    assert ticket == Ticket(secret="s3cret", next_sequences=(3,))
-    again = client_with(ticket, resumed=True)
-    again.messages_to_send(now=0.0)
+    again = client_with(client, resumed=resumed)
+    (join,) = sent(again)
+    assert isinstance(join, Join)
+    assert join.resume == "s3cret"
     again.send_frame(b"x", captured_us=0)
-    assert decode_media(again.messages_to_send(now=0.0)[0])[0].sequence == 3
-
-
-def test_a_client_whose_place_is_gone_begins_to_count_anew() -> None:
-    again = client_with(Ticket(secret="old", next_sequences=(500,)), resumed=False)
-    again.messages_to_send(now=0.0)
-    again.send_frame(b"x", captured_us=0)
-    assert decode_media(again.messages_to_send(now=0.0)[0])[0].sequence == 0
+    assert decode_media(again.messages_to_send(now=0.0)[0])[0].sequence == sequence
 
 
 def test_a_client_that_did_not_ask_to_come_back_refuses_to_be_resumed() -> None:
@@ -429,8 +398,7 @@ def test_a_client_that_did_not_ask_to_come_back_refuses_to_be_resumed() -> None:
 
 
 def test_secrets_to_come_back_with_are_not_shown_when_printed() -> None:
-    client = client_with()
-    shown = repr(client.ticket) + repr(Joined(room="r", peer_id="p", resume="s3cret"))
+    shown = repr(client_with()) + repr(Joined(room="r", peer_id="p", resume="s3cret"))
     assert "s3cret" not in shown + repr(Join(room="r", name="n", resume="s3cret"))
 
 

@@ -15,7 +15,7 @@ from pica_protocol import SUBPROTOCOL
 from pica_protocol.client_session import ClientSession
 from pica_protocol.frames import Frame
 from pica_protocol.messages import Track
-from pica_protocol.session import ClientEvent, Closed, State
+from pica_protocol.session import ClientEvent, State
 
 E = TypeVar("E")
 
@@ -125,9 +125,9 @@ async def peer_in_room(
             yield peer
         finally:
             if peer.session.state is State.JOINED:
-                peer.session.leave(now())
+                peer.session.close()
                 await peer.flush()
-                await peer.until(Closed)
+                await peer.websocket.close()
             reader.cancel()
             await asyncio.gather(reader, return_exceptions=True)
 

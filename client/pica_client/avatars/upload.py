@@ -35,12 +35,12 @@ from pica_core.avatar.file import MAX_FILE_BYTES, read_bytes, shipped_avatar_fil
 from pica_core.errors import AvatarFileError
 from pica_protocol.codec import (
     MAX_CHUNK_BYTES,
-    decode_store_message,
+    decode_message,
     encode_chunk,
     encode_message,
 )
 from pica_protocol.errors import CloseCode, RemoteProtocolError, is_worth_retrying
-from pica_protocol.messages import STORE_SUBPROTOCOL, Bye, Offer, Ready, Stored, StoreMessage
+from pica_protocol.messages import STORE_SUBPROTOCOL, Bye, Message, Offer, Ready, Stored
 
 SEND_BUFFER_BYTES = 16 * 2**10
 """What the kernel may hold of a file, which it may double (chosen: 130 ms of a link with 1 Mbit/s
@@ -102,7 +102,7 @@ async def push_avatar(url: str, link: LinkConfig, path: Path, identity: str) -> 
         websocket.transport.abort()  # in case we are cancelled
 
 
-async def _answer(websocket: ClientConnection) -> StoreMessage:
+async def _answer(websocket: ClientConnection) -> Message:
     try:
         async with asyncio.timeout(ANSWER_TIMEOUT_S):
             data = await websocket.recv()
@@ -110,7 +110,7 @@ async def _answer(websocket: ClientConnection) -> StoreMessage:
         raise RelayUnreachableError("the relay does not answer") from error
     if isinstance(data, str):
         raise RelayRefusedError(NO_STORE)
-    message = decode_store_message(data)
+    message = decode_message(data)
     if isinstance(message, Bye):
         raise _refused(message.code, message.reason or "the relay said no")
     return message

@@ -45,7 +45,7 @@ from pica_client.transport.connect import (
     watch,
 )
 from pica_protocol import SUBPROTOCOL
-from pica_protocol.client_session import ClientSession, Ticket
+from pica_protocol.client_session import ClientSession
 from pica_protocol.errors import CloseCode
 from pica_protocol.frames import Frame
 from pica_protocol.limits import check_metadata
@@ -165,8 +165,8 @@ class Link:
         self.metadata: Metadata = ()
         self._told: Metadata = ()
         self._told_s = -math.inf
-        self._ticket: Ticket | None = None
-        self._ticket_url = ""
+        self._former: ClientSession | None = None
+        self._former_url = ""
 
     @property
     def is_joined(self) -> bool:
@@ -198,12 +198,11 @@ class Link:
         Returns:
             False while not joined; the frame is gone then.
         """
-        if self._session is None or not self.is_joined:
-            return False
         place = 0 if track is None else self.tracks.index(track)
-        self._session.send_frame(payload, captured_us, track=place, multiple=multiple)
         self._wake.set()
-        return True
+        return self._session is not None and self._session.send_frame(
+            payload, captured_us, track=place, multiple=multiple
+        )
 
     def tell(self, message: FromMember) -> bool:
         """Say something to the relay, or through it to another peer.
@@ -214,12 +213,8 @@ class Link:
         Returns:
             False if it could not be said: not joined, or the network takes nothing.
         """
-        session = self._session
-        if session is None or not session.can_queue:
-            return False
-        session.tell(message)
         self._wake.set()
-        return True
+        return self._session is not None and self._session.tell(message)
 
     def describe(self, key: str, value: str) -> None:
         """Set an entry of our metadata, which all others see, now and after each join; "" takes it
@@ -351,8 +346,8 @@ class Link:
             token=token,
             metadata=self.metadata,
             resumable=True,
-            # It is a secret between us and the relay that gave it.
-            ticket=self._ticket if self._ticket_url == self.url else None,
+            # Its secret is one between us and the relay that gave it.
+            former=self._former if self._former_url == self.url else None,
             drops=self._drops,
         )
         self._session = session
@@ -386,8 +381,8 @@ class Link:
         finally:
             self._session = None
             # One that was refused meanwhile does not cost the place: it is kept for a while.
-            if session.ticket is not None:
-                self._ticket, self._ticket_url = session.ticket, url
+            if session.is_resumable:
+                self._former, self._former_url = session, url
             # In case we are cancelled: no socket outlives its link.
             websocket.transport.abort()
         closed = session.closed
@@ -438,13 +433,13 @@ class Link:
             while True:
                 self._wake.clear()
                 if self._is_leaving:
-                    session.leave(now)
+                    session.close()
                 self._whisper_keys(session, now)
                 self._describe(session, now)
                 for message in session.messages_to_send(now):
                     self.sent_wire_bytes += wire_bytes(len(message), is_masked=True)
                     await websocket.send(message)
-                if session.closed is not None or session.state is State.LEAVING:
+                if session.closed is not None:
                     break
                 now = await self._until_woken()
         except ConnectionClosed:
@@ -459,14 +454,13 @@ class Link:
         """Queue what the guard has to tell others: it goes before the frames that need it."""
         if self.guard is not None and session.state is State.JOINED:
             for peer_id, data in self.guard.messages_to_send(now):
-                if session.can_queue:  # else it is lost, as a whisper may be
-                    session.tell(Whisper(peer_id=peer_id, data=data))
+                session.tell(Whisper(peer_id=peer_id, data=data))  # it may be lost
 
     def _describe(self, session: ClientSession, now: float) -> None:
         """Queue what the others do not know of us yet, once it may be told."""
         due_s = self._tell_timer()
-        if due_s is not None and due_s <= now and session.can_queue:
-            session.tell(UpdateMetadata(metadata=self.metadata))
+        is_due = due_s is not None and due_s <= now
+        if is_due and session.tell(UpdateMetadata(metadata=self.metadata)):
             self._told, self._told_s = self.metadata, now
 
     def _tell_timer(self) -> float | None:

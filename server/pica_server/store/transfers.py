@@ -26,7 +26,7 @@ from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
-from pica_protocol.codec import decode_chunk, decode_store_message, encode_message
+from pica_protocol.codec import decode_chunk, decode_message, encode_message
 from pica_protocol.errors import CloseCode, RemoteProtocolError
 from pica_protocol.limits import clipped_reason, is_avatar_id
 from pica_protocol.messages import AVATARS_PATH, Bye, Offer, Ready, Stored
@@ -215,7 +215,7 @@ class Uploads:
         """Take the offer of a peer that may make it."""
         late = RefusalError("no offer came", CloseCode.HANDSHAKE_TIMEOUT)
         async with _within(self._offer_timeout_s, late):
-            offer = decode_store_message(await _binary(websocket))
+            offer = decode_message(await _binary(websocket))
         if not isinstance(offer, Offer):
             raise RemoteProtocolError("an offer comes first", CloseCode.UNEXPECTED_MESSAGE)
         self._may_upload(offer.token, offer.sha256)

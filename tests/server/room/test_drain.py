@@ -75,7 +75,7 @@ def test_what_waits_for_somebody_goes_out_before_their_goodbye() -> None:
     ada.hear(0.0)
     bob.session.tell(UpdateMetadata(metadata=(("hand", "up"),)))
     bob.speak(1.0)
-    bob.session.leave(1.0)
+    bob.session.close()
     bob.speak(1.0)
     hub.drain(now=1.0)
     assert [type(message) for message in ada.hear(1.0)] == [PeerUpdated, PeerLeft, Bye]

@@ -3,12 +3,13 @@
 import pytest
 
 from helpers.members import Member, hub_with
-from pica_protocol.client_session import Ticket
+from pica_protocol.client_session import ClientSession
 from pica_protocol.codec import encode_message
 from pica_protocol.errors import CloseCode
 from pica_protocol.messages import (
     Bye,
     Join,
+    Joined,
     PeerJoined,
     PeerLeft,
     Whisper,
@@ -170,11 +171,13 @@ def test_a_ghost_does_not_keep_who_comes_back_out_of_a_crowded_address() -> None
     config = RelayConfig(limits=LimitsConfig(connections_per_address=1))
     hub, _ = hub_with(config=config)
     ghost = Member(hub, "Ada", address="192.0.2.1", resumable=True)
-    guess = Ticket(secret="guess", next_sequences=(0,))
-    stranger = Member(hub, "Eve", address="192.0.2.1", now=1.0, resumable=True, ticket=guess)
+    guess = ClientSession(room="lobby", name="Eve", now=0.0)
+    joined = Joined(room="lobby", peer_id="p9", resume="guess")
+    guess.receive_data(encode_message(joined), now=0.0)
+    stranger = Member(hub, "Eve", address="192.0.2.1", now=1.0, resumable=True, former=guess)
     assert closed_code(stranger) == CloseCode.TOO_MANY
-    ticket = ghost.session.ticket
-    back = Member(hub, "Ada", address="192.0.2.1", now=2.0, resumable=True, ticket=ticket)
+    former = ghost.session
+    back = Member(hub, "Ada", address="192.0.2.1", now=2.0, resumable=True, former=former)
     assert closed_code(back) is None
     assert back.peer_id == ghost.peer_id
     assert closed_code(ghost) == CloseCode.REPLACED

@@ -148,7 +148,7 @@ def test_a_mute_outlives_its_owners_lost_connection_and_rejoin_but_not_the_room(
     ask(olga, mute(ada), now=1.0)
     ada.listen(now=1.0)
     back = Member(
-        hub, "Ada", token="ada", tracks=(FACE, VOICE), now=2.0, ticket=ada.lose_connection(now=1.5)
+        hub, "Ada", token="ada", tracks=(FACE, VOICE), now=2.0, former=ada.lose_connection(now=1.5)
     )
     assert back.session.muted == {back.stream}
     hub.disconnect(back.connection, 1000, "", now=3.0)
@@ -171,17 +171,17 @@ def test_a_removed_peer_is_told_why_and_cannot_come_back_to_its_place() -> None:
         "an admin has removed you from the room",
     )
     assert bob.listen(now=1.0) == [PeerLeft(peer_id=ada.peer_id, reason="removed")]
-    again = Member(hub, "Ada", token="ada", now=2.0, ticket=ada.session.ticket)
+    again = Member(hub, "Ada", token="ada", now=2.0, former=ada.session)
     assert again.peer_id not in ("", ada.peer_id)
 
 
 def test_a_peer_that_is_away_can_be_removed() -> None:
     hub, olga, (ada, bob) = room_with_admin("Ada", "Bob")
-    ticket = ada.lose_connection(now=1.0)
+    former = ada.lose_connection(now=1.0)
     ask(olga, RemovePeer(peer_id=ada.peer_id), now=2.0)
     bob.listen(now=2.0)
     assert ada.peer_id not in bob.session.peers
-    assert Member(hub, "Ada", token="ada", now=3.0, ticket=ticket).peer_id != ada.peer_id
+    assert Member(hub, "Ada", token="ada", now=3.0, former=former).peer_id != ada.peer_id
 
 
 def test_a_barred_identity_stays_out_until_the_room_is_empty() -> None:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from helpers.members import FACE, VOICE, Member, counting_secrets, hub_with
-from pica_protocol.client_session import Ticket
+from pica_protocol.client_session import ClientSession
 from pica_protocol.errors import CloseCode
 from pica_protocol.frames import Frame
 from pica_protocol.messages import (
@@ -27,9 +27,9 @@ from pica_server.tokens import Admission
 pytestmark = pytest.mark.unit
 
 
-def come_back(hub: Hub, ticket: Ticket | None, now: float, name: str = "Ada") -> Member:
-    assert ticket is not None
-    member = Member(hub, name, now=now, resumable=True, ticket=ticket)
+def come_back(hub: Hub, former: ClientSession, now: float, name: str = "Ada") -> Member:
+    assert former.is_resumable
+    member = Member(hub, name, now=now, resumable=True, former=former)
     member.heard += member.listen(now)
     return member
 
@@ -44,9 +44,9 @@ def control(heard: list[Message | Frame]) -> list[Message]:
 
 def test_who_comes_back_in_time_has_its_old_id_and_streams_and_nobody_saw_it_leave() -> None:
     hub, (ada, bob) = hub_with("Ada", "Bob", resumable=True)
-    ticket = ada.lose_connection(now=1.0)
+    former = ada.lose_connection(now=1.0)
     assert bob.listen(now=1.0) == [PeerAway(peer_id=ada.peer_id)]
-    again = come_back(hub, ticket, now=10.9)
+    again = come_back(hub, former, now=10.9)
     assert (again.peer_id, again.stream) == (ada.peer_id, ada.stream)
     assert joined_of(again).resumed
     assert list(again.session.peers) == [bob.peer_id]
@@ -70,13 +70,13 @@ def test_who_crashed_and_begins_anew_does_not_stand_beside_their_old_face() -> N
 
 def test_who_does_not_come_back_has_left_when_the_grace_is_over() -> None:
     hub, (ada, bob) = hub_with("Ada", "Bob", resumable=True)
-    ticket = ada.lose_connection(now=1.0)
+    former = ada.lose_connection(now=1.0)
     bob.listen(now=1.0)
     hub.handle_timer(10.9)
     assert bob.listen(10.9) == []
     hub.handle_timer(11.0)
     assert bob.listen(11.0) == [PeerLeft(peer_id=ada.peer_id, reason="lost")]
-    again = come_back(hub, ticket, now=11.1)
+    again = come_back(hub, former, now=11.1)
     assert not joined_of(again).resumed
     assert again.peer_id != ada.peer_id
     assert hub.stats.resumes == {"away": 1, "unknown": 1}
@@ -84,9 +84,9 @@ def test_who_does_not_come_back_has_left_when_the_grace_is_over() -> None:
 
 def test_an_empty_room_is_kept_for_those_who_may_come_back_and_then_forgotten() -> None:
     hub, (ada,) = hub_with("Ada", resumable=True)
-    ticket = ada.lose_connection(now=1.0)
+    former = ada.lose_connection(now=1.0)
     assert (hub.num_connections, hub.num_rooms) == (0, 1)
-    again = come_back(hub, ticket, now=5.0)
+    again = come_back(hub, former, now=5.0)
     assert again.peer_id == ada.peer_id
     again.lose_connection(now=6.0)
     hub.handle_timer(now=16.0)
@@ -98,9 +98,6 @@ def test_a_secret_is_good_once_and_another_one_comes_with_each_return() -> None:
     first = ada.lose_connection(now=1.0)
     again = come_back(hub, first, now=2.0)
     second = again.lose_connection(now=3.0)
-    assert first is not None
-    assert second is not None
-    assert first.secret != second.secret
     thief = come_back(hub, first, now=4.0)
     assert thief.peer_id != ada.peer_id
     assert come_back(hub, second, now=5.0).peer_id == ada.peer_id
@@ -108,7 +105,7 @@ def test_a_secret_is_good_once_and_another_one_comes_with_each_return() -> None:
 
 def test_whoever_comes_back_before_the_relay_has_noticed_takes_the_place_over() -> None:
     hub, (ada, bob) = hub_with("Ada", "Bob", resumable=True)
-    again = come_back(hub, ada.session.ticket, now=5.0)
+    again = come_back(hub, ada.session, now=5.0)
     assert again.peer_id == ada.peer_id
     assert ada.closed_code == CloseCode.REPLACED
     assert isinstance(ada.listen(now=5.0)[-1], Bye)
@@ -121,7 +118,7 @@ def test_whoever_comes_back_before_the_relay_has_noticed_takes_the_place_over() 
 
 def test_who_goes_on_purpose_or_breaks_the_protocol_is_gone_at_once() -> None:
     hub, (ada, bob, cyd) = hub_with("Ada", "Bob", "Cyd", resumable=True)
-    ada.session.leave(now=1.0)
+    ada.session.close()
     ada.speak(now=1.0)
     hub.receive(bob.connection, [b"\x03"], now=1.0)
     assert control(cyd.listen(now=1.0)) == [
@@ -129,12 +126,12 @@ def test_who_goes_on_purpose_or_breaks_the_protocol_is_gone_at_once() -> None:
         PeerLeft(peer_id=bob.peer_id, reason="removed"),
     ]
     for former in (ada, bob):
-        assert come_back(hub, former.session.ticket, now=2.0).peer_id != former.peer_id
+        assert come_back(hub, former.session, now=2.0).peer_id != former.peer_id
 
 
 def test_who_did_not_say_that_it_comes_back_is_gone_at_once() -> None:
     _hub, (ada, bob) = hub_with("Ada", "Bob")
-    assert ada.lose_connection(now=1.0) is None
+    assert not ada.lose_connection(now=1.0).is_resumable
     assert bob.listen(now=1.0) == [PeerLeft(peer_id=ada.peer_id, reason="lost")]
 
 
@@ -142,9 +139,9 @@ def test_a_place_that_is_kept_for_an_identity_counts_for_the_capacity() -> None:
     hub = hub_of_identities(RelayConfig(room_capacity=2))
     ada = Member(hub, "Ada", token="ada", resumable=True)
     Member(hub, "Bob", token="bob", resumable=True)
-    ticket = ada.lose_connection(now=1.0)
+    former = ada.lose_connection(now=1.0)
     assert Member(hub, "Cyd", token="cyd", now=2.0).closed_code == CloseCode.ROOM_FULL
-    again = Member(hub, "Ada", token="ada", now=3.0, resumable=True, ticket=ticket)
+    again = Member(hub, "Ada", token="ada", now=3.0, resumable=True, former=former)
     assert again.peer_id == ada.peer_id
 
 
@@ -152,15 +149,15 @@ def test_newcomers_take_the_places_of_those_who_are_away_and_have_no_identity() 
     hub, (ada, bob, cyd) = hub_with(
         "Ada", "Bob", "Cyd", config=RelayConfig(room_capacity=3), resumable=True
     )
-    tickets = [bob.lose_connection(now=1.0), ada.lose_connection(now=2.0)]
+    lost = [bob.lose_connection(now=1.0), ada.lose_connection(now=2.0)]
     cyd.listen(now=2.0)
     assert Member(hub, "Dot", now=3.0).closed_code is None
     assert cyd.listen(now=3.0)[0] == PeerLeft(peer_id=bob.peer_id, reason="lost")
     assert Member(hub, "Eve", now=4.0).closed_code is None
     assert cyd.listen(now=4.0)[0] == PeerLeft(peer_id=ada.peer_id, reason="lost")
     assert Member(hub, "Fay", now=5.0).closed_code == CloseCode.ROOM_FULL
-    for ticket in tickets:
-        assert Member(hub, "Ada", now=6.0, ticket=ticket).closed_code == CloseCode.ROOM_FULL
+    for former in lost:
+        assert Member(hub, "Ada", now=6.0, former=former).closed_code == CloseCode.ROOM_FULL
     hub.handle_timer(now=30.0)
 
 
@@ -174,16 +171,16 @@ def test_a_newcomer_learns_who_is_away() -> None:
 
 def test_nobody_comes_back_into_another_room_or_with_other_tracks() -> None:
     hub, (ada, bob) = hub_with("Ada", "Bob", resumable=True)
-    ticket = ada.lose_connection(now=1.0)
+    former = ada.lose_connection(now=1.0)
     bob.listen(now=1.0)
-    elsewhere = Member(hub, "Ada", room="elsewhere", now=2.0, ticket=ticket, resumable=True)
+    elsewhere = Member(hub, "Ada", room="elsewhere", now=2.0, former=former, resumable=True)
     assert elsewhere.peer_id != ada.peer_id
     other = Member(
-        hub, "Ada", now=3.0, ticket=ticket, resumable=True, tracks=(replace(FACE, kind="mask"),)
+        hub, "Ada", now=3.0, former=former, resumable=True, tracks=(replace(FACE, kind="mask"),)
     )
     assert other.peer_id != ada.peer_id
     assert [type(each) for each in bob.listen(now=3.0)] == [PeerLeft, PeerJoined]
-    assert come_back(hub, ticket, now=4.0).peer_id != ada.peer_id
+    assert come_back(hub, former, now=4.0).peer_id != ada.peer_id
     assert hub.stats.resumes == {"away": 1, "unknown": 2, "unfit": 1}
 
 
@@ -210,8 +207,8 @@ def test_a_stolen_identity_cannot_come_back_to_a_place_without_its_secret() -> N
 def test_a_stolen_secret_is_worth_nothing_to_another_identity() -> None:
     hub = hub_of_identities()
     ada = Member(hub, "Ada", token="ada", resumable=True)
-    ticket = ada.lose_connection(now=1.0)
-    thief = Member(hub, "Ada", token="mallory", resumable=True, now=2.0, ticket=ticket)
+    former = ada.lose_connection(now=1.0)
+    thief = Member(hub, "Ada", token="mallory", resumable=True, now=2.0, former=former)
     assert thief.peer_id != ada.peer_id
     assert not joined_of(thief).resumed
 
@@ -273,8 +270,8 @@ def test_what_a_peer_says_when_it_comes_back_is_news_only_if_it_has_changed() ->
     hub, (ada, bob) = hub_with("Ada", "Bob", resumable=True)
     again = come_back(hub, ada.lose_connection(now=1.0), now=2.0)
     assert [type(each) for each in bob.listen(now=2.0)] == [PeerAway, PeerBack]
-    ticket = again.lose_connection(now=3.0)
-    Member(hub, "Ada", now=4.0, ticket=ticket, metadata=(("hand", "up"),))
+    former = again.lose_connection(now=3.0)
+    Member(hub, "Ada", now=4.0, former=former, metadata=(("hand", "up"),))
     assert [type(each) for each in bob.listen(now=4.0)] == [PeerAway, PeerBack, PeerUpdated]
 
 
@@ -296,7 +293,7 @@ def test_a_slow_reader_that_was_closed_may_come_back_to_its_place() -> None:
     hub.handle_timer(now=110.0)
     assert bob.closed_code == CloseCode.TOO_SLOW
     assert control(ada.listen(now=110.0)) == [PeerAway(peer_id=bob.peer_id)]
-    assert come_back(hub, bob.session.ticket, now=111.0, name="Bob").peer_id == bob.peer_id
+    assert come_back(hub, bob.session, now=111.0, name="Bob").peer_id == bob.peer_id
 
 
 def test_places_that_are_kept_are_no_more_than_the_joins_that_the_relay_takes() -> None:

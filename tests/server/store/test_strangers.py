@@ -22,7 +22,7 @@ from helpers.store_peers import (
 )
 from pica_protocol.codec import encode_chunk, encode_message
 from pica_protocol.errors import CloseCode
-from pica_protocol.messages import Bye, Leave, Offer
+from pica_protocol.messages import Bye, Offer, Ready
 from pica_server.config import StoreConfig
 from pica_server.store.store import AvatarStore
 from simnet.peers import peer_in_room
@@ -65,7 +65,7 @@ OFFER = encode_message(Offer(sha256=ID, size=len(FILE)))
     [
         (["offer"], CloseCode.MALFORMED),
         ([b""], CloseCode.MALFORMED),
-        ([encode_message(Leave())], CloseCode.MALFORMED),
+        ([encode_message(Ready())], CloseCode.UNEXPECTED_MESSAGE),
         ([encode_message(Bye(code=1000))], CloseCode.UNEXPECTED_MESSAGE),
         ([encode_chunk(FILE[:100])], CloseCode.MALFORMED),
         ([OFFER, OFFER], CloseCode.MALFORMED),
