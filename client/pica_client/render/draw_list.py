@@ -12,7 +12,6 @@ import numpy as np
 from pica_client.render.gpu_avatar import Body, Mesh
 from pica_client.render.gpu_maps import HeadMaps
 from pica_client.render.gpu_plain import TexturedHead
-from pica_client.render.gpu_program import UNIT_POSITION
 from pica_client.render.layers import PixelRect, area_px, common_part, viewport
 from pica_client.render.scene import FAR_M, NEAR_M, Placement, Rect, screen_rects
 from pica_core.avatar.bust import WHOLE_M
@@ -54,7 +53,9 @@ class RenderSlot:
 
     avatar: Avatar | None = None
     body: Body | None = None
+    """None for a textured head before its first face, too."""
     maps: HeadMaps | None = None
+    """Of an avatar."""
     textured: TexturedHead | None = None
     version: int = 0
     """Never the same for two contents of a slot."""
@@ -78,21 +79,13 @@ class ShownHead:
     fading_rows: tuple[float, ...]
     """Rows of the image at which nothing is left of that side of it which fades first, and from
     which all is there; then those of the side that fades last."""
-    body: Body | TexturedHead
-    mesh: Mesh | None
-    """Its triangles; None of a head that is a texture as a whole."""
+    body: Body
+    mesh: Mesh
     position: moderngl.Texture | None
     expression: moderngl.Texture | None
-    """None for a placeholder."""
+    """None where nothing is decoded."""
     look: Hashable
     """All that its layer depends on."""
-
-    @property
-    def num_triangles(self) -> int:
-        """Triangles of its mesh."""
-        mesh = self.body if isinstance(self.body, TexturedHead) else self.mesh
-        assert mesh is not None
-        return mesh.num_triangles
 
     @property
     def size(self) -> tuple[int, int]:
@@ -132,7 +125,10 @@ def list_heads(
 
 
 def count_draws(
-    heads: Sequence[ShownHead], drawn: Sequence[ShownHead], pixels: tuple[int, int] | None
+    heads: Sequence[ShownHead],
+    drawn: Sequence[ShownHead],
+    pixels: tuple[int, int] | None,
+    placeholder: Body,
 ) -> DrawStats:
     """What a frame drew of its heads.
 
@@ -140,7 +136,7 @@ def count_draws(
         drawn: Those that did not stay as they were.
         pixels: That were decoded, and that were textured; None if they were not counted.
     """
-    num_placeholders = sum(bool(head.mesh) and head.expression is None for head in heads)
+    num_placeholders = sum(head.body is placeholder for head in heads)
     shaded, textured = pixels or (None, None)
     share = sum(area_px(head.rect) for head in drawn) / max(
         sum(area_px(head.rect) for head in heads), 1
@@ -148,7 +144,7 @@ def count_draws(
     return DrawStats(
         num_avatars=len(heads) - num_placeholders,
         num_placeholders=num_placeholders,
-        num_triangles=sum(head.num_triangles for head in drawn),
+        num_triangles=sum(head.mesh.num_triangles for head in drawn),
         drawn_share=share,
         shaded_pixels=shaded,
         textured_pixels=textured,
@@ -167,30 +163,25 @@ def rect_in_view(clip: Rect, view: PixelRect) -> PixelRect:
     )
 
 
-def _body(entry: RenderSlot, placeholder: Body) -> Body | TexturedHead:
-    """What is drawn of a slot."""
-    if entry.textured and entry.textured.has_maps:
-        return entry.textured
-    return entry.body if entry.body and entry.maps and entry.maps.level else placeholder
+def _body(entry: RenderSlot, placeholder: Body) -> Body:
+    """What is drawn of a slot: an avatar needs its maps."""
+    is_there = entry.maps is None or entry.maps.level
+    return entry.body if entry.body and is_there else placeholder
 
 
 def _shown(
     entry: RenderSlot,
-    body: Body | TexturedHead,
+    body: Body,
     placement: Placement,
     matrix: FloatArray,
     view: PixelRect,
     rect: PixelRect,
     fading_rows: tuple[float, ...],
 ) -> ShownHead:
-    mesh = position = expression = None
-    if isinstance(body, Body):
-        if entry.maps is None or body is not entry.body:
-            mesh, position = body.mesh(0, None), body.textures[UNIT_POSITION]
-        else:
-            mesh = body.mesh(entry.maps.level, placement.mesh_level)
-            position, expression = entry.maps.newest
-    mesh_level = mesh and mesh.level
+    level, position, expression = 0, None, None
+    if entry.maps is not None and body is entry.body:
+        level, (position, expression) = entry.maps.level, entry.maps.newest
+    mesh = body.mesh(level, placement.mesh_level)
     return ShownHead(
         slot=placement.slot,
         view=view,
@@ -203,12 +194,12 @@ def _shown(
         mesh=mesh,
         position=position,
         expression=expression,
-        look=(entry.version, matrix.tobytes(), rect, placement.scale, mesh_level),
+        look=(entry.version, matrix.tobytes(), rect, placement.scale, mesh.level),
     )
 
 
 def _fading_rows(
-    bodies: Sequence[Body | TexturedHead], matrices: FloatArray, view: PixelRect
+    bodies: Sequence[Body], matrices: FloatArray, view: PixelRect
 ) -> list[tuple[float, ...]]:
     """See `ShownHead.fading_rows`; of all heads of a view ``[N]``."""
     # All heads at once: numpy takes as long for one as for twenty.

@@ -7,7 +7,7 @@ it.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import moderngl
@@ -78,36 +78,37 @@ class Mesh:
     """The triangles of one level, for the positions of one level."""
 
     level: int
-    vertices: moderngl.VertexArray
-    """For the surface pass."""
+    decoded: moderngl.VertexArray | None
+    """For the surface pass; None where nothing is decoded."""
     static: moderngl.VertexArray | None
-    """What of it does not change with the face, if something does not."""
+    """What has a texture, if something has."""
     num_triangles: int
     """Those of the static part included."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Body:
-    """What all seats with the same avatar share."""
+    """What all seats with the same avatar share; without a decoder it is all skin."""
 
     meshes: dict[tuple[int, int], Mesh]
-    """Meshes keyed by the levels of the positions and of the triangles; a placeholder has one."""
-    shade: moderngl.VertexArray
-    """A rectangle of the screen, drawn by the program of the second pass."""
-    textures: dict[int, moderngl.Texture]
-    """Textures keyed by texture unit."""
-    weights: moderngl.Buffer | None
-    """Bound to uniform block 0; None if the program holds them as constants."""
-    skin: moderngl.Texture | None
-    """What its static parts look like; None where it has none."""
+    """Meshes keyed by the levels of the positions and of the triangles; 0 where nothing is
+    decoded."""
     low_m: tuple[float, ...]
     high_m: tuple[float, ...]
     outline_m: FloatArray
     """Points that hold all that is drawn of it between them, ``[K, 3]``."""
+    fade_m: tuple[float, float]
+    """Heights below which nothing and above which all of it is seen, head frame."""
+    skin: moderngl.Texture | None
+    """What its static parts look like; None where it has none."""
+    shade: moderngl.VertexArray | None = None
+    """A rectangle of the screen, drawn by the program of the second pass."""
+    textures: dict[int, moderngl.Texture] = field(default_factory=dict)
+    """Textures keyed by texture unit."""
+    weights: moderngl.Buffer | None = None
+    """Bound to uniform block 0; None if the program holds them as constants."""
     still_size: int = 0
     """Expression maps with fewer columns are added to its still map; 0 where it has none."""
-    fade_m: tuple[float, float] = WHOLE_M
-    """Heights below which nothing and above which all of it is seen, head frame."""
 
     def mesh(self, position_level: int, mesh_level: int | None) -> Mesh:
         """The triangles to draw with positions of a level; the positions' own serve where there is
@@ -173,9 +174,10 @@ def upload_avatar(
         weights = context.buffer(matrices.tobytes() + biases.tobytes())
     fade_m = fade_heights_m(bust_of(avatar).lower_m) if fades else WHOLE_M
     low_m, high_m = np.array([manifest.bounds_min_m, manifest.bounds_max_m])
+    shade = context.vertex_array(program, [])
     body = Body(
         meshes=_level_meshes(context, mesh_programs, avatar, fade_m[0]),
-        shade=context.vertex_array(program, []),
+        shade=shade,
         textures=textures,
         weights=weights,
         skin=None,
@@ -192,7 +194,7 @@ def upload_avatar(
         body.bind()
         textures[UNIT_STILL].use(UNIT_EXPRESSION)
 
-    skin = bake_texture(context, mesh_programs.unwrap, body.shade, avatar, bind_still)
+    skin = bake_texture(context, mesh_programs.unwrap, shade, avatar, bind_still)
     return replace(body, skin=skin)
 
 
@@ -220,14 +222,14 @@ def _level_meshes(
         faces = seen_faces(renumbered.reshape(-1, 3), rest_m[used], gone_m)
         sheet = avatar.sheet_vertices(full)
         at_full = uv if sheet is None else sheet_uv(len(sheet), full)[used]
-        meshes[full, level] = upload_mesh(
+        meshes[full, level] = _upload_mesh(
             context, programs, level, faces, uv, at_full, static, len(own)
         )
         if level != full:
             listed = avatar.sheet_vertices(level)
             assert listed is not None  # below the full one
             places = sheet_uv(len(listed), level)[np.searchsorted(listed, used)]
-            meshes[level, level] = upload_mesh(
+            meshes[level, level] = _upload_mesh(
                 context, programs, level, faces, uv, places, static, len(own)
             )
     return meshes
@@ -250,15 +252,15 @@ def _outline_m(avatar: Avatar, gone_m: float) -> FloatArray:
     return np.clip(outline_m, low_m, high_m).astype(np.float32)
 
 
-def upload_mesh(
+def _upload_mesh(
     context: moderngl.Context,
     programs: MeshPrograms,
     level: int,
     faces: npt.NDArray[Any],
     vertex_uv: npt.NDArray[Any],
     places: npt.NDArray[Any],
-    static: moderngl.VertexArray | None = None,
-    num_static: int = 0,
+    static: moderngl.VertexArray | None,
+    num_static: int,
 ) -> Mesh:
     """Put triangles ``[F, 3]`` on the GPU, with the places ``[V, 2]`` at which positions of their
     vertices are looked up; static ones belong to the mesh, too."""

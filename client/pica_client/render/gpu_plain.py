@@ -5,8 +5,8 @@ avatars were drawn before pixels were decoded, for comparison.
 import moderngl
 import numpy as np
 
-from pica_client.render.gpu_avatar import Body, MeshPrograms, upload_mesh
-from pica_client.render.gpu_program import UNIT_POSITION, build_program, clamp, compose
+from pica_client.render.gpu_avatar import Body, Mesh, static_vertices
+from pica_client.render.gpu_program import clamp
 from pica_core.avatar.bust import WHOLE_M, box_corners, fade_heights_m, outline_of
 from pica_core.errors import ShapeError
 from pica_core.reference import BaselineAvatar
@@ -14,7 +14,7 @@ from pica_core.sampling import order_faces
 from pica_core.types import FloatArray
 
 PLACEHOLDER_GRID = 64
-"""Rows and columns of the placeholder's position map."""
+"""Rows and columns of the placeholder's vertices."""
 PLACEHOLDER_PROFILE_M = (
     # height, half width, half depth, middle of the depth
     (0.138, 0.000, 0.000, 0.000),
@@ -35,30 +35,38 @@ PLACEHOLDER_PROFILE_M = (
     (-0.290, 0.174, 0.098, -0.028),
 )
 """A faceless bust, from the crown down (chosen: as large as a person, without a face)."""
+LIGHT = np.array([0.30, 0.75, 0.60])
+"""Where the light comes from, head frame."""
+CLAY = (0.205, 0.225, 0.250), (0.520, 0.545, 0.570)
+"""Its colours where it looks away from the light and towards it."""
 
 
-def upload_placeholder(context: moderngl.Context, mesh_programs: MeshPrograms) -> Body:
-    """The head that stands in for an avatar that is not there or cannot be used."""
-    program = build_program(context, compose("rect.vert"), compose("placeholder.frag"))
+def upload_placeholder(context: moderngl.Context, static: moderngl.Program) -> Body:
+    """The head that stands in for an avatar that is not there or cannot be used: a plain bust in
+    the room's light, matt as clay."""
     count, bust = PLACEHOLDER_GRID, placeholder_map()
     corner = np.arange(count * count, dtype=np.int32).reshape(count, count)
     a, b, c, d = corner[:-1, :-1], corner[:-1, 1:], corner[1:, :-1], corner[1:, 1:]
     faces = np.stack([a, c, b, b, c, d], axis=-1).reshape(-1, 3)
-    # Texel centres, so that the mesh closes exactly on the map's border texels.
     texel = (np.arange(count, dtype=np.float32) + 0.5) / count
-    vertex_uv = np.stack(np.meshgrid(texel, texel), axis=-1).reshape(-1, 2)
-    texture = context.texture((count, count), 3, bust.tobytes(), dtype="f4")
+    u, v = np.meshgrid(texel, texel)
+    corners = np.concatenate([bust, np.stack([u, v, np.ones_like(u)], axis=-1)], axis=-1)
+    down, along = np.gradient(bust, axis=(0, 1))
+    normals = np.cross(down, along) + np.array([0.0, 1e-12, 0.0])  # the crown looks up
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    light = 0.5 + 0.5 * (normals @ (LIGHT / np.linalg.norm(LIGHT)))[..., None]
+    dark, bright = np.array(CLAY)
+    rgba = np.full((count, count, 4), 255, np.uint8)
+    rgba[..., :3] = 255 * (dark + light**2 * (bright - dark)) + 0.5
     low_m, high_m = bust.min(axis=(0, 1)), bust.max(axis=(0, 1))
+    vertices = static_vertices(context, static, faces, corners.reshape(-1, 6), "3f 2f 1f")
     return Body(
-        meshes={(0, 0): upload_mesh(context, mesh_programs, 0, faces, vertex_uv, vertex_uv)},
-        shade=context.vertex_array(program, []),
-        textures={UNIT_POSITION: clamp(texture)},
-        weights=None,
-        skin=None,
+        meshes={(0, 0): Mesh(0, None, vertices, len(faces))},
         low_m=tuple(low_m.tolist()),
         high_m=tuple(high_m.tolist()),
         outline_m=outline_of(bust.reshape(-1, 3)),
         fade_m=fade_heights_m(float(low_m[1])),
+        skin=clamp(context.texture((count, count), 4, rgba.tobytes())),
     )
 
 
@@ -83,33 +91,43 @@ class TexturedHead:
 
     Its decoder makes vertices and a whole texture for each frame; both are uploaded, and the mesh
     is drawn in one pass.
+
+    Attributes:
+        body: What is drawn once it has been updated.
     """
 
     def __init__(
         self,
         context: moderngl.Context,
-        program: moderngl.Program,
+        static: moderngl.Program,
         avatar: BaselineAvatar,
         *,
         fades: bool = False,
     ) -> None:
-        self.low_m, self.high_m = avatar.bounds_min_m, avatar.bounds_max_m
-        self.outline_m = outline_of(box_corners(self.low_m, self.high_m))
-        self.fade_m = fade_heights_m(self.low_m[1]) if fades else WHOLE_M
-        self.level, self.num_triangles = 0, len(avatar.faces)
-        self._num_vertices = len(avatar.vertex_uv)
+        self._num_vertices, side = len(avatar.vertex_uv), avatar.spec.texture_size
         self._positions = context.buffer(reserve=12 * self._num_vertices, dynamic=True)
-        corners = context.buffer(np.ascontiguousarray(avatar.vertex_uv, np.float32).tobytes())
+        corners = np.concatenate([avatar.vertex_uv, np.ones((self._num_vertices, 1))], axis=1)
+        uv = context.buffer(np.ascontiguousarray(corners, np.float32).tobytes())
         faces = order_faces(avatar.faces, avatar.vertex_uv)
-        self.vertices = context.vertex_array(
-            program,
-            [(self._positions, "3f", "vertex_xyz_m"), (corners, "2f", "vertex_uv")],
+        vertices = context.vertex_array(
+            static,
+            [
+                (self._positions, "3f", "vertex_xyz_m"),
+                (uv, "2f 1f", "vertex_uv", "vertex_opacity"),
+            ],
             index_buffer=context.buffer(np.ascontiguousarray(faces, np.int32).tobytes()),
         )
-        side = avatar.spec.texture_size
-        self.texture = clamp(context.texture((side, side), 4))
+        self._texture = clamp(context.texture((side, side), 4))
         self._rgba = np.full((side, side, 4), 255, np.uint8)
-        self.has_maps = False
+        low_m, high_m = avatar.bounds_min_m, avatar.bounds_max_m
+        self.body = Body(
+            meshes={(0, 0): Mesh(0, None, vertices, len(faces))},
+            low_m=low_m,
+            high_m=high_m,
+            outline_m=outline_of(box_corners(low_m, high_m)),
+            fade_m=fade_heights_m(low_m[1]) if fades else WHOLE_M,
+            skin=self._texture,
+        )
 
     def update(self, vertices_m: FloatArray, texture: FloatArray) -> None:
         """Upload what a decoder made.
@@ -132,5 +150,4 @@ class TexturedHead:
         self._positions.write(np.ascontiguousarray(vertices_m))
         steps = np.nan_to_num(texture, nan=0.0, posinf=1.0, neginf=0.0)
         self._rgba[..., :3] = np.clip(steps, 0.0, 1.0) * 255.0 + 0.5
-        self.texture.write(self._rgba)
-        self.has_maps = True
+        self._texture.write(self._rgba)

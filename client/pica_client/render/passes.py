@@ -10,7 +10,7 @@ import numpy as np
 
 from pica_client.render.draw_list import ShownHead
 from pica_client.render.gpu_avatar import MeshPrograms
-from pica_client.render.gpu_plain import TexturedHead, upload_placeholder
+from pica_client.render.gpu_plain import upload_placeholder
 from pica_client.render.gpu_program import (
     UNIT_EXPRESSION,
     UNIT_LAYER,
@@ -48,26 +48,18 @@ class DrawPasses:
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
         self._is_software = is_software(str(context.info["GL_RENDERER"]))
-        static = {"STATIC": ""}
         mesh, surface = compose("mesh.vert", defines={"MAPPED": ""}), compose("surface.frag")
         self.mesh_programs = MeshPrograms(
             surface=build_program(context, mesh, surface),
-            static=build_program(
-                context,
-                compose("mesh.vert", defines=static),
-                compose("textured.frag", defines=static),
-            ),
+            static=build_program(context, compose("mesh.vert"), compose("textured.frag")),
             unwrap=build_program(context, compose("unwrap.vert"), surface),
-        )
-        self.textured_program = build_program(
-            context, compose("mesh.vert"), compose("textured.frag")
         )
         self._background = self._screen("background.frag")
         self._enlarge = self._screen("enlarge.frag")
         self._place_whole = self._screen("place_head.frag")
         self._place_fading = self._screen("place_head.frag", {"FADING": ""})
         self._smooth = self._screen("smooth_edges.frag")
-        self.placeholder = upload_placeholder(context, self.mesh_programs)
+        self.placeholder = upload_placeholder(context, self.mesh_programs.static)
         self._queries: list[moderngl.Query] = []
 
     def begin(self) -> None:
@@ -122,10 +114,10 @@ class DrawPasses:
             layer.empty.use()
             layer.empty.clear(depth=1.0)
             layer.surface.use()
-            if head.mesh is not None and head.position is not None:
+            if head.mesh.decoded is not None and head.position is not None:
                 head.position.use(UNIT_POSITION)
                 self._set_head(self.mesh_programs.surface, head, layer)
-                head.mesh.vertices.render()
+                head.mesh.decoded.render()
 
     def colour(self, heads: Sequence[LayeredHead], *, count: bool) -> tuple[int, int] | None:
         """Colour the layers of heads after their surfaces: decode their pixels, draw what has a
@@ -152,12 +144,11 @@ class DrawPasses:
         body = head.body
         layer.coloured.depth_mask = False
         layer.coloured.clear()
-        if isinstance(body, TexturedHead):
+        if body.shade is None or head.expression is None:
             return
         body.bind()
-        if head.expression is not None:
-            head.expression.use(UNIT_EXPRESSION)
-            set_values(body.shade.program, is_change=head.expression.width < body.still_size)
+        head.expression.use(UNIT_EXPRESSION)
+        set_values(body.shade.program, is_change=head.expression.width < body.still_size)
         for unit, texture in layer.visible.items():
             texture.use(unit)
         layer.coloured.use()
@@ -169,24 +160,18 @@ class DrawPasses:
         body.shade.render(moderngl.TRIANGLE_STRIP, vertices=4)
 
     def _texture(self, head: ShownHead, layer: Layer) -> None:
-        """Draw what has a texture, behind what is nearer: what does not change of an avatar, or a
-        textured head as a whole."""
-        body = head.body
-        if isinstance(body, TexturedHead):
-            program, texture, vertices = self.textured_program, body.texture, body.vertices
-        else:
-            static = head.mesh.static if head.mesh is not None else None
-            if static is None or body.skin is None:
-                return
-            program, texture, vertices = self.mesh_programs.static, body.skin, static
-            set_values(program, corner=head.rect[:2])
+        """Draw what has a texture, behind what is nearer."""
+        body, static, program = head.body, head.mesh.static, self.mesh_programs.static
+        if static is None or body.skin is None:
+            return
+        set_values(program, corner=head.rect[:2])
         layer.coloured.use()
         self._context.depth_func, layer.coloured.depth_mask = "<", True
         self._context.enable(moderngl.CULL_FACE)
-        texture.use(UNIT_SKIN)
+        body.skin.use(UNIT_SKIN)
         self._set_head(program, head, layer)
         set_values(program, shown=body.fade_m)
-        vertices.render()
+        static.render()
 
     def _set_head(self, program: moderngl.Program, head: ShownHead, layer: Layer) -> None:
         member: Any = program["clip_from_head"]

@@ -176,9 +176,8 @@ class Renderer(Closing):
     def add_textured(self, slot: str, avatar: BaselineAvatar) -> None:
         """Put a baseline into a slot. Drawn as a placeholder until its first `update_textured`."""
         self.add_placeholder(slot)
-        head = TexturedHead(
-            self._context, self._passes.textured_program, avatar, fades=self._options.fade_busts
-        )
+        program, fades = self._passes.mesh_programs.static, self._options.fade_busts
+        head = TexturedHead(self._context, program, avatar, fades=fades)
         self._slots[slot] = RenderSlot(textured=head, version=self._next_version())
 
     def add_placeholder(self, slot: str) -> None:
@@ -248,6 +247,7 @@ class Renderer(Closing):
         entry = self._slots.get(slot)
         if entry is not None and entry.textured is not None:
             entry.textured.update(vertices_m, texture)
+            entry.body = entry.textured.body
             entry.version = self._next_version()
 
     def draw(
@@ -290,7 +290,7 @@ class Renderer(Closing):
         for head, layer in changed:
             layer.look = head.look
         passes.place(self._images, self._farthest_first, is_smooth=is_smooth)
-        return count_draws(heads, [head for head, _ in changed], pixels)
+        return count_draws(heads, [head for head, _ in changed], pixels, passes.placeholder)
 
     @property
     def _farthest_first(self) -> list[LayeredHead]:
@@ -420,7 +420,7 @@ class Renderer(Closing):
             return None
         for entry in self._slots.values():
             other, body = entry.avatar, entry.body
-            if other and body and other.spec == avatar.spec:
+            if other and body and body.shade and other.spec == avatar.spec:
                 return body.shade.program
         return None
 

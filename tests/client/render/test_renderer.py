@@ -196,8 +196,7 @@ def test_a_size_out_of_range_is_refused(context: moderngl.Context, size: tuple[i
     [
         ("mesh.vert", "surface.frag", "MAPPED"),
         ("rect.vert", "pixel_decoder.frag", "FILTERED"),
-        ("rect.vert", "placeholder.frag", ""),
-        ("mesh.vert", "textured.frag", "STATIC"),
+        ("mesh.vert", "textured.frag", ""),
         ("rect.vert", "place_head.frag", ""),
         ("rect.vert", "smooth_edges.frag", ""),
         ("rect.vert", "background.frag", ""),

@@ -6,6 +6,12 @@ in vec2 vertex_place; // where to look its position up: its UV in a position map
 uniform sampler2D position_map; // head-frame metres
 #else
 in vec3 vertex_xyz_m;
+in float vertex_opacity;
+
+out float surface_opacity;
+
+// A static surface counts as so much nearer: below its seam lies the decoded one, in a finer mesh.
+const float NEARER_M = 0.002;
 #endif
 in vec2 vertex_uv;
 
@@ -14,14 +20,6 @@ uniform vec3 box_m[2]; // two corners of the box that the avatar promised to sta
 
 out vec2 surface_uv;
 out vec3 surface_xyz_m;
-
-#ifdef STATIC
-in float vertex_opacity;
-out float surface_opacity;
-
-// A static surface counts as so much nearer: below its seam lies the decoded one, in a finer mesh.
-const float NEARER_M = 0.002;
-#endif
 
 // Lookups by texelFetch, for textures that a sampler may not filter: 32-bit float ones are not
 // filterable in GLSL ES 3.00. Texel centres at (i + 0.5) / size, clamped to the edge.
@@ -49,7 +47,7 @@ void main() {
     surface_xyz_m = clamp(is_sound ? xyz_m : vec3(0.0), box_m[0], box_m[1]);
     surface_uv = vertex_uv;
     gl_Position = clip_from_head * vec4(surface_xyz_m, 1.0);
-#ifdef STATIC
+#ifndef MAPPED
     surface_opacity = vertex_opacity;
     // The distance from the far plane grows as the depth shrinks, and with it the depth buffer.
     float away_m = max(gl_Position.w, 1e-3);

@@ -1,20 +1,17 @@
-// A surface with a texture: a baseline avatar, or what of another does not change with the face.
+// A surface with a texture: what of an avatar does not change with the face, or a head without a decoder.
 
 in vec2 surface_uv;
 in vec3 surface_xyz_m;
 uniform sampler2D skin; // row 0 is v = 0
-#ifdef STATIC
 in float surface_opacity;
 
 uniform vec2 corner; // of the layer in the image
-#endif
 
 layout(location = 0) out vec4 colour;
 
 #include "pixels.glsl"
 
 void main() {
-#ifdef STATIC
     // At its seam it takes turns with the decoded surface below: by a number from 0 to 1 for each
     // pixel of the image, spread evenly over neighbours.
     vec2 pixel = floor(gl_FragCoord.xy) + corner;
@@ -22,6 +19,5 @@ void main() {
     if (surface_opacity <= turn) {
         discard;
     }
-#endif
     colour = presence(surface_xyz_m) * vec4(textureLod(skin, surface_uv, 0.0).rgb, 1.0);
 }
