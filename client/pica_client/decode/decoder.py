@@ -11,7 +11,7 @@ when ``ORT_DISABLE_TELEMETRY`` is 1 before the first import; a value that is set
 from __future__ import annotations
 
 import os
-from typing import Any
+from typing import Any, get_args
 
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
@@ -62,6 +62,15 @@ class OnnxDecoder:
             graph = decoder_graph(self._avatar, level=size, positions=parts == "both")
             session = self._sessions[size, parts] = open_session(graph, self._threads)
         return session
+
+    def prepare_next(self) -> None:
+        """Get ready for one more kind of decode, if there is one, the finest first."""
+        kinds: list[tuple[int, Parts]] = [
+            (level, parts) for level in reversed(self._avatar.levels) for parts in get_args(Parts)
+        ]
+        missing = [kind for kind in kinds if kind not in self._sessions]
+        if missing:
+            self.prepare(*missing[0])
 
     def decode(
         self,

@@ -1,23 +1,22 @@
 """Decoding off the drawing thread: the newest of every avatar, by turns. ONNX Runtime releases the
 interpreter lock while it computes.
 
-Bounded by construction: a slot holds one waiting request and one finished result. A newer request
-takes the place of one that waits, and the replaced ones are counted; it is widened by what the old
-one asked for, so a request for the expression map alone never cancels one for both. A newer result
-takes the place of one that was not taken, and keeps the position map of that if it brings none.
+A slot has one turn at a time and one request that waits for the next: a newer one takes its place,
+and the replaced ones are counted. It is widened by what the old one asked for, so a request for the
+expression map alone never cancels one for both.
 
-Getting ready for a level takes as long as a few frames. A worker with nothing else to do gets ready
-for those that were not asked for yet, one after the other, so that a change of level in the middle
-of a call finds everything there.
+Getting ready for a level takes as long as a few frames. A worker whom no avatar waits for gets
+ready for another one, so that a change of level in the middle of a call finds everything there.
 """
 
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 from pica_client.decode.decoder import OnnxDecoder
-from pica_client.decode.request import DecodeRequest, DecodeResult, Parts
+from pica_client.decode.request import DecodeRequest, DecodeResult
 from pica_client.system import Closing
 from pica_core.avatar.file import Avatar
 
@@ -34,26 +33,18 @@ def num_workers(num_cores: int | None) -> int:
 
 @dataclass(slots=True, eq=False)
 class _Slot:
-    """One avatar of the pool; guarded by the pool's lock."""
+    """One avatar of the pool; guarded by the pool's lock, but for its decoder, which is only for
+    whose turn it is."""
 
+    name: str
     avatar: Avatar
     decoder: OnnxDecoder | None = None
     is_broken: bool = False
     is_busy: bool = False
+    """Whether it has a turn, or waits for it."""
     request: DecodeRequest | None = None
     submitted_s: float = 0.0
-    result: DecodeResult | None = None
-    unprepared: list[tuple[int, Parts]] = field(init=False)
-    """What to get ready for when there is time; the last first."""
-
-    def __post_init__(self) -> None:
-        both: tuple[Parts, ...] = ("expression", "both")
-        self.unprepared = [(level, parts) for level in self.avatar.levels for parts in both]
-
-    @property
-    def has_work(self) -> bool:
-        """Whether a decoder is to be built, or a request waits."""
-        return not self.is_broken and (self.decoder is None or self.request is not None)
+    results: list[DecodeResult] = field(default_factory=list)
 
 
 class DecodePool(Closing):
@@ -81,21 +72,15 @@ class DecodePool(Closing):
         self._make_decoder = make_decoder
         self._clock = clock
         self._slots: dict[str, _Slot] = {}
-        self._closed = False
         self._changed = threading.Condition()
-        self._workers = [
-            threading.Thread(target=self._work, name=f"decode-{index}", daemon=True)
-            for index in range(workers)
-        ]
-        for worker in self._workers:
-            worker.start()
+        self._workers = ThreadPoolExecutor(workers, "decode")
 
     def add(self, slot: str, avatar: Avatar) -> None:
         """Prepare a slot for an avatar; replaces what was there. Its decoder is built on a
         worker."""
         with self._changed:
-            self._slots[slot] = _Slot(avatar)
-            self._changed.notify()
+            self._slots[slot] = entry = _Slot(slot, avatar)
+            self._line_up(entry)
 
     def remove(self, slot: str) -> None:
         """Forget a slot; an unknown one is no error. A decode under way is dropped when it ends."""
@@ -114,90 +99,65 @@ class DecodePool(Closing):
                 self.num_replaced += 1
                 request = request.widened_by(entry.request)
             entry.request = request
-            self._changed.notify()
+            if not entry.is_busy:
+                self._line_up(entry)
 
     def take_results(self) -> list[DecodeResult]:
-        """The newest result of every slot since the last call."""
+        """What became of requests since the last call; those of a slot in their order."""
         with self._changed:
-            found = [entry.result for entry in self._slots.values() if entry.result is not None]
+            found = [result for entry in self._slots.values() for result in entry.results]
             for entry in self._slots.values():
-                entry.result = None
+                entry.results.clear()
         return found
 
     def wait_idle(self, timeout_s: float) -> bool:
         """Wait until nothing is waiting or under way; False when the time runs out first."""
-
-        def idle() -> bool:
-            return not any(entry.is_busy or entry.has_work for entry in self._slots.values())
-
         with self._changed:
-            return self._changed.wait_for(idle, timeout_s)
+            return self._changed.wait_for(self._is_idle, timeout_s)
 
     def close(self) -> None:
         """Stop the workers and wait for them; what waits is dropped."""
         with self._changed:
-            self._closed = True
-            self._changed.notify_all()
-        for worker in self._workers:
-            worker.join()
+            self._slots.clear()
+        self._workers.shutdown(cancel_futures=True)
 
-    def _next(self) -> tuple[str, _Slot] | None:
-        """The slot with work that no worker is busy with and whose last turn was the longest ago,
-        else one that can get ready for more; under the lock."""
-        free = [(slot, entry) for slot, entry in self._slots.items() if not entry.is_busy]
-        waiting = [pair for pair in free if pair[1].has_work]
-        ahead = [pair for pair in free if pair[1].unprepared and not pair[1].is_broken]
-        if not waiting + ahead:
-            return None
-        slot, entry = (waiting or ahead)[0]
-        self._slots[slot] = self._slots.pop(slot)  # its next turn is after those of all others
-        return slot, entry
+    def _is_idle(self) -> bool:
+        return not any(entry.is_busy for entry in self._slots.values())
 
-    def _work(self) -> None:
-        while True:
-            with self._changed:
-                found = None
-                while not self._closed and (found := self._next()) is None:
-                    self._changed.wait()
-                if self._closed or found is None:
-                    return
-                slot, entry = found
-                entry.is_busy = True
-                request, entry.request = entry.request, None
-                submitted_s = entry.submitted_s
-                is_ahead = request is None and entry.decoder is not None
-                ahead = entry.unprepared.pop() if is_ahead else None
-            result = self._run(slot, entry, request, submitted_s, ahead)
-            with self._changed:
-                entry.is_busy = False
-                if result is not None:
-                    entry.result = result.completed_by(entry.result)
-                self._changed.notify_all()
+    def _line_up(self, entry: _Slot) -> None:
+        """Give a slot a turn after those who wait already; under the lock."""
+        entry.is_busy = True
+        self._workers.submit(self._take_turn, entry)
 
-    def _run(
-        self,
-        slot: str,
-        entry: _Slot,
-        request: DecodeRequest | None,
-        submitted_s: float,
-        ahead: tuple[int, Parts] | None,
-    ) -> DecodeResult | None:
-        """Build what is needed if it is not there, and decode. Only this worker touches the
-        entry's decoder."""
+    def _take_turn(self, entry: _Slot) -> None:
+        with self._changed:
+            request, entry.request = entry.request, None
+            submitted_s = entry.submitted_s
+        results = []
         try:
             if entry.decoder is None:
                 entry.decoder = self._make_decoder(entry.avatar)
-            if request is None:
-                if ahead is not None:
-                    entry.decoder.prepare(*ahead)
-                return None
-            entry.decoder.prepare(request.level, request.parts)
-            started_s = self._clock()
-            maps = entry.decoder.decode(
-                request.latent, request.view_direction, request.level, request.parts
-            )
-            times_s = (submitted_s, started_s, self._clock())
-            return DecodeResult(slot, maps, None, request.captured_us, *times_s, request.parts)
+            if request is not None:
+                results = [self._decode(entry, entry.decoder, request, submitted_s)]
         except Exception as error:  # one avatar's failure must not end the worker of all
             entry.is_broken = True
-            return DecodeResult(slot, None, " ".join(str(error).split())[:300])
+            results = [DecodeResult(entry.name, None, " ".join(str(error).split())[:300])]
+        with self._changed:
+            entry.results += results
+            entry.is_busy = False
+            is_there = self._slots.get(entry.name) is entry and not entry.is_broken
+            if entry.request is not None and is_there:
+                self._line_up(entry)
+            is_free = is_there and self._is_idle()
+            self._changed.notify_all()
+        if is_free and entry.decoder is not None:
+            entry.decoder.prepare_next()  # what fails here fails again when it is asked for
+
+    def _decode(
+        self, entry: _Slot, decoder: OnnxDecoder, request: DecodeRequest, submitted_s: float
+    ) -> DecodeResult:
+        decoder.prepare(request.level, request.parts)
+        started_s = self._clock()
+        maps = decoder.decode(request.latent, request.view_direction, request.level, request.parts)
+        times_s = (submitted_s, started_s, self._clock())
+        return DecodeResult(entry.name, maps, None, request.captured_us, *times_s, request.parts)

@@ -61,7 +61,7 @@ class DecodeResult:
     started_s: float = 0.0
     finished_s: float = 0.0
     parts: Parts = "both"
-    """What was decoded. `maps` may hold more: a position map that was not taken yet."""
+    """What was decoded."""
 
     @property
     def level(self) -> int:
@@ -77,11 +77,3 @@ class DecodeResult:
     def waited_s(self) -> float:
         """Seconds from submission until a worker took it."""
         return self.started_s - self.submitted_s
-
-    def completed_by(self, former: DecodeResult | None) -> DecodeResult:
-        """This result instead of one that was not taken, with what only that one has."""
-        if former is None or former.maps is None or self.maps is None:
-            return self
-        if self.maps.position_map is not None or former.maps.position_map is None:
-            return self
-        return replace(self, maps=replace(self.maps, position_map=former.maps.position_map))

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from helpers.toy import make_toy_avatar, with_toy_levels
+from pica_client.decode import decoder
 from pica_client.decode.decoder import BaselineDecoder, OnnxDecoder
 from pica_client.decode.pool import DecodePool, num_workers
 from pica_client.decode.request import DecodedMaps, DecodeRequest, Parts
@@ -37,46 +38,43 @@ def request(
 
 
 class Echo:
-    """A decoder that hands its latent back, and notes what it got ready for."""
+    """A decoder that hands its latent back, and notes what was asked of it."""
 
     def __init__(self) -> None:
-        self.prepared: list[tuple[int | None, Parts]] = []
+        self.num_ahead = 0
+        self.decoded: list[tuple[float, Parts]] = []
 
     def prepare(self, level: int | None = None, parts: Parts = "both") -> None:
-        self.prepared.append((level, parts))
+        """It needs nothing."""
+
+    def prepare_next(self) -> None:
+        self.num_ahead += 1
 
     def decode(
-        self,
-        latent: np.ndarray,
-        view_direction: np.ndarray,
-        level: int | None = None,
-        parts: Parts = "both",
+        self, latent: np.ndarray, view_direction: np.ndarray, level: int | None, parts: Parts
     ) -> DecodedMaps:
+        self.decoded.append((float(latent[0, 0, 0]), parts))
         return DecodedMaps(latent if parts == "both" else None, latent, level or 256)
 
 
 class Gate(Echo):
-    """A decoder that waits until the test opens it, and notes what it decoded."""
+    """A decoder that waits until the test opens it."""
 
     def __init__(self) -> None:
         super().__init__()
         self.opened = threading.Event()
         self.entered = threading.Event()
-        self.decoded: list[float] = []
-        self.parts: list[Parts] = []
 
-    def decode(self, latent: np.ndarray, *arguments: Any) -> DecodedMaps:
+    def decode(self, *arguments: Any) -> DecodedMaps:
         self.entered.set()
         assert self.opened.wait(PATIENCE_S)
-        self.decoded.append(float(latent[0, 0, 0]))
-        self.parts.append(arguments[-1])
-        return super().decode(latent, *arguments)
+        return super().decode(*arguments)
 
 
 class Broken(Echo):
     """A decoder that fails."""
 
-    def decode(self, latent: np.ndarray, *arguments: Any) -> DecodedMaps:
+    def decode(self, *arguments: Any) -> DecodedMaps:
         raise RuntimeError("the driver\nwent away")
 
 
@@ -100,6 +98,18 @@ def test_a_level_that_the_avatar_lacks_is_named_with_those_that_it_has() -> None
         OnnxDecoder(TOY).decode(np.zeros((8, 8, 4), np.float32), AHEAD, 100)
 
 
+def test_a_decoder_gets_ready_for_every_level_the_finest_first(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    opened: list[bytes] = []
+    monkeypatch.setattr(decoder, "open_session", lambda graph, _: opened.append(graph) or graph)
+    monkeypatch.setattr(decoder, "decoder_graph", lambda _, level, positions: (level, positions))
+    made = OnnxDecoder(LEVELLED)
+    for _ in range(2 * len(LEVELS)):
+        made.prepare_next()
+    assert opened == [(level, both) for level in LEVELS[::-1] for both in (True, False)]
+
+
 def test_a_pool_decodes_every_avatar_and_hands_the_capture_time_through() -> None:
     with DecodePool(OnnxDecoder, workers=2) as pool:
         for index in range(3):
@@ -116,90 +126,44 @@ def test_a_pool_decodes_every_avatar_and_hands_the_capture_time_through() -> Non
     assert all(result.decode_s > 0 and result.waited_s >= 0 for result in results.values())
 
 
-def test_while_a_decode_runs_only_the_newest_request_waits() -> None:
-    gate = Gate()
-    with DecodePool(lambda avatar: gate) as pool:
-        pool.add("a", TOY)
-        pool.submit("a", request(1))
-        assert gate.entered.wait(PATIENCE_S)
-        for value in (2, 3, 4):
-            pool.submit("a", request(value))
-        gate.opened.set()
-        assert pool.wait_idle(PATIENCE_S)
-        assert gate.decoded == [1, 4]
-        assert pool.num_replaced == 2
-
-
-def test_a_request_for_one_map_does_not_cancel_one_for_both() -> None:
+def test_while_a_decode_runs_the_newest_request_waits_and_asks_for_what_it_replaces() -> None:
     gate = Gate()
     with DecodePool(lambda avatar: gate) as pool:
         pool.add("a", TOY)
         pool.submit("a", request(1, parts="expression"))
         assert gate.entered.wait(PATIENCE_S)
-        pool.submit("a", request(2, parts="both"))
-        pool.submit("a", request(3, parts="expression"))
+        for value, parts in ((2, "expression"), (3, "both"), (4, "expression")):
+            pool.submit("a", request(value, parts=parts))
         gate.opened.set()
         assert pool.wait_idle(PATIENCE_S)
-    assert gate.decoded == [1, 3]
-    assert gate.parts == ["expression", "both"]
+    assert gate.decoded == [(1, "expression"), (4, "both")]
+    assert pool.num_replaced == 2
 
 
-def test_a_result_of_one_map_keeps_the_other_that_nobody_has_taken_yet() -> None:
+def test_results_that_nobody_has_taken_yet_come_once_and_in_order() -> None:
     with DecodePool(lambda avatar: Echo()) as pool:
         pool.add("a", TOY)
-        pool.submit("a", request(1, captured_us=1))
-        assert pool.wait_idle(PATIENCE_S)
-        pool.submit("a", request(2, captured_us=2, parts="expression"))
-        assert pool.wait_idle(PATIENCE_S)
-        (result,) = pool.take_results()
-        pool.submit("a", request(3, captured_us=3, parts="expression"))
-        assert pool.wait_idle(PATIENCE_S)
-        (later,) = pool.take_results()
-    assert result.maps is not None
-    assert result.maps.position_map is not None
-    assert (result.maps.position_map[0, 0, 0], result.maps.expression_map[0, 0, 0]) == (1, 2)
-    assert (result.captured_us, result.parts) == (2, "expression")
-    assert later.maps is not None
-    assert later.maps.position_map is None
-
-
-def test_idle_workers_get_ready_for_every_level_the_finest_first() -> None:
-    decoder = Echo()
-    with DecodePool(lambda avatar: decoder) as pool:
-        pool.add("a", LEVELLED)
-        while len(decoder.prepared) < 2 * len(LEVELS):
+        for number, parts in ((1, "both"), (2, "expression")):
+            pool.submit("a", request(number, captured_us=number, parts=parts))
             assert pool.wait_idle(PATIENCE_S)
-    assert set(decoder.prepared) == {(s, p) for s in LEVELS for p in ("both", "expression")}
-    assert decoder.prepared[0] == (256, "both")
+        found = [(result.captured_us, result.parts) for result in pool.take_results()]
+        assert found == [(1, "both"), (2, "expression")]
+        assert pool.take_results() == []
 
 
-def test_a_request_comes_before_getting_ready() -> None:
-    gate, decoder = Gate(), Echo()
-    decoders = iter([gate, decoder])
+def test_a_worker_gets_ready_for_more_once_nobody_waits() -> None:
+    gate, echo = Gate(), Echo()
+    decoders = iter([gate, echo])
     with DecodePool(lambda avatar: next(decoders)) as pool:
         pool.add("first", TOY)
         pool.submit("first", request(1))
         assert gate.entered.wait(PATIENCE_S)
-        pool.add("a", LEVELLED)
+        before = gate.num_ahead
+        pool.add("a", TOY)
         pool.submit("a", request(2))
         gate.opened.set()
         assert pool.wait_idle(PATIENCE_S)
-    assert decoder.prepared[0] == (None, "both")  # what was asked for
-
-
-def test_a_level_that_cannot_be_had_breaks_its_avatar() -> None:
-    class Coarseless(Echo):
-        def prepare(self, level: int | None = None, parts: Parts = "both") -> None:
-            if level == 64:
-                raise OptionError("no level 64 here")
-
-    with DecodePool(lambda avatar: Coarseless()) as pool:
-        pool.add("bad", LEVELLED)
-        errors: list[str | None] = []
-        while not errors:
-            assert pool.wait_idle(PATIENCE_S)
-            errors = [result.error for result in pool.take_results()]
-    assert errors == ["no level 64 here"]
+    assert (gate.num_ahead, echo.num_ahead) == (before, 1)
 
 
 def test_building_a_session_does_not_count_as_decoding() -> None:
@@ -215,7 +179,6 @@ def test_building_a_session_does_not_count_as_decoding() -> None:
         pool.submit("a", request(1))
         assert pool.wait_idle(PATIENCE_S)
         (result,) = pool.take_results()
-        assert pool.take_results() == []  # handed out once
     assert result.decode_s == 1
 
 
@@ -232,8 +195,9 @@ def test_one_avatar_is_never_decoded_by_two_workers_at_once() -> None:
         assert gate.entered.wait(PATIENCE_S)
         gate.opened.set()
         assert pool.wait_idle(PATIENCE_S)
-    assert sorted(gate.decoded) == [1, 2, 3]
-    assert gate.decoded.index(1) < gate.decoded.index(2)
+    order = [value for value, _ in gate.decoded]
+    assert sorted(order) == [1, 2, 3]
+    assert order.index(1) < order.index(2)
 
 
 def test_a_broken_avatar_is_reported_and_the_others_decode_on() -> None:
