@@ -428,7 +428,6 @@ class CallMonitor:
             ("relay", "connected" if self._receiver.is_connected else "away"),
             ("in", f"{bps / 1e3:.1f} kbit/s"),
             ("playout", f"{delay_ms:.0f} ms"),
-            ("lost", str(stats["dropped"])),
             ("errors", str(stats["errors"])),
         )
 

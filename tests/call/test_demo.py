@@ -15,7 +15,7 @@ pytestmark = pytest.mark.realtime
 
 STATED_FIELDS = {
     *("peers", "rendered_peers", "seconds", "frames_rendered", "render_fps", "latents_per_s"),
-    *("bitrate_bps", "latency_ms", "dropped", "concealed", "errors", "gl_renderer", "machine"),
+    *("bitrate_bps", "latency_ms", "concealed", "errors", "gl_renderer", "machine"),
 }
 
 

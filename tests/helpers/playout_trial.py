@@ -46,8 +46,6 @@ class Trouble:
     stalls: tuple[tuple[float, float], ...] = ()
     """Begin and length: nothing arrives, then all of it at once."""
     dropped_ratio: float = 0.0
-    is_reordered: bool = False
-    """Whether a frame may overtake another, as datagrams do."""
     begin_s: float = 6.0
     end_s: float = 13.0
 
@@ -92,11 +90,10 @@ def arrivals(
         for begin_s, length_s in trouble.stalls:
             if begin_s <= arrived_s < begin_s + length_s:
                 arrived_s = begin_s + length_s
-        if not trouble.is_reordered:
-            arrived_s = last_s = max(arrived_s, last_s)
+        arrived_s = last_s = max(arrived_s, last_s)
         captured_us = FAR_CLOCK_US + round(captured_s * (1 + drift_ppm * 1e-6) * 1e6)
         result.append(Arrival(arrived_s, number, captured_us, captured_s))
-    return sorted(result, key=lambda arrival: arrival.arrived_s)
+    return result
 
 
 class Tick(NamedTuple):

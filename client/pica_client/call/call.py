@@ -252,7 +252,6 @@ class Call:
             return {
                 "seconds": None if seconds is None else round(seconds, 3),
                 "peers": peers,
-                "dropped": sum(peer["lost"] for peer in peers),
                 "concealed": sum(peer["concealed"] for peer in peers),
                 "errors": self.errors,
             }

@@ -133,7 +133,6 @@ class Participant:
             self._lowered_s = now
         self.told, self._lower_s = self._wanted, math.inf
         if self.told == 0:
-            self.playout.pause()
             self.state = StreamState.PAUSED
         else:
             self._resume(now)
@@ -228,7 +227,6 @@ class Participant:
             "name": self.member.peer.name,
             "received": received,
             "latents_per_s": round(received / seconds, 2) if seconds else None,
-            "lost": report.lost - before.lost,
             "concealed": concealed,
             "concealed_ratio": round(concealed / shown, 4) if shown else 0.0,
             "playout_delay_ms": round(report.delay_s * 1e3, 2),

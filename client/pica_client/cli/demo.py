@@ -147,7 +147,6 @@ def _stats(
         "decodes_per_s": round(sum(shown["decodes"].values()) / max(shown["seconds"], 0.01), 2),
         "bitrate_bps": local_call.bitrates(sent),
         "latency_ms": {**shown["latency_ms"], "parts": parts},
-        "dropped": received["dropped"],
         "concealed": received["concealed"],
         "seal": received["seal"],
         "voice": shown["voice"],

@@ -2,14 +2,13 @@
 
     receive(frame, sample, now)  a frame arrived, and could be decoded
     sample_at(now)               the face now, for a display of any rate
-    pause()                      the stream was stopped on purpose
 
 Theory of operation. Every part has its module:
 
     sender_clock     a frame's sequence and capture time -> its place on one even time line,
                      whatever the sender's clock does
                      and that time line -> our clock: the transit of the fastest frames, how much
-                     longer the others take, how often they come, which were lost
+                     longer the others take, how often they come
     motion           the moment of the time line that the display is at, the frames in order, the
                      face's path through them, and back to it
 
@@ -74,11 +73,6 @@ class PlayoutReport:
 
     received: int = 0
     payload_bytes: int = 0
-    lost: int = 0
-    """Frames known to be lost on their way. A hole that thinning leaves is no loss; which it was is
-    known eight frames later."""
-    late: int = 0
-    """Frames that came after a newer one was shown."""
     shown: int = 0
     """Display times with a face."""
     missed_s: float = 0.0
@@ -106,10 +100,10 @@ class Playout:
     """The playout buffer of one stream; see the module for how it works."""
 
     def __init__(self) -> None:
-        self._received = self._payload_bytes = self._late = 0
+        self._received = self._payload_bytes = 0
         self._num_shown = self._concealed = 0
         self._missed_s = self._last_transit_s = 0.0
-        self._sender, self._num_jumps = SenderClock(), 0
+        self._sender = SenderClock()
         self._timeline = Timeline()
         self._interval = FrameInterval()
         self._media = Playhead()
@@ -124,20 +118,14 @@ class Playout:
         """Take a frame that arrived just now, and the face that was decoded from it."""
         self._received += 1
         self._payload_bytes += len(frame.payload)
-        number, captured_us, _, media_s = self._sender.receive(frame, now)
-        if self._sender.num_jumps > self._num_jumps:
-            self._num_jumps = self._sender.num_jumps
-            self._timeline.cut(media_s)
-        decoded = DecodedFrame(number, captured_us, sample, media_s)
-        match self._timeline.insert(decoded):
-            case "new":
-                self._is_path_new = True
-            case "late":
-                self._late += 1
-            case "refused":
-                return
-        transit = self._sender.transit
-        assert transit is not None
+        placed, transit = self._sender.receive(frame, now), self._sender.transit
+        if placed is None or transit is None:
+            return
+        media_s = placed.media_s
+        decoded = DecodedFrame(frame.captured_us, sample, media_s)
+        if not self._timeline.append(decoded):
+            return
+        self._is_path_new = True
         transit_s = now - media_s
         late_s = transit_s - transit.fastest_s - self._wait_s
         # Frames that a stall held back come in one burst: only the first says how long it was.
@@ -145,10 +133,6 @@ class Playout:
         self._last_transit_s = transit_s
         transit.receive(media_s, now)
         self._interval.receive(decoded)
-
-    def pause(self) -> None:
-        """Note that the stream is stopped on purpose: what is not sent now is not lost."""
-        self._interval.pause()
 
     def sample_at(self, now: float, heard_us: int | None = None) -> PlayedFace | None:
         """The face to show next, or None before the first frame is due.
@@ -202,8 +186,6 @@ class Playout:
         return PlayoutReport(
             received=self._received,
             payload_bytes=self._payload_bytes,
-            lost=self._interval.num_lost,
-            late=self._late,
             shown=self._num_shown,
             missed_s=self._missed_s,
             concealed=self._concealed,

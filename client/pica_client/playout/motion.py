@@ -14,9 +14,9 @@ that the head's turn between them differs from the shortest arc by less than is 
 """
 
 import math
-from bisect import bisect_left, bisect_right
+from bisect import bisect_right
 from operator import attrgetter
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -49,11 +49,6 @@ SMOOTHING = 0.1
 MAX_STEP_S = 0.25
 """A longer step is a pause of the display."""
 
-Insertion = Literal["new", "late", "refused"]
-"""refused: it came before, or was captured before a frame of a lower number or after one of a
-higher."""
-
-_number = attrgetter("number")
 _media_s = attrgetter("media_s")
 
 
@@ -140,26 +135,16 @@ class Timeline:
         """When the newest frame was captured; there must be one."""
         return self._frames[-1].media_s
 
-    def insert(self, frame: DecodedFrame) -> Insertion:
-        """Take a frame that has just come."""
-        frames = self._frames
-        place = bisect_left(frames, frame.number, key=_number)
-        if place < len(frames) and frames[place].number == frame.number:
-            return "refused"
+    def append(self, frame: DecodedFrame) -> bool:
+        """Take a frame that has just come, instead of those that wait and were captured later: they
+        are of another beginning. Return False if one was shown that was captured later."""
+        place = bisect_right(self._frames, frame.media_s, key=_media_s)
         if place < self._num_shown:
-            return "late"
-        if place and frames[place - 1].media_s > frame.media_s:
-            return "refused"
-        if place < len(frames) and frames[place].media_s < frame.media_s:
-            return "refused"
-        frames.insert(place, frame)
+            return False
+        self._frames[place:] = [frame]
         if self.num_waiting > MAX_FRAMES:
-            del frames[self._num_shown]
-        return "new"
-
-    def cut(self, media_s: float) -> None:
-        """Drop waiting frames captured then or later: a new beginning says otherwise."""
-        del self._frames[max(bisect_left(self._frames, media_s, key=_media_s), self._num_shown) :]
+            del self._frames[self._num_shown]
+        return True
 
     def release(self, media_s: float) -> None:
         """Count all frames captured up to then as shown."""

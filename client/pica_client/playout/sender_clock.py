@@ -1,23 +1,25 @@
 """From what a frame says of itself to its place on one even time line, and what the arrivals of a
-stream tell: how long frames take, how late some are, how often they come, which were lost. Pure.
+stream tell: how long frames take, how late some are, how often they come. Pure.
+
+On a websocket nothing is lost and nothing overtakes: a hole was left for newer frames, on purpose
+or by a sender or relay that could not keep up, and what comes again, or late, is of no use.
 
 A frame names a sequence, which wraps and may begin again, and a capture time on the sender's clock,
 which may jump. Here it gets a `number` that never wraps and a `media_s` that goes on as our own
 clock does, whatever the sender's does.
 
-A frame that does not follow from the newest one is the first of a new beginning:
+A frame that contradicts the newest one is the first of a new beginning:
 
     what is wrong                                         what has happened
     captured before the newest, of a later sequence       the clock was set back
     captured after the newest, of an earlier sequence     the sender began again
     the sequence of the newest, another capture time      the sender began again
     a sequence far ahead of the newest or far behind it   the sender began again
-    an earlier sequence that is far too late to be used   both at once
+    an earlier sequence, `LATE_S` later than it should    both at once
 
 The time line goes on from there as if the frame had come the fastest way. A frame that is wrong by
 itself makes two beginnings, its own and that of the next one: it is seen for a moment in the stream
-of the sender who sent it. The numbers leap by more than `RESTART_FRAMES`: what is missing there was
-not lost.
+of the sender who sent it. The numbers leap by more than `RESTART_FRAMES`.
 A clock that is set forward needs no rule: its frames are the fastest from then on, and those before
 are too late to be waited for.
 
@@ -37,15 +39,15 @@ from __future__ import annotations
 import math
 from bisect import bisect_left, bisect_right, insort
 from collections import deque
-from itertools import pairwise, takewhile
+from itertools import takewhile
 from typing import NamedTuple
 
 from pica_core.codec.latent_stream import LatentSample
 from pica_protocol.frames import Frame, sequence_distance
 
 LATE_S = 10.0
-"""A frame of an earlier sequence that is later than this belongs to another beginning (chosen: a
-link that was dead for so long has been closed)."""
+"""A frame of an earlier sequence that is later than this is no old one (chosen: a link that was
+dead for so long has been closed)."""
 WINDOW_S = 6.0
 """Time that is remembered: so long the delay stays up after trouble (chosen: short enough that a
 call is fresh again soon, long enough to hold a share of 95 %)."""
@@ -59,8 +61,8 @@ RESTART_FRAMES = 1000
 """A sequence this far behind is not late, and one this far ahead is no gap but a new beginning
 (chosen: four seconds at 240 fps)."""
 NUM_GAPS = 16
-"""Gaps the interval is the median of (chosen: with a third of the frames lost it still stands, and
-it follows a thinned stream after eight frames)."""
+"""Gaps the interval is the median of (chosen: with a fifth of the frames left out it still stands,
+and it follows a thinned stream after eight frames)."""
 
 
 class ReceivedFrame(NamedTuple):
@@ -79,7 +81,6 @@ class ReceivedFrame(NamedTuple):
 class DecodedFrame(NamedTuple):
     """A face with its place on the time line; fields as in `ReceivedFrame`."""
 
-    number: int
     captured_us: int
     sample: LatentSample
     media_s: float
@@ -90,13 +91,11 @@ class SenderClock:
 
     Attributes:
         transit: How long frames take; None before the first frame.
-        num_jumps: How often the sender or its clock began again.
     """
 
     def __init__(self, *, quantile: float = 0.95) -> None:
         """`quantile` is the share of delays that are waited for."""
         self.transit: Transit | None = None
-        self.num_jumps = 0
         self._quantile = quantile
         # The newest frame, and the place of its clock on the time line.
         self._number = self._sequence = self._captured_us = 0
@@ -107,25 +106,25 @@ class SenderClock:
         # Subtracted as integers: a float of microseconds since 1970 has no room for fractions.
         return self._origin_s + (captured_us - self._origin_us) / 1e6
 
-    def receive(self, frame: Frame, now: float) -> ReceivedFrame:
-        """Place a frame that arrived just now."""
+    def receive(self, frame: Frame, now: float) -> ReceivedFrame | None:
+        """Place a frame that arrived just now; None: it came before, or a newer one did."""
         ahead = sequence_distance(frame.sequence, self._sequence)
         if self.transit is None:
             self.transit = Transit(now, quantile=self._quantile)
             self._origin_us, self._number, ahead = frame.captured_us, frame.sequence, 0
         elif self._begins(frame, ahead, now):
-            self.num_jumps += 1
             self._origin_us, self._origin_s = frame.captured_us, now - self.transit.fastest_s
             self.transit.forget()
-            self._number, ahead = self._number + RESTART_FRAMES + 1, 0
-        media_s, number = self.media_s(frame.captured_us), self._number + ahead
-        if ahead >= 0:
-            self._number, self._sequence = number, frame.sequence
-            self._captured_us = frame.captured_us
-        return ReceivedFrame(number, frame.captured_us, frame.payload, media_s)
+            ahead = RESTART_FRAMES + 1
+        elif ahead <= 0:
+            return None
+        self._number, self._sequence = self._number + ahead, frame.sequence
+        self._captured_us = frame.captured_us
+        media_s = self.media_s(frame.captured_us)
+        return ReceivedFrame(self._number, frame.captured_us, frame.payload, media_s)
 
     def _begins(self, frame: Frame, ahead: int, now: float) -> bool:
-        """Return True if the frame does not follow from the newest one, see the module."""
+        """Return True if the frame contradicts the newest one, see the module."""
         assert self.transit is not None
         later_us = frame.captured_us - self._captured_us
         if abs(ahead) > RESTART_FRAMES or ahead * later_us < 0 or (ahead == 0 and later_us != 0):
@@ -199,56 +198,22 @@ def _quantile(ordered: list[float], share: float) -> float:
     return ordered[math.ceil(share * len(ordered)) - 1]
 
 
-class _Seen(NamedTuple):
-    number: int
-    media_s: float
-    is_still: bool
-    interval_s: float
-
-
 class FrameInterval:
-    """Interval and losses of one stream.
-
-    A stream is thinned on its way when less of it is wanted, so a hole in the sequence is no loss
-    by itself. After thinning the frames that are left come at an even, longer interval; a lost
-    frame leaves a gap among frames that come closer. So a hole is counted when it leaves the window
-    with the longer of two intervals, that of its end and that of now.
+    """The time between two frames that arrive.
 
     Attributes:
-        interval_s: Between two frames that arrive; 0 until two have come.
-        num_lost: Frames known to be lost.
+        interval_s: The median of the last gaps; 0 until two frames have come.
     """
 
     def __init__(self) -> None:
-        self.interval_s, self.num_lost = 0.0, 0
-        self._recent: list[_Seen] = []  # in order of their numbers; drops the oldest
+        self.interval_s = 0.0
+        self._gaps: deque[float] = deque(maxlen=NUM_GAPS)
+        self._last: DecodedFrame | None = None
 
     def receive(self, frame: DecodedFrame) -> None:
-        """Take a frame into account that did not come before."""
-        recent = self._recent
-        place = bisect_left(recent, (frame.number,))
-        if not place and len(recent) >= NUM_GAPS:
-            return  # its hole has been counted already
-        is_still = frame.sample.is_still
-        insort(recent, _Seen(frame.number, frame.media_s, is_still, self.interval_s))
+        """Take the next frame into account."""
+        last, self._last = self._last, frame
         # What follows a still frame is a silence on purpose, and no gap.
-        gaps = sorted(
-            after.media_s - before.media_s
-            for before, after in pairwise(recent)
-            if not before.is_still and after.media_s > before.media_s
-        )
-        if gaps:
-            self.interval_s = gaps[(len(gaps) - 1) // 2]
-        if len(recent) > NUM_GAPS:
-            before, after = recent.pop(0), recent[0]
-            if not before.is_still:
-                num_skipped = after.number - before.number - 1
-                interval_s = max(self.interval_s, after.interval_s)
-                if interval_s > 0 and 0 < num_skipped < RESTART_FRAMES:
-                    num_due = round((after.media_s - before.media_s) / interval_s) - 1
-                    self.num_lost += min(num_skipped, max(num_due, 0))
-
-    def pause(self) -> None:
-        """Note that the stream is stopped on purpose: what follows the last frame is no gap."""
-        if self._recent:
-            self._recent[-1] = self._recent[-1]._replace(is_still=True)
+        if last is not None and not last.sample.is_still and frame.media_s > last.media_s:
+            self._gaps.append(frame.media_s - last.media_s)
+            self.interval_s = sorted(self._gaps)[(len(self._gaps) - 1) // 2]

@@ -28,10 +28,8 @@ behind, and catches up in its pauses.
 """
 
 import math
-from bisect import insort
 from collections import deque
 from dataclasses import dataclass
-from operator import attrgetter
 
 import numpy as np
 
@@ -157,18 +155,17 @@ class JitterBuffer:
         self._last_arrival_s = now
         received = self._sender.receive(packet, now)
         transit, last = self._sender.transit, self._last_number
-        assert transit is not None
+        if received is None or transit is None:
+            return
         if last is not None and received.number > last + RESTART_FRAMES:
             # It was muted, and begins again: what waits is forgotten.
             self.waiting.clear()
             self._is_quiet, self._is_starved, self._num_concealed = True, False, 0
-            self._last_number = last = None
+            self._last_number = None
         transit.receive(received.media_s, now)
         self._aim(transit, now)
-        is_late = last is not None and received.number <= last
-        if not is_late and received.number not in [each.number for each in self.waiting]:
-            insort(self.waiting, received, key=attrgetter("number"))
-            del self.waiting[:-MAX_PACKETS]
+        self.waiting.append(received)
+        del self.waiting[:-MAX_PACKETS]
 
     def pull(self, now: float, latency_s: float = 0.0) -> FloatArray:
         """The next `FRAME` samples, float32.

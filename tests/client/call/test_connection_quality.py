@@ -33,10 +33,8 @@ class Stream:
         levels = []
         for _ in range(round(seconds / STEP_S)):
             self.now += STEP_S
-            num_lost = round(15 * lost)
             self.health = PlayoutReport(
-                received=self.health.received + 15 - num_lost,
-                lost=self.health.lost + num_lost,
+                received=self.health.received + round(15 * (1 - lost)),
                 missed_s=self.health.missed_s + STEP_S * missed,
             )
             levels.append(self.meter.receive(self.health, self.now))

@@ -106,16 +106,13 @@ def test_after_a_gap_the_face_goes_over_to_its_path_within_the_stated_time() -> 
     assert max(steps(ticks)) <= 4.7 / DISPLAY_HZ + 1.6 / (0.15 * DISPLAY_HZ)
 
 
-def test_a_frame_later_than_the_face_is_not_shown_and_counted() -> None:
+def test_a_frame_older_than_the_newest_changes_nothing() -> None:
     playout = Playout()
     for index in (0, 1, 2, 4):
         receive(playout, index, index * FRAME_S + 0.01)
-        playout.sample_at(index * FRAME_S + 0.01)
-    before = value_of(shown(playout, 1.0))
-    receive(playout, 3, 1.1)
-    assert value_of(shown(playout, 1.2)) == pytest.approx(before)
-    report = playout.report()
-    assert (report.late, report.lost, report.received) == (1, 0, 5)
+    receive(playout, 3, 4 * FRAME_S + 0.02)
+    assert value_of(shown(playout, 4 * FRAME_S)) == pytest.approx(2.7, abs=0.01)
+    assert value_of(shown(playout, 1.0)) == pytest.approx(4)
 
 
 def test_a_long_gap_between_frames_is_rested_in_and_then_crossed() -> None:
@@ -192,7 +189,7 @@ def test_heartbeats_keep_a_still_face_live_and_are_no_frame_rate() -> None:
         assert (value_of(played), played.is_concealed) == (30, False)
     report = playout.report()
     assert report.interval_s == pytest.approx(FRAME_S, rel=1e-3)
-    assert (report.lost, report.delay_s) == (0, pytest.approx(FRAME_S, abs=1e-4))
+    assert report.delay_s == pytest.approx(FRAME_S, abs=1e-4)
 
 
 def test_a_still_face_begins_to_move_one_interval_before_its_next_frame() -> None:
@@ -211,7 +208,7 @@ def test_a_still_face_begins_to_move_one_interval_before_its_next_frame() -> Non
 
 
 @pytest.mark.parametrize("keeps_every", [2, 4])
-def test_thinning_is_no_loss_and_the_delay_follows_the_interval(keeps_every: int) -> None:
+def test_the_delay_of_a_thinned_stream_follows_its_interval(keeps_every: int) -> None:
     playout = Playout()
     frames = [
         frame
@@ -220,7 +217,6 @@ def test_thinning_is_no_loss_and_the_delay_follows_the_interval(keeps_every: int
     ]
     ticks = play(playout, frames, seconds=20)
     report = playout.report()
-    assert report.lost == 0
     assert report.interval_s == pytest.approx(keeps_every * FRAME_S, rel=1e-3)
     assert report.delay_s == pytest.approx(keeps_every * FRAME_S, abs=1e-3)
     assert not any(
@@ -229,11 +225,11 @@ def test_thinning_is_no_loss_and_the_delay_follows_the_interval(keeps_every: int
     assert max(steps(ticks)) <= 0.07
 
 
-def test_a_stream_that_is_no_longer_thinned_loses_nothing_and_comes_closer() -> None:
+def test_a_stream_that_is_no_longer_thinned_comes_closer() -> None:
     playout = Playout()
     frames = [
         frame for frame in arrivals(seconds=20) if frame.captured_s > 10 or frame.number % 4 == 0
     ]
     ticks = play(playout, frames, seconds=20)
-    assert (playout.report().lost, playout.report().concealed) == (0, 0)
+    assert playout.report().concealed == 0
     assert max(tick.report.delay_s for tick in between(ticks, 12.5, 20)) <= FRAME_S + 1e-3

@@ -103,7 +103,8 @@ def test_the_delay_grows_in_silence_with_the_lateness_of_packets_up_to_the_ceili
 def test_a_delay_that_is_no_longer_needed_is_given_up_slowly():
     buffer = JitterBuffer(SpokenDecoder(with_pauses(hum(32))))
     late = {i: 0.06 for i in range(100, 300, 9)}
-    arrivals = [(usual_arrival_s(i) + late.get(i, 0.0), packet(i)) for i in range(1490)]
+    times = itertools.accumulate((usual_arrival_s(i) + late.get(i, 0) for i in range(1490)), max)
+    arrivals = [(time, packet(i)) for i, time in enumerate(times)]
 
     _, delays_s = play(buffer, arrivals, 29.5)
 
