@@ -9,7 +9,7 @@ import numpy as np
 from pica_client.sources import open_source
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import load_avatar, shipped_avatar_files
-from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
+from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder
 
 FPS, SECONDS = 30, 4
 avatar = load_avatar(shipped_avatar_files()[0])
@@ -20,7 +20,7 @@ latents = [expressions.encode(frame.arkit) for frame in frames]
 profile = avatar.stream_profile()
 print("quality  kbit/s  rms error of the latent")
 for quality in (0, 3, 7):
-    encoder = LatentEncoder(profile, StreamConfig(fps=FPS, quality=quality))
+    encoder = LatentEncoder(profile, fps=FPS, quality=quality)
     decoder = LatentDecoder(profile)
     num_bytes, errors = 0, []
     for index, (frame, latent) in enumerate(zip(frames, latents, strict=True)):

@@ -7,13 +7,13 @@ at any moment. A receiver asks for the frames whose sequence number is a multipl
 from pica_client.sources import open_source
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import load_avatar, shipped_avatar_files
-from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
+from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder
 
 FPS, SECONDS = 30, 4
 avatar = load_avatar(shipped_avatar_files()[0])
 source, expressions = open_source("performance:talk"), ExpressionEncoder(avatar)
 profile = avatar.stream_profile()
-encoder = LatentEncoder(profile, StreamConfig(fps=FPS))
+encoder = LatentEncoder(profile, fps=FPS)
 
 stream = []
 for index in range(FPS * SECONDS):

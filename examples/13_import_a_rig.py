@@ -91,7 +91,7 @@ with tempfile.TemporaryDirectory() as temporary:
     rig, folder = Path(temporary, "toy.gltf"), Path(temporary, "capture")
     write_rig(rig)
     subject = RigSubject(rig, bake_size=512, self_shadow=False)
-    about = subject.describe()["rig"]
+    about = subject.about["rig"]
     print(f"mapped: {', '.join(about['mapped'])}")
     print(f"left out: {', '.join(about['ignored'])}; {len(about['missing'])} shapes are missing")
     options = RenderOptions(frames=4, cameras=2, size="128x128", texture_size=64)

@@ -34,7 +34,12 @@ from pica_client.voice.publisher import VoicePublisher
 from pica_core.avatar.arkit import ExpressionFrame
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
-from pica_core.codec.latent_stream import DEFAULT_QUALITY, EncodedFrame, LatentEncoder, StreamConfig
+from pica_core.codec.latent_stream import (
+    BEST_QUALITY,
+    DEFAULT_QUALITY,
+    EncodedFrame,
+    LatentEncoder,
+)
 from pica_core.types import Image
 from pica_protocol.messages import Joined, StreamMuted, Track
 from pica_protocol.session import ClientEvent
@@ -61,17 +66,9 @@ class SenderConfig:
     """Move the mouth by the voice while the tracker sees no face, if there is a voice."""
 
     def __post_init__(self) -> None:
-        check_ranges(self, fps=(1, 240))
+        check_ranges(self, fps=(1, 240), quality=(0, BEST_QUALITY))
         if not self.seconds >= 0:
             raise OptionError(f"seconds is {self.seconds:g}; 0 (for ever) or more is allowed")
-        self.stream()
-
-    def stream(self) -> StreamConfig:
-        """How the stream is encoded."""
-        try:
-            return StreamConfig(fps=self.fps, quality=self.quality)
-        except ValueError as error:
-            raise OptionError(str(error)) from error
 
 
 class Publisher:
@@ -99,7 +96,9 @@ class Publisher:
         self.source = source
         self.seen: ExpressionFrame | None = None
         self._encoder = ExpressionEncoder(avatar)
-        self._stream = LatentEncoder(avatar.stream_profile(), config.stream())
+        self._stream = LatentEncoder(
+            avatar.stream_profile(), fps=config.fps, quality=config.quality
+        )
         self.track = Track(kind=FACE_TRACK, avatar=avatar_identity)
         self._first_sent_s: float | None = None
         self._last_sent_s = 0.0

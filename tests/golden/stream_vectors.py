@@ -32,7 +32,6 @@ from pica_core.codec.latent_stream import (
     POSE_TABLES,
     QUALITY_TABLE,
     STEPS,
-    StreamConfig,
     decode_frame,
 )
 from pica_core.codec.profile import StreamProfile, Table, coefficient_frequencies
@@ -65,7 +64,7 @@ def encode_stream(vectors: dict[str, Any], quality: int) -> list[Sent]:
     latents = np.array(performance["latents"], np.float64) * LATENT_UNIT
     poses = np.array(performance["poses"], np.float64) * POSE_UNIT
     moment = np.minimum(np.arange(len(latents) + performance["num_held"]), len(latents) - 1)
-    publisher = Publisher(StreamConfig(quality=quality), profile=read_profile(vectors))
+    publisher = Publisher(read_profile(vectors), quality=quality)
     return publisher.show_all(latents.reshape(-1, 8, 8, 4)[moment], poses.reshape(-1, 2, 3)[moment])
 
 

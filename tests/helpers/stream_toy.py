@@ -15,7 +15,12 @@ import numpy as np
 
 from helpers.toy import make_toy_avatar
 from pica_core.avatar.file import Avatar
-from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, LatentSample, StreamConfig
+from pica_core.codec.latent_stream import (
+    DEFAULT_QUALITY,
+    LatentDecoder,
+    LatentEncoder,
+    LatentSample,
+)
 from pica_core.codec.profile import StreamProfile
 from pica_core.train.stream_learning import RenderMetric, learn_profile
 from pica_core.types import Float64Array
@@ -96,9 +101,9 @@ class Publisher:
     """An encoder with what it sent."""
 
     def __init__(
-        self, config: StreamConfig | None = None, *, profile: StreamProfile | None = None
+        self, profile: StreamProfile | None = None, *, quality: int = DEFAULT_QUALITY
     ) -> None:
-        self.encoder = LatentEncoder(profile or toy_profile(), config)
+        self.encoder = LatentEncoder(profile or toy_profile(), quality=quality)
         self.sent: list[Sent] = []
 
     def show(self, face: Float64Array, pose: Float64Array, now_us: int) -> Sent | None:

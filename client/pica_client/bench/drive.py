@@ -25,7 +25,12 @@ from pica_client.system import say
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
 from pica_core.capture.stage.subject import Subject
-from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, StreamConfig
+from pica_core.codec.latent_stream import (
+    BEST_QUALITY,
+    DEFAULT_QUALITY,
+    LatentDecoder,
+    LatentEncoder,
+)
 from pica_core.types import FloatArray, Image, IntArray
 from pica_protocol.frames import HEADER_BYTES
 
@@ -40,7 +45,7 @@ class DriveBenchConfig:
 
     sources: Words = ("performance:talk", "performance:listen", "performance:range_of_motion")
     """What the person does, separated by commas; csv:FILE for recordings."""
-    quality: int = StreamConfig().quality
+    quality: int = DEFAULT_QUALITY
     """Of the latent stream: 0 is the coarsest."""
     rig: Path | None = None
     """The rig that the avatar was made of."""
@@ -55,8 +60,7 @@ class DriveBenchConfig:
 
     def __post_init__(self) -> None:
         check_ranges(self, seconds=(1, 600), moments=(1, 2000))
-        check_ranges(self, image_size=(64, 1024))
-        StreamConfig(quality=self.quality)  # checks it
+        check_ranges(self, image_size=(64, 1024), quality=(0, BEST_QUALITY))
 
 
 class _Truth(NamedTuple):
@@ -242,7 +246,7 @@ def through_stream(avatar: Avatar, latents: FloatArray, quality: int) -> tuple[F
         ProfileError: The avatar has no stream profile.
     """
     profile = avatar.stream_profile()
-    encoder = LatentEncoder(profile, StreamConfig(fps=FPS, quality=quality))
+    encoder = LatentEncoder(profile, fps=FPS, quality=quality)
     decoder, still = LatentDecoder(profile), np.zeros(3, np.float32)
     shown, num_bytes = [], 0
     for number, latent in enumerate(latents):

@@ -47,7 +47,7 @@ from pica_client.voice.publisher import BITRATE_BPS
 from pica_client.voice.source import resampled, shipped_speech
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import Avatar
-from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, LatentSample, StreamConfig
+from pica_core.codec.latent_stream import LatentDecoder, LatentEncoder, LatentSample
 from pica_core.types import Array, FloatArray
 from pica_protocol.frames import SEQUENCE_MODULUS, Frame
 
@@ -129,7 +129,7 @@ def run_bench_voice(config: BenchVoiceConfig, avatar: Avatar) -> dict[str, Any]:
     voice = _packets(sound)
     with FaceRenderer(avatar, size_px=SIZE_PX, views=("front",)) as renderer:
         for scenario in chosen:
-            encoder = LatentEncoder(profile, StreamConfig(fps=FPS))
+            encoder = LatentEncoder(profile, fps=FPS)
             delivery = deliver(face, encoder, scenario, config.seconds, voice)
             ear = _Ear(delivery.voices)
             ticks = play(delivery, LatentDecoder(profile), Playout(), ear.heard_us)

@@ -1,6 +1,6 @@
 """The latent stream: faces in, a few bytes a frame out, and back. Every frame is decoded alone.
 
-    encoder = LatentEncoder(profile, StreamConfig(fps=30))
+    encoder = LatentEncoder(profile, fps=30)
     frame = encoder.encode(latent, rotation, translation_m, now_us)      # None: nothing to say
     sample = LatentDecoder(profile).decode(frame.payload)
 
@@ -8,11 +8,7 @@ A frame is quantised coefficients of the latent and of the head pose:
 
     coefficient = value / step, rounded to the nearest
 
-A payload holds, in this order: the quality; what the frame holds (header); the coefficients of the
-latent, then those of the pose. A part in which all are 0 is left out. Each coefficient of the
-latent has a table by its place, as the profile says, and by a context, which is how large the
-coefficients just before it in the same frame are. Pose coefficients are written as their length in
-bits, their sign and the rest. See docs/wire.md.
+`docs/wire.md` says how they are written.
 
 So any frame may be dropped by anybody, and a late joiner decodes the next one. A receiver that
 wants less gets the frames whose sequence number is a multiple of 2 or 4; `EncodedFrame.multiple`
@@ -42,7 +38,7 @@ from pica_core.codec.profile import (
     uniform,
     write_symbols,
 )
-from pica_core.errors import LatentError, ShapeError, check_ranges
+from pica_core.errors import LatentError, ShapeError
 from pica_core.types import LATENT_SHAPE, NUM_LATENT, Array, FloatArray, Int64Array
 
 
@@ -86,7 +82,7 @@ STEPS = (
 2⁻¹⁴ rad (a head turns by 2 to 4 mrad a frame; 12 is 0.7 mrad and leaves an error of 0.3 in its
 steps from frame to frame, with 48 half of its motion was noise: docs/results.md); of translations,
 in 2⁻¹⁴ m (2 is 0.12 mm, and a head moves by 0.2 to 0.4 mm a frame)."""
-DEFAULT_QUALITY = 3
+DEFAULT_QUALITY, BEST_QUALITY = 3, len(STEPS) - 1
 QUALITY_TABLE = make_table((192, 192, 192, 11426, 3810, 191, 191, 190))
 HEADER_TABLE = make_table((1, 2886, 2, 13169, 1, 59, 1, 265))
 ROTATION_TABLE = make_table(
@@ -114,26 +110,6 @@ an avatar's file may do to the face of an extreme latent is bounded (`pica_core.
 MAX_POSE = np.repeat((np.pi, 1.0), 3)
 """Rotation vectors (radians) and offsets (metres) are clamped to this: half a turn, an arm's length
 about the chair."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class StreamConfig:
-    """How a stream is encoded."""
-
-    fps: float = 30.0
-    """Frames a second that `encode` is called with; decides which may be left out."""
-    quality: int = DEFAULT_QUALITY
-    """0 is the coarsest; each step up costs about a quarter more bits."""
-
-    def __post_init__(self) -> None:
-        check_ranges(self, fps=(0.1, 1000), quality=(0, len(STEPS) - 1))
-
-    @property
-    def multiples(self) -> tuple[int, ...]:
-        """`EncodedFrame.multiple` of successive frames."""
-        if self.fps < 2 * LEAST_QUARTER_FPS:
-            return (4,)
-        return (4, 2) if self.fps < 4 * LEAST_QUARTER_FPS else (4, 1, 2, 1)
 
 
 @cache
@@ -243,12 +219,20 @@ def _read_face(
 
 
 class LatentEncoder:
-    """The sending end of one stream."""
+    """The sending end of one stream.
 
-    def __init__(self, profile: StreamProfile, config: StreamConfig | None = None) -> None:
-        self.profile = profile
-        self.config = config or StreamConfig()
-        self._multiples = self.config.multiples
+    Args:
+        fps: Frames a second that `encode` is called with; decides which may be left out.
+        quality: Row of `STEPS`; each step up costs about a quarter more bits.
+    """
+
+    def __init__(
+        self, profile: StreamProfile, *, fps: float = 30.0, quality: int = DEFAULT_QUALITY
+    ) -> None:
+        self.profile, self._quality = profile, quality
+        self._multiples: tuple[int, ...] = (4, 1, 2, 1)
+        if fps < 4 * LEAST_QUARTER_FPS:
+            self._multiples = (4, 2) if fps >= 2 * LEAST_QUARTER_FPS else (4,)
         self._moved = np.full(profile.num_coefficients, MOVED_FACE)
         self._moved[profile.num_components :] = MOVED_POSE
         self.restart()
@@ -299,7 +283,7 @@ class LatentEncoder:
             since_us = self._quiet_since_us
             self._is_silent = since_us is not None and now_us - since_us >= STILL_AFTER_US
         self._phase = (self._phase + 1) % len(self._multiples)
-        quality = min(self.config.quality + self._is_silent, len(STEPS) - 1)
+        quality = min(self._quality + self._is_silent, BEST_QUALITY)
         quantised = quantise(wanted, steps_of(quality, self.profile.num_components))
         payload = encode_frame(self.profile, quantised, quality, is_still=self._is_silent)
         self._sent, self._sent_us = wanted, now_us

@@ -16,7 +16,6 @@ from helpers.stream_toy import (
     toy_pose,
     toy_profile,
 )
-from pica_core.codec.latent_stream import StreamConfig
 from pica_core.codec.profile import StreamProfile
 from pica_core.errors import ProfileError
 from pica_core.train.stream_learning import RenderMetric, learn_profile
@@ -31,7 +30,7 @@ def learn(codes: np.ndarray, metric: RenderMetric | None = None) -> StreamProfil
 
 
 def num_bytes(profile: StreamProfile, **options: int) -> int:
-    publisher = Publisher(StreamConfig(**options), profile=profile)
+    publisher = Publisher(profile, **options)
     publisher.show_all(toy_faces(31, 600, 0.3), 0.1 * toy_pose(31, 600))  # a quiet talker
     return sum(len(frame.payload) for frame in publisher.sent)
 
