@@ -192,7 +192,7 @@ def rig(options: RigOptions) -> dict[str, Any]:
 
     def make(side: int) -> RigSubject:
         subject = RigSubject(options.rig, options.map, bake_size=side)
-        about.update(subject.describe()["rig"])
+        about.update(subject.about["rig"])
         _tell(console, about)
         return subject
 

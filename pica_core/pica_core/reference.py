@@ -13,17 +13,11 @@ lines, nothing rearranged; a frame takes a second, and for drawing there is
 
 Every frequency (SIREN's omega) is folded into the weights. How maps are looked up: `sampling`.
 
-An encoding is a few parts side by side (`spec.ENCODINGS`). Each part is one function here, one
-class in torch, one graph in ONNX (in the tests) and one file of GLSL:
-
-    joint       m_uv(u, v), a learned map read bilinearly           uv_encoding        [T, T, 4]
-    axes        m_u(u), m_v(v), learned tables read linearly        u_, v_encoding     [L, 2]
-    uv          2 u - 1, 2 v - 1: the coordinates in [-1, 1]        no tensors
-    sinusoids   for k = 0..9: sin and cos of 2 pi 2^k (u, v)        no tensors
-
-The order of the sinusoids is sin u, sin v, cos u, cos v of one octave, then the next. With
-coordinates in [-1, 1], as in Mildenhall et al., "NeRF" (2020), section 5.1, they are those of that
-paper but for a sign in the first octave, which the weights behind them absorb.
+An encoding is a few parts side by side (`spec.ENCODINGS`). Each part is one function here, one in
+torch and one file of GLSL. The order of the sinusoids is sin u, sin v, cos u, cos v of one octave,
+then the next. With coordinates in [-1, 1], as in Mildenhall et al., "NeRF" (2020), section 5.1,
+they are those of that paper but for a sign in the first octave, which the weights behind them
+absorb.
 
 Source of joint and axes: Ma et al., "Pixel Codec Avatars" (CVPR 2021), section 4.
 

@@ -68,18 +68,14 @@ def components(faces: Array, count: int) -> Int64Array:
     return connected_components(graph, directed=False)[1].astype(np.int64)
 
 
-def edge_neighbours(faces: IntArray) -> tuple[Int64Array, Int64Array]:
-    """Pairs of faces that share an edge. ``[n]`` each."""
+def face_neighbours(faces: IntArray) -> tuple[Int64Array, Int64Array, Int64Array]:
+    """Faces that share an edge with others, where each one's neighbours begin in a list, and the
+    list."""
     sides, owner = np.sort(edges(faces), axis=1), np.repeat(np.arange(len(faces)), 3)
     order = np.lexsort((sides[:, 1], sides[:, 0]))
     sides, owner = sides[order], owner[order]
     same = (sides[1:] == sides[:-1]).all(1)
-    return owner[:-1][same], owner[1:][same]
-
-
-def face_neighbours(faces: IntArray) -> tuple[Int64Array, Int64Array, Int64Array]:
-    """Faces that have neighbours, where each one's neighbours begin in a list, and the list."""
-    first, second = edge_neighbours(faces)
+    first, second = owner[:-1][same], owner[1:][same]
     own, other = np.concatenate([first, second]), np.concatenate([second, first])
     sort = np.argsort(own, kind="stable")
     with_some, start = np.unique(own[sort], return_index=True)

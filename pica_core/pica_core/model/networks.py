@@ -4,7 +4,7 @@ Source: Ma et al., "Pixel Codec Avatars" (CVPR 2021), section 3 and appendix A.1
 block is our choice by name (`AvatarSpec.block`), because the paper's Fig. 3b is not in its text.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 import torch
@@ -129,11 +129,14 @@ def _halving(channels: Sequence[int]) -> nn.Sequential:
     return nn.Sequential(*steps)
 
 
-class _GridEncoder(LatentEncoder):
+class GridEncoder(LatentEncoder):
     """Two heads, a joint trunk down to 8 x 8, and 1x1 convolutions for mean and log-variance."""
 
-    def __init__(self, tex_head: nn.Module, geom_head: nn.Module, trunk: Sequence[int]) -> None:
+    def __init__(
+        self, texture_size: int, geom_head: nn.Module, tex_head: nn.Module, trunk: Sequence[int]
+    ) -> None:
         super().__init__()
+        self.texture_size = texture_size
         self.tex_head = tex_head
         self.geom_head = geom_head
         self.trunk = _halving(trunk)
@@ -149,30 +152,21 @@ class _GridEncoder(LatentEncoder):
         return self.mean(joint), self.log_variance(joint)
 
 
-class PaperEncoder(_GridEncoder):
-    """The paper's encoder; textures are 1024 x 1024."""
-
-    texture_size = 1024
-
-    def __init__(self) -> None:
-        geom_head = nn.Sequential(nn.Conv2d(3, 256, 1), nn.LeakyReLU(LEAKY_SLOPE))
-        super().__init__(_halving([3, 512, 256]), geom_head, [512, 128, 64, 32, 16, 8])
-
-
-class LightEncoder(_GridEncoder):
-    """A narrow encoder for training on a CPU; textures are 256 x 256."""
-
-    texture_size = 256
-
-    def __init__(self) -> None:
-        geom_head = nn.Sequential(nn.AvgPool2d(2), *_halving([3, 12]))
-        super().__init__(_halving([3, 8, 16]), geom_head, [28, 32, 48, 64])
-
-
-ENCODERS: dict[str, type[PaperEncoder | LightEncoder]] = {
-    "paper": PaperEncoder,
-    "light": LightEncoder,
+ENCODERS: dict[str, Callable[[], GridEncoder]] = {
+    "paper": lambda: GridEncoder(
+        1024,
+        nn.Sequential(nn.Conv2d(3, 256, 1), nn.LeakyReLU(LEAKY_SLOPE)),
+        _halving([3, 512, 256]),
+        [512, 128, 64, 32, 16, 8],
+    ),
+    "light": lambda: GridEncoder(
+        256,
+        nn.Sequential(nn.AvgPool2d(2), *_halving([3, 12])),
+        _halving([3, 8, 16]),
+        [28, 32, 48, 64],
+    ),
 }
+"""The paper's encoder, and a narrow one for training on a CPU."""
 
 
 def hold_log_variance(log_variance: Tensor) -> Tensor:

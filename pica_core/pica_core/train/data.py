@@ -309,10 +309,6 @@ class ImageCache:
         """Cameras that have an image of a frame."""
         return self._cameras_of(frame)
 
-    def evaluation_views_of(self, frame: int) -> list[str]:
-        """Evaluation views that have an image of a frame."""
-        return [name for name in self.evaluation_views if name in self.cameras_of(frame)]
-
     def expect(self, images: list[tuple[int, str]], *, depth: bool) -> None:
         """Have images decoded while something else goes on."""
         for image in images:

@@ -252,8 +252,9 @@ def measure_views(
         after = successor(data, frame)
         latent = _latent(evaluator, source, frame)
         later = None if after is None else _latent(evaluator, source, after)
-        for view in data.images.evaluation_views_of(frame):
-            errors = found[view]
+        for view, errors in found.items():
+            if view not in data.images.cameras_of(frame):
+                continue
             camera, image = data.images.camera(frame, view), data.images.image(frame, view)
             picture = evaluator.draw(latent, camera)
             seen = picture.within(image)

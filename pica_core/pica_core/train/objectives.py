@@ -131,10 +131,6 @@ class Objectives:
         """Whether `live` has something to learn from."""
         return self._poses is not None and bool(self._poses.cameras)
 
-    def forget_codes(self) -> None:
-        """The model changed: encode the training frames again when they are needed."""
-        self._codes = None
-
     def encode(self, frames: list[int]) -> tuple[Tensor, Tensor]:
         """The encoder's mean and log-variance of frames, ``[N, 4, 8, 8]`` each."""
         size = self.model.encoder.texture_size

@@ -238,7 +238,6 @@ class Trainer:
         for name, optimiser in self._optimisers.items():
             optimiser.load_state_dict(state["optimisers"][name])
         self.objectives.mean_m.copy_(state["mean_mesh_m"])
-        self.objectives.forget_codes()
         self.step, self.seconds = state["step"], state["seconds"]
 
     def _diverged(self, what: str) -> TrainingDivergedError:

@@ -25,8 +25,6 @@ from pica_core.errors import CaptureError
 from pica_core.types import Array, BoolArray, Float64Array, FloatArray, Int64Array, IntArray
 
 SPLITS = ("train", "test")
-MAP_SIZE = 256
-"""Texels along each side of the position map that charts are made for."""
 MAX_IMAGE_PIXELS = 64_000_000
 """Larger images are refused before decoding."""
 IMAGE_FORMATS = ("PNG", "JPEG", "WEBP")

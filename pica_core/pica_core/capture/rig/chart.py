@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import xatlas
 
-from pica_core.capture.dataset.files import MAP_SIZE
+from pica_core.avatar.spec import MAP_SIZE
 from pica_core.capture.triangles import areas, components, signed_areas
 from pica_core.errors import CaptureError
 from pica_core.types import BoolArray, Float64Array, FloatArray, Int64Array, IntArray

@@ -30,14 +30,14 @@ from pica_core.capture.stage.paint import (
     vertex_array,
 )
 from pica_core.gl import create_context, wait_for_gpu
-from pica_core.types import BoolArray, ByteArray, FloatArray, Int64Array
+from pica_core.types import ByteArray, FloatArray, Int64Array
 
 BAKE_SIZE = 2048
 """Side of the appearance textures: 8 texels per position-map texel, about 0.1 mm on the face."""
 SUPERSAMPLE = 2
 """Samples per pixel along each axis."""
 BACKGROUND = (92, 97, 104)
-"""sRGB of the empty stage; pixels without a head have mask 0."""
+"""sRGB of the empty stage."""
 NEAR_M, FAR_M = 0.05, 6.0
 DEPTH_TOLERANCE_M = 0.0015
 """How far behind the nearest surface a texel may lie and still count as seen."""
@@ -50,12 +50,10 @@ class View:
     Attributes:
         image: sRGB, row 0 on top. uint8 ``[H, W, 3]``.
         depth_m: Distance along the camera axis at pixel centres, 0 where empty. float32 ``[H, W]``.
-        mask: 0 background, else material id + 1 (`MATERIALS`). uint8 ``[H, W]``.
     """
 
     image: ByteArray
     depth_m: FloatArray
-    mask: ByteArray
 
 
 class Subject:
@@ -64,8 +62,7 @@ class Subject:
     Its GL context is made with the first pose, which is a `GraphicsError` where there can be none.
 
     Args:
-        about: What `capture.json` says of the head, at least ``source`` and ``licence``; JSON
-            values.
+        about: At least ``source`` and ``licence`` of what `capture.json` says of the head.
         albedo: Images by the source's material; others are painted.
         look: Colours and marks, as `paint.PAINT` names them, instead of those there.
         growth: Hair that the mesh has, if it has some.
@@ -73,6 +70,7 @@ class Subject:
         self_shadow: False leaves out shadow of the face on itself, which takes seconds to measure.
 
     Attributes:
+        about: What `capture.json` says of the head; JSON values.
         topology: The mesh that `pose` moves.
     """
 
@@ -88,16 +86,12 @@ class Subject:
         self_shadow: bool = True,
     ) -> None:
         self.head, self.name, self.topology = head, head.name, head.topology
-        self._about = {"head": head.name, **about}
+        self.about = {"head": head.name, **about}
         self._albedo, self._look, self._growth = albedo or {}, look or {}, growth
         self._bake_size, self._self_shadow = bake_size, self_shadow
         self._context: Any = None
         self._strands = split_strands(head, growth)
         self._lids = tuple(_lid_edges(head))
-
-    def describe(self) -> dict[str, Any]:
-        """What `capture.json` says of the subject; JSON values."""
-        return self._about
 
     def _open(self) -> None:
         """Make a context, with everything that no pose changes."""
@@ -105,15 +99,15 @@ class Subject:
         head = self.head
         self._framebuffers: dict[tuple[str, int, int], Any] = {}
         self._layout = {"position_m": 3, "normal": 3, "occlusion": 2, "tangent": 3}
-        faces, material = head.chart.faces, split_parts(head)
-        by_face = material[faces[:, 2]]  # the last vertex of a triangle counts
+        faces = head.chart.faces
+        by_face = split_parts(head)[faces[:, 2]]  # the last vertex of a triangle counts
         order = np.argsort(by_face, kind="stable")
         self._faces = c.buffer(np.ascontiguousarray(faces[order], np.int32).tobytes())
         names, first, count = np.unique(by_face[order], return_index=True, return_counts=True)
-        static = np.concatenate([head.chart.vertex_uv, material[:, None]], 1)
-        self._static = c.buffer(static.astype(np.float32).tobytes())
+        uv = head.chart.vertex_uv.astype(np.float32)
+        self._static = c.buffer(uv.tobytes())
         stride = 4 * sum(self._layout.values())
-        self._moving = c.buffer(reserve=len(static) * stride, dynamic=True)
+        self._moving = c.buffer(reserve=len(uv) * stride, dynamic=True)
         self._shade = [
             (self._over_mesh("stage", int(name)), {"first": 3 * int(at), "vertices": 3 * int(n)})
             for name, at, n in zip(names, first, count, strict=True)
@@ -167,7 +161,7 @@ class Subject:
     def _over_mesh(self, shader: str, material: int | None = None) -> Any:
         """The mesh with a program that takes what it wants of the vertices."""
         program = make_program(self._context, shader, shader, material)
-        static = self._static, {"vertex_uv": 2, "material": 1}
+        static = self._static, {"vertex_uv": 2}
         moving = self._moving, self._layout
         return vertex_array(self._context, program, self._faces, moving, static)
 
@@ -175,7 +169,7 @@ class Subject:
         key = (kind, width, height)
         if key not in self._framebuffers:
             c, size = self._context, (width, height)
-            components, dtype = {"colour": (4, "f1"), "geometry": (2, "f4"), "sum": (4, "f4")}[kind]
+            components, dtype = {"colour": (4, "f1"), "geometry": (1, "f4"), "sum": (4, "f4")}[kind]
             target = c.texture(size, components, dtype=dtype)
             target.repeat_x = target.repeat_y = False
             if kind == "geometry":
@@ -207,7 +201,7 @@ class Subject:
         set_uniforms(program, {"camera_m": tuple(camera.centre_m), "depth_plane": plane})
 
     def draw(self, camera: Camera) -> View:
-        """Image, exact depth and mask of the pose, seen by a camera in head axes."""
+        """Image and exact depth of the pose, seen by a camera in head axes."""
         framebuffer = self._framebuffer("geometry", camera.width, camera.height)
         framebuffer.use()
         framebuffer.clear(0.0, 0.0, 0.0, 0.0, depth=1.0)
@@ -215,10 +209,9 @@ class Subject:
         self._aim(self._depth.program, camera)
         self._depth.render()
         image = self._draw_image(camera)
-        both: FloatArray = np.empty((camera.height, camera.width, 2), np.float32)
-        framebuffer.read_into(both, components=2, dtype="f4")
-        depth, mask = both[::-1, :, 0].copy(), np.rint(both[::-1, :, 1]).astype(np.uint8)
-        return View(image=image, depth_m=depth, mask=mask)
+        depth_m: FloatArray = np.empty((camera.height, camera.width), np.float32)
+        framebuffer.read_into(depth_m, components=1, dtype="f4")
+        return View(image=image, depth_m=depth_m[::-1].copy())
 
     def _draw_image(self, camera: Camera) -> ByteArray:
         """The camera's sRGB image, supersampled, row 0 on top. uint8 ``[H, W, 3]``."""
@@ -244,9 +237,7 @@ class Subject:
         framebuffer.read_into(image, components=3, alignment=1)
         return image
 
-    def photograph(
-        self, cameras: Sequence[Camera], size: int
-    ) -> tuple[list[View], ByteArray, BoolArray]:
+    def photograph(self, cameras: Sequence[Camera], size: int) -> tuple[list[View], ByteArray]:
         """What cameras in head axes see of the pose, and the average texture: every image projected
         back onto the mesh, where its camera sees it.
 
@@ -254,8 +245,8 @@ class Subject:
             size: Side of the texture, texels.
 
         Returns:
-            Views; the sRGB texture, row 0 is v = 0, black where no camera looks; and where one
-            does. uint8 ``[S, S, 3]``, bool ``[S, S]``.
+            Views; and the sRGB texture, row 0 is v = 0, black where no camera looks. uint8
+            ``[S, S, 3]``.
         """
         c, views = self._context, []
         total = self._framebuffer("sum", size, size)
@@ -277,7 +268,7 @@ class Subject:
         seen = sums[..., 3] > 1e-4
         mean = sums[..., :3] / np.maximum(sums[..., 3:], 1e-4)
         texture = np.where(seen[..., None], np.rint(255 * np.clip(mean, 0, 1)), 0)
-        return views, texture.astype(np.uint8), seen
+        return views, texture.astype(np.uint8)
 
 
 def _lid_edges(head: RigHead) -> Iterator[tuple[Int64Array, Int64Array, Int64Array]]:

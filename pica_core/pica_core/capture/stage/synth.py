@@ -202,7 +202,7 @@ def render_subject(
     takes = sample_takes(options.frames, options.seed)
     subject = make_subject()
     try:
-        whole = {"options": asdict(options), "subject": subject.describe()}
+        whole = {"options": asdict(options), "subject": subject.about}
         fingerprint = json.dumps(whole, sort_keys=True, default=str)
         if used and multiface.read_text(marker) != fingerprint:
             raise CaptureError(f"{out}: {_USED}")
@@ -242,7 +242,7 @@ class _Rendering:
         exact = self.subject.pose(arkit)
         pose = head_to_world(self.options.seed, number, time_s)
         cameras = [camera.in_head(pose) for camera in self.cameras]
-        views, texture, _ = self.subject.photograph(cameras, self.options.texture_size)
+        views, texture = self.subject.photograph(cameras, self.options.texture_size)
         for camera, view in zip(cameras, views, strict=True):
             for kind, make in (
                 ("images", partial(np.asarray, view.image)),
@@ -315,7 +315,7 @@ def _pose(subject: Subject, options: RenderOptions, out: Path) -> None:
 def _describe(subject: Subject, options: RenderOptions) -> dict[str, Any]:
     """What `capture.json` says."""
     return {
-        **subject.describe(),
+        **subject.about,
         "seed": options.seed,
         "units": {
             "tracked_mesh": "mm",

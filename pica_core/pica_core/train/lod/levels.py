@@ -56,7 +56,7 @@ from pica_core.train.lod.exits import (
     fit_convolution,
     fit_local,
 )
-from pica_core.train.lod.simplify import Simplifier
+from pica_core.train.lod.simplify import Simplifier, weld
 from pica_core.train.raster import Rasteriser
 from pica_core.types import Array, BoolArray, ByteArray, Float64Array
 
@@ -184,19 +184,11 @@ def _evened(rest_m: Float64Array, faces: Array, is_static: BoolArray) -> BoolArr
     if len(moving):
         is_static = is_static & (KDTree(moving).query(rest_m)[0] > MARGIN_M)
     own = faces[is_static[faces].all(axis=1)]
-    label = components(_places(rest_m)[own], len(rest_m))
-    area = np.bincount(label[_places(rest_m)[own[:, 0]]], areas(rest_m, own), label.max() + 1)
-    large: BoolArray = is_static & (area[label[_places(rest_m)]] > LEAST_AREA_M2)
+    place = weld(rest_m)
+    label = components(place[own], len(rest_m))[place]
+    area = np.bincount(label[own[:, 0]], areas(rest_m, own), label.max() + 1)
+    large: BoolArray = is_static & (area[label] > LEAST_AREA_M2)
     return large
-
-
-def _places(rest_m: Float64Array) -> Array:
-    """The first vertex in the place of each vertex, ``[V]``."""
-    _, first, inverse = np.unique(
-        np.rint(rest_m / 1e-5), axis=0, return_index=True, return_inverse=True
-    )
-    found: Array = first[inverse.reshape(-1)]
-    return found
 
 
 NOISE_RATIO = 0.1
@@ -249,9 +241,7 @@ def add_levels(avatar: Avatar, show: Callable[[str], None] = lambda _: None) -> 
         fitted = fit_convolution(
             full.decoder, faces, level, full.points, full.metric, full.bias_points, still
         )
-        if (
-            level == EXIT_SIZES[0]
-        ):  # finer ones leave little, and their weights are four times as many
+        if level == EXIT_SIZES[0]:  # finer ones leave little, and would have four times the weights
             fitted = fit_local(full.decoder, faces, level, fitted)
         tensors |= _exit_tensors(level, fitted) | {faces_name(level): mesh}
     show("static surfaces")
