@@ -1,9 +1,13 @@
 """What tests of the core share."""
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 import torch
+
+from helpers.small_capture import TINY, render_capture
+from pica_core.capture.stage.synth import RenderOptions
 
 
 @pytest.fixture(scope="module")
@@ -13,3 +17,19 @@ def one_thread() -> Iterator[None]:
     torch.set_num_threads(1)
     yield
     torch.set_num_threads(threads)
+
+
+@pytest.fixture(scope="session")
+def captured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A capture that tests of training share, to be read alone."""
+    folder = tmp_path_factory.mktemp("captures") / "someone"
+    render_capture(RenderOptions(frames=20, cameras=2, size="128x128", texture_size=64), folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A capture of the options `TINY`, to be read alone."""
+    folder = tmp_path_factory.mktemp("rendered") / "S1"
+    render_capture(TINY, folder)
+    return folder

@@ -14,11 +14,15 @@ PERSON = draw_person(7, hair="short", beard="none", clothes="tee")
 """Whose capture it is."""
 NAME = f"{PERSON.sex}, {PERSON.age}"
 """What captures call this person."""
+TINY = RenderOptions(
+    frames=5, cameras=2, size="64x64", texture_size=64, seed=5, tracked_vertices=900
+)
+"""A capture that is rendered in a second."""
 
 
-def small_head(*, coarse: bool = True) -> RigHead:
+def small_head() -> RigHead:
     """The head; made once a process."""
-    return make_head(PERSON, coarse=coarse)[0]
+    return make_head(PERSON, coarse=True)[0]
 
 
 def small_subject(*, bake_size: int = 256) -> PersonSubject:

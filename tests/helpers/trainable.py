@@ -6,11 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from helpers.toy import head_surface
+from helpers.toy import grid_faces, head_surface
+from pica_core.avatar.file import Avatar
 from pica_core.avatar.linear import fit_bases, split_bases
+from pica_core.avatar.manifest import Manifest, ViewSpan
 from pica_core.avatar.spec import MAP_SIZE
+from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.interface import FacePrior, LinearPrior
 from pica_core.model.linear import CODE_SIZE
+from pica_core.train.export import avatar_tensors
 
 
 def toy_prior(*, dense: int = 16, tracked: int = 9, scale_m: float = 0.005) -> FacePrior:
@@ -63,3 +67,18 @@ def grid_uv(count: int) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
     """UVs of a square grid of vertices, inside the border texels."""
     corner = np.linspace(0.01, 0.99, count, dtype=np.float32)
     return np.stack(np.meshgrid(corner, corner), -1).reshape(-1, 2)
+
+
+def exported(model: PixelCodecAvatar) -> Avatar:
+    """The avatar of a model that draws a grid of 16 x 16 vertices."""
+    manifest = Manifest(
+        name="Judged",
+        identity="none",
+        licence="Apache-2.0",
+        spec=model.spec,
+        position_scale_m=model.position_scale_m,
+        view_span=ViewSpan(-60.0, 60.0, -40.0, 40.0),
+        bounds_min_m=(-0.2, -0.2, -0.2),
+        bounds_max_m=(0.2, 0.2, 0.2),
+    )
+    return Avatar(manifest, avatar_tensors(model, grid_uv(16), grid_faces(16, 16)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,6 @@ import safetensors.numpy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from helpers.stream_toy import toy_profile
 from helpers.toy import make_toy_avatar, without_stream
 from pica_core.avatar import file as avatar_file
 from pica_core.avatar.file import (
@@ -30,7 +30,7 @@ from pica_core.errors import AvatarFileError, ProfileError
 pytestmark = pytest.mark.unit
 
 TOY = make_toy_avatar(grid=8, spec=AvatarSpec(uv_encoding_size=16, axis_encoding_size=20))
-WITH_STREAM = Avatar(TOY.manifest, {**TOY.tensors, **toy_profile().to_tensors()})
+SPEC = asdict(TOY.spec)
 
 
 @pytest.fixture(scope="module")
@@ -72,12 +72,10 @@ def test_a_saved_avatar_is_read_back_with_its_manifest_and_nearly_its_tensors(
         spread = float(np.ptp(array.astype(np.float64)))
         # 8 bits over the channel's range is the coarsest storage: half a step, plus rounding.
         steps = 65535 if name in ("geometry.mean", "mesh.vertex_uv") else 255
-        assert np.abs(loaded.tensors[name] - array).max() <= 0.51 / steps * spread, name
-
-
-def test_loaded_arrays_cannot_be_written(toy_bytes: bytes) -> None:
+        limit = 0 if name.startswith("stream.") else 0.51 / steps * spread
+        assert np.abs(loaded.tensors[name] - array).max() <= limit, name
     with pytest.raises(ValueError, match="read-only"):
-        load_avatar(toy_bytes).tensors["u_encoding"][0] = 0
+        loaded.tensors["u_encoding"][0] = 0
 
 
 def test_saving_the_same_avatar_again_gives_the_same_identity(tmp_path: Path) -> None:
@@ -143,6 +141,8 @@ def test_a_hostile_header_is_refused(text: bytes) -> None:
         ("model_card", {"a": "x" * 2001}, "model_card.a"),
         ("spec", {"block": "H2"}, "spec field 'axis_encoding_size' is missing"),
         ("spec", 3, "spec"),
+        ("spec", {**SPEC, "uv_encoding_size": 10**9}, r"manifest\.spec: uv_encoding_size is"),
+        ("spec", {**SPEC, "axis_encoding_size": True}, r"manifest\.spec: spec\.axis_encoding_size"),
         ("surprise", 1, "'surprise' is missing or unknown"),
     ],
 )
@@ -165,22 +165,6 @@ def test_bases_of_more_components_than_fit_into_memory_are_refused_unread() -> N
     assert linear_shapes({"linear.mix": (8192, 64)}, 60_000)
     with pytest.raises(ValueError, match="25600000 components; at most 4000000"):
         linear_shapes({"linear.mix": (8192, 128)}, 200_000)
-
-
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [
-        ("uv_encoding_size", 10**9),
-        ("uv_encoding_size", 10**400),
-        ("block", "Z"),
-        ("axis_encoding_size", True),
-        ("encoding", None),
-    ],
-)
-def test_a_spec_with_hostile_sizes_is_refused(toy_bytes: bytes, field: str, value: Any) -> None:
-    changed = with_manifest(toy_bytes, lambda manifest: manifest["spec"].update({field: value}))
-    with pytest.raises(AvatarFileError, match=r"manifest\.spec"):
-        load_avatar(changed)
 
 
 @pytest.mark.parametrize(
@@ -238,6 +222,7 @@ def test_values_that_are_not_finite_are_refused(tmp_path: Path, value: float) ->
         ("mesh.faces", np.full((9, 3), -1, np.int32), "allowed are 0 to 63"),
         ("mesh.faces", np.zeros((9, 4), np.int32), r"mesh.faces has shape \[9, 4\]"),
         ("u_encoding", np.zeros((20, 2), np.float64), "float64; float32 is needed"),
+        ("stream.mean", np.zeros(3, np.float32), r"stream\.mean is float32 \[3\]; int32"),
         ("unheard_of", np.zeros(3, np.float32), "'unheard_of' is unknown"),
         ("encoder.0.weight", np.zeros((33, 52), np.float32), r"\[160, 52\] is needed"),
     ],
@@ -275,20 +260,3 @@ def test_a_file_that_cannot_be_written_is_named(tmp_path: Path) -> None:
 def test_an_avatar_without_tables_is_refused_where_a_stream_begins() -> None:
     with pytest.raises(ProfileError, match="Toy has no stream profile, which a call needs"):
         without_stream(TOY).stream_profile()
-
-
-def test_the_tables_of_a_stream_come_back_exactly(tmp_path: Path) -> None:
-    save_avatar(tmp_path / "stream.pica", WITH_STREAM)
-    loaded = load_avatar(tmp_path / "stream.pica")
-    for name, array in toy_profile().to_tensors().items():
-        assert loaded.tensors[name].dtype == array.dtype
-        np.testing.assert_array_equal(loaded.tensors[name], array)
-
-
-def test_tables_that_do_not_fit_are_refused_by_name(tmp_path: Path) -> None:
-    save_avatar(tmp_path / "stream.pica", WITH_STREAM)
-    data = (tmp_path / "stream.pica").read_bytes()
-    tables = safetensors.numpy.load(data)
-    tables["stream.table_index"] = np.full_like(tables["stream.table_index"], 200)
-    with pytest.raises(AvatarFileError, match=r"stream\.table_index spans"):
-        load_avatar(safetensors.numpy.save(tables, split(data)[0]["__metadata__"]))

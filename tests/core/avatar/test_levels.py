@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from helpers.toy import make_toy_avatar, with_toy_levels
-from pica_core.avatar.file import Avatar, load_avatar, save_avatar, shipped_avatar_files
+from pica_core.avatar.file import Avatar, load_avatar, save_avatar
 from pica_core.avatar.levels import (
     MOVING,
     STATIC,
@@ -21,8 +21,6 @@ from pica_core.avatar.levels import (
     faces_name,
     pack_parts,
     parts_of,
-    sheet_rows,
-    sheet_uv,
 )
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.errors import AvatarFileError
@@ -81,14 +79,6 @@ def test_the_face_of_the_still_map_comes_back_from_a_file(tmp_path: Path) -> Non
     assert found is not None
     np.testing.assert_allclose(found, decode_expression_map(loaded, latent, FRONT), atol=1e-6)
     assert still_map(PLAIN) is None
-
-
-def test_vertices_stand_in_the_middle_of_their_texels_row_by_row() -> None:
-    found = sheet_uv(70, 64)
-    assert sheet_rows(70, 64) == 2
-    np.testing.assert_allclose(
-        found[[0, 63, 64]], [[0.5 / 64, 0.25], [63.5 / 64, 0.25], [0.5 / 64, 0.75]]
-    )
 
 
 @pytest.mark.parametrize("name", LEVEL_NAMES)
@@ -169,15 +159,3 @@ def test_parts_come_back_from_a_file_as_they_are(tmp_path: Path) -> None:
 def test_parts_that_do_not_fit_are_refused(tmp_path: Path, packed: Array, complaint: str) -> None:
     with pytest.raises(AvatarFileError, match=complaint):
         save_avatar(tmp_path / "a.pica", marked(packed))
-
-
-@pytest.mark.parametrize("file", shipped_avatar_files(), ids=lambda file: file.stem)
-def test_shipped_heads_have_static_pullovers_and_moving_faces(file: Path) -> None:
-    avatar = load_avatar(file)
-    parts, rest_m = parts_of(avatar.tensors), avatar.mean_vertices_m
-    assert parts is not None
-    used = np.unique(avatar.tensors["mesh.faces"])
-    is_face = (rest_m[:, 2] > 0.07) & (np.abs(rest_m[:, 1] + 0.02) < 0.06)
-
-    assert (parts[used][rest_m[used, 1] < -0.2] == STATIC).mean() > 0.7
-    assert (parts[is_face] == MOVING).mean() > 0.8

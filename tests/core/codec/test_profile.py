@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from helpers.stream_toy import NUM_COMPONENTS, toy_faces, toy_metric, toy_profile
-from pica_core.codec.latent_stream import MAX_COEFFICIENT
+from helpers.stream_toy import NUM_COMPONENTS, toy_profile
 from pica_core.codec.profile import (
     MAX_LATENT,
     MAX_PAYLOAD_BYTES,
@@ -20,7 +19,6 @@ from pica_core.codec.profile import (
     StreamProfile,
     SymbolReader,
     Table,
-    coefficient_frequencies,
     make_table,
     uniform,
     write_symbols,
@@ -51,18 +49,9 @@ def test_a_profile_comes_back_from_its_tensors() -> None:
     assert again is not None
     for name, array in again.to_tensors().items():
         np.testing.assert_array_equal(array, array_of(name.removeprefix("stream.")))
-    assert (again.num_components, again.num_coefficients) == (NUM_COMPONENTS, NUM_COMPONENTS + 6)
-
-
-def test_tensors_without_a_stream_have_no_profile() -> None:
-    assert StreamProfile.from_tensors({"mesh.faces": np.zeros((1, 3), np.int32)}) is None
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_a_profile_cannot_be_changed_after_it_was_checked(name: str) -> None:
-    array = getattr(toy_profile(), name.removeprefix("stream."))
     with pytest.raises(ValueError, match="read-only"):
-        array[...] = 0
+        again.mean[0] = 0
+    assert (again.num_components, again.num_coefficients) == (NUM_COMPONENTS, NUM_COMPONENTS + 6)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -92,60 +81,6 @@ def test_a_number_out_of_its_range_is_refused_by_name(
 ) -> None:
     with pytest.raises(ProfileError, match=rf"stream\.{message}|{message}"):
         StreamProfile.from_tensors(changed(name, array))
-
-
-def test_every_table_has_room_for_every_coefficient_and_small_ones_are_commoner() -> None:
-    frequencies = coefficient_frequencies()
-    assert frequencies.min() >= 1
-    assert (frequencies.sum(axis=1) == TOTAL).all()
-    assert (np.diff(frequencies[:, 1:-2:2], axis=1) <= 0).all()
-    np.testing.assert_array_equal(frequencies[:, 1::2], frequencies[:, 2::2])
-
-
-@settings(max_examples=20)
-@given(seed=st.integers(0, 2**32 - 1), scale=st.sampled_from([0.1, 3.0, 300.0, 1e9]))
-def test_the_transform_is_what_exact_integers_give(seed: int, scale: float) -> None:
-    profile = toy_profile()
-    latent = np.random.default_rng(seed).standard_normal(256) * scale
-    units = [
-        min(max(round(float(value) * 4096), -MAX_LATENT), MAX_LATENT) - int(mean)
-        for value, mean in zip(latent, profile.mean, strict=True)
-    ]
-    wanted = [
-        (sum(u * int(a) for u, a in zip(units, column, strict=True)) + 2**15) >> 16
-        for column in profile.analysis.T
-    ]
-    assert profile.analyse(latent).tolist() == wanted
-
-
-@settings(max_examples=20)
-@given(seed=st.integers(0, 2**32 - 1), reach=st.sampled_from([10, 1000, MAX_COEFFICIENT]))
-def test_the_way_back_is_what_exact_integers_give_and_bounded(seed: int, reach: int) -> None:
-    profile = toy_profile()
-    rng = np.random.default_rng(seed)
-    coefficients = rng.integers(-reach, reach + 1, profile.num_components)
-    shift = int(profile.synthesis_shift[0])
-    latent = profile.synthesise(coefficients)
-    for place in range(0, 256, 17):
-        total = sum(
-            int(c) * int(s) for c, s in zip(coefficients, profile.synthesis[:, place], strict=True)
-        )
-        units = ((total + ((1 << shift) >> 1)) >> shift) + int(profile.mean[place])
-        assert float(latent[place]) * 4096 == min(max(units, -MAX_LATENT), MAX_LATENT)
-    assert np.abs(latent).max() <= 256
-
-
-def test_a_face_survives_the_transform_but_for_what_the_picture_does_not_show() -> None:
-    profile = toy_profile()
-    faces = toy_faces(1, 150).reshape(150, 256)
-    back = np.stack([profile.synthesise(profile.analyse(face)) for face in faces])
-    metric = toy_metric()
-
-    def rendered_mse(offsets: np.ndarray[Any, Any]) -> float:
-        along = offsets @ metric.directions.T
-        return float(np.einsum("ti,ij,tj->t", along, metric.gram, along).mean())
-
-    assert rendered_mse(back - faces) < 0.02 * rendered_mse(faces - faces.mean(axis=0))
 
 
 FLAT = make_table([TOTAL // 4] * 4)
@@ -203,16 +138,6 @@ def test_what_is_written_is_read_again_and_hardly_longer_than_what_it_says(
         for kind, _ in message
     ]
     assert read == [value for _, value in message]
-    reader.finish()
-
-
-@pytest.mark.parametrize("symbol", [0, 23, 24])
-def test_carries_run_through_long_rows_of_ones_and_zeros(symbol: int) -> None:
-    message: list[tuple[Table | int, int]] = [(STEEP, symbol)] * 200 + [(STEEP, 0), (FLAT, 3)]
-    reader = SymbolReader(write(message))
-    assert [reader.read(kind) for kind, _ in message if not isinstance(kind, int)] == [
-        value for _, value in message
-    ]
     reader.finish()
 
 

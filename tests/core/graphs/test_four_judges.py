@@ -14,18 +14,16 @@ import pytest
 import torch
 
 from helpers.tolerances import EXPRESSION_ONNX, MAP_ONNX_M, MAP_TORCH_M
-from helpers.toy import grid_faces, make_toy_avatar, with_toy_levels
-from helpers.trainable import grid_uv, toy_prior
+from helpers.toy import make_toy_avatar, with_toy_levels
+from helpers.trainable import exported, toy_prior
 from pica_client.decode.decoder import onnxruntime
 from pica_core.avatar.file import Avatar
 from pica_core.avatar.levels import local_name
-from pica_core.avatar.manifest import Manifest, ViewSpan
 from pica_core.avatar.spec import BLOCKS, EXPRESSION_CHANNELS, AvatarSpec
 from pica_core.graphs import decoder_graph
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.interface import ModelOptions
 from pica_core.reference import decode_expression_map, decode_position_map
-from pica_core.train.export import avatar_tensors
 from pica_core.train.lod.exits import FaceSet, FrozenDecoder, MapExit
 from pica_core.types import Array
 
@@ -46,20 +44,6 @@ def trained_looking_model(block: str) -> PixelCodecAvatar:
                     values.normal_(std=0.05)
             list(decoder.named_tensors().values())[-2].mul_(100)
     return model
-
-
-def exported(model: PixelCodecAvatar) -> Avatar:
-    manifest = Manifest(
-        name="Judged",
-        identity="none",
-        licence="Apache-2.0",
-        spec=model.spec,
-        position_scale_m=model.position_scale_m,
-        view_span=ViewSpan(-60.0, 60.0, -40.0, 40.0),
-        bounds_min_m=(-0.2, -0.2, -0.2),
-        bounds_max_m=(0.2, 0.2, 0.2),
-    )
-    return Avatar(manifest, avatar_tensors(model, grid_uv(16), grid_faces(16, 16)))
 
 
 def decoded(model: PixelCodecAvatar) -> tuple[torch.Tensor, ...]:
@@ -132,15 +116,6 @@ def run(model: bytes, **inputs: Array) -> list[Array]:
     return outputs
 
 
-def some_inputs(seed: int = 1) -> dict[str, Array]:
-    rng = np.random.default_rng(seed)
-    view = rng.standard_normal((1, 3)) + np.array([0, 0, 3])
-    return {
-        "latent": rng.standard_normal((1, 8, 8, 4)),
-        "view_direction": view / np.linalg.norm(view),
-    }
-
-
 def test_a_level_that_the_avatar_lacks_has_no_graph() -> None:
     with pytest.raises(ValueError, match="level is 64; this avatar has 256"):
         decoder_graph(toy("G"), level=64)
@@ -151,11 +126,3 @@ def test_the_graph_is_valid_onnx_of_an_old_operator_set(block: str) -> None:
     model = onnx.load_from_string(decoder_graph(toy(block)))
     onnx.checker.check_model(model, full_check=True)
     assert [(entry.domain, entry.version) for entry in model.opset_import] == [("", 17)]
-
-
-def test_the_view_direction_changes_the_expression_map_alone() -> None:
-    graph, inputs = decoder_graph(toy("G")), some_inputs()
-    before = run(graph, **inputs)
-    after = run(graph, latent=inputs["latent"], view_direction=np.array([[0.6, 0.0, 0.8]]))
-    np.testing.assert_array_equal(before[0], after[0])
-    assert np.abs(before[1] - after[1]).max() > 1e-3

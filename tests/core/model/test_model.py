@@ -10,7 +10,7 @@ from helpers.trainable import toy_prior
 from pica_core.avatar.spec import AvatarSpec
 from pica_core.model.avatar import PixelCodecAvatar
 from pica_core.model.interface import ModelOptions, Surface, flat_latent, grid_of_latent
-from pica_core.model.networks import PaperEncoder, sample_map
+from pica_core.model.networks import ENCODERS, sample_map
 from pica_core.model.pixel_decoder import PixelDecoder
 
 pytestmark = pytest.mark.train
@@ -29,7 +29,7 @@ def small_avatar() -> PixelCodecAvatar:
 
 
 def test_the_papers_encoder_gives_mean_and_variance_of_an_8_by_8_by_4_latent() -> None:
-    encoder = PaperEncoder()
+    encoder = ENCODERS["paper"]()
     assert (
         count(encoder)
         == 512 * 49
@@ -45,16 +45,6 @@ def test_the_papers_encoder_gives_mean_and_variance_of_an_8_by_8_by_4_latent() -
     assert mean.shape == log_variance.shape == (1, 4, 2, 2)
 
 
-def test_an_untrained_geometry_decoder_starts_near_the_mean_face() -> None:
-    avatar = small_avatar()
-
-    with torch.no_grad():
-        positions = avatar.decode_mesh(torch.randn(1, 4, 8, 8)).position_map_m
-
-    assert positions is not None
-    assert (positions - avatar.position_mean).abs().max() < 0.005
-
-
 def test_the_colour_loss_reaches_uv_and_not_xyz() -> None:
     xyz, uv = (torch.rand(5, width, requires_grad=True) for width in (3, 2))
     surface = Surface(torch.zeros(5, dtype=torch.int64), uv, xyz)
@@ -63,19 +53,6 @@ def test_the_colour_loss_reaches_uv_and_not_xyz() -> None:
 
     assert xyz.grad is None
     assert uv.grad is not None
-
-
-def test_pixels_of_several_images_read_their_own_expression_map() -> None:
-    avatar = small_avatar()
-    maps = torch.stack([torch.zeros(4, 256, 256), torch.ones(4, 256, 256)])
-    uv = torch.full((2, 2), 0.5)
-    xyz = torch.zeros(2, 3)
-
-    both = avatar.shade(maps, Surface(torch.tensor([0, 1]), uv, xyz))
-    second = avatar.shade(maps[1:], Surface(torch.tensor([0]), uv[:1], xyz[:1]))
-
-    assert torch.allclose(both[1], second[0])
-    assert not torch.allclose(both[0], both[1])
 
 
 def test_the_drawn_and_the_tracked_mesh_are_samples_of_one_map() -> None:

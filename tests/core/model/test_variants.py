@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
 from helpers.tolerances import PIXEL_FLOAT32
-from helpers.toy import PAPER_SPEC, grid_faces
-from helpers.trainable import grid_uv, toy_prior
+from helpers.toy import PAPER_SPEC
+from helpers.trainable import exported, toy_prior
 from pica_core.avatar.arkit import ARKIT_INDEX
-from pica_core.avatar.file import Avatar, load_avatar, save_avatar
-from pica_core.avatar.manifest import Manifest, ViewSpan
 from pica_core.avatar.spec import FULL, TABLE_1, TABLE_2, VARIANTS, AvatarSpec
 from pica_core.model.avatar import PixelCodecAvatar, make_model
 from pica_core.model.interface import (
@@ -26,7 +23,6 @@ from pica_core.model.interface import (
     flat_latent,
 )
 from pica_core.reference import decode_pixels, encode_surface
-from pica_core.train.export import avatar_tensors
 
 pytestmark = pytest.mark.train
 
@@ -41,22 +37,6 @@ DECODED = [name for name, row in VARIANTS.items() if row.geometry == "decoder"]
 def small_model(variant: str) -> AvatarModel:
     torch.manual_seed(2)
     return make_model(variant, SMALL, PRIOR, OPTIONS)
-
-
-def exported(variant: str) -> tuple[PixelCodecAvatar, Avatar]:
-    model = small_model(variant)
-    assert isinstance(model, PixelCodecAvatar)
-    manifest = Manifest(
-        name="Judged",
-        identity="none",
-        licence="Apache-2.0",
-        spec=model.spec,
-        position_scale_m=model.position_scale_m,
-        view_span=ViewSpan(-60.0, 60.0, -40.0, 40.0),
-        bounds_min_m=(-0.2, -0.2, -0.2),
-        bounds_max_m=(0.2, 0.2, 0.2),
-    )
-    return model, Avatar(manifest, avatar_tensors(model, grid_uv(16), grid_faces(16, 16)))
 
 
 def some_pixels() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -112,7 +92,9 @@ def replace_tracked(count: int) -> FacePrior:
 
 @pytest.mark.parametrize("variant", [v for v in DECODED if v != "baseline"])
 def test_torch_colours_pixels_as_the_reference_does(variant: str) -> None:
-    model, avatar = exported(variant)
+    model = small_model(variant)
+    assert isinstance(model, PixelCodecAvatar)
+    avatar = exported(model)
     codes, xyz_m, uv = some_pixels()
     reference = decode_pixels(avatar.spec, avatar.tensors, codes, xyz_m, uv, np.float64)
 
@@ -131,17 +113,6 @@ def test_sinusoids_are_forty_and_run_through_whole_turns() -> None:
     assert code.shape == (2, 40)
     np.testing.assert_allclose(code[0, :8], [1, 0, 0, -1, 0, 0, -1, 1], atol=1e-12)
     np.testing.assert_allclose(code[1], np.tile([0, 0, 1, 1], 10), atol=1e-12)
-
-
-@pytest.mark.parametrize("variant", [v for v in DECODED if v != "baseline"])
-def test_a_variant_comes_back_from_its_file(variant: str, tmp_path: Path) -> None:
-    _, avatar = exported(variant)
-
-    save_avatar(tmp_path / "v.pica", avatar)
-    read = load_avatar(tmp_path / "v.pica")
-
-    assert read.spec == avatar.spec
-    assert read.tensors.keys() == avatar.tensors.keys()
 
 
 @pytest.mark.parametrize("variant", DECODED)

@@ -40,12 +40,6 @@ def test_a_texel_centre_gives_the_texel() -> None:
             )
 
 
-@pytest.mark.parametrize("uv", [(-3.0, 0.5), (0.0, 0.5), (0.1, 0.5)])
-def test_outside_the_centres_the_edge_continues(uv: tuple[float, float]) -> None:
-    texture = np.array([[[5.0], [7.0], [9.0]]], np.float32)
-    assert sample_bilinear(texture, uv)[0] == 5.0
-
-
 def test_decoding_agrees_with_one_pixel_computed_by_hand() -> None:
     expression, xyz_m, uv = some_pixels(1)
 

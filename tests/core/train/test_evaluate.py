@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import shutil
 from dataclasses import replace
@@ -13,52 +12,29 @@ import numpy as np
 import pytest
 from skimage.metrics import structural_similarity
 
-from helpers.small_capture import NAME, render_capture
+from helpers.small_capture import NAME
 from pica_core.avatar.spec import BLOCKS, VARIANTS
 from pica_core.capture.dataset.dataset import Capture
-from pica_core.capture.stage.synth import RenderOptions
 from pica_core.errors import CaptureError, CheckpointError, TrainingOptionError
 from pica_core.train.cli.eval import EvalOptions, error_table, eval_runs
 from pica_core.train.cli.train import ClaimOptions, TrainOptions, bench_claim, views_below
 from pica_core.train.config import PRESETS
 from pica_core.train.data import TrainingData
-from pica_core.train.evaluate import (
-    BEST_PSNR_DB,
-    bootstrap_interval,
-    change_mse,
-    psnr_db,
-    ssim,
-)
+from pica_core.train.evaluate import change_mse, psnr_db, ssim
 from pica_core.train.train import open_trainer, read_checkpoint
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
 
 VARIANTS_HERE = ("full", "baseline", "coarse")
-STAGE = RenderOptions(
-    frames=20,
-    cameras=1,
-    size="80x80",
-    texture_size=64,
-    tracked_vertices=400,
-)
 
 
 @pytest.fixture(scope="module")
-def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("capture")
-    render_capture(STAGE, folder)
-    return folder
+def data(captured: Path) -> TrainingData:
+    return TrainingData(Capture.open(captured))
 
 
 @pytest.fixture(scope="module")
-def data(capture: Path) -> TrainingData:
-    return TrainingData(Capture.open(capture))
-
-
-@pytest.fixture(scope="module")
-def runs(
-    capture: Path, data: TrainingData, tmp_path_factory: pytest.TempPathFactory
-) -> dict[str, Path]:
+def runs(data: TrainingData, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Runs that were stopped before their first step: means of the capture, no motion."""
     folders: dict[str, Path] = {}
     for variant in VARIANTS_HERE:
@@ -69,9 +45,12 @@ def runs(
     return folders
 
 
-def test_an_error_of_one_step_is_48_db() -> None:
+def test_an_error_of_one_step_is_48_db_and_a_constant_one_does_not_flicker() -> None:
+    seen = np.zeros((5, 3)), np.full((5, 3), 4.0)
+
     assert psnr_db(1.0) == pytest.approx(48.13, abs=0.01)
-    assert psnr_db(0.0) == BEST_PSNR_DB
+    assert change_mse((seen[0] + 10, seen[1] + 10), seen) == 0
+    assert change_mse((seen[0] + 10, seen[1] - 10), seen) == 400
 
 
 def test_ssim_of_covered_pixels_agrees_with_another_implementation() -> None:
@@ -85,27 +64,6 @@ def test_ssim_of_covered_pixels_agrees_with_another_implementation() -> None:
     )  # fmt: skip
 
     assert ssim(a, b, covered) == pytest.approx(wanted[covered].mean(), rel=1e-9)
-
-
-def test_a_constant_error_does_not_flicker_and_an_alternating_one_does() -> None:
-    seen = np.zeros((5, 3)), np.full((5, 3), 4.0)
-
-    steady = change_mse((seen[0] + 10, seen[1] + 10), seen)
-    alternating = change_mse((seen[0] + 10, seen[1] - 10), seen)
-
-    assert steady == 0
-    assert alternating == 400
-
-
-def test_the_bootstrap_interval_covers_the_mean_as_the_normal_one_does() -> None:
-    values = np.random.default_rng(3).normal(20, 5, 200).tolist()
-
-    low, high = bootstrap_interval(values)
-
-    half = 1.96 * np.std(values) / np.sqrt(len(values))
-    assert low == pytest.approx(np.mean(values) - half, abs=0.1)
-    assert high == pytest.approx(np.mean(values) + half, abs=0.1)
-    assert bootstrap_interval(values) == (low, high)
 
 
 @pytest.fixture(scope="module")
@@ -137,14 +95,7 @@ def test_rows_of_a_table_have_what_the_charts_need(
     blocks = {row["variant"]: row["block"] for row in rows}
     assert blocks["baseline"] is None
     assert blocks["full"] in BLOCKS
-
-
-def test_the_report_names_every_model_and_is_written(table: dict[str, Any]) -> None:
-    text = (table["out"] / "table.md").read_text()
-
-    for variant in VARIANTS_HERE:
-        assert f"| {NAME} | {variant} |" in text
-    assert json.loads((table["out"] / "eval.json").read_text())["table"] == 1
+    assert f"| {NAME} | coarse |" in (table["out"] / "table.md").read_text()
 
 
 ROW = {"identity": "S1", "view": "front", "mse_low": 0.0, "mse_high": 9.0, "variant": "full"}
@@ -168,11 +119,11 @@ def test_runs_of_no_row_of_the_table_are_an_error(runs: dict[str, Path]) -> None
 
 
 def test_runs_that_a_table_would_show_as_one_are_refused(
-    runs: dict[str, Path], capture: Path, tmp_path: Path
+    runs: dict[str, Path], captured: Path, tmp_path: Path
 ) -> None:
     again, other, elsewhere = (tmp_path / name for name in ("again", "other", "elsewhere"))
     shutil.copytree(runs["full"], again)
-    shutil.copytree(capture, elsewhere)
+    shutil.copytree(captured, elsewhere)
     config = read_checkpoint(runs["coarse"])["config"]
     with open_trainer(TrainingData(Capture.open(elsewhere)), config, other) as trainer:
         trainer.save()
@@ -181,7 +132,7 @@ def test_runs_that_a_table_would_show_as_one_are_refused(
         eval_runs(EvalOptions(runs=(runs["full"], runs["coarse"], again)))
     with pytest.raises(TrainingOptionError, match="are both full"):
         eval_runs(EvalOptions(runs=(runs["full"], runs["full"])))
-    with pytest.raises(TrainingOptionError, match=f"{capture} and {elsewhere} are two captures"):
+    with pytest.raises(TrainingOptionError, match=f"{captured} and {elsewhere} are two captures"):
         eval_runs(EvalOptions(runs=(runs["full"], other)))
 
 
@@ -196,21 +147,14 @@ def test_the_command_knows_every_variant_and_preset() -> None:
 STEPS = dict.fromkeys(("geometry_steps", "joint_steps", "driver_steps"), 3)
 
 
-@pytest.fixture(scope="module")
-def someone(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("heads") / "someone"
-    render_capture(replace(STAGE, cameras=2, size="64x64"), folder)
-    return folder
-
-
 def test_rows_name_errors_of_each_model_and_view_and_finished_runs_stay(
-    someone: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    captured: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(PRESETS, "tiny", replace(PRESETS["tiny"], **STEPS))
 
     def options(**changes: Any) -> ClaimOptions:
         given = {"variants": ("linear", "baseline"), "preset": "tiny", "seeds": 1, **changes}
-        return ClaimOptions(**{"captures": (someone,), "out": tmp_path, "eval_frames": 2, **given})
+        return ClaimOptions(**{"captures": (captured,), "out": tmp_path, "eval_frames": 2, **given})
 
     result = bench_claim(options())
 

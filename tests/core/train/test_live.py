@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import torch
 
-from helpers.small_capture import render_capture
 from pica_core.avatar.arkit import ARKIT_INDEX, NUM_ARKIT
 from pica_core.avatar.file import Avatar, avatar_file, load_avatar
 from pica_core.avatar.linear import Bases, components_of
@@ -16,7 +15,6 @@ from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.stage.expressions import sample_takes
 from pica_core.capture.stage.synth import (
     Poses,
-    RenderOptions,
     pose_expressions,
     read_picture,
     read_poses,
@@ -100,14 +98,6 @@ def test_poses_come_back_from_a_capture_within_a_hundredth_of_a_millimetre(tmp_p
         read_poses(tmp_path, 4)
 
 
-@pytest.fixture(scope="module")
-def captured(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("live") / "capture"
-    options = RenderOptions(frames=12, cameras=2, size="96x96", texture_size=64)
-    render_capture(options, folder)
-    return folder
-
-
 def live_loss(trainer: Trainer) -> float:
     """On the same pictures and pixels whenever it is asked for."""
     with torch.no_grad():
@@ -119,10 +109,10 @@ def test_a_capture_shows_every_pose_by_one_of_its_cameras(captured: Path) -> Non
     capture = Capture.open(captured)
     poses = read_poses(captured, len(capture.topology.vertex_uv))
     assert poses is not None
-    assert len(poses.cameras) == len(poses.arkit) == 24
+    assert len(poses.cameras) == len(poses.arkit) == 40
     assert set(poses.cameras) == {camera.name for camera in capture.cameras}
-    pictures = [read_picture(captured, number) for number in range(24)]
-    assert {picture.shape for picture in pictures} == {(96, 96, 3)}
+    pictures = [read_picture(captured, number) for number in range(40)]
+    assert {picture.shape for picture in pictures} == {(128, 128, 3)}
     assert min(picture.std() for picture in pictures) > 10  # a head, each
 
 

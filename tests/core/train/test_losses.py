@@ -10,13 +10,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from pica_core.capture.dataset.dataset import Topology
 from pica_core.train import losses
 from pica_core.train.losses import (
     follow_mean,
     laplacian_smoothness,
     mesh_laplacian,
-    smoothness_weights,
 )
 from pica_core.types import Float64Array
 
@@ -102,26 +100,13 @@ def plane_points(slope: float, step: float = 0.001) -> tuple[Tensor, Tensor, Ten
 
 def test_the_normal_of_a_slanted_plane_leans_as_it_does() -> None:
     half = math.sqrt(0.5)
+    leaning = torch.tensor([[half, 0.0, -half]], dtype=torch.float64)
 
-    assert torch.allclose(
-        losses.screen_normals(*plane_points(1.0)),
-        torch.tensor([[half, 0.0, -half]], dtype=torch.float64),
-    )
+    found = losses.screen_normals(*plane_points(1.0))
 
-
-def test_gradients_of_the_normal_loss_agree_with_finite_differences() -> None:
-    depth = (1 + 0.002 * random(3, 6)).requires_grad_()
-    rays = torch.cat([0.001 * random(3, 6, 2, seed=3), torch.ones(3, 6, 1).double()], 2)
-    rays[1, :, 0] += 0.001
-    rays[2, :, 1] += 0.001
-    observed = torch.nn.functional.normalize(random(6, 3, seed=2) - 0.5, dim=1)
-    mask = torch.tensor([True, True, False, True, True, True])
-
-    def loss(values: Tensor) -> Tensor:
-        points = rays * values[:, :, None]
-        return losses.normal_loss(losses.screen_normals(*points), observed, one_image(6, mask))
-
-    assert torch.autograd.gradcheck(loss, (depth,), eps=1e-9, atol=1e-3)
+    assert torch.allclose(found, leaning)
+    ahead = torch.tensor([[0.0, 0.0, -1.0]], dtype=torch.float64)
+    assert float(losses.normal_loss(found, ahead, one_image(1))) == pytest.approx(2 - 2 * half)
 
 
 # --- smoothness
@@ -182,17 +167,6 @@ def test_triangles_without_area_leave_the_laplacian_finite() -> None:
     laplacian = mesh_laplacian(points, faces, random(1))
 
     assert torch.isfinite(laplacian @ torch.from_numpy(points)).all()
-
-
-def test_hair_and_mouth_are_held_five_times_as_hard() -> None:
-    regions = {"hair": np.array([True, False, False]), "mouth": np.array([False, True, False])}
-    triangle = Topology(
-        vertex_uv=np.zeros((3, 2), np.float32),
-        faces=np.array([[0, 1, 2]], np.int32),
-        regions=regions,
-    )
-
-    assert smoothness_weights(triangle).tolist() == [1.25, 1.25, 0.25]
 
 
 def test_the_mean_mesh_follows_slowly_and_without_gradient() -> None:

@@ -36,21 +36,6 @@ FACE = np.array([[0, 1, 2]], np.int32)
 TOPOLOGY = Topology(vertex_uv=np.eye(3, 2, dtype=np.float32), faces=FACE, regions={})
 
 
-def test_up_lands_in_upper_rows_and_the_subjects_left_in_right_columns() -> None:
-    with Rasteriser(FACE, 3) as rasteriser:
-        moved = np.stack([TRIANGLE + np.float32([0, 0.1, 0]), TRIANGLE + np.float32([0.1, 0, 0])])
-        raised, shifted = rasteriser.triangle_ids(moved, [front_camera()] * 2)
-
-    assert np.nonzero(raised >= 0)[0].mean() < 32 < np.nonzero(shifted >= 0)[1].mean()
-
-
-def test_back_faces_are_not_drawn() -> None:
-    with Rasteriser(FACE[:, ::-1].copy(), 3) as rasteriser:
-        ids = rasteriser.triangle_ids(TRIANGLE[None], [front_camera()])
-
-    assert (ids < 0).all()
-
-
 def test_a_rasteriser_draws_on_after_another_of_its_thread_is_closed() -> None:
     with Rasteriser(FACE, 3) as first:
         before = first.triangle_ids(TRIANGLE[None], [front_camera()])
@@ -142,20 +127,6 @@ def several_views(count: int, size: int = 24) -> list[Camera]:
     ]
 
 
-def test_a_batch_gives_what_its_images_give_one_by_one() -> None:
-    meshes = np.stack([TRIANGLE, TRIANGLE + np.float32([0, 0.05, 0]), 0.5 * TRIANGLE])
-    cameras = several_views(3)
-
-    with Rasteriser(FACE, 3) as rasteriser:
-        together = rasteriser.triangle_ids(meshes, cameras)
-        alone = [
-            rasteriser.triangle_ids(mesh[None], [camera])[0]
-            for mesh, camera in zip(meshes, cameras, strict=True)
-        ]
-
-    assert (together == np.stack(alone)).all()
-
-
 def test_cameras_of_two_sizes_make_no_batch() -> None:
     with Rasteriser(FACE, 3) as rasteriser, pytest.raises(ShapeError, match="several image sizes"):
         rasteriser.triangle_ids(np.stack([TRIANGLE] * 2), [front_camera(16), front_camera(17)])
@@ -181,25 +152,6 @@ def test_gradients_through_a_batch_of_cameras_agree_with_finite_differences() ->
         return weights, views.to_head(image, rays * depth_m[:, None])
 
     assert torch.autograd.gradcheck(points, (meshes.requires_grad_(),))
-
-
-@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="needs Linux's /proc")
-def test_many_renders_of_changing_size_leave_no_memory_behind() -> None:
-    # 400 here; 10,000 by hand: see docs/training.md.
-    def resident_bytes() -> int:
-        with open("/proc/self/statm") as statm:
-            return int(statm.read().split()[1]) * 4096
-
-    meshes = np.stack([TRIANGLE] * 3)
-    with Rasteriser(FACE, 3) as rasteriser:
-        for index in range(500):
-            count = 1 + index % 3
-            rasteriser.triangle_ids(meshes[:count], several_views(count, 128 + 8 * (index % 2)))
-            if index == 99:
-                before = resident_bytes()
-        grown = resident_bytes() - before
-
-    assert grown < 8 << 20  # a kept framebuffer of one batch would make 50 MB
 
 
 def test_triton_is_loaded_before_a_driver_can_be(tmp_path: Path) -> None:

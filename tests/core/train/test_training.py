@@ -11,12 +11,10 @@ import numpy as np
 import pytest
 import torch
 
-from helpers.small_capture import render_capture
 from pica_core.avatar.expression_encoder import ExpressionEncoder
 from pica_core.avatar.file import load_avatar, save_avatar
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.dataset.files import Topology
-from pica_core.capture.stage.synth import RenderOptions
 from pica_core.capture.triangles import components
 from pica_core.errors import CheckpointError, TrainingDivergedError
 from pica_core.model.networks import sample_map
@@ -24,7 +22,7 @@ from pica_core.train.config import PRESETS, TrainConfig
 from pica_core.train.data import TrainingData, rasterise_uv, view_direction
 from pica_core.train.evaluate import evaluate, mean_mse
 from pica_core.train.export import EVALUATION_FILE, fill_unseen, make_avatar, model_card
-from pica_core.train.train import open_trainer, rate_ratio, read_checkpoint
+from pica_core.train.train import open_trainer, rate_ratio
 from pica_core.types import FloatArray
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
@@ -35,11 +33,8 @@ shows the mean texture already)."""
 
 
 @pytest.fixture(scope="module")
-def data(tmp_path_factory: pytest.TempPathFactory) -> TrainingData:
-    folder = tmp_path_factory.mktemp("capture")
-    options = RenderOptions(frames=12, cameras=2, size="128x128", texture_size=64)
-    render_capture(options, folder)
-    return TrainingData(Capture.open(folder))
+def data(captured: Path) -> TrainingData:
+    return TrainingData(Capture.open(captured))
 
 
 def short(geometry: int, joint: int, driver: int) -> TrainConfig:
@@ -79,17 +74,6 @@ def test_a_resumed_run_gives_the_numbers_of_an_uninterrupted_one(
         assert all(torch.equal(resumed[name], values) for name, values in whole.items())
 
 
-def test_a_run_with_other_options_is_not_resumed(data: TrainingData, tmp_path: Path) -> None:
-    with open_trainer(data, short(1, 1, 1), tmp_path) as trainer:
-        trainer.save()
-
-    with (
-        open_trainer(data, short(2, 1, 1), tmp_path) as trainer,
-        pytest.raises(CheckpointError, match="other options"),
-    ):
-        trainer.restore()
-
-
 def test_a_run_of_another_capture_is_not_resumed(
     data: TrainingData, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -114,13 +98,6 @@ def test_frames_far_from_the_mean_are_drawn_more_often(data: TrainingData) -> No
     ratio = data.rarity.max() / data.rarity.mean()
     assert ratio > 1.2
     assert balanced / alike == pytest.approx(ratio, rel=0.2)
-
-
-def test_a_damaged_checkpoint_is_refused_by_name(tmp_path: Path) -> None:
-    (tmp_path / "checkpoint.pt").write_bytes(b"not a checkpoint")
-
-    with pytest.raises(CheckpointError, match=r"checkpoint\.pt"):
-        read_checkpoint(tmp_path)
 
 
 def test_a_loss_that_is_not_finite_stops_the_run_and_keeps_the_checkpoint(
@@ -210,17 +187,6 @@ def test_the_position_map_of_a_mesh_gives_its_vertices_back(data: TrainingData) 
     apart_m = np.abs(offsets - wanted).max(1)
     assert np.median(apart_m) < 1e-5
     assert np.quantile(apart_m, 0.9) < 1e-4
-
-
-def test_texels_outside_the_charts_take_the_nearest_chart() -> None:
-    uv = np.array([[0.25, 0.25], [0.75, 0.25], [0.25, 0.75], [0.75, 0.75]], np.float32)
-    faces = np.array([[0, 2, 1], [1, 2, 3]], np.int32)
-
-    raster = rasterise_uv(uv, faces, 16)
-    filled = raster.position_map(np.concatenate([uv, uv[:, :1]], 1))
-
-    assert raster.covered.sum() == 64
-    assert np.allclose(filled[0, 0, :2], filled[4, 4, :2])
 
 
 def test_learning_rates_rise_then_fall() -> None:

@@ -14,15 +14,14 @@ import pytest
 import torch
 
 from helpers.published_capture import SEGMENTS, write_published
-from helpers.small_capture import render_capture
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.dataset.multiface import mesh_path
-from pica_core.capture.stage.synth import RenderOptions
 from pica_core.errors import CaptureError, CheckpointError, TrainingDivergedError
 from pica_core.train.cli.train import ExportOptions, export
 from pica_core.train.config import PAPER, PRESETS, TrainConfig
 from pica_core.train.data import TrainingData
 from pica_core.train.evaluate import evaluate, successor
+from pica_core.train.losses import PLAIN_WEIGHT, ROUGH_WEIGHTS
 from pica_core.train.objectives import IMAGE_WEIGHT, KL_WEIGHT, MESH_WEIGHT
 from pica_core.train.train import open_trainer, read_checkpoint, write_checkpoint
 
@@ -30,15 +29,8 @@ pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("capture")
-    render_capture(RenderOptions(frames=6, cameras=2, size="64x64", texture_size=64), folder)
-    return folder
-
-
-@pytest.fixture(scope="module")
-def data(folder: Path) -> TrainingData:
-    return TrainingData(Capture.open(folder))
+def data(captured: Path) -> TrainingData:
+    return TrainingData(Capture.open(captured))
 
 
 def short(geometry: int, joint: int = 0, **changes: Any) -> TrainConfig:
@@ -98,14 +90,17 @@ def test_a_checkpoint_that_cannot_be_written_leaves_the_one_before(
 
     assert read_checkpoint(tmp_path)["step"] == 1
     assert list(tmp_path.iterdir()) == [path]
+    path.write_bytes(b"not a checkpoint")
+    with pytest.raises(CheckpointError, match=r"checkpoint\.pt: not a readable checkpoint"):
+        read_checkpoint(tmp_path)
 
 
 def test_a_capture_without_depth_switches_its_losses_off_and_says_so_once(
-    folder: Path, data: TrainingData, tmp_path: Path
+    captured: Path, tmp_path: Path
 ) -> None:
     bare = tmp_path / "bare"
     bare.mkdir()
-    for entry in folder.iterdir():
+    for entry in captured.iterdir():
         if entry.name != "depth":
             (bare / entry.name).symlink_to(entry)
     config = short(0, 2, depth=10.0, normal=1.0)
@@ -142,12 +137,9 @@ def test_the_paper_preset_is_the_papers_settings() -> None:
     assert PAPER.encoding_amplitude == 1.0
     assert (IMAGE_WEIGHT, PAPER.depth, PAPER.normal) == (2, 10, 1)
     assert (MESH_WEIGHT, PAPER.smooth, KL_WEIGHT) == (0.1, 1, 0.001)
-    assert (PAPER.region_weight, PAPER.lid_weight, PAPER.frame_balance, PAPER.chroma) == (
-        1,
-        1,
-        0,
-        0,
-    )
+    assert (PAPER.region_weight, PAPER.lid_weight) == (1, 1)
+    assert (PAPER.frame_balance, PAPER.chroma) == (0, 0)
+    assert (ROUGH_WEIGHTS, PLAIN_WEIGHT) == ({"hair": 1.25, "mouth": 1.25}, 0.25)
     assert (PAPER.geometry_steps, PAPER.joint_steps) == (0, 400_000)
     assert (PAPER.joint_batch, PAPER.pixels_per_image) == (4, 0)
     assert {PAPER.joint_rate, PAPER.pixel_rate, PAPER.encoding_rate} == {1e-3}

@@ -11,27 +11,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from helpers.small_capture import render_capture
 from pica_core.capture.dataset.check import check_capture
-from pica_core.capture.stage.synth import RenderOptions
 from pica_core.errors import CaptureError
 
 pytestmark = pytest.mark.render
-
-
-@pytest.fixture(scope="module")
-def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("capture") / "S1"
-    options = RenderOptions(
-        frames=5,
-        cameras=2,
-        size="64x64",
-        texture_size=64,
-        seed=5,
-        tracked_vertices=900,
-    )
-    render_capture(options, out)
-    return out
 
 
 @pytest.fixture
@@ -154,25 +137,3 @@ def test_a_segment_in_both_splits_is_refused(damaged: Path) -> None:
     )
 
     assert problems_of(damaged) == [f"{path}: segment {name} is in both splits"]
-
-
-def test_any_damage_at_all_ends_in_a_result(damaged: Path, rendered: Path) -> None:
-    random = np.random.default_rng(0)
-    files = sorted(path.relative_to(rendered) for path in rendered.rglob("*") if path.is_file())
-    describing = [name for name in files if len(name.parts) == 1]
-    for turn in range(40):
-        name = (describing if turn % 2 else files)[int(random.integers(1 << 20)) % (
-            len(describing) if turn % 2 else len(files))]  # fmt: skip
-        good = (rendered / name).read_bytes()
-        data = bytearray(good)
-        kind = turn % 4
-        if kind == 0:
-            del data[int(random.integers(len(data))) :]
-        else:
-            for at in random.integers(len(data), size=1 + 20 * kind):
-                data[at] = int(random.integers(256))
-        (damaged / name).write_bytes(data)
-
-        problems_of(damaged)  # raises nothing else than CaptureError
-        (damaged / name).write_bytes(good)
-    assert problems_of(damaged) == []

@@ -52,14 +52,6 @@ def test_a_published_mesh_has_a_vertex_for_each_side_of_a_seam(original: Path) -
     np.testing.assert_allclose(uv[capture.topology.faces[1]], [[0.9, 0.9], [0.6, 0.9], [0.9, 0.6]])
 
 
-def test_whole_segments_of_a_published_directory_are_held_out(original: Path) -> None:
-    capture = Capture.open(original)
-    train, test = ({f.segment for f in capture.frames_of(split)} for split in ("train", "test"))
-    assert train
-    assert test
-    assert not train & test
-
-
 def test_a_camera_may_miss_a_frame(original: Path) -> None:
     (original / "images" / SEGMENTS[1] / "left" / "000002.png").unlink()
     shutil.rmtree(original / "images" / SEGMENTS[2] / "right")

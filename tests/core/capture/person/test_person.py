@@ -1,5 +1,6 @@
 """People of the face model: what is chosen stands and comes back, hair and clothes lie outside."""
 
+import functools
 import json
 from pathlib import Path
 
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 
 from pica_command.main import main
+from pica_core import cli
 from pica_core.avatar.arkit import ARKIT_INDEX
 from pica_core.capture.dataset.dataset import Capture
 from pica_core.capture.dataset.multiface import MATERIALS
@@ -19,7 +21,7 @@ from pica_core.capture.person.choices import (
     read_person,
 )
 from pica_core.capture.person.hair import STYLES, cover, grow, raise_cap
-from pica_core.capture.person.subject import CUTS, close_lips, dress, dress_surface
+from pica_core.capture.person.subject import CUTS, PersonSubject, close_lips, dress, dress_surface
 from pica_core.capture.rig.features import LID_M, Limits, find_features
 from pica_core.capture.rig.head import PoseGuard
 from pica_core.capture.rig.mesh import RigMesh
@@ -128,9 +130,8 @@ def test_hair_lies_outside_of_head_and_clothes(name: str) -> None:
         assert np.linalg.norm(head, axis=1).min() > 0.97
 
 
-@pytest.mark.parametrize("seed", [3, 7])
-def test_lids_meet_in_a_blink_whatever_else_they_do(seed: int) -> None:
-    person = draw_person(seed)
+def test_lids_meet_in_a_blink_whatever_else_they_do() -> None:
+    person = draw_person(3)
     mesh = dress(read_model().mesh(person.coefficients), person)[0]
     posed, features = Posed(mesh), find_features(mesh)
     edge = features.regions["lids"] & (features.eye_gap_m < LID_M)
@@ -157,6 +158,8 @@ def test_a_blink_closes_only_what_a_glance_down_has_left_open() -> None:
     assert limits.apply(blend(eyeBlink=1.0))[blink] == pytest.approx(1.0, abs=1e-5)
     assert 0.1 < limits.apply(blend(eyeBlink=1.0, eyeLookDown=1.0))[blink] < 0.9
     assert limits.apply(blend(eyeBlink=0.3, eyeLookDown=0.3))[blink] == pytest.approx(0.3)
+    lips = ARKIT_INDEX["mouthClose"]  # which closes no further than the jaw is open
+    assert limits.apply(blend(mouthClose=1.0, jawOpen=0.4))[lips] == pytest.approx(0.4)
 
 
 def test_lips_that_an_identity_parts_meet_at_rest() -> None:
@@ -172,7 +175,11 @@ def test_lips_that_an_identity_parts_meet_at_rest() -> None:
     assert before > 40 > 5 > after
 
 
-def test_a_person_becomes_a_capture_with_all_that_was_chosen(tmp_path: Path) -> None:
+def test_a_person_becomes_a_capture_with_all_that_was_chosen(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    quick = functools.partial(PersonSubject, coarse=True, self_shadow=False)
+    monkeypatch.setattr(cli, "PersonSubject", quick)
     words = ["capture", "person", "--out", str(tmp_path / "out")]
     options = ["--frames", "4", "--cameras", "1", "--size", "48x48", "--texture-size", "64"]
     assert main([*words, *options, "--seed", "9", "--hair", "buzz", "--age", "50"]) == 0

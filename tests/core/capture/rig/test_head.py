@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 
 from helpers.rig_toy import glb_bytes, glb_parts, toy_rig, write_glb
-from pica_core.avatar.arkit import ARKIT_NAMES, EYE_YAW, NUM_ARKIT
-from pica_core.capture.person.choices import NUM_MODES, read_model
+from pica_core.avatar.arkit import EYE_YAW, NUM_ARKIT
 from pica_core.capture.rig.chart import add_gutters
 from pica_core.capture.rig.gltf import read_rig
 from pica_core.capture.rig.head import RigHead, make_rig
-from pica_core.capture.rig.names import map_names
 from pica_core.capture.stage.expressions import blend
 from pica_core.capture.triangles import signed_areas
 
@@ -21,11 +19,6 @@ pytestmark = [pytest.mark.unit, pytest.mark.slow]
 @pytest.fixture(scope="module")
 def toy(tmp_path_factory: pytest.TempPathFactory) -> RigHead:
     return make_rig(read_rig(write_glb(tmp_path_factory.mktemp("rig") / "toy.glb", toy_rig())))
-
-
-@pytest.fixture(scope="module")
-def person() -> RigHead:
-    return RigHead(read_model().mesh(np.zeros(NUM_MODES)), map_names(ARKIT_NAMES), "mean")
 
 
 def assert_no_overlap(head: RigHead, size: int = 256) -> None:
@@ -145,33 +138,3 @@ def test_a_rig_without_texture_coordinates_gets_some(tmp_path: Path) -> None:
 
     assert head.mended == len(head.mesh.faces)
     assert_no_overlap(head)
-
-
-def test_neck_scalp_and_ears_of_a_person_lie_where_they_should(person: RigHead) -> None:
-    regions, rest = person.features.regions, person.mesh.rest_m
-    eye_y = float(np.mean([eye.centre_m[1] for eye in person.mesh.eyes]))
-
-    for side in (1.0, -1.0):  # an ear is about 64 mm high (Farkas 1994) and lies behind the face
-        ear = rest[regions["ears"] & (side * rest[:, 0] > 0)]
-        assert 500 < len(ear) < 700
-        assert 0.055 < np.ptp(ear[:, 1]) < 0.075
-        assert 0.025 < np.ptp(ear[:, 2]) < 0.050
-        assert ear[:, 2].max() < 0.02
-    assert rest[regions["neck"], 1].max() < eye_y - 0.05
-    assert not (regions["neck"] & (rest[:, 2] > 0.09)).any()  # the chin is none of it
-    assert rest[regions["scalp"], 1].max() == rest[:, 1].max()
-    for one, other in (("neck", "scalp"), ("neck", "ears"), ("neck", "lips"), ("scalp", "lids")):
-        assert not (regions[one] & regions[other]).any(), (one, other)
-
-
-def test_a_mouth_of_a_person_closes_no_further_than_it_is_open(person: RigHead) -> None:
-    rest = person.vertices(np.zeros(NUM_ARKIT))
-    alone = person.vertices(blend(mouthClose=1.0))
-    np.testing.assert_array_equal(alone, rest)
-
-    lips = person.topology.regions["lips"]
-    opened = np.linalg.norm((person.vertices(blend(jawOpen=0.6)) - rest)[lips], axis=1)
-    closed = np.linalg.norm(
-        (person.vertices(blend(jawOpen=0.6, mouthClose=0.6)) - rest)[lips], axis=1
-    )
-    assert closed.max() < 0.5 * opened.max()

@@ -21,7 +21,7 @@ pytestmark = [pytest.mark.unit, pytest.mark.slow]
 
 @pytest.fixture(scope="module")
 def head() -> RigHead:
-    return small_head(coarse=False)
+    return small_head()
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +32,7 @@ def dense(head: RigHead) -> Topology:
 @pytest.fixture(scope="module")
 def tracked(head: RigHead, dense: Topology) -> tuple[Topology, np.ndarray]:
     shapes = [blend(), blend(jawOpen=0.7), blend(eyeBlink=1.0)]
-    return track_topology(dense, np.stack([head.vertices(each) for each in shapes]))
+    return track_topology(dense, np.stack([head.vertices(each) for each in shapes]), 2000)
 
 
 def edges_of(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -40,11 +40,11 @@ def edges_of(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.unique(edges, axis=0, return_counts=True)
 
 
-def test_the_tracked_mesh_is_7000_of_the_dense_vertices_in_one_sheet(
+def test_the_tracked_mesh_is_so_many_of_the_dense_vertices_in_one_sheet(
     head: RigHead, dense: Topology, tracked: tuple[Topology, np.ndarray]
 ) -> None:
     topology, index = tracked
-    assert 6500 <= len(index) <= 7500
+    assert 1800 <= len(index) <= 2200
     assert len(np.unique(index)) == len(index)
     np.testing.assert_array_equal(topology.vertex_uv, dense.vertex_uv[index])
     assert edges_of(topology.faces)[1].max() == 2  # no edge has three triangles
@@ -53,7 +53,7 @@ def test_the_tracked_mesh_is_7000_of_the_dense_vertices_in_one_sheet(
     outwards = head.normals(head.vertices(blend()))[index][topology.faces].mean(axis=1)
     inwards = (np.cross(b - a, c - a) * outwards).sum(1) < 0
     inside = topology.regions["mouth_interior"][topology.faces].any(1)
-    assert inwards[~inside].mean() < 0.002
+    assert inwards[~inside].mean() < 0.005
 
 
 def test_a_tracker_errs_smoothly_by_less_than_a_millimetre(

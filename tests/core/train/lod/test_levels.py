@@ -19,7 +19,7 @@ from pica_core.train.lod.exits import (
     fit_map,
 )
 from pica_core.train.lod.levels import seen_vertices
-from pica_core.train.lod.simplify import Simplifier, weld
+from pica_core.train.lod.simplify import Simplifier
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("one_thread")]
 
@@ -84,33 +84,7 @@ def test_a_fitted_map_gives_its_values_back_at_its_points() -> None:
     assert (sample_map(found[None], points)[0] - values).abs().max() < 0.02
 
 
-def test_texels_that_no_point_reads_keep_their_start() -> None:
-    points = torch.tensor([[0.1, 0.1]])
-    start = torch.full((1, 8, 8), 3.0)
-    found = fit_map(points, torch.tensor([[5.0]]), start)
-    assert torch.equal(found[:, 4:, 4:], start[:, 4:, 4:])
-    assert float(sample_map(found[None], points)[0, 0, 0]) == pytest.approx(5.0, abs=0.02)
-
-
-def test_no_texel_goes_wrong_with_as_many_points_as_a_level_gets() -> None:
-    def waves(uv: torch.Tensor) -> torch.Tensor:
-        return torch.sin(25 * uv[:, :1]) + torch.cos(30 * uv[:, 1:])
-
-    generator = torch.Generator().manual_seed(2)
-    per_texel = levels.BIAS_POINTS // 128**2
-    points = torch.rand(per_texel * 24 * 24, 2, generator=generator)
-    others = 0.05 + 0.9 * torch.rand(40 * 24 * 24, 2, generator=generator)
-    found = fit_map(points, waves(points), torch.zeros(1, 24, 24))
-    # 1.7 with three points a texel, and the mean hardly different
-    assert (sample_map(found[None], others)[0] - waves(others)).abs().max() < 0.6
-
-
 # Meshes
-
-
-def test_places_are_welded_within_twenty_micrometres() -> None:
-    vertices = np.array([[0, 0, 0], [1e-5, 0, 0], [0.1, 0, 0], [0.1, 1e-5, -1e-5], [0, 5e-5, 0]])
-    assert weld(vertices).tolist() == [0, 0, 2, 2, 4]
 
 
 def test_a_flat_sheet_needs_few_triangles_and_keeps_its_corners() -> None:
