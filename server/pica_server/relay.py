@@ -61,9 +61,21 @@ class Relay:
             entry: the address cannot be bound, or NATS has no JetStream or does not let us in.
     """
 
-    def __init__(self, config: RelayConfig, *, unix_time: Callable[[], float] = time.time) -> None:
-        """Prepare to listen; ``unix_time`` is the clock that tokens are checked against."""
+    def __init__(
+        self,
+        config: RelayConfig,
+        *,
+        unix_time: Callable[[], float] = time.time,
+        processor_s: Callable[[], float] = lambda: 0.0,
+    ) -> None:
+        """Prepare to listen.
+
+        Args:
+            unix_time: The clock that tokens are checked against.
+            processor_s: How long this process has worked; by default it seems idle.
+        """
         self.config = config
+        self._processor_s = processor_s
         keys: KeyRing | None = None
         if config.keys is not None:
             keys = load_keys(config.keys)
@@ -246,11 +258,13 @@ class Relay:
 
     def _watch_later(self) -> None:
         loop = asyncio.get_running_loop()
-        due_s = loop.time() + PERIOD_S
+        began_s, worked_s = loop.time(), self._processor_s()
+        due_s = began_s + PERIOD_S
 
         def look() -> None:
             now = loop.time()
             self.hub.overload.note_turn(now - due_s, now)
+            self._pump.note_work((self._processor_s() - worked_s) / (now - began_s))
             self.hub.handle_timer(now)
             self._pump.send_all()
             self._watch_later()

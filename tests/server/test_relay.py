@@ -17,6 +17,7 @@ from pica_protocol.messages import (
 )
 from pica_protocol.session import Closed
 from pica_server.config import LimitsConfig, RelayConfig
+from pica_server.net.pump import LONGEST_WAIT_S
 from pica_server.relay import Relay
 from pica_server.tokens import Admission, KeyRing, load_keys, mint
 from simnet.clock import current_network, in_virtual_time
@@ -181,6 +182,25 @@ async def test_frames_of_several_senders_share_a_message() -> None:
         await asyncio.sleep(0.001)
         assert len(bob.arrivals) == 4
         assert relay.stats()["messages_out"] - before == 1
+
+
+@pytest.mark.parametrize(("busy_ratio", "num_messages"), [(0.6, 8), (1.0, 1)])
+@in_virtual_time
+async def test_frames_wait_for_others_while_the_core_is_busy_and_not_otherwise(
+    busy_ratio: float, num_messages: int
+) -> None:
+    async with (
+        Relay(RelayConfig(), processor_s=lambda: busy_ratio * now()) as relay,
+        peer_in_room(URL, "Bob", tracks=()) as bob,
+        peer_in_room(URL, "Ada") as ada,
+    ):
+        await asyncio.sleep(1)
+        before = relay.stats()["messages_out"]
+        await ada.publish(num_frames=8, fps=1000)
+        await asyncio.sleep(0.02)
+        assert len(bob.arrivals) == 8
+        assert relay.stats()["messages_out"] - before == num_messages
+        assert max(bob.delays_s) < LONGEST_WAIT_S + 0.001
 
 
 @in_virtual_time

@@ -83,7 +83,7 @@ async def _run(options: RelayOptions) -> dict[str, Any]:
         logging_to(sys.stderr, options.log, time.monotonic),
         ExitStack() as stack,
     ):
-        server = Relay(options.config)
+        server = Relay(options.config, processor_s=time.process_time)
         if not await _unless(signals.get(), server.__aenter__()):
             return {"url": "", **server.stats()}
         try:

@@ -2,8 +2,9 @@
 
 What a websocket receives goes to the hub at once. When all sockets that were readable in a turn of
 the event loop have been read, who has got something is sent it, so frames that came in one turn
-leave in one message: nothing waits for that, and a full core saves more. While the kernel
-takes what is sent, that is all. A receiver that reads slowly gets a task of its own, which sends it
+leave in one message. Nothing waits for that until the core is busy for `BUSY_RATIO` of the time;
+above that, sending waits for as many milliseconds as keep it there. While the kernel takes what is
+sent, that is all. A receiver that reads slowly gets a task of its own, which sends it
 what its `Outbox` gives out, and the same task sends the goodbye.
 
 The buffers behind an outbox are kept small, because what they hold can be neither replaced nor
@@ -37,6 +38,11 @@ stale and cannot be replaced by newer frames)."""
 _UNSENT_BYTES = 512
 """Unsent bytes in the kernel's buffer (chosen: 64 ms of a voice at 64 kbit/s would wait behind
 them)."""
+BUSY_RATIO = 0.7
+"""Of the time; a core that works for longer sends less often (chosen: the rest is for joins and
+bursts)."""
+LONGEST_WAIT_S = 0.01
+"""How long frames wait for others on a busy core at most (chosen: a third of what a face lasts)."""
 _PACE_S = 0.02
 """Between two messages of faces alone to a slow receiver, whose line what surrounds a message would
 fill (chosen: less than a face lasts)."""
@@ -68,6 +74,7 @@ class Pump:
         self._peers: set[_Peer] = set()
         self._now: Callable[[], float] = time.monotonic
         self._soon: asyncio.Handle | None = None
+        self._wait_s = 0.0
 
     def start(self) -> None:
         """Take the time from the running loop from now on."""
@@ -155,10 +162,19 @@ class Pump:
             hub.close(connection, CloseCode.INTERNAL_ERROR, "relay fault", now)
         self.after_turn_soon()
 
+    def note_work(self, busy_ratio: float) -> None:
+        """Take note of for how much of the time since the last call the core was busy."""
+        wait_s = self._wait_s + (busy_ratio - BUSY_RATIO) * LONGEST_WAIT_S
+        self._wait_s = min(max(wait_s, 0.0), LONGEST_WAIT_S)
+
     def after_turn_soon(self) -> None:
         """See to it that what has come in this turn is sent when it is over."""
         if self._soon is None:
-            self._soon = asyncio.get_running_loop().call_soon(self._after_turn)
+            loop = asyncio.get_running_loop()
+            if self._wait_s:
+                self._soon = loop.call_later(self._wait_s, self._after_turn)
+            else:
+                self._soon = loop.call_soon(self._after_turn)
 
     def _after_turn(self) -> None:
         self._soon = None
