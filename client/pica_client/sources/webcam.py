@@ -132,7 +132,7 @@ def open_camera(text: str) -> Any:
     for options in tries:
         try:
             container = av.open(name, format=kind, options=options)
-        except (OSError, ValueError, LookupError) as error:
+        except (av.FFmpegError, OSError, ValueError, LookupError) as error:
             reason = error
             continue
         if container.streams.video:

@@ -293,6 +293,7 @@ def test_nothing_but_the_very_file_is_taken(
         ("none.mp4", None, "neither a camera nor a file|No such file"),
         ("garbage.mp4", b"\x00garbage" * 300, "webcam: .*garbage.mp4"),
         ("empty.mp4", b"", "webcam: .*empty.mp4"),
+        ("cut.ogv", b"OggS" + bytes(60), "webcam: .*cut.ogv"),
     ],
 )
 def test_what_is_no_camera_is_said_to_be_none(
