@@ -113,8 +113,6 @@ class JitterBufferReport:
     """Frames decoded from packets."""
     concealed: int = 0
     """Frames made up where speech should have been."""
-    stretched: int = 0
-    """Ticks made shorter or longer."""
 
     @property
     def concealed_ratio(self) -> float:
@@ -316,7 +314,6 @@ class JitterBuffer:
         end, begin = (0, size) if behind_s > 0 else (size, 0)
         faded = crossfade(fifo[:, end : end + FADE], fifo[:, begin : begin + FADE])
         self._fifo = np.concatenate([fifo[:, :end], faded, fifo[:, begin + FADE :]], axis=1)
-        self.report.stretched += 1
 
 
 def crossfade(before: Array, after: Array) -> Array:

@@ -17,8 +17,6 @@ from pica_client.voice.sound.settings import MixedVoice
 from pica_core.types import Array, FloatArray
 from pica_protocol.frames import Frame
 
-MAX_VOICES = 64
-"""Voices that are mixed at most."""
 LIMIT_FROM = 0.7
 """Above it the sum is bent rather than cut."""
 
@@ -78,7 +76,7 @@ class VoiceMixer:
         self.on_mixed: Callable[[FloatArray, float], None] | None = None
         self._make_decoder = make_decoder
         self._lock = threading.Lock()
-        self._voices: dict[str, _Voice] = {}  # at most MAX_VOICES
+        self._voices: dict[str, _Voice] = {}  # bounded by the room's seats
         self._volumes: dict[str, float] = {}
         self._azimuths: dict[str, float] = {}
 
@@ -87,8 +85,6 @@ class VoiceMixer:
         with self._lock:
             voice = self._voices.get(peer_id)
             if voice is None:
-                if len(self._voices) >= MAX_VOICES:
-                    return
                 voice = self._voices[peer_id] = _Voice(self._make_decoder())
             voice.buffer.receive(packet, arrived_s)
 

@@ -72,7 +72,6 @@ def test_a_calm_voice_is_played_as_it_is_a_frame_and_a_half_after_the_fastest():
     assert max(delays_s) == pytest.approx(expected_s, abs=0.003)
     report = buffer.report
     assert (report.concealed, report.lost) == (0, 0)
-    assert report.stretched <= 2
     place = int(np.argmax(np.abs(played) > 0.01))
     middle = played[RATE_HZ : 2 * RATE_HZ]
     best = np.correlate(sound[: 2 * RATE_HZ], middle, "valid").max()
@@ -92,7 +91,6 @@ def test_the_delay_grows_in_silence_with_the_lateness_of_packets_up_to_the_ceili
     played, delays_s = play(buffer, [(time, packet(i)) for i, time in enumerate(times)], 11.5)
 
     report = buffer.report
-    assert report.stretched > 0
     loud = np.abs(played) > 0.01
     assert loud.mean() == pytest.approx((np.abs(sound) > 0.01).mean(), abs=0.04)
     wait_s = np.median(delays_s[-200:]) - (FRAME_S + NETWORK_S + CODEC_DELAY_S)
@@ -192,7 +190,6 @@ def test_a_short_stall_loses_no_word_and_after_a_long_one_the_voice_is_fresh_wit
 
         report = buffer.report
         assert (report.lost > 0) == is_long
-        assert report.stretched > 0
         assert report.concealed_ratio < 0.1
         before_s, after_s = np.median(delays_s[:150]), max(delays_s[round(7.0 / FRAME_S) :])
         assert after_s < before_s + 0.2

@@ -8,11 +8,8 @@ import numpy as np
 from pica_client.voice.opus import SAMPLE_RATE_HZ
 from pica_core.types import FloatArray
 
-MAX_ERROR_S = 0.015
-"""Mean error of a place that is mended by a leap; less is not heard (chosen: half a picture)."""
-SMOOTHING = 0.1
-"""Weight of a new error in the mean: when sound comes tells little, a loudspeaker takes it early
-or late."""
+MAX_ERROR_S = 0.03
+"""Error of a place that is mended by a leap; less is not heard (chosen: a picture)."""
 LATE_S = 0.5
 """Sound that is younger than this may not have come yet."""
 MAX_SECONDS = 30.0
@@ -32,7 +29,7 @@ class Soundtrack:
         self._begin_s: float | None = None
         self._sum = np.zeros((0, 2), np.float32)  # from sample number _at on
         self._at = 0
-        self._ends: dict[str, tuple[int, float]] = {}  # number of the next sample, mean error
+        self._ends: dict[str, int] = {}  # number of the next sample
 
     def begin(self, now: float) -> None:
         """Set when the recording begins; earlier sound is left out."""
@@ -45,13 +42,10 @@ class Soundtrack:
             if self._begin_s is None:
                 return
             place = round((time_s - self._begin_s) * SAMPLE_RATE_HZ)
-            end, error = self._ends.get(who, (place, 0.0))
-            error += SMOOTHING * (place - end - error)
-            if abs(place - end) > LATE_S * SAMPLE_RATE_HZ or abs(error) > (
-                MAX_ERROR_S * SAMPLE_RATE_HZ
-            ):
-                end, error = place, 0.0
-            self._ends[who] = (end + len(sound), error)
+            end = self._ends.get(who, place)
+            if abs(place - end) > MAX_ERROR_S * SAMPLE_RATE_HZ:
+                end = place
+            self._ends[who] = end + len(sound)
             both = sound if sound.ndim == 2 else np.repeat(sound[:, None], 2, axis=1)
             first = end - self._at
             both, first = both[max(-first, 0) :], max(first, 0)
