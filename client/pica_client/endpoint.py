@@ -218,7 +218,7 @@ class Receiver(Endpoint):
         self._started = threading.Event()
         self._thread: threading.Thread | None = None
         self._error: BaseException | None = None
-        call.set_own_name(link_config.name)
+        call.own_name = link_config.name
         call.guard = self.link.guard
 
     def check(self) -> None:
@@ -370,22 +370,21 @@ class CallMonitor:
             self._away_since_s = now
         is_busy = self._is_busy(now)
         room = receiver.call.room(now, is_busy=is_busy)
-        quality = [member.quality for member in room.members]
-        return CallStatus(
-            participants=(self._own(room.own_name), *room.members),
-            news=room.news,
+        quality = [member.quality for member in room.participants]
+        return replace(
+            room,
+            participants=(self._own(receiver.call.own_name), *room.participants),
             room=link.config.room,
             invitation=invitation(link.config.url, link.config.room),
             is_encrypted=link.guard is not None,
             code="" if link.guard is None else link.guard.status.code,
-            duration_s=room.duration_s,
             is_connected=receiver.is_connected,
             away_s=0.0 if self._away_since_s is None else now - self._away_since_s,
             own_quality=own_quality(quality, self._sent_quality(now, is_busy)),
             is_admin=link.is_admin,
             muted_by_admin=self._muted_by_admin,
             own_trouble="" if receiver.own.face is None else receiver.own.face.trouble,
-            summary=self._summary(now, sum(each.payload_bps or 0.0 for each in room.members)),
+            summary=self._summary(now, sum(each.payload_bps or 0.0 for each in room.participants)),
         )
 
     def _is_busy(self, now: float) -> bool:

@@ -132,7 +132,7 @@ async def test_who_comes_later_is_told_who_records_and_of_quick_changes_the_last
         ben.receiver.say_recording(True)  # as from a command line, before anything runs
 
         def recorders(now: float) -> list[str]:
-            members = cho.receiver.call.room(now).members
+            members = cho.receiver.call.room(now).participants
             return [member.name for member in members if member.is_recording]
 
         async with asyncio.TaskGroup() as tasks:

@@ -94,7 +94,7 @@ class Viewer:
         return self.faces[-1][0]
 
     def payload_bytes(self) -> int:
-        (member,) = self.receiver.call.room(0.0).members
+        (member,) = self.receiver.call.room(0.0).participants
         return member.stream.payload_bytes
 
     def after(self, begin_s: float) -> list[tuple[float, FaceState]]:

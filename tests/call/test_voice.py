@@ -145,7 +145,7 @@ async def test_a_mute_lets_the_frame_that_was_begun_out_and_says_so() -> None:
             ada.voice.is_muted = True
             await asyncio.sleep(2.0)
             assert len(ben.packets) - before <= 2  # the one begun, and what the encoder held back
-            (member,) = ben.receiver.call.room(4.0).members
+            (member,) = ben.receiver.call.room(4.0).participants
             assert dict(member.peer.metadata) == {VOICE_KEY: "muted"}
             muted = len(ben.packets)
             ada.voice.is_muted = False

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from pica_client.avatars.library import AvatarStore
 from pica_client.call.participant import Participant, Tell
-from pica_client.call.roster import SECRET_NEEDED, SELF_ID, Member, RoomState, Roster, name_warnings
-from pica_client.call.status import FaceState, FaceStatus
+from pica_client.call.roster import SECRET_NEEDED, SELF_ID, Member, Roster, name_warnings
+from pica_client.call.status import CallStatus, FaceState, FaceStatus
 from pica_client.e2ee.secret import SealState
 from pica_client.stats import MAX_SAMPLES
 from pica_client.tracks import FACE_TRACK, voice_of
@@ -187,14 +187,18 @@ class Call:
 
     # The people
 
-    def set_own_name(self, name: str) -> None:
-        """Set our own name: other members of that name get a number."""
-        with self._lock:
-            self._roster.own_name = name
+    @property
+    def own_name(self) -> str:
+        """What the others are shown as our name; other members of that name get a number."""
+        return self._roster.own_name
 
-    def room(self, now: float, *, is_busy: bool = False) -> RoomState:
-        """Return the members of the room, watchers included, and what happened since the last
-        call; asked about twice a second.
+    @own_name.setter
+    def own_name(self, name: str) -> None:
+        self._roster.own_name = name
+
+    def room(self, now: float, *, is_busy: bool = False) -> CallStatus:
+        """Return the other members of the room, watchers included, what happened since the last
+        call, and how long we have been here; asked about twice a second.
 
         Args:
             is_busy: Whether this machine was too busy, since the last call, to say how frames come.
@@ -219,9 +223,8 @@ class Call:
                         note="connection lost" if member.is_away else note,
                     )
                 )
-            return RoomState(
-                own_name=own_name,
-                members=tuple(shown),
+            return CallStatus(
+                participants=tuple(shown),
                 news=tuple(self._roster.take_news()),
                 duration_s=0.0 if joined_s is None else now - joined_s,
             )

@@ -22,7 +22,7 @@ from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import Final, Literal, NamedTuple
+from typing import Final, Literal
 
 from pica_client.call.connection_quality import Quality
 from pica_client.playout.buffer import PlayoutReport
@@ -150,19 +150,6 @@ class Member:
     def is_recording(self) -> bool:
         """Whether this one says to keep what is seen."""
         return dict(self.peer.metadata).get(RECORDS_KEY) == RECORDS_YES
-
-
-class RoomState(NamedTuple):
-    """The members of the room, and how long we have been in it."""
-
-    own_name: str
-    """What the others are shown as our name."""
-    members: tuple[Member, ...]
-    """Everybody else, in the order of coming."""
-    news: tuple[News, ...]
-    """What happened since this was asked for the last time."""
-    duration_s: float
-    """Since we came in for the first time."""
 
 
 @dataclass(slots=True)

@@ -46,13 +46,13 @@ def person(peer_id: str, name: str, stream: int) -> Peer:
 
 def call_with(*peers: Peer, avatars: LoadedAvatars | None = None) -> Call:
     call = Call(avatars or LoadedAvatars({TOY_ID: make_toy_avatar()}))
-    call.set_own_name("Me")
+    call.own_name = "Me"
     call.receive_event(Joined(room="r", peer_id="me", peers=peers), now=0.0)
     return call
 
 
 def listed(call: Call, now: float = 1.0) -> dict[str, Member]:
-    return {each.name: each for each in call.room(now).members}
+    return {each.name: each for each in call.room(now).participants}
 
 
 def test_the_others_are_listed_in_order_of_coming_watchers_among_them() -> None:
@@ -73,7 +73,7 @@ def test_who_may_be_somebody_else_than_the_name_says_is_marked() -> None:
 def test_a_token_may_give_us_another_name() -> None:
     call = call_with()
     call.receive_event(Joined(room="r", peer_id="me", name="Dr. Me"), now=1.0)
-    assert call.room(1.0).own_name == "Dr. Me"
+    assert call.own_name == "Dr. Me"
 
 
 def test_people_of_one_name_are_told_apart_and_keep_their_numbers() -> None:

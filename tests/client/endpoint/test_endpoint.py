@@ -12,7 +12,7 @@ import pytest
 from helpers.senders import LoadedAvatars
 from helpers.toy import make_toy_avatar
 from pica_client.call.call import Call
-from pica_client.call.roster import RoomState
+from pica_client.call.status import CallStatus
 from pica_client.endpoint import CallMonitor, Receiver
 from pica_client.publish import Outgoing, Publisher, SenderConfig
 from pica_client.sources.source import Unseen
@@ -104,9 +104,9 @@ def test_a_machine_too_busy_to_take_frames_as_they_come_blames_no_connection() -
     receiver = make_receiver("ws://127.0.0.1:9")
     monitor, busy = CallMonitor(receiver), []
 
-    def room(now: float, *, is_busy: bool = False) -> RoomState:
+    def room(now: float, *, is_busy: bool = False) -> CallStatus:
         busy.append(is_busy)
-        return RoomState("me", (), (), 0.0)
+        return CallStatus()
 
     receiver.call.room = room  # type: ignore[method-assign]
     for second, late_s in enumerate((0.0, 0.02, 0.04, 0.34, 0.36)):
