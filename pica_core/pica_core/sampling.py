@@ -32,8 +32,8 @@ def sample_bilinear(texture: npt.ArrayLike, uv: npt.ArrayLike, dtype: Dtype = np
             f"texture {texels.shape} and uv {where.shape}; [H, W, C] and [..., 2] wanted"
         )
     height, width, _ = texels.shape
-    left, right, across = _neighbours(where[..., 0], width)
-    top, bottom, down = _neighbours(where[..., 1], height)
+    left, right, across = neighbours(where[..., 0], width)
+    top, bottom, down = neighbours(where[..., 1], height)
     upper = _mix(texels[top, left], texels[top, right], across)
     lower = _mix(texels[bottom, left], texels[bottom, right], across)
     return _mix(upper, lower, down)
@@ -44,12 +44,12 @@ def sample_linear(table: npt.ArrayLike, t: npt.ArrayLike, dtype: Dtype = np.floa
     entries, where = np.asarray(table, dtype), np.asarray(t, dtype)
     if entries.ndim != 2:
         raise ShapeError(f"table is {entries.shape}; [L, C] wanted")
-    low, high, weight = _neighbours(where, len(entries))
+    low, high, weight = neighbours(where, len(entries))
     return _mix(entries[low], entries[high], weight)
 
 
-def _neighbours(t: Array, count: int) -> tuple[Array, Array, Array]:
-    """Indices of the two texels around `t`, and the weight of the second."""
+def neighbours(t: Array, count: int) -> tuple[Array, Array, Array]:
+    """Indices of the two texels around `t` ``[...]``, and the weight of the second ``[..., 1]``."""
     place = t * t.dtype.type(count) - t.dtype.type(0.5)
     floor = np.floor(place)
     low = np.clip(floor, 0, count - 1).astype(np.int64)

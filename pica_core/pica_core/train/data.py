@@ -123,8 +123,7 @@ class CaptureMeshes:
     def __init__(self, capture: Capture, train_frames: list[int]) -> None:
         self._capture, self._train_frames = capture, train_frames
         dense, tracked = capture.topology, capture.tracked_topology
-        index = capture.dense_vertex
-        self._dense_vertex = np.arange(len(dense.vertex_uv)) if index is None else index
+        self._dense_vertex = capture.dense_vertex
         self.uv_raster = rasterise_uv(dense.vertex_uv, dense.faces, MAP_SIZE)
         self._tracked_raster = self.uv_raster
         if tracked is not dense:
@@ -170,42 +169,25 @@ class CaptureMeshes:
         else:
             offsets = self.tracked_m[self._train_frames] - self.tracked_mean_m
             away = np.square(offsets).sum((1, 2))
-        frame = self._train_frames[int(away.argmin())]
-        return self.best_tracked(frame) if name == "tracked" else self.best_dense(frame)
+        return self.best(self._train_frames[int(away.argmin())], name)
 
     def true_at_tracked(self, frame: int) -> FloatArray:
         """The best mesh at the vertices of the tracked topology, ``[Vt, 3]``."""
         mesh: FloatArray = self.dense_m[frame, self._dense_vertex]
         return mesh
 
-    def best_dense(self, frame: int) -> FloatArray:
-        """The mesh of the dense topology that `source` has, ``[V, 3]``: a tracked one through its
-        position map where it has fewer vertices."""
-        if self.source == "truth" or self._tracked_raster is self.uv_raster:
-            mesh: FloatArray = (
-                self.dense_m[frame] if self.source == "truth" else self.tracked_m[frame]
-            )
+    def best(self, frame: int, name: TopologyName) -> FloatArray:
+        """The mesh of a topology that `source` has, ``[V, 3]``: a tracked one on the dense topology
+        through its position map where it has fewer vertices."""
+        mesh: FloatArray = self.tracked_m[frame]
+        if self.source == "truth":
+            return self.dense_m[frame] if name == "dense" else self.true_at_tracked(frame)
+        if name == "tracked" or self._tracked_raster is self.uv_raster:
             return mesh
-        values = torch.from_numpy(self._tracked_raster.position_map(self.tracked_m[frame]))
+        values = torch.from_numpy(self._tracked_raster.position_map(mesh))
         uv = torch.from_numpy(np.ascontiguousarray(self._capture.topology.vertex_uv, np.float32))
         found = sample_map(values.permute(2, 0, 1)[None], uv)[0]
         return found.contiguous().numpy()
-
-    def best_tracked(self, frame: int) -> FloatArray:
-        """The same of the tracked topology, ``[Vt, 3]``."""
-        if self.source == "tracked":
-            mesh: FloatArray = self.tracked_m[frame]
-            return mesh
-        return self.true_at_tracked(frame)
-
-    def dense(self, frames: list[int]) -> Tensor:
-        """The best dense meshes there are, ``[N, V, 3]``."""
-        return torch.from_numpy(self.dense_m[frames])
-
-    def tracked(self, frames: list[int]) -> Tensor:
-        """Meshes of the tracked topology, ``[N, Vt, 3]``: as the tracker found them, or the best
-        surface there is at its vertices, as `source` says."""
-        return torch.from_numpy(np.stack([self.best_tracked(frame) for frame in frames]))
 
     def position_maps(self, frames: list[int]) -> Tensor:
         """What encoders see of a frame's shape: offsets from the mean, in position scales, as maps
@@ -425,8 +407,8 @@ def linear_prior(data: TrainingData) -> LinearPrior:
         CaptureError: Too few meshes.
     """
     meshes, frames = data.meshes, data.train_frames
-    dense_m = np.stack([meshes.best_dense(frame) for frame in frames])
-    tracked_m = np.stack([meshes.best_tracked(frame) for frame in frames])
+    dense_m = np.stack([meshes.best(frame, "dense") for frame in frames])
+    tracked_m = np.stack([meshes.best(frame, "tracked") for frame in frames])
     num_dense = dense_m.shape[1]
     # One set of weights for both meshes; the dense one alone says which.
     counts = np.zeros(num_dense + tracked_m.shape[1], np.float32)

@@ -105,6 +105,10 @@ def _blur(image: Float64Array) -> Float64Array:
     return means
 
 
+Source = Literal["encoder", "driver"]
+SOURCES: tuple[Source, ...] = ("encoder", "driver")
+
+
 class Picture(NamedTuple):
     """The P pixels of an image that a mesh covers, in reading order.
 
@@ -145,19 +149,17 @@ class ModelEvaluator:
         self._device = next(model.parameters()).device
 
     @torch.no_grad()
-    def encode(self, frame: int) -> Tensor:
-        """The encoder's mean for a frame, ``[1, 4, 8, 8]``."""
+    def latent(self, frame: int, source: Source) -> Tensor:
+        """The encoder's mean for a frame, or what a live sender would send, ``[1, 4, 8, 8]``."""
+        if source == "driver":
+            driven: Tensor = self.model.expression_encoder(
+                self.data.arkit[[frame]].to(self._device)
+            )
+            return driven
         texture = self.data.images.textures([frame], self.model.encoder.texture_size)
         maps = self.data.meshes.position_maps([frame])
         mean: Tensor = self.model.encoder(texture.to(self._device), maps.to(self._device))[0]
         return mean
-
-    @torch.no_grad()
-    def drive(self, frame: int) -> Tensor:
-        """What a live sender would send for a frame, ``[1, 4, 8, 8]``."""
-        arkit = self.data.arkit[[frame]].to(self._device)
-        latent: Tensor = self.model.expression_encoder(arkit)
-        return latent
 
     @torch.no_grad()
     def vertices_m(self, latent: Tensor) -> FloatArray:
@@ -190,10 +192,6 @@ class ModelEvaluator:
         colours = self.model.shade(appearance, surface)
         shown = 255 * colours.clamp(0, 1).cpu().numpy()
         return Picture(drawn.pixels, shown.astype(np.float32))
-
-
-Source = Literal["encoder", "driver"]
-SOURCES: tuple[Source, ...] = ("encoder", "driver")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -250,8 +248,8 @@ def measure_views(
     found = {view: ViewErrors() for view in data.images.evaluation_views}
     for frame in frames:
         after = successor(data, frame)
-        latent = _latent(evaluator, source, frame)
-        later = None if after is None else _latent(evaluator, source, after)
+        latent = evaluator.latent(frame, source)
+        later = None if after is None else evaluator.latent(after, source)
         for view, errors in found.items():
             if view not in data.images.cameras_of(frame):
                 continue
@@ -328,15 +326,11 @@ def mean_mse(rows: list[dict[str, Any]], source: str = "encoder") -> float | Non
     return float(np.mean(errors)) if errors else None
 
 
-def _latent(evaluator: ModelEvaluator, source: Source, frame: int) -> Tensor:
-    return evaluator.encode(frame) if source == "encoder" else evaluator.drive(frame)
-
-
 def _vertex_errors_mm(evaluator: ModelEvaluator, source: Source, frame: int) -> FloatArray:
     """How far each vertex of a frame is off, ``[V]``."""
     meshes, is_tracked = evaluator.data.meshes, evaluator.model.topology == "tracked"
     wanted = meshes.true_at_tracked(frame) if is_tracked else meshes.dense_m[frame]
-    found = evaluator.vertices_m(_latent(evaluator, source, frame))
+    found = evaluator.vertices_m(evaluator.latent(frame, source))
     off_mm: FloatArray = 1000 * np.linalg.norm(found - wanted, axis=1)
     return off_mm
 

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from pica_core.avatar.arkit import NUM_ARKIT
 from pica_core.avatar.linear import Bases
+from pica_core.avatar.spec import TopologyName
 from pica_core.camera import Camera
 from pica_core.capture.stage.synth import Poses, read_picture, read_poses
 from pica_core.model.interface import AvatarModel, DecodedMesh, ExpressionEncoder, flat_latent
@@ -273,10 +274,11 @@ class Objectives:
         return torch.from_numpy(weights)
 
     def _mesh(self, mesh: DecodedMesh, frames: list[int]) -> Tensor:
-        if self.data.meshes.source == "truth" and self.model.topology == "dense":
-            predicted, wanted = mesh.vertices_m, self.data.meshes.dense(frames)
-        else:
-            predicted, wanted = mesh.tracked_m, self.data.meshes.tracked(frames)
+        meshes = self.data.meshes
+        is_dense = meshes.source == "truth" and self.model.topology == "dense"
+        predicted = mesh.vertices_m if is_dense else mesh.tracked_m
+        name: TopologyName = "dense" if is_dense else "tracked"
+        wanted = torch.from_numpy(np.stack([meshes.best(frame, name) for frame in frames]))
         loss = mesh_loss(predicted, wanted.to(self.device), self._vertex_weights)
         return MESH_WEIGHT * loss
 

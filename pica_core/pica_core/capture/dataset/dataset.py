@@ -185,8 +185,7 @@ class Capture:
         is_published: A directory as published, without our additions.
         topology: The mesh that models draw.
         tracked_topology: The tracked mesh; the same object where a capture has one mesh only.
-        dense_vertex: Which vertex of `topology` each tracked vertex is, int64 ``[Vt]``; None where
-            that is not known.
+        dense_vertex: Which vertex of `topology` each tracked vertex is, int64 ``[Vt]``.
         texture_size: Side of the average textures, texels.
     """
 
@@ -194,13 +193,13 @@ class Capture:
         where = path / multiface.CAPTURE
         self.path = path
         self.is_published = not where.is_file()
-        self.dense_vertex: Int64Array | None = None
-        self._mesh_vertex: Int64Array | None = None
+        self._mesh_vertex: Int64Array | slice = slice(None)
         arkit: FloatArray | None = None
         if self.is_published:
             self.info, frames = describe_published(path)
             topology, self._mesh_vertex, self._num_mesh_vertices = published_topology(path, frames)
             self.topology = self.tracked_topology = topology
+            self.dense_vertex: Int64Array = np.arange(len(topology.vertex_uv))
         else:
             self.info = multiface.read_json(where)
             schema = self.info.get("schema")
@@ -325,8 +324,7 @@ class Capture:
     def vertices_m(self, frame: CaptureFrame) -> FloatArray:
         """Tracked mesh on `tracked_topology`, head frame, metres. float32 ``[Vt, 3]``."""
         path = self.path / multiface.mesh_path(frame.segment, frame.name)
-        vertices = read_vertices(path, self._num_mesh_vertices)
-        return vertices if self._mesh_vertex is None else vertices[self._mesh_vertex]
+        return read_vertices(path, self._num_mesh_vertices)[self._mesh_vertex]
 
     def true_vertices_m(self, frame: CaptureFrame) -> FloatArray:
         """Exact mesh on `topology`, head frame, metres. float32 ``[V, 3]``."""

@@ -170,9 +170,9 @@ def read_arrays(path: Path) -> dict[str, Array]:
         raise CaptureError(f"{path}: not a complete archive ({error})") from error
 
 
-def read_topology(path: Path) -> tuple[Topology, Topology, Int64Array | None]:
-    """The mesh that is drawn, the tracked mesh, and the drawn vertex that each tracked one is;
-    where both are one mesh it is there twice, and None."""
+def read_topology(path: Path) -> tuple[Topology, Topology, Int64Array]:
+    """The mesh that is drawn, the tracked mesh, which may be the same object, and the drawn vertex
+    that each tracked one is."""
     arrays = read_arrays(path)
     uv = arrays.get("vertex_uv", np.zeros(0))
     if uv.ndim != 2 or uv.shape[1] != 2 or uv.dtype.kind != "f" or not np.isfinite(uv).all():
@@ -199,7 +199,7 @@ def read_topology(path: Path) -> tuple[Topology, Topology, Int64Array | None]:
     faces = index("faces", len(uv), -1, 3).astype(np.int32)
     topology = Topology(vertex_uv=uv.astype(np.float32), faces=faces, regions=regions)
     if "dense_vertex" not in arrays:
-        return topology, topology, None
+        return topology, topology, np.arange(len(uv))
     dense_vertex = index("dense_vertex", len(uv), -1).astype(np.int64)
     tracked_faces = index("tracked_faces", len(dense_vertex), -1, 3).astype(np.int32)
     return topology, topology.part(dense_vertex, tracked_faces), dense_vertex

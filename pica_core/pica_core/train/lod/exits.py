@@ -26,6 +26,7 @@ from pica_core.avatar.levels import LOCAL_TEXELS
 from pica_core.avatar.spec import EXPRESSION_CHANNELS, trunk_layers
 from pica_core.model.networks import MapDecoder, sample_map, tile_view_direction
 from pica_core.reference import decode_pixels
+from pica_core.sampling import neighbours
 from pica_core.types import Float64Array
 
 CHUNK = 8
@@ -127,15 +128,21 @@ def fit_convolution(
             its detail, and what does is smooth.
     """
     mean_trunk, mean_full = _means(decoder, faces, level)
-    system = _System(mean_trunk.shape[0] * 9, mean_full.shape[0])
+    inputs, outputs = 9 * len(mean_trunk), len(mean_full)
+    gram = torch.zeros(outputs, inputs, outputs, inputs, dtype=torch.float64)
+    right = torch.zeros(outputs, inputs, dtype=torch.float64)
     generator = torch.Generator().manual_seed(0)
     for trunk, full in decoder.run(faces, level):
         for moved, wanted in zip(trunk - mean_trunk, full - mean_full, strict=True):
             chosen = torch.randint(len(points), (POINTS_PER_FACE,), generator=generator)
-            features = _features(moved[None], points[chosen])
+            read, own = _features(moved[None], points[chosen]), metric[chosen]
+            blocks = (own.flatten(1).T[:, None] * read.T) @ read
+            gram += blocks.reshape(outputs, outputs, inputs, inputs).transpose(1, 2).double()
             targets = sample_map(wanted[None], points[chosen])[0]
-            system.add(features, targets, metric[chosen])
-    weight = system.solve().reshape(mean_full.shape[0], mean_trunk.shape[0], 3, 3).float()
+            right += ((own @ targets[:, :, None])[:, :, 0].T @ read).double()
+    gram = gram.reshape(outputs * inputs, -1)
+    gram.diagonal().add_(RIDGE * gram.diagonal().mean())
+    weight = torch.linalg.solve(gram, right.flatten()).reshape(outputs, -1, 3, 3).float()
     at_rest = functional.conv2d(mean_trunk[None], weight, padding=1)[0]
     # The bias takes the exit from what it says of the mean face to the mean of the output.
     moving = (mean_full - still)[None]
@@ -191,13 +198,17 @@ def fit_map(points: Tensor, values: Tensor, start: Tensor) -> Tensor:
         start: Map to begin with and to keep where no point reads, ``[C, S, S]``.
     """
     size = start.shape[-1]
-    index, share = (part.numpy() for part in _taps(points.double(), size))
+    (left, right, across), (top, bottom, down) = (
+        neighbours(where, size) for where in points.double().numpy().T
+    )
+    index = np.stack([row * size + column for row in (top, bottom) for column in (left, right)], 1)
+    share = np.concatenate([y * x for y in (1 - down, down) for x in (1 - across, across)], 1)
     rows = np.arange(0, index.size + 1, index.shape[1])
     read = csr_array((share.ravel(), index.ravel(), rows), (len(index), size * size))
     normal = read.T @ read + PRIOR * eye_array(size * size)
     found = start.double().flatten(1).numpy()
-    left = values.double().numpy().T - found @ read.T
-    steps = [cg(normal, each @ read, rtol=1e-9, maxiter=MAP_STEPS)[0] for each in left]
+    missing = values.double().numpy().T - found @ read.T
+    steps = [cg(normal, each @ read, rtol=1e-9, maxiter=MAP_STEPS)[0] for each in missing]
     return torch.from_numpy(found + np.stack(steps)).reshape(start.shape).float()
 
 
@@ -229,35 +240,6 @@ def colour_metric(
     return metric
 
 
-class _System:
-    """Normal equations of a convolution's weights with coupled outputs, in float64."""
-
-    def __init__(self, num_features: int, num_outputs: int) -> None:
-        self._features, self._outputs = num_features, num_outputs
-        shape = (num_outputs, num_features, num_outputs, num_features)
-        self._matrix = torch.zeros(shape, dtype=torch.float64)
-        self._right = torch.zeros(num_outputs, num_features, dtype=torch.float64)
-
-    def add(self, features: Tensor, targets: Tensor, metric: Tensor) -> None:
-        """Points with features ``[p, F]`` and wanted outputs ``[p, C']``."""
-        for row in range(self._outputs):
-            wanted = (metric[:, row] * targets).sum(1)
-            self._right[row] += (wanted @ features).double()
-            for column in range(row + 1):
-                block = ((features * metric[:, row, column, None]).T @ features).double()
-                self._matrix[row, :, column] += block
-                if column < row:
-                    self._matrix[column, :, row] += block.T
-
-    def solve(self) -> Tensor:
-        """Weights ``[C', F]``."""
-        side = self._outputs * self._features
-        matrix = self._matrix.reshape(side, side)
-        matrix = matrix + RIDGE * matrix.diagonal().mean() * torch.eye(side, dtype=torch.float64)
-        found: Tensor = torch.linalg.solve(matrix, self._right.reshape(side))
-        return found.reshape(self._outputs, self._features)
-
-
 def _means(decoder: FrozenDecoder, faces: FaceSet, level: int) -> tuple[Tensor, Tensor]:
     """Mean trunk ``[C, level, level]`` and mean output ``[C', S, S]`` over faces."""
     sums = [(trunk.sum(0), full.sum(0)) for trunk, full in decoder.run(faces, level)]
@@ -270,16 +252,3 @@ def _features(trunk: Tensor, points: Tensor) -> Tensor:
     _, channels, rows, columns = trunk.shape
     unfolded = functional.unfold(trunk, 3, padding=1).reshape(1, 9 * channels, rows, columns)
     return sample_map(unfolded, points)[0]
-
-
-def _taps(points: Tensor, size: int) -> tuple[Tensor, Tensor]:
-    """The four texels that a bilinear lookup reads, int64 ``[P, 4]``, and their shares."""
-    place = points * size - 0.5
-    low = place.floor()
-    share = place - low
-    near = low.long().clamp(0, size - 1)
-    far = (low.long() + 1).clamp(0, size - 1)
-    corners = [row[:, 1] * size + column[:, 0] for row in (near, far) for column in (near, far)]
-    index = torch.stack(corners, 1)
-    x, y = share[:, 0], share[:, 1]
-    return index, torch.stack([(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y], 1)
