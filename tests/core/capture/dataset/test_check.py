@@ -137,3 +137,51 @@ def test_a_segment_in_both_splits_is_refused(damaged: Path) -> None:
     )
 
     assert problems_of(damaged) == [f"{path}: segment {name} is in both splits"]
+
+
+def fold_chart(root: Path) -> None:
+    """Lay the left half of the texture onto the right one."""
+    with np.load(root / "topology.npz") as arrays:
+        values = dict(arrays)
+    values["vertex_uv"] = np.abs(values["vertex_uv"] - [0.5, 0]).astype(np.float32)
+    np.savez(root / "topology.npz", **values)
+
+
+def enlarge_chart(root: Path) -> None:
+    with np.load(root / "topology.npz") as arrays:
+        values = dict(arrays)
+    np.savez(root / "topology.npz", **{**values, "vertex_uv": 2 * values["vertex_uv"]})
+
+
+def change_meshes(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Path], None]:
+    def work(root: Path) -> None:
+        paths = sorted(root.glob("tracked_mesh/*/*.bin"))
+        meshes = np.array([np.fromfile(path, "<f4").reshape(-1, 3) for path in paths])
+        for path, mesh in zip(paths, change(meshes), strict=True):
+            mesh.astype("<f4").tofile(path)
+
+    return work
+
+
+def pierce_depth(root: Path) -> None:
+    for path in root.glob("depth/*/front/*.png"):
+        depth = np.array(Image.open(path))
+        depth[:, ::2] = 0
+        Image.fromarray(depth).save(path)
+
+
+@pytest.mark.parametrize(
+    ("damage", "problem"),
+    [
+        (fold_chart, "of the texture's islands lie on each other"),
+        (enlarge_chart, "of the triangles leave the square of the texture"),
+        (change_meshes(lambda meshes: meshes[[0] * len(meshes)]), "jawOpen moves nothing"),
+        (change_meshes(lambda meshes: meshes * [-1, 1, -1]), "mouth of .* hidden; does the head"),
+        (pierce_depth, "mouth of .* from camera front: .* of it is empty"),
+    ],
+)
+def test_pictures_that_show_no_face_are_a_problem(
+    damaged: Path, damage: Callable[[Path], None], problem: str
+) -> None:
+    damage(damaged)
+    assert re.search(problem, "\n".join(problems_of(damaged)))
