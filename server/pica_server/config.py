@@ -117,7 +117,7 @@ class RelayConfig:
     room."""
     tls_cert: Path | None = None
     """File with the certificate and those between it and a root, in PEM format: speaks TLS, so that
-    clients write wss://. Read again when it changes; connections go on."""
+    clients write wss://. Read again every ten minutes; connections go on."""
     tls_key: Path | None = None
     """File with the private key of the certificate."""
     trusted_proxies: tuple[str, ...] = ()

@@ -24,6 +24,7 @@ from pica_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
 from pica_protocol.messages import AVATARS_PATH, STORE_SUBPROTOCOL
 from pica_server.config import ConfigurationError, RelayConfig
 from pica_server.limits import RefusalError, SocketGuard, is_in, is_loopback, most_sockets, networks
+from pica_server.log import say
 from pica_server.net.pump import Pump
 from pica_server.net.socket import RelaySocket, bound_receive_buffer
 from pica_server.room.connections import PERIOD_S
@@ -46,7 +47,9 @@ _WRITE_LIMIT_BYTES = 1  # of 0, TLS of the standard library would make no end of
 library waits until three quarters of it have drained: seconds of a slow reader's time, in which its
 streams fall behind and are cut."""
 
-_Stamp = tuple[tuple[int, int, int], ...]
+CERTIFICATE_PERIOD_S = 600.0
+"""Between two readings of the files of the certificate (chosen: two milliseconds of work)."""
+
 _logger = logging.getLogger(__name__)
 # What strangers do to a public port (bad HTTP, cut handshakes) is no error of ours and no news.
 _websockets_logger = logging.getLogger(f"{__name__}.websockets")
@@ -327,7 +330,6 @@ class Certificate:
     connections go on.
 
     A connection keeps the certificate that it began with; one that begins later gets the new one.
-    New files are tried out first: what cannot be used never replaces what can.
 
     Attributes:
         context: What connections begin with.
@@ -344,29 +346,17 @@ class Certificate:
             ConfigurationError: One of them cannot be used; one line with the flag and the fix.
         """
         self._cert, self._key = cert, key
-        self._stamp = self._look()
         self.context = _context(cert, key)
 
-    def has_changed(self) -> bool:
-        """Return True if the files are others than those that were last read, or tried."""
-        return self._look() != self._stamp
-
-    def reload(self) -> None:
-        """Read the files again; if that raises, as at first, the old certificate stays."""
-        self._stamp = self._look()
-        _context(self._cert, self._key)
-        self.context.load_cert_chain(self._cert, self._key, password=_no_password)
-
-    def _look(self) -> _Stamp:
-        stamps = []
-        for path in (self._cert, self._key):
+    async def keep_fresh(self) -> None:
+        """Read the files again now and then; what cannot be used never replaces what can."""
+        while True:
+            await asyncio.sleep(CERTIFICATE_PERIOD_S)
             try:
-                status = path.stat()
-            except OSError:
-                stamps.append((0, 0, 0))  # being replaced
-            else:
-                stamps.append((status.st_ino, status.st_mtime_ns, status.st_size))
-        return tuple(stamps)
+                self.context = _context(self._cert, self._key)
+            except ConfigurationError as error:
+                spoken = f"the old certificate stays: {error}"
+                say(_logger, "certificate refused", spoken, why=str(error))
 
 
 def _context(cert: Path, key: Path) -> ssl.SSLContext:

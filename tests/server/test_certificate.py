@@ -4,10 +4,7 @@ import asyncio
 import shutil
 import socket
 import ssl
-import subprocess
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -19,7 +16,8 @@ from pica_client.transport.link import Link
 from pica_protocol.limits import bound_tls_buffer
 from pica_protocol.messages import Joined
 from pica_server.config import ConfigurationError, LimitsConfig, RelayConfig
-from pica_server.relay import Certificate, Relay
+from pica_server.relay import CERTIFICATE_PERIOD_S, Certificate, Relay
+from simnet.clock import in_virtual_time
 
 pytestmark = pytest.mark.realtime
 
@@ -60,24 +58,21 @@ def test_files_that_cannot_be_used_are_named_in_one_line(cert: Path, tmp_path: P
         assert "\n" not in str(caught.value)
 
 
-def test_what_cannot_be_used_never_replaces_what_can(cert: Path, tmp_path: Path) -> None:
+@in_virtual_time
+async def test_files_are_read_again_and_what_cannot_be_used_never_replaces_what_can(
+    cert: Path, tmp_path: Path
+) -> None:
     certificate = Certificate(cert, key_of(cert))
-    assert not certificate.has_changed()
+    keeping = asyncio.create_task(certificate.keep_fresh())
+    first = certificate.context
     other = write_certificate(tmp_path, "other")
     shutil.copy(other, cert)  # and not its key, yet
-    assert certificate.has_changed()
-    with pytest.raises(ConfigurationError, match="not the key"):
-        certificate.reload()
-    assert not certificate.has_changed()
+    await asyncio.sleep(CERTIFICATE_PERIOD_S + 1)
+    assert certificate.context is first
     shutil.copy(key_of(other), key_of(cert))
-    assert certificate.has_changed()
-    certificate.reload()
-
-
-def test_files_that_are_gone_for_a_moment_are_a_change_and_no_error(cert: Path) -> None:
-    certificate = Certificate(cert, key_of(cert))
-    cert.rename(cert.with_suffix(".away"))
-    assert certificate.has_changed()
+    await asyncio.sleep(CERTIFICATE_PERIOD_S)
+    assert certificate.context is not first
+    keeping.cancel()
 
 
 def client_context() -> ssl.SSLContext:
@@ -116,9 +111,7 @@ def test_new_connections_get_the_new_certificate_and_a_call_goes_on(
             running = asyncio.create_task(link.run())
             await joined.get()
             renewed = write_certificate(tmp_path, "renewed")
-            shutil.copy(renewed, cert)
-            shutil.copy(key_of(renewed), key_of(cert))
-            relay.certificate.reload()
+            relay.certificate.context = Certificate(renewed, key_of(renewed)).context
             served = await asyncio.to_thread(served_certificate, "127.0.0.1", port)
             assert served == ssl.PEM_cert_to_DER_cert(renewed.read_text())
             monkeypatch.setenv("SSL_CERT_FILE", str(renewed))
@@ -145,47 +138,6 @@ def test_whom_a_client_does_not_trust_it_does_not_join(
                 await Link(LinkConfig(url=relay.url, room="r")).run()
 
     asyncio.run(call())
-
-
-@contextmanager
-def relay_process(cert: Path) -> Iterator[tuple["subprocess.Popen[str]", int]]:
-    arguments = ["--port", "0", "--tls-cert", str(cert), "--tls-key", str(key_of(cert))]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "pica_command", "relay", *arguments],
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        assert process.stderr is not None
-        line = process.stderr.readline()
-        assert line.startswith("listening on wss://"), line + process.stderr.read()
-        yield process, int(line.rpartition(":")[2])
-    finally:
-        if process.poll() is None:
-            process.terminate()
-        process.communicate(timeout=60)
-
-
-def wait_for(process: "subprocess.Popen[str]", text: str) -> str:
-    assert process.stderr is not None
-    while text not in (line := process.stderr.readline()):
-        assert line, f"the relay ended before it said {text!r}"
-    return line
-
-
-def test_a_running_relay_reads_its_certificate_again_when_it_changes(
-    cert: Path, tmp_path: Path
-) -> None:
-    with relay_process(cert) as (process, port):
-        renewed = write_certificate(tmp_path, "renewed")
-        shutil.copy(key_of(renewed), key_of(cert))
-        shutil.copy(renewed, cert)
-        wait_for(process, "read the certificate again")
-        served = ssl.PEM_cert_to_DER_cert(renewed.read_text())
-        assert served_certificate("127.0.0.1", port) == served
-        cert.write_text("oh")
-        assert "it is no PEM file" in wait_for(process, "the old certificate stays: ")
-        assert served_certificate("127.0.0.1", port) == served
 
 
 def page_asked_for_with_the_last_of_the_handshake(port: int) -> bytes:

@@ -18,17 +18,11 @@ from cyclopts import Parameter
 
 from pica_server.config import ConfigurationError, RelayConfig
 from pica_server.log import Style, logging_to, say
-from pica_server.relay import Certificate
 
 if TYPE_CHECKING:
     from pica_server.store.store import AvatarStore
 
 _logger = logging.getLogger(__name__)
-
-CERTIFICATE_PERIOD_S = 2.0
-"""Between two looks at the files of the certificate, see below (chosen: two stat calls)."""
-CERTIFICATE_SETTLES_S = 0.5
-"""Between the first change of a file and reading both (chosen)."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -88,7 +82,7 @@ async def _run(options: RelayOptions) -> dict[str, Any]:
             return {"url": "", **server.stats()}
         try:
             if server.certificate is not None:
-                keeping = asyncio.create_task(_keep_fresh(server.certificate))
+                keeping = asyncio.create_task(server.certificate.keep_fresh())
                 stack.callback(keeping.cancel)
             url = server.url
             _spare_the_collector()
@@ -143,22 +137,6 @@ def _spare_the_collector() -> None:
     gc.collect()
     gc.freeze()
     gc.set_threshold(10_000)  # a turn of a full core makes more objects than the usual 700
-
-
-async def _keep_fresh(certificate: Certificate) -> None:
-    """Read the certificate again when its files have changed."""
-    while True:
-        await asyncio.sleep(CERTIFICATE_PERIOD_S)
-        if not certificate.has_changed():
-            continue
-        # Both files are written one after the other; the pair is there a moment later.
-        await asyncio.sleep(CERTIFICATE_SETTLES_S)
-        try:
-            certificate.reload()
-        except ConfigurationError as error:
-            _say("certificate refused", f"the old certificate stays: {error}", why=str(error))
-        else:
-            _say("certificate read", "read the certificate again")
 
 
 async def _unless(interruption: Awaitable[object], work: Awaitable[object]) -> bool:
