@@ -18,10 +18,6 @@ from pica_server.stats import CONTENT_TYPE, metrics_text
 from pica_server.store.store import AvatarStore
 from pica_server.tokens import ANY_ROOM
 
-WORST_S: Final = 1.0
-"""A timer later than this means that everybody's face froze for a second."""
-
-
 MAX_LISTED: Final = 1000
 """People in one answer to ``GET /rooms`` (chosen: 300 kB, some milliseconds of work)."""
 
@@ -58,10 +54,8 @@ class StatusPages:
         """
         match path:
             case "/healthz":
-                worst_s = self._hub.overload.worst_s(now)
-                trouble = f"stalled for {worst_s:.1f} s" if worst_s >= WORST_S else ""
-                # No reason to start it again: its rooms go on, and it comes back by itself.
-                return _verdict(trouble, self._placement_trouble)
+                # Lost NATS is no reason to start it again: its rooms go on.
+                return _verdict("", self._placement_trouble)
             case "/readyz":
                 if self._hub.connections.is_draining:
                     return _verdict("draining")
@@ -127,7 +121,6 @@ class StatusPages:
             "rooms": hub.num_rooms,
             "draining": hub.connections.is_draining,
             "overload": hub.overload.refuses(now),
-            "loop_lateness_seconds": hub.overload.worst_s(now),
         }
         return metrics_text(hub.stats, gauges)
 

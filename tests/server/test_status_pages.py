@@ -45,17 +45,6 @@ def status(pages: StatusPages, path: str, now: float, *, is_local: bool = True) 
     return None if page is None else page.status
 
 
-def test_health_turns_bad_when_the_loop_stalls_and_good_when_that_is_over() -> None:
-    answers, hub = pages()
-    hub.overload.note_turn(0.2, now=1.2)
-    assert status(answers, "/healthz", now=1.2) == 200
-    hub.overload.note_turn(1.2, now=2.9)
-    page = answers.answer("/healthz", is_local=True, now=3.0)
-    assert page == Page(HTTPStatus.SERVICE_UNAVAILABLE, "stalled for 1.2 s\n")
-    assert status(answers, "/healthz", now=12.8) == 503
-    assert status(answers, "/healthz", now=13.0) == 200
-
-
 def test_a_full_relay_is_not_ready_but_well() -> None:
     answers, hub = pages(RelayConfig(max_connections=1))
     assert status(answers, "/readyz", now=0.0) == 200

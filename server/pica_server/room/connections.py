@@ -44,8 +44,6 @@ LATE_S: Final = 0.1
 the machine's doing); two in a row are overload: newcomers are told to come later."""
 PERIOD_S: Final = 0.05
 """Between two looks at the clock (chosen: half of what is late)."""
-REMEMBERED_S: Final = 10.0
-"""How long a stall counts (chosen: a health check each ten seconds sees every stall)."""
 CALM_S: Final = 5.0
 """Without such a turn until newcomers are let in again (chosen)."""
 
@@ -63,24 +61,17 @@ class Overload:
         self.sheds = False
         self._late_s = 0.0
         self._refuses_until_s = float("-inf")
-        self._worst_s, self._worst_until_s = 0.0, float("-inf")
 
     def note_turn(self, late_s: float, now: float) -> None:
         """Note how late the event loop has just been; one pause alone is no overload."""
         before_s, self._late_s = self._late_s, late_s
         self.sheds = late_s >= LATE_S
-        if late_s >= self.worst_s(now):
-            self._worst_s, self._worst_until_s = late_s, now + REMEMBERED_S
         if late_s >= LATE_S and before_s >= LATE_S:
             self._refuses_until_s = now + CALM_S
 
     def refuses(self, now: float) -> bool:
         """Whether newcomers are refused."""
         return now < self._refuses_until_s
-
-    def worst_s(self, now: float) -> float:
-        """Return by how much the event loop was late at worst; a stall counts for ten seconds."""
-        return self._worst_s if now <= self._worst_until_s else 0.0
 
 
 @dataclass(eq=False, slots=True)
