@@ -78,8 +78,6 @@ class StoreConfig:
     """Bytes of one file; 4015 above it."""
     max_avatars: Annotated[int, Range(1, 1_000_000)] = 10_000
     """Files in the store; 4015 above it."""
-    bytes_per_s: Annotated[float, Range(1024, 1e12)] = 16.0 * 2**20
-    """Bytes a second of all transfers together, so that they do not delay the faces."""
     grace_s: Annotated[float, Range(0.01, 600)] = 10.0
     """Seconds that every transfer may take."""
     slowest_bytes_per_s: Annotated[float, Range(1, 1e9)] = 8192.0

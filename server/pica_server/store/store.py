@@ -99,8 +99,6 @@ class AvatarStore:
                 f"--avatar-store {where} holds more than {config.max_avatars} avatars; "
                 "raise --store.max-avatars, or remove some"
             )
-        self._free_s = 0.0
-        """When all bytes that had a turn are through, at the rate of the configuration."""
         self._reserved_bytes = self._num_reserved = 0
         self._threads = ThreadPoolExecutor(NUM_THREADS, thread_name_prefix="avatar-store")
 
@@ -149,13 +147,6 @@ class AvatarStore:
         if len(data) != end - begin:
             raise OSError(errno.EIO, "a file is shorter than it was")
         return data
-
-    async def wait_for_turn(self, num_bytes: int) -> None:
-        """Wait until so many bytes may go in or out, as all transfers share one rate."""
-        now = asyncio.get_running_loop().time()
-        begin_s = max(self._free_s, now)
-        self._free_s = begin_s + num_bytes / self.config.bytes_per_s
-        await asyncio.sleep(begin_s - now)
 
     @contextmanager
     def reserved(self, size: int) -> Iterator[None]:

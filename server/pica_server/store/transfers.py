@@ -1,9 +1,9 @@
 """The ways into and out of the avatar store, which must not delay the faces.
 
 A file comes over a websocket of ``pica.store.1``, one each, and leaves by HTTP (RFC 9110) on the
-port of the faces. A transfer moves 16 KiB at a time and waits for its turn after each; all
-transfers together keep to a rate; and a download is never further ahead of its reader than a small
-socket buffer, so that it does not fill the queue of a slow link through which a call goes too.
+port of the faces. A transfer moves 16 KiB at a time and lets others have their turn after each; a
+download is never further ahead of its reader than a small socket buffer, so that it does not fill
+the queue of a slow link through which a call goes too.
 Transfers are limited in number, in all and for each address, and one that is slower than it may be
 is cut.
 
@@ -127,7 +127,7 @@ class Downloads:
                 for begin in range(0, size, READ_BYTES):
                     if begin:
                         data = await store.read(identity, begin, min(begin + READ_BYTES, size))
-                    await self._send_pieces(store, websocket, data)
+                    await self._send_pieces(websocket, data)
                 transport.close()
                 await websocket.wait_closed()
         except (TimeoutError, OSError):
@@ -138,14 +138,14 @@ class Downloads:
             self._transfers.discard(websocket)
         return head
 
-    async def _send_pieces(self, store: AvatarStore, websocket: RelaySocket, data: bytes) -> None:
+    async def _send_pieces(self, websocket: RelaySocket, data: bytes) -> None:
         for begin in range(0, len(data), PIECE_BYTES):
             piece = data[begin : begin + PIECE_BYTES]
-            await store.wait_for_turn(len(piece))
             if websocket.transport.is_closing():
                 raise ConnectionResetError("the reader has gone")
             websocket.transport.write(piece)
             await websocket.drain()
+            await asyncio.sleep(0)  # a reader that keeps up does not make it wait
             self._stats["download_bytes"] += len(piece)
 
 
@@ -235,7 +235,6 @@ class Uploads:
                     chunk = decode_chunk(await _binary(websocket))
                     self._stats["upload_bytes"] += len(chunk)
                     data += chunk
-                    await store.wait_for_turn(len(chunk))
             if len(data) > offer.size:
                 raise RefusalError("more bytes than were offered", CloseCode.UNFIT_FILE)
             await store.keep(offer.sha256, data)

@@ -150,7 +150,7 @@ async def test_who_sends_too_slowly_or_nothing_is_closed(tmp_path: Path) -> None
 async def test_a_reader_that_stops_is_cut_and_its_place_is_free_again(tmp_path: Path) -> None:
     large = fake_avatar(8_000_000)
     limits = {"grace_s": 1.0, "slowest_bytes_per_s": 1e9}
-    async with store_relay(tmp_path, downloads=1, bytes_per_s=1e9, **limits) as relay:
+    async with store_relay(tmp_path, downloads=1, **limits) as relay:
         await upload(relay, large)
         host, _, port = relay.url.removeprefix("ws://").rpartition(":")
         _, writer = await asyncio.open_connection(host, int(port), limit=1024)
@@ -225,7 +225,7 @@ async def test_a_place_that_breaks_is_a_fault_of_the_relay_without_details(tmp_p
 
 @pytest.mark.asyncio
 async def test_a_relay_that_stops_waits_for_no_transfer(tmp_path: Path) -> None:
-    async with store_relay(tmp_path, bytes_per_s=1024) as relay:
+    async with store_relay(tmp_path) as relay:
         async with store_socket(relay) as websocket:
             await websocket.send(OFFER)
             await websocket.recv()
