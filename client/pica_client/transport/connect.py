@@ -205,8 +205,10 @@ class RelayConnect(connect):
         **options: Any,
     ) -> None:
         """Prepare; `options` are further ones of the library."""
+        address, bracket, rest = url.partition("]")
         super().__init__(
-            url,
+            # The zone of a link-local address, which RFC 6874 writes after an escaped percent sign.
+            address.replace("%25", "%") + bracket + rest if bracket else url,
             create_connection=RelayWebsocket,
             subprotocols=[Subprotocol(subprotocol)],
             compression=None,

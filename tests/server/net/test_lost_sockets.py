@@ -5,9 +5,8 @@ import gc
 import socket
 
 import pytest
-from websockets.asyncio.client import connect
-from websockets.typing import Subprotocol
 
+from pica_client.transport.connect import RelayConnect
 from pica_protocol import SUBPROTOCOL
 from pica_server.config import RelayConfig
 from pica_server.net.socket import RelaySocket
@@ -15,7 +14,6 @@ from pica_server.relay import Relay
 
 pytestmark = pytest.mark.realtime
 
-PICA = [Subprotocol(SUBPROTOCOL)]
 UPGRADE = (
     b"GET / HTTP/1.1\r\nHost: relay\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
     b"Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\nSec-WebSocket-Version: 13\r\n"
@@ -71,12 +69,13 @@ def test_a_lost_connection_leaves_nothing_to_the_garbage_collector(said: bytes) 
 
 
 @pytest.mark.skipif(not socket.has_dualstack_ipv6(), reason="no IPv6")
-def test_two_colons_listen_for_both_families() -> None:
+def test_two_colons_listen_for_both_families_and_zones() -> None:
     async def scenario() -> None:
+        zone = socket.if_nametoindex("lo")
         async with Relay(RelayConfig(host="::", port=0, insecure=True)) as relay:
             port = relay.url.rpartition(":")[2]
-            for host in ("127.0.0.1", "[::1]"):
-                async with connect(f"ws://{host}:{port}", subprotocols=PICA) as websocket:
+            for host in ("127.0.0.1", "[::1]", f"[::1%{zone}]", f"[::1%25{zone}]"):
+                async with RelayConnect(f"ws://{host}:{port}") as websocket:
                     assert websocket.subprotocol == SUBPROTOCOL
 
     asyncio.run(scenario())
