@@ -22,6 +22,8 @@ UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 FACE_M = (0.036, 0.36)
 """From the middle of what eye shapes move to the middle of what mouth shapes move: 60 to 85 mm in
 people. One decade around that, so that exactly one of the units fits."""
+MAX_SIZE_M = 4.0
+"""Of a rig with its body, and of what a shape moves."""
 EYES_AT_M = (0.0, 0.022, 0.074)
 """Where the middle between the eyeballs goes."""
 
@@ -299,9 +301,19 @@ def build_mesh(source: RigSource, names: NameMap) -> RigMesh:
     """Bring a rig into our units, axes and names, and find its parts.
 
     Raises:
-        CaptureError: No unit makes it a head, or nothing is left to draw.
+        CaptureError: No unit makes it a head, it is larger than people, or nothing is left to draw.
     """
     frame = find_frame(source.positions, source.shapes, names)
+    size_m = float(np.ptp(frame.points(source.positions), axis=0).max())
+    if not size_m <= MAX_SIZE_M:
+        raise CaptureError(f"{source.path}: {size_m:.3g} m large; up to {MAX_SIZE_M:g} m are read")
+    for name, delta in source.shapes.items():
+        far_m = float(np.abs(frame.points(delta)).max())
+        if not far_m <= MAX_SIZE_M:
+            raise CaptureError(
+                f"{source.path}: shape {name!r} moves a vertex by {far_m:.3g} m; "
+                f"up to {MAX_SIZE_M:g} m are read"
+            )
     keep, group = _weld(source)
     rest = frame.points(source.positions[keep])
     middle_x = 0.5 * float(rest[:, 0].min() + rest[:, 0].max())

@@ -10,6 +10,7 @@ import pytest
 from helpers.rig_toy import glb_bytes, glb_parts, toy_rig, write_glb
 from pica_core.avatar.arkit import ARKIT_INDEX
 from pica_core.capture.rig.gltf import read_rig
+from pica_core.capture.rig.head import make_rig
 from pica_core.capture.rig.mesh import build_mesh
 from pica_core.capture.rig.names import map_names, match_name, read_names
 from pica_core.errors import CaptureError
@@ -170,6 +171,17 @@ def test_a_hostile_glb_is_refused(
 
     with pytest.raises(CaptureError, match=words):
         read_rig(path)
+
+
+def test_a_rig_is_no_larger_than_people(tmp_path: Path) -> None:
+    rig = toy_rig()
+    rig.shapes["jawOpen"][3, 1] = 1e12
+    with pytest.raises(CaptureError, match="shape 'jawOpen' moves a vertex by"):
+        make_rig(read_rig(write_glb(tmp_path / "far.glb", rig)))
+    rig = toy_rig()
+    rig.positions[0, 1] = 1e12
+    with pytest.raises(CaptureError, match="m large; up to 4 m are read"):
+        make_rig(read_rig(write_glb(tmp_path / "large.glb", rig)))
 
 
 def test_a_glb_of_numbers_that_cannot_be_is_refused(tmp_path: Path) -> None:
