@@ -25,12 +25,9 @@ from pica_protocol.frames import Frame
 from pica_protocol.messages import (
     Joined,
     Peer,
-    PeerAway,
-    PeerBack,
     PeerJoined,
     PeerLeft,
     PeerUpdated,
-    StreamMuted,
     Track,
 )
 
@@ -278,23 +275,6 @@ def test_a_peer_that_says_something_else_of_itself_keeps_its_seat_in_another_roo
         assert [(face.name, face.latent is None) for face in call.faces(3.2)] == [
             (other.name, False)
         ]
-
-
-def test_a_face_says_why_it_stands_still(call: Call) -> None:
-    call.receive_event(joined(peer("p1", "Ada", 7)), now=0.0)
-    notes = []
-    for event in (
-        PeerAway(peer_id="p1"),
-        PeerBack(peer_id="p1"),
-        StreamMuted(stream=7, is_muted=True),
-        StreamMuted(stream=7, is_muted=False),
-        PeerAway(peer_id="nobody"),
-        StreamMuted(stream=99, is_muted=True),
-    ):
-        call.receive_event(event, now=0.1)
-        notes.append(call.faces(0.1)[0].note)
-    nothing = "no face yet"
-    assert notes == ["connection lost", nothing, "muted by an admin", nothing, nothing, nothing]
 
 
 def test_a_face_is_away_while_its_tracker_sees_nobody(call: Call) -> None:

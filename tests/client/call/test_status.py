@@ -55,13 +55,6 @@ def listed(call: Call, now: float = 1.0) -> dict[str, Member]:
     return {each.name: each for each in call.room(now).participants}
 
 
-def test_the_others_are_listed_in_order_of_coming_watchers_among_them() -> None:
-    call = call_with(person("p9", "Zoe", 1), Peer(peer_id="p1", name="Ada"))
-    call.receive_event(PeerJoined(peer=person("p2", "Ben", 2)), now=1.0)
-    assert list(listed(call)) == ["Zoe", "Ada", "Ben"]
-    assert [each.is_watching for each in listed(call).values()] == [False, True, False]
-
-
 def test_who_may_be_somebody_else_than_the_name_says_is_marked() -> None:
     assured = replace(person("p1", "Ada", 1), is_name_assured=True, identity="ada")
     people = listed(call_with(assured, person("p2", "Ada", 2), person("p3", "ＭＥ", 3)))
