@@ -1,4 +1,8 @@
-"""Messages about keys: nothing but what a member wrote, to us, in this room, is believed."""
+"""Bytes shown in ``docs/privacy.md`` are those that the code makes, and of messages about keys
+nothing is believed but what a member wrote, to us, in this room.
+
+The known answers of RFC 9605 stand in ``test_frames.py``.
+"""
 
 from __future__ import annotations
 
@@ -6,45 +10,109 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from helpers.paths import ROOT
+
 pytest.importorskip("cryptography", reason="needs the extra seal")
 
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 
-from helpers.sealed_room import SECRET
+from pica_client.e2ee.frames import derive_key, metadata_of, open_, pad, seal
 from pica_client.e2ee.peer_keys import (
     MESSAGE_BYTES,
     KeyMessage,
     agree,
     decode,
+    describe,
     encode,
     room_key,
     unwrap,
 )
+from pica_client.e2ee.secret import RoomSecret, SealStatus
 from pica_client.errors import SealError
+from pica_protocol.frames import Frame
+from pica_protocol.messages import Track
 
 pytestmark = pytest.mark.unit
 
-CODE_KEY = room_key(SECRET, "r", b"code")
-WAY = ("ada", "ben")
-PAIR_KEY, BASE_KEY = bytes(32), bytes(range(16))
-MESSAGE = KeyMessage(
-    wants_answer=False,
-    public_key=bytes(32),
-    challenge=bytes(8),
-    echo=bytes(8),
-    acknowledged=0,
-    generation=3,
-    first=9,
-    description=bytes(32),
+PAGE = (ROOT / "docs" / "privacy.md").read_text()
+BASE_KEY = bytes(range(16))
+SECRET = RoomSecret(bytes(range(32)))
+WAY = ("p1", "p2")
+GENERATION = 9
+FRAME = Frame(
+    stream=1,
+    sequence=65535,
+    captured_us=123_456_700,
+    payload=b"opaque",
 )
-DATA = encode(MESSAGE, CODE_KEY, WAY, PAIR_KEY, BASE_KEY)
+METADATA = "0001ffff96b43800"
+SEALED = (
+    "19012c1beedb2459b0a64d5b7e054a51a8b267de540dfb41b944552d5d5c042a7e9de2f11981dcbb"
+    "f8c29877ff57baec0b10c335b1581797b387cd64739f57074066ad"
+)
+DESCRIPTION = describe(
+    "lobby", "Ada", (Track(kind="face", stream=1, avatar="0f" * 32), Track(kind="wave", stream=2))
+)
+DATA = bytes.fromhex(
+    "01a4e09292b651c278b9772c569f5fa9bb13d906b46ab68c9df9dc2b4409f8a20900010203040506"
+    "0708090a0b0c0d0e0f00000002000000090000012cdc0a2972cc0f365e36b0cc8a0257f54e4a7fe3"
+    "0ccf5df8bddc0403f53b2023ff570c2ea9a6018d387c3b0ef5a17128273b6a4bfcc4e00fb7b493a7"
+    "6669b825854ed66710c955ba7a0b79967283251aa7"
+)
+CODE = "38740 14887 23503 57144 60265 51104"
+ADA, BEN = (X25519PrivateKey.from_private_bytes(bytes([i] * 32)) for i in (1, 2))
+ADA_KEY, BEN_KEY = (each.public_key().public_bytes_raw() for each in (ADA, BEN))
+CODE_KEY, SALT = (room_key(SECRET, "lobby", purpose) for purpose in (b"code", b"pair"))
+PAIR_KEY = agree(ADA, BEN_KEY, SALT)
+MESSAGE = KeyMessage(
+    wants_answer=True,
+    public_key=ADA_KEY,
+    challenge=bytes(range(8)),
+    echo=bytes(range(8, 16)),
+    acknowledged=2,
+    generation=GENERATION,
+    first=300,
+    description=DESCRIPTION,
+)
+
+
+def grouped(data: str) -> str:
+    """Return hex digits as the page shows them: four bytes to a group, eight groups to a line."""
+    return "\n".join(
+        " ".join(data[start + i : start + i + 8] for i in range(0, 64, 8)).rstrip()
+        for start in range(0, len(data), 64)
+    )
+
+
+def test_a_face_is_sealed_as_the_page_shows() -> None:
+    key, metadata = derive_key(BASE_KEY, GENERATION % 8), metadata_of(FRAME)
+    assert metadata.hex() == METADATA
+    assert seal(pad(FRAME.payload), metadata, key, 300).hex() == SEALED
+    assert open_(bytes.fromhex(SEALED), metadata, key) == pad(FRAME.payload)
+    assert grouped(SEALED) in PAGE
+    assert grouped(METADATA) in PAGE
+
+
+def test_a_key_message_is_written_as_the_page_shows() -> None:
+    assert encode(MESSAGE, CODE_KEY, WAY, PAIR_KEY, BASE_KEY) == DATA
+    assert decode(DATA, CODE_KEY, WAY) == MESSAGE
+    assert unwrap(DATA, WAY, agree(BEN, ADA_KEY, SALT)) == BASE_KEY
+    assert grouped(DATA.hex()) in PAGE
+
+
+def test_the_code_is_made_as_the_page_shows() -> None:
+    members = ((ADA_KEY, DESCRIPTION), (BEN_KEY, describe("lobby", "Ben", ())))
+    assert SealStatus(room="lobby", members=members).code == CODE
+    assert SealStatus(room="lobby", members=members[::-1]).code == CODE
+    assert SealStatus(room="lobby", members=members[:1]).code == ""
+    assert CODE in PAGE
+    assert grouped(DESCRIPTION.hex()) in PAGE
 
 
 def test_a_message_is_for_one_receiver_from_one_sender_in_one_room() -> None:
-    assert decode(DATA, CODE_KEY, WAY) == MESSAGE
-    for way in (("ben", "ada"), ("ada", "cho"), ("cho", "ben"), ("adab", "en")):
+    for way in (("p2", "p1"), ("p1", "p3"), ("p3", "p2"), ("p1p", "2")):
         assert decode(DATA, CODE_KEY, way) is None
-    assert decode(DATA, room_key(SECRET, "s", b"code"), WAY) is None
+    assert decode(DATA, room_key(SECRET, "hall", b"code"), WAY) is None
 
 
 @given(st.binary(max_size=160) | st.binary(min_size=MESSAGE_BYTES, max_size=MESSAGE_BYTES))
@@ -60,7 +128,6 @@ def test_no_flipped_bit_is_believed() -> None:
 
 
 def test_a_wrapped_key_does_not_unwrap_in_another_message_even_of_a_member() -> None:
-    assert unwrap(DATA, WAY, PAIR_KEY) == BASE_KEY
     for changed in ({"first": 0}, {"generation": 4}, {"echo": b"12345678"}):
         forged = encode(MESSAGE._replace(**changed), CODE_KEY, WAY, bytes(31) + b"x", BASE_KEY)
         wrapped = slice(93, 125)
